@@ -1,0 +1,2 @@
+//! `isoplanat-camera`.
+fn main() {}

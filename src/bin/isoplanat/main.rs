@@ -1,0 +1,2 @@
+//! `isoplanat`.
+fn main() {}

@@ -1,0 +1,1 @@
+//! The camera side: RAW in, picture out. No training code, no gradients.

@@ -1,0 +1,85 @@
+//! The library's one error type: every message names the file, the place, the value and what is allowed.
+
+use std::path::{Path, PathBuf};
+
+/// What can go wrong. Everything but [`Error::Internal`] and [`Error::Interrupted`] is bad input (exit code 2).
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// A value in a file or argument that cannot be used.
+    #[error("{file}: {place}: {found}; {allowed}")]
+    BadInput {
+        /// File (or the argument's name) the value stands in.
+        file: String,
+        /// Where in the file: key, surface, line.
+        place: String,
+        /// What was found there.
+        found: String,
+        /// What is allowed.
+        allowed: String,
+    },
+    /// A file that could not be read or written.
+    #[error("{}: {what}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What was being done: `reading`, `writing`.
+        what: &'static str,
+        /// The system's reason.
+        source: std::io::Error,
+    },
+    /// An output that exists already, without `--force`.
+    #[error("{}: exists already; name another output or pass --force", .0.display())]
+    Exists(PathBuf),
+    /// A fault of the program.
+    #[error("internal error: {0}")]
+    Internal(String),
+    /// The user pressed Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
+}
+
+/// The library's result.
+pub type Result<T, E = Error> = std::result::Result<T, E>;
+
+impl Error {
+    /// A bad value: `file: place: found; allowed`.
+    pub fn bad(
+        file: impl Into<String>,
+        place: impl Into<String>,
+        found: impl Into<String>,
+        allowed: impl Into<String>,
+    ) -> Self {
+        Self::BadInput { file: file.into(), place: place.into(), found: found.into(), allowed: allowed.into() }
+    }
+
+    /// A file that could not be read.
+    pub fn reading(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), what: "reading", source }
+    }
+
+    /// A file that could not be written.
+    pub fn writing(path: &Path, source: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), what: "writing", source }
+    }
+
+    /// The same error with the file's name put in where it was not known (`file` empty).
+    #[must_use]
+    pub fn in_file(self, path: &Path) -> Self {
+        match self {
+            Self::BadInput { file, place, found, allowed } if file.is_empty() => {
+                Self::BadInput { file: path.display().to_string(), place, found, allowed }
+            }
+            other => other,
+        }
+    }
+
+    /// The program's exit code for this error.
+    pub fn exit_code(&self) -> u8 {
+        match self {
+            Self::Internal(_) => 1,
+            Self::Interrupted => 130,
+            _ => 2,
+        }
+    }
+}

@@ -1,0 +1,23 @@
+//! From scene to RAW, and the pixel-domain tools both sides share.
+//!
+//! Images are `ndarray::Array3` `[channel, row, col]`, linear light, channel 0 = R, 1 = G, 2 = B.
+
+pub mod cfa;
+pub mod color;
+pub mod convolve;
+pub mod demosaic;
+pub mod distortion;
+pub mod dng;
+pub mod files;
+pub mod frame;
+pub mod metrics;
+pub mod monte_carlo;
+pub mod noise;
+pub mod patches;
+pub mod scene;
+pub mod sensor;
+pub mod shading;
+pub mod spectrum;
+pub mod undistort;
+pub mod warp;
+pub mod wiener;

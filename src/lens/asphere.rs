@@ -1,0 +1,5 @@
+//! (to come)
+
+/// Shape.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shape;
