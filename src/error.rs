@@ -83,3 +83,14 @@ impl Error {
         }
     }
 }
+
+/// Writes `bytes` beside `path` and renames them there, so that the file appears whole or not at all.
+pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".part{}", std::process::id()));
+    let beside = path.with_file_name(name);
+    std::fs::write(&beside, bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
+        let _ = std::fs::remove_file(&beside);
+        Error::writing(path, e)
+    })
+}

@@ -1,8 +1,122 @@
 //! What the lens is: validated numbers, no rays.
 //!
 //! A [`Lens`] is a list of rotationally symmetric [`Surface`]s in the order the light meets them, a stop, an object
-//! distance (as vergence) and the raster the image falls on. Lengths mm, angles radians.
+//! distance (as vergence) and the raster the image falls on. Lengths mm, angles radians. The TOML form and all
+//! validation live in [`prescription`]; a `Lens` that exists is one that was checked.
 
-pub mod asphere;
+pub mod builtin;
+pub mod glass;
+pub mod gradient;
+pub mod paraxial;
+pub mod prescription;
+pub mod shape;
+pub mod variables;
 
-pub use asphere::Shape;
+pub use glass::Medium;
+pub use gradient::{LensGradient, SurfaceGradient};
+pub use shape::Shape;
+
+/// One refracting surface (or a dummy: the same medium on both sides) with the space behind it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Surface {
+    /// Form of the surface.
+    pub shape: Shape,
+    /// Distance to the next vertex along the axis, mm; the last one reaches the sensor.
+    pub thickness: f64,
+    /// Medium behind the surface.
+    pub medium: Medium,
+    /// Clear semi-diameter, mm: rays beyond it are vignetted.
+    pub semi_diameter: f64,
+}
+
+/// How the file states the size of the stop.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Aperture {
+    /// Diameter of the paraxial entrance pupil, mm.
+    EntrancePupilDiameter(f64),
+    /// Effective focal length over entrance-pupil diameter, object at infinity.
+    FNumber(f64),
+    /// Semi-diameter of the stop surface, mm.
+    StopSemiDiameter(f64),
+}
+
+/// Design wavelengths of the prescription.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Wavelengths {
+    /// Wavelengths, nm.
+    pub nm: Vec<f64>,
+    /// Relative weights.
+    pub weights: Vec<f64>,
+    /// Reference wavelength: chief rays, distortion, first-order data; nm.
+    pub primary_nm: f64,
+}
+
+/// The pixel raster behind the lens.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SensorRaster {
+    /// Pixels in a row.
+    pub columns: usize,
+    /// Pixels in a column.
+    pub rows: usize,
+    /// Pixel pitch, µm (as the file states it).
+    pub pitch_um: f64,
+    /// Column and row of the optical axis, in pixels from the raster's first corner.
+    pub axis_px: [f64; 2],
+}
+
+/// A validated lens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lens {
+    /// Name, for reports.
+    pub name: String,
+    /// Where the numbers come from.
+    pub source: String,
+    /// Surfaces in the order of the light.
+    pub surfaces: Vec<Surface>,
+    /// Index of the stop surface.
+    pub stop: usize,
+    /// How the stop's size is stated.
+    pub aperture: Aperture,
+    /// `1/distance` of the object before the first vertex, 1/mm; 0 is infinity.
+    pub object_vergence: f64,
+    /// Largest half field angle at the entrance pupil, degrees (as the file states it).
+    pub max_field_deg: f64,
+    /// Design wavelengths.
+    pub wavelengths: Wavelengths,
+    /// Pixel raster.
+    pub sensor: SensorRaster,
+}
+
+impl SensorRaster {
+    /// Pixel pitch, mm.
+    pub fn pitch_mm(&self) -> f64 {
+        self.pitch_um * 1e-3
+    }
+
+    /// Distance of the farthest pixel corner from the axis, mm.
+    pub fn radius_mm(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "validated to 65,536")]
+        let (w, h) = (self.columns as f64, self.rows as f64);
+        let far = |axis: f64, size: f64| axis.abs().max((size - axis).abs());
+        far(self.axis_px[0], w).hypot(far(self.axis_px[1], h)) * self.pitch_mm()
+    }
+}
+
+impl Lens {
+    /// Refractive index of every space at `nm`: entry 0 is the object space (air), entry `i + 1` follows surface `i`.
+    pub fn indices(&self, nm: f64) -> Vec<f64> {
+        std::iter::once(1.0).chain(self.surfaces.iter().map(|s| s.medium.index(nm))).collect()
+    }
+
+    /// Axial distance from the first vertex to the sensor, mm.
+    pub fn length(&self) -> f64 {
+        self.surfaces.iter().map(|s| s.thickness).sum()
+    }
+
+    /// SHA-256 of the canonical TOML form: names this lens in kits and run folders.
+    pub fn sha256(&self) -> String {
+        use sha2::{Digest, Sha256};
+        let digest = Sha256::digest(prescription::to_toml(self).as_bytes());
+        digest.iter().map(|b| format!("{b:02x}")).collect()
+    }
+}

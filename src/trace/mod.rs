@@ -1,1 +1,50 @@
-//! (empty)
+//! How rays go through a lens, and how cotangents come back.
+//!
+//! One ray, one surface: transfer to the surface's frame, intersect ([`intersect`]), refract ([`refract`]); the loop
+//! over surfaces is [`sequential`]. Rays are launched from a field point through a point of the first vertex plane
+//! ([`launch`]) and aimed at the real stop ([`aim`]). All of it is f64. A ray that fails is data: [`Failure`].
+
+pub mod aim;
+pub mod exact;
+pub mod intersect;
+pub mod launch;
+pub mod refract;
+pub mod sequential;
+pub mod system;
+
+use glam::DVec3;
+
+pub use launch::FieldPoint;
+pub use system::{System, SystemGradient};
+
+/// A ray: a point and a unit direction, mm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ray {
+    /// Point, in the frame of the first vertex unless said otherwise.
+    pub origin: DVec3,
+    /// Unit direction.
+    pub direction: DVec3,
+}
+
+/// Why a ray went no further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Cause {
+    /// No intersection with the surface.
+    Missed,
+    /// Beyond a clear aperture.
+    Vignetted,
+    /// Total internal reflection.
+    TotalReflection,
+    /// The intersection or the aiming did not converge.
+    NotConverged,
+}
+
+/// A failed ray: cause and surface (counted from 0; the image plane is the last).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Failure {
+    /// Why.
+    pub cause: Cause,
+    /// Where.
+    pub surface: usize,
+}

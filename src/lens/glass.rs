@@ -1,0 +1,166 @@
+//! Media: index of refraction against wavelength.
+//!
+//! - Two-term Cauchy from `(n_d, V_d)` (paper eqs. 7–8): `n(λ) = A + B/λ²`, λ in µm, with
+//!   `V = (n_d − 1)/(n_F − n_C)`; lines d 587.5618, F 486.1327, C 656.2725 nm. (The paper prints 589.3 nm for `n_D`;
+//!   files here mean 587.6 nm.)
+//! - Sellmeier, three terms: `n² = 1 + Σ K_i λ²/(λ² − L_i)`.
+//! - A table of wavelengths and indices: exact at its entries, between them a Cauchy curve through the two
+//!   neighbours (linear in 1/λ²); no extrapolation beyond 5 nm past its ends.
+//!
+//! Not covered: absorption, temperature, pressure.
+
+use crate::error::{Error, Result};
+use crate::units::{C_NM, D_NM, F_NM, um_from_nm};
+
+/// A homogeneous medium.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Medium {
+    /// Index 1 at every wavelength.
+    Air,
+    /// Two-term Cauchy from index at the d line and Abbe number.
+    Cauchy {
+        /// Index at 587.5618 nm.
+        n_d: f64,
+        /// Abbe number.
+        v_d: f64,
+    },
+    /// Sellmeier glass of a catalogue.
+    Sellmeier {
+        /// Catalogue name, such as `N-SK16`.
+        name: String,
+        /// `K₁, L₁, K₂, L₂, K₃, L₃` (L in µm²).
+        coefficients: [f64; 6],
+    },
+    /// Tabulated index.
+    Table {
+        /// Wavelengths, nm, ascending.
+        wavelength_nm: Vec<f64>,
+        /// Index at each.
+        index: Vec<f64>,
+    },
+}
+
+/// `∂n/∂n_d` and `∂n/∂V_d` of the two-term Cauchy formula.
+pub type CauchyGradient = (f64, f64);
+
+fn inverse_square(nm: f64) -> f64 {
+    um_from_nm(nm).powi(-2)
+}
+
+/// `1/(λ_F^{-2} − λ_C^{-2})`, µm².
+fn cauchy_span() -> f64 {
+    1.0 / (inverse_square(F_NM) - inverse_square(C_NM))
+}
+
+impl Medium {
+    /// Index at `nm`. Outside a table's range the nearest pair's Cauchy curve is continued.
+    pub fn index(&self, nm: f64) -> f64 {
+        match self {
+            Self::Air => 1.0,
+            Self::Cauchy { n_d, v_d } => {
+                let b = (n_d - 1.0) / v_d * cauchy_span();
+                n_d + b * (inverse_square(nm) - inverse_square(D_NM))
+            }
+            Self::Sellmeier { coefficients: [k1, l1, k2, l2, k3, l3], .. } => {
+                let w = um_from_nm(nm).powi(2);
+                (1.0 + k1 * w / (w - l1) + k2 * w / (w - l2) + k3 * w / (w - l3)).sqrt()
+            }
+            Self::Table { wavelength_nm, index } => {
+                if let Some(i) = wavelength_nm.iter().position(|w| (w - nm).abs() < 1e-9) {
+                    return index[i];
+                }
+                if index.len() == 1 {
+                    return index[0];
+                }
+                let i = wavelength_nm.partition_point(|w| *w < nm).clamp(1, index.len() - 1);
+                let (u0, u1) = (inverse_square(wavelength_nm[i - 1]), inverse_square(wavelength_nm[i]));
+                let t = (inverse_square(nm) - u0) / (u1 - u0);
+                index[i - 1] + t * (index[i] - index[i - 1])
+            }
+        }
+    }
+
+    /// `(∂n/∂n_d, ∂n/∂V_d)` at `nm` for a Cauchy medium; `None` for media that are not variables.
+    pub fn index_gradient(&self, nm: f64) -> Option<CauchyGradient> {
+        let Self::Cauchy { n_d, v_d } = self else { return None };
+        let span = cauchy_span() * (inverse_square(nm) - inverse_square(D_NM));
+        Some((1.0 + span / v_d, -(n_d - 1.0) / (v_d * v_d) * span))
+    }
+
+    /// A glass of the shipped catalogue (`models/glasses/catalog.toml`) by its exact name.
+    pub fn named(name: &str) -> Result<Self> {
+        if name.eq_ignore_ascii_case("air") {
+            return Ok(Self::Air);
+        }
+        let catalog = catalog();
+        if let Some((_, coefficients)) = catalog.iter().find(|(n, _)| n == name) {
+            return Ok(Self::Sellmeier { name: name.to_owned(), coefficients: *coefficients });
+        }
+        let known: Vec<&str> = catalog.iter().map(|(n, _)| n.as_str()).collect();
+        Err(Error::bad(
+            "",
+            "medium",
+            format!("unknown glass `{name}`"),
+            format!("known: air, {}; or {{ n_d = …, v_d = … }}, or {{ wavelength_nm = […], index = […] }}", known.join(", ")),
+        ))
+    }
+}
+
+/// The shipped catalogue: name and Sellmeier coefficients.
+fn catalog() -> Vec<(String, [f64; 6])> {
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct File {
+        #[expect(dead_code, reason = "checked for presence only")]
+        schema: u32,
+        glass: Vec<Glass>,
+    }
+    #[derive(serde::Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Glass {
+        name: String,
+        sellmeier: [f64; 6],
+        #[expect(dead_code, reason = "for the reader of the file")]
+        source: String,
+    }
+    let file: File =
+        toml::from_str(include_str!("../../models/glasses/catalog.toml")).expect("the shipped catalogue is tested");
+    file.glass.into_iter().map(|g| (g.name, g.sellmeier)).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{assert_abs, assert_rel, central_difference, shared};
+
+    /// Cauchy reproduces n_d and V by definition.
+    #[test]
+    fn cauchy_keeps_its_two_numbers() {
+        let pmma = Medium::Cauchy { n_d: 1.4914, v_d: 57.4 };
+        assert_abs(pmma.index(D_NM), 1.4914, 1e-15, "n_d");
+        let v = (pmma.index(D_NM) - 1.0) / (pmma.index(F_NM) - pmma.index(C_NM));
+        assert_rel(v, 57.4, 1e-12, 0.0, "V");
+        // The paper's PMMA: 1.493 at 550 nm.
+        assert_abs(pmma.index(550.0), 1.493, 3e-4, "PMMA at 550 nm");
+        let (by_n, by_v) = pmma.index_gradient(450.0).expect("Cauchy");
+        let f = |n_d: f64, v_d: f64| Medium::Cauchy { n_d, v_d }.index(450.0);
+        assert_rel(by_n, central_difference(|h| f(1.4914 + h, 57.4), 1e-3), 1e-9, 0.0, "∂n_d");
+        assert_rel(by_v, central_difference(|h| f(1.4914, 57.4 + h), 1e-2), 1e-9, 0.0, "∂V");
+    }
+
+    /// Every shipped glass against an independent evaluation of the manufacturer's coefficients.
+    #[test]
+    fn catalogue_agrees_with_reference_indices() {
+        assert!(catalog().len() >= 6);
+        let Some(path) = shared("data/glass/reference_indices.json") else { return };
+        let all: serde_json::Value = serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON");
+        for (name, _) in catalog() {
+            let medium = Medium::named(&name).expect("shipped");
+            let Some(entry) = all.get(format!("schott.agf/{name}")) else { continue };
+            for (um, n) in entry["n"].as_object().expect("object") {
+                let nm = um.parse::<f64>().expect("number") * 1e3;
+                assert_abs(medium.index(nm), n.as_f64().expect("number"), 1e-7, &format!("{name} at {nm}"));
+            }
+        }
+    }
+}

@@ -1,0 +1,398 @@
+//! The TOML form of a lens (`schema = 1`) ⇄ validated [`Lens`]. The form is documented in `models/README.md`.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::{Aperture, Lens, Medium, SensorRaster, Shape, Surface, Wavelengths};
+use crate::error::{Error, Result};
+
+/// The newest form this program reads.
+pub const SCHEMA: u32 = 1;
+const ORDERS: [&str; 10] = ["a2", "a4", "a6", "a8", "a10", "a12", "a14", "a16", "a18", "a20"];
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    schema: u32,
+    name: String,
+    source: String,
+    aperture: FileAperture,
+    object: FileObject,
+    field: FileField,
+    wavelengths: FileWavelengths,
+    sensor: FileSensor,
+    surface: Vec<FileSurface>,
+}
+
+#[derive(Serialize, Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+struct FileAperture {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    entrance_pupil_diameter_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    f_number: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stop_semi_diameter_mm: Option<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileObject {
+    distance_mm: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileField {
+    max_angle_deg: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileWavelengths {
+    nm: Vec<f64>,
+    weights: Vec<f64>,
+    primary_nm: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileSensor {
+    columns: usize,
+    rows: usize,
+    pitch_um: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axis_px: Option<[f64; 2]>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileSurface {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    radius_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    curvature_per_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    conic: f64,
+    #[serde(default, skip_serializing_if = "std::collections::BTreeMap::is_empty")]
+    asphere: std::collections::BTreeMap<String, f64>,
+    thickness_mm: f64,
+    medium: FileMedium,
+    semi_diameter_mm: f64,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    stop: bool,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's form")]
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum FileMedium {
+    Name(String),
+    Model(FileModelGlass),
+    Table(FileTableGlass),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileModelGlass {
+    n_d: f64,
+    v_d: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileTableGlass {
+    wavelength_nm: Vec<f64>,
+    index: Vec<f64>,
+}
+
+/// Reads and checks a lens file.
+pub fn load(path: &Path) -> Result<Lens> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+    from_toml(&text, &path.display().to_string())
+}
+
+/// Parses and checks the TOML form; `file` names it in errors.
+pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
+    let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
+    // Read the schema first: a newer file is refused by that name, not by its unknown keys.
+    if let Ok(table) = text.parse::<toml::Table>()
+        && let Some(schema) = table.get("schema")
+        && schema.as_integer() != Some(i64::from(SCHEMA))
+    {
+        return Err(refuse("schema", format!("{schema}"), "this program reads schema 1; use a newer one for this file"));
+    }
+    let parsed: File = toml::from_str(text).map_err(|e| {
+        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
+        Error::bad(file, format!("line {line}"), e.message().replace('\n', " "), "see models/README.md for the form")
+    })?;
+    if parsed.surface.is_empty() {
+        return Err(refuse("surface", "no surfaces".into(), "at least one [[surface]]"));
+    }
+    let aperture = match &parsed.aperture {
+        FileAperture { entrance_pupil_diameter_mm: Some(d), f_number: None, stop_semi_diameter_mm: None } => {
+            Aperture::EntrancePupilDiameter(positive(*d, "aperture.entrance_pupil_diameter_mm", file)?)
+        }
+        FileAperture { entrance_pupil_diameter_mm: None, f_number: Some(f), stop_semi_diameter_mm: None } => {
+            Aperture::FNumber(positive(*f, "aperture.f_number", file)?)
+        }
+        FileAperture { entrance_pupil_diameter_mm: None, f_number: None, stop_semi_diameter_mm: Some(r) } => {
+            Aperture::StopSemiDiameter(positive(*r, "aperture.stop_semi_diameter_mm", file)?)
+        }
+        _ => {
+            return Err(refuse(
+                "aperture",
+                "not exactly one statement of its size".into(),
+                "one of entrance_pupil_diameter_mm, f_number, stop_semi_diameter_mm",
+            ));
+        }
+    };
+    let stops: Vec<usize> = (0..parsed.surface.len()).filter(|i| parsed.surface[*i].stop).collect();
+    let [stop] = stops[..] else {
+        return Err(refuse("surface", format!("{} surfaces with stop = true", stops.len()), "exactly one"));
+    };
+    let distance = parsed.object.distance_mm;
+    if distance.is_nan() || distance <= 0.0 {
+        return Err(refuse("object.distance_mm", distance.to_string(), "a positive distance, or inf"));
+    }
+    let angle = parsed.field.max_angle_deg;
+    if !(0.0..90.0).contains(&angle) {
+        return Err(refuse("field.max_angle_deg", angle.to_string(), "0 to below 90"));
+    }
+    let wavelengths = read_wavelengths(parsed.wavelengths, file)?;
+    let FileSensor { columns, rows, pitch_um, axis_px } = parsed.sensor;
+    if !(1..=65_536).contains(&columns) || !(1..=65_536).contains(&rows) {
+        return Err(refuse("sensor", format!("{columns} columns × {rows} rows"), "1 to 65536 each"));
+    }
+    #[expect(clippy::cast_precision_loss, reason = "at most 65,536")]
+    let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
+    if axis_px.iter().any(|a| !a.is_finite() || a.abs() > 1e6) {
+        return Err(refuse("sensor.axis_px", format!("{axis_px:?}"), "two finite numbers of pixels"));
+    }
+    let sensor = SensorRaster { columns, rows, pitch_um: positive(pitch_um, "sensor.pitch_um", file)?, axis_px };
+    let surfaces = parsed
+        .surface
+        .into_iter()
+        .enumerate()
+        .map(|(i, s)| read_surface(i, s, file))
+        .collect::<Result<Vec<_>>>()?;
+    let lens = Lens {
+        name: parsed.name,
+        source: parsed.source,
+        surfaces,
+        stop,
+        aperture,
+        object_vergence: 1.0 / distance,
+        max_field_deg: angle,
+        wavelengths,
+        sensor,
+    };
+    check_crossing(&lens, file)?;
+    let efl = super::paraxial::first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
+    if matches!(lens.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
+        return Err(refuse("aperture.f_number", "the lens is afocal".into(), "state stop_semi_diameter_mm instead"));
+    }
+    Ok(lens)
+}
+
+fn positive(x: f64, place: &str, file: &str) -> Result<f64> {
+    if x.is_finite() && x > 0.0 { Ok(x) } else { Err(Error::bad(file, place, x.to_string(), "a positive number")) }
+}
+
+fn read_wavelengths(w: FileWavelengths, file: &str) -> Result<Wavelengths> {
+    if w.nm.is_empty() || w.nm.len() != w.weights.len() {
+        let found = format!("{} wavelengths, {} weights", w.nm.len(), w.weights.len());
+        return Err(Error::bad(file, "wavelengths", found, "as many weights as wavelengths, at least one"));
+    }
+    for nm in w.nm.iter().chain([&w.primary_nm]) {
+        if !(200.0..=20_000.0).contains(nm) {
+            return Err(Error::bad(file, "wavelengths.nm", nm.to_string(), "200 to 20000 nm"));
+        }
+    }
+    if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || w.weights.iter().sum::<f64>() <= 0.0 {
+        return Err(Error::bad(file, "wavelengths.weights", format!("{:?}", w.weights), "not negative, not all zero"));
+    }
+    Ok(Wavelengths { nm: w.nm, weights: w.weights, primary_nm: w.primary_nm })
+}
+
+fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
+    let place = |key: &str| format!("surface {i}: {key}");
+    let refuse = |key: &str, found: String, allowed: &str| Error::bad(file, place(key), found, allowed);
+    let curvature = match (s.radius_mm, s.curvature_per_mm) {
+        (Some(r), None) if r.is_nan() || r == 0.0 => {
+            return Err(refuse("radius_mm", r.to_string(), "not zero; inf is a plane"));
+        }
+        (Some(r), None) => 1.0 / r,
+        (None, Some(c)) if c.is_finite() => c,
+        (None, Some(c)) => return Err(refuse("curvature_per_mm", c.to_string(), "a finite number")),
+        _ => return Err(refuse("radius_mm", "radius and curvature both or neither".into(), "exactly one of the two")),
+    };
+    let mut asphere = Vec::new();
+    for (key, value) in &s.asphere {
+        let Some(order) = ORDERS.iter().position(|o| o == key) else {
+            return Err(refuse("asphere", format!("unknown term `{key}`"), "a2, a4, … a20"));
+        };
+        if !value.is_finite() {
+            return Err(refuse("asphere", format!("{key} = {value}"), "finite coefficients"));
+        }
+        if asphere.len() <= order {
+            asphere.resize(order + 1, 0.0);
+        }
+        asphere[order] = *value;
+    }
+    if !s.conic.is_finite() {
+        return Err(refuse("conic", s.conic.to_string(), "a finite number"));
+    }
+    let shape = Shape { curvature, conic: s.conic, asphere };
+    let semi_diameter = positive(s.semi_diameter_mm, &place("semi_diameter_mm"), file)?;
+    if semi_diameter >= shape.reach() {
+        let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
+        return Err(refuse("semi_diameter_mm", semi_diameter.to_string(), &allowed));
+    }
+    if !s.thickness_mm.is_finite() || s.thickness_mm < 0.0 {
+        return Err(refuse("thickness_mm", s.thickness_mm.to_string(), "not negative"));
+    }
+    let medium = match s.medium {
+        FileMedium::Name(name) => Medium::named(&name).map_err(|e| match e {
+            Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
+            other => other,
+        })?,
+        FileMedium::Model(FileModelGlass { n_d, v_d }) => {
+            if !(1.0..=5.0).contains(&n_d) || !v_d.is_finite() || v_d <= 0.0 {
+                return Err(refuse("medium", format!("n_d = {n_d}, v_d = {v_d}"), "n_d from 1 to 5, v_d above 0"));
+            }
+            Medium::Cauchy { n_d, v_d }
+        }
+        FileMedium::Table(FileTableGlass { wavelength_nm, index }) => {
+            let ascending = wavelength_nm.windows(2).all(|w| w[0] < w[1]);
+            let sane = index.iter().all(|n| (1.0..=5.0).contains(n)) && wavelength_nm.iter().all(|w| *w > 0.0);
+            if index.is_empty() || index.len() != wavelength_nm.len() || !ascending || !sane {
+                let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
+                return Err(refuse("medium", found, "ascending wavelengths, as many indices from 1 to 5"));
+            }
+            Medium::Table { wavelength_nm, index }
+        }
+    };
+    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter })
+}
+
+/// Surfaces must not cross within the clear apertures both have (to 1e-9 mm: elements may touch).
+fn check_crossing(lens: &Lens, file: &str) -> Result<()> {
+    for (i, pair) in lens.surfaces.windows(2).enumerate() {
+        let limit = pair[0].semi_diameter.min(pair[1].semi_diameter);
+        for step in 0..=64 {
+            let r = limit * f64::from(step) / 64.0;
+            let sag = |s: &Surface| s.shape.sag(r * r).map(|s| s.h);
+            let (Some(a), Some(b)) = (sag(&pair[0]), sag(&pair[1])) else { continue };
+            let gap = pair[0].thickness + b - a;
+            if gap < -1e-9 {
+                return Err(Error::bad(
+                    file,
+                    format!("surfaces {i} and {}", i + 1),
+                    format!("they cross: {gap:.4} mm apart at {r:.3} mm from the axis"),
+                    "a gap of at least 0 within both clear semi-diameters",
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The canonical TOML form: reading it gives the same lens to the last bit.
+pub fn to_toml(lens: &Lens) -> String {
+    let mut aperture = FileAperture::default();
+    match lens.aperture {
+        Aperture::EntrancePupilDiameter(d) => aperture.entrance_pupil_diameter_mm = Some(d),
+        Aperture::FNumber(f) => aperture.f_number = Some(f),
+        Aperture::StopSemiDiameter(r) => aperture.stop_semi_diameter_mm = Some(r),
+    }
+    let surface = lens.surfaces.iter().enumerate().map(|(i, s)| write_surface(s, i == lens.stop)).collect();
+    let file = File {
+        schema: SCHEMA,
+        name: lens.name.clone(),
+        source: lens.source.clone(),
+        aperture,
+        object: FileObject { distance_mm: 1.0 / lens.object_vergence },
+        field: FileField { max_angle_deg: lens.max_field_deg },
+        wavelengths: FileWavelengths {
+            nm: lens.wavelengths.nm.clone(),
+            weights: lens.wavelengths.weights.clone(),
+            primary_nm: lens.wavelengths.primary_nm,
+        },
+        sensor: FileSensor {
+            columns: lens.sensor.columns,
+            rows: lens.sensor.rows,
+            pitch_um: lens.sensor.pitch_um,
+            axis_px: Some(lens.sensor.axis_px),
+        },
+        surface,
+    };
+    toml::to_string(&file).expect("plain data")
+}
+
+fn write_surface(s: &Surface, stop: bool) -> FileSurface {
+    // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
+    let radius = 1.0 / s.shape.curvature;
+    let exact = 1.0 / radius == s.shape.curvature;
+    let used = s.shape.asphere.len();
+    FileSurface {
+        radius_mm: exact.then_some(radius),
+        curvature_per_mm: (!exact).then_some(s.shape.curvature),
+        conic: s.shape.conic,
+        asphere: (0..used).map(|j| (ORDERS[j].to_owned(), s.shape.asphere[j])).collect(),
+        thickness_mm: s.thickness,
+        medium: match &s.medium {
+            Medium::Air => FileMedium::Name("air".into()),
+            Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
+            Medium::Sellmeier { name, .. } => FileMedium::Name(name.clone()),
+            Medium::Table { wavelength_nm, index } => {
+                FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
+            }
+        },
+        semi_diameter_mm: s.semi_diameter,
+        stop,
+    }
+}
+
+/// Writes the canonical form beside `path`, then renames it there.
+pub fn save(lens: &Lens, path: &Path) -> Result<()> {
+    crate::error::write_atomically(path, to_toml(lens).as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two_element(from: &str, to: &str) -> String {
+        let text = include_str!("../../models/lenses/two_element.toml");
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    }
+
+    #[test]
+    fn bad_lenses_are_refused_with_place_value_and_what_is_allowed() {
+        let cases = [
+            ("radius_mm = 18.5", "radius = 18.5", "radius"),
+            ("thickness_mm = 8.0", "thickness = 8.0", "thickness"),
+            ("thickness_mm = 8.0", "thickness_mm = 0.5", "cross"),
+            ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", "reach"),
+            ("radius_mm = 18.5", "radius_mm = nan", "radius_mm"),
+            ("schema = 1", "schema = 7", "schema"),
+            ("stop = true", "stop = false", "exactly one"),
+            ("\"air\"", "\"N-UNKNOWN\"", "unknown glass"),
+            ("distance_mm = 1000.0", "distance_mm = -3.0", "distance_mm"),
+            ("entrance_pupil_diameter_mm = 12.5", "", "aperture"),
+            ("columns = 4096", "columns = 0", "columns"),
+            ("nm = [486.1327, ", "nm = [", "as many weights"),
+        ];
+        for (from, to, expected) in cases {
+            let error = from_toml(&two_element(from, to), "lens.toml").expect_err(to).to_string();
+            assert!(error.starts_with("lens.toml: ") && error.contains(expected), "{to}: {error}");
+        }
+    }
+}

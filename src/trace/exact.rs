@@ -1,0 +1,167 @@
+//! Explicit rays in, every surface's hit out: the form of `isoplanat trace` (design of the JSON in `models/README.md`).
+
+use glam::DVec3;
+use serde::{Deserialize, Serialize};
+
+use super::sequential::{Hit, HitBar, trace, trace_vjp};
+use super::{Cause, Failure, Ray, System, SystemGradient};
+use crate::error::{Error, Result};
+
+/// Rays to trace.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Request {
+    /// Wavelength of all rays, nm.
+    pub wavelength_nm: f64,
+    /// Launch rays in the frame of the first vertex.
+    pub rays: Vec<RequestRay>,
+}
+
+/// One launch ray.
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RequestRay {
+    /// Point, mm.
+    pub origin_mm: [f64; 3],
+    /// Direction; need not be a unit vector.
+    pub direction: [f64; 3],
+}
+
+/// Traced rays.
+#[derive(Clone, Debug, Serialize)]
+pub struct Answer {
+    /// One entry per launch ray.
+    pub rays: Vec<AnswerRay>,
+}
+
+/// One traced ray.
+#[derive(Clone, Debug, Serialize)]
+pub struct AnswerRay {
+    /// `ok` or the cause of failure.
+    pub status: &'static str,
+    /// Surface of the failure.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub surface: Option<usize>,
+    /// Hits, the image plane last.
+    pub surfaces: Vec<AnswerHit>,
+    /// Derivatives of the landing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gradient: Option<Vec<AnswerGradient>>,
+}
+
+/// One hit in its surface's vertex frame.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct AnswerHit {
+    /// Point, mm.
+    pub position_mm: [f64; 3],
+    /// Direction after the surface.
+    pub direction: [f64; 3],
+    /// Optical path from the origin, mm.
+    pub optical_path_mm: f64,
+}
+
+/// Derivative of the image-plane landing with respect to one number of the lens.
+#[derive(Clone, Debug, Serialize)]
+pub struct AnswerGradient {
+    /// `surface[i].curvature | conic | a2… | thickness | index`.
+    pub parameter: String,
+    /// `∂x/∂parameter`.
+    pub dx: f64,
+    /// `∂y/∂parameter`.
+    pub dy: f64,
+}
+
+/// Reads a request; errors name the ray.
+pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
+    let request: Request = serde_json::from_str(text)
+        .map_err(|e| Error::bad(file, format!("line {}", e.line()), e.to_string(), "wavelength_nm and rays of origin_mm, direction"))?;
+    if !(200.0..=20_000.0).contains(&request.wavelength_nm) {
+        return Err(Error::bad(file, "wavelength_nm", request.wavelength_nm.to_string(), "200 to 20000 nm"));
+    }
+    for (i, ray) in request.rays.iter().enumerate() {
+        let d = DVec3::from(ray.direction);
+        if !ray.origin_mm.iter().all(|x| x.is_finite()) || !d.is_finite() || !(d.length() > 0.0) {
+            return Err(Error::bad(file, format!("rays[{i}]"), format!("{ray:?}"), "finite numbers, a direction not zero"));
+        }
+    }
+    Ok(request)
+}
+
+/// Traces every ray; `clip` stops rays at clear apertures, `gradient` adds landing derivatives.
+pub fn answer(system: &System, request: &Request, clip: bool, gradient: bool) -> Answer {
+    let mut hits = Vec::new();
+    let rays = request
+        .rays
+        .iter()
+        .map(|r| {
+            let ray = Ray { origin: DVec3::from(r.origin_mm), direction: DVec3::from(r.direction).normalize() };
+            let mut result = trace(system, ray, system.image(), &mut hits).map(|_| ());
+            if clip && let Some(failure) = first_vignetted(system, &hits) {
+                hits.truncate(failure.surface);
+                result = Err(failure);
+            }
+            let surfaces = hits
+                .iter()
+                .map(|h| AnswerHit {
+                    position_mm: h.at.point.to_array(),
+                    direction: h.direction.to_array(),
+                    optical_path_mm: h.optical_path,
+                })
+                .collect();
+            match result {
+                Ok(()) => AnswerRay {
+                    status: "ok",
+                    surface: None,
+                    surfaces,
+                    gradient: gradient.then(|| landing_gradient(system, &hits)),
+                },
+                Err(f) => AnswerRay { status: name(f.cause), surface: Some(f.surface), surfaces, gradient: None },
+            }
+        })
+        .collect();
+    Answer { rays }
+}
+
+/// First surface whose clear aperture the ray passes outside of.
+pub fn first_vignetted(system: &System, hits: &[Hit]) -> Option<Failure> {
+    hits.iter()
+        .zip(&system.surfaces)
+        .position(|(h, s)| h.at.point.truncate().length() > s.semi_diameter)
+        .map(|surface| Failure { cause: Cause::Vignetted, surface })
+}
+
+fn name(cause: Cause) -> &'static str {
+    match cause {
+        Cause::Missed => "missed",
+        Cause::Vignetted => "vignetted",
+        Cause::TotalReflection => "total_reflection",
+        Cause::NotConverged => "not_converged",
+    }
+}
+
+fn landing_gradient(system: &System, hits: &[Hit]) -> Vec<AnswerGradient> {
+    let image = system.image();
+    let [gx, gy] = [DVec3::X, DVec3::Y].map(|bar| {
+        let mut g = SystemGradient::zeros(system);
+        let mut bars = vec![HitBar::default(); image + 1];
+        bars[image].point = bar;
+        trace_vjp(system, hits, &bars, &mut g);
+        g
+    });
+    let mut list = Vec::new();
+    for i in 0..image {
+        let mut push = |what: String, dx: f64, dy: f64| {
+            list.push(AnswerGradient { parameter: format!("surface[{i}].{what}"), dx, dy });
+        };
+        push("curvature".into(), gx.shapes[i].curvature, gy.shapes[i].curvature);
+        push("conic".into(), gx.shapes[i].conic, gy.shapes[i].conic);
+        for j in 0..gx.shapes[i].asphere.len() {
+            push(format!("a{}", 2 * j + 2), gx.shapes[i].asphere[j], gy.shapes[i].asphere[j]);
+        }
+        push("thickness".into(), gx.distances[i + 1], gy.distances[i + 1]);
+        // The image plane stands in the last space: its index is that of the last surface.
+        let index = |g: &SystemGradient| g.indices[i + 1] + if i + 1 == image { g.indices[image + 1] } else { 0.0 };
+        push("index".into(), index(&gx), index(&gy));
+    }
+    list
+}

@@ -1,0 +1,107 @@
+//! The loop over surfaces: [`trace`] forward, [`trace_vjp`] back.
+
+use glam::DVec3;
+
+use super::intersect::{Intersection, gradient, intersect, intersect_vjp};
+use super::refract::{refract, refract_vjp};
+use super::{Cause, Failure, Ray, System, SystemGradient};
+
+/// A ray at one surface, in that surface's vertex frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Hit {
+    /// Intersection: point, distance from the previous point, sag derivatives.
+    pub at: Intersection,
+    /// Direction before the surface.
+    pub incoming: DVec3,
+    /// Direction after it.
+    pub direction: DVec3,
+    /// Optical path from the launch point, mm.
+    pub optical_path: f64,
+}
+
+/// Cotangents on one [`Hit`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HitBar {
+    /// Of the point.
+    pub point: DVec3,
+    /// Of the direction after the surface.
+    pub direction: DVec3,
+    /// Of the optical path from the launch point.
+    pub optical_path: f64,
+}
+
+/// Traces `ray` (frame of the first vertex) through surfaces `0..=last`, filling `hits`. Not clipped by apertures.
+///
+/// On failure `hits` holds the surfaces before it.
+pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Result<Hit, Failure> {
+    hits.clear();
+    let (mut origin, mut direction, mut path) = (ray.origin, ray.direction, 0.0);
+    for (i, surface) in system.surfaces[..=last].iter().enumerate() {
+        let fail = |cause| Failure { cause, surface: i };
+        // Transfer to this surface's frame, then intersect.
+        origin.z -= surface.distance;
+        let at = intersect(surface, origin, direction).map_err(fail)?;
+        path += surface.index_before * at.t;
+        // Refract; equal media leave the direction alone to the last bit.
+        let incoming = direction;
+        if surface.index_before != surface.index_after {
+            let g = gradient(&at);
+            let mut normal = g / g.length();
+            if normal.dot(direction) > 0.0 {
+                normal = -normal;
+            }
+            direction = refract(direction, normal, surface.index_before / surface.index_after)
+                .ok_or_else(|| fail(Cause::TotalReflection))?;
+        }
+        hits.push(Hit { at, incoming, direction, optical_path: path });
+        origin = at.point;
+    }
+    Ok(hits[last])
+}
+
+/// Pulls cotangents on hits `0..bars.len()` back to the system and to the launch ray (origin, direction).
+pub fn trace_vjp(system: &System, hits: &[Hit], bars: &[HitBar], out: &mut SystemGradient) -> (DVec3, DVec3) {
+    let mut point_bar = DVec3::ZERO;
+    let mut direction_bar = DVec3::ZERO;
+    let mut path_bar = 0.0;
+    for i in (0..bars.len()).rev() {
+        let (surface, hit, bar) = (&system.surfaces[i], &hits[i], &bars[i]);
+        point_bar += bar.point;
+        direction_bar += bar.direction;
+        path_bar += bar.optical_path;
+        let (mut h_bar, mut h1_bar) = (0.0, 0.0);
+        let rho = hit.at.point.x * hit.at.point.x + hit.at.point.y * hit.at.point.y;
+        // Refraction.
+        if surface.index_before != surface.index_after {
+            let g = gradient(&hit.at);
+            let length = g.length();
+            let mut normal = g / length;
+            let flip = if normal.dot(hit.incoming) > 0.0 { -1.0 } else { 1.0 };
+            normal *= flip;
+            let mu = surface.index_before / surface.index_after;
+            let (d_bar, n_bar, mu_bar) = refract_vjp(hit.incoming, normal, mu, direction_bar);
+            direction_bar = d_bar;
+            out.indices[i] += mu_bar / surface.index_after;
+            out.indices[i + 1] -= mu_bar * mu / surface.index_after;
+            // Normal to slope to point.
+            let g_bar = flip * (n_bar - normal * normal.dot(n_bar)) / length;
+            let (x, y) = (hit.at.point.x, hit.at.point.y);
+            point_bar.x += 2.0 * hit.at.sag.h1 * g_bar.x;
+            point_bar.y += 2.0 * hit.at.sag.h1 * g_bar.y;
+            h1_bar = 2.0 * (x * g_bar.x + y * g_bar.y);
+            point_bar.x += 2.0 * x * h1_bar * hit.at.sag.h2;
+            point_bar.y += 2.0 * y * h1_bar * hit.at.sag.h2;
+        }
+        // Path.
+        out.indices[i] += path_bar * hit.at.t;
+        // Intersection.
+        let back = intersect_vjp(&hit.at, hit.incoming, point_bar, path_bar * surface.index_before);
+        h_bar += back.sag;
+        surface.shape.sag_vjp(rho, &hit.at.sag, h_bar, h1_bar, &mut out.shapes[i]);
+        point_bar = back.origin;
+        direction_bar += back.direction;
+        // Transfer.
+        out.distances[i] -= point_bar.z;
+    }
+    (point_bar, direction_bar)
+}

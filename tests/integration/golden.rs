@@ -1,0 +1,168 @@
+//! Rays and derivatives against independent programs (`../shared/golden`): 1e-9 mm, 1e-10 in direction, 1e-8 relative.
+
+use glam::DVec3;
+use isoplanat::lens::Shape;
+use isoplanat::testing::shared;
+use isoplanat::trace::sequential::{HitBar, trace, trace_vjp};
+use isoplanat::trace::system::TraceSurface;
+use isoplanat::trace::{Ray, System, SystemGradient};
+use serde_json::Value;
+
+fn number(v: &Value) -> f64 {
+    v.as_f64().unwrap_or_else(|| v.as_str().expect("number").parse().expect("number"))
+}
+
+fn numbers(v: &Value) -> Vec<f64> {
+    v.as_array().expect("list").iter().map(number).collect()
+}
+
+fn read(name: &str) -> Option<Value> {
+    let path = shared(&format!("golden/{name}.json"))?;
+    Some(serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON"))
+}
+
+/// The golden file's own numbers: no glass catalogue, no apertures.
+fn system(golden: &Value, wavelength: usize) -> System {
+    let (mut surfaces, mut n, mut distance) = (Vec::new(), 1.0, 0.0);
+    for s in golden["surfaces"].as_array().expect("list") {
+        let after = number(&s["index_after"][wavelength]);
+        let shape = Shape {
+            curvature: number(&s["curvature"]),
+            conic: number(&s["conic"]),
+            asphere: numbers(&s["coeffs"]),
+        };
+        let aspheric = shape.is_aspheric();
+        surfaces.push(TraceSurface {
+            shape,
+            distance,
+            index_before: n,
+            index_after: after,
+            semi_diameter: number(&s["semi_diameter"]) * 2.0,
+            aspheric,
+        });
+        (n, distance) = (after, number(&s["thickness"]));
+    }
+    surfaces.push(TraceSurface {
+        shape: Shape::default(),
+        distance,
+        index_before: n,
+        index_after: n,
+        semi_diameter: f64::INFINITY,
+        aspheric: false,
+    });
+    let stop = usize::try_from(golden["stop_index"].as_u64().expect("index")).expect("small");
+    System { wavelength_nm: 587.5618, surfaces, stop, stop_semi_diameter: number(&golden["stop_radius"]) }
+}
+
+fn ray(v: &Value) -> Ray {
+    let vec = |k: &str| DVec3::from_slice(&numbers(&v[k]));
+    Ray { origin: vec("origin"), direction: vec("direction") }
+}
+
+const LENSES: [&str; 5] =
+    ["singlet_la1131", "achromat_laikin", "cooke_triplet", "double_gauss_us2532751", "asphere_acl5040u"];
+
+#[test]
+fn rays_agree_with_rayoptics() {
+    let (mut count, mut worst) = (0, [0.0f64; 3]);
+    for name in LENSES {
+        let Some(golden) = read(name) else { return };
+        let mut hits = Vec::new();
+        for r in golden["rays"].as_array().expect("list") {
+            let wavelength = usize::try_from(r["wavelength_index"].as_u64().expect("index")).expect("small");
+            let s = system(&golden, wavelength);
+            trace(&s, ray(r), s.image(), &mut hits).unwrap_or_else(|f| panic!("{name}: {f:?}"));
+            for (hit, row) in hits.iter().zip(r["rayoptics"].as_array().expect("rows")) {
+                let row = numbers(row);
+                let position = (hit.at.point - DVec3::from_slice(&row[..3])).length();
+                let direction = (hit.direction - DVec3::from_slice(&row[3..6])).length();
+                let path = (hit.optical_path - row[6]).abs();
+                worst = [worst[0].max(position), worst[1].max(direction), worst[2].max(path)];
+                assert!(position < 1e-9 && direction < 1e-10 && path < 1e-9, "{name}: {position:e} {direction:e} {path:e}");
+            }
+            count += 1;
+        }
+    }
+    eprintln!("{count} golden rays: worst position {:e} mm, direction {:e}, path {:e} mm", worst[0], worst[1], worst[2]);
+}
+
+/// Gradient of the landing in the file's parameter order, for cotangent `bar` at the image.
+fn gradient(s: &System, golden: &Value, ray: Ray, bar: DVec3) -> (DVec3, Vec<f64>) {
+    let mut hits = Vec::new();
+    let last = trace(s, ray, s.image(), &mut hits).expect("golden rays survive");
+    let mut g = SystemGradient::zeros(s);
+    let mut bars = vec![HitBar::default(); s.image() + 1];
+    bars[s.image()].point = bar;
+    trace_vjp(s, &hits, &bars, &mut g);
+    let list = golden["parameters"].as_array().expect("list").iter().map(|p| {
+        let i = usize::try_from(p["surface"].as_u64().expect("index")).expect("small");
+        match p["kind"].as_str().expect("kind") {
+            "curvature" => g.shapes[i].curvature,
+            "conic" => g.shapes[i].conic,
+            "asphere" => g.shapes[i].asphere[usize::try_from(p["order"].as_u64().expect("order")).expect("small") / 2 - 1],
+            "thickness" => g.distances[i + 1],
+            "index_after" => g.indices[i + 1] + if i + 1 == s.image() { g.indices[i + 2] } else { 0.0 },
+            other => panic!("unknown parameter kind {other}"),
+        }
+    });
+    (last.at.point, list.collect())
+}
+
+#[test]
+fn derivatives_agree_with_fifty_digits() {
+    let mut worst = 0.0f64;
+    for name in ["cooke_triplet", "asphere_acl5040u"] {
+        let (Some(golden), Some(deriv)) = (read(name), read(&format!("{name}.derivatives"))) else { return };
+        let s = system(&golden, 1);
+        for r in deriv["single_rays"].as_array().expect("list") {
+            for (bar, key) in [(DVec3::X, "dx"), (DVec3::Y, "dy")] {
+                let (_, ours) = gradient(&s, &deriv, ray(r), bar);
+                let theirs = numbers(&r[key]);
+                let size = theirs.iter().fold(0.0f64, |m, v| m.max(v.abs()));
+                for (k, (a, b)) in ours.iter().zip(&theirs).enumerate() {
+                    // Relative to the value itself; exact zeros of symmetry to the gradient's size.
+                    let error = (a - b).abs() / if b.abs() > 1e-12 * size { b.abs() } else { size.max(1.0) };
+                    worst = worst.max(error);
+                    assert!(error < 1e-8, "{name} {key}[{k}]: {a:e} against {b:e}");
+                }
+            }
+        }
+        // The mean squared spot about its centroid, over the file's launch grid.
+        for spot in deriv["rms2_spot"].as_array().expect("list") {
+            let n = u32::try_from(spot["grid_N"].as_u64().expect("count")).expect("small");
+            let launch = &spot["launch"];
+            let (center, direction) = (numbers(&launch["center"]), DVec3::from_slice(&numbers(&launch["direction"])));
+            let (hx, hy) = (number(&launch["half_width_x"]), number(&launch["half_width_y"]));
+            let mut rays = Vec::new();
+            for i in 0..n {
+                for j in 0..n {
+                    let u = |k: u32| (f64::from(k) + 0.5) / f64::from(n) * 2.0 - 1.0;
+                    if u(i) * u(i) + u(j) * u(j) <= 1.0 {
+                        let origin = DVec3::new(center[0] + u(i) * hx, center[1] + u(j) * hy, center[2]);
+                        rays.push(Ray { origin, direction });
+                    }
+                }
+            }
+            #[expect(clippy::cast_precision_loss, reason = "tens of rays")]
+            let count = rays.len() as f64;
+            assert_eq!(rays.len() as u64, spot["rays"].as_u64().expect("count"));
+            let points: Vec<DVec3> = rays.iter().map(|r| gradient(&s, &deriv, *r, DVec3::ZERO).0).collect();
+            let centroid = points.iter().sum::<DVec3>() / count;
+            let rms2 = points.iter().map(|p| (p - centroid).truncate().length_squared()).sum::<f64>() / count;
+            isoplanat::testing::assert_rel(rms2, number(&spot["rms2"]), 1e-10, 0.0, name);
+            let mut total = vec![0.0; deriv["parameters"].as_array().expect("list").len()];
+            for (r, p) in rays.iter().zip(&points) {
+                let mut bar = 2.0 / count * (p - centroid);
+                bar.z = 0.0;
+                let (_, g) = gradient(&s, &deriv, *r, bar);
+                total.iter_mut().zip(g).for_each(|(a, b)| *a += b);
+            }
+            for (k, (a, b)) in total.iter().zip(numbers(&spot["gradient"])).enumerate() {
+                let error = (a - b).abs() / b.abs().max(1e-9);
+                worst = worst.max(error);
+                assert!(error < 1e-8, "{name} spot[{k}]: {a:e} against {b:e}");
+            }
+        }
+    }
+    eprintln!("golden derivatives: worst relative error {worst:e}");
+}
