@@ -2,7 +2,7 @@
 
 /// Fraunhofer F line, nm (486.1327).
 pub const F_NM: f64 = 486.1327;
-/// Fraunhofer d line, nm (587.5618): the `n_d` and `v_d` of lens files.
+/// Fraunhofer d line, nm (587.5618).
 pub const D_NM: f64 = 587.5618;
 /// Fraunhofer C line, nm (656.2725).
 pub const C_NM: f64 = 656.2725;

@@ -1,1 +1,13 @@
-//! (empty)
+//! From rays to point spread functions.
+//!
+//! A PSF belongs to an object point. [`pupil`] traces a few rays aimed at the real stop and continues them to a
+//! dense set by a polynomial over the stop; [`splat`] turns landings into a kernel at the sensor's pitch;
+//! [`grid`] does so over field, depth and wavelength, with the adjoint of all of it; [`chief`] gives the chief-ray
+//! landings that the distortion fit stands on.
+
+pub mod chief;
+// pub mod grid;
+pub mod pupil;
+pub mod splat;
+
+// pub use grid::{PsfGrid, PsfPlan};

@@ -101,7 +101,7 @@ fn newton(system: &System, field: FieldPoint, target: DVec2, start: DVec2, hits:
                 _ if factor > 1e-3 => factor *= 0.5,
                 // No better point: rounding at the solution is accepted, anything else is not.
                 _ => {
-                    hit = trace(system, launch(field, e), stop, hits)?;
+                    trace(system, launch(field, e), stop, hits)?;
                     return if miss.length() <= 1e3 * TOLERANCE * scale {
                         Ok(e)
                     } else {
@@ -111,7 +111,6 @@ fn newton(system: &System, field: FieldPoint, target: DVec2, start: DVec2, hits:
             }
         }
     }
-    let _ = hit;
     Err(Failure { cause: Cause::NotConverged, surface: stop })
 }
 

@@ -1,0 +1,496 @@
+//! The map from the real stop to the sensor for one field point and wavelength.
+//!
+//! Rays are aimed at a few nodes of the stop and continued to a dense set by a polynomial over the stop, fitted by
+//! least squares: `x_dense = E x_nodes` with one constant matrix `E`, so the adjoint is `Eᵀ`. The residual at the
+//! nodes is measured and reported. By rotational symmetry the field lies on +y and only the half `x ≥ 0` of the
+//! stop is traced.
+//!
+//! A dense ray carries the étendue `N⁴ |∂e/∂(stop)| dA` (see [`crate::trace::launch`]) times the soft edge of every
+//! clear aperture that clips it: a C² ramp one pupil-sample spacing wide, symmetric about the hard edge. Apertures
+//! that no node comes near are left out. Where node rays fail, the largest concentric part of the stop whose nodes
+//! all survive is kept and the rest counts as lost ([`PupilMap::kept`]).
+
+use glam::{DVec2, DVec3};
+use ndarray::{Array2, ArrayView1};
+
+use crate::trace::aim::{ParaxialPupil, aim, aim_vjp};
+use crate::trace::launch::{FieldPoint, launch, launch_vjp};
+use crate::trace::sequential::{Hit, HitBar, trace, trace_vjp};
+use crate::trace::{Failure, System, SystemGradient};
+
+/// Node rays, dense points and the constant matrices between them, on the unit stop.
+#[derive(Clone, Debug)]
+pub struct PupilSampling {
+    /// Nodes with `x ≥ 0`; their mirror images follow by symmetry.
+    nodes: Vec<DVec2>,
+    /// Dense points (both halves), equal area.
+    pub points: Vec<DVec2>,
+    /// Dense value, `∂/∂x`, `∂/∂y` from node values of a function even in x.
+    even: [Array2<f64>; 3],
+    /// The same for a function odd in x.
+    odd: [Array2<f64>; 3],
+    /// Node values of the fit from node values (even functions): for the residual.
+    refit: Array2<f64>,
+    /// Spacing of the dense points on the unit stop.
+    spacing: f64,
+}
+
+/// Fractions of the stop tried in turn when rays fail.
+const FRACTIONS: [f64; 6] = [1.0, 0.93, 0.85, 0.75, 0.6, 0.4];
+
+impl PupilSampling {
+    /// A polynomial of `degree` over the stop, evaluated at about `dense` points.
+    pub fn new(degree: usize, dense: usize) -> Self {
+        // Rings at Gauss–Lobatto-like radii (rim included), half-turn azimuths symmetric about y.
+        let rings = degree / 2 + 2;
+        let azimuths = degree + 2;
+        let mut nodes = Vec::new();
+        for i in 0..rings {
+            #[expect(clippy::cast_precision_loss, reason = "small counts")]
+            let radius = (std::f64::consts::FRAC_PI_2 * (i as f64 + 1.0) / rings as f64).sin();
+            for j in 0..azimuths {
+                #[expect(clippy::cast_precision_loss, reason = "small counts")]
+                let angle = std::f64::consts::PI * ((j as f64 + 0.5) / azimuths as f64 - 0.5);
+                nodes.push(radius * DVec2::new(angle.cos(), angle.sin()));
+            }
+        }
+        // Equal-area points: a low-discrepancy set on the half disk (R2 sequence), then its mirror.
+        let half = dense.div_ceil(2).max(1);
+        let mut points = Vec::with_capacity(2 * half);
+        for sign in [1.0, -1.0] {
+            for k in 0..half {
+                #[expect(clippy::cast_precision_loss, reason = "small counts")]
+                let (u, v) = ((k as f64 + 0.5) / half as f64, (0.5 + k as f64 * 0.618_033_988_749_894_9).fract());
+                let angle = std::f64::consts::PI * (v - 0.5);
+                points.push(u.sqrt() * DVec2::new(sign * angle.cos(), angle.sin()));
+            }
+        }
+        let (even_nodes, odd_nodes) = (fit_operator(&nodes, degree, 0), fit_operator(&nodes, degree, 1));
+        let evaluate = |parity: usize, fit: &Array2<f64>| {
+            let [v, x, y] = basis(&points, degree, parity);
+            [v.dot(fit), x.dot(fit), y.dot(fit)]
+        };
+        let even = evaluate(0, &even_nodes);
+        let odd = evaluate(1, &odd_nodes);
+        let refit = basis(&nodes, degree, 0)[0].dot(&even_nodes);
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let spacing = (std::f64::consts::PI / points.len() as f64).sqrt();
+        Self { nodes, points, even, odd, refit, spacing }
+    }
+
+    /// Rays traced per field point and wavelength.
+    pub fn traced_rays(&self) -> usize {
+        self.nodes.len()
+    }
+}
+
+/// Values and derivatives of the basis `x^p y^q` in Chebyshev form with `p` of the given parity, `p + q ≤ degree`.
+fn basis(points: &[DVec2], degree: usize, parity: usize) -> [Array2<f64>; 3] {
+    let terms: Vec<(usize, usize)> =
+        (parity..=degree).step_by(2).flat_map(|p| (0..=degree - p).map(move |q| (p, q))).collect();
+    let shape = (points.len(), terms.len());
+    let mut out = [Array2::zeros(shape), Array2::zeros(shape), Array2::zeros(shape)];
+    for (i, s) in points.iter().enumerate() {
+        let (tx, dx) = chebyshev(s.x, degree);
+        let (ty, dy) = chebyshev(s.y, degree);
+        for (j, (p, q)) in terms.iter().enumerate() {
+            out[0][[i, j]] = tx[*p] * ty[*q];
+            out[1][[i, j]] = dx[*p] * ty[*q];
+            out[2][[i, j]] = tx[*p] * dy[*q];
+        }
+    }
+    out
+}
+
+/// `T_0..T_degree` at `x` and their derivatives.
+fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
+    let (mut t, mut d) = (vec![1.0, x], vec![0.0, 1.0]);
+    for n in 1..degree.max(1) {
+        t.push(2.0 * x * t[n] - t[n - 1]);
+        d.push(2.0 * t[n] + 2.0 * x * d[n] - d[n - 1]);
+    }
+    (t, d)
+}
+
+/// Least-squares coefficients from node values: `R⁻¹Qᵀ` by Gram–Schmidt, twice for orthogonality.
+fn fit_operator(nodes: &[DVec2], degree: usize, parity: usize) -> Array2<f64> {
+    let a = basis(nodes, degree, parity)[0].clone();
+    let (m, n) = a.dim();
+    let mut q = a;
+    let mut r = Array2::<f64>::zeros((n, n));
+    for j in 0..n {
+        for _ in 0..2 {
+            for i in 0..j {
+                let overlap = q.column(i).dot(&q.column(j));
+                r[[i, j]] += overlap;
+                for k in 0..m {
+                    let v = q[[k, i]];
+                    q[[k, j]] -= overlap * v;
+                }
+            }
+        }
+        let norm = q.column(j).dot(&q.column(j)).sqrt();
+        r[[j, j]] = norm;
+        q.column_mut(j).mapv_inplace(|v| v / norm);
+    }
+    let mut x = q.t().to_owned();
+    for j in (0..n).rev() {
+        for k in 0..m {
+            let known: f64 = (j + 1..n).map(|i| r[[j, i]] * x[[i, k]]).sum();
+            x[[j, k]] = (x[[j, k]] - known) / r[[j, j]];
+        }
+    }
+    x
+}
+
+/// One aperture that clips: surface, its heights at the dense points.
+#[derive(Clone, Debug)]
+struct Clip {
+    surface: usize,
+    radius: f64,
+    x: Vec<f64>,
+    y: Vec<f64>,
+}
+
+/// Dense landings and weights of one field point on +y and one wavelength.
+#[derive(Clone, Debug)]
+pub struct PupilMap {
+    /// Landings on the sensor, mm.
+    pub x: Vec<f64>,
+    /// Landings on the sensor, mm.
+    pub y: Vec<f64>,
+    /// Weights: étendue per unit object slope squared, soft edges included, mm².
+    pub weight: Vec<f64>,
+    /// Fraction of the stop's radius that was traced (1 unless rays fail).
+    pub kept: f64,
+    /// Largest landing residual of the polynomial at its nodes (y component), mm.
+    pub residual: f64,
+    /// Dense weights before the soft edges.
+    open: Vec<f64>,
+    clips: Vec<Clip>,
+    nodes: Vec<Node>,
+    e: [Vec<f64>; 2],
+    n4: [Vec<f64>; 2],
+}
+
+#[derive(Clone, Debug)]
+struct Node {
+    target: DVec2,
+    e: DVec2,
+    hits: Vec<Hit>,
+}
+
+/// C² ramp from 0 to 1 over `−1/2..1/2`, and its derivative.
+fn ramp(t: f64) -> (f64, f64) {
+    if t <= -0.5 {
+        return (0.0, 0.0);
+    }
+    if t >= 0.5 {
+        return (1.0, 0.0);
+    }
+    let s = t + 0.5;
+    (s * s * s * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s * s * (1.0 - s) * (1.0 - s))
+}
+
+impl PupilMap {
+    /// Traces the nodes of `sampling` for `field` (on +y) through `system`.
+    pub fn compute(
+        system: &System,
+        pupil: ParaxialPupil,
+        sampling: &PupilSampling,
+        field: FieldPoint,
+    ) -> Result<Self, Failure> {
+        debug_assert!(field.slope.x == 0.0, "the field lies on +y");
+        let mut failure = None;
+        for kept in FRACTIONS {
+            match trace_nodes(system, pupil, sampling, field, kept) {
+                Ok(nodes) => return Ok(Self::from_nodes(system, sampling, field, nodes, kept)),
+                Err(f) => failure = failure.or(Some(f)),
+            }
+        }
+        Err(failure.expect("at least one fraction was tried"))
+    }
+
+    fn from_nodes(system: &System, sampling: &PupilSampling, field: FieldPoint, nodes: Vec<Node>, kept: f64) -> Self {
+        let image = system.image();
+        let gather = |f: &dyn Fn(&Node) -> f64| nodes.iter().map(f).collect::<Vec<f64>>();
+        let at = |surface: usize| {
+            (
+                gather(&|n| n.hits[surface].at.point.x),
+                gather(&|n| n.hits[surface].at.point.y),
+            )
+        };
+        let (x_nodes, y_nodes) = at(image);
+        let fitted = sampling.refit.dot(&ArrayView1::from(&y_nodes));
+        let residual = fitted.iter().zip(&y_nodes).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        let x = dense(&sampling.odd[0], &x_nodes);
+        let y = dense(&sampling.even[0], &y_nodes);
+        // Étendue: N⁴ |∂e/∂stop| dA; N is a function of e and the field alone.
+        let (ex, ey) = (gather(&|n| n.e.x), gather(&|n| n.e.y));
+        let jac = [
+            dense(&sampling.odd[1], &ex),
+            dense(&sampling.odd[2], &ex),
+            dense(&sampling.even[1], &ey),
+            dense(&sampling.even[2], &ey),
+        ];
+        let e = [dense(&sampling.odd[0], &ex), dense(&sampling.even[0], &ey)];
+        let n4 = cosines(field, &e);
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let area = std::f64::consts::PI / sampling.points.len() as f64;
+        let open: Vec<f64> = (0..x.len())
+            .map(|q| area * n4[0][q] * (jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q]))
+            .collect();
+        // Apertures that any node comes near.
+        let mut weight = open.clone();
+        let mut clips = Vec::new();
+        for (surface, s) in system.surfaces.iter().enumerate() {
+            if surface == system.stop || !s.semi_diameter.is_finite() {
+                continue;
+            }
+            let (cx, cy) = at(surface);
+            let farthest = cx.iter().zip(&cy).map(|(a, b)| a.hypot(*b)).fold(0.0, f64::max);
+            let width = soft_width(s.semi_diameter, sampling);
+            if farthest < s.semi_diameter - 2.0 * width {
+                continue;
+            }
+            let clip = Clip {
+                surface,
+                radius: s.semi_diameter,
+                x: dense(&sampling.odd[0], &cx),
+                y: dense(&sampling.even[0], &cy),
+            };
+            for (q, w) in weight.iter_mut().enumerate() {
+                *w *= ramp((clip.radius - clip.x[q].hypot(clip.y[q])) / width).0;
+            }
+            clips.push(clip);
+        }
+        let n4 = [n4[0].clone(), n4[1].clone()];
+        Self { x, y, weight, kept, residual, open, clips, nodes, e, n4 }
+    }
+
+    /// Apertures that clip this beam, by surface.
+    pub fn clipping(&self) -> Vec<usize> {
+        self.clips.iter().map(|c| c.surface).collect()
+    }
+
+    /// Pulls cotangents on landings and weights back to the system (added to `out`); returns that of the slope (y).
+    pub fn vjp(
+        &self,
+        system: &System,
+        sampling: &PupilSampling,
+        field: FieldPoint,
+        x_bar: &[f64],
+        y_bar: &[f64],
+        weight_bar: &[f64],
+        out: &mut SystemGradient,
+    ) -> f64 {
+        let count = self.x.len();
+        let width = |c: &Clip| soft_width(c.radius, sampling);
+        // Soft edges: weight = open · Π ramp.
+        let ramps: Vec<Vec<(f64, f64)>> = self
+            .clips
+            .iter()
+            .map(|c| (0..count).map(|q| ramp((c.radius - c.x[q].hypot(c.y[q])) / width(c))).collect())
+            .collect();
+        let mut open_bar = vec![0.0; count];
+        let mut clip_bars: Vec<(Vec<f64>, Vec<f64>)> = vec![(vec![0.0; count], vec![0.0; count]); self.clips.len()];
+        for q in 0..count {
+            let product: f64 = ramps.iter().map(|r| r[q].0).product();
+            open_bar[q] = weight_bar[q] * product;
+            for (k, c) in self.clips.iter().enumerate() {
+                if ramps[k][q].1 == 0.0 {
+                    continue;
+                }
+                let others: f64 = (0..ramps.len()).filter(|j| *j != k).map(|j| ramps[j][q].0).product();
+                let t_bar = weight_bar[q] * self.open[q] * others * ramps[k][q].1;
+                let (r, w) = (c.x[q].hypot(c.y[q]), width(c));
+                // t = (R − r)/w with w = R·spacing·2: ∂t/∂R = 1/w − (R − r)/(w R).
+                out.semi_diameters[c.surface] += t_bar * (1.0 / w - (c.radius - r) / (w * c.radius));
+                let r_bar = -t_bar / w;
+                clip_bars[k].0[q] += r_bar * c.x[q] / r;
+                clip_bars[k].1[q] += r_bar * c.y[q] / r;
+            }
+        }
+        // Étendue.
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let area = std::f64::consts::PI / count as f64;
+        let (ex, ey): (Vec<f64>, Vec<f64>) = self.nodes.iter().map(|n| (n.e.x, n.e.y)).unzip();
+        let jac = [
+            dense(&sampling.odd[1], &ex),
+            dense(&sampling.odd[2], &ex),
+            dense(&sampling.even[1], &ey),
+            dense(&sampling.even[2], &ey),
+        ];
+        let mut jac_bar = [vec![0.0; count], vec![0.0; count], vec![0.0; count], vec![0.0; count]];
+        let mut e_bar = [vec![0.0; count], vec![0.0; count]];
+        let mut slope_bar = 0.0;
+        for q in 0..count {
+            let det = jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q];
+            let det_bar = open_bar[q] * area * self.n4[0][q];
+            jac_bar[0][q] = det_bar * jac[3][q];
+            jac_bar[1][q] = -det_bar * jac[2][q];
+            jac_bar[2][q] = -det_bar * jac[1][q];
+            jac_bar[3][q] = det_bar * jac[0][q];
+            // N⁴ = (1 + g_x² + g_y²)^{-2} with g = v e + s; ∂N⁴/∂g = −4 g N⁶ = n4[1]·g.
+            let n4_bar = open_bar[q] * area * det * self.n4[1][q];
+            let gx = field.vergence * self.e[0][q] + field.slope.x;
+            let gy = field.vergence * self.e[1][q] + field.slope.y;
+            e_bar[0][q] = n4_bar * gx * field.vergence;
+            e_bar[1][q] = n4_bar * gy * field.vergence;
+            slope_bar += n4_bar * gy;
+        }
+        // Back to the nodes.
+        let image = system.image();
+        let mut bars_at: Vec<(usize, Vec<f64>, Vec<f64>)> =
+            vec![(image, pull(&sampling.odd[0], x_bar), pull(&sampling.even[0], y_bar))];
+        for (c, (bx, by)) in self.clips.iter().zip(&clip_bars) {
+            bars_at.push((c.surface, pull(&sampling.odd[0], bx), pull(&sampling.even[0], by)));
+        }
+        let mut ex_bar = pull(&sampling.odd[0], &e_bar[0]);
+        add(&mut ex_bar, &pull(&sampling.odd[1], &jac_bar[0]));
+        add(&mut ex_bar, &pull(&sampling.odd[2], &jac_bar[1]));
+        let mut ey_bar = pull(&sampling.even[0], &e_bar[1]);
+        add(&mut ey_bar, &pull(&sampling.even[1], &jac_bar[2]));
+        add(&mut ey_bar, &pull(&sampling.even[2], &jac_bar[3]));
+        let mut hit_bars = vec![HitBar::default(); image + 1];
+        for (j, node) in self.nodes.iter().enumerate() {
+            hit_bars.fill(HitBar::default());
+            for (surface, bx, by) in &bars_at {
+                hit_bars[*surface].point += DVec3::new(bx[j], by[j], 0.0);
+            }
+            let (o, d) = trace_vjp(system, &node.hits, &hit_bars, out);
+            let (from_trace, s) = launch_vjp(field, launch(field, node.e), o, d);
+            let aimed = aim_vjp(system, field, node.e, &node.hits, from_trace + DVec2::new(ex_bar[j], ey_bar[j]), out);
+            slope_bar += s.y + aimed.slope.y;
+            out.stop_semi_diameter += aimed.target.dot(node.target) / system.stop_semi_diameter;
+        }
+        slope_bar
+    }
+}
+
+/// Width of the soft edge: one spacing of the dense points, scaled from the stop to the aperture.
+fn soft_width(radius: f64, sampling: &PupilSampling) -> f64 {
+    2.0 * radius * sampling.spacing
+}
+
+/// `N⁴` and `−4 N⁶` at the dense points.
+fn cosines(field: FieldPoint, e: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
+    let n2: Vec<f64> = e[0]
+        .iter()
+        .zip(&e[1])
+        .map(|(x, y)| {
+            let (gx, gy) = (field.vergence * x + field.slope.x, field.vergence * y + field.slope.y);
+            1.0 / (1.0 + gx * gx + gy * gy)
+        })
+        .collect();
+    [n2.iter().map(|v| v * v).collect(), n2.iter().map(|v| -4.0 * v * v * v).collect()]
+}
+
+fn dense(operator: &Array2<f64>, nodes: &[f64]) -> Vec<f64> {
+    operator.dot(&ArrayView1::from(nodes)).to_vec()
+}
+
+fn pull(operator: &Array2<f64>, bar: &[f64]) -> Vec<f64> {
+    operator.t().dot(&ArrayView1::from(bar)).to_vec()
+}
+
+fn add(a: &mut [f64], b: &[f64]) {
+    a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+}
+
+fn trace_nodes(
+    system: &System,
+    pupil: ParaxialPupil,
+    sampling: &PupilSampling,
+    field: FieldPoint,
+    kept: f64,
+) -> Result<Vec<Node>, Failure> {
+    let mut hits = Vec::with_capacity(system.surfaces.len());
+    let radius = kept * system.stop_semi_diameter;
+    let chief = aim(system, pupil, field, DVec2::ZERO, None, &mut hits)?;
+    sampling
+        .nodes
+        .iter()
+        .map(|s| {
+            let target = *s * radius;
+            // From the chief ray outwards by the paraxial magnification.
+            let start = chief + target * pupil.scale / (1.0 + pupil.z * field.vergence);
+            let e = aim(system, pupil, field, target, Some(start), &mut hits)?;
+            trace(system, launch(field, e), system.image(), &mut hits)?;
+            Ok(Node { target, e, hits: hits.clone() })
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::{LensGradient, builtin, variables::Variables};
+    use crate::testing::{assert_rel, central_difference};
+
+    fn at(lens: &crate::lens::Lens, slope: f64) -> FieldPoint {
+        FieldPoint { slope: DVec2::new(0.0, slope), vergence: lens.object_vergence }
+    }
+
+    /// Dense landings against directly aimed rays: the polynomial's own error, per lens.
+    #[test]
+    fn dense_landings_agree_with_aimed_rays() {
+        for (name, slope, tol) in [("two_element", 0.4, 2e-4), ("cooke_triplet", 0.3, 1e-4), ("phone", 0.5, 1e-3)] {
+            let lens = builtin::lens(name).expect("shipped");
+            let system = System::new(&lens, 550.0);
+            let pupil = ParaxialPupil::new(&lens);
+            let sampling = PupilSampling::new(9, 200);
+            let map = PupilMap::compute(&system, pupil, &sampling, at(&lens, slope)).expect("traces");
+            let mut hits = Vec::new();
+            let mut worst = 0.0f64;
+            for (q, s) in sampling.points.iter().enumerate() {
+                let target = *s * system.stop_semi_diameter * map.kept;
+                let e = aim(&system, pupil, at(&lens, slope), target, None, &mut hits).expect("aims");
+                let hit = trace(&system, launch(at(&lens, slope), e), system.image(), &mut hits).expect("traces");
+                worst = worst.max((hit.at.point.x - map.x[q]).hypot(hit.at.point.y - map.y[q]));
+            }
+            eprintln!("{name}: kept {}, polynomial error {worst:e} mm, residual {:e}", map.kept, map.residual);
+            assert!(worst < tol, "{name}: {worst:e} mm");
+        }
+    }
+
+    /// Landings, weights (étendue and soft edges) and stop size against differences of the whole lens.
+    #[test]
+    fn pupil_map_vjp_agrees_with_differences() {
+        for (name, slope) in [("two_element", 0.5), ("cooke_triplet", 0.35), ("three_element", 0.02), ("phone", 0.5)] {
+            let lens = builtin::lens(name).expect("shipped");
+            let sampling = PupilSampling::new(7, 60);
+            let rng = &mut fastrand::Rng::with_seed(9);
+            let count = sampling.points.len();
+            let bars: [Vec<f64>; 3] = std::array::from_fn(|_| (0..count).map(|_| rng.f64() - 0.5).collect());
+            let value = |lens: &crate::lens::Lens, slope: f64| {
+                let system = System::new(lens, 480.0);
+                let map =
+                    PupilMap::compute(&system, ParaxialPupil::new(lens), &sampling, at(lens, slope)).expect("traces");
+                let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
+                dot(&map.x, &bars[0]) + dot(&map.y, &bars[1]) + dot(&map.weight, &bars[2])
+            };
+            let system = System::new(&lens, 480.0);
+            let map =
+                PupilMap::compute(&system, ParaxialPupil::new(&lens), &sampling, at(&lens, slope)).expect("traces");
+            let mut out = SystemGradient::zeros(&system);
+            let slope_bar = map.vjp(&system, &sampling, at(&lens, slope), &bars[0], &bars[1], &bars[2], &mut out);
+            let mut g = LensGradient::zeros(&lens);
+            out.add_to(&lens, 480.0, &mut g);
+            let numeric = central_difference(|h| value(&lens, slope + h), 1e-5);
+            assert_rel(slope_bar, numeric, 1e-7, 1e-3, &format!("{name} slope"));
+            let vars = Variables::all(&lens);
+            let x = vars.values(&lens);
+            for seed in 0..4 {
+                let rng = &mut fastrand::Rng::with_seed(seed);
+                let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
+                let pulled: f64 = vars.gradient(&g).iter().zip(&dx).map(|(a, b)| a * b).sum();
+                let f = |h: f64| {
+                    let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                    value(&vars.lens(&lens, &moved), slope)
+                };
+                assert_rel(pulled, central_difference(f, 1e-6), 1e-6, 1e-2, &format!("{name} seed {seed}"));
+            }
+        }
+    }
+}
