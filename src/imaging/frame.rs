@@ -53,21 +53,11 @@ impl Frame {
     pub fn centred(columns: usize, rows: usize, pitch_mm: f64) -> Result<Self> {
         for (name, size) in [("columns", columns), ("rows", rows)] {
             if !(1..=65_536).contains(&size) {
-                return Err(Error::bad(
-                    "",
-                    format!("frame.{name}"),
-                    size.to_string(),
-                    "1 to 65536 pixels",
-                ));
+                return Err(Error::bad("", format!("frame.{name}"), size.to_string(), "1 to 65536 pixels"));
             }
         }
         if !(pitch_mm > 0.0 && pitch_mm.is_finite()) {
-            return Err(Error::bad(
-                "",
-                "frame.pitch_mm",
-                pitch_mm.to_string(),
-                "a positive number of mm",
-            ));
+            return Err(Error::bad("", "frame.pitch_mm", pitch_mm.to_string(), "a positive number of mm"));
         }
         let axis_px = [columns as f64 / 2.0, rows as f64 / 2.0];
         Ok(Self { columns, rows, pitch_mm, axis_px })
@@ -79,12 +69,7 @@ impl Frame {
     /// A coordinate that is not finite.
     pub fn with_axis(mut self, axis_px: [f64; 2]) -> Result<Self> {
         if !axis_px.iter().all(|v| v.is_finite()) {
-            return Err(Error::bad(
-                "",
-                "frame.axis_px",
-                format!("{axis_px:?}"),
-                "two finite numbers [column, row]",
-            ));
+            return Err(Error::bad("", "frame.axis_px", format!("{axis_px:?}"), "two finite numbers [column, row]"));
         }
         self.axis_px = axis_px;
         Ok(self)
@@ -124,10 +109,7 @@ impl Frame {
     /// Distance from the axis to the farthest corner, mm.
     pub fn max_radius_mm(&self) -> f64 {
         let (w, h) = (self.columns as f64, self.rows as f64);
-        [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)]
-            .iter()
-            .map(|&(c, r)| self.radius_mm(c, r))
-            .fold(0.0, f64::max)
+        [(0.0, 0.0), (w, 0.0), (0.0, h), (w, h)].iter().map(|&(c, r)| self.radius_mm(c, r)).fold(0.0, f64::max)
     }
 }
 
@@ -144,30 +126,18 @@ mod tests {
         assert_eq!(frame.pixel_from_mm([-1.25, 0.75]), [0.5, 0.5]);
         // A ray of an object above the axis lands below it on the sensor and is shown above.
         assert!(frame.pixel_from_sensor_mm([0.0, -1.0])[1] < frame.axis_px[1]);
-        assert_eq!(
-            frame.sensor_mm_from_pixel(frame.pixel_from_sensor_mm([0.25, -0.5])),
-            [0.25, -0.5]
-        );
+        assert_eq!(frame.sensor_mm_from_pixel(frame.pixel_from_sensor_mm([0.25, -0.5])), [0.25, -0.5]);
         assert!((frame.max_radius_mm() - 3.0_f64.hypot(2.0) * 0.5).abs() < 1e-15);
     }
 
     #[test]
     fn files_default_to_a_centred_axis_and_are_checked() {
-        let frame: Frame =
-            toml::from_str("columns = 4096\nrows = 512\npitch_mm = 0.006").expect("valid");
+        let frame: Frame = toml::from_str("columns = 4096\nrows = 512\npitch_mm = 0.006").expect("valid");
         assert_eq!(frame.axis_px, [2048.0, 256.0]);
         let corner: Frame =
-            toml::from_str("columns = 4096\nrows = 512\npitch_mm = 0.006\naxis_px = [0.0, 512.0]")
-                .expect("valid");
-        assert_eq!(
-            toml::from_str::<Frame>(&toml::to_string(&corner).expect("writes")).expect("reads"),
-            corner
-        );
-        for bad in [
-            "columns = 0\nrows = 5\npitch_mm = 1.0",
-            "columns = 5\nrows = 5\npitch_mm = nan",
-            "rows = 5",
-        ] {
+            toml::from_str("columns = 4096\nrows = 512\npitch_mm = 0.006\naxis_px = [0.0, 512.0]").expect("valid");
+        assert_eq!(toml::from_str::<Frame>(&toml::to_string(&corner).expect("writes")).expect("reads"), corner);
+        for bad in ["columns = 0\nrows = 5\npitch_mm = 1.0", "columns = 5\nrows = 5\npitch_mm = nan", "rows = 5"] {
             assert!(toml::from_str::<Frame>(bad).is_err(), "{bad}");
         }
     }
