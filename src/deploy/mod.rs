@@ -4,3 +4,4 @@ mod opcodes;
 pub mod orientation;
 pub mod raw;
 pub mod raw_process;
+pub mod tiles;
