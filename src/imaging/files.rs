@@ -1,1 +1,332 @@
-//! (stub)
+//! Pictures in and out: PNG, JPEG and TIFF, 8 and 16 bits. Only this file names the `image` crate.
+//!
+//! Integer samples are taken as sRGB-encoded unless the caller says they are linear; floating-point TIFF is linear.
+//! Embedded colour profiles are not read: pictures in wider gamuts look less saturated than they are. Alpha is dropped,
+//! grey becomes three equal channels, the orientation in the metadata is applied. Outputs are written beside their place and
+//! renamed, so that they appear whole or not at all.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Cursor, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder};
+use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Rgb};
+use ndarray::{Array2, Array3, Axis};
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::imaging::color::{linear_from_srgb, srgb_from_linear};
+
+/// JPEG quality of [`write_picture`].
+const JPEG_QUALITY: u8 = 95;
+
+/// What the numbers of an integer picture stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// sRGB (IEC 61966-2-1), as photographs are.
+    Srgb,
+    /// Proportional to light.
+    Linear,
+}
+
+/// Reads a picture to linear RGB in `[0, 1]`, taking it as sRGB-encoded.
+///
+/// # Shapes
+/// Result `[3, row, col]`.
+pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
+    read_picture(path, Encoding::Srgb)
+}
+
+/// Reads a picture to linear RGB.
+///
+/// # Shapes
+/// Result `[3, row, col]`.
+pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
+    let refused = |e: ImageError| match e {
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a PNG, JPEG or TIFF picture"),
+    };
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
+    let orientation = decoder.orientation().map_err(refused)?;
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
+    picture.apply_orientation(orientation);
+    if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
+        let rgb = picture.into_rgb32f();
+        return Ok(planes(rgb.dimensions(), rgb.as_raw(), |v| v));
+    }
+    // Decode through a table of all sample values.
+    let table = |top: u16| -> Vec<f32> {
+        let values = (0..=top).map(|v| f64::from(v) / f64::from(top));
+        match encoding {
+            Encoding::Srgb => values.map(|v| linear_from_srgb(v) as f32).collect(),
+            Encoding::Linear => values.map(|v| v as f32).collect(),
+        }
+    };
+    let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
+    Ok(if deep {
+        let (rgb, table) = (picture.into_rgb16(), table(u16::MAX));
+        planes(rgb.dimensions(), rgb.as_raw(), |v| table[usize::from(v)])
+    } else {
+        let (rgb, table) = (picture.into_rgb8(), table(255));
+        planes(rgb.dimensions(), rgb.as_raw(), |v| table[usize::from(v)])
+    })
+}
+
+/// Channel planes of interleaved samples.
+fn planes<S: Copy + Sync>((cols, rows): (u32, u32), samples: &[S], value: impl Fn(S) -> f32 + Sync) -> Array3<f32> {
+    let (rows, cols) = (rows as usize, cols as usize);
+    let mut out = Array3::zeros((3, rows, cols));
+    out.axis_iter_mut(Axis(1)).into_par_iter().zip(samples.par_chunks(3 * cols)).for_each(|(mut to, from)| {
+        for (c, pixel) in from.chunks_exact(3).enumerate() {
+            (0..3).for_each(|k| to[[k, c]] = value(pixel[k]));
+        }
+    });
+    out
+}
+
+/// A sample type of written pictures.
+trait Sample: Copy + Default + Send + Sync {
+    /// The nearest sample to `v`, cut off to `[0, 1]`; 0 for what is no number.
+    fn nearest(v: f32) -> Self;
+}
+
+impl Sample for u8 {
+    fn nearest(v: f32) -> Self {
+        (v * 255.0 + 0.5) as Self
+    }
+}
+
+impl Sample for u16 {
+    fn nearest(v: f32) -> Self {
+        (v * 65535.0 + 0.5) as Self
+    }
+}
+
+/// Interleaved samples of channel planes; a single channel fills all three.
+fn interleaved<S: Sample>(image: &Array3<f32>, encoding: Encoding) -> Result<ImageBuffer<Rgb<S>, Vec<S>>>
+where
+    Rgb<S>: image::Pixel<Subpixel = S>,
+{
+    let (channels, rows, cols) = image.dim();
+    if !matches!(channels, 1 | 3) || rows == 0 || cols == 0 {
+        let found = format!("{channels} channels of {rows} × {cols}");
+        return Err(Error::bad("", "picture", found, "one or three channels and at least one pixel"));
+    }
+    let mut samples = vec![S::default(); 3 * rows * cols];
+    samples.par_chunks_mut(3 * cols).zip(image.axis_iter(Axis(1))).for_each(|(to, from)| {
+        for (c, pixel) in to.chunks_exact_mut(3).enumerate() {
+            for (k, s) in pixel.iter_mut().enumerate() {
+                *s = S::nearest(encoded(from[[k.min(channels - 1), c]], encoding));
+            }
+        }
+    });
+    let (width, height) = sides(rows, cols)?;
+    ImageBuffer::from_raw(width, height, samples).ok_or_else(|| Error::Internal("picture buffer size".into()))
+}
+
+fn encoded(v: f32, encoding: Encoding) -> f32 {
+    match encoding {
+        Encoding::Srgb => srgb_from_linear(v),
+        Encoding::Linear => v,
+    }
+}
+
+fn sides(rows: usize, cols: usize) -> Result<(u32, u32)> {
+    let side = |n: usize| u32::try_from(n).ok();
+    side(cols)
+        .zip(side(rows))
+        .ok_or_else(|| Error::bad("", "picture", format!("{rows} × {cols}"), "at most 4294967295 pixels a side"))
+}
+
+/// Writes linear RGB as an 8-bit sRGB PNG.
+pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
+    let samples = interleaved::<u8>(image, Encoding::Srgb).map_err(|e| e.in_file(path))?;
+    write_atomic(path, |out| samples.write_with_encoder(PngEncoder::new(out)).map_err(|e| unwritten(path, e)))
+}
+
+/// Writes linear RGB as a 16-bit PNG.
+pub fn write_png16(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+    let samples = interleaved::<u16>(image, encoding).map_err(|e| e.in_file(path))?;
+    write_atomic(path, |out| samples.write_with_encoder(PngEncoder::new(out)).map_err(|e| unwritten(path, e)))
+}
+
+/// Writes linear RGB as an uncompressed 16-bit TIFF.
+pub fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+    let samples = interleaved::<u16>(image, encoding).map_err(|e| e.in_file(path))?;
+    write_atomic(path, |out| samples.write_with_encoder(TiffEncoder::new(out)).map_err(|e| unwritten(path, e)))
+}
+
+/// Writes linear RGB as an sRGB JPEG of the given quality, 1 to 100.
+pub fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8) -> Result<()> {
+    let samples = interleaved::<u8>(image, Encoding::Srgb).map_err(|e| e.in_file(path))?;
+    write_atomic(path, |out| {
+        let encoder = JpegEncoder::new_with_quality(out, quality.clamp(1, 100));
+        samples.write_with_encoder(encoder).map_err(|e| unwritten(path, e))
+    })
+}
+
+/// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`.
+///
+/// JPEG is always sRGB.
+pub fn write_picture(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+    match extension(path).as_str() {
+        "png" => write_png16(path, image, encoding),
+        "tif" | "tiff" => write_tiff16(path, image, encoding),
+        "jpg" | "jpeg" => write_jpeg(path, image, JPEG_QUALITY),
+        other => {
+            let (file, found) = (path.display().to_string(), format!("`.{other}`"));
+            Err(Error::bad(file, "file name", found, "a picture's name ends in .png, .tif, .tiff, .jpg or .jpeg"))
+        }
+    }
+}
+
+/// The letters after the last dot of a file's name, in lower case.
+pub(crate) fn extension(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
+}
+
+/// Linear RGB as an 8-bit sRGB PNG in memory, for reports.
+pub fn png_bytes_srgb(image: &Array3<f32>) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    let samples = interleaved::<u8>(image, Encoding::Srgb)?;
+    samples.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(|e| unwritten(Path::new("PNG"), e))?;
+    Ok(bytes.into_inner())
+}
+
+/// Linear grey as an 8-bit sRGB-encoded grey PNG in memory, for reports.
+pub fn png_bytes_grey(image: &Array2<f32>) -> Result<Vec<u8>> {
+    let (width, height) = sides(image.nrows(), image.ncols())?;
+    if image.is_empty() {
+        return Err(Error::bad("", "picture", "no pixels", "at least one pixel"));
+    }
+    let samples: Vec<u8> = image.iter().map(|&v| u8::nearest(srgb_from_linear(v))).collect();
+    let picture = ImageBuffer::<Luma<u8>, _>::from_raw(width, height, samples);
+    let picture = picture.ok_or_else(|| Error::Internal("picture buffer size".into()))?;
+    let mut bytes = Cursor::new(Vec::new());
+    picture.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(|e| unwritten(Path::new("PNG"), e))?;
+    Ok(bytes.into_inner())
+}
+
+fn unwritten(path: &Path, e: ImageError) -> Error {
+    match e {
+        ImageError::IoError(e) => Error::writing(path, e),
+        e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a size the format can hold"),
+    }
+}
+
+/// Writes bytes, whole or not at all.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomic(path, |out| out.write_all(bytes).map_err(|e| Error::writing(path, e)))
+}
+
+/// Runs `fill` on a file beside `path` and renames it to `path` when that went well; otherwise nothing is left behind.
+pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+    let partial = Partial(beside(path));
+    let failed = |e| Error::writing(path, e);
+    let file = File::options().write(true).create_new(true).open(&partial.0).map_err(failed)?;
+    let mut out = BufWriter::new(file);
+    fill(&mut out)?;
+    out.flush().map_err(failed)?;
+    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+    file.sync_all().map_err(failed)?;
+    fs::rename(&partial.0, path).map_err(failed)
+}
+
+/// A file that is removed when its writing ends early; after the rename there is nothing left to remove.
+struct Partial(PathBuf);
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+/// A name in the same folder that no other writer uses.
+fn beside(path: &Path) -> PathBuf {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    path.with_file_name(format!(".{name}.{}-{count}.partial", std::process::id()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture() -> Array3<f32> {
+        Array3::from_shape_fn((3, 7, 11), |(k, r, c)| ((k * 77 + r * 11 + c) as f32 / 230.0).powi(2))
+    }
+
+    fn worst(a: &Array3<f32>, b: &Array3<f32>) -> f32 {
+        assert_eq!(a.dim(), b.dim());
+        (a - b).iter().fold(0.0, |m: f32, v| m.max(v.abs()))
+    }
+
+    #[test]
+    fn pictures_read_back_to_half_a_step() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let image = picture();
+        // The slope of the decoding curve is at most 2.28.
+        let (deep, shallow) = (2.28 * 0.51 / 65535.0, 2.28 * 0.51 / 255.0);
+        write_png8(&at("a.png"), &image).expect("writes");
+        assert!(worst(&read_linear(&at("a.png")).expect("reads"), &image) < shallow);
+        for encoding in [Encoding::Srgb, Encoding::Linear] {
+            for name in ["b.png", "c.tif", "d.TIFF"] {
+                write_picture(&at(name), &image, encoding).expect("writes");
+                assert!(worst(&read_picture(&at(name), encoding).expect("reads"), &image) < deep, "{name}");
+            }
+        }
+        let flat = Array3::from_elem((3, 16, 16), 0.3);
+        write_picture(&at("e.jpg"), &flat, Encoding::Srgb).expect("writes");
+        assert!(worst(&read_linear(&at("e.jpg")).expect("reads"), &flat) < 0.01);
+        assert_eq!(fs::read_dir(folder.path()).expect("lists").count(), 5, "no partial file is left");
+    }
+
+    #[test]
+    fn bytes_in_memory_are_the_same_picture() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("a.png");
+        fs::write(&path, png_bytes_srgb(&picture()).expect("encodes")).expect("writes");
+        assert!(worst(&read_linear(&path).expect("reads"), &picture()) < 0.005);
+        let grey = Array2::from_shape_fn((5, 6), |(r, c)| (r * 6 + c) as f32 / 29.0);
+        fs::write(&path, png_bytes_grey(&grey).expect("encodes")).expect("writes");
+        let back = read_linear(&path).expect("reads");
+        assert_eq!(back.dim(), (3, 5, 6));
+        assert!((back[[1, 2, 3]] - grey[[2, 3]]).abs() < 0.005);
+        let single = grey.insert_axis(Axis(0));
+        assert!(png_bytes_srgb(&single).is_ok() && png_bytes_srgb(&Array3::zeros((2, 3, 3))).is_err());
+        assert!(png_bytes_srgb(&Array3::zeros((3, 0, 3))).is_err());
+    }
+
+    #[test]
+    fn values_outside_the_range_are_cut_off() {
+        assert_eq!([-1.0, f32::NAN, 0.5, 2.0].map(u8::nearest), [0, 0, 128, 255]);
+        assert_eq!([-1.0, f32::INFINITY].map(u16::nearest), [0, 65535]);
+    }
+
+    #[test]
+    fn errors_name_the_file_and_leave_nothing() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let bad = folder.path().join("bad.png");
+        let mut bytes = png_bytes_srgb(&picture()).expect("encodes");
+        bytes.truncate(bytes.len() / 2);
+        for content in [&b"no picture"[..], &bytes, b""] {
+            fs::write(&bad, content).expect("writes");
+            let error = read_linear(&bad).expect_err("refused");
+            assert!(error.to_string().contains("bad.png") && error.exit_code() == 2, "{error}");
+        }
+        assert!(read_linear(&folder.path().join("none.png")).expect_err("missing").to_string().contains("none.png"));
+        let nowhere = folder.path().join("none/x.png");
+        assert!(write_png8(&nowhere, &picture()).expect_err("no folder").to_string().contains("x.png"));
+        let webp = folder.path().join("x.webp");
+        assert!(write_picture(&webp, &picture(), Encoding::Srgb).expect_err("webp").to_string().contains("x.webp"));
+        let kept = folder.path().join("kept.txt");
+        write_bytes(&kept, b"old").expect("writes");
+        let failed = write_atomic(&kept, |_| Err(Error::Interrupted));
+        assert!(failed.is_err() && fs::read(&kept).expect("reads") == b"old");
+        assert_eq!(fs::read_dir(folder.path()).expect("lists").count(), 2);
+    }
+}

@@ -6,6 +6,7 @@ pub mod cfa;
 pub mod color;
 pub mod convolve;
 pub mod demosaic;
+pub mod develop;
 pub mod distortion;
 pub mod dng;
 pub mod files;

@@ -1,0 +1,85 @@
+//! How a capture is turned to stand upright: the eight orientations of Exif tag 0x0112.
+
+use ndarray::Array3;
+use serde::{Deserialize, Serialize};
+
+/// Where the stored picture's first row and column belong; `1` is upright.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Orientation(u8);
+
+impl Default for Orientation {
+    fn default() -> Self {
+        Self::UPRIGHT
+    }
+}
+
+impl Orientation {
+    /// Stored as it is looked at.
+    pub const UPRIGHT: Self = Self(1);
+
+    /// From the Exif value; anything outside 1 to 8 counts as upright, as in other viewers.
+    pub fn from_exif(value: u16) -> Self {
+        Self(u8::try_from(value).ok().filter(|v| (1..=8).contains(v)).unwrap_or(1))
+    }
+
+    /// The Exif value, 1 to 8.
+    pub fn exif(self) -> u8 {
+        self.0
+    }
+
+    /// The picture turned upright, `[channel, row, col]`.
+    pub fn apply(self, image: Array3<f32>) -> Array3<f32> {
+        // Exif: 2 mirrors left–right, 3 turns by 180°, 4 mirrors top–bottom, 5 transposes, 6 turns clockwise to stand
+        // upright, 7 transposes on the other diagonal, 8 turns counterclockwise.
+        let (transpose, flip_rows, flip_columns) = match self.0 {
+            2 => (false, false, true),
+            3 => (false, true, true),
+            4 => (false, true, false),
+            5 => (true, false, false),
+            6 => (true, false, true),
+            7 => (true, true, true),
+            8 => (true, true, false),
+            _ => return image,
+        };
+        let mut view = image.view();
+        if transpose {
+            view.swap_axes(1, 2);
+        }
+        if flip_rows {
+            view.invert_axis(ndarray::Axis(1));
+        }
+        if flip_columns {
+            view.invert_axis(ndarray::Axis(2));
+        }
+        view.as_standard_layout().into_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_eight_orientations_follow_exif() {
+        // The Exif standard names the side of the scene where row 0 and column 0 of the file lie.
+        let file = Array3::from_shape_vec((1, 2, 3), vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0]).expect("six values");
+        let cases: [(u16, (usize, usize), [f32; 6]); 8] = [
+            (1, (2, 3), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0]), // top, left
+            (2, (2, 3), [3.0, 2.0, 1.0, 6.0, 5.0, 4.0]), // top, right
+            (3, (2, 3), [6.0, 5.0, 4.0, 3.0, 2.0, 1.0]), // bottom, right
+            (4, (2, 3), [4.0, 5.0, 6.0, 1.0, 2.0, 3.0]), // bottom, left
+            (5, (3, 2), [1.0, 4.0, 2.0, 5.0, 3.0, 6.0]), // left, top
+            (6, (3, 2), [4.0, 1.0, 5.0, 2.0, 6.0, 3.0]), // right, top
+            (7, (3, 2), [6.0, 3.0, 5.0, 2.0, 4.0, 1.0]), // right, bottom
+            (8, (3, 2), [3.0, 6.0, 2.0, 5.0, 1.0, 4.0]), // left, bottom
+        ];
+        for (exif, (rows, columns), expected) in cases {
+            let upright = Orientation::from_exif(exif).apply(file.clone());
+            assert_eq!(upright.dim(), (1, rows, columns), "{exif}");
+            assert_eq!(upright.into_raw_vec_and_offset().0, expected, "{exif}");
+        }
+        assert_eq!(Orientation::from_exif(0), Orientation::UPRIGHT);
+        assert_eq!(Orientation::from_exif(9), Orientation::UPRIGHT);
+    }
+}

@@ -1,0 +1,399 @@
+//! RAW file to samples, levels and colour facts; the only place that names the decoder crate.
+//!
+//! The decoder can panic, or ask for far more memory than the picture needs, on files that are not what they say.
+//! [`decode`] catches what unwinds; programs should decode in a child process, see [`crate::deploy::raw_process`].
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::Path;
+
+use ndarray::{Array2, Array3, s};
+use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, WellKnownIFD};
+use rawler::imgop::xyz::Illuminant;
+use rawler::rawimage::{RawImage, RawImageData, RawPhotometricInterpretation};
+use rawler::rawsource::RawSource;
+use rawler::tags::{DngTag, TiffCommonTag};
+
+use crate::deploy::opcodes;
+use crate::deploy::orientation::Orientation;
+use crate::error::{Error, Result};
+use crate::imaging::cfa::Cfa;
+
+/// The sensor's samples in digital numbers, active area only.
+#[derive(Clone, Debug, PartialEq)]
+pub enum RawPixels {
+    /// One sample a pixel behind a Bayer filter, `[row, col]`.
+    Mosaic {
+        /// The samples.
+        samples: Array2<f32>,
+        /// The layout at the first pixel.
+        cfa: Cfa,
+    },
+    /// Three samples a pixel (linear DNG), `[channel, row, col]`.
+    Linear(Array3<f32>),
+}
+
+/// A decoded RAW file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RawCapture {
+    /// The samples.
+    pub pixels: RawPixels,
+    /// Black level in digital numbers, per place in the 2×2 cell (`row parity · 2 + column parity`) of the first
+    /// pixel, or per channel R, G, B (last entry unused) for linear pictures.
+    pub black: [f32; 4],
+    /// White level, like [`RawCapture::black`].
+    pub white: [f32; 4],
+    /// Response `[R, G, B]` to what the camera held for neutral, green 1; `None` where the file does not say.
+    pub neutral: Option<[f64; 3]>,
+    /// Camera RGB from XYZ (D65 or the nearest illuminant the file or the decoder's tables offer).
+    pub camera_from_xyz: Option<[[f64; 3]; 3]>,
+    /// How to turn it upright.
+    pub orientation: Orientation,
+    /// Camera maker.
+    pub make: String,
+    /// Camera model.
+    pub model: String,
+    /// What the file asks for and is not done, one sentence each.
+    pub notes: Vec<String>,
+}
+
+impl RawCapture {
+    /// `(rows, columns)` of the active area.
+    pub fn size(&self) -> (usize, usize) {
+        match &self.pixels {
+            RawPixels::Mosaic { samples, .. } => samples.dim(),
+            RawPixels::Linear(samples) => (samples.dim().1, samples.dim().2),
+        }
+    }
+}
+
+const REFUSAL: &str = "a RAW file of a supported camera, or a DNG";
+
+/// Decodes a RAW file in this process.
+///
+/// # Errors
+/// A file that cannot be read, is cut short, is no RAW, or whose facts contradict each other; a panic of the decoder
+/// becomes an error too. Memory is not limited here.
+pub fn decode(path: &Path) -> Result<RawCapture> {
+    let facts = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?;
+    if !facts.is_file() {
+        return Err(bad(path, "not a file", REFUSAL));
+    }
+    if facts.len() == 0 {
+        return Err(bad(path, "the file is empty", REFUSAL));
+    }
+    // The decoder maps the file; opening it first gives the system's own reason.
+    std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
+    let outcome = catch_unwind(AssertUnwindSafe(|| {
+        let source = RawSource::new(path).map_err(|e| Error::reading(path, e))?;
+        let decoder = rawler::get_decoder(&source).map_err(|e| refused(path, &e.to_string()))?;
+        check_extent(path, decoder.as_ref(), facts.len())?;
+        let parameters = RawDecodeParams::default();
+        let image = decoder.raw_image(&source, &parameters, false).map_err(|e| refused(path, &e.to_string()))?;
+        let exif = catch_unwind(AssertUnwindSafe(|| decoder.raw_metadata(&source, &parameters).ok()));
+        let exif_orientation = exif.ok().flatten().and_then(|m| m.exif.orientation);
+        let orientation = exif_orientation.unwrap_or_else(|| image.orientation.to_u16());
+        let dng = decoder.format_hint() == FormatHint::DNG;
+        let mut capture = capture_from(path, image, Orientation::from_exif(orientation), dng)?;
+        if dng {
+            apply_opcodes(path, decoder.as_ref(), &mut capture)?;
+        }
+        Ok(capture)
+    }));
+    outcome.unwrap_or_else(|_| Err(refused(path, "the decoder gave up on it")))
+}
+
+fn bad(path: &Path, found: impl Into<String>, allowed: &str) -> Error {
+    Error::bad(path.display().to_string(), "RAW", found, allowed)
+}
+
+/// One sentence from the decoder's own words: its first line, without the advice to report to its authors.
+fn refused(path: &Path, reason: &str) -> Error {
+    let line = reason.lines().next().unwrap_or_default();
+    let line = line.split("Please ").next().unwrap_or(line);
+    let line =
+        line.trim_start_matches("Error: ").trim_start_matches("Failed to decode image, possibly corrupt image: ");
+    let line: String = line.trim().chars().filter(|c| !c.is_control()).take(200).collect();
+    bad(path, format!("cannot be decoded ({line})"), REFUSAL)
+}
+
+/// Refuses a file that ends before the samples its directory promises.
+fn check_extent(path: &Path, decoder: &dyn Decoder, bytes: u64) -> Result<()> {
+    let directory = catch_unwind(AssertUnwindSafe(|| decoder.ifd(WellKnownIFD::Raw).ok().flatten()));
+    let Ok(Some(directory)) = directory else { return Ok(()) };
+    let pairs = [
+        (TiffCommonTag::StripOffsets, TiffCommonTag::StripByteCounts),
+        (TiffCommonTag::TileOffsets, TiffCommonTag::TileByteCounts),
+    ];
+    for (offsets, counts) in pairs {
+        let (Some(offsets), Some(counts)) = (directory.get_entry(offsets), directory.get_entry(counts)) else {
+            continue;
+        };
+        for i in 0..offsets.count().min(counts.count()) as usize {
+            let end = offsets.force_u64(i).saturating_add(counts.force_u64(i));
+            if end > bytes {
+                let found = format!("the file is cut short: {bytes} bytes where its samples need {end}");
+                return Err(bad(path, found, "a complete file"));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Checks the decoder's result and cuts it to the active area.
+fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: bool) -> Result<RawCapture> {
+    let (rows, columns, planes) = (image.height, image.width, image.cpp);
+    if !(1..=65_536).contains(&rows) || !(1..=65_536).contains(&columns) {
+        return Err(bad(path, format!("{columns} × {rows} pixels"), "1 to 65536 pixels a side"));
+    }
+    let (mut top, mut left, mut height, mut width) = (0, 0, rows, columns);
+    if let Some(area) = image.active_area {
+        let fits =
+            |start: usize, size: usize, all: usize| size > 0 && start.checked_add(size).is_some_and(|e| e <= all);
+        if !(fits(area.p.y, area.d.h, rows) && fits(area.p.x, area.d.w, columns)) {
+            return Err(bad(path, format!("active area {area:?} of {columns} × {rows} pixels"), "an area within it"));
+        }
+        (top, left, height, width) = (area.p.y, area.p.x, area.d.h, area.d.w);
+    }
+    let samples = match &image.data {
+        RawImageData::Integer(data) => data.iter().map(|&v| f32::from(v)).collect(),
+        RawImageData::Float(data) => data.clone(),
+    };
+    if samples.len() != rows * columns * planes {
+        let found = format!("{} samples for {columns} × {rows} × {planes}", samples.len());
+        return Err(bad(path, found, "as many samples as pixels"));
+    }
+    if !samples.iter().all(|v| v.is_finite()) {
+        return Err(bad(path, "a sample that is not a finite number", "finite samples"));
+    }
+    // A DNG counts its level table from the active area, the decoder's own camera list from the whole sensor.
+    let (black, white) = if dng { levels(path, &image, 0, 0) } else { levels(path, &image, top, left) }?;
+    let pixels = match (&image.photometric, planes) {
+        (RawPhotometricInterpretation::Cfa(config), 1) => {
+            let cfa = Cfa::from_name(&config.cfa.name).ok_or_else(|| {
+                let name: String = config.cfa.name.chars().take(12).collect();
+                bad(path, format!("colour filter layout `{name}`"), "a Bayer layout: RGGB, BGGR, GRBG or GBRG")
+            })?;
+            let all = shaped(path, Array2::from_shape_vec((rows, columns), samples))?;
+            let samples = all.slice(s![top..top + height, left..left + width]).to_owned();
+            RawPixels::Mosaic { samples, cfa: cfa.shifted(top, left) }
+        }
+        (RawPhotometricInterpretation::LinearRaw, 3) => {
+            let all = shaped(path, Array3::from_shape_vec((rows, columns, 3), samples))?;
+            let area = all.slice(s![top..top + height, left..left + width, ..]);
+            RawPixels::Linear(area.permuted_axes([2, 0, 1]).as_standard_layout().into_owned())
+        }
+        (kind, planes) => {
+            let kind = match kind {
+                RawPhotometricInterpretation::BlackIsZero => "a picture without a colour filter",
+                RawPhotometricInterpretation::Cfa(_) => "a filtered picture",
+                RawPhotometricInterpretation::LinearRaw => "a linear picture",
+            };
+            return Err(bad(path, format!("{kind} with {planes} samples a pixel"), "a Bayer mosaic or three colours"));
+        }
+    };
+    let make = if image.clean_make.is_empty() { image.make.clone() } else { image.clean_make.clone() };
+    let model = if image.clean_model.is_empty() { image.model.clone() } else { image.clean_model.clone() };
+    Ok(RawCapture {
+        pixels,
+        black,
+        white,
+        neutral: neutral(&image),
+        camera_from_xyz: camera_from_xyz(&image),
+        orientation,
+        make,
+        model,
+        notes: Vec::new(),
+    })
+}
+
+/// Does what the DNG's second opcode list asks; the samples then run from 0 to 1.
+fn apply_opcodes(path: &Path, decoder: &dyn Decoder, capture: &mut RawCapture) -> Result<()> {
+    let Ok(Some(directory)) = decoder.ifd(WellKnownIFD::Raw) else { return Ok(()) };
+    let Some(entry) = directory.get_entry(DngTag::OpcodeList2) else { return Ok(()) };
+    let (maps, others) = opcodes::parse(entry.get_data()).ok_or_else(|| {
+        bad(path, "a damaged list of corrections (OpcodeList2)", "a list as the DNG specification has it")
+    })?;
+    if !others.is_empty() {
+        capture.notes.push(format!("corrections the file asks for are left out (DNG opcodes {others:?})"));
+    }
+    if maps.is_empty() {
+        return Ok(());
+    }
+    let (black, white) = (capture.black, capture.white);
+    let mapped = |plane: usize, row: usize, column: usize, level: usize, sample: f32| {
+        let x = f64::from(sample - black[level]) / f64::from(white[level] - black[level]);
+        let y = maps.iter().filter(|m| m.covers(plane, row, column)).fold(x, |x, m| m.at(x));
+        y as f32
+    };
+    match &mut capture.pixels {
+        RawPixels::Mosaic { samples, .. } => {
+            for ((r, c), v) in samples.indexed_iter_mut() {
+                *v = mapped(0, r, c, (r & 1) * 2 + (c & 1), *v);
+            }
+        }
+        RawPixels::Linear(samples) => {
+            for ((plane, r, c), v) in samples.indexed_iter_mut() {
+                *v = mapped(plane, r, c, plane, *v);
+            }
+        }
+    }
+    (capture.black, capture.white) = ([0.0; 4], [1.0; 4]);
+    Ok(())
+}
+
+fn shaped<A>(path: &Path, array: std::result::Result<A, ndarray::ShapeError>) -> Result<A> {
+    array.map_err(|e| bad(path, format!("samples in an impossible shape ({e})"), REFUSAL))
+}
+
+/// Black and white level of the four places of the active area's 2×2 cell, or of the three channels; the area starts
+/// at `top`, `left` of the level table.
+fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f32; 4], [f32; 4])> {
+    let table = &image.blacklevel;
+    let all = table.as_vec();
+    let entries = table.width.checked_mul(table.height).and_then(|n| n.checked_mul(table.cpp));
+    if all.is_empty() || entries != Some(all.len()) {
+        return Err(bad(path, "a table of black levels of the wrong size", REFUSAL));
+    }
+    let white_levels = image.whitelevel.as_vec();
+    let Some(&first_white) = white_levels.first() else {
+        return Err(bad(path, "no white level", REFUSAL));
+    };
+    let (mut black, mut white) = ([0.0; 4], [0.0; 4]);
+    for i in 0..4 {
+        if image.cpp == 3 {
+            black[i] = all[i.min(table.cpp.min(3) - 1)];
+            white[i] = white_levels.get(i.min(2)).copied().unwrap_or(first_white);
+        } else {
+            let (row, column) = ((top + i / 2) % table.height, (left + i % 2) % table.width);
+            black[i] = all[(row * table.width + column) * table.cpp];
+            white[i] = if white_levels.len() == 4 {
+                white_levels[((top + i / 2) % 2) * 2 + (left + i % 2) % 2]
+            } else {
+                first_white
+            };
+        }
+        if !(black[i].is_finite() && white[i].is_finite() && white[i] > black[i]) {
+            return Err(bad(
+                path,
+                format!("black level {} and white level {}", black[i], white[i]),
+                "black below white",
+            ));
+        }
+    }
+    Ok((black, white))
+}
+
+/// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
+fn neutral(image: &RawImage) -> Option<[f64; 3]> {
+    let [r, g, b, _] = image.wb_coeffs;
+    let response = [f64::from(g / r), 1.0, f64::from(g / b)];
+    response.iter().all(|v| v.is_finite() && (0.02..=50.0).contains(v)).then_some(response)
+}
+
+/// The colour matrix for the illuminant nearest to D65.
+fn camera_from_xyz(image: &RawImage) -> Option<[[f64; 3]; 3]> {
+    use Illuminant::{
+        A, B, C, CloudyWeather, D50, D55, D65, D75, Daylight, FineWeather, Flash, Shade, Tungsten, Unknown,
+    };
+    let order = [D65, D75, D55, D50, Daylight, C, B, CloudyWeather, FineWeather, Shade, Flash, Unknown, A, Tungsten];
+    let flat = image.color_matrix_find_first(order).map(|(_, m)| m)?;
+    if flat.len() != 9 || !flat.iter().all(|v| v.is_finite()) {
+        return None;
+    }
+    let matrix = std::array::from_fn(|i| std::array::from_fn(|j| f64::from(flat[3 * i + j])));
+    matrix.iter().flatten().any(|v: &f64| *v != 0.0).then_some(matrix)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::shared;
+
+    fn facts(name: &str) -> Option<(RawCapture, serde_json::Value)> {
+        let file = shared(&format!("data/raw/{name}"))?;
+        let json = std::fs::read_to_string(shared(&format!("data/raw/{name}.json"))?).expect("readable");
+        Some((decode(&file).expect("decodes"), serde_json::from_str(&json).expect("JSON")))
+    }
+
+    #[test]
+    fn mosaics_levels_and_layout_equal_libraws() {
+        for name in ["RAW_NIKON_D1.NEF", "nikon_crop_gbrg_u16.dng", "nikon_crop_rggb_lj92.dng"] {
+            let Some((capture, json)) = facts(name) else { return };
+            let RawPixels::Mosaic { samples, cfa } = &capture.pixels else { panic!("{name}: a mosaic") };
+            let visible = &json["raw_image_visible"];
+            assert_eq!(samples.nrows() as u64, visible["shape"][0].as_u64().expect("rows"), "{name}");
+            assert_eq!(samples.ncols() as u64, visible["shape"][1].as_u64().expect("columns"), "{name}");
+            for (phase, (r, c)) in [("00", (0, 0)), ("01", (0, 1)), ("10", (1, 0)), ("11", (1, 1))] {
+                let sum: f64 = samples.slice(s![r..;2, c..;2]).iter().map(|&v| f64::from(v)).sum();
+                assert_eq!(sum, visible["sum_by_2x2_phase"][phase].as_f64().expect("sum"), "{name} {phase}");
+                // LibRaw counts the second green as 3.
+                let color = json["raw_pattern"][r][c].as_u64().expect("colour");
+                assert_eq!(cfa.channel(r, c) as u64, if color == 3 { 1 } else { color }, "{name} {phase}");
+            }
+            for pixel in visible["pixels_row_col_value"].as_array().expect("pixels") {
+                let at = |i: usize| pixel[i].as_u64().expect("number") as usize;
+                assert_eq!(samples[[at(0), at(1)]], at(2) as f32, "{name}");
+            }
+            for i in 0..4 {
+                assert_eq!(f64::from(capture.black[i]), json["black_level_per_channel"][i].as_f64().expect("black"));
+            }
+            if name.ends_with("dng") {
+                let wb = |i: usize| json["camera_whitebalance"][i].as_f64().expect("gain");
+                let neutral = capture.neutral.expect("as shot");
+                for i in 0..3 {
+                    assert!((neutral[i] * wb(i) / wb(1) - 1.0).abs() < 1e-5, "{name}: {neutral:?}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_linear_dng_gives_three_channels_close_to_libraws() {
+        let Some((capture, json)) = facts("canon_eos_6d_linear_lossy.dng") else { return };
+        let RawPixels::Linear(samples) = &capture.pixels else { panic!("three colours") };
+        assert_eq!(samples.dim(), (3, 816, 1224));
+        let mean = samples.iter().map(|&v| f64::from(v)).sum::<f64>() / (816.0 * 1224.0);
+        // LibRaw applies the file's polynomial and scales to 16 bits.
+        let expected = json["raw_image"]["sum"].as_f64().expect("sum") / (816.0 * 1224.0) / 65_535.0;
+        // Lossy JPEG: decoders differ by rounding in the transform.
+        assert!((mean / expected - 1.0).abs() < 2e-3, "{mean} {expected}");
+    }
+
+    #[test]
+    fn files_that_are_not_what_they_say_are_refused() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let write = |name: &str, bytes: &[u8]| {
+            let path = dir.path().join(name);
+            std::fs::write(&path, bytes).expect("writes");
+            path
+        };
+        for path in [
+            write("empty.nef", b""),
+            write("text.dng", b"not a picture"),
+            write("tiff.dng", b"II*\0\x08\0\0\0\0\0\0\0\0\0"),
+            dir.path().to_owned(),
+            dir.path().join("missing.nef"),
+        ] {
+            let error = decode(&path).expect_err("refused");
+            assert_eq!(error.exit_code(), 2);
+            assert!(!error.to_string().contains('\n'), "{error}");
+        }
+        if let Some(header) = shared("data/raw/sony_zv-e10_header_only_100000B.arw") {
+            assert_eq!(decode(&header).expect_err("refused").exit_code(), 2);
+        }
+    }
+
+    #[test]
+    fn a_file_cut_short_is_an_error_not_a_panic() {
+        for name in ["nikon_crop_gbrg_u16.dng", "nikon_crop_rggb_lj92.dng"] {
+            let Some(path) = shared(&format!("data/raw/{name}")) else { return };
+            let bytes = std::fs::read(path).expect("readable");
+            let dir = tempfile::tempdir().expect("temporary folder");
+            let cut = dir.path().join(name);
+            for keep in [1, 8, 64, 300, 1000, bytes.len() / 2, bytes.len() - 100] {
+                std::fs::write(&cut, &bytes[..keep.min(bytes.len())]).expect("writes");
+                assert!(decode(&cut).is_err(), "{name}: {keep} bytes");
+            }
+        }
+    }
+}
