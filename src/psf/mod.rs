@@ -6,8 +6,8 @@
 //! landings that the distortion fit stands on.
 
 pub mod chief;
-// pub mod grid;
+pub mod grid;
 pub mod pupil;
 pub mod splat;
 
-// pub use grid::{PsfGrid, PsfPlan};
+pub use grid::{PsfGrid, PsfPlan};
