@@ -63,6 +63,39 @@ impl Distortion {
         }
         r
     }
+
+    /// `∂(∂r_d/∂r)/∂r`, mm.
+    pub fn sensor_from_slope_second_derivative(&self, r: f64) -> f64 {
+        let x = r / self.max_slope;
+        let x2 = x * x;
+        let [_, b1, b2, b3] = self.coefficients_mm;
+        x * (6.0 * b1 + x2 * (20.0 * b2 + x2 * 42.0 * b3)) / (self.max_slope * self.max_slope)
+    }
+
+    /// `∂r_d/∂b` at slope `r`.
+    fn basis(&self, r: f64) -> [f64; 4] {
+        let x = r / self.max_slope;
+        let x2 = x * x;
+        [x, x * x2, x * x2 * x2, x * x2 * x2 * x2]
+    }
+
+    /// `∂(∂r_d/∂r)/∂b` at slope `r`.
+    pub fn derivative_basis(&self, r: f64) -> [f64; 4] {
+        let x2 = (r / self.max_slope).powi(2);
+        [1.0, 3.0 * x2, 5.0 * x2 * x2, 7.0 * x2 * x2 * x2].map(|v| v / self.max_slope)
+    }
+
+    /// Pulls a cotangent on [`Self::slope_from_sensor`] at `r_d` back to the coefficients:
+    /// `δr = −(∂r_d/∂b δb)/(∂r_d/∂r)`.
+    pub fn slope_from_sensor_vjp(&self, r_d: f64, slope_bar: f64) -> [f64; 4] {
+        let edge = self.sensor_from_slope(self.max_slope);
+        let inside = r_d < edge;
+        let r = if inside { self.slope_from_sensor(r_d) } else { self.max_slope };
+        let derivative = self.sensor_from_slope_derivative(r);
+        let beyond = if inside { 0.0 } else { (r_d - edge) / (derivative * derivative) };
+        let (at, change) = (self.basis(r), self.derivative_basis(r));
+        std::array::from_fn(|j| -slope_bar * (at[j] / derivative + beyond * change[j]))
+    }
 }
 
 /// Least-squares fit of [`Distortion`] to samples `(slope, sensor radius)`; `slopes` must reach `max_slope > 0`.
