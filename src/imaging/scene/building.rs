@@ -94,7 +94,7 @@ impl House {
     }
 
     fn look(&self, u: f32, v: f32, footprint: f32, light: f32, tile: &NoiseTile) -> Rgb {
-        let shade = 0.55 + 0.75 * light;
+        let shade = 0.45 + 0.95 * light;
         let stain = 1.0 + 0.1 * tile.at(6.0 * u, 2.0 * v + 100.0) - 0.25 * (1.0 - 0.8 * v).clamp(0.0, 1.0);
         if v > self.height {
             return scaled(self.roof_look(u, v, footprint, tile), shade);
@@ -123,7 +123,7 @@ impl House {
         if inside {
             if door {
                 let panel = (fu.abs() - 0.25 * w).abs() > 0.18 * w || (fv - 1.2).abs() > 0.85 || (fv - 1.2).abs() < 0.1;
-                let paint = [0.25, 0.06, 0.05].map(|c| c + 0.2 * chance(self.seed, 1, 2));
+                let paint: Rgb = std::array::from_fn(|k| 0.02 + 0.28 * chance(self.seed, k as i32, 2).powi(2));
                 return scaled(paint, shade * if panel { 1.0 } else { 0.7 });
             }
             return self.glass([fu, fv - low], rise, [bay as i32, floor as i32], shade, tile);
@@ -192,7 +192,10 @@ impl House {
         let slope = if self.gable { 1.0 - (2.0 * u / self.width - 1.0).abs() } else { 1.0 };
         let chimney = (u - self.chimney).abs() < 0.45;
         if v > self.height + self.roof * slope || (chimney && v > self.height + 0.6 * self.roof) {
-            return scaled(self.bricks(u, v, footprint, tile), if v > self.height + self.roof + 0.85 { 0.5 } else { 0.9 });
+            return scaled(
+                self.bricks(u, v, footprint, tile),
+                if v > self.height + self.roof + 0.85 { 0.5 } else { 0.9 },
+            );
         }
         if self.gable {
             return self.bricks(u, v, footprint, tile);

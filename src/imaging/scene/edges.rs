@@ -35,7 +35,12 @@ fn target(rng: &mut Rng, canvas: &mut Canvas, centre: [f32; 2], half: f32) {
     match rng.u8(..9) {
         // A slanted square on a straight ground.
         0..=3 => {
-            canvas.over(centre, [half; 2], |x, y| (x - centre[0]).abs().max((y - centre[1]).abs()) - half, |_, _| ground);
+            canvas.over(
+                centre,
+                [half; 2],
+                |x, y| (x - centre[0]).abs().max((y - centre[1]).abs()) - half,
+                |_, _| ground,
+            );
             canvas.over(centre, reach, square(between(rng, 0.4, 0.65) * half), |_, _| ink);
         }
         // A star; the spokes' edges are straight through the centre.
@@ -108,7 +113,8 @@ pub(super) fn paint(rng: &mut Rng, rows: usize, cols: usize) -> Canvas {
     super::text::cut(rng, [0.0, 0.0, width, height], smallest, &mut panels);
     for [x, y, w, h] in panels {
         let half = 0.5 * w.min(h) * between(rng, 0.6, 0.95);
-        let centre = [x + between(rng, half, (w - half).max(half + 0.1)), y + between(rng, half, (h - half).max(half + 0.1))];
+        let centre =
+            [x + between(rng, half, (w - half).max(half + 0.1)), y + between(rng, half, (h - half).max(half + 0.1))];
         target(rng, &mut canvas, centre, half);
     }
     canvas

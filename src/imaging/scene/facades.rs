@@ -106,14 +106,10 @@ impl Street {
     fn see(&self, view: &View, d: [f32; 3], step: f32) -> Rgb {
         let mut nearest = f32::INFINITY;
         let mut hit = 0;
-        for (i, distance) in [
-            (-self.half_width - view.x) / d[0],
-            (self.half_width - view.x) / d[0],
-            self.end / d[2],
-            -EYE / d[1],
-        ]
-        .into_iter()
-        .enumerate()
+        for (i, distance) in
+            [(-self.half_width - view.x) / d[0], (self.half_width - view.x) / d[0], self.end / d[2], -EYE / d[1]]
+                .into_iter()
+                .enumerate()
         {
             if distance > 0.0 && distance < nearest {
                 (nearest, hit) = (distance, i);
@@ -146,7 +142,8 @@ impl Street {
     fn ground(&self, p: [f32; 3], footprint: f32) -> Rgb {
         let from_wall = self.half_width - p[0].abs();
         let fine = (0.02 / footprint.max(1e-3)).min(1.0);
-        let grain = 1.0 + 0.25 * fine * self.tile.at(40.0 * p[0], 40.0 * p[2]) + 0.15 * self.tile.at(2.0 * p[0], 2.0 * p[2]);
+        let grain =
+            1.0 + 0.25 * fine * self.tile.at(40.0 * p[0], 40.0 * p[2]) + 0.15 * self.tile.at(2.0 * p[0], 2.0 * p[2]);
         let mut c = if from_wall < self.pavement {
             // Slabs with joints.
             let joint = |v: f32, pitch: f32| (v.rem_euclid(pitch) - 0.5 * pitch).abs() > 0.5 * pitch - 0.012;
@@ -196,7 +193,7 @@ pub(super) fn paint(rng: &mut Rng, rows: usize, cols: usize) -> Canvas {
     let along = street.half_width - street.pavement;
     // Far things first.
     foliage::wires(rng, &mut canvas, &view, street.half_width, street.end);
-    let mut trees: Vec<f32> = (0..2 + rng.usize(..4)).map(|_| between(rng, 6.0, street.end)).collect();
+    let mut trees: Vec<f32> = (0..2 + rng.usize(..4)).map(|_| between(rng, 9.0, street.end)).collect();
     trees.sort_by(|a, b| b.total_cmp(a));
     for z in trees {
         let x = side(rng) * (along + 0.5);

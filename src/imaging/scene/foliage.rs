@@ -13,7 +13,7 @@ pub(super) fn tree(rng: &mut Rng, canvas: &mut Canvas, view: &View, foot: [f32; 
     let centre = [foot[0], height - crown, foot[2]];
     let Some((middle, scale)) = view.project(centre) else { return };
     let bark = scaled([0.12, 0.1, 0.08], between(rng, 0.5, 1.5));
-    let mut branch = |canvas: &mut Canvas, a: [f32; 3], b: [f32; 3], width: f32| {
+    let branch = |canvas: &mut Canvas, a: [f32; 3], b: [f32; 3], width: f32| {
         if let (Some((pa, sa)), Some((pb, _))) = (view.project(a), view.project(b)) {
             canvas.line(pa, pb, (width * sa).max(0.4), bark);
         }
@@ -90,7 +90,12 @@ pub(super) fn wires(rng: &mut Rng, canvas: &mut Canvas, view: &View, half_width:
         if rng.bool() {
             if let Some((p, s)) = view.project(sag(0.5)) {
                 let r = 0.22 * s;
-                canvas.over(p, [r; 2], |x, y| (x - p[0]).hypot(y - p[1]) - r, |_, y| [if y < p[1] { 0.1 } else { 0.85 }; 3]);
+                canvas.over(
+                    p,
+                    [r; 2],
+                    |x, y| (x - p[0]).hypot(y - p[1]) - r,
+                    |_, y| [if y < p[1] { 0.1 } else { 0.85 }; 3],
+                );
             }
         }
         z -= between(rng, 7.0, 15.0);

@@ -9,14 +9,27 @@ use super::palette::{Palette, between, normal};
 /// The outline of a leaf; lengths in units of its radius.
 #[derive(Clone, Copy)]
 enum Outline {
-    Ellipse { aspect: f32 },
+    Ellipse {
+        aspect: f32,
+    },
     /// Where two discs overlap: pointed at both ends.
-    Lens { offset: f32 },
-    Box { aspect: f32, round: f32 },
+    Lens {
+        offset: f32,
+    },
+    Box {
+        aspect: f32,
+        round: f32,
+    },
     /// A regular polygon.
-    Polygon { sides: f32 },
+    Polygon {
+        sides: f32,
+    },
     /// A disc with a wavy rim.
-    Blob { waves: f32, depth: f32, phase: f32 },
+    Blob {
+        waves: f32,
+        depth: f32,
+        phase: f32,
+    },
 }
 
 impl Outline {
@@ -68,12 +81,25 @@ impl Outline {
 #[derive(Clone, Copy)]
 enum Skin {
     Plain,
-    Grain { contrast: f32, scale: f32 },
+    Grain {
+        contrast: f32,
+        scale: f32,
+    },
     /// Noise drawn out along one direction: wood, hair, grass.
-    Fibre { contrast: f32, scale: f32, stretch: f32 },
-    Stripes { contrast: f32, pitch: f32 },
+    Fibre {
+        contrast: f32,
+        scale: f32,
+        stretch: f32,
+    },
+    Stripes {
+        contrast: f32,
+        pitch: f32,
+    },
     /// A midrib with veins.
-    Veins { contrast: f32, pitch: f32 },
+    Veins {
+        contrast: f32,
+        pitch: f32,
+    },
 }
 
 impl Skin {
@@ -131,8 +157,7 @@ pub(super) fn paint(rng: &mut Rng, rows: usize, cols: usize) -> Canvas {
             break;
         }
         let radius = r_min / (cut + (1.0 - cut) * rng.f32()).sqrt();
-        let centre =
-            [between(rng, -radius, cols as f32 + radius), between(rng, -radius, rows as f32 + radius)];
+        let centre = [between(rng, -radius, cols as f32 + radius), between(rng, -radius, rows as f32 + radius)];
         let frame = Frame::new(centre, 6.3 * rng.f32());
         let outline = Outline::draw(rng);
         let skin = if radius > 4.0 { Skin::draw(rng) } else { Skin::Plain };

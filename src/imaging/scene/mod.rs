@@ -47,13 +47,8 @@ pub enum SceneKind {
 }
 
 /// The kinds training draws from; [`SceneKind::Facades`] is not among them.
-pub const TRAINING: [SceneKind; 5] = [
-    SceneKind::DeadLeaves,
-    SceneKind::Mixed,
-    SceneKind::Text,
-    SceneKind::FineTexture,
-    SceneKind::SlantedEdges,
-];
+pub const TRAINING: [SceneKind; 5] =
+    [SceneKind::DeadLeaves, SceneKind::Mixed, SceneKind::Text, SceneKind::FineTexture, SceneKind::SlantedEdges];
 
 impl SceneKind {
     /// Every kind.
@@ -115,7 +110,9 @@ mod tests {
     /// Slope of log power over log frequency, 0.01 to 0.25 cycles a pixel, of a Hann-windowed square crop's luminance.
     fn spectral_slope(image: &Array3<f32>, n: usize) -> f64 {
         let luma = |r: usize, c: usize| {
-            0.2126 * f64::from(image[[0, r, c]]) + 0.7152 * f64::from(image[[1, r, c]]) + 0.0722 * f64::from(image[[2, r, c]])
+            0.2126 * f64::from(image[[0, r, c]])
+                + 0.7152 * f64::from(image[[1, r, c]])
+                + 0.0722 * f64::from(image[[2, r, c]])
         };
         let mean = (0..n * n).map(|i| luma(i / n, i % n)).sum::<f64>() / (n * n) as f64;
         let hann = |i: usize| (std::f64::consts::PI * (i as f64 + 0.5) / n as f64).sin().powi(2);
@@ -206,7 +203,8 @@ mod look {
                 let t = std::time::Instant::now();
                 let im = pool.install(|| generate(kind, seed, 768, 1024));
                 println!("{kind} {seed} {:.3} s mean {:.3}", t.elapsed().as_secs_f64(), im.mean().unwrap());
-                crate::imaging::files::write_png8(std::path::Path::new(&format!("/tmp/look/{kind}{seed}.png")), &im).unwrap();
+                crate::imaging::files::write_png8(std::path::Path::new(&format!("/tmp/look/{kind}{seed}.png")), &im)
+                    .unwrap();
             }
         }
     }

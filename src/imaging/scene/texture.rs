@@ -11,21 +11,47 @@ const TAU: f32 = std::f32::consts::TAU;
 /// A texture between two colours; pitches in pixels.
 #[derive(Clone, Copy)]
 enum Weave {
-    Sine { pitch: f32 },
-    Bars { pitch: f32, duty: f32 },
-    Checker { pitch: f32 },
+    Sine {
+        pitch: f32,
+    },
+    Bars {
+        pitch: f32,
+        duty: f32,
+    },
+    Checker {
+        pitch: f32,
+    },
     /// Threads over and under, each rounded.
-    Cloth { pitch: f32, over: f32 },
+    Cloth {
+        pitch: f32,
+        over: f32,
+    },
     /// Stepped diagonals, as in jeans.
-    Twill { pitch: f32 },
-    Dots { pitch: f32, radius: f32 },
+    Twill {
+        pitch: f32,
+    },
+    Dots {
+        pitch: f32,
+        radius: f32,
+    },
     /// Rings whose frequency grows outwards to `1 / finest`.
-    ZonePlate { reach: f32, finest: f32 },
-    Wood { pitch: f32 },
-    Grass { stretch: f32 },
-    Grain { scale: f32 },
+    ZonePlate {
+        reach: f32,
+        finest: f32,
+    },
+    Wood {
+        pitch: f32,
+    },
+    Grass {
+        stretch: f32,
+    },
+    Grain {
+        scale: f32,
+    },
     /// Cells like stones or skin.
-    Cells { pitch: f32 },
+    Cells {
+        pitch: f32,
+    },
 }
 
 impl Weave {
