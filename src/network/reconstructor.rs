@@ -603,6 +603,44 @@ mod tests {
     }
 
     #[test]
+    fn every_level_gives_the_same_step() {
+        let levels = match Level::detect() {
+            Level::Avx512 => vec![Level::Avx512, Level::Avx2],
+            Level::Avx2 => vec![Level::Avx2],
+            Level::Plain => vec![],
+        };
+        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))]
+        {
+            let (input, target) = (picture(shape, 4), picture(shape, 5));
+            let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
+            model.level = Level::Plain;
+            let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
+            let close = |a: &[f32], b: &[f32], what: &str| {
+                let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
+                let worst = a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+                assert!(worst <= 1e-5 * scale, "{what} {base_width} {shape:?}: {worst} of {scale}");
+            };
+            for &level in &levels {
+                model.level = level;
+                let found =
+                    model.backward(&input.view(), &target.view(), true, true).expect("fits");
+                close(
+                    found.output.as_slice().expect("contiguous"),
+                    expected.output.as_slice().expect("contiguous"),
+                    "output",
+                );
+                let bars = [&found, &expected].map(|b| {
+                    b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous")
+                });
+                close(bars[0], bars[1], "input");
+                let weights =
+                    [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
+                close(weights[0], weights[1], "weights");
+            }
+        }
+    }
+
+    #[test]
     #[ignore = "a measurement, not a check: seconds per training step"]
     fn time_of_a_step() {
         for base_width in [16, 32] {

@@ -9,6 +9,8 @@ mod convolution;
 mod pooling;
 mod simd;
 mod strip;
+#[cfg(test)]
+mod tests;
 mod unpooling;
 
 pub(super) use convolution::{convolve, convolve_vjp};

@@ -104,7 +104,7 @@ pub(super) unsafe fn load_activated<S: Simd>(
                     zero::<S>(to.sub(PAD), PAD);
                     let y = first + row as isize;
                     if y < 0 || y >= extent.rows as isize {
-                        zero::<S>(to, n);
+                        zero::<S>(to, n.next_multiple_of(16));
                         continue;
                     }
                     let from = planes.as_ptr().add(c * extent.plane() + y as usize * n);
