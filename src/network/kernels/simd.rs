@@ -1,0 +1,380 @@
+//! Register-blocked inner loops over one trait of vector operations, with AVX2 and AVX-512 behind it.
+//!
+//! Everything here is inlined into a function compiled for its processor ([`dispatch`]); a block of output channels ×
+//! vectors stays in registers over all input channels and taps.
+#![allow(
+    unsafe_code,
+    reason = "processor intrinsics and raw pointers into scratch buffers; see each Safety note"
+)]
+
+use std::arch::x86_64::*;
+
+use super::Level;
+
+/// Vector operations of one instruction set.
+///
+/// # Safety
+/// All methods need a processor with the instruction set, and pointers valid for the lanes they touch.
+pub(super) trait Simd: Copy {
+    /// One vector.
+    type V: Copy;
+    /// Values in a vector; divides 16.
+    const LANES: usize;
+    /// Most output channels in a block.
+    const BLOCK: usize;
+    unsafe fn zero() -> Self::V;
+    unsafe fn splat(value: f32) -> Self::V;
+    unsafe fn load(from: *const f32) -> Self::V;
+    /// Loads the first `n` lanes, zero elsewhere; nothing beyond is touched.
+    unsafe fn load_first(from: *const f32, n: usize) -> Self::V;
+    unsafe fn store(to: *mut f32, v: Self::V);
+    /// Stores the first `n` lanes.
+    unsafe fn store_first(to: *mut f32, n: usize, v: Self::V);
+    unsafe fn add(a: Self::V, b: Self::V) -> Self::V;
+    unsafe fn mul(a: Self::V, b: Self::V) -> Self::V;
+    /// `a b + c`.
+    unsafe fn fma(a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    /// Largest of the lanes and 0; NaN stays.
+    unsafe fn above_zero(a: Self::V) -> Self::V;
+    /// Smallest of the lanes and 0; NaN stays.
+    unsafe fn below_zero(a: Self::V) -> Self::V;
+    /// `a` where `sign` is ≥ 0, `b` elsewhere.
+    unsafe fn choose(sign: Self::V, a: Self::V, b: Self::V) -> Self::V;
+    /// Sum of the lanes, in a fixed order.
+    unsafe fn sum(a: Self::V) -> f32;
+}
+
+/// AVX-512F.
+#[derive(Clone, Copy)]
+pub(super) struct Avx512;
+
+/// AVX2 with FMA.
+#[derive(Clone, Copy)]
+pub(super) struct Avx2;
+
+impl Simd for Avx512 {
+    type V = __m512;
+    const LANES: usize = 16;
+    const BLOCK: usize = 8;
+    #[inline(always)]
+    unsafe fn zero() -> __m512 {
+        unsafe { _mm512_setzero_ps() }
+    }
+    #[inline(always)]
+    unsafe fn splat(value: f32) -> __m512 {
+        unsafe { _mm512_set1_ps(value) }
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> __m512 {
+        unsafe { _mm512_loadu_ps(from) }
+    }
+    #[inline(always)]
+    unsafe fn load_first(from: *const f32, n: usize) -> __m512 {
+        unsafe { _mm512_maskz_loadu_ps(mask16(n), from) }
+    }
+    #[inline(always)]
+    unsafe fn store(to: *mut f32, v: __m512) {
+        unsafe { _mm512_storeu_ps(to, v) }
+    }
+    #[inline(always)]
+    unsafe fn store_first(to: *mut f32, n: usize, v: __m512) {
+        unsafe { _mm512_mask_storeu_ps(to, mask16(n), v) }
+    }
+    #[inline(always)]
+    unsafe fn add(a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_add_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn mul(a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_mul_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn fma(a: __m512, b: __m512, c: __m512) -> __m512 {
+        unsafe { _mm512_fmadd_ps(a, b, c) }
+    }
+    #[inline(always)]
+    unsafe fn above_zero(a: __m512) -> __m512 {
+        unsafe { _mm512_max_ps(_mm512_setzero_ps(), a) }
+    }
+    #[inline(always)]
+    unsafe fn below_zero(a: __m512) -> __m512 {
+        unsafe { _mm512_min_ps(_mm512_setzero_ps(), a) }
+    }
+    #[inline(always)]
+    unsafe fn choose(sign: __m512, a: __m512, b: __m512) -> __m512 {
+        unsafe {
+            _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(sign, _mm512_setzero_ps()), b, a)
+        }
+    }
+    #[inline(always)]
+    unsafe fn sum(a: __m512) -> f32 {
+        unsafe { _mm512_reduce_add_ps(a) }
+    }
+}
+
+/// The first `n` of 16 lanes.
+#[inline(always)]
+fn mask16(n: usize) -> u16 {
+    if n >= 16 { u16::MAX } else { (1 << n) - 1 }
+}
+
+impl Simd for Avx2 {
+    type V = __m256;
+    const LANES: usize = 8;
+    const BLOCK: usize = 4;
+    #[inline(always)]
+    unsafe fn zero() -> __m256 {
+        unsafe { _mm256_setzero_ps() }
+    }
+    #[inline(always)]
+    unsafe fn splat(value: f32) -> __m256 {
+        unsafe { _mm256_set1_ps(value) }
+    }
+    #[inline(always)]
+    unsafe fn load(from: *const f32) -> __m256 {
+        unsafe { _mm256_loadu_ps(from) }
+    }
+    #[inline(always)]
+    unsafe fn load_first(from: *const f32, n: usize) -> __m256 {
+        unsafe { _mm256_maskload_ps(from, mask8(n)) }
+    }
+    #[inline(always)]
+    unsafe fn store(to: *mut f32, v: __m256) {
+        unsafe { _mm256_storeu_ps(to, v) }
+    }
+    #[inline(always)]
+    unsafe fn store_first(to: *mut f32, n: usize, v: __m256) {
+        unsafe { _mm256_maskstore_ps(to, mask8(n), v) }
+    }
+    #[inline(always)]
+    unsafe fn add(a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_add_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn mul(a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_mul_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn fma(a: __m256, b: __m256, c: __m256) -> __m256 {
+        unsafe { _mm256_fmadd_ps(a, b, c) }
+    }
+    #[inline(always)]
+    unsafe fn above_zero(a: __m256) -> __m256 {
+        unsafe { _mm256_max_ps(_mm256_setzero_ps(), a) }
+    }
+    #[inline(always)]
+    unsafe fn below_zero(a: __m256) -> __m256 {
+        unsafe { _mm256_min_ps(_mm256_setzero_ps(), a) }
+    }
+    #[inline(always)]
+    unsafe fn choose(sign: __m256, a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_blendv_ps(b, a, _mm256_cmp_ps::<_CMP_GE_OQ>(sign, _mm256_setzero_ps())) }
+    }
+    #[inline(always)]
+    unsafe fn sum(a: __m256) -> f32 {
+        unsafe {
+            let quad = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
+            let pair = _mm_add_ps(quad, _mm_movehl_ps(quad, quad));
+            _mm_cvtss_f32(_mm_add_ss(pair, _mm_shuffle_ps::<1>(pair, pair)))
+        }
+    }
+}
+
+/// The first `n` of 8 lanes.
+#[inline(always)]
+unsafe fn mask8(n: usize) -> __m256i {
+    const ONES_THEN_ZEROS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
+    unsafe { _mm256_loadu_si256(ONES_THEN_ZEROS.as_ptr().add(8 - n.min(8)).cast()) }
+}
+
+/// Work that runs on any instruction set.
+pub(super) trait Kernel {
+    /// Does the work. Implementations are `#[inline(always)]`, so that they are compiled for the instruction set.
+    ///
+    /// # Safety
+    /// The processor must have the instruction set of `S`.
+    unsafe fn run<S: Simd>(&self);
+}
+
+/// Runs `kernel` on the instruction set of `level`.
+///
+/// # Panics
+/// For [`Level::Plain`], which has no kernels, and for a level this processor does not have.
+pub(super) fn dispatch<K: Kernel>(level: Level, kernel: &K) {
+    #[target_feature(enable = "avx512f,avx2,fma")]
+    unsafe fn avx512<K: Kernel>(kernel: &K) {
+        unsafe { kernel.run::<Avx512>() }
+    }
+    #[target_feature(enable = "avx2,fma")]
+    unsafe fn avx2<K: Kernel>(kernel: &K) {
+        unsafe { kernel.run::<Avx2>() }
+    }
+    let best = Level::detect();
+    match (level, best) {
+        // SAFETY: the processor has been asked.
+        (Level::Avx512, Level::Avx512) => unsafe { avx512(kernel) },
+        // SAFETY: a processor with AVX-512F has AVX2 and FMA.
+        (Level::Avx2, Level::Avx512 | Level::Avx2) => unsafe { avx2(kernel) },
+        _ => panic!("kernels for {level:?} on a processor with {best:?}"),
+    }
+}
+
+/// Where a convolution row reads: planes of scratch rows.
+#[derive(Clone, Copy)]
+pub(super) struct Rows {
+    /// First tap of the first output of the row, in the first channel.
+    pub(super) from: *const f32,
+    /// Distance of channels.
+    pub(super) channel_stride: usize,
+    /// Distance of rows.
+    pub(super) row_stride: usize,
+    /// Number of channels.
+    pub(super) channels: usize,
+}
+
+/// One output row of `n` pixels for `O` output channels: `K × K` taps over all input channels.
+///
+/// `weights` is `[channel][tap][O]`, `bias` `[O]`, outputs lie `plane` apart.
+///
+/// # Safety
+/// The scratch rows must be readable up to the next multiple of 6 vectors beyond `n` plus `K`, outputs writable for `n`.
+#[inline(always)]
+pub(super) unsafe fn convolve_row<S: Simd, const K: usize, const O: usize>(
+    rows: Rows,
+    weights: *const f32,
+    bias: *const f32,
+    to: *mut f32,
+    plane: usize,
+    n: usize,
+) {
+    let vectors = n.div_ceil(S::LANES);
+    let mut v = 0;
+    unsafe {
+        while v < vectors {
+            let x = v * S::LANES;
+            let left = n - x;
+            let at = Rows { from: rows.from.add(x), ..rows };
+            let step = match vectors - v {
+                1 => 1,
+                2 | 4 => 2,
+                6.. if 2 * O <= S::BLOCK => 6,
+                _ => 3,
+            };
+            match step {
+                1 => tile::<S, K, O, 1>(at, weights, bias, to.add(x), plane, left),
+                2 => tile::<S, K, O, 2>(at, weights, bias, to.add(x), plane, left),
+                3 => tile::<S, K, O, 3>(at, weights, bias, to.add(x), plane, left),
+                _ => {
+                    if 2 * O <= S::BLOCK {
+                        tile::<S, K, O, 6>(at, weights, bias, to.add(x), plane, left);
+                    }
+                }
+            }
+            v += step;
+        }
+    }
+}
+
+/// `O` output channels × `N` vectors of one row, in registers over all channels and taps.
+#[inline(always)]
+unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
+    rows: Rows,
+    mut weights: *const f32,
+    bias: *const f32,
+    to: *mut f32,
+    plane: usize,
+    left: usize,
+) {
+    unsafe {
+        let mut sums = [[S::zero(); N]; O];
+        for (o, sums) in sums.iter_mut().enumerate() {
+            let bias = S::splat(*bias.add(o));
+            for sum in sums {
+                *sum = bias;
+            }
+        }
+        let mut from = rows.from;
+        for _ in 0..rows.channels {
+            for ky in 0..K {
+                for kx in 0..K {
+                    let tap = from.add(ky * rows.row_stride + kx);
+                    let mut x = [S::zero(); N];
+                    for (v, x) in x.iter_mut().enumerate() {
+                        *x = S::load(tap.add(v * S::LANES));
+                    }
+                    for (o, sums) in sums.iter_mut().enumerate() {
+                        let weight = S::splat(*weights.add(o));
+                        for (sum, x) in sums.iter_mut().zip(x) {
+                            *sum = S::fma(weight, x, *sum);
+                        }
+                    }
+                    weights = weights.add(O);
+                }
+            }
+            from = from.add(rows.channel_stride);
+        }
+        for (o, sums) in sums.iter().enumerate() {
+            for (v, &sum) in sums.iter().enumerate() {
+                let at = to.add(o * plane + v * S::LANES);
+                if (v + 1) * S::LANES <= left {
+                    S::store(at, sum);
+                } else {
+                    S::store_first(at, left - v * S::LANES, sum);
+                }
+            }
+        }
+    }
+}
+
+/// Adds to `to[o·stride_o + t·stride_t]` the products summed over `rows × n` pixels of plane `o` of `a` (`O` planes) with
+/// each of three pictures `b[t]`.
+///
+/// # Safety
+/// Both must be readable to the next full vector beyond `n`, and one of the two zero there.
+#[inline(always)]
+pub(super) unsafe fn correlate<S: Simd, const O: usize>(
+    a: Rows,
+    b: [*const f32; 3],
+    b_row_stride: usize,
+    rows: usize,
+    n: usize,
+    to: *mut f32,
+    (stride_o, stride_t): (usize, usize),
+) {
+    unsafe {
+        let mut sums = [[S::zero(); 3]; O];
+        for row in 0..rows {
+            let a_row = a.from.add(row * a.row_stride);
+            let b_row = b.map(|b| b.add(row * b_row_stride));
+            let mut x = 0;
+            while x < n {
+                let b0 = S::load(b_row[0].add(x));
+                let b1 = S::load(b_row[1].add(x));
+                let b2 = S::load(b_row[2].add(x));
+                for (o, sums) in sums.iter_mut().enumerate() {
+                    let a = S::load(a_row.add(o * a.channel_stride + x));
+                    sums[0] = S::fma(a, b0, sums[0]);
+                    sums[1] = S::fma(a, b1, sums[1]);
+                    sums[2] = S::fma(a, b2, sums[2]);
+                }
+                x += S::LANES;
+            }
+        }
+        for (o, sums) in sums.iter().enumerate() {
+            for (t, &sum) in sums.iter().enumerate() {
+                *to.add(o * stride_o + t * stride_t) += S::sum(sum);
+            }
+        }
+    }
+}
+
+/// Blocks of output channels that `total` is cut into: `(first, size)` with sizes 8, 4, 3, 2, 1, at most `largest`.
+pub(super) fn blocks(total: usize, largest: usize) -> impl Iterator<Item = (usize, usize)> {
+    let mut first = 0;
+    std::iter::from_fn(move || {
+        let size =
+            [8, 4, 3, 2, 1].into_iter().find(|&size| size <= largest && first + size <= total)?;
+        first += size;
+        Some((first - size, size))
+    })
+}
