@@ -7,13 +7,15 @@
 //! reaches beyond its support by a margin with a taper, and its mean is carried apart, so that neither the border of
 //! the tile nor `nsr` changes brightness. Beyond the image's border the image is reflected.
 
+mod fft;
+
+use std::ops::Range;
+
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
-use std::ops::Range;
-use std::sync::Arc;
 
+use self::fft::{Fft2, smooth};
 use crate::error::{Error, Result};
 use crate::imaging::metrics;
 
@@ -269,84 +271,6 @@ fn reflected(i: isize, n: usize) -> usize {
     k.min(period - k) as usize
 }
 
-/// The next even size whose only prime factors are 2, 3 and 5.
-fn smooth(n: usize) -> usize {
-    let only = |mut v: usize| {
-        for p in [2, 3, 5] {
-            while v % p == 0 {
-                v /= p;
-            }
-        }
-        v == 1
-    };
-    (n.max(2)..).find(|v| v % 2 == 0 && only(*v)).expect("powers of two have no end")
-}
-
-/// A two-dimensional real transform; spectra are `[row, col]` with `cols / 2 + 1` columns, row by row.
-struct Fft2 {
-    rows: usize,
-    cols: usize,
-    forward_row: Arc<dyn RealToComplex<f32>>,
-    inverse_row: Arc<dyn ComplexToReal<f32>>,
-    forward_col: Arc<dyn rustfft::Fft<f32>>,
-    inverse_col: Arc<dyn rustfft::Fft<f32>>,
-}
-
-impl Fft2 {
-    fn new(rows: usize, cols: usize) -> Self {
-        let (mut real, mut complex) = (RealFftPlanner::new(), rustfft::FftPlanner::new());
-        Self {
-            rows,
-            cols,
-            forward_row: real.plan_fft_forward(cols),
-            inverse_row: real.plan_fft_inverse(cols),
-            forward_col: complex.plan_fft_forward(rows),
-            inverse_col: complex.plan_fft_inverse(rows),
-        }
-    }
-
-    fn forward(&self, mut field: Array2<f32>) -> Vec<Complex<f32>> {
-        let width = self.cols / 2 + 1;
-        let mut spectrum = vec![Complex::default(); self.rows * width];
-        let samples = field.as_slice_mut().expect("just allocated");
-        for (from, to) in samples.chunks_mut(self.cols).zip(spectrum.chunks_mut(width)) {
-            self.forward_row.process(from, to).expect("buffers have the plan's lengths");
-        }
-        self.columns(&mut spectrum, self.forward_col.as_ref());
-        spectrum
-    }
-
-    fn inverse(&self, mut spectrum: Vec<Complex<f32>>) -> Array2<f32> {
-        let width = self.cols / 2 + 1;
-        self.columns(&mut spectrum, self.inverse_col.as_ref());
-        let mut field = Array2::zeros((self.rows, self.cols));
-        let samples = field.as_slice_mut().expect("just allocated");
-        for (from, to) in spectrum.chunks_mut(width).zip(samples.chunks_mut(self.cols)) {
-            // Rounding leaves a trace where a real signal has none.
-            from[0].im = 0.0;
-            from[width - 1].im = 0.0;
-            self.inverse_row.process(from, to).expect("buffers have the plan's lengths");
-        }
-        field / (self.rows * self.cols) as f32
-    }
-
-    /// Transforms the columns, eight at a time so that memory is read in lines.
-    fn columns(&self, spectrum: &mut [Complex<f32>], fft: &dyn rustfft::Fft<f32>) {
-        let width = self.cols / 2 + 1;
-        let mut block = vec![Complex::default(); 8 * self.rows];
-        for first in (0..width).step_by(8) {
-            let count = 8.min(width - first);
-            for r in 0..self.rows {
-                (0..count).for_each(|j| block[j * self.rows + r] = spectrum[r * width + first + j]);
-            }
-            fft.process(&mut block[..count * self.rows]);
-            for r in 0..self.rows {
-                (0..count).for_each(|j| spectrum[r * width + first + j] = block[j * self.rows + r]);
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -402,7 +326,7 @@ mod tests {
         let kernels = kernel.into_shape_with_order((1, 1, 9, 9)).expect("same size");
         let psfs = LocalPsfs::new(vec![48.0], vec![48.0], kernels).expect("well formed");
         let restored = wiener(image.view(), &psfs, 0.0).expect("restores");
-        let inside = s![.., 4..-4, 4..-4];
+        let inside = s![.., 4..92, 4..92];
         let worst = (&restored.slice(inside) - &scene.slice(inside)).iter().fold(0.0f32, |a, v| a.max(v.abs()));
         assert!(worst < 1e-4, "{worst}");
     }
@@ -454,6 +378,5 @@ mod tests {
         assert!(wiener(image.view(), &psfs, f32::NAN).is_err() && wiener(image.view(), &psfs, -1.0).is_err());
         assert!(wiener(image.view(), &psfs, 0.1).expect("restores").iter().all(|v| *v == 0.0));
         assert!(wiener(Array3::zeros((3, 0, 5)).view(), &psfs, 0.1).expect("empty").is_empty());
-        assert_eq!([2, 7, 31, 121].map(smooth), [2, 8, 32, 128]);
     }
 }
