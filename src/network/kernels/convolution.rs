@@ -6,7 +6,7 @@
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, correlate, dispatch};
+use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
 use super::strip::{
     Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
 };
@@ -404,7 +404,7 @@ unsafe fn weight_strip<S: Simd>(
     }
 }
 
-/// [`correlate`] for a block size known at run time.
+/// [`Simd::correlate`] for a block size known at run time.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "one inner loop, forwarded")]
 pub(super) unsafe fn correlate_block<S: Simd>(
@@ -419,11 +419,11 @@ pub(super) unsafe fn correlate_block<S: Simd>(
 ) {
     unsafe {
         match size {
-            8 => correlate::<S, 8>(a, b, b_row_stride, rows, n, to, strides),
-            4 => correlate::<S, 4>(a, b, b_row_stride, rows, n, to, strides),
-            3 => correlate::<S, 3>(a, b, b_row_stride, rows, n, to, strides),
-            2 => correlate::<S, 2>(a, b, b_row_stride, rows, n, to, strides),
-            _ => correlate::<S, 1>(a, b, b_row_stride, rows, n, to, strides),
+            8 => S::correlate::<8>(&a, &b, b_row_stride, rows, n, to, strides),
+            4 => S::correlate::<4>(&a, &b, b_row_stride, rows, n, to, strides),
+            3 => S::correlate::<3>(&a, &b, b_row_stride, rows, n, to, strides),
+            2 => S::correlate::<2>(&a, &b, b_row_stride, rows, n, to, strides),
+            _ => S::correlate::<1>(&a, &b, b_row_stride, rows, n, to, strides),
         }
     }
 }

@@ -42,9 +42,83 @@ pub(super) trait Simd: Copy {
     unsafe fn choose(sign: Self::V, a: Self::V, b: Self::V) -> Self::V;
     /// Sum of the lanes, in a fixed order.
     unsafe fn sum(a: Self::V) -> f32;
+    /// [`tile`] as a function of its own.
+    unsafe fn tile<const K: usize, const O: usize, const N: usize>(
+        rows: &Rows,
+        weights: *const f32,
+        bias: *const f32,
+        to: *mut f32,
+        plane: usize,
+        left: usize,
+    );
+    /// [`correlate_tile`] as a function of its own.
+    unsafe fn correlate<const O: usize>(
+        a: &Rows,
+        b: &[*const f32; 3],
+        b_row_stride: usize,
+        rows: usize,
+        n: usize,
+        to: *mut f32,
+        strides: (usize, usize),
+    );
 }
 
-/// AVX-512F.
+/// The two inner loops as functions compiled for `$feature`. Inlined into the loops around them, the compiler's register
+/// allocation puts half of the sums on the stack.
+macro_rules! inner_loops {
+    ($simd:ty, $feature:literal) => {
+        #[inline(always)]
+        unsafe fn tile<const K: usize, const O: usize, const N: usize>(
+            rows: &Rows,
+            weights: *const f32,
+            bias: *const f32,
+            to: *mut f32,
+            plane: usize,
+            left: usize,
+        ) {
+            #[target_feature(enable = $feature)]
+            #[inline(never)]
+            unsafe fn compiled<const K: usize, const O: usize, const N: usize>(
+                rows: &Rows,
+                weights: *const f32,
+                bias: *const f32,
+                to: *mut f32,
+                plane: usize,
+                left: usize,
+            ) {
+                unsafe { tile::<$simd, K, O, N>(rows, weights, bias, to, plane, left) }
+            }
+            unsafe { compiled::<K, O, N>(rows, weights, bias, to, plane, left) }
+        }
+        #[inline(always)]
+        unsafe fn correlate<const O: usize>(
+            a: &Rows,
+            b: &[*const f32; 3],
+            b_row_stride: usize,
+            rows: usize,
+            n: usize,
+            to: *mut f32,
+            strides: (usize, usize),
+        ) {
+            #[target_feature(enable = $feature)]
+            #[inline(never)]
+            unsafe fn compiled<const O: usize>(
+                a: &Rows,
+                b: &[*const f32; 3],
+                b_row_stride: usize,
+                rows: usize,
+                n: usize,
+                to: *mut f32,
+                strides: (usize, usize),
+            ) {
+                unsafe { correlate_tile::<$simd, O>(a, b, b_row_stride, rows, n, to, strides) }
+            }
+            unsafe { compiled::<O>(a, b, b_row_stride, rows, n, to, strides) }
+        }
+    };
+}
+
+/// AVX-512 F, VL, DQ, BW. Without VL the compiler keeps sums that are added up across lanes in 16 of the 32 registers.
 #[derive(Clone, Copy)]
 pub(super) struct Avx512;
 
@@ -110,6 +184,7 @@ impl Simd for Avx512 {
     unsafe fn sum(a: __m512) -> f32 {
         unsafe { _mm512_reduce_add_ps(a) }
     }
+    inner_loops!(Avx512, "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma");
 }
 
 /// The first `n` of 16 lanes.
@@ -178,6 +253,7 @@ impl Simd for Avx2 {
             _mm_cvtss_f32(_mm_add_ss(pair, _mm_shuffle_ps::<1>(pair, pair)))
         }
     }
+    inner_loops!(Avx2, "avx2,fma");
 }
 
 /// The first `n` of 8 lanes.
@@ -201,7 +277,7 @@ pub(super) trait Kernel {
 /// # Panics
 /// For [`Level::Plain`], which has no kernels, and for a level this processor does not have.
 pub(super) fn dispatch<K: Kernel>(level: Level, kernel: &K) {
-    #[target_feature(enable = "avx512f,avx2,fma")]
+    #[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
     unsafe fn avx512<K: Kernel>(kernel: &K) {
         unsafe { kernel.run::<Avx512>() }
     }
@@ -261,12 +337,12 @@ pub(super) unsafe fn convolve_row<S: Simd, const K: usize, const O: usize>(
                 _ => 3,
             };
             match step {
-                1 => tile::<S, K, O, 1>(at, weights, bias, to.add(x), plane, left),
-                2 => tile::<S, K, O, 2>(at, weights, bias, to.add(x), plane, left),
-                3 => tile::<S, K, O, 3>(at, weights, bias, to.add(x), plane, left),
+                1 => S::tile::<K, O, 1>(&at, weights, bias, to.add(x), plane, left),
+                2 => S::tile::<K, O, 2>(&at, weights, bias, to.add(x), plane, left),
+                3 => S::tile::<K, O, 3>(&at, weights, bias, to.add(x), plane, left),
                 _ => {
                     if 2 * O <= S::BLOCK {
-                        tile::<S, K, O, 6>(at, weights, bias, to.add(x), plane, left);
+                        S::tile::<K, O, 6>(&at, weights, bias, to.add(x), plane, left);
                     }
                 }
             }
@@ -278,7 +354,7 @@ pub(super) unsafe fn convolve_row<S: Simd, const K: usize, const O: usize>(
 /// `O` output channels × `N` vectors of one row, in registers over all channels and taps.
 #[inline(always)]
 unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
-    rows: Rows,
+    rows: &Rows,
     mut weights: *const f32,
     bias: *const f32,
     to: *mut f32,
@@ -332,9 +408,9 @@ unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
 /// # Safety
 /// Both must be readable to the next full vector beyond `n`, and one of the two zero there.
 #[inline(always)]
-pub(super) unsafe fn correlate<S: Simd, const O: usize>(
-    a: Rows,
-    b: [*const f32; 3],
+unsafe fn correlate_tile<S: Simd, const O: usize>(
+    a: &Rows,
+    b: &[*const f32; 3],
     b_row_stride: usize,
     rows: usize,
     n: usize,
