@@ -40,6 +40,14 @@ pub(super) trait Simd: Copy {
     unsafe fn below_zero(a: Self::V) -> Self::V;
     /// `a` where `sign` is ≥ 0, `b` elsewhere.
     unsafe fn choose(sign: Self::V, a: Self::V, b: Self::V) -> Self::V;
+    /// The larger lanes.
+    unsafe fn max(a: Self::V, b: Self::V) -> Self::V;
+    /// `x` where `a` equals `b`, `y` elsewhere.
+    unsafe fn where_equal(a: Self::V, b: Self::V, x: Self::V, y: Self::V) -> Self::V;
+    /// The even and the odd lanes of `a` followed by `b`.
+    unsafe fn unzip(a: Self::V, b: Self::V) -> (Self::V, Self::V);
+    /// The inverse of `unzip`.
+    unsafe fn zip(even: Self::V, odd: Self::V) -> (Self::V, Self::V);
     /// Sum of the lanes, in a fixed order.
     unsafe fn sum(a: Self::V) -> f32;
     /// [`tile`] as a function of its own.
@@ -181,6 +189,30 @@ impl Simd for Avx512 {
         }
     }
     #[inline(always)]
+    unsafe fn max(a: __m512, b: __m512) -> __m512 {
+        unsafe { _mm512_max_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn where_equal(a: __m512, b: __m512, x: __m512, y: __m512) -> __m512 {
+        unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_EQ_OQ>(a, b), y, x) }
+    }
+    #[inline(always)]
+    unsafe fn unzip(a: __m512, b: __m512) -> (__m512, __m512) {
+        unsafe {
+            let even = _mm512_setr_epi32(0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+            let odd = _mm512_add_epi32(even, _mm512_set1_epi32(1));
+            (_mm512_permutex2var_ps(a, even, b), _mm512_permutex2var_ps(a, odd, b))
+        }
+    }
+    #[inline(always)]
+    unsafe fn zip(even: __m512, odd: __m512) -> (__m512, __m512) {
+        unsafe {
+            let first = _mm512_setr_epi32(0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+            let second = _mm512_add_epi32(first, _mm512_set1_epi32(8));
+            (_mm512_permutex2var_ps(even, first, odd), _mm512_permutex2var_ps(even, second, odd))
+        }
+    }
+    #[inline(always)]
     unsafe fn sum(a: __m512) -> f32 {
         unsafe { _mm512_reduce_add_ps(a) }
     }
@@ -246,6 +278,32 @@ impl Simd for Avx2 {
         unsafe { _mm256_blendv_ps(b, a, _mm256_cmp_ps::<_CMP_GE_OQ>(sign, _mm256_setzero_ps())) }
     }
     #[inline(always)]
+    unsafe fn max(a: __m256, b: __m256) -> __m256 {
+        unsafe { _mm256_max_ps(a, b) }
+    }
+    #[inline(always)]
+    unsafe fn where_equal(a: __m256, b: __m256, x: __m256, y: __m256) -> __m256 {
+        unsafe { _mm256_blendv_ps(y, x, _mm256_cmp_ps::<_CMP_EQ_OQ>(a, b)) }
+    }
+    #[inline(always)]
+    unsafe fn unzip(a: __m256, b: __m256) -> (__m256, __m256) {
+        unsafe {
+            // Pairs of four lanes, then the halves in order.
+            let order = |v| _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(_mm256_castps_pd(v)));
+            let even = _mm256_shuffle_ps::<0b10_00_10_00>(a, b);
+            let odd = _mm256_shuffle_ps::<0b11_01_11_01>(a, b);
+            (order(even), order(odd))
+        }
+    }
+    #[inline(always)]
+    unsafe fn zip(even: __m256, odd: __m256) -> (__m256, __m256) {
+        unsafe {
+            let low = _mm256_unpacklo_ps(even, odd);
+            let high = _mm256_unpackhi_ps(even, odd);
+            (_mm256_permute2f128_ps::<0x20>(low, high), _mm256_permute2f128_ps::<0x31>(low, high))
+        }
+    }
+    #[inline(always)]
     unsafe fn sum(a: __m256) -> f32 {
         unsafe {
             let quad = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
@@ -261,6 +319,45 @@ impl Simd for Avx2 {
 unsafe fn mask8(n: usize) -> __m256i {
     const ONES_THEN_ZEROS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
     unsafe { _mm256_loadu_si256(ONES_THEN_ZEROS.as_ptr().add(8 - n.min(8)).cast()) }
+}
+
+/// The first `n` pairs of a row as even and odd lanes, at most one vector of each; zeros beyond.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; `2 n` values must be readable.
+#[inline(always)]
+pub(super) unsafe fn load_pairs<S: Simd>(from: *const f32, n: usize) -> (S::V, S::V) {
+    unsafe {
+        if n >= S::LANES {
+            S::unzip(S::load(from), S::load(from.add(S::LANES)))
+        } else {
+            let first = S::load_first(from, 2 * n);
+            let more = (2 * n).saturating_sub(S::LANES);
+            let second = if more > 0 { S::load_first(from.add(S::LANES), more) } else { S::zero() };
+            S::unzip(first, second)
+        }
+    }
+}
+
+/// Stores the first `n` pairs of even and odd lanes, at most one vector of each.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; `2 n` values must be writable.
+#[inline(always)]
+pub(super) unsafe fn store_pairs<S: Simd>(to: *mut f32, n: usize, even: S::V, odd: S::V) {
+    unsafe {
+        let (first, second) = S::zip(even, odd);
+        if n >= S::LANES {
+            S::store(to, first);
+            S::store(to.add(S::LANES), second);
+        } else {
+            S::store_first(to, 2 * n, first);
+            let more = (2 * n).saturating_sub(S::LANES);
+            if more > 0 {
+                S::store_first(to.add(S::LANES), more, second);
+            }
+        }
+    }
 }
 
 /// Work that runs on any instruction set.

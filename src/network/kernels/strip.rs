@@ -173,8 +173,11 @@ unsafe fn copy<S: Simd>(from: *const f32, to: *mut f32, n: usize) {
 }
 
 /// PReLU.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`.
 #[inline(always)]
-unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
+pub(super) unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
     unsafe { S::fma(slope, S::below_zero(x), S::above_zero(x)) }
 }
 
