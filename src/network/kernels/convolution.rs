@@ -10,7 +10,7 @@ use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
 use super::strip::{
     Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
 };
-use super::{Extent, Level, Source, SourceBar, Wanted};
+use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
 
 const TAPS: usize = 9;
 
@@ -206,7 +206,7 @@ pub(in super::super) fn convolve_vjp(
 
     let mut bars: Vec<Vec<f32>> = sources
         .iter()
-        .map(|s| Vec::with_capacity(if wanted.inputs { s.values.len() } else { 0 }))
+        .map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 }))
         .collect();
     let to: Vec<Shared> = bars.iter_mut().map(|bar| Shared(bar.as_mut_ptr())).collect();
     let sums: Vec<Sums> = groups

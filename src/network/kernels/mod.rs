@@ -7,14 +7,18 @@
 
 mod convolution;
 mod pooling;
+mod recycle;
 mod simd;
 mod strip;
 #[cfg(test)]
 mod tests;
 mod unpooling;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 pub(super) use convolution::{convolve, convolve_vjp};
 pub(super) use pooling::{pool, pool_vjp};
+pub(super) use recycle::give;
 pub(super) use unpooling::{unpool, unpool_vjp};
 
 /// Which code runs.

@@ -7,13 +7,13 @@ use rayon::prelude::*;
 
 use super::simd::{Kernel, Simd, dispatch, load_pairs, store_pairs};
 use super::strip::activate;
-use super::{Extent, Level, Source, SourceBar};
+use super::{Extent, Level, Source, SourceBar, recycle};
 
 /// Output `[batch, channels, rows / 2, columns / 2]`; rows and columns are even.
 pub(in super::super) fn pool(level: Level, source: Source, extent: Extent) -> Vec<f32> {
     let quarter = extent.plane() / 4;
     let n = source.values.len() / 4;
-    let mut output = Vec::with_capacity(n);
+    let mut output = recycle::take(n);
     output.spare_capacity_mut()[..n].par_chunks_mut(quarter).enumerate().for_each(|(plane, to)| {
         let values = &source.values[plane * extent.plane()..][..extent.plane()];
         let slope = source.slope.map_or(1.0, |slope| slope[plane % source.channels]);
@@ -67,7 +67,7 @@ pub(in super::super) fn pool_vjp(
 ) -> SourceBar {
     let n = source.values.len();
     assert_eq!(output_bar.len(), n / 4);
-    let mut values = Vec::with_capacity(n);
+    let mut values = recycle::take(n);
     let slopes: Vec<f32> = values.spare_capacity_mut()[..n]
         .par_chunks_mut(extent.plane())
         .enumerate()
@@ -115,7 +115,8 @@ impl Kernel for Backward<'_> {
             let mut slope_bar = S::zero();
             for row in 0..rows / 2 {
                 let corner = 2 * row * self.columns;
-                let (from, to) = (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
+                let (from, to) =
+                    (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
                 let bars = self.output_bar.as_ptr().add(row * n);
                 let mut x = 0;
                 while x < n {
@@ -127,7 +128,8 @@ impl Kernel for Backward<'_> {
                     for active in &mut active {
                         *active = activate::<S>(*active, slope);
                     }
-                    let largest = S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
+                    let largest =
+                        S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
                     let mut bar = S::load_first(bars.add(x), left);
                     let mut out = values;
                     for k in 0..4 {

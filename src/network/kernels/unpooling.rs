@@ -356,7 +356,8 @@ impl Backward<'_> {
                 let (mut left, mut right) = (S::zero(), S::zero());
                 for row in 0..rows {
                     let y = 2 * (first + row) + fine_row;
-                    let from = ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
+                    let from =
+                        ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
                     let from = self.output_bar[from..][..2 * columns].as_ptr();
                     let to = bars.as_mut_ptr();
                     let mut x = 0;
