@@ -86,10 +86,11 @@ fn primitive<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Primitive {
 /// Keeps the memory of tensors nobody else holds for the next operations.
 fn release<const N: usize>(tensors: [Primitive; N]) {
     for tensor in tensors {
-        if tensor.is_unique() && tensor.is_contiguous() {
-            if let Ok(values) = tensor.into_data().try_into_vec::<f32>() {
-                kernels::give(values);
-            }
+        if tensor.is_unique()
+            && tensor.is_contiguous()
+            && let Ok(values) = tensor.into_data().try_into_vec::<f32>()
+        {
+            kernels::give(values);
         }
     }
 }

@@ -132,11 +132,11 @@ impl Kernel for Backward<'_> {
                         S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
                     let mut bar = S::load_first(bars.add(x), left);
                     let mut out = values;
-                    for k in 0..4 {
-                        let taken = S::where_equal(active[k], largest, bar, S::zero());
-                        bar = S::where_equal(active[k], largest, S::zero(), bar);
-                        slope_bar = S::fma(taken, S::below_zero(values[k]), slope_bar);
-                        out[k] = S::mul(taken, S::choose(values[k], one, slope));
+                    for ((out, value), active) in out.iter_mut().zip(values).zip(active) {
+                        let taken = S::where_equal(active, largest, bar, S::zero());
+                        bar = S::where_equal(active, largest, S::zero(), bar);
+                        slope_bar = S::fma(taken, S::below_zero(value), slope_bar);
+                        *out = S::mul(taken, S::choose(value, one, slope));
                     }
                     store_pairs::<S>(to.add(2 * x), left, out[0], out[1]);
                     store_pairs::<S>(to.add(self.columns + 2 * x), left, out[2], out[3]);

@@ -11,17 +11,19 @@ const SMALL: usize = 1 << 14;
 const MOST: usize = 1 << 27;
 
 /// Buffers by capacity, and the sum of their capacities.
-static KEPT: Mutex<Option<(HashMap<usize, Vec<Vec<f32>>>, usize)>> = Mutex::new(None);
+type Kept = (HashMap<usize, Vec<Vec<f32>>>, usize);
+
+static KEPT: Mutex<Option<Kept>> = Mutex::new(None);
 
 /// An empty vector with room for `n` values.
 pub(super) fn take(n: usize) -> Vec<f32> {
     if n >= SMALL {
         let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((buffers, total)) = kept.as_mut() {
-            if let Some(buffer) = buffers.get_mut(&n).and_then(Vec::pop) {
-                *total -= n;
-                return buffer;
-            }
+        if let Some((buffers, total)) = kept.as_mut()
+            && let Some(buffer) = buffers.get_mut(&n).and_then(Vec::pop)
+        {
+            *total -= n;
+            return buffer;
         }
     }
     Vec::with_capacity(n)
