@@ -83,6 +83,18 @@ fn primitive<const D: usize>(values: Vec<f32>, shape: [usize; D]) -> Primitive {
     Primitive::from_data(TensorData::new(values, shape))
 }
 
+/// Keeps the memory of tensors nobody else holds for the next operations.
+fn release<const N: usize>(tensors: [Primitive; N]) {
+    for tensor in tensors {
+        if tensor.is_unique()
+            && tensor.is_contiguous()
+            && let Ok(values) = tensor.into_data().try_into_vec::<f32>()
+        {
+            kernels::give(values);
+        }
+    }
+}
+
 fn source<'a>(x: &'a Primitive, slope: Option<&'a Primitive>) -> Source<'a> {
     Source { values: values(x), channels: dims::<4>(x)[1], slope: slope.map(values) }
 }
@@ -106,7 +118,9 @@ fn convolve(
 impl FastOps for Flex {
     fn convolve_plain(x: Primitive, weight: Primitive, bias: Primitive, level: Level) -> Primitive {
         let [x, weight, bias] = [x, weight, bias].map(contiguous);
-        convolve(&[source(&x, None)], extent(&x), &weight, &bias, level)
+        let output = convolve(&[source(&x, None)], extent(&x), &weight, &bias, level);
+        release([x]);
+        output
     }
 
     fn convolve_activated(
@@ -117,7 +131,9 @@ impl FastOps for Flex {
         level: Level,
     ) -> Primitive {
         let [x, slope, weight, bias] = [x, slope, weight, bias].map(contiguous);
-        convolve(&[source(&x, Some(&slope))], extent(&x), &weight, &bias, level)
+        let output = convolve(&[source(&x, Some(&slope))], extent(&x), &weight, &bias, level);
+        release([x]);
+        output
     }
 
     fn convolve_joined(
@@ -129,19 +145,17 @@ impl FastOps for Flex {
         level: Level,
     ) -> Primitive {
         let [x, slope, plain, weight, bias] = [x, slope, plain, weight, bias].map(contiguous);
-        convolve(
-            &[source(&x, Some(&slope)), source(&plain, None)],
-            extent(&x),
-            &weight,
-            &bias,
-            level,
-        )
+        let sources = [source(&x, Some(&slope)), source(&plain, None)];
+        let output = convolve(&sources, extent(&x), &weight, &bias, level);
+        release([x, plain]);
+        output
     }
 
     fn pool_activated(x: Primitive, slope: Primitive, level: Level) -> Primitive {
         let [x, slope] = [x, slope].map(contiguous);
         let [batch, channels, rows, columns] = dims(&x);
         let output = kernels::pool(level, source(&x, Some(&slope)), extent(&x));
+        release([x]);
         primitive(output, [batch, channels, rows / 2, columns / 2])
     }
 
@@ -161,6 +175,7 @@ impl FastOps for Flex {
             values(&weight),
             values(&bias),
         );
+        release([x]);
         primitive(output, [batch, dims::<1>(&bias)[0], 2 * rows, 2 * columns])
     }
 }
@@ -200,6 +215,7 @@ impl Backward<Flex, 3> for ConvolvePlain {
         let outputs = bias_bar.len();
         register!(grads, weight_node, weight_bar, dims::<4>(&weight));
         register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
     }
 }
 
@@ -232,6 +248,7 @@ impl Backward<Flex, 4> for ConvolveActivated {
         let outputs = bias_bar.len();
         register!(grads, weight_node, weight_bar, dims::<4>(&weight));
         register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
     }
 }
 
@@ -265,6 +282,7 @@ impl Backward<Flex, 5> for ConvolveJoined {
         let outputs = bias_bar.len();
         register!(grads, weight_node, weight_bar, dims::<4>(&weight));
         register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x, plain]);
     }
 }
 
@@ -282,6 +300,7 @@ impl Backward<Flex, 2> for PoolActivated {
             kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&bar));
         register!(grads, x_node, source_bar.values, dims::<4>(&x));
         register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
+        release([bar, x]);
     }
 }
 
@@ -312,6 +331,7 @@ impl Backward<Flex, 4> for UnpoolActivated {
         let outputs = bias_bar.len();
         register!(grads, weight_node, weight_bar, dims::<4>(&weight));
         register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
     }
 }
 

@@ -87,16 +87,16 @@ pub(super) fn wires(rng: &mut Rng, canvas: &mut Canvas, view: &View, half_width:
                 canvas.line(a, b, 0.025 * s, [0.03; 3]);
             }
         }
-        if rng.bool() {
-            if let Some((p, s)) = view.project(sag(0.5)) {
-                let r = 0.22 * s;
-                canvas.over(
-                    p,
-                    [r; 2],
-                    |x, y| (x - p[0]).hypot(y - p[1]) - r,
-                    |_, y| [if y < p[1] { 0.1 } else { 0.85 }; 3],
-                );
-            }
+        if rng.bool()
+            && let Some((p, s)) = view.project(sag(0.5))
+        {
+            let r = 0.22 * s;
+            canvas.over(
+                p,
+                [r; 2],
+                |x, y| (x - p[0]).hypot(y - p[1]) - r,
+                |_, y| [if y < p[1] { 0.1 } else { 0.85 }; 3],
+            );
         }
         z -= between(rng, 7.0, 15.0);
     }

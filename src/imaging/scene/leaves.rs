@@ -144,8 +144,8 @@ pub(super) fn paint(rng: &mut Rng, rows: usize, cols: usize) -> Canvas {
     let palette = Palette::new(rng, colours);
     let side = rows.min(cols) as f32;
     // Radii from r_min up: density r⁻³ is r = r_min / √u, cut off at r_max.
-    let r_min = 1.5 * 6f32.powf(rng.f32());
-    let r_max = (side * between(rng, 0.25, 0.6)).max(2.0 * r_min);
+    let r_min = 1.3 * 4.5f32.powf(rng.f32());
+    let r_max = (side * between(rng, 0.2, 0.5)).max(2.0 * r_min);
     let cut = (r_min / r_max).powi(2);
     // Light from one side; slow changes of light over the scene.
     let light = Frame::new([0.0, 0.0], 6.3 * rng.f32());

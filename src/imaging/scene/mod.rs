@@ -4,7 +4,8 @@
 //! seed and size always give the same picture. Most generators follow the statistics of photographs: occlusion, sizes
 //! distributed as r⁻³, power spectra near f⁻² (A. B. Lee, D. Mumford, J. Huang, "Occlusion models for natural images",
 //! Int. J. Comput. Vis. 41, 2001), colours mostly muted. [`SceneKind::Facades`] is kept out of [`TRAINING`]: it shares no
-//! shapes with the others and serves as the unseen scene of every evaluation.
+//! shapes with the others and serves as the unseen scene of every evaluation. A picture of 1024 × 768 costs 0.03 to 0.3 s of
+//! one core.
 
 mod building;
 mod canvas;
@@ -189,23 +190,5 @@ mod tests {
         assert_eq!(SceneKind::from_name("dead-leaves"), Some(SceneKind::DeadLeaves));
         assert_eq!(SceneKind::from_name("cats"), None);
         assert!(!TRAINING.contains(&SceneKind::Facades));
-    }
-}
-#[cfg(test)]
-mod look {
-    use super::*;
-    #[test]
-    #[ignore = "writes pictures"]
-    fn look() {
-        for kind in SceneKind::ALL {
-            for seed in 0..4 {
-                let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
-                let t = std::time::Instant::now();
-                let im = pool.install(|| generate(kind, seed, 768, 1024));
-                println!("{kind} {seed} {:.3} s mean {:.3}", t.elapsed().as_secs_f64(), im.mean().unwrap());
-                crate::imaging::files::write_png8(std::path::Path::new(&format!("/tmp/look/{kind}{seed}.png")), &im)
-                    .unwrap();
-            }
-        }
     }
 }

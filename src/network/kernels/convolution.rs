@@ -6,11 +6,11 @@
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, correlate, dispatch};
+use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
 use super::strip::{
     Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
 };
-use super::{Extent, Level, Source, SourceBar, Wanted};
+use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
 
 const TAPS: usize = 9;
 
@@ -206,7 +206,7 @@ pub(in super::super) fn convolve_vjp(
 
     let mut bars: Vec<Vec<f32>> = sources
         .iter()
-        .map(|s| Vec::with_capacity(if wanted.inputs { s.values.len() } else { 0 }))
+        .map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 }))
         .collect();
     let to: Vec<Shared> = bars.iter_mut().map(|bar| Shared(bar.as_mut_ptr())).collect();
     let sums: Vec<Sums> = groups
@@ -404,7 +404,7 @@ unsafe fn weight_strip<S: Simd>(
     }
 }
 
-/// [`correlate`] for a block size known at run time.
+/// [`Simd::correlate`] for a block size known at run time.
 #[inline(always)]
 #[allow(clippy::too_many_arguments, reason = "one inner loop, forwarded")]
 pub(super) unsafe fn correlate_block<S: Simd>(
@@ -419,11 +419,11 @@ pub(super) unsafe fn correlate_block<S: Simd>(
 ) {
     unsafe {
         match size {
-            8 => correlate::<S, 8>(a, b, b_row_stride, rows, n, to, strides),
-            4 => correlate::<S, 4>(a, b, b_row_stride, rows, n, to, strides),
-            3 => correlate::<S, 3>(a, b, b_row_stride, rows, n, to, strides),
-            2 => correlate::<S, 2>(a, b, b_row_stride, rows, n, to, strides),
-            _ => correlate::<S, 1>(a, b, b_row_stride, rows, n, to, strides),
+            8 => S::correlate::<8>(&a, &b, b_row_stride, rows, n, to, strides),
+            4 => S::correlate::<4>(&a, &b, b_row_stride, rows, n, to, strides),
+            3 => S::correlate::<3>(&a, &b, b_row_stride, rows, n, to, strides),
+            2 => S::correlate::<2>(&a, &b, b_row_stride, rows, n, to, strides),
+            _ => S::correlate::<1>(&a, &b, b_row_stride, rows, n, to, strides),
         }
     }
 }

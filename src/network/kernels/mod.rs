@@ -7,14 +7,18 @@
 
 mod convolution;
 mod pooling;
+mod recycle;
 mod simd;
 mod strip;
 #[cfg(test)]
 mod tests;
 mod unpooling;
+#[cfg(target_arch = "x86_64")]
+mod x86;
 
 pub(super) use convolution::{convolve, convolve_vjp};
 pub(super) use pooling::{pool, pool_vjp};
+pub(super) use recycle::give;
 pub(super) use unpooling::{unpool, unpool_vjp};
 
 /// Which code runs.
@@ -24,7 +28,7 @@ pub(super) enum Level {
     Plain,
     /// Eight lanes: AVX2 with FMA.
     Avx2,
-    /// Sixteen lanes: AVX-512F.
+    /// Sixteen lanes: AVX-512 (F, VL, DQ, BW).
     Avx512,
 }
 
@@ -33,7 +37,11 @@ impl Level {
     pub(super) fn detect() -> Self {
         #[cfg(target_arch = "x86_64")]
         {
-            if std::arch::is_x86_feature_detected!("avx512f") {
+            if std::arch::is_x86_feature_detected!("avx512f")
+                && std::arch::is_x86_feature_detected!("avx512vl")
+                && std::arch::is_x86_feature_detected!("avx512dq")
+                && std::arch::is_x86_feature_detected!("avx512bw")
+            {
                 return Self::Avx512;
             }
             if std::arch::is_x86_feature_detected!("avx2")

@@ -5,14 +5,15 @@ use std::mem::MaybeUninit;
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Simd, dispatch};
-use super::{Extent, Level, Source, SourceBar};
+use super::simd::{Kernel, Simd, dispatch, load_pairs, store_pairs};
+use super::strip::activate;
+use super::{Extent, Level, Source, SourceBar, recycle};
 
 /// Output `[batch, channels, rows / 2, columns / 2]`; rows and columns are even.
 pub(in super::super) fn pool(level: Level, source: Source, extent: Extent) -> Vec<f32> {
     let quarter = extent.plane() / 4;
     let n = source.values.len() / 4;
-    let mut output = Vec::with_capacity(n);
+    let mut output = recycle::take(n);
     output.spare_capacity_mut()[..n].par_chunks_mut(quarter).enumerate().for_each(|(plane, to)| {
         let values = &source.values[plane * extent.plane()..][..extent.plane()];
         let slope = source.slope.map_or(1.0, |slope| slope[plane % source.channels]);
@@ -30,30 +31,28 @@ struct Forward<'a> {
     to: *mut MaybeUninit<f32>,
 }
 
-#[inline(always)]
-fn activated(x: f32, slope: f32) -> f32 {
-    if x >= 0.0 { x } else { slope * x }
-}
-
-#[inline(always)]
-fn larger(a: f32, b: f32) -> f32 {
-    if b > a { b } else { a }
-}
-
 impl Kernel for Forward<'_> {
     #[inline(always)]
     unsafe fn run<S: Simd>(&self) {
-        let (columns, slope) = (self.columns, self.slope);
-        // SAFETY: a quarter of the plane's values, written by this call alone.
-        let to = unsafe { std::slice::from_raw_parts_mut(self.to, self.values.len() / 4) };
-        for (rows, to) in
-            self.values.chunks_exact(2 * columns).zip(to.chunks_exact_mut(columns / 2))
-        {
-            let (upper, lower) = rows.split_at(columns);
-            for ((upper, lower), to) in upper.chunks_exact(2).zip(lower.chunks_exact(2)).zip(to) {
-                let a = larger(activated(upper[0], slope), activated(upper[1], slope));
-                let b = larger(activated(lower[0], slope), activated(lower[1], slope));
-                to.write(larger(a, b));
+        let n = self.columns / 2;
+        let rows = self.values.len() / self.columns;
+        // SAFETY: even rows and columns of the plane, and a quarter as many outputs, which this call alone writes.
+        unsafe {
+            let slope = S::splat(self.slope);
+            for row in 0..rows / 2 {
+                let upper = self.values.as_ptr().add(2 * row * self.columns);
+                let lower = upper.add(self.columns);
+                let to = self.to.cast::<f32>().add(row * n);
+                let mut x = 0;
+                while x < n {
+                    let left = n - x;
+                    let (a, b) = load_pairs::<S>(upper.add(2 * x), left);
+                    let (c, d) = load_pairs::<S>(lower.add(2 * x), left);
+                    let upper = S::max(activate::<S>(a, slope), activate::<S>(b, slope));
+                    let lower = S::max(activate::<S>(c, slope), activate::<S>(d, slope));
+                    S::store_first(to.add(x), left, S::max(upper, lower));
+                    x += S::LANES;
+                }
             }
         }
     }
@@ -68,7 +67,7 @@ pub(in super::super) fn pool_vjp(
 ) -> SourceBar {
     let n = source.values.len();
     assert_eq!(output_bar.len(), n / 4);
-    let mut values = Vec::with_capacity(n);
+    let mut values = recycle::take(n);
     let slopes: Vec<f32> = values.spare_capacity_mut()[..n]
         .par_chunks_mut(extent.plane())
         .enumerate()
@@ -108,43 +107,43 @@ struct Backward<'a> {
 impl Kernel for Backward<'_> {
     #[inline(always)]
     unsafe fn run<S: Simd>(&self) {
-        let (columns, slope) = (self.columns, self.slope);
-        // SAFETY: the plane's values, written by this call alone.
-        let to = unsafe { std::slice::from_raw_parts_mut(self.to, self.values.len()) };
-        let rows = self.values.chunks_exact(2 * columns).zip(to.chunks_exact_mut(2 * columns));
-        let mut total = 0.0;
-        for ((rows, to), bars) in rows.zip(self.output_bar.chunks_exact(columns / 2)) {
-            let (upper, lower) = rows.split_at(columns);
-            let (to_upper, to_lower) = to.split_at_mut(columns);
-            // Sixteen sums side by side, so that the loop can be vectorised in a fixed order.
-            let mut sums = [0.0f32; 16];
-            for (x, &bar) in bars.iter().enumerate() {
-                let v = [upper[2 * x], upper[2 * x + 1], lower[2 * x], lower[2 * x + 1]];
-                let a = v.map(|v| activated(v, slope));
-                let largest = larger(larger(a[0], a[1]), larger(a[2], a[3]));
-                let is = a.map(|a| a == largest);
-                let takes = [
-                    is[0],
-                    is[1] && !is[0],
-                    is[2] && !(is[0] || is[1]),
-                    is[3] && !(is[0] || is[1] || is[2]),
-                ];
-                let mut slope_bar = 0.0;
-                let mut out = [0.0f32; 4];
-                for k in 0..4 {
-                    let bar = if takes[k] { bar } else { 0.0 };
-                    out[k] = if v[k] >= 0.0 { bar } else { slope * bar };
-                    slope_bar += bar * if v[k] < 0.0 { v[k] } else { 0.0 };
+        let n = self.columns / 2;
+        let rows = self.values.len() / self.columns;
+        // SAFETY: even rows and columns of the plane; the cotangent has as many values, which this call alone writes.
+        unsafe {
+            let (one, slope) = (S::splat(1.0), S::splat(self.slope));
+            let mut slope_bar = S::zero();
+            for row in 0..rows / 2 {
+                let corner = 2 * row * self.columns;
+                let (from, to) =
+                    (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
+                let bars = self.output_bar.as_ptr().add(row * n);
+                let mut x = 0;
+                while x < n {
+                    let left = n - x;
+                    let (a, b) = load_pairs::<S>(from.add(2 * x), left);
+                    let (c, d) = load_pairs::<S>(from.add(self.columns + 2 * x), left);
+                    let values = [a, b, c, d];
+                    let mut active = values;
+                    for active in &mut active {
+                        *active = activate::<S>(*active, slope);
+                    }
+                    let largest =
+                        S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
+                    let mut bar = S::load_first(bars.add(x), left);
+                    let mut out = values;
+                    for ((out, value), active) in out.iter_mut().zip(values).zip(active) {
+                        let taken = S::where_equal(active, largest, bar, S::zero());
+                        bar = S::where_equal(active, largest, S::zero(), bar);
+                        slope_bar = S::fma(taken, S::below_zero(value), slope_bar);
+                        *out = S::mul(taken, S::choose(value, one, slope));
+                    }
+                    store_pairs::<S>(to.add(2 * x), left, out[0], out[1]);
+                    store_pairs::<S>(to.add(self.columns + 2 * x), left, out[2], out[3]);
+                    x += S::LANES;
                 }
-                sums[x % 16] += slope_bar;
-                to_upper[2 * x].write(out[0]);
-                to_upper[2 * x + 1].write(out[1]);
-                to_lower[2 * x].write(out[2]);
-                to_lower[2 * x + 1].write(out[3]);
             }
-            total += sums.iter().sum::<f32>();
+            *self.slope_bar = S::sum(slope_bar);
         }
-        // SAFETY: the caller's variable.
-        unsafe { *self.slope_bar = total };
     }
 }

@@ -1,13 +1,8 @@
-//! Register-blocked inner loops over one trait of vector operations, with AVX2 and AVX-512 behind it.
+//! Register-blocked inner loops over one trait of vector operations, which `x86` implements.
 //!
 //! Everything here is inlined into a function compiled for its processor ([`dispatch`]); a block of output channels ×
 //! vectors stays in registers over all input channels and taps.
-#![allow(
-    unsafe_code,
-    reason = "processor intrinsics and raw pointers into scratch buffers; see each Safety note"
-)]
-
-use std::arch::x86_64::*;
+#![allow(unsafe_code, reason = "raw pointers into scratch buffers; see each Safety note")]
 
 use super::Level;
 
@@ -40,151 +35,74 @@ pub(super) trait Simd: Copy {
     unsafe fn below_zero(a: Self::V) -> Self::V;
     /// `a` where `sign` is ≥ 0, `b` elsewhere.
     unsafe fn choose(sign: Self::V, a: Self::V, b: Self::V) -> Self::V;
+    /// The larger lanes.
+    unsafe fn max(a: Self::V, b: Self::V) -> Self::V;
+    /// `x` where `a` equals `b`, `y` elsewhere.
+    unsafe fn where_equal(a: Self::V, b: Self::V, x: Self::V, y: Self::V) -> Self::V;
+    /// The even and the odd lanes of `a` followed by `b`.
+    unsafe fn unzip(a: Self::V, b: Self::V) -> (Self::V, Self::V);
+    /// The inverse of `unzip`.
+    unsafe fn zip(even: Self::V, odd: Self::V) -> (Self::V, Self::V);
     /// Sum of the lanes, in a fixed order.
     unsafe fn sum(a: Self::V) -> f32;
+    /// [`tile`] as a function of its own.
+    unsafe fn tile<const K: usize, const O: usize, const N: usize>(
+        rows: &Rows,
+        weights: *const f32,
+        bias: *const f32,
+        to: *mut f32,
+        plane: usize,
+        left: usize,
+    );
+    /// [`correlate_tile`] as a function of its own.
+    unsafe fn correlate<const O: usize>(
+        a: &Rows,
+        b: &[*const f32; 3],
+        b_row_stride: usize,
+        rows: usize,
+        n: usize,
+        to: *mut f32,
+        strides: (usize, usize),
+    );
 }
 
-/// AVX-512F.
-#[derive(Clone, Copy)]
-pub(super) struct Avx512;
-
-/// AVX2 with FMA.
-#[derive(Clone, Copy)]
-pub(super) struct Avx2;
-
-impl Simd for Avx512 {
-    type V = __m512;
-    const LANES: usize = 16;
-    const BLOCK: usize = 8;
-    #[inline(always)]
-    unsafe fn zero() -> __m512 {
-        unsafe { _mm512_setzero_ps() }
-    }
-    #[inline(always)]
-    unsafe fn splat(value: f32) -> __m512 {
-        unsafe { _mm512_set1_ps(value) }
-    }
-    #[inline(always)]
-    unsafe fn load(from: *const f32) -> __m512 {
-        unsafe { _mm512_loadu_ps(from) }
-    }
-    #[inline(always)]
-    unsafe fn load_first(from: *const f32, n: usize) -> __m512 {
-        unsafe { _mm512_maskz_loadu_ps(mask16(n), from) }
-    }
-    #[inline(always)]
-    unsafe fn store(to: *mut f32, v: __m512) {
-        unsafe { _mm512_storeu_ps(to, v) }
-    }
-    #[inline(always)]
-    unsafe fn store_first(to: *mut f32, n: usize, v: __m512) {
-        unsafe { _mm512_mask_storeu_ps(to, mask16(n), v) }
-    }
-    #[inline(always)]
-    unsafe fn add(a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_add_ps(a, b) }
-    }
-    #[inline(always)]
-    unsafe fn mul(a: __m512, b: __m512) -> __m512 {
-        unsafe { _mm512_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    unsafe fn fma(a: __m512, b: __m512, c: __m512) -> __m512 {
-        unsafe { _mm512_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    unsafe fn above_zero(a: __m512) -> __m512 {
-        unsafe { _mm512_max_ps(_mm512_setzero_ps(), a) }
-    }
-    #[inline(always)]
-    unsafe fn below_zero(a: __m512) -> __m512 {
-        unsafe { _mm512_min_ps(_mm512_setzero_ps(), a) }
-    }
-    #[inline(always)]
-    unsafe fn choose(sign: __m512, a: __m512, b: __m512) -> __m512 {
-        unsafe {
-            _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(sign, _mm512_setzero_ps()), b, a)
-        }
-    }
-    #[inline(always)]
-    unsafe fn sum(a: __m512) -> f32 {
-        unsafe { _mm512_reduce_add_ps(a) }
-    }
-}
-
-/// The first `n` of 16 lanes.
+/// The first `n` pairs of a row as even and odd lanes, at most one vector of each; zeros beyond.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; `2 n` values must be readable.
 #[inline(always)]
-fn mask16(n: usize) -> u16 {
-    if n >= 16 { u16::MAX } else { (1 << n) - 1 }
-}
-
-impl Simd for Avx2 {
-    type V = __m256;
-    const LANES: usize = 8;
-    const BLOCK: usize = 4;
-    #[inline(always)]
-    unsafe fn zero() -> __m256 {
-        unsafe { _mm256_setzero_ps() }
-    }
-    #[inline(always)]
-    unsafe fn splat(value: f32) -> __m256 {
-        unsafe { _mm256_set1_ps(value) }
-    }
-    #[inline(always)]
-    unsafe fn load(from: *const f32) -> __m256 {
-        unsafe { _mm256_loadu_ps(from) }
-    }
-    #[inline(always)]
-    unsafe fn load_first(from: *const f32, n: usize) -> __m256 {
-        unsafe { _mm256_maskload_ps(from, mask8(n)) }
-    }
-    #[inline(always)]
-    unsafe fn store(to: *mut f32, v: __m256) {
-        unsafe { _mm256_storeu_ps(to, v) }
-    }
-    #[inline(always)]
-    unsafe fn store_first(to: *mut f32, n: usize, v: __m256) {
-        unsafe { _mm256_maskstore_ps(to, mask8(n), v) }
-    }
-    #[inline(always)]
-    unsafe fn add(a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_add_ps(a, b) }
-    }
-    #[inline(always)]
-    unsafe fn mul(a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_mul_ps(a, b) }
-    }
-    #[inline(always)]
-    unsafe fn fma(a: __m256, b: __m256, c: __m256) -> __m256 {
-        unsafe { _mm256_fmadd_ps(a, b, c) }
-    }
-    #[inline(always)]
-    unsafe fn above_zero(a: __m256) -> __m256 {
-        unsafe { _mm256_max_ps(_mm256_setzero_ps(), a) }
-    }
-    #[inline(always)]
-    unsafe fn below_zero(a: __m256) -> __m256 {
-        unsafe { _mm256_min_ps(_mm256_setzero_ps(), a) }
-    }
-    #[inline(always)]
-    unsafe fn choose(sign: __m256, a: __m256, b: __m256) -> __m256 {
-        unsafe { _mm256_blendv_ps(b, a, _mm256_cmp_ps::<_CMP_GE_OQ>(sign, _mm256_setzero_ps())) }
-    }
-    #[inline(always)]
-    unsafe fn sum(a: __m256) -> f32 {
-        unsafe {
-            let quad = _mm_add_ps(_mm256_castps256_ps128(a), _mm256_extractf128_ps::<1>(a));
-            let pair = _mm_add_ps(quad, _mm_movehl_ps(quad, quad));
-            _mm_cvtss_f32(_mm_add_ss(pair, _mm_shuffle_ps::<1>(pair, pair)))
+pub(super) unsafe fn load_pairs<S: Simd>(from: *const f32, n: usize) -> (S::V, S::V) {
+    unsafe {
+        if n >= S::LANES {
+            S::unzip(S::load(from), S::load(from.add(S::LANES)))
+        } else {
+            let first = S::load_first(from, 2 * n);
+            let more = (2 * n).saturating_sub(S::LANES);
+            let second = if more > 0 { S::load_first(from.add(S::LANES), more) } else { S::zero() };
+            S::unzip(first, second)
         }
     }
 }
 
-/// The first `n` of 8 lanes.
+/// Stores the first `n` pairs of even and odd lanes, at most one vector of each.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; `2 n` values must be writable.
 #[inline(always)]
-unsafe fn mask8(n: usize) -> __m256i {
-    const ONES_THEN_ZEROS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
-    unsafe { _mm256_loadu_si256(ONES_THEN_ZEROS.as_ptr().add(8 - n.min(8)).cast()) }
+pub(super) unsafe fn store_pairs<S: Simd>(to: *mut f32, n: usize, even: S::V, odd: S::V) {
+    unsafe {
+        let (first, second) = S::zip(even, odd);
+        if n >= S::LANES {
+            S::store(to, first);
+            S::store(to.add(S::LANES), second);
+        } else {
+            S::store_first(to, 2 * n, first);
+            let more = (2 * n).saturating_sub(S::LANES);
+            if more > 0 {
+                S::store_first(to.add(S::LANES), more, second);
+            }
+        }
+    }
 }
 
 /// Work that runs on any instruction set.
@@ -201,22 +119,19 @@ pub(super) trait Kernel {
 /// # Panics
 /// For [`Level::Plain`], which has no kernels, and for a level this processor does not have.
 pub(super) fn dispatch<K: Kernel>(level: Level, kernel: &K) {
-    #[target_feature(enable = "avx512f,avx2,fma")]
-    unsafe fn avx512<K: Kernel>(kernel: &K) {
-        unsafe { kernel.run::<Avx512>() }
-    }
-    #[target_feature(enable = "avx2,fma")]
-    unsafe fn avx2<K: Kernel>(kernel: &K) {
-        unsafe { kernel.run::<Avx2>() }
-    }
     let best = Level::detect();
+    #[cfg(target_arch = "x86_64")]
     match (level, best) {
         // SAFETY: the processor has been asked.
-        (Level::Avx512, Level::Avx512) => unsafe { avx512(kernel) },
-        // SAFETY: a processor with AVX-512F has AVX2 and FMA.
-        (Level::Avx2, Level::Avx512 | Level::Avx2) => unsafe { avx2(kernel) },
-        _ => panic!("kernels for {level:?} on a processor with {best:?}"),
+        (Level::Avx512, Level::Avx512) => return unsafe { super::x86::run_avx512(kernel) },
+        // SAFETY: the processor has been asked; the level of AVX-512 includes AVX2 and FMA.
+        (Level::Avx2, Level::Avx512 | Level::Avx2) => {
+            return unsafe { super::x86::run_avx2(kernel) };
+        }
+        _ => {}
     }
+    let _ = kernel;
+    panic!("kernels for {level:?} on a processor with {best:?}");
 }
 
 /// Where a convolution row reads: planes of scratch rows.
@@ -261,12 +176,12 @@ pub(super) unsafe fn convolve_row<S: Simd, const K: usize, const O: usize>(
                 _ => 3,
             };
             match step {
-                1 => tile::<S, K, O, 1>(at, weights, bias, to.add(x), plane, left),
-                2 => tile::<S, K, O, 2>(at, weights, bias, to.add(x), plane, left),
-                3 => tile::<S, K, O, 3>(at, weights, bias, to.add(x), plane, left),
+                1 => S::tile::<K, O, 1>(&at, weights, bias, to.add(x), plane, left),
+                2 => S::tile::<K, O, 2>(&at, weights, bias, to.add(x), plane, left),
+                3 => S::tile::<K, O, 3>(&at, weights, bias, to.add(x), plane, left),
                 _ => {
                     if 2 * O <= S::BLOCK {
-                        tile::<S, K, O, 6>(at, weights, bias, to.add(x), plane, left);
+                        S::tile::<K, O, 6>(&at, weights, bias, to.add(x), plane, left);
                     }
                 }
             }
@@ -277,8 +192,8 @@ pub(super) unsafe fn convolve_row<S: Simd, const K: usize, const O: usize>(
 
 /// `O` output channels × `N` vectors of one row, in registers over all channels and taps.
 #[inline(always)]
-unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
-    rows: Rows,
+pub(super) unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
+    rows: &Rows,
     mut weights: *const f32,
     bias: *const f32,
     to: *mut f32,
@@ -332,9 +247,9 @@ unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usize>(
 /// # Safety
 /// Both must be readable to the next full vector beyond `n`, and one of the two zero there.
 #[inline(always)]
-pub(super) unsafe fn correlate<S: Simd, const O: usize>(
-    a: Rows,
-    b: [*const f32; 3],
+pub(super) unsafe fn correlate_tile<S: Simd, const O: usize>(
+    a: &Rows,
+    b: &[*const f32; 3],
     b_row_stride: usize,
     rows: usize,
     n: usize,

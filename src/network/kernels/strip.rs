@@ -7,7 +7,7 @@
 use std::cell::RefCell;
 
 use super::simd::{Rows, Simd};
-use super::{Extent, Source};
+use super::{Extent, Source, recycle};
 
 /// Zeros left of every row; the next row's are the zeros on the right.
 pub(super) const PAD: usize = 16;
@@ -173,8 +173,11 @@ unsafe fn copy<S: Simd>(from: *const f32, to: *mut f32, n: usize) {
 }
 
 /// PReLU.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`.
 #[inline(always)]
-unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
+pub(super) unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
     unsafe { S::fma(slope, S::below_zero(x), S::above_zero(x)) }
 }
 
@@ -246,7 +249,7 @@ unsafe impl Sync for Shared {}
 
 /// A vector of `n` values that `fill` writes, every one of them.
 pub(super) fn filled(n: usize, fill: impl FnOnce(Shared)) -> Vec<f32> {
-    let mut values = Vec::with_capacity(n);
+    let mut values = recycle::take(n);
     fill(Shared(values.as_mut_ptr()));
     // SAFETY: `fill` has written all `n`.
     unsafe { values.set_len(n) };

@@ -16,7 +16,9 @@ fn levels() -> Vec<Level> {
 /// Leaves values that would be noticed in the scratch buffers of all threads.
 fn soil_scratch() {
     rayon::broadcast(|_| {
-        strip::with_scratch(|buffers| buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9)));
+        strip::with_scratch(|buffers| {
+            buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9))
+        });
     });
 }
 
@@ -283,5 +285,49 @@ fn results_do_not_depend_on_the_number_of_threads() {
             })
         };
         assert_eq!(with(1), with(3), "{level:?}");
+    }
+}
+
+#[test]
+#[ignore = "a measurement, not a check: GFLOP/s of the convolution's three passes"]
+fn speed_of_the_convolution() {
+    let rng = &mut fastrand::Rng::with_seed(5);
+    for (inputs, outputs, side) in [
+        (3, 16, 256),
+        (16, 16, 256),
+        (32, 16, 256),
+        (32, 32, 128),
+        (64, 64, 64),
+        (16, 3, 256),
+        (128, 128, 64),
+    ] {
+        let extent = Extent { batch: 1, rows: side, columns: side };
+        let (values, bar) = (draw(inputs * side * side, rng), draw(outputs * side * side, rng));
+        let (weight, bias, slope) =
+            (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
+        let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
+        let operations = (2 * 9 * inputs * outputs * side * side) as f64;
+        for level in levels() {
+            let time = |run: &dyn Fn()| {
+                let once = || {
+                    let start = std::time::Instant::now();
+                    run();
+                    start.elapsed().as_secs_f64()
+                };
+                operations / 1e9 / (0..15).map(|_| once()).fold(f64::INFINITY, f64::min)
+            };
+            for threads in [1, 2] {
+                let pool =
+                    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                pool.install(|| {
+                    let forward = time(&|| drop(convolve(level, &[source], extent, &weight, &bias)));
+                    let back = |inputs, weights| {
+                        time(&|| drop(convolve_vjp(level, &[source], extent, &weight, &bar, Wanted { inputs, weights })))
+                    };
+                    let (by_input, by_weight) = (back(true, false), back(false, true));
+                    eprintln!("{level:?} {threads} threads {inputs} to {outputs} at {side}: forward {forward:.0}, input {by_input:.0}, weight {by_weight:.0} GFLOP/s");
+                });
+            }
+        }
     }
 }

@@ -8,7 +8,7 @@
 use rayon::prelude::*;
 
 use super::convolution::{Strip, correlate_block, strips};
-use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
+use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch, load_pairs, store_pairs};
 use super::strip::{
     Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
 };
@@ -139,14 +139,15 @@ impl Kernel for Forward<'_> {
                         + fine_row)
                         * 2
                         * columns;
-                    let left = &row_products[2 * pair * width..][..columns];
-                    let right = &row_products[(2 * pair + 1) * width..][..columns];
                     // SAFETY: the strip's rows, which no other strip writes.
                     unsafe {
+                        let left = row_products.as_ptr().add(2 * pair * width);
                         let to = self.to.0.add(at);
-                        for (x, (&left, &right)) in left.iter().zip(right).enumerate() {
-                            to.add(2 * x).write(left);
-                            to.add(2 * x + 1).write(right);
+                        let mut x = 0;
+                        while x < columns {
+                            let (even, odd) = (S::load(left.add(x)), S::load(left.add(width + x)));
+                            store_pairs::<S>(to.add(2 * x), columns - x, even, odd);
+                            x += S::LANES;
                         }
                     }
                 }
@@ -253,7 +254,7 @@ impl Kernel for Backward<'_> {
             unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
         let bar_layout = Layout::new(sums.products.len(), rows, columns);
         let bars = bars.get(bar_layout.len());
-        self.separate(&bar_layout, bars, &mut sums.products);
+        unsafe { self.separate::<S>(&bar_layout, bars, &mut sums.products) };
         if self.wanted.inputs {
             let mut weights = self.packed.as_ptr();
             for (start, size) in blocks(inputs, S::BLOCK) {
@@ -344,27 +345,33 @@ impl Kernel for Backward<'_> {
 impl Backward<'_> {
     /// Brings the fine cotangents of the strip into one plane a product, and adds up each product's.
     #[inline(always)]
-    fn separate(&self, layout: &Layout, bars: &mut [f32], totals: &mut [f32]) {
+    unsafe fn separate<S: Simd>(&self, layout: &Layout, bars: &mut [f32], totals: &mut [f32]) {
         let Strip { image, first, rows } = self.strip;
         let (columns, channels) = (self.extent.columns, totals.len() / TAPS);
-        for product in 0..totals.len() {
-            let (channel, fine_row, fine_column) =
-                (product / TAPS, product % TAPS / 2, product % 2);
-            for row in 0..rows {
-                let y = 2 * (first + row) + fine_row;
-                let from = ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
-                let from = &self.output_bar[from..][..2 * columns];
-                let at = layout.at(product, row);
-                let (to, rest) = bars[at..at + layout.row_stride].split_at_mut(columns);
-                for (to, from) in to.iter_mut().zip(from.chunks_exact(2)) {
-                    *to = from[fine_column];
+        assert!(bars.len() >= layout.len());
+        for pair in 0..totals.len() / 2 {
+            let (channel, fine_row) = (pair / 2, pair % 2);
+            // SAFETY: two columns of the finer picture for each of this one's; rows of the layout, which fits.
+            unsafe {
+                let (mut left, mut right) = (S::zero(), S::zero());
+                for row in 0..rows {
+                    let y = 2 * (first + row) + fine_row;
+                    let from =
+                        ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
+                    let from = self.output_bar[from..][..2 * columns].as_ptr();
+                    let to = bars.as_mut_ptr();
+                    let mut x = 0;
+                    while x < columns {
+                        let (even, odd) = load_pairs::<S>(from.add(2 * x), columns - x);
+                        S::store(to.add(layout.at(2 * pair, row) + x), even);
+                        S::store(to.add(layout.at(2 * pair + 1, row) + x), odd);
+                        left = S::add(left, even);
+                        right = S::add(right, odd);
+                        x += S::LANES;
+                    }
                 }
-                rest.fill(0.0);
-                let mut sums = [0.0f32; 16];
-                for (i, v) in to.iter().enumerate() {
-                    sums[i % 16] += v;
-                }
-                totals[product] += sums.iter().sum::<f32>();
+                totals[2 * pair] += S::sum(left);
+                totals[2 * pair + 1] += S::sum(right);
             }
         }
     }
