@@ -8,7 +8,7 @@ use ndarray::{Array4, Axis};
 
 use super::chain::{Patch, forward, forward_vjp};
 use super::constraint::Constraints;
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::imaging::render::RenderPlan;
 use crate::imaging::simulate::Electronics;
 use crate::lens::variables::Variables;

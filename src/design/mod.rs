@@ -8,3 +8,4 @@ pub mod chain;
 pub mod constraint;
 pub mod data;
 pub mod joint;
+pub mod run;
