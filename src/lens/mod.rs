@@ -9,6 +9,7 @@ pub mod glass;
 pub mod gradient;
 pub mod paraxial;
 pub mod prescription;
+pub mod seidel;
 pub mod shape;
 pub mod variables;
 

@@ -1,1 +1,16 @@
-//! (empty)
+//! Results a person looks at: text, tables, drawings, plots, pages. Plain data in, text or pixels out; no physics.
+//!
+//! [`listing`] prints a prescription with its first-order data, [`table`] aligns it. [`drawing`] and [`plot`] make SVG
+//! that is readable on light and dark pages, [`atlas`] makes one picture of many kernels, [`html`] binds all of it into
+//! one self-contained page, and [`demo`] is the page of the demonstration. [`field`] picks the places along the field
+//! that the others show.
+
+pub mod atlas;
+pub mod demo;
+pub mod drawing;
+pub mod field;
+pub mod html;
+pub mod listing;
+pub mod plot;
+pub mod svg;
+pub mod table;

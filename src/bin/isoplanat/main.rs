@@ -1,2 +1,73 @@
-//! `isoplanat`.
-fn main() {}
+//! `isoplanat`: reads the command line, runs one command, turns its error into one line and an exit code.
+//!
+//! 0 done, 1 a check failed or an internal error, 2 bad input, 130 interrupted. Results go to stdout, everything else to
+//! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
+//! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
+
+mod input;
+mod inspect;
+#[cfg(any(test, not(feature = "train")))]
+mod missing;
+mod output;
+mod psf;
+mod trace;
+
+use std::io::{BufWriter, ErrorKind, Write};
+use std::process::ExitCode;
+
+use clap::Parser;
+use isoplanat::Error;
+
+/// Designs a camera lens and its reconstruction network together, and runs the result on real captures.
+#[derive(Parser)]
+#[command(version, arg_required_else_help = true)]
+struct Cli {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(clap::Subcommand)]
+enum Command {
+    /// First-order data, aberration sums and surfaces of a lens
+    Inspect(inspect::Args),
+    /// Exact rays through every surface, as JSON
+    Trace(trace::Args),
+    /// Point spread functions over field, depth and wavelength
+    Psf(psf::Args),
+    /// The whole chain on built-in scenes, with a report (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Demo(missing::Args),
+    /// Joint design of lens and network (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Design(missing::Args),
+    /// The final network for a fixed lens (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Train(missing::Args),
+    /// ONNX model and calibration of a finished run (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Export(missing::Args),
+}
+
+fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
+    match command {
+        Command::Inspect(args) => inspect::run(&args, out),
+        Command::Trace(args) => trace::run(&args, out),
+        Command::Psf(args) => psf::run(&args, out),
+        #[cfg(not(feature = "train"))]
+        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
+    }
+}
+
+fn main() -> ExitCode {
+    let command = Cli::parse().command;
+    let mut out = BufWriter::new(std::io::stdout().lock());
+    let Err(error) = dispatch(command, &mut out).and_then(|()| Ok(out.flush()?)) else {
+        return ExitCode::SUCCESS;
+    };
+    // Whoever reads our output may stop reading: that is no error.
+    if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) {
+        return ExitCode::SUCCESS;
+    }
+    eprintln!("error: {}", format!("{error:#}").replace('\n', " "));
+    ExitCode::from(error.downcast_ref::<Error>().map_or(1, Error::exit_code))
+}

@@ -1,0 +1,34 @@
+//! `isoplanat inspect`: first-order data, aberration sums and surfaces.
+
+use std::io::Write;
+
+use isoplanat::report::listing::Listing;
+
+/// Arguments of `inspect`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (TOML), or the name of a shipped lens such as `cooke_triplet`
+    lens: String,
+    /// Wavelength of the first-order data, nm [default: the lens's primary wavelength]
+    #[arg(long, allow_negative_numbers = true, value_name = "NM")]
+    wavelength_nm: Option<f64>,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command; the result goes to `out`.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let lens = crate::input::lens(&args.lens)?;
+    let nm = args.wavelength_nm.unwrap_or(lens.wavelengths.primary_nm);
+    if !(200.0..=20_000.0).contains(&nm) {
+        return Err(isoplanat::Error::bad("--wavelength-nm", "value", nm.to_string(), "200 to 20000 nm").into());
+    }
+    let listing = Listing::new(&lens, nm);
+    if args.json {
+        writeln!(out, "{:#}", listing.json())?;
+    } else {
+        write!(out, "{listing}")?;
+    }
+    Ok(())
+}

@@ -1,0 +1,43 @@
+//! `isoplanat trace`: exact rays through every surface.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isoplanat::trace::{System, exact};
+
+/// Arguments of `trace`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (TOML), or the name of a shipped lens
+    lens: String,
+    /// Launch rays (JSON, see models/README.md); `-` reads stdin
+    #[arg(long, value_name = "RAYS.json")]
+    rays: PathBuf,
+    /// Stop rays at the clear apertures
+    #[arg(long)]
+    clip: bool,
+    /// Add the derivative of each landing with respect to every number of the lens
+    #[arg(long)]
+    gradient: bool,
+    /// Write here instead of stdout
+    #[arg(short, long)]
+    output: Option<PathBuf>,
+    /// Overwrite the output
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; the result goes to `out` or to the output file.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    if let Some(path) = &args.output {
+        crate::output::check_writable(path, args.force)?;
+    }
+    let lens = crate::input::lens(&args.lens)?;
+    let (text, name) = crate::input::text(&args.rays)?;
+    let request = exact::request_from_json(&text, &name)?;
+    let system = System::new(&lens, request.wavelength_nm);
+    let answer = exact::answer(&system, &request, args.clip, args.gradient);
+    let mut json = serde_json::to_string_pretty(&answer)?;
+    json.push('\n');
+    crate::output::put(&json, args.output.as_deref(), out)
+}

@@ -1,0 +1,214 @@
+//! A prescription and its first-order data, as text and as JSON.
+
+use std::fmt;
+
+use serde_json::{Value, json};
+
+use super::table::{Table, significant};
+use crate::lens::paraxial::{FirstOrder, first_order};
+use crate::lens::seidel::{self, Seidel};
+use crate::lens::{Aperture, Lens, Medium};
+
+/// What `isoplanat inspect` shows.
+#[derive(Clone, Debug)]
+pub struct Listing<'a> {
+    lens: &'a Lens,
+    wavelength_nm: f64,
+    first: FirstOrder,
+    seidel: Vec<Seidel>,
+}
+
+/// Names of the aberration sums, in the order of [`Seidel::to_array`].
+const SUMS: [(&str, &str); 7] = [
+    ("spherical", "S_I"),
+    ("coma", "S_II"),
+    ("astigmatism", "S_III"),
+    ("petzval", "S_IV"),
+    ("distortion", "S_V"),
+    ("axial_colour", "C_I"),
+    ("lateral_colour", "C_II"),
+];
+
+impl<'a> Listing<'a> {
+    /// The listing of `lens` at `wavelength_nm`.
+    pub fn new(lens: &'a Lens, wavelength_nm: f64) -> Self {
+        let (first, seidel) = (first_order(lens, wavelength_nm), seidel::per_surface(lens, wavelength_nm));
+        Self { lens, wavelength_nm, first, seidel }
+    }
+
+    /// Label, JSON key and value (mm unless the key says otherwise) of each first-order number.
+    fn numbers(&self) -> Vec<(&'static str, &'static str, f64)> {
+        let f = &self.first;
+        vec![
+            ("effective focal length", "effective_focal_length_mm", f.effective_focal_length),
+            ("back focal length", "back_focal_length_mm", f.back_focal_length),
+            ("f-number", "f_number", f.f_number),
+            ("entrance pupil from first vertex", "entrance_pupil_position_mm", f.entrance_pupil_position),
+            ("entrance pupil diameter", "entrance_pupil_diameter_mm", f.entrance_pupil_diameter),
+            ("exit pupil from last vertex", "exit_pupil_position_mm", f.exit_pupil_position),
+            ("paraxial image from last vertex", "paraxial_image_distance_mm", f.paraxial_image_distance),
+            ("sensor from last vertex", "sensor_distance_mm", self.lens.surfaces.last().map_or(0.0, |s| s.thickness)),
+            ("stop semi-diameter", "stop_semi_diameter_mm", f.stop_semi_diameter),
+            ("length, first vertex to sensor", "length_mm", self.lens.length()),
+            ("object distance", "object_distance_mm", 1.0 / self.lens.object_vergence),
+            ("largest half field angle", "max_field_deg", self.lens.max_field_deg),
+        ]
+    }
+
+    /// The same as one JSON object; numbers that are not finite are `null`.
+    pub fn json(&self) -> Value {
+        let lens = self.lens;
+        let mut object = json!({
+            "schema": 1,
+            "name": lens.name,
+            "source": lens.source,
+            "sha256": lens.sha256(),
+            "wavelength_nm": self.wavelength_nm,
+            "wavelengths_nm": lens.wavelengths.nm,
+            "stop_surface": lens.stop,
+            "sensor": {
+                "columns": lens.sensor.columns,
+                "rows": lens.sensor.rows,
+                "pitch_um": lens.sensor.pitch_um,
+                "axis_px": lens.sensor.axis_px,
+            },
+            "surfaces": (0..lens.surfaces.len()).map(|i| self.surface_json(i)).collect::<Vec<_>>(),
+            "seidel_mm": sums_json(seidel::total(&self.seidel)),
+        });
+        for (_, key, value) in self.numbers() {
+            object[key] = json!(value);
+        }
+        object
+    }
+
+    fn surface_json(&self, i: usize) -> Value {
+        let s = &self.lens.surfaces[i];
+        json!({
+            "curvature_per_mm": s.shape.curvature,
+            "radius_mm": 1.0 / s.shape.curvature,
+            "conic": s.shape.conic,
+            "asphere": s.shape.asphere,
+            "thickness_mm": s.thickness,
+            "medium": medium_name(&s.medium),
+            "index": s.medium.index(self.wavelength_nm),
+            "semi_diameter_mm": s.semi_diameter,
+            "stop": i == self.lens.stop,
+            "seidel_mm": sums_json(self.seidel[i]),
+        })
+    }
+
+    /// Surfaces, one a row, counted from 0.
+    pub fn surface_table(&self) -> Table {
+        let mut table =
+            Table::new(["surface", "radius/mm", "thickness/mm", "medium", "index", "semi-diameter/mm", "form"]);
+        for (i, s) in self.lens.surfaces.iter().enumerate() {
+            let mut form = Vec::new();
+            if i == self.lens.stop {
+                form.push("stop".to_owned());
+            }
+            if s.shape.conic != 0.0 {
+                form.push(format!("conic {}", significant(s.shape.conic, 6)));
+            }
+            let terms = s.shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0);
+            form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 2, significant(*a, 5))));
+            table.row([
+                i.to_string(),
+                significant(1.0 / s.shape.curvature, 7),
+                significant(s.thickness, 7),
+                medium_name(&s.medium),
+                format!("{:.6}", s.medium.index(self.wavelength_nm)),
+                significant(s.semi_diameter, 5),
+                form.join(", "),
+            ]);
+        }
+        table
+    }
+
+    /// Aberration sums of each surface and, last, of the lens, µm.
+    pub fn seidel_table(&self) -> Table {
+        let mut table = Table::new(std::iter::once("surface").chain(SUMS.iter().map(|(_, s)| *s)));
+        let cells = |s: Seidel| s.to_array().map(|v| format!("{:.3}", v * 1e3 + 0.0));
+        for (i, s) in self.seidel.iter().enumerate() {
+            table.row(std::iter::once(i.to_string()).chain(cells(*s)));
+        }
+        table.row(std::iter::once("sum".to_owned()).chain(cells(seidel::total(&self.seidel))));
+        table
+    }
+
+    /// First-order numbers, one a row.
+    pub fn first_order_table(&self) -> Table {
+        let mut table = Table::new(["first-order data", "value", "unit"]);
+        for (label, key, value) in self.numbers() {
+            let unit = ["mm", "deg"].into_iter().find(|u| key.ends_with(&format!("_{u}"))).unwrap_or("");
+            table.row([label.to_owned(), significant(value, 8), unit.to_owned()]);
+        }
+        table
+    }
+}
+
+impl fmt::Display for Listing<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let lens = self.lens;
+        writeln!(f, "{}\n{}\n", lens.name, lens.source)?;
+        let nm: Vec<String> = lens.wavelengths.nm.iter().map(|x| significant(*x, 7)).collect();
+        writeln!(f, "wavelengths {} nm; data at {} nm", nm.join(", "), significant(self.wavelength_nm, 7))?;
+        let aperture = match lens.aperture {
+            Aperture::EntrancePupilDiameter(d) => {
+                format!("entrance pupil diameter {} mm", significant(d, 6))
+            }
+            Aperture::FNumber(n) => format!("f/{}", significant(n, 6)),
+            Aperture::StopSemiDiameter(r) => format!("stop semi-diameter {} mm", significant(r, 6)),
+        };
+        let s = &lens.sensor;
+        writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
+        writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
+        write!(f, "third-order sums at full aperture and field, µm\n{}", self.seidel_table())
+    }
+}
+
+fn sums_json(sums: Seidel) -> Value {
+    SUMS.iter()
+        .zip(sums.to_array())
+        .map(|((key, _), v)| ((*key).to_owned(), json!(v)))
+        .collect::<serde_json::Map<_, _>>()
+        .into()
+}
+
+/// A medium in one short text.
+pub fn medium_name(medium: &Medium) -> String {
+    match medium {
+        Medium::Air => "air".into(),
+        Medium::Cauchy { n_d, v_d } => format!("n_d {n_d}, v_d {v_d}"),
+        Medium::Sellmeier { name, .. } => name.clone(),
+        Medium::Table { index, .. } => format!("table of {}", index.len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+
+    /// The design's figures of the two-element start appear in both forms.
+    #[test]
+    fn text_and_json_hold_the_first_order_data() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let listing = Listing::new(&lens, 587.5618);
+        let json = listing.json();
+        for (key, value, tol) in [
+            ("effective_focal_length_mm", 49.999, 2e-3),
+            ("back_focal_length_mm", 29.012, 2e-3),
+            ("f_number", 4.0, 1e-3),
+            ("entrance_pupil_position_mm", 14.32, 5e-3),
+            ("paraxial_image_distance_mm", 31.605, 2e-3),
+        ] {
+            assert!((json[key].as_f64().expect(key) - value).abs() < tol, "{key}: {}", json[key]);
+        }
+        assert_eq!(json["surfaces"].as_array().expect("list").len(), 5);
+        assert!(json["surfaces"][2]["stop"].as_bool().expect("stop") && json["surfaces"][2]["radius_mm"].is_null());
+        let text = listing.to_string();
+        for expected in ["49.999", "stop", "S_III", "n_d 1.4914, v_d 57.4", "4096 × 512"] {
+            assert!(text.contains(expected), "{expected} in\n{text}");
+        }
+    }
+}

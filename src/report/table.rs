@@ -1,0 +1,101 @@
+//! Tables: aligned text for terminals, rows for pages.
+
+use std::fmt;
+
+/// A table of text cells; every row has as many cells as the heading.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Table {
+    /// Heading of each column.
+    pub heading: Vec<String>,
+    /// Cells, row by row.
+    pub rows: Vec<Vec<String>>,
+}
+
+impl Table {
+    /// A table with this heading and no rows.
+    pub fn new<S: Into<String>>(heading: impl IntoIterator<Item = S>) -> Self {
+        Self { heading: heading.into_iter().map(Into::into).collect(), rows: Vec::new() }
+    }
+
+    /// Adds one row; missing cells stay empty, surplus ones are dropped.
+    pub fn row<S: Into<String>>(&mut self, cells: impl IntoIterator<Item = S>) -> &mut Self {
+        let mut cells: Vec<String> = cells.into_iter().map(Into::into).collect();
+        cells.resize(self.heading.len(), String::new());
+        self.rows.push(cells);
+        self
+    }
+
+    /// Whether every filled cell of column `index` starts like a number, so that it is set to the right.
+    pub fn is_numeric(&self, index: usize) -> bool {
+        let numeric =
+            |c: &str| c == "inf" || c == "–" || c.starts_with(|f: char| f.is_ascii_digit() || "+-−.".contains(f));
+        let mut filled = self.rows.iter().map(|r| r[index].as_str()).filter(|c| !c.is_empty()).peekable();
+        filled.peek().is_some() && filled.all(numeric)
+    }
+}
+
+impl fmt::Display for Table {
+    /// Columns two spaces apart, numbers to the right, texts to the left, no blanks at line ends.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let width = |i: usize| {
+            std::iter::once(&self.heading).chain(&self.rows).map(|r| r[i].chars().count()).max().unwrap_or(0)
+        };
+        let columns: Vec<(usize, bool)> = (0..self.heading.len()).map(|i| (width(i), self.is_numeric(i))).collect();
+        for row in std::iter::once(&self.heading).chain(&self.rows) {
+            let cells = row.iter().zip(&columns).map(|(cell, (width, numeric))| {
+                if *numeric { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
+            });
+            writeln!(f, "{}", cells.collect::<Vec<_>>().join("  ").trim_end())?;
+        }
+        Ok(())
+    }
+}
+
+/// A number with `digits` significant digits, without needless zeros; `inf` where it is infinite.
+pub fn significant(value: f64, digits: usize) -> String {
+    if !value.is_finite() || value == 0.0 {
+        return if value.is_nan() { "nan".into() } else { format!("{value}") };
+    }
+    #[expect(clippy::cast_possible_truncation, reason = "an exponent of f64")]
+    let exponent = value.abs().log10().floor() as i32;
+    let digits = digits.max(1);
+    if (-4..7).contains(&exponent) {
+        let places = usize::try_from(i32::try_from(digits).unwrap_or(17) - 1 - exponent).unwrap_or(0);
+        let text = format!("{value:.places$}");
+        return if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text };
+    }
+    let text = format!("{value:.*e}", digits - 1);
+    let (mantissa, exponent) = text.split_once('e').unwrap_or((&text, "0"));
+    let mantissa = if mantissa.contains('.') { mantissa.trim_end_matches('0').trim_end_matches('.') } else { mantissa };
+    format!("{mantissa}e{exponent}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_line_up() {
+        let mut table = Table::new(["name", "value"]);
+        table.row(["a", "1.5"]).row(["longer µ", "-10"]).row(["b"]);
+        assert_eq!(table.to_string(), "name      value\na           1.5\nlonger µ    -10\nb\n");
+    }
+
+    #[test]
+    fn numbers_keep_their_significant_digits() {
+        let cases = [
+            (50.021_350_7, 6, "50.0214"),
+            (0.0, 3, "0"),
+            (-1.0, 4, "-1"),
+            (1.29e-5, 4, "1.29e-5"),
+            (123_456.0, 3, "123456"),
+            (f64::INFINITY, 3, "inf"),
+            (0.001_234_5, 3, "0.00123"),
+            (1e9, 3, "1e9"),
+            (100.0, 2, "100"),
+        ];
+        for (value, digits, text) in cases {
+            assert_eq!(significant(value, digits), text);
+        }
+    }
+}

@@ -1,0 +1,156 @@
+//! Single adjoints of the trace, each against central differences of its own forward function.
+
+use glam::{DVec2, DVec3};
+use isoplanat::imaging::distortion::Distortion;
+use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
+use isoplanat::testing::{assert_rel, between, central_difference};
+use isoplanat::trace::aim::{ParaxialPupil, aim, aim_vjp};
+use isoplanat::trace::intersect::{intersect, intersect_vjp};
+use isoplanat::trace::launch::{launch, launch_vjp};
+use isoplanat::trace::refract::{refract, refract_vjp};
+use isoplanat::trace::system::TraceSurface;
+use isoplanat::trace::{FieldPoint, System, SystemGradient};
+
+fn vector(rng: &mut fastrand::Rng, size: f64) -> DVec3 {
+    DVec3::new(between(rng, -size, size), between(rng, -size, size), between(rng, -size, size))
+}
+
+/// Normal incidence included: seed 0 has direction and normal on the axis.
+#[test]
+fn refract_vjp_agrees_with_differences() {
+    for seed in 0..100 {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let tilt = if seed == 0 { 0.0 } else { 0.3 };
+        let direction = (DVec3::Z + vector(rng, tilt)).normalize();
+        let normal = -(DVec3::Z + vector(rng, tilt)).normalize();
+        let mu = between(rng, 0.6, 1.2);
+        let (bar, d_dot, n_dot, mu_dot) =
+            (vector(rng, 1.0), vector(rng, 1.0), vector(rng, 1.0), between(rng, -1.0, 1.0));
+        let (d_bar, n_bar, mu_bar) = refract_vjp(direction, normal, mu, bar);
+        // The function itself takes any vectors, so the differences need no sphere.
+        let f = |h: f64| refract(direction + h * d_dot, normal + h * n_dot, mu + h * mu_dot).expect("passes").dot(bar);
+        let pulled = d_bar.dot(d_dot) + n_bar.dot(n_dot) + mu_bar * mu_dot;
+        assert_rel(pulled, central_difference(f, 1e-4), 1e-9, 0.1, &format!("seed {seed}"));
+    }
+}
+
+#[test]
+fn launch_vjp_agrees_with_differences() {
+    for seed in 0..50 {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let mut two = |size: f64| DVec2::new(between(rng, -size, size), between(rng, -size, size));
+        let (slope, e, slope_dot, e_dot) = (two(0.6), two(5.0), two(1.0), two(1.0));
+        let field = |h: f64| FieldPoint { slope: slope + h * slope_dot, vergence: 2e-3 };
+        let (o_bar, d_bar) = (vector(rng, 1.0), vector(rng, 1.0));
+        let f = |h: f64| {
+            let ray = launch(field(h), e + h * e_dot);
+            ray.origin.dot(o_bar) + ray.direction.dot(d_bar)
+        };
+        let (e_bar, slope_bar) = launch_vjp(field(0.0), launch(field(0.0), e), o_bar, d_bar);
+        let pulled = e_bar.dot(e_dot) + slope_bar.dot(slope_dot);
+        assert_rel(pulled, central_difference(f, 1e-4), 1e-9, 0.1, &format!("seed {seed}"));
+    }
+}
+
+/// Point and path length at the root, with respect to the ray and to the surface's shape, from planes to aspheres.
+#[test]
+fn intersect_vjp_agrees_with_differences() {
+    for seed in 0..100 {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let shape = Shape {
+            curvature: if seed == 0 { 0.0 } else { between(rng, -0.04, 0.04) },
+            conic: between(rng, -2.0, 0.5),
+            asphere: if seed % 2 == 0 { vec![] } else { vec![between(rng, -1e-3, 1e-3), between(rng, -2e-6, 2e-6)] },
+        };
+        let shape_dot = Shape {
+            curvature: between(rng, -0.01, 0.01),
+            conic: between(rng, -0.5, 0.5),
+            asphere: shape.asphere.iter().map(|_| between(rng, -1e-5, 1e-5)).collect(),
+        };
+        let surface = |h: f64| TraceSurface {
+            shape: Shape {
+                curvature: shape.curvature + h * shape_dot.curvature,
+                conic: shape.conic + h * shape_dot.conic,
+                asphere: shape.asphere.iter().zip(&shape_dot.asphere).map(|(a, b)| a + h * b).collect(),
+            },
+            distance: 0.0,
+            index_before: 1.0,
+            index_after: 1.5,
+            semi_diameter: 12.0,
+            aspheric: !shape.asphere.is_empty(),
+        };
+        let origin = DVec3::new(between(rng, -6.0, 6.0), between(rng, -6.0, 6.0), between(rng, -9.0, -3.0));
+        let direction = (DVec3::Z + vector(rng, 0.25)).normalize();
+        // Directions stay unit vectors: the exact conic root counts on it.
+        let (o_dot, turn) = (vector(rng, 1.0), vector(rng, 0.2));
+        let d_dot = turn - direction * direction.dot(turn);
+        let (bar, t_bar) = (vector(rng, 1.0), between(rng, -1.0, 1.0));
+        let f = |h: f64| {
+            let hit = intersect(&surface(h), origin + h * o_dot, (direction + h * d_dot).normalize()).expect("meets");
+            hit.point.dot(bar) + t_bar * hit.t
+        };
+        let hit = intersect(&surface(0.0), origin, direction).expect("meets");
+        let back = intersect_vjp(&hit, direction, bar, t_bar);
+        let mut shape_bar = shape.zeros_like();
+        shape.sag_vjp(hit.point.truncate().length_squared(), &hit.sag, back.sag, 0.0, &mut shape_bar);
+        let pulled = back.origin.dot(o_dot)
+            + back.direction.dot(d_dot)
+            + shape_bar.curvature * shape_dot.curvature
+            + shape_bar.conic * shape_dot.conic
+            + shape_bar.asphere.iter().zip(&shape_dot.asphere).map(|(a, b)| a * b).sum::<f64>();
+        assert_rel(pulled, central_difference(f, 1e-3), 1e-7, 0.1, &format!("seed {seed}"));
+    }
+}
+
+/// The aimed point with respect to every number of the lens, the slope and the target in the stop.
+#[test]
+fn aim_vjp_agrees_with_differences() {
+    for name in ["two_element", "phone"] {
+        let lens = builtin::lens(name).expect("shipped");
+        let nm = lens.wavelengths.primary_nm;
+        let (slope, target) = (DVec2::new(0.02, 0.3), DVec2::new(0.3, -0.4));
+        // A stop of fixed size: aiming alone, not the size that goes with the aperture's statement.
+        let aimed = |lens: &Lens, slope: DVec2, target: DVec2| {
+            let field = FieldPoint { slope, vergence: lens.object_vergence };
+            let mut hits = Vec::new();
+            let e =
+                aim(&System::new(lens, nm), ParaxialPupil::new(lens), field, target, None, &mut hits).expect("aims");
+            (e, hits)
+        };
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let bar = DVec2::new(0.7, -1.3);
+        let (e, hits) = aimed(&lens, slope, target);
+        let system = System::new(&lens, nm);
+        let mut out = SystemGradient::zeros(&system);
+        let field = FieldPoint { slope, vergence: lens.object_vergence };
+        let back = aim_vjp(&system, field, e, &hits, bar, &mut out);
+        let mut gradient = LensGradient::zeros(&lens);
+        out.add_to(&lens, nm, &mut gradient);
+        let variables = Variables::all(&lens);
+        let x = variables.values(&lens);
+        let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
+        let (slope_dot, target_dot) = (DVec2::new(0.4, -0.2), DVec2::new(0.5, 0.8));
+        let pulled = variables.gradient(&gradient).iter().zip(&dx).map(|(a, b)| a * b).sum::<f64>()
+            + back.slope.dot(slope_dot)
+            + back.target.dot(target_dot);
+        let f = |h: f64| {
+            let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+            aimed(&variables.lens(&lens, &moved), slope + h * slope_dot, target + h * target_dot).0.dot(bar)
+        };
+        assert_rel(pulled, central_difference(f, 1e-4), 1e-7, 1e-2, name);
+    }
+}
+
+/// Inside the fitted range and on its linear continuation.
+#[test]
+fn slope_from_sensor_vjp_agrees_with_differences() {
+    let b = [25.0, -2.5, 0.3, -0.1];
+    let model = |b: [f64; 4]| Distortion { max_slope: 0.5, coefficients_mm: b, residual_mm: 0.0 };
+    let b_dot = [0.3, -0.7, 0.2, 0.5];
+    for r_d in [0.0, 3.0, 15.0, 22.0, 23.5, 30.0] {
+        let back = model(b).slope_from_sensor_vjp(r_d, 1.7);
+        let pulled: f64 = back.iter().zip(&b_dot).map(|(a, d)| a * d).sum();
+        let f = |h: f64| 1.7 * model(std::array::from_fn(|j| b[j] + h * b_dot[j])).slope_from_sensor(r_d);
+        assert_rel(pulled, central_difference(f, 1e-3), 1e-8, 1e-2, &format!("{r_d} mm"));
+    }
+}

@@ -1,0 +1,180 @@
+//! Every command of the program on good and on bad input: exit codes, one-line errors, nothing half-written.
+
+use serde_json::{Value, json};
+
+use crate::support::{Workplace, root};
+
+const LENS: &str = include_str!("../../models/lenses/two_element.toml");
+
+fn read_json(text: &str) -> Value {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
+#[test]
+fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
+    let place = Workplace::new();
+    let help = place.run("--help").done();
+    for command in ["inspect", "trace", "psf"] {
+        assert!(help.contains(command), "{help}");
+        assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
+    }
+    assert!(place.run("--version").done().starts_with("isoplanat "));
+    assert_eq!(place.run("frobnicate").code, 2);
+    assert_eq!(place.run("inspect").code, 2);
+    assert_eq!(place.run("inspect cooke_triplet --frobnicate").code, 2);
+}
+
+/// The published focal length of a shipped lens and of the same lens as a file.
+#[test]
+fn inspect_reports_first_order_data() {
+    let place = Workplace::new();
+    for lens in ["cooke_triplet".to_owned(), root().join("models/lenses/cooke_triplet.toml").display().to_string()] {
+        let json = read_json(&place.run(&format!("inspect {lens} --json")).done());
+        assert!((json["effective_focal_length_mm"].as_f64().expect("number") - 50.021_350_719_4).abs() < 1e-6);
+        assert!((json["back_focal_length_mm"].as_f64().expect("number") - 42.436_440_197_5).abs() < 1e-6);
+        assert!((json["f_number"].as_f64().expect("number") - 5.002_135_07).abs() < 1e-6);
+        assert_eq!(json["surfaces"].as_array().expect("list").len(), 6);
+    }
+    let text = place.run("inspect double_gauss").done();
+    assert!(text.contains("effective focal length") && text.contains("S_IV"), "{text}");
+}
+
+#[test]
+fn every_shipped_lens_can_be_inspected() {
+    let place = Workplace::new();
+    for (name, _) in isoplanat::lens::builtin::LENSES {
+        assert_eq!(read_json(&place.run(&format!("inspect {name} --json")).done())["schema"], json!(1), "{name}");
+    }
+}
+
+/// The form other programs rely on: one entry per surface and the image plane, from a file or from stdin.
+#[test]
+fn trace_answers_in_the_documented_form() {
+    let place = Workplace::new();
+    let rays = r#"{"wavelength_nm": 587.5618, "rays": [
+        {"origin_mm": [0.0, 0.0, -5.0], "direction": [0.0, 0.0, 2.0]},
+        {"origin_mm": [0.0, 9.9, -5.0], "direction": [0.0, 0.0, 1.0]},
+        {"origin_mm": [0.0, 90.0, -5.0], "direction": [0.0, 0.0, 1.0]}]}"#;
+    place.write("rays.json", rays);
+    let answer = read_json(&place.run("trace cooke_triplet --rays rays.json").done());
+    let axial = &answer["rays"][0];
+    assert_eq!(axial["status"], "ok");
+    assert_eq!(axial["surfaces"].as_array().expect("list").len(), 7);
+    assert_eq!(axial["surfaces"][6]["position_mm"], json!([0.0, 0.0, 0.0]));
+    assert_eq!(axial["surfaces"][6]["direction"], json!([0.0, 0.0, 1.0]));
+    assert_eq!(axial["surfaces"][0]["optical_path_mm"], json!(5.0));
+    assert_eq!(answer["rays"][2]["status"], "missed");
+    assert_eq!(answer["rays"][2]["surface"], json!(0));
+    // Clear apertures count on request only.
+    let clipped = read_json(&place.run_with_input("trace cooke_triplet --clip --gradient --rays -", rays).done());
+    assert_eq!(clipped["rays"][1]["status"], "vignetted");
+    assert!(clipped["rays"][1]["gradient"].is_null());
+    let gradient = clipped["rays"][0]["gradient"].as_array().expect("list");
+    let names: Vec<&str> = gradient.iter().map(|g| g["parameter"].as_str().expect("name")).collect();
+    for name in ["surface[0].curvature", "surface[5].thickness", "surface[2].index", "surface[1].conic"] {
+        assert!(names.contains(&name), "{name} in {names:?}");
+    }
+    place.run("trace cooke_triplet --rays rays.json -o out.json").done();
+    let text = std::fs::read_to_string(place.path("out.json")).expect("written");
+    assert_eq!(read_json(&text), answer);
+}
+
+#[test]
+fn psf_writes_kernels_and_a_picture_and_overwrites_only_with_force() {
+    let place = Workplace::new();
+    let command =
+        "psf three_element -o k.npz --png k.png --depth-mm 700,inf --fields 2 --size 21 --pitch-um 12 --rays 200";
+    let text = place.run(command).done();
+    assert!(text.contains("21 × 21 pixels of 12 µm"), "{text}");
+    assert_eq!(place.files(), ["k.npz", "k.png"]);
+    let mut npz = ndarray_npy::NpzReader::new(std::fs::File::open(place.path("k.npz")).expect("opens")).expect("npz");
+    let kernels: ndarray::Array5<f32> = npz.by_name("kernels").expect("kernels");
+    assert_eq!(kernels.shape(), [2, 2, 3, 21, 21]);
+    let depth: ndarray::Array1<f64> = npz.by_name("depth_mm").expect("depths");
+    assert_eq!(depth.to_vec(), [700.0, f64::INFINITY]);
+    let outside: ndarray::Array3<f64> = npz.by_name("outside").expect("outside");
+    for d in 0..2 {
+        let sum: f64 = kernels.slice(ndarray::s![d, 0, 1, .., ..]).iter().map(|v| f64::from(*v)).sum();
+        assert!((sum + outside[[d, 0, 1]] - 1.0).abs() < 1e-5);
+    }
+    let before = std::fs::metadata(place.path("k.npz")).expect("there").modified().expect("time");
+    place.run(command).refused(&["k.npz", "--force"]);
+    assert_eq!(std::fs::metadata(place.path("k.npz")).expect("there").modified().expect("time"), before);
+    place.run(&format!("{command} --force")).done();
+    assert_eq!(place.files(), ["k.npz", "k.png"]);
+}
+
+/// File, place, value and what is allowed, in one line; nothing is written.
+#[test]
+fn bad_lenses_are_refused_by_file_place_and_value() {
+    let cases = [
+        ("radius_mm = 18.5", "radius_mm = 18.5\ncolour = 3", vec!["line", "colour"]),
+        ("thickness_mm = 8.0", "thickness = 8.0", vec!["line", "thickness"]),
+        ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", vec!["surface 0", "semi_diameter_mm", "19", "18.5"]),
+        ("thickness_mm = 8.0", "thickness_mm = 0.1", vec!["surfaces 0 and 1", "cross"]),
+        ("radius_mm = 18.5", "radius_mm = 0.0", vec!["surface 0", "radius_mm", "0"]),
+        ("schema = 1", "schema = 9", vec!["schema", "9"]),
+        ("schema = 1", "schema = ", vec!["line"]),
+        ("\"air\"", "\"N-BK8\"", vec!["surface 1", "N-BK8"]),
+    ];
+    for (from, to, mut expected) in cases {
+        let place = Workplace::new();
+        assert!(LENS.contains(from));
+        place.write("bad.toml", LENS.replacen(from, to, 1)).write("rays.json", "{}");
+        expected.push("bad.toml");
+        place.run("inspect bad.toml").refused(&expected);
+        place.run("psf bad.toml -o out.npz").refused(&expected);
+        place.run("trace bad.toml --rays rays.json -o out.json").refused(&expected);
+        assert_eq!(place.files(), ["bad.toml", "rays.json"], "nothing is written");
+    }
+}
+
+#[test]
+fn unreadable_and_unwritable_files_are_named() {
+    let place = Workplace::new();
+    place.write("bytes.toml", [0xff, 0xfe, 0x00, 0x80]).write("rays.json", "{\"wavelength_nm\": 550}");
+    place.run("inspect none.toml").refused(&["none.toml"]);
+    place.run("inspect no_such_lens").refused(&["no_such_lens", "cooke_triplet"]);
+    place.run("inspect bytes.toml").refused(&["bytes.toml"]);
+    place.run("inspect .").refused(&["."]);
+    place.run("trace cooke_triplet --rays rays.json").refused(&["rays.json", "line 1", "rays"]);
+    place.run("trace cooke_triplet --rays none.json").refused(&["none.json"]);
+    let bad = r#"{"wavelength_nm": 587.5618, "rays": [{"origin_mm": [0, 0, 0], "direction": [0, 0, 0]}]}"#;
+    place.run_with_input("trace cooke_triplet --rays -", bad).refused(&["<stdin>", "rays[0]", "direction"]);
+    place.run("psf cooke_triplet -o none/k.npz").refused(&["none/k.npz"]);
+    place.run("psf cooke_triplet -o k.npz --size 20").refused(&["--size", "20", "odd"]);
+    place.run("psf cooke_triplet -o k.npz --depth-mm -5").refused(&["--depth-mm"]);
+    place.run("psf cooke_triplet -o k.npz --depth-mm 5,0").refused(&["--depth-mm", "0"]);
+    place.run("psf cooke_triplet -o k.npz --wavelength-nm 5").refused(&["--wavelength-nm", "5"]);
+    assert_eq!(place.files(), ["bytes.toml", "rays.json"]);
+}
+
+/// A field the lens cannot image is bad input, not a fault of the program.
+#[test]
+fn a_lens_that_cannot_image_its_field_is_refused() {
+    let place = Workplace::new();
+    place.write("wide.toml", LENS.replacen("max_angle_deg = 30.0", "max_angle_deg = 85.0", 1));
+    place.run("psf wide.toml -o k.npz").refused(&["wide.toml", "surface"]);
+    assert_eq!(place.files(), ["wide.toml"]);
+}
+
+/// Whoever reads our output may stop reading.
+#[test]
+fn a_closed_pipe_is_no_error() {
+    let place = Workplace::new();
+    let mut command = place.command("inspect phone --json");
+    let mut child =
+        command.stdout(std::process::Stdio::piped()).stderr(std::process::Stdio::piped()).spawn().expect("starts");
+    drop(child.stdout.take());
+    let output = child.wait_with_output().expect("ends");
+    assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
+}
+
+#[cfg(not(feature = "train"))]
+#[test]
+fn commands_of_a_missing_feature_say_how_to_get_it() {
+    let place = Workplace::new();
+    for command in ["demo --quick", "design task.toml -o run", "train task.toml -o run", "export run -o kit"] {
+        place.run(command).refused(&["this build lacks the feature `train`; build with --features train"]);
+    }
+}

@@ -1,0 +1,250 @@
+//! The order of the modules, the places of the heavy crates, a test for every adjoint, the length of files.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use crate::support::root;
+
+/// Modules in the order of the light; each uses only those before it.
+const ORDER: [&str; 12] =
+    ["error", "units", "testing", "math", "lens", "trace", "psf", "imaging", "report", "network", "design", "deploy"];
+
+/// Crates, and the only places that may name them.
+const CRATES: [(&[&str], &[&str]); 5] = [
+    (&["burn", "onnx_rs"], &["src/network/", "src/design/"]),
+    (&["ort", "tract_onnx"], &["src/deploy/session"]),
+    (&["rawler"], &["src/deploy/raw"]),
+    (&["image"], &["src/imaging/files.rs"]),
+    (&["tiff"], &["src/imaging/files.rs", "src/imaging/dng.rs"]),
+];
+
+/// Files over 600 lines, each with its reason.
+const LONG: [(&str, &str); 0] = [];
+
+/// Adjoints without a test that names them, each with its reason.
+const UNTESTED: [(&str, &str); 0] = [];
+
+/// Every source file: path from the root, text.
+fn sources(folder: &str) -> BTreeMap<String, String> {
+    fn walk(folder: &Path, found: &mut BTreeMap<String, String>) {
+        for entry in std::fs::read_dir(folder).expect("lists") {
+            let path = entry.expect("entry").path();
+            if path.is_dir() {
+                walk(&path, found);
+            } else if path.extension().is_some_and(|e| e == "rs") {
+                let name = path.strip_prefix(root()).expect("inside").to_string_lossy().replace('\\', "/");
+                found.insert(name, std::fs::read_to_string(&path).expect("readable"));
+            }
+        }
+    }
+    let mut found = BTreeMap::new();
+    walk(&root().join(folder), &mut found);
+    found
+}
+
+/// Source without comments and without the contents of strings, line by line as it was.
+fn code(text: &str) -> String {
+    let (mut out, mut chars) = (String::new(), text.chars().peekable());
+    while let Some(c) = chars.next() {
+        match (c, chars.peek()) {
+            ('/', Some('/')) => {
+                for c in chars.by_ref() {
+                    if c == '\n' {
+                        out.push('\n');
+                        break;
+                    }
+                }
+            }
+            ('"', _) => {
+                // Raw strings end at their own hashes.
+                let hashes = out.chars().rev().take_while(|c| *c == '#').count();
+                let raw = out[..out.len() - hashes].ends_with('r');
+                let end = format!("\"{}", "#".repeat(if raw { hashes } else { 0 }));
+                let (mut inside, mut escaped) = (String::new(), false);
+                for c in chars.by_ref() {
+                    inside.push(c);
+                    if inside.ends_with(&end) && !escaped {
+                        break;
+                    }
+                    escaped = !raw && c == '\\' && !escaped;
+                }
+                out.push_str("\"\"");
+                out.extend(inside.chars().filter(|c| *c == '\n'));
+            }
+            // Characters such as '"' and lifetimes.
+            ('\'', Some(_)) => {
+                let ahead: Vec<char> = chars.clone().take(3).collect();
+                let skip = match ahead[..] {
+                    ['\\', ..] => ahead.iter().skip(2).position(|c| *c == '\'').map(|i| i + 3),
+                    [_, '\'', ..] => Some(2),
+                    _ => None,
+                };
+                if let Some(last) = skip.unwrap_or(0).checked_sub(1) {
+                    chars.nth(last);
+                }
+                out.push('\'');
+            }
+            _ => out.push(c),
+        }
+    }
+    out
+}
+
+/// Paths behind each `prefix::`, groups in braces taken apart: first and second name, line.
+fn paths(code: &str, prefix: &str) -> Vec<(String, String, usize)> {
+    let start = format!("{prefix}::");
+    let mut found = Vec::new();
+    for (at, _) in code.match_indices(&start) {
+        if code[..at].ends_with(|c: char| c.is_alphanumeric() || c == '_' || c == ':') {
+            continue;
+        }
+        let line = code[..at].lines().count().max(1);
+        for path in spelled(&code[at + start.len()..]) {
+            let mut names = path.split("::").map(str::to_owned);
+            found.push((names.next().unwrap_or_default(), names.next().unwrap_or_default(), line));
+        }
+    }
+    found
+}
+
+/// `a::b`, `{a::{b, c}, d}` → `a::b`; `a::b`, `a::c`, `d`.
+fn spelled(text: &str) -> Vec<String> {
+    let text = text.trim_start();
+    let Some(group) = text.strip_prefix('{') else {
+        let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+        let rest = text[name.len()..].trim_start();
+        return match rest.strip_prefix("::") {
+            Some(rest) => spelled(rest).into_iter().map(|r| format!("{name}::{r}")).collect(),
+            None => vec![name],
+        };
+    };
+    let (mut depth, mut from, mut all) = (0, 0, Vec::new());
+    for (i, c) in group.char_indices() {
+        match c {
+            '{' => depth += 1,
+            '}' if depth > 0 => depth -= 1,
+            '}' | ',' if depth == 0 => {
+                if !group[from..i].trim().is_empty() {
+                    all.extend(spelled(&group[from..i]));
+                }
+                from = i + 1;
+                if c == '}' {
+                    break;
+                }
+            }
+            _ => {}
+        }
+    }
+    all
+}
+
+#[test]
+fn the_reader_of_this_test_takes_paths_apart() {
+    let text = "use crate::lens::{Lens, glass::{Medium, named}}; // crate::design\nlet s = \"crate::deploy\"; \
+                crate::psf::grid::x(r#\"crate::\"network\"#, '\"', 'a'); use crate::{imaging::cfa, units};";
+    let found: Vec<String> = paths(&code(text), "crate").into_iter().map(|(a, b, _)| format!("{a}.{b}")).collect();
+    assert_eq!(found, ["lens.Lens", "lens.glass", "lens.glass", "psf.grid", "imaging.cfa", "units."]);
+    assert_eq!(code("a // b\n'\\n' \"x\\\"y\" 'l"), "a \n' \"\" 'l");
+}
+
+#[test]
+fn a_module_uses_only_modules_before_it() {
+    let rank = |module: &str| ORDER.iter().position(|m| *m == module);
+    let mut wrong = Vec::new();
+    for (file, text) in sources("src") {
+        let inside = file.trim_start_matches("src/");
+        let module = inside.split(['/', '.']).next().unwrap_or_default();
+        let program = inside.starts_with("bin/");
+        let own = match (program, rank(module)) {
+            (true, _) => ORDER.len(),
+            (false, Some(own)) => own,
+            // The front page names them all.
+            (false, None) if file == "src/lib.rs" => continue,
+            (false, None) => {
+                panic!("{file}: module `{module}` has no place in the order {ORDER:?}")
+            }
+        };
+        for (used, item, line) in paths(&code(&text), if program { "isoplanat" } else { "crate" }) {
+            // Items re-exported at the root are those of `error`; anything else there is a module.
+            let Some(other) = rank(&used) else { continue };
+            if other > own {
+                wrong.push(format!("{file}:{line}: {module} uses {used}, which stands after it"));
+            }
+            let camera = module == "deploy" || inside.starts_with("bin/isoplanat-camera/");
+            if camera && (used == "design" || used == "network" && item != "card") {
+                wrong.push(format!("{file}:{line}: the camera side uses {used}::{item}; only network::card is for it"));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn heavy_crates_are_named_only_in_their_places() {
+    let mut wrong = Vec::new();
+    for (file, text) in sources("src") {
+        let code = code(&text);
+        for (names, places) in CRATES {
+            if places.iter().any(|p| file.starts_with(p)) {
+                continue;
+            }
+            for name in names {
+                let used = paths(&code, name).first().map(|p| p.2);
+                let imported = code.lines().position(|l| l.trim() == format!("use {name};"));
+                if let Some(line) = used.or(imported) {
+                    wrong.push(format!("{file}:{line}: names the crate {name}; only {places:?} may"));
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_adjoint_has_a_test_that_names_it() {
+    let tests: String = sources("tests").into_values().map(|t| code(&t)).collect();
+    let mut missing = Vec::new();
+    for (file, text) in sources("src") {
+        let code = code(&text);
+        let (body, own_tests) = code.split_once("#[cfg(test)]").unwrap_or((&code, ""));
+        for line in body.lines() {
+            let Some((_, rest)) = line.trim().split_once("pub fn ") else { continue };
+            let name: String = rest.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();
+            let call = if name == "vjp" { ".vjp(".to_owned() } else { format!("{name}(") };
+            let generic = call.replace('(', "::<");
+            let named = |text: &str| text.contains(&call) || text.contains(&generic);
+            let listed = UNTESTED.iter().any(|(n, _)| *n == format!("{file}:{name}"));
+            // A method called `vjp` must be called in its own file: elsewhere the call may be another type's.
+            let tested = named(own_tests) || name != "vjp" && named(&tests);
+            if (name == "vjp" || name.ends_with("_vjp")) && !tested && !listed {
+                missing.push(format!("{file}: {name}"));
+            }
+        }
+    }
+    assert!(missing.is_empty(), "adjoints without a test:\n{}", missing.join("\n"));
+}
+
+#[test]
+fn no_file_is_long_without_a_reason() {
+    let all = sources("src").into_iter().chain(sources("tests")).chain(sources("benches"));
+    let long: Vec<String> = all
+        .map(|(file, text)| (file, text.lines().count()))
+        .filter(|(file, lines)| *lines > 600 && !LONG.iter().any(|(f, _)| f == file))
+        .map(|(file, lines)| format!("{file}: {lines} lines"))
+        .collect();
+    assert!(long.is_empty(), "split these, or list them with a reason:\n{}", long.join("\n"));
+}
+
+/// The camera binary's dependencies, as cargo resolves them.
+#[test]
+fn the_camera_side_has_no_training_code_in_its_dependencies() {
+    let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
+    let arguments = "tree --locked --offline -e normal --no-default-features --features deploy --prefix none";
+    let output = Command::new(cargo).args(arguments.split(' ')).current_dir(root()).output().expect("cargo runs");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success() && text.contains("rawler"), "{}", String::from_utf8_lossy(&output.stderr));
+    let training: Vec<&str> =
+        text.lines().filter(|l| ["burn", "cubecl", "onnx-rs"].iter().any(|c| l.starts_with(c))).collect();
+    assert!(training.is_empty(), "{training:?}");
+}
