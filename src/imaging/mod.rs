@@ -9,6 +9,7 @@ pub mod demosaic;
 pub mod develop;
 pub mod distortion;
 pub mod dng;
+pub mod expose;
 pub mod field_map;
 pub mod files;
 pub mod frame;
