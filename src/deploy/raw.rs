@@ -66,7 +66,8 @@ impl RawCapture {
     }
 }
 
-const REFUSAL: &str = "a RAW file of a supported camera, or a DNG";
+/// What a file to decode may be.
+pub(super) const ALLOWED: &str = "a RAW file of a supported camera, or a DNG";
 
 /// Decodes a RAW file in this process.
 ///
@@ -76,10 +77,10 @@ const REFUSAL: &str = "a RAW file of a supported camera, or a DNG";
 pub fn decode(path: &Path) -> Result<RawCapture> {
     let facts = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?;
     if !facts.is_file() {
-        return Err(bad(path, "not a file", REFUSAL));
+        return Err(bad(path, "not a file", ALLOWED));
     }
     if facts.len() == 0 {
-        return Err(bad(path, "the file is empty", REFUSAL));
+        return Err(bad(path, "the file is empty", ALLOWED));
     }
     // The decoder maps the file; opening it first gives the system's own reason.
     std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
@@ -108,12 +109,18 @@ fn bad(path: &Path, found: impl Into<String>, allowed: &str) -> Error {
 
 /// One sentence from the decoder's own words: its first line, without the advice to report to its authors.
 fn refused(path: &Path, reason: &str) -> Error {
+    if reason.contains("behind EOF") {
+        return bad(path, "the file is cut short", "a complete file");
+    }
     let line = reason.lines().next().unwrap_or_default();
     let line = line.split("Please ").next().unwrap_or(line);
-    let line =
-        line.trim_start_matches("Error: ").trim_start_matches("Failed to decode image, possibly corrupt image: ");
+    let line = line.split(", model '").next().unwrap_or(line);
+    let line = line
+        .trim_start_matches("Error: ")
+        .trim_start_matches("TODO: ")
+        .trim_start_matches("Failed to decode image, possibly corrupt image: ");
     let line: String = line.trim().chars().filter(|c| !c.is_control()).take(200).collect();
-    bad(path, format!("cannot be decoded ({line})"), REFUSAL)
+    bad(path, format!("cannot be decoded ({line})"), ALLOWED)
 }
 
 /// Refuses a file that ends before the samples its directory promises.
@@ -242,7 +249,7 @@ fn apply_opcodes(path: &Path, decoder: &dyn Decoder, capture: &mut RawCapture) -
 }
 
 fn shaped<A>(path: &Path, array: std::result::Result<A, ndarray::ShapeError>) -> Result<A> {
-    array.map_err(|e| bad(path, format!("samples in an impossible shape ({e})"), REFUSAL))
+    array.map_err(|e| bad(path, format!("samples in an impossible shape ({e})"), ALLOWED))
 }
 
 /// Black and white level of the four places of the active area's 2×2 cell, or of the three channels; the area starts
@@ -252,11 +259,11 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
     let all = table.as_vec();
     let entries = table.width.checked_mul(table.height).and_then(|n| n.checked_mul(table.cpp));
     if all.is_empty() || entries != Some(all.len()) {
-        return Err(bad(path, "a table of black levels of the wrong size", REFUSAL));
+        return Err(bad(path, "a table of black levels of the wrong size", ALLOWED));
     }
     let white_levels = image.whitelevel.as_vec();
     let Some(&first_white) = white_levels.first() else {
-        return Err(bad(path, "no white level", REFUSAL));
+        return Err(bad(path, "no white level", ALLOWED));
     };
     let (mut black, mut white) = ([0.0; 4], [0.0; 4]);
     for i in 0..4 {
@@ -285,7 +292,13 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
 
 /// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
 fn neutral(image: &RawImage) -> Option<[f64; 3]> {
-    let [r, g, b, _] = image.wb_coeffs;
+    let [mut r, g, mut b, _] = image.wb_coeffs;
+    if image.clean_model == "D1" {
+        // The Nikon D1 writes its gains on top of fixed ones that its samples already carry (dcraw, LibRaw: 527/256 for
+        // red, 317/256 for blue).
+        r *= 256.0 / 527.0;
+        b *= 256.0 / 317.0;
+    }
     let response = [f64::from(g / r), 1.0, f64::from(g / b)];
     response.iter().all(|v| v.is_finite() && (0.02..=50.0).contains(v)).then_some(response)
 }
@@ -345,6 +358,14 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_d1s_gains_leave_its_grey_pavement_grey() {
+        let Some(path) = shared("data/raw/RAW_NIKON_D1.NEF") else { return };
+        let neutral = decode(&path).expect("decodes").neutral.expect("as shot");
+        // LibRaw takes the camera's gains as 1, 1, 1; the file asks for 4 % more.
+        assert!((neutral[0] - 1.0415).abs() < 1e-3 && (neutral[2] - 0.9606).abs() < 1e-3, "{neutral:?}");
     }
 
     #[test]
