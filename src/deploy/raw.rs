@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use ndarray::{Array2, Array3, s};
+use ndarray::{Array2, Array3};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, WellKnownIFD};
 use rawler::imgop::xyz::Illuminant;
 use rawler::rawimage::{RawImage, RawImageData, RawPhotometricInterpretation};
@@ -162,17 +162,24 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: boo
         (top, left, height, width) = (area.p.y, area.p.x, area.d.h, area.d.w);
     }
     let samples = match &image.data {
-        RawImageData::Integer(data) => data.iter().map(|&v| f32::from(v)).collect(),
-        RawImageData::Float(data) => data.clone(),
+        RawImageData::Integer(data) => data.len(),
+        RawImageData::Float(data) => data.len(),
     };
-    if samples.len() != rows * columns * planes {
-        let found = format!("{} samples for {columns} × {rows} × {planes}", samples.len());
+    if samples != rows * columns * planes {
+        let found = format!("{samples} samples for {columns} × {rows} × {planes}");
         return Err(bad(path, found, "as many samples as pixels"));
     }
-    if !samples.iter().all(|v| v.is_finite()) {
+    if matches!(&image.data, RawImageData::Float(data) if !data.iter().all(|v| v.is_finite())) {
         return Err(bad(path, "a sample that is not a finite number", "finite samples"));
     }
-    // A DNG counts its level table from the active area, the decoder's own camera list from the whole sensor.
+    // One copy, already cut: large captures have to fit the memory limit.
+    let sample = |plane: usize, row: usize, column: usize| {
+        let at = ((top + row) * columns + left + column) * planes + plane;
+        match &image.data {
+            RawImageData::Integer(data) => f32::from(data[at]),
+            RawImageData::Float(data) => data[at],
+        }
+    };
     let (black, white) = if dng { levels(path, &image, 0, 0) } else { levels(path, &image, top, left) }?;
     let pixels = match (&image.photometric, planes) {
         (RawPhotometricInterpretation::Cfa(config), 1) => {
@@ -180,14 +187,11 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: boo
                 let name: String = config.cfa.name.chars().take(12).collect();
                 bad(path, format!("colour filter layout `{name}`"), "a Bayer layout: RGGB, BGGR, GRBG or GBRG")
             })?;
-            let all = shaped(path, Array2::from_shape_vec((rows, columns), samples))?;
-            let samples = all.slice(s![top..top + height, left..left + width]).to_owned();
+            let samples = Array2::from_shape_fn((height, width), |(r, c)| sample(0, r, c));
             RawPixels::Mosaic { samples, cfa: cfa.shifted(top, left) }
         }
         (RawPhotometricInterpretation::LinearRaw, 3) => {
-            let all = shaped(path, Array3::from_shape_vec((rows, columns, 3), samples))?;
-            let area = all.slice(s![top..top + height, left..left + width, ..]);
-            RawPixels::Linear(area.permuted_axes([2, 0, 1]).as_standard_layout().into_owned())
+            RawPixels::Linear(Array3::from_shape_fn((3, height, width), |(plane, r, c)| sample(plane, r, c)))
         }
         (kind, planes) => {
             let kind = match kind {
@@ -246,10 +250,6 @@ fn apply_opcodes(path: &Path, decoder: &dyn Decoder, capture: &mut RawCapture) -
     }
     (capture.black, capture.white) = ([0.0; 4], [1.0; 4]);
     Ok(())
-}
-
-fn shaped<A>(path: &Path, array: std::result::Result<A, ndarray::ShapeError>) -> Result<A> {
-    array.map_err(|e| bad(path, format!("samples in an impossible shape ({e})"), ALLOWED))
 }
 
 /// Black and white level of the four places of the active area's 2×2 cell, or of the three channels; the area starts
@@ -321,6 +321,7 @@ fn camera_from_xyz(image: &RawImage) -> Option<[[f64; 3]; 3]> {
 mod tests {
     use super::*;
     use crate::testing::shared;
+    use ndarray::s;
 
     fn facts(name: &str) -> Option<(RawCapture, serde_json::Value)> {
         let file = shared(&format!("data/raw/{name}"))?;

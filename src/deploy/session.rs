@@ -274,12 +274,15 @@ fn find_environment(named: Option<&Path>) -> std::result::Result<Loaded, String>
             // That the loader knows no library by a bare name is the usual case, not news.
             let bare = candidate.library.components().count() == 1;
             if !(bare && reason.contains("cannot be loaded")) {
-                failures.push(format!("{} ({}): {reason}", candidate.library.display(), candidate.origin));
+                failures.push(match named {
+                    Some(_) => reason,
+                    None => format!("{} ({}): {reason}", candidate.library.display(), candidate.origin),
+                });
             }
             None
         }
     };
-    let found = match named {
+    let found = match named.clone() {
         Some(library) => usable(Candidate { library, origin: "--onnxruntime" }),
         None => candidates().find_map(usable),
     };
