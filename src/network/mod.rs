@@ -13,6 +13,10 @@ mod adam;
 #[cfg(feature = "train")]
 mod checkpoint;
 #[cfg(feature = "train")]
+mod extension;
+#[cfg(feature = "train")]
+mod kernels;
+#[cfg(feature = "train")]
 mod layers;
 #[cfg(feature = "train")]
 pub mod onnx;

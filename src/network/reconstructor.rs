@@ -11,6 +11,7 @@ use ndarray::{Array4, ArrayView4};
 
 use super::adam::{Adam, norm};
 use super::card::receptive_radius_px;
+use super::kernels::Level;
 use super::unet::{CHANNELS, Unet, UnetConfig};
 use super::{checkpoint, tiles};
 use crate::error::{Error, Result};
@@ -33,6 +34,7 @@ pub struct Reconstructor {
     /// All parameters in the order of [`Reconstructor::parameters`]; `network` holds the same values.
     weights: Vec<f32>,
     adam: Adam,
+    level: Level,
 }
 
 /// What a training step gives.
@@ -83,7 +85,14 @@ impl Reconstructor {
         let device = Device::flex().autodiff();
         let network = Unet::new(&config, seed, &device);
         let weights: Vec<f32> = collect(&network).into_iter().flat_map(|p| p.values).collect();
-        Ok(Self { adam: Adam::new(weights.len()), config, device, network, weights })
+        Ok(Self {
+            adam: Adam::new(weights.len()),
+            level: Level::detect(),
+            config,
+            device,
+            network,
+            weights,
+        })
     }
 
     /// The network's size.
@@ -136,9 +145,9 @@ impl Reconstructor {
     /// `[batch, 3, row, col]` → the same.
     pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
         self.check(&input)?;
-        let network = self.network.valid();
+        let (network, level) = (self.network.valid(), self.level);
         let device = self.device.clone().inner();
-        let run = |window: ArrayView4<f32>| array(network.forward(tensor(&window, &device)));
+        let run = |window: ArrayView4<f32>| array(network.forward(level, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
         if rows * columns * self.config.base_width <= TILE_ABOVE {
             return run(input);
@@ -239,7 +248,7 @@ impl Reconstructor {
         let frozen = (!with_weights).then(|| self.network.clone().no_grad());
         let network = frozen.as_ref().unwrap_or(&self.network);
 
-        let output = network.forward(input.clone());
+        let output = network.forward(self.level, input.clone());
         let difference = output.clone() - tensor(target, &self.device);
         let mut gradients = difference.abs().mean().backward();
 
@@ -583,14 +592,52 @@ mod tests {
         let input = picture((1, 3, 84, 92), 2);
         let whole = model.forward(input.view()).expect("fits");
         let margin = receptive_radius_px(3).next_multiple_of(4);
-        let network = model.network.valid();
+        let (network, level) = (model.network.valid(), model.level);
         let device = model.device.clone().inner();
-        let run = |w: ArrayView4<f32>| array(network.forward(tensor(&w, &device)));
+        let run = |w: ArrayView4<f32>| array(network.forward(level, tensor(&w, &device)));
         let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
         let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
         assert!(difference < 1e-5, "{difference}");
         let cropped = input.slice(ndarray::s![.., .., ..83, ..90]);
         assert_eq!(model.forward_padded(cropped).expect("any size").dim(), (1, 3, 83, 90));
+    }
+
+    #[test]
+    fn every_level_gives_the_same_step() {
+        let levels = match Level::detect() {
+            Level::Avx512 => vec![Level::Avx512, Level::Avx2],
+            Level::Avx2 => vec![Level::Avx2],
+            Level::Plain => vec![],
+        };
+        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))]
+        {
+            let (input, target) = (picture(shape, 4), picture(shape, 5));
+            let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
+            model.level = Level::Plain;
+            let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
+            let close = |a: &[f32], b: &[f32], what: &str| {
+                let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
+                let worst = a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+                assert!(worst <= 1e-5 * scale, "{what} {base_width} {shape:?}: {worst} of {scale}");
+            };
+            for &level in &levels {
+                model.level = level;
+                let found =
+                    model.backward(&input.view(), &target.view(), true, true).expect("fits");
+                close(
+                    found.output.as_slice().expect("contiguous"),
+                    expected.output.as_slice().expect("contiguous"),
+                    "output",
+                );
+                let bars = [&found, &expected].map(|b| {
+                    b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous")
+                });
+                close(bars[0], bars[1], "input");
+                let weights =
+                    [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
+                close(weights[0], weights[1], "weights");
+            }
+        }
     }
 
     #[test]

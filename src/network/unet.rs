@@ -8,6 +8,7 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
+use super::kernels::Level;
 use super::layers::{Features, convolve, pool, unpool};
 use crate::error::{Error, Result};
 
@@ -136,10 +137,10 @@ impl Block {
         }
     }
 
-    fn forward(&self, inputs: &[&Features]) -> Features {
-        let values = convolve(inputs, self.conv1.weight.val(), self.conv1.bias.val());
+    fn forward(&self, level: Level, inputs: &[&Features]) -> Features {
+        let values = convolve(level, inputs, self.conv1.weight.val(), self.conv1.bias.val());
         let middle = Features { values, slope: Some(self.slope1.val()) };
-        let values = convolve(&[&middle], self.conv2.weight.val(), self.conv2.bias.val());
+        let values = convolve(level, &[&middle], self.conv2.weight.val(), self.conv2.bias.val());
         Features { values, slope: Some(self.slope2.val()) }
     }
 }
@@ -180,22 +181,22 @@ impl Unet {
 
     /// # Shapes
     /// `[batch, 3, row, col]` → the same; rows and columns are multiples of `2^(scales − 1)`.
-    pub(super) fn forward(&self, input: Tensor<4>) -> Tensor<4> {
+    pub(super) fn forward(&self, level: Level, input: Tensor<4>) -> Tensor<4> {
         let mut features = Features::plain(input.clone());
         let mut skips = Vec::with_capacity(self.encoder.len());
         for (scale, block) in self.encoder.iter().enumerate() {
             if scale > 0 {
-                features = Features::plain(pool(&features));
+                features = Features::plain(pool(level, &features));
             }
-            features = block.forward(&[&features]);
+            features = block.forward(level, &[&features]);
             skips.push(features.clone());
         }
         for (scale, block) in self.decoder.iter().enumerate().rev() {
             let up = &self.up[scale];
-            let lifted = Features::plain(unpool(&features, up.weight.val(), up.bias.val()));
-            features = block.forward(&[&skips[scale], &lifted]);
+            let lifted = Features::plain(unpool(level, &features, up.weight.val(), up.bias.val()));
+            features = block.forward(level, &[&skips[scale], &lifted]);
         }
-        input + convolve(&[&features], self.output.weight.val(), self.output.bias.val())
+        input + convolve(level, &[&features], self.output.weight.val(), self.output.bias.val())
     }
 }
 
