@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn the_same_scene_from_both_layouts_is_the_same_picture() {
-        // The two DNG are one capture, one of them shifted by a row.
+        // The two DNG hold the same samples, arranged differently within each cell of the mosaic.
         let (Some(a), Some(b)) =
             (shared("data/raw/nikon_crop_gbrg_u16.dng"), shared("data/raw/nikon_crop_rggb_lj92.dng"))
         else {

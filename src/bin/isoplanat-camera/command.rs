@@ -89,7 +89,7 @@ fn work(arguments: &Arguments) -> Result<u8> {
         // Fails only if the pool is in use already.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.threads).build_global();
     }
-    let outputs = output::plan(&arguments.captures, arguments.out.as_deref(), arguments.force)?;
+    let outputs = output::plan(&arguments.captures, arguments.out.as_deref(), arguments.linear, arguments.force)?;
     let camera = camera(arguments, kit)?;
     let mut code = 0;
     let mut results = Vec::new();

@@ -13,9 +13,9 @@ const JPEG_QUALITY: u8 = 95;
 /// Output paths for `captures`: beside the working folder's other files, the file or the folder `out`.
 ///
 /// # Errors
-/// Two captures with one output, an ending that is no picture format, an output that exists (unless `force`) or that is
-/// a capture itself.
-pub(crate) fn plan(captures: &[PathBuf], out: Option<&Path>, force: bool) -> Result<Vec<PathBuf>> {
+/// Two captures with one output, an ending that is no picture format (or too shallow for `linear`), an output that exists
+/// (unless `force`) or that is a capture itself.
+pub(crate) fn plan(captures: &[PathBuf], out: Option<&Path>, linear: bool, force: bool) -> Result<Vec<PathBuf>> {
     let into_folder = out.is_some_and(|o| captures.len() > 1 || o.is_dir() || ends_with_separator(o));
     let mut planned = Vec::new();
     let mut taken: HashMap<PathBuf, &Path> = HashMap::new();
@@ -28,7 +28,7 @@ pub(crate) fn plan(captures: &[PathBuf], out: Option<&Path>, force: bool) -> Res
             Some(out) => out.to_owned(),
             None => PathBuf::from(name),
         };
-        check(&path, captures, force)?;
+        check(&path, captures, linear, force)?;
         if let Some(other) = taken.insert(path.clone(), capture) {
             let found =
                 format!("{} and {} would both be written to {}", other.display(), capture.display(), path.display());
@@ -47,11 +47,14 @@ pub(crate) fn make_folder(path: &Path) -> Result<()> {
     }
 }
 
-fn check(path: &Path, captures: &[PathBuf], force: bool) -> Result<()> {
+fn check(path: &Path, captures: &[PathBuf], linear: bool, force: bool) -> Result<()> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if !["png", "tif", "tiff", "jpg", "jpeg"].contains(&ending.as_str()) {
         let found = if ending.is_empty() { "no ending".into() } else { format!("`.{ending}`") };
         return Err(Error::bad(path.display().to_string(), "-o", found, ".png, .tif, .tiff, .jpg or .jpeg"));
+    }
+    if linear && ending.starts_with('j') {
+        return Err(Error::bad(path.display().to_string(), "--linear", "JPEG has 8 bits", ".tif or .png"));
     }
     let same = |a: &Path, b: &Path| a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b);
     if captures.iter().any(|c| same(c, path)) {
@@ -80,9 +83,6 @@ pub(crate) fn write(path: &Path, image: &Array3<f32>, linear: bool, force: bool)
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     match ending.as_str() {
         "tif" | "tiff" => files::write_tiff16(path, image, encoding),
-        "jpg" | "jpeg" if linear => {
-            Err(Error::bad(path.display().to_string(), "--linear", "8 bits are too few", ".tif or .png"))
-        }
         "jpg" | "jpeg" => files::write_jpeg(path, image, JPEG_QUALITY),
         _ if linear => files::write_png16(path, image, encoding),
         _ => files::write_png8(path, image),
