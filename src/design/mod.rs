@@ -9,3 +9,4 @@ pub mod constraint;
 pub mod data;
 pub mod joint;
 pub mod run;
+pub mod task;

@@ -4,11 +4,15 @@
 //! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
+#[cfg(feature = "train")]
+mod design;
 mod input;
 mod inspect;
 #[cfg(any(test, not(feature = "train")))]
 mod missing;
 mod output;
+#[cfg(feature = "train")]
+mod progress;
 mod psf;
 mod trace;
 
@@ -37,6 +41,9 @@ enum Command {
     /// The whole chain on built-in scenes, with a report (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Demo(missing::Args),
+    /// Joint design of lens and network
+    #[cfg(feature = "train")]
+    Design(design::Args),
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
@@ -53,6 +60,8 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Design(args) => design::run(&args, out),
         #[cfg(not(feature = "train"))]
         Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
     }
