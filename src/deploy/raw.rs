@@ -294,8 +294,8 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
 fn neutral(image: &RawImage) -> Option<[f64; 3]> {
     let [mut r, g, mut b, _] = image.wb_coeffs;
     if image.clean_model == "D1" {
-        // The Nikon D1 writes its gains on top of fixed ones that its samples already carry (dcraw, LibRaw: 527/256 for
-        // red, 317/256 for blue).
+        // The Nikon D1 writes its gains on top of fixed ones that its samples already carry (dcraw and RawSpeed: 527/256
+        // for red, 317/256 for blue); the decoder leaves them in.
         r *= 256.0 / 527.0;
         b *= 256.0 / 317.0;
     }
@@ -365,7 +365,7 @@ mod tests {
     fn the_d1s_gains_leave_its_grey_pavement_grey() {
         let Some(path) = shared("data/raw/RAW_NIKON_D1.NEF") else { return };
         let neutral = decode(&path).expect("decodes").neutral.expect("as shot");
-        // LibRaw takes the camera's gains as 1, 1, 1; the file asks for 4 % more.
+        // The file's own gains, 1.97656 and 1.28906, by 256/527 and 256/317; LibRaw reports 1 and 1 for this file.
         assert!((neutral[0] - 1.0415).abs() < 1e-3 && (neutral[2] - 0.9606).abs() < 1e-3, "{neutral:?}");
     }
 

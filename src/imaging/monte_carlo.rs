@@ -1,15 +1,15 @@
 //! The reference renderer: rays from the sensor, the paper's own image formation (§3.1.2).
 //!
-//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear vertex, `Z` in front of it;
+//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, `Z` in front of it;
 //! `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture stops it. Position
 //! in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The result is relative
 //! to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
 //!
 //! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
-//! estimate is unbiased for the 128 wavelengths of a channel that stand for its density (equal shares; the choice of
-//! 128 changes a picture by less than 1e-5). Directions come from the whole rear aperture ([`Sampling::RearAperture`])
-//! or from an ellipse that holds every ray a probe saw pass ([`Sampling::Bounded`], [`bounds`]); in that mode one more
-//! ray a pixel searches the rest of the rear aperture, so that a probe's mistake costs noise, not truth.
+//! estimate is unbiased but for the wavelengths' grid ([`rear`], below 1e-5). Directions come from the whole rear aperture
+//! ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass ([`Sampling::Bounded`],
+//! [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so that a probe's mistake
+//! costs noise, not truth.
 //! Not covered: diffraction, Fresnel losses, depth within a scene, gradients.
 
 pub mod bounds;
@@ -21,7 +21,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use glam::{DVec2, DVec3};
-use ndarray::{Array2, Array3, ArrayViewMut3, Axis};
+use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -34,6 +34,9 @@ use crate::lens::Lens;
 use bounds::Footprints;
 use rear::RearView;
 use sampler::{Sampler, disk_from_square};
+
+/// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
+const GROUPS: usize = 2;
 
 /// Which channels a pixel gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +59,7 @@ pub enum Sampling {
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Settings {
-    /// Rays a pixel and channel, 2 or more; rounded up to whole groups (two below 16 rays, else four).
+    /// Rays a pixel and channel, 2 or more; in two groups, best of 2ᵏ rays each.
     pub samples: usize,
     /// Seed of the draws; every pixel has a stream of its own.
     pub seed: u64,
@@ -71,9 +74,9 @@ pub struct Settings {
 pub struct Rendered {
     /// Irradiance relative to white on the axis: `[3, row, col]`, or `[1, row, col]` for a mosaic.
     pub mean: Array3<f32>,
-    /// Variance of the mean, estimated from independent groups of rays, in the shape of `mean`.
+    /// Variance of the mean, estimated from two independent groups of rays, in the shape of `mean`.
     ///
-    /// A single pixel's estimate is coarse (one or three degrees of freedom); sums over pixels are good.
+    /// A single pixel's estimate is coarse (two groups: one degree of freedom); sums over pixels are good.
     pub variance: Array3<f32>,
     /// Rays started.
     pub rays: u64,
@@ -262,22 +265,21 @@ impl PixelRenderer<'_> {
     fn render(&self, row: isize, col: isize, channel: usize, tally: &mut Tally) -> (f64, f64) {
         let seed = mixed(mixed(mixed(self.settings.seed, row as u64), col as u64), channel as u64);
         let mut rng = fastrand::Rng::with_seed(seed);
-        let groups = if self.settings.samples < 16 { 2 } else { 4 };
-        let size = self.settings.samples.div_ceil(groups);
+        let size = self.settings.samples.div_ceil(GROUPS);
         let (mut sum, mut squares) = (0.0, 0.0);
-        for _ in 0..groups {
-            let sampler = Sampler::new(&mut rng, size);
+        for _ in 0..GROUPS {
+            let mut sampler = Sampler::new(&mut rng);
             let mut group = 0.0;
-            for k in 0..size {
-                let u = sampler.point(k);
-                let (p, across) = self.sensor_point(row, col, [u[0], u[1]]);
-                // A point of the ellipse (in the pixel's meridional frame) or of the whole aperture.
-                let q = disk_from_square([u[2], u[3]]);
+            for _ in 0..size {
+                // The pupil gets the first two dimensions: its edge makes most of the noise.
+                let u = sampler.next();
+                let (p, (radial, radius)) = self.sensor_point(row, col, [u[2], u[3]]);
+                // A point of the ellipse (in the sensor point's meridional frame) or of the whole aperture.
+                let q = disk_from_square([u[0], u[1]]);
                 let (target, area) = match self.footprints {
                     Some(footprints) => {
-                        let e = footprints.at(across.1);
+                        let e = footprints.at(radius);
                         let (x, y) = (e.across * q.x, e.centre + e.along * q.y);
-                        let radial = across.0;
                         (y * radial + x * radial.perp(), e.area())
                     }
                     None => (self.rear.disk_radius * q, self.rear.disk_area()),
@@ -290,7 +292,7 @@ impl PixelRenderer<'_> {
             sum += group;
             squares += group * group;
         }
-        let n = groups as f64;
+        let n = GROUPS as f64;
         let mut mean = sum / n;
         let mut variance = ((squares - n * mean * mean) / (n * (n - 1.0))).max(0.0);
         if let Some(footprints) = self.footprints {
@@ -334,16 +336,16 @@ impl PixelRenderer<'_> {
         (p, (if radius > 0.0 { p / radius } else { DVec2::Y }, radius))
     }
 
-    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` of the rear vertex plane; `u` picks the wavelength.
+    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` of the rim's plane; `u` picks the wavelength.
     #[inline]
     fn contribution(&self, p: DVec2, target: DVec2, channel: usize, u: f64, tally: &mut Tally) -> f64 {
         tally.rays += 1;
         let colour = self.rear.colour(channel, u);
         let Some((weight, leaving)) = self.rear.trace(p, target, colour) else { return 0.0 };
-        let slope = object_slope(leaving.origin, leaving.direction, self.scene.vergence);
-        let texel = self.scene.texel_from_slope(slope.into());
         tally.passed += 1;
-        weight * self.scene.sample(channel.min(self.scene.texture.len_of(Axis(0)) - 1), texel).0
+        let slope = object_slope(leaving.origin, leaving.direction, self.scene.vergence);
+        let channel = channel.min(self.scene.texture.len_of(Axis(0)) - 1);
+        weight * self.scene.sample(channel, self.scene.texel_from_slope(slope.into())).0
     }
 }
 

@@ -1,4 +1,4 @@
-//! Which part of the rear vertex plane the passing rays of a sensor point cross: an ellipse by sensor radius.
+//! Which part of the plane of the rear rim the passing rays of a sensor point cross: an ellipse by sensor radius.
 //!
 //! At a ladder of radii, rays are sent from the sensor through a grid of the rear aperture, at the ends and the middle of
 //! the spectrum; the grid closes in on those that pass. A bin between two radii gets an ellipse around the rays of
@@ -8,11 +8,11 @@
 use glam::DVec2;
 use rayon::prelude::*;
 
-use super::rear::{COLOURS, Colour, RearView};
+use super::rear::RearView;
 use crate::trace::aim::{ParaxialPupil, aim};
 use crate::trace::{FieldPoint, System};
 
-/// An ellipse on the rear vertex plane, in the meridional frame of a sensor point; mm.
+/// An ellipse on the plane of the rear rim, in the meridional frame of a sensor point; mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Ellipse {
     /// Centre along the radius.
@@ -83,13 +83,13 @@ struct Passing {
 impl Passing {
     fn find(rear: &RearView, radius: f64) -> Self {
         let full = [-rear.disk_radius, rear.disk_radius];
-        // The whole aperture; if nothing shows, finer; if nothing shows still, around the chief ray.
+        // The whole aperture; if nothing shows, around the chief ray; if nothing shows still, the whole again, finer.
         let mut found = Self::on_grid(rear, radius, rear.disk_radius, full, COARSE);
         if found.points.is_empty() {
-            found = Self::on_grid(rear, radius, rear.disk_radius, full, 6 * COARSE);
+            found = Self::around_chief(rear, radius);
         }
         if found.points.is_empty() {
-            found = Self::around_chief(rear, radius);
+            found = Self::on_grid(rear, radius, rear.disk_radius, full, 4 * COARSE);
         }
         for cells in [COARSE, FINE] {
             if found.points.is_empty() {
@@ -114,7 +114,7 @@ impl Passing {
         let columns = cells / 2;
         let cell = DVec2::new(half / columns as f64, (span[1] - span[0]) / cells as f64);
         let p = DVec2::new(0.0, radius);
-        let colours = probe_colours(rear);
+        let colours = rear.probe_colours();
         let mut points = Vec::new();
         for i in 0..cells {
             let y = span[0] + (i as f64 + 0.5) * cell.y;
@@ -130,29 +130,24 @@ impl Passing {
 
     /// A grid around the ray through the stop's centre, shrunk until one of its rays passes.
     fn around_chief(rear: &RearView, radius: f64) -> Self {
-        // Without its image plane the reversed system sees the sensor point as an object at the distance Z.
+        // Without its image plane the reversed system sees the sensor point as an object before its first vertex.
         let mut system = System { surfaces: rear.system.surfaces[1..].to_vec(), ..rear.system.clone() };
         system.stop -= 1;
-        system.surfaces[0].distance = 0.0;
-        let field = FieldPoint { slope: DVec2::new(0.0, -radius / rear.distance), vergence: rear.distance.recip() };
+        let vertex = std::mem::take(&mut system.surfaces[0].distance);
+        let field = FieldPoint { slope: DVec2::new(0.0, -radius / vertex), vergence: vertex.recip() };
         let guess = ParaxialPupil { z: 0.0, scale: 1.0 };
-        let Ok(chief) = aim(&system, guess, field, DVec2::ZERO, None, &mut Vec::new()) else { return Self::default() };
+        let Ok(e) = aim(&system, guess, field, DVec2::ZERO, None, &mut Vec::new()) else { return Self::default() };
+        let chief = radius + (e.y - radius) * rear.distance / vertex;
         let mut half = rear.disk_radius;
         while half > 1e-9 * rear.disk_radius {
             half /= COARSE as f64;
-            let found = Self::on_grid(rear, radius, half, [chief.y - half, chief.y + half], COARSE);
+            let found = Self::on_grid(rear, radius, half, [chief - half, chief + half], COARSE);
             if !found.points.is_empty() {
                 return found;
             }
         }
         Self::default()
     }
-}
-
-/// Both ends of the spectrum and its middle.
-fn probe_colours(rear: &RearView) -> [Colour<'_>; 3] {
-    let last = (COLOURS as f64 - 0.5) / COLOURS as f64;
-    [rear.colour(2, 0.0), rear.colour(1, 0.5), rear.colour(0, last)]
 }
 
 /// The ellipse around the rays of two neighbouring radii.
