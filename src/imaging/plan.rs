@@ -32,10 +32,10 @@ impl Quality {
         Self { degree: 9, dense: 3000, wavelengths: 9, spacing: 32, outside: 2e-4, max_half_width: 200 };
     /// For training pairs of a fixed lens.
     pub const TRAINING: Self =
-        Self { degree: 7, dense: 1200, wavelengths: 7, spacing: 48, outside: 2e-3, max_half_width: 60 };
+        Self { degree: 7, dense: 1200, wavelengths: 7, spacing: 64, outside: 2e-3, max_half_width: 60 };
     /// For the steps of a design.
     pub const DESIGN: Self =
-        Self { degree: 7, dense: 500, wavelengths: 5, spacing: 64, outside: 5e-3, max_half_width: 48 };
+        Self { degree: 7, dense: 500, wavelengths: 5, spacing: 112, outside: 5e-3, max_half_width: 48 };
 }
 
 /// The frame a lens file states.
