@@ -1,1 +1,600 @@
-//! (in progress)
+//! The page of `isoplanat demo`, and the same figures for machines.
+//!
+//! [`DemoReport`] is plain data: whoever runs the chain fills it in, [`DemoReport::to_html`] and
+//! [`DemoReport::summary_json`] show it.
+
+use ndarray::{Array3, s};
+use serde_json::{Value, json};
+
+use super::atlas::{KernelRequest, Style, colour_kernels, picture};
+use super::drawing::lens_svg;
+use super::field::FieldLine;
+use super::html::{Fact, Page, Picture};
+use super::plot::{Mark, Plot, Scale, Series};
+use super::table::{Table, significant};
+use crate::error::{Error, Result};
+use crate::imaging::metrics::{SSIM_WINDOW, psnr, ssim};
+use crate::lens::{Lens, paraxial};
+
+/// Everything the page shows.
+#[derive(Clone, Debug, Default)]
+pub struct DemoReport {
+    /// Heading.
+    pub title: String,
+    /// What was done, in a sentence or two.
+    pub summary: String,
+    /// Machine, threads, inference runtime: what run times belong to.
+    pub runtime: String,
+    /// Settings of the run: name and value.
+    pub settings: Vec<(String, String)>,
+    /// The lens the design began with.
+    pub before: Option<LensView>,
+    /// The designed lens.
+    pub after: Option<LensView>,
+    /// Losses over steps; each curve gets its own plot.
+    pub loss: Vec<LossCurve>,
+    /// Pictures through the designed lens.
+    pub scenes: Vec<SceneResult>,
+    /// Ways of rendering, fast and reference, with error and run time.
+    pub methods: Vec<MethodResult>,
+    /// PSNR of the fast renderer against the reference renderer, dB, linear light.
+    pub psnr_fast_vs_reference_db: f64,
+    /// Rendering one picture by the fast path, s.
+    pub seconds_fast: f64,
+    /// Rendering the same picture by the reference renderer, s.
+    pub seconds_reference: f64,
+    /// The whole run, s.
+    pub seconds_total: f64,
+    /// Stages of the run and their duration, s.
+    pub stages: Vec<(String, f64)>,
+    /// What the plan left out and why, and what the demonstration does not show.
+    pub left_out: Vec<String>,
+}
+
+/// A lens as the page shows it.
+#[derive(Clone, Debug)]
+pub struct LensView {
+    /// Name.
+    pub name: String,
+    /// Cross-section (SVG).
+    pub drawing: String,
+    /// Kernels from the axis to the border, linear RGB.
+    pub atlas: Array3<f32>,
+    /// Effective focal length, mm.
+    pub effective_focal_length_mm: f64,
+    /// Effective focal length over entrance-pupil diameter.
+    pub f_number: f64,
+    /// Field angle in degrees and distortion in per cent.
+    pub distortion: Vec<(f64, f64)>,
+}
+
+/// One loss over the steps of its stage.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LossCurve {
+    /// What was trained.
+    pub name: String,
+    /// `(step, loss)`.
+    pub points: Vec<(f64, f64)>,
+}
+
+/// One picture: as captured, restored and as it is.
+#[derive(Clone, Debug)]
+pub struct SceneResult {
+    /// Name.
+    pub name: String,
+    /// Capture, demosaicked, linear RGB `[3, row, col]`.
+    pub capture: Array3<f32>,
+    /// Classical restoration.
+    pub wiener: Array3<f32>,
+    /// Output of the network.
+    pub reconstruction: Array3<f32>,
+    /// The scene as an ideal camera sees it.
+    pub truth: Array3<f32>,
+    /// Agreement of the three with the truth.
+    pub capture_quality: Quality,
+    /// Of the classical restoration.
+    pub wiener_quality: Quality,
+    /// Of the network's output.
+    pub reconstruction_quality: Quality,
+    /// Parts that are shown enlarged.
+    pub crops: Vec<Crop>,
+}
+
+/// Agreement of a picture with the truth, both as seen (sRGB).
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Quality {
+    /// PSNR, dB.
+    pub psnr_db: f64,
+    /// SSIM.
+    pub ssim: f64,
+}
+
+/// A square part of a picture, pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Crop {
+    /// First row.
+    pub row: usize,
+    /// First column.
+    pub column: usize,
+    /// Side.
+    pub size: usize,
+}
+
+/// One way of rendering the same picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct MethodResult {
+    /// Name and settings.
+    pub name: String,
+    /// Run time, s.
+    pub seconds: f64,
+    /// PSNR against the converged reference, dB, linear light.
+    pub psnr_db: f64,
+    /// Relative L2 error.
+    pub relative_l2: f64,
+    /// Anything to say.
+    pub note: String,
+}
+
+impl LensView {
+    /// Draws `lens` and computes its kernels for an object at `depth_mm`, `fields` of them from the axis to the border.
+    ///
+    /// # Errors
+    /// A lens that loses rays its field needs.
+    pub fn new(lens: &Lens, depth_mm: f64, fields: usize) -> Result<Self> {
+        let request = KernelRequest {
+            depth_mm: vec![depth_mm],
+            wavelength_nm: Vec::new(),
+            fields,
+            size: None,
+            pitch_mm: lens.sensor.pitch_mm(),
+            rays: 8192,
+        };
+        let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
+        let vergence = depth_mm.recip();
+        Ok(Self {
+            name: lens.name.clone(),
+            drawing: lens_svg(lens),
+            atlas: picture(&colour_kernels(lens, &request)?, fields, Style::default()),
+            effective_focal_length_mm: first.effective_focal_length,
+            f_number: first.f_number,
+            distortion: FieldLine::new(lens, vergence, 1)?.distortion_percent(lens, vergence),
+        })
+    }
+}
+
+impl Quality {
+    /// Measures `image` against `truth`.
+    ///
+    /// # Errors
+    /// Pictures of different shapes, or smaller than SSIM's window.
+    pub fn of(image: &Array3<f32>, truth: &Array3<f32>) -> Result<Self> {
+        if image.dim() != truth.dim() {
+            let found = format!("{:?} against {:?}", image.dim(), truth.dim());
+            return Err(Error::bad("", "pictures compared", found, "pictures of one shape"));
+        }
+        Ok(Self { psnr_db: psnr(image.view(), truth.view()), ssim: ssim(image.view(), truth.view())? })
+    }
+
+    fn notes(self) -> Vec<String> {
+        vec![format!("{} · SSIM {:.3}", decibels(self.psnr_db), self.ssim)]
+    }
+}
+
+impl SceneResult {
+    /// Measures the three pictures against `truth`; crops are moved and cut so that they lie inside.
+    ///
+    /// # Errors
+    /// Pictures of different shapes, or smaller than SSIM's window.
+    pub fn measure(
+        name: &str,
+        capture: Array3<f32>,
+        wiener: Array3<f32>,
+        reconstruction: Array3<f32>,
+        truth: Array3<f32>,
+        crops: &[Crop],
+    ) -> Result<Self> {
+        let (_, rows, columns) = truth.dim();
+        let inside = |crop: &Crop| {
+            let size = crop.size.max(SSIM_WINDOW).min(rows).min(columns);
+            Crop { row: crop.row.min(rows - size), column: crop.column.min(columns - size), size }
+        };
+        Ok(Self {
+            name: name.to_owned(),
+            capture_quality: Quality::of(&capture, &truth)?,
+            wiener_quality: Quality::of(&wiener, &truth)?,
+            reconstruction_quality: Quality::of(&reconstruction, &truth)?,
+            crops: crops.iter().map(inside).collect(),
+            capture,
+            wiener,
+            reconstruction,
+            truth,
+        })
+    }
+
+    /// The four pictures in the order they are shown.
+    fn pictures(&self) -> [(&'static str, &Array3<f32>); 4] {
+        [
+            ("Capture", &self.capture),
+            ("Wiener", &self.wiener),
+            ("Network", &self.reconstruction),
+            ("Truth", &self.truth),
+        ]
+    }
+
+    fn numbers(&self) -> Value {
+        json!({
+            "psnr_capture_db": self.capture_quality.psnr_db,
+            "psnr_wiener_db": self.wiener_quality.psnr_db,
+            "psnr_reconstruction_db": self.reconstruction_quality.psnr_db,
+            "ssim_capture": self.capture_quality.ssim,
+            "ssim_wiener": self.wiener_quality.ssim,
+            "ssim_reconstruction": self.reconstruction_quality.ssim,
+        })
+    }
+}
+
+impl DemoReport {
+    /// The figures for machines: one entry a scene in `scenes`, means over scenes and run times at the top; numbers that
+    /// are not finite are `null`.
+    pub fn summary_json(&self) -> Value {
+        let run = json!({
+            "psnr_fast_vs_reference_db": self.psnr_fast_vs_reference_db,
+            "seconds_fast": self.seconds_fast,
+            "seconds_reference": self.seconds_reference,
+            "seconds_total": self.seconds_total,
+            "runtime": self.runtime,
+        });
+        let scenes: Vec<Value> = self
+            .scenes
+            .iter()
+            .map(|scene| merged(&[json!({ "name": scene.name }), scene.numbers(), run.clone()]))
+            .collect();
+        let mut top = merged(&[json!({ "schema": 1 }), run]);
+        if let Some(first) = self.scenes.first() {
+            let keys: Vec<String> =
+                first.numbers().as_object().map(|o| o.keys().cloned().collect()).unwrap_or_default();
+            for key in keys {
+                top[&key] = json!(mean(self.scenes.iter().filter_map(|s| s.numbers()[&key].as_f64())));
+            }
+        }
+        top["scenes"] = Value::Array(scenes);
+        top
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// A picture without pixels.
+    pub fn to_html(&self) -> Result<String> {
+        let mut page = Page::new(&self.title, &self.summary);
+        page.facts(&self.facts());
+        self.lens_section(&mut page)?;
+        self.loss_section(&mut page);
+        self.scene_section(&mut page)?;
+        self.method_section(&mut page);
+        self.run_section(&mut page);
+        Ok(page.finish())
+    }
+
+    fn facts(&self) -> Vec<Fact> {
+        let average = |f: fn(&SceneResult) -> f64| mean(self.scenes.iter().map(f).filter(|v| v.is_finite()));
+        let fact = |value: String, label: &str| Fact { value, label: label.into() };
+        let mut facts = Vec::new();
+        if !self.scenes.is_empty() {
+            facts.push(fact(decibels(average(|s| s.capture_quality.psnr_db)), "capture, mean PSNR"));
+            facts.push(fact(decibels(average(|s| s.wiener_quality.psnr_db)), "Wiener, mean PSNR"));
+            facts.push(fact(decibels(average(|s| s.reconstruction_quality.psnr_db)), "network, mean PSNR"));
+            facts.push(fact(format!("{:.3}", average(|s| s.reconstruction_quality.ssim)), "network, mean SSIM"));
+        }
+        facts.push(fact(decibels(self.psnr_fast_vs_reference_db), "fast against reference renderer"));
+        if self.seconds_fast > 0.0 {
+            facts.push(fact(
+                format!("{} ×", significant(self.seconds_reference / self.seconds_fast, 3)),
+                "faster than the reference",
+            ));
+        }
+        facts.push(fact(seconds(self.seconds_total), "whole run"));
+        facts
+    }
+
+    fn lens_section(&self, page: &mut Page) -> Result<()> {
+        let views: Vec<(&str, &LensView)> = [("Before", &self.before), ("After", &self.after)]
+            .into_iter()
+            .filter_map(|(n, v)| Some((n, v.as_ref()?)))
+            .collect();
+        if views.is_empty() {
+            return Ok(());
+        }
+        page.section("Lens");
+        let caption = |when: &str, v: &LensView| {
+            let (focal, number) = (significant(v.effective_focal_length_mm, 5), significant(v.f_number, 3));
+            format!("{when}: {}, {focal} mm, f/{number}", v.name)
+        };
+        let drawings: Vec<(String, String)> =
+            views.iter().map(|(when, v)| (v.drawing.clone(), caption(when, v))).collect();
+        page.drawings(&drawings, 440);
+        page.heading("Point spread functions, from the axis to the border");
+        let atlases: Vec<Picture<'_>> = views
+            .iter()
+            .map(|(when, v)| Picture { image: &v.atlas, caption: (*when).into(), notes: vec![], pixelated: true })
+            .collect();
+        page.pictures(&atlases, 900)?;
+        page.paragraph(
+            "Each kernel is scaled to its own peak; the field grows to the right, its outward direction is up.",
+        );
+        let series = views.iter().map(|(when, v)| Series {
+            name: (*when).into(),
+            points: v.distortion.iter().map(|(a, d)| [*a, *d]).collect(),
+            mark: Mark::Both,
+        });
+        let plot = Plot {
+            title: "Distortion".into(),
+            x_label: "field angle / degrees".into(),
+            y_label: "distortion / %".into(),
+            series: series.collect(),
+            ..Plot::default()
+        };
+        page.drawings(&[(plot.to_svg(), String::new())], 440);
+        Ok(())
+    }
+
+    fn loss_section(&self, page: &mut Page) {
+        if self.loss.is_empty() {
+            return;
+        }
+        page.section("Training");
+        let plots = self.loss.iter().map(|curve| {
+            let points: Vec<[f64; 2]> = curve.points.iter().map(|(x, y)| [*x, *y]).collect();
+            // Losses that fall by much are read better in decades.
+            let (low, high) = points.iter().fold((f64::INFINITY, 0.0f64), |(a, b), p| (a.min(p[1]), b.max(p[1])));
+            let plot = Plot {
+                title: curve.name.clone(),
+                x_label: "step".into(),
+                y_label: "loss".into(),
+                y_scale: if low > 0.0 && high > 8.0 * low { Scale::Log } else { Scale::Linear },
+                series: vec![Series { name: String::new(), points, mark: Mark::Line }],
+                ..Plot::default()
+            };
+            (plot.to_svg(), String::new())
+        });
+        page.drawings(&plots.collect::<Vec<_>>(), 440);
+    }
+
+    fn scene_section(&self, page: &mut Page) -> Result<()> {
+        if self.scenes.is_empty() {
+            return Ok(());
+        }
+        page.section("Pictures");
+        page.paragraph("PSNR and SSIM against the truth, both as seen (sRGB).");
+        for scene in &self.scenes {
+            page.heading(&scene.name);
+            let quality = [scene.capture_quality, scene.wiener_quality, scene.reconstruction_quality];
+            let whole = scene.pictures().into_iter().enumerate().map(|(i, (name, image))| Picture {
+                image,
+                caption: name.into(),
+                notes: quality.get(i).map_or_else(Vec::new, |q| q.notes()),
+                pixelated: false,
+            });
+            page.pictures(&whole.collect::<Vec<_>>(), 230)?;
+            for crop in &scene.crops {
+                let cut = |image: &Array3<f32>| {
+                    let (r, c) = (crop.row, crop.column);
+                    image.slice(s![.., r..r + crop.size, c..c + crop.size]).to_owned()
+                };
+                let truth = cut(&scene.truth);
+                let cuts: Vec<(&str, Array3<f32>)> = scene.pictures().map(|(name, image)| (name, cut(image))).into();
+                let mut enlarged = Vec::new();
+                for (i, (name, image)) in cuts.iter().enumerate() {
+                    let notes = if i < 3 { Quality::of(image, &truth)?.notes() } else { vec![] };
+                    enlarged.push(Picture { image, caption: format!("{name}, enlarged"), notes, pixelated: true });
+                }
+                page.pictures(&enlarged, 230)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn method_section(&self, page: &mut Page) {
+        page.section("Error against run time");
+        let (fast, reference) = (seconds(self.seconds_fast), seconds(self.seconds_reference));
+        page.paragraph(&format!(
+            "The fast renderer takes {fast} for one picture, the reference renderer {reference}; they agree to {} in linear light.",
+            decibels(self.psnr_fast_vs_reference_db)
+        ));
+        if self.methods.is_empty() {
+            return;
+        }
+        let mut table = Table::new(["method", "run time/s", "PSNR/dB", "relative L2", "note"]);
+        for m in &self.methods {
+            let psnr = if m.psnr_db.is_finite() { format!("{:.1}", m.psnr_db) } else { "–".into() };
+            table.row([m.name.clone(), significant(m.seconds, 3), psnr, significant(m.relative_l2, 2), m.note.clone()]);
+        }
+        page.table(&table);
+        let series = self.methods.iter().map(|m| Series {
+            name: m.name.clone(),
+            points: vec![[m.seconds, m.psnr_db]],
+            mark: Mark::Dots,
+        });
+        let plot = Plot {
+            title: "PSNR against run time".into(),
+            x_label: "run time / s".into(),
+            y_label: "PSNR / dB".into(),
+            x_scale: Scale::Log,
+            series: series.collect(),
+            ..Plot::default()
+        };
+        page.drawings(&[(plot.to_svg(), String::new())], 440);
+    }
+
+    fn run_section(&self, page: &mut Page) {
+        page.section("This run");
+        let mut table = Table::new(["setting", "value"]);
+        table.row(["runtime", &self.runtime]);
+        for (name, value) in &self.settings {
+            table.row([name, value]);
+        }
+        page.table(&table);
+        if !self.stages.is_empty() {
+            let mut table = Table::new(["stage", "s"]);
+            for (name, duration) in &self.stages {
+                table.row([name.clone(), format!("{duration:.1}")]);
+            }
+            page.table(&table);
+        }
+        if !self.left_out.is_empty() {
+            page.heading("Left out");
+            page.list(&self.left_out);
+        }
+    }
+}
+
+/// One object of all fields.
+fn merged(objects: &[Value]) -> Value {
+    let fields = objects.iter().filter_map(Value::as_object).flatten();
+    Value::Object(fields.map(|(k, v)| (k.clone(), v.clone())).collect())
+}
+
+/// The mean, or NaN of nothing.
+fn mean(values: impl Iterator<Item = f64>) -> f64 {
+    let (sum, count) = values.fold((0.0, 0.0), |(s, n), v| (s + v, n + 1.0));
+    sum / count
+}
+
+fn decibels(value: f64) -> String {
+    if value.is_finite() {
+        format!("{value:.1} dB")
+    } else if value > 0.0 {
+        "equal".into()
+    } else {
+        "–".into()
+    }
+}
+
+fn seconds(value: f64) -> String {
+    if value < 100.0 {
+        format!("{} s", significant(value, 3))
+    } else {
+        format!("{:.0} min {:02.0} s", (value / 60.0).floor(), value % 60.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+
+    /// A picture of shapes, and the same blurred and with noise.
+    fn scene(name: &str, seed: u64) -> SceneResult {
+        let truth = Array3::from_shape_fn((3, 120, 160), |(k, r, c)| {
+            let (x, y) = (c as f32 / 160.0 - 0.5, r as f32 / 120.0 - 0.5);
+            let ring = (40.0 * (x * x + y * y).sqrt() + seed as f32).sin() * 0.25 + 0.4;
+            if (r / 15 + c / 15) % 4 == 0 { ring * [1.0, 0.6, 0.3][k] } else { ring * [0.4, 0.7, 1.0][k] }
+        });
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let mut changed = |width: usize, noise: f32| {
+            Array3::from_shape_fn(truth.dim(), |(k, r, c)| {
+                let (r1, c1) = ((r + width).min(119), (c + width).min(159));
+                let part = truth.slice(s![k, r.saturating_sub(width)..=r1, c.saturating_sub(width)..=c1]);
+                (part.mean().unwrap_or(0.0) + noise * (rng.f32() - 0.5)).max(0.0)
+            })
+        };
+        let (capture, wiener, network) = (changed(4, 0.06), changed(2, 0.05), changed(1, 0.01));
+        let crops = [Crop { row: 30, column: 40, size: 32 }, Crop { row: 999, column: 999, size: 32 }];
+        SceneResult::measure(name, capture, wiener, network, truth, &crops).expect("measures")
+    }
+
+    fn report() -> DemoReport {
+        let (before, after) =
+            (builtin::lens("two_element").expect("shipped"), builtin::lens("cooke_triplet").expect("shipped"));
+        let curve = |name: &str, floor: f64| LossCurve {
+            name: name.into(),
+            points: (0..200).map(|i| (f64::from(i), floor + (-0.03 * f64::from(i)).exp())).collect(),
+        };
+        let method = |name: &str, seconds: f64, psnr_db: f64, note: &str| MethodResult {
+            name: name.into(),
+            seconds,
+            psnr_db,
+            relative_l2: 10f64.powf(-psnr_db / 20.0) * 3.0,
+            note: note.into(),
+        };
+        DemoReport {
+            title: "Isoplanat: synthetic report".into(),
+            summary: "Figures made up for the test of this page; the lenses and their kernels are real.".into(),
+            runtime: "2 threads, no inference".into(),
+            settings: vec![("seed".into(), "1".into()), ("photographs".into(), "<built in>".into())],
+            before: Some(LensView::new(&before, 1000.0, 5).expect("traces")),
+            after: Some(LensView::new(&after, 1000.0, 5).expect("traces")),
+            loss: vec![curve("Joint design: image loss", 0.02), curve("Final network: image loss", 0.5)],
+            scenes: vec![scene("Rings", 1), scene("More rings", 2)],
+            methods: vec![
+                method("PSF grid, m = 1", 0.04, 48.2, ""),
+                method("PSF grid, m = 2", 0.13, 56.1, "chosen: cheapest above 50 dB"),
+                method("Monte Carlo, 64 samples", 21.0, 33.0, ""),
+                method("Monte Carlo, converged", 900.0, f64::INFINITY, "judge"),
+            ],
+            psnr_fast_vs_reference_db: 56.1,
+            seconds_fast: 0.13,
+            seconds_reference: 21.0,
+            seconds_total: 421.7,
+            stages: vec![("render".into(), 12.0), ("design".into(), 220.55)],
+            left_out: vec![
+                "Depth: every scene is a plane at 1 m".into(),
+                "Surfaces 0, 1: they vignette nothing".into(),
+            ],
+        }
+    }
+
+    /// `ISOPLANAT_KEEP_REPORT=path` keeps the page for looking at.
+    #[test]
+    fn the_page_holds_everything_and_loads_nothing() {
+        let report = report();
+        let page = report.to_html().expect("renders");
+        if let Ok(path) = std::env::var("ISOPLANAT_KEEP_REPORT") {
+            std::fs::write(path, &page).expect("writes");
+        }
+        assert_eq!(page.matches("http").count(), page.matches("xmlns=\"http://www.w3.org/2000/svg\"").count());
+        // Two atlases, two scenes of four pictures and two crops of four.
+        assert_eq!(page.matches("<img").count(), 2 + 2 * (4 + 2 * 4));
+        for text in
+            ["Before", "Wiener", "56.1 dB", "7 min 02 s", "Left out", "&lt;built in&gt;", "PSNR against run time"]
+        {
+            assert!(page.contains(text), "{text}");
+        }
+        DemoReport::default().to_html().expect("an empty report is a page, too");
+    }
+
+    #[test]
+    fn the_summary_has_its_keys_in_every_scene_and_at_the_top() {
+        let report = report();
+        let summary = report.summary_json();
+        assert_eq!(summary["schema"], json!(1));
+        let scenes = summary["scenes"].as_array().expect("list");
+        assert_eq!((scenes.len(), &scenes[1]["name"]), (2, &json!("More rings")));
+        for key in [
+            "psnr_capture_db",
+            "psnr_wiener_db",
+            "psnr_reconstruction_db",
+            "ssim_capture",
+            "ssim_wiener",
+            "ssim_reconstruction",
+            "psnr_fast_vs_reference_db",
+            "seconds_fast",
+            "seconds_reference",
+            "seconds_total",
+        ] {
+            let number = |v: &Value| v[key].as_f64().unwrap_or_else(|| panic!("{key} in {v}"));
+            let mean = 0.5 * (number(&scenes[0]) + number(&scenes[1]));
+            assert!((number(&summary) - mean).abs() < 1e-9 * mean.abs(), "{key}");
+        }
+        assert!(summary["runtime"].is_string() && scenes[0]["runtime"].is_string());
+        assert!(summary["psnr_reconstruction_db"].as_f64() > summary["psnr_capture_db"].as_f64());
+        assert_eq!(DemoReport::default().summary_json()["scenes"], json!([]));
+    }
+
+    #[test]
+    fn pictures_of_different_shapes_are_refused() {
+        let [a, b] = [16, 20].map(|n| Array3::<f32>::zeros((3, n, 20)));
+        let error = SceneResult::measure("x", a.clone(), a.clone(), a, b, &[]).expect_err("shapes differ");
+        assert_eq!(error.exit_code(), 2);
+    }
+}

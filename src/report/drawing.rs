@@ -1,1 +1,242 @@
-//! (in progress)
+//! The cross-section of a lens as SVG: surfaces at their true sag, stop, sensor, and fans of rays for three fields.
+
+use glam::DVec2;
+
+use super::field::max_slope;
+use super::svg::{Anchor, HUES, Svg, text_width};
+use super::table::significant;
+use crate::lens::Lens;
+use crate::trace::aim::{ParaxialPupil, aim};
+use crate::trace::exact::first_vignetted;
+use crate::trace::launch::launch;
+use crate::trace::sequential::trace;
+use crate::trace::{FieldPoint, System};
+
+/// Shares of the largest field that are drawn.
+const FIELDS: [f64; 3] = [0.0, 0.7, 1.0];
+/// Rays of a fan.
+const RAYS: i32 = 7;
+/// Space before the lens, in lengths of the lens.
+const LEAD: f64 = 0.16;
+/// Largest size, px.
+const SIZE: [f64; 2] = [960.0, 460.0];
+const MARGIN: f64 = 16.0;
+/// Room below the lens for scale bar and legend, px.
+const FOOT: f64 = 34.0;
+
+/// One ray: points `[z, y]` in mm from the first vertex, whether it reached the sensor.
+struct Path {
+    points: Vec<[f64; 2]>,
+    passed: bool,
+}
+
+/// The drawing; rays that are stopped by an aperture end there and are drawn faintly.
+///
+/// Fields whose rays cannot be aimed are left out: a drawing is for looking at bad lenses, too.
+pub fn lens_svg(lens: &Lens) -> String {
+    let length = lens.length();
+    let vertices = vertices(lens);
+    let lead =
+        (LEAD * length).min(if lens.object_vergence > 0.0 { lens.object_vergence.recip() } else { f64::INFINITY });
+    let fans: Vec<Vec<Path>> = FIELDS.iter().map(|f| fan(lens, *f, lead, &vertices)).collect();
+    let (low, high) = extent(lens, &fans);
+    let (z_low, z_high) = (-lead, length.max(1e-9) * 1.01);
+    let scale = ((SIZE[0] - 2.0 * MARGIN) / (z_high - z_low)).min((SIZE[1] - 2.0 * MARGIN - FOOT) / (high - low));
+    let (width, height) = ((z_high - z_low) * scale + 2.0 * MARGIN, (high - low) * scale + 2.0 * MARGIN + FOOT);
+    let at = |[z, y]: [f64; 2]| [MARGIN + (z - z_low) * scale, MARGIN + (high - y) * scale];
+    let place = |points: &[[f64; 2]]| points.iter().map(|p| at(*p)).collect::<Vec<_>>();
+
+    let mut svg = Svg::new(width.ceil(), height.ceil());
+    svg.line(
+        at([z_low, 0.0]),
+        at([z_high, 0.0]),
+        "stroke=\"currentColor\" stroke-opacity=\".35\" stroke-dasharray=\"9 3 2 3\"",
+    );
+    let index = lens.indices(lens.wavelengths.primary_nm);
+    for i in 0..lens.surfaces.len().saturating_sub(1) {
+        if index[i + 1] > 1.0 + 1e-9 {
+            // Denser glass, darker fill.
+            let fill = (0.10 + 0.35 * (index[i + 1] - 1.45)).clamp(0.10, 0.30);
+            let style =
+                format!("fill=\"#4a90d9\" fill-opacity=\"{fill:.2}\" stroke=\"currentColor\" stroke-width=\"1.3\"");
+            svg.polygon(&place(&element(lens, i, &vertices)), &style);
+        }
+    }
+    for (fan, hue) in fans.iter().zip(HUES) {
+        for path in fan {
+            let opacity = if path.passed { 0.9 } else { 0.3 };
+            svg.polyline(
+                &place(&path.points),
+                &format!("stroke=\"{hue}\" stroke-width=\"1\" stroke-opacity=\"{opacity}\""),
+            );
+        }
+    }
+    let stop = System::new(lens, lens.wavelengths.primary_nm).stop_semi_diameter;
+    let at_stop = vertices[lens.stop] + sag(lens, lens.stop, stop);
+    let bar = stop_bar(lens, stop, high);
+    for side in [1.0, -1.0] {
+        svg.line(
+            at([at_stop, side * stop]),
+            at([at_stop, side * bar]),
+            "stroke=\"currentColor\" stroke-width=\"3.5\" stroke-linecap=\"butt\"",
+        );
+    }
+    let [bottom, top] = sensor_span(lens);
+    svg.line(
+        at([length, bottom]),
+        at([length, top]),
+        "stroke=\"currentColor\" stroke-width=\"3\" stroke-linecap=\"butt\"",
+    );
+    foot(&mut svg, lens, scale, height);
+    svg.finish(&format!("Cross-section of {}", lens.name))
+}
+
+/// Scale bar and legend.
+fn foot(svg: &mut Svg, lens: &Lens, scale: f64, height: f64) {
+    let y = height - MARGIN;
+    let bar = round_length(110.0 / scale);
+    let (from, to) = (MARGIN, MARGIN + bar * scale);
+    svg.line([from, y], [to, y], "stroke=\"currentColor\" stroke-width=\"1.5\"");
+    for x in [from, to] {
+        svg.line([x, y - 4.0], [x, y + 4.0], "stroke=\"currentColor\" stroke-width=\"1.5\"");
+    }
+    let label = format!("{} mm", significant(bar, 3));
+    svg.text([to + 8.0, y + 4.5], Anchor::Start, 13.0, &label);
+    let mut x = to + 34.0 + text_width(&label, 13.0);
+    for (field, hue) in FIELDS.iter().zip(HUES) {
+        svg.line([x, y], [x + 18.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\""));
+        let label = format!("{}°", significant(field * lens.max_field_deg, 3));
+        svg.text([x + 24.0, y + 4.5], Anchor::Start, 13.0, &label);
+        x += 46.0 + text_width(&label, 13.0);
+    }
+}
+
+/// 1, 2 or 5 times a power of ten, at most `x`.
+fn round_length(x: f64) -> f64 {
+    let power = 10f64.powf(x.log10().floor());
+    [5.0, 2.0].into_iter().map(|f| f * power).find(|l| *l <= x).unwrap_or(power)
+}
+
+/// Position of every vertex from the first, mm.
+fn vertices(lens: &Lens) -> Vec<f64> {
+    let thicknesses = lens.surfaces.iter().scan(0.0, |z, s| {
+        let here = *z;
+        *z += s.thickness;
+        Some(here)
+    });
+    thicknesses.collect()
+}
+
+/// Sag of surface `i` at radius `r`, mm; at its reach where the conic ends before.
+fn sag(lens: &Lens, i: usize, r: f64) -> f64 {
+    let shape = &lens.surfaces[i].shape;
+    let r = r.min(shape.reach() * (1.0 - 1e-9));
+    shape.sag(r * r).map_or(0.0, |s| s.h)
+}
+
+/// Outline of the glass behind surface `i`: both surfaces to their clear semi-diameters, flat rims to the larger.
+fn element(lens: &Lens, i: usize, vertices: &[f64]) -> Vec<[f64; 2]> {
+    const STEPS: i32 = 48;
+    let rim = lens.surfaces[i].semi_diameter.max(lens.surfaces[i + 1].semi_diameter);
+    let side = |j: usize| -> Vec<[f64; 2]> {
+        let radius = lens.surfaces[j].semi_diameter;
+        let curve = (-STEPS..=STEPS).map(|k| {
+            let y = radius * f64::from(k) / f64::from(STEPS);
+            [vertices[j] + sag(lens, j, y.abs()), y]
+        });
+        let edge = vertices[j] + sag(lens, j, radius);
+        std::iter::once([edge, -rim]).chain(curve).chain(std::iter::once([edge, rim])).collect()
+    };
+    let (front, back) = (side(i), side(i + 1));
+    front.into_iter().chain(back.into_iter().rev()).collect()
+}
+
+/// Where the bars of the stop end.
+fn stop_bar(lens: &Lens, stop: f64, high: f64) -> f64 {
+    let widest = lens.surfaces.iter().map(|s| s.semi_diameter).fold(0.0, f64::max);
+    let beyond = lens.surfaces[lens.stop].semi_diameter.max(stop) + 0.12 * widest;
+    beyond.min(high.max(stop * 1.05))
+}
+
+/// Lowest and highest point of the sensor in the drawing: half its diagonal to both sides, or to the side where the
+/// images of the drawn fields lie when all pixels stand on one side of the axis.
+fn sensor_span(lens: &Lens) -> [f64; 2] {
+    let s = &lens.sensor;
+    let radius = s.radius_mm();
+    #[expect(clippy::cast_precision_loss, reason = "at most 65,536")]
+    let one_sided = s.axis_px.iter().zip([s.columns as f64, s.rows as f64]).all(|(a, size)| *a <= 0.0 || *a >= size);
+    [if one_sided { 0.0 } else { -radius }, radius]
+}
+
+/// Lowest and highest `y` of everything drawn, with the same room on both sides for glass and stop.
+fn extent(lens: &Lens, fans: &[Vec<Path>]) -> (f64, f64) {
+    let glass = lens.surfaces.iter().map(|s| s.semi_diameter).fold(0.0, f64::max) * 1.05;
+    let [bottom, top] = sensor_span(lens);
+    let rays = fans.iter().flatten().flat_map(|p| p.points.iter().map(|p| p[1]));
+    let (mut low, mut high) = (bottom.min(-glass), top.max(glass));
+    for y in rays.filter(|y| y.abs() < 6.0 * glass) {
+        (low, high) = (low.min(y), high.max(y));
+    }
+    (low, high)
+}
+
+/// Rays in the meridional plane through evenly spaced points of the stop.
+fn fan(lens: &Lens, field: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
+    let vergence = lens.object_vergence;
+    let slope = if field == 0.0 { 0.0 } else { field * max_slope(lens, vergence) };
+    let system = System::new(lens, lens.wavelengths.primary_nm);
+    let point = FieldPoint { slope: DVec2::new(0.0, slope), vergence };
+    let pupil = ParaxialPupil::new(lens);
+    let mut hits = Vec::new();
+    let mut paths = Vec::new();
+    for k in 0..RAYS {
+        // Just inside the rim, so that rounding does not decide about the marginal ray.
+        let share = 0.999 * (2.0 * f64::from(k) / f64::from(RAYS - 1) - 1.0);
+        let target = DVec2::new(0.0, share * system.stop_semi_diameter);
+        let Ok(e) = aim(&system, pupil, point, target, None, &mut hits) else { continue };
+        let ray = launch(point, e);
+        let reached = trace(&system, ray, system.image(), &mut hits).is_ok();
+        let stopped = first_vignetted(&system, &hits);
+        let start = ray.origin - ray.direction * (lead / ray.direction.z);
+        let mut points = vec![[start.z, start.y]];
+        let seen = stopped.map_or(hits.len(), |f| f.surface + 1);
+        let z = |i: usize| vertices.get(i).copied().unwrap_or_else(|| lens.length());
+        points.extend(hits.iter().take(seen).enumerate().map(|(i, h)| [z(i) + h.at.point.z, h.at.point.y]));
+        paths.push(Path { points, passed: reached && stopped.is_none() });
+    }
+    paths
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+
+    /// `ISOPLANAT_KEEP_DRAWINGS=folder` keeps them for looking at. Every shipped lens: all elements, three fans whose chief ray passes, nothing that is not a number.
+    #[test]
+    fn shipped_lenses_are_drawn_whole() {
+        for (name, _) in builtin::LENSES {
+            let lens = builtin::lens(name).expect("shipped");
+            let svg = lens_svg(&lens);
+            if let Some(folder) = std::env::var_os("ISOPLANAT_KEEP_DRAWINGS") {
+                std::fs::write(std::path::Path::new(&folder).join(format!("{name}.svg")), &svg).expect("writes");
+            }
+            let glasses = lens.indices(587.6).iter().filter(|n| **n > 1.0).count();
+            assert_eq!(svg.matches("<polygon").count(), glasses, "{name}");
+            assert!(!svg.contains("NaN") && !svg.contains("inf"), "{name}");
+            let rays = svg.matches("<polyline").count();
+            assert!(rays >= 18, "{name}: {rays} of 21 rays");
+            for hue in &HUES[..3] {
+                let passing = format!("stroke=\"{hue}\" stroke-width=\"1\" stroke-opacity=\"0.9\"");
+                assert!(svg.contains(&passing), "{name}: no ray passes for {hue}");
+            }
+        }
+    }
+
+    #[test]
+    fn scale_bars_are_round() {
+        for (x, l) in [(7.3, 5.0), (1.0, 1.0), (0.49, 0.2), (23.0, 20.0), (1999.0, 1000.0)] {
+            assert!((round_length(x) - l).abs() < 1e-12 * l, "{x}");
+        }
+    }
+}
