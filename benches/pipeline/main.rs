@@ -4,18 +4,18 @@ use std::hint::black_box;
 
 use criterion::{Criterion, Throughput};
 use glam::DVec2;
-use isoplanat::imaging::plan::{Quality, plan};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::patches::NodeRaster;
+use isoplanat::imaging::plan::{Quality, plan};
 use isoplanat::imaging::render::{Optics, render_region};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::lens::builtin;
+use isoplanat::trace::System;
 use isoplanat::trace::launch::{FieldPoint, launch};
 use isoplanat::trace::sequential::trace;
-use isoplanat::trace::System;
 
 fn trace_lenses(c: &mut Criterion) {
     let mut group = c.benchmark_group("trace");

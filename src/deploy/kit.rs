@@ -340,7 +340,11 @@ pub(crate) mod tests {
             96,
             Sensor::generic(),
             frame,
-            Distortion { max_slope, coefficients_mm: [50.0 * max_slope, -2.0 * max_slope, 0.0, 0.0], residual_mm: 1e-4 },
+            Distortion {
+                max_slope,
+                coefficients_mm: [50.0 * max_slope, -2.0 * max_slope, 0.0, 0.0],
+                residual_mm: 1e-4,
+            },
             Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]]).expect("valid"),
         )
         .expect("valid")

@@ -54,12 +54,8 @@ pub fn forward<T: Real>(
     let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
     let rendered = render_region(&optics, plan, &patch.scene, patch.region);
     let eps = standard_normal(patch.noise_seed, (patch.region.rows, patch.region.cols));
-    let (developed, simulated) = simulate(
-        &electronics_at(electronics, patch.region),
-        rendered.image.view(),
-        rendered.illumination.view(),
-        eps,
-    );
+    let (developed, simulated) =
+        simulate(&electronics_at(electronics, patch.region), rendered.image.view(), rendered.illumination.view(), eps);
     let truth = rendered.truth.clone();
     Ok(PatchForward { developed, truth, optics, rendered, simulated })
 }
@@ -137,11 +133,8 @@ mod tests {
         };
         let electronics =
             Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 2e-4, read: 1e-3 }, neutral: [0.55, 1.0, 0.7] };
-        let patch = Patch {
-            scene: smooth_scene(),
-            region: Region { row: 141, col: 210, rows: 32, cols: 40 },
-            noise_seed: 11,
-        };
+        let patch =
+            Patch { scene: smooth_scene(), region: Region { row: 141, col: 210, rows: 32, cols: 40 }, noise_seed: 11 };
         // Squared error is smooth; the developed picture and the truth both move with the lens.
         let loss = |lens: &Lens| {
             let f = forward::<f64>(lens, &plan, &electronics, &patch).expect("renders");

@@ -126,10 +126,6 @@ impl Textures {
         let texture = texture.slice(s![.., r0..r0 + h, c0..c0 + w]).to_owned();
         let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
         let texture = texture.as_standard_layout().to_owned();
-        Patch {
-            scene: Plane { texture, texels_per_slope, axis_texel, vergence },
-            region,
-            noise_seed: rng.u64(..),
-        }
+        Patch { scene: Plane { texture, texels_per_slope, axis_texel, vergence }, region, noise_seed: rng.u64(..) }
     }
 }

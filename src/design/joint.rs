@@ -152,7 +152,6 @@ impl Joint {
         })
     }
 
-
     fn take_back(&mut self) {
         self.rejected += 1;
         self.damping *= 0.5;
@@ -167,7 +166,7 @@ mod tests {
     use super::*;
     use crate::design::chain::PatchForward;
     use crate::design::data::Textures;
-    use crate::design::run::{JointSettings, Scenery, Budget, joint_stage, network};
+    use crate::design::run::{Budget, JointSettings, Scenery, joint_stage, network};
     use crate::design::task::Task;
     use crate::imaging::field_map::fit_distortion;
     use crate::imaging::noise::Noise;
@@ -194,8 +193,7 @@ mod tests {
         let textures = Textures::built_in(3, 5, 400);
         let v = lens.object_vergence;
         let plan = plan(&lens, v, &frame, &SpectralDensity::new(&sensor), QUALITY, None).expect("plans");
-        let electronics =
-            Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
+        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
         let mut net = network(8, 5).expect("valid");
         let distortion = fit_distortion(&lens, v, plan.max_slope).expect("fits");
         let mut rng = fastrand::Rng::with_seed(2);
@@ -245,8 +243,7 @@ mod tests {
         let task = task();
         let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
         let textures = Textures::built_in(3, 5, 400);
-        let scenery =
-            Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let settings = JointSettings {
             budget: Budget::Steps(6),
             patch: 32,

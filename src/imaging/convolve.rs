@@ -266,7 +266,12 @@ mod tests {
         assert_rel((&back.kernels * &kernels).sum(), forward, 1e-12, 1.0, "kernels");
         assert_rel((&back.amplitude * &amplitude).sum(), forward, 1e-12, 1.0, "amplitude");
         assert_rel((&back.source * &source).sum(), forward, 1e-12, 1.0, "source");
-        let (k, a, x, b) = (kernels.mapv(|v| v as f32), amplitude.mapv(|v| v as f32), source.mapv(|v| v as f32), bar.mapv(|v| v as f32));
+        let (k, a, x, b) = (
+            kernels.mapv(|v| v as f32),
+            amplitude.mapv(|v| v as f32),
+            source.mapv(|v| v as f32),
+            bar.mapv(|v| v as f32),
+        );
         let (out, record) = convolve(raster, &k, &a, x.view(), region);
         let back = convolve_vjp(raster, &record, k.dim(), &a, x.view(), region, b.view());
         // In f64 and relative to ‖y‖‖ȳ‖, so that neither the sum's own rounding nor its cancellation is measured.

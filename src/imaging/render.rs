@@ -163,8 +163,7 @@ pub fn render_region<T: Real>(optics: &Optics, plan: &RenderPlan, scene: &Plane,
     let source: Array3<T> = warp(scene, &optics.distortion, &plan.frame, region.grown(margin));
     let amplitude = optics.amplitude();
     let (image, record) = convolve(optics.raster, &optics.kernels(), &amplitude, source.view(), region);
-    let truth =
-        source.slice(s![.., margin..margin + region.rows, margin..margin + region.cols]).to_owned();
+    let truth = source.slice(s![.., margin..margin + region.rows, margin..margin + region.cols]).to_owned();
     let illumination = interpolate(optics.raster, &amplitude, region);
     Rendered { image, truth, illumination, source, amplitude, record }
 }
@@ -190,10 +189,9 @@ pub fn render_region_vjp<T: Real>(
         region,
         image_bar,
     );
-    back.source.slice_mut(s![.., margin..margin + region.rows, margin..margin + region.cols]).zip_mut_with(
-        &truth_bar,
-        |a, b| *a += *b,
-    );
+    back.source
+        .slice_mut(s![.., margin..margin + region.rows, margin..margin + region.cols])
+        .zip_mut_with(&truth_bar, |a, b| *a += *b);
     let from_illumination = interpolate_vjp(optics.raster, region, illumination_bar);
     OpticsBar {
         kernels: back.kernels.mapv(Real::to_double),

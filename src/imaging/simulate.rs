@@ -59,10 +59,8 @@ pub fn simulate_vjp<T: Real>(
     let neutral = |i: usize, j: usize| T::real(electronics.neutral[cfa.channel(i, j)]);
     let balanced_bar = demosaic_vjp(bar, cfa);
     // gain = 1/(a n): ∂(x·gain)/∂a = −balanced · gain · n.
-    let mut a_bar = Zip::from(&balanced_bar)
-        .and(&record.balanced)
-        .and(&record.gain)
-        .map_collect(|b, v, g| -*b * *v * *g);
+    let mut a_bar =
+        Zip::from(&balanced_bar).and(&record.balanced).and(&record.gain).map_collect(|b, v, g| -*b * *v * *g);
     a_bar.indexed_iter_mut().for_each(|((i, j), v)| *v *= neutral(i, j));
     let noisy_bar = &balanced_bar * &record.gain;
     let mut raw_bar = electronics.noise.apply_vjp(record.raw.view(), record.eps.view(), noisy_bar.view());
@@ -78,11 +76,8 @@ mod tests {
     #[test]
     fn simulate_vjp_agrees_with_differences() {
         let rng = &mut fastrand::Rng::with_seed(6);
-        let electronics = Electronics {
-            cfa: Cfa::GRBG,
-            noise: Noise { shot: 1e-2, read: 1e-2 },
-            neutral: [0.5, 1.0, 0.7],
-        };
+        let electronics =
+            Electronics { cfa: Cfa::GRBG, noise: Noise { shot: 1e-2, read: 1e-2 }, neutral: [0.5, 1.0, 0.7] };
         let shape = (3, 14, 11);
         let mut draw = |a: f64, b: f64| Array3::from_shape_fn(shape, |_| a + (b - a) * rng.f64());
         let (image, shade, bar) = (draw(0.1, 1.0), draw(0.4, 1.0), draw(-1.0, 1.0));

@@ -27,10 +27,7 @@ pub struct Plane {
 impl Plane {
     /// Texel coordinates of the object slope `[right, up]`.
     pub fn texel_from_slope(&self, slope: [f64; 2]) -> [f64; 2] {
-        [
-            self.axis_texel[0] + slope[0] * self.texels_per_slope,
-            self.axis_texel[1] - slope[1] * self.texels_per_slope,
-        ]
+        [self.axis_texel[0] + slope[0] * self.texels_per_slope, self.axis_texel[1] - slope[1] * self.texels_per_slope]
     }
 
     /// Bilinear radiance of `channel` at texel coordinates, and its derivatives with respect to them.

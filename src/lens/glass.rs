@@ -107,7 +107,10 @@ impl Medium {
             "",
             "medium",
             format!("unknown glass `{name}`"),
-            format!("known: air, {}; or {{ n_d = …, v_d = … }}, or {{ wavelength_nm = […], index = […] }}", known.join(", ")),
+            format!(
+                "known: air, {}; or {{ n_d = …, v_d = … }}, or {{ wavelength_nm = […], index = […] }}",
+                known.join(", ")
+            ),
         ))
     }
 }

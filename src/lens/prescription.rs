@@ -125,7 +125,11 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         && let Some(schema) = table.get("schema")
         && schema.as_integer() != Some(i64::from(SCHEMA))
     {
-        return Err(refuse("schema", format!("{schema}"), "this program reads schema 1; use a newer one for this file"));
+        return Err(refuse(
+            "schema",
+            format!("{schema}"),
+            "this program reads schema 1; use a newer one for this file",
+        ));
     }
     let parsed: File = toml::from_str(text).map_err(|e| {
         let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
@@ -175,12 +179,8 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         return Err(refuse("sensor.axis_px", format!("{axis_px:?}"), "two finite numbers of pixels"));
     }
     let sensor = SensorRaster { columns, rows, pitch_um: positive(pitch_um, "sensor.pitch_um", file)?, axis_px };
-    let surfaces = parsed
-        .surface
-        .into_iter()
-        .enumerate()
-        .map(|(i, s)| read_surface(i, s, file))
-        .collect::<Result<Vec<_>>>()?;
+    let surfaces =
+        parsed.surface.into_iter().enumerate().map(|(i, s)| read_surface(i, s, file)).collect::<Result<Vec<_>>>()?;
     let lens = Lens {
         name: parsed.name,
         source: parsed.source,

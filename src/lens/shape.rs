@@ -61,13 +61,7 @@ impl Shape {
         }
         // The sum starts at ρ¹: multiply by ρ once more.
         let (q, q1, q2) = (p * rho, p + p1 * rho, 2.0 * p1 + 2.0 * p2 * rho);
-        Some(Sag {
-            h: conic_h + q,
-            h1: 0.5 * c / phi + q1,
-            h2: 0.25 * c * alpha / (phi * phi_sq) + q2,
-            phi,
-            conic_h,
-        })
+        Some(Sag { h: conic_h + q, h1: 0.5 * c / phi + q1, h2: 0.25 * c * alpha / (phi * phi_sq) + q2, phi, conic_h })
     }
 
     /// Adds the pull-back of cotangents on `h` and `dh/dρ` at `rho` to the shape's cotangent `bar`.
@@ -102,11 +96,7 @@ impl Shape {
     /// The same surface met from the other side: curvature and polynomial change sign.
     #[must_use]
     pub fn reversed(&self) -> Self {
-        Self {
-            curvature: -self.curvature,
-            conic: self.conic,
-            asphere: self.asphere.iter().map(|a| -a).collect(),
-        }
+        Self { curvature: -self.curvature, conic: self.conic, asphere: self.asphere.iter().map(|a| -a).collect() }
     }
 }
 

@@ -27,13 +27,7 @@ impl Adam {
     ///
     /// # Panics
     /// Where the lengths differ from those of the moments.
-    pub(super) fn step(
-        &mut self,
-        parameters: &mut [f32],
-        gradient: &[f32],
-        scale: f32,
-        learning_rate: f64,
-    ) {
+    pub(super) fn step(&mut self, parameters: &mut [f32], gradient: &[f32], scale: f32, learning_rate: f64) {
         assert_eq!(parameters.len(), self.first.len());
         assert_eq!(gradient.len(), self.first.len());
         self.steps += 1;
@@ -42,9 +36,7 @@ impl Adam {
         let rate = (learning_rate / (1.0 - BETA1.powi(steps))) as f32;
         let unbias = (1.0 / (1.0 - BETA2.powi(steps))) as f32;
         let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((parameter, &gradient), (first, second)) in
-            parameters.iter_mut().zip(gradient).zip(moments)
-        {
+        for ((parameter, &gradient), (first, second)) in parameters.iter_mut().zip(gradient).zip(moments) {
             let gradient = gradient * scale;
             *first = b1 * *first + (1.0 - b1) * gradient;
             *second = b2 * *second + (1.0 - b2) * gradient * gradient;

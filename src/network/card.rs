@@ -141,18 +141,10 @@ impl ModelCard {
             return bad("multiple", self.multiple.to_string(), "2^(scales − 1)");
         }
         if self.receptive_radius_px > 1 << 16 {
-            return bad(
-                "receptive_radius_px",
-                self.receptive_radius_px.to_string(),
-                "at most 65536 pixels",
-            );
+            return bad("receptive_radius_px", self.receptive_radius_px.to_string(), "at most 65536 pixels");
         }
         if self.demosaic != DEMOSAIC {
-            return bad(
-                "demosaic",
-                self.demosaic.clone(),
-                "malvar-he-cutler, the one kernel the camera has",
-            );
+            return bad("demosaic", self.demosaic.clone(), "malvar-he-cutler, the one kernel the camera has");
         }
         Ok(())
     }
@@ -185,9 +177,7 @@ fn text(metadata: &BTreeMap<String, String>, key: &str) -> Result<String> {
 
 fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<usize> {
     let value = text(metadata, key)?;
-    value
-        .parse()
-        .map_err(|_| Error::bad("", format!("metadata {PREFIX}{key}"), value, "a whole number"))
+    value.parse().map_err(|_| Error::bad("", format!("metadata {PREFIX}{key}"), value, "a whole number"))
 }
 
 #[cfg(test)]
@@ -226,9 +216,6 @@ mod tests {
     #[test]
     fn sha256_of_abc_is_the_published_one() {
         // FIPS 180-2, appendix B.1.
-        assert_eq!(
-            sha256_hex(b"abc"),
-            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
-        );
+        assert_eq!(sha256_hex(b"abc"), "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
     }
 }

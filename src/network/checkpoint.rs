@@ -26,23 +26,13 @@ struct Entry {
 }
 
 /// Writes a checkpoint beside `path`, then renames it.
-pub(super) fn save(
-    path: &Path,
-    config: &UnetConfig,
-    parameters: &[Parameter],
-    adam: &Adam,
-) -> Result<()> {
+pub(super) fn save(path: &Path, config: &UnetConfig, parameters: &[Parameter], adam: &Adam) -> Result<()> {
     let finite = |values: &[f32]| values.iter().all(|v| v.is_finite());
     if let Some(bad) = parameters.iter().find(|p| !finite(&p.values)) {
-        return Err(Error::Internal(format!(
-            "parameter {} is not finite; nothing was saved",
-            bad.name
-        )));
+        return Err(Error::Internal(format!("parameter {} is not finite; nothing was saved", bad.name)));
     }
     if !finite(&adam.first) || !finite(&adam.second) {
-        return Err(Error::Internal(
-            "the optimiser's moments are not finite; nothing was saved".into(),
-        ));
+        return Err(Error::Internal("the optimiser's moments are not finite; nothing was saved".into()));
     }
     let metadata = BTreeMap::from([
         ("schema", SCHEMA.to_owned()),
@@ -63,11 +53,8 @@ pub(super) fn save(
         for (name, values) in tensors {
             let start = data.len();
             data.extend(values.iter().flat_map(|v| v.to_le_bytes()));
-            let entry = Entry {
-                dtype: "F32".into(),
-                shape: parameter.shape.clone(),
-                data_offsets: [start, data.len()],
-            };
+            let entry =
+                Entry { dtype: "F32".into(), shape: parameter.shape.clone(), data_offsets: [start, data.len()] };
             header.insert(name, serde_json::to_value(entry).map_err(internal)?);
         }
         offset += n;
@@ -84,8 +71,8 @@ pub(super) fn save(
 pub(super) fn read_config(path: &Path) -> Result<UnetConfig> {
     let file = Checkpoint::read(path)?;
     let text = file.metadata("config")?;
-    let config: UnetConfig = serde_json::from_str(text)
-        .map_err(|e| file.bad("config", e.to_string(), "a network's size"))?;
+    let config: UnetConfig =
+        serde_json::from_str(text).map_err(|e| file.bad("config", e.to_string(), "a network's size"))?;
     config.validate().map_err(|e| e.in_file(path))?;
     Ok(config)
 }
@@ -100,11 +87,7 @@ pub(super) fn load(path: &Path, parameters: &[Parameter]) -> Result<(Vec<f32>, A
     for parameter in parameters {
         file.append(&parameter.name, &parameter.shape, &mut weights)?;
         file.append(&format!("adam.first.{}", parameter.name), &parameter.shape, &mut adam.first)?;
-        file.append(
-            &format!("adam.second.{}", parameter.name),
-            &parameter.shape,
-            &mut adam.second,
-        )?;
+        file.append(&format!("adam.second.{}", parameter.name), &parameter.shape, &mut adam.second)?;
     }
     Ok((weights, adam))
 }
@@ -129,21 +112,16 @@ impl<'a> Checkpoint<'a> {
                 "a checkpoint written by this program (safetensors)",
             )
         };
-        let (length, rest) =
-            bytes.split_first_chunk::<8>().ok_or_else(|| bad(format!("{} bytes", bytes.len())))?;
+        let (length, rest) = bytes.split_first_chunk::<8>().ok_or_else(|| bad(format!("{} bytes", bytes.len())))?;
         let length = usize::try_from(u64::from_le_bytes(*length)).unwrap_or(usize::MAX);
-        let text = rest
-            .get(..length)
-            .ok_or_else(|| bad(format!("a header of {length} bytes in a shorter file")))?;
+        let text = rest.get(..length).ok_or_else(|| bad(format!("a header of {length} bytes in a shorter file")))?;
         let mut header: serde_json::Map<String, serde_json::Value> =
             serde_json::from_slice(text).map_err(|e| bad(e.to_string()))?;
         let metadata = header.remove("__metadata__").ok_or_else(|| bad("no metadata".into()))?;
-        let metadata: BTreeMap<String, String> =
-            serde_json::from_value(metadata).map_err(|e| bad(e.to_string()))?;
+        let metadata: BTreeMap<String, String> = serde_json::from_value(metadata).map_err(|e| bad(e.to_string()))?;
         let mut entries = BTreeMap::new();
         for (name, value) in header {
-            let entry: Entry =
-                serde_json::from_value(value).map_err(|e| bad(format!("{name}: {e}")))?;
+            let entry: Entry = serde_json::from_value(value).map_err(|e| bad(format!("{name}: {e}")))?;
             entries.insert(name, entry);
         }
         let file = Self { path, metadata, entries, data_start: 8 + length, bytes };
@@ -167,27 +145,16 @@ impl<'a> Checkpoint<'a> {
 
     /// Appends the tensor `name`, which must have `shape` and finite values.
     fn append(&self, name: &str, shape: &[usize], values: &mut Vec<f32>) -> Result<()> {
-        let entry = self
-            .entries
-            .get(name)
-            .ok_or_else(|| self.bad(name, "missing", "a tensor of that name"))?;
+        let entry = self.entries.get(name).ok_or_else(|| self.bad(name, "missing", "a tensor of that name"))?;
         if entry.dtype != "F32" || entry.shape != shape {
-            return Err(self.bad(
-                name,
-                format!("{} {:?}", entry.dtype, entry.shape),
-                &format!("F32 {shape:?}"),
-            ));
+            return Err(self.bad(name, format!("{} {:?}", entry.dtype, entry.shape), &format!("F32 {shape:?}")));
         }
         let [start, end] = entry.data_offsets;
         let raw = self.bytes[self.data_start..]
             .get(start..end)
             .filter(|raw| raw.len() == 4 * shape.iter().product::<usize>())
             .ok_or_else(|| {
-                self.bad(
-                    name,
-                    format!("bytes {start} to {end}"),
-                    "a range of the tensor's size in the file",
-                )
+                self.bad(name, format!("bytes {start} to {end}"), "a range of the tensor's size in the file")
             })?;
         let before = values.len();
         values.extend(raw.chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])));
@@ -252,11 +219,7 @@ mod tests {
         train(&mut resumed, 3);
         assert_eq!(resumed.parameters(), straight.parameters());
         assert_eq!(resumed.steps(), 6);
-        assert_eq!(
-            fs::read_dir(folder.path()).expect("there").count(),
-            1,
-            "no half-written files stay"
-        );
+        assert_eq!(fs::read_dir(folder.path()).expect("there").count(), 1, "no half-written files stay");
     }
 
     #[test]
@@ -279,13 +242,7 @@ mod tests {
         huge[..8].copy_from_slice(&u64::MAX.to_le_bytes());
         let text = String::from_utf8_lossy(&good).into_owned();
         assert!(text.contains("output.bias"));
-        for damaged in [
-            vec![],
-            good[..7].to_vec(),
-            good[..200].to_vec(),
-            good[..good.len() - 4].to_vec(),
-            huge,
-        ] {
+        for damaged in [vec![], good[..7].to_vec(), good[..200].to_vec(), good[..good.len() - 4].to_vec(), huge] {
             fs::write(&path, damaged).expect("written");
             assert!(Reconstructor::load(&path).is_err());
         }

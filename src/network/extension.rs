@@ -44,11 +44,7 @@ pub(super) trait FastOps: Backend {
     ) -> FloatTensor<Self>;
 
     /// 2×2 max-pooling of an activated picture.
-    fn pool_activated(
-        x: FloatTensor<Self>,
-        slope: FloatTensor<Self>,
-        level: Level,
-    ) -> FloatTensor<Self>;
+    fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self>;
 
     /// Transposed 2×2 convolution of an activated picture.
     fn unpool_activated(
@@ -64,11 +60,7 @@ type Primitive = FloatTensor<Flex>;
 
 /// The same tensor in row-major order from the start of its memory.
 fn contiguous(tensor: Primitive) -> Primitive {
-    if tensor.is_contiguous() && tensor.layout().start_offset() == 0 {
-        tensor
-    } else {
-        tensor.to_contiguous()
-    }
+    if tensor.is_contiguous() && tensor.layout().start_offset() == 0 { tensor } else { tensor.to_contiguous() }
 }
 
 fn values(tensor: &Primitive) -> &[f32] {
@@ -104,13 +96,7 @@ fn extent(x: &Primitive) -> Extent {
     Extent { batch, rows, columns }
 }
 
-fn convolve(
-    sources: &[Source],
-    extent: Extent,
-    weight: &Primitive,
-    bias: &Primitive,
-    level: Level,
-) -> Primitive {
+fn convolve(sources: &[Source], extent: Extent, weight: &Primitive, bias: &Primitive, level: Level) -> Primitive {
     let output = kernels::convolve(level, sources, extent, values(weight), values(bias));
     primitive(output, [extent.batch, dims::<1>(bias)[0], extent.rows, extent.columns])
 }
@@ -159,22 +145,10 @@ impl FastOps for Flex {
         primitive(output, [batch, channels, rows / 2, columns / 2])
     }
 
-    fn unpool_activated(
-        x: Primitive,
-        slope: Primitive,
-        weight: Primitive,
-        bias: Primitive,
-        level: Level,
-    ) -> Primitive {
+    fn unpool_activated(x: Primitive, slope: Primitive, weight: Primitive, bias: Primitive, level: Level) -> Primitive {
         let [x, slope, weight, bias] = [x, slope, weight, bias].map(contiguous);
         let [batch, _, rows, columns] = dims(&x);
-        let output = kernels::unpool(
-            level,
-            source(&x, Some(&slope)),
-            extent(&x),
-            values(&weight),
-            values(&bias),
-        );
+        let output = kernels::unpool(level, source(&x, Some(&slope)), extent(&x), values(&weight), values(&bias));
         release([x]);
         primitive(output, [batch, dims::<1>(&bias)[0], 2 * rows, 2 * columns])
     }
@@ -199,18 +173,9 @@ impl Backward<Flex, 3> for ConvolvePlain {
         let [x_node, weight_node, bias_node] = ops.parents;
         let bar = contiguous(grads.consume::<Flex>(&ops.node));
         let ([x, weight], level) = ops.state;
-        let wanted = Wanted {
-            inputs: x_node.is_some(),
-            weights: weight_node.is_some() || bias_node.is_some(),
-        };
-        let (mut sources, weight_bar, bias_bar) = kernels::convolve_vjp(
-            level,
-            &[source(&x, None)],
-            extent(&x),
-            values(&weight),
-            values(&bar),
-            wanted,
-        );
+        let wanted = Wanted { inputs: x_node.is_some(), weights: weight_node.is_some() || bias_node.is_some() };
+        let (mut sources, weight_bar, bias_bar) =
+            kernels::convolve_vjp(level, &[source(&x, None)], extent(&x), values(&weight), values(&bar), wanted);
         register!(grads, x_node, sources.remove(0).values, dims::<4>(&x));
         let outputs = bias_bar.len();
         register!(grads, weight_node, weight_bar, dims::<4>(&weight));
@@ -234,14 +199,8 @@ impl Backward<Flex, 4> for ConvolveActivated {
             weights: weight_node.is_some() || bias_node.is_some(),
         };
         let sources = [source(&x, Some(&slope))];
-        let (mut bars, weight_bar, bias_bar) = kernels::convolve_vjp(
-            level,
-            &sources,
-            extent(&x),
-            values(&weight),
-            values(&bar),
-            wanted,
-        );
+        let (mut bars, weight_bar, bias_bar) =
+            kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(&bar), wanted);
         let SourceBar { values: x_bar, slope: slope_bar } = bars.remove(0);
         register!(grads, x_node, x_bar, dims::<4>(&x));
         register!(grads, slope_node, slope_bar, dims::<1>(&slope));
@@ -267,14 +226,8 @@ impl Backward<Flex, 5> for ConvolveJoined {
             weights: weight_node.is_some() || bias_node.is_some(),
         };
         let sources = [source(&x, Some(&slope)), source(&plain, None)];
-        let (mut bars, weight_bar, bias_bar) = kernels::convolve_vjp(
-            level,
-            &sources,
-            extent(&x),
-            values(&weight),
-            values(&bar),
-            wanted,
-        );
+        let (mut bars, weight_bar, bias_bar) =
+            kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(&bar), wanted);
         let SourceBar { values: x_bar, slope: slope_bar } = bars.remove(0);
         register!(grads, x_node, x_bar, dims::<4>(&x));
         register!(grads, slope_node, slope_bar, dims::<1>(&slope));
@@ -296,8 +249,7 @@ impl Backward<Flex, 2> for PoolActivated {
         let [x_node, slope_node] = ops.parents;
         let bar = contiguous(grads.consume::<Flex>(&ops.node));
         let ([x, slope], level) = ops.state;
-        let source_bar =
-            kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&bar));
+        let source_bar = kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&bar));
         register!(grads, x_node, source_bar.values, dims::<4>(&x));
         register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
         release([bar, x]);
@@ -318,14 +270,8 @@ impl Backward<Flex, 4> for UnpoolActivated {
             inputs: x_node.is_some() || slope_node.is_some(),
             weights: weight_node.is_some() || bias_node.is_some(),
         };
-        let (source_bar, weight_bar, bias_bar) = kernels::unpool_vjp(
-            level,
-            source(&x, Some(&slope)),
-            extent(&x),
-            values(&weight),
-            values(&bar),
-            wanted,
-        );
+        let (source_bar, weight_bar, bias_bar) =
+            kernels::unpool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&weight), values(&bar), wanted);
         register!(grads, x_node, source_bar.values, dims::<4>(&x));
         register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
         let outputs = bias_bar.len();
@@ -367,13 +313,7 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(
-            ConvolveActivated,
-            [x, slope, weight, bias],
-            [x, slope, weight],
-            level,
-            convolve_activated
-        )
+        tracked!(ConvolveActivated, [x, slope, weight, bias], [x, slope, weight], level, convolve_activated)
     }
 
     fn convolve_joined(
@@ -384,20 +324,10 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(
-            ConvolveJoined,
-            [x, slope, plain, weight, bias],
-            [x, slope, plain, weight],
-            level,
-            convolve_joined
-        )
+        tracked!(ConvolveJoined, [x, slope, plain, weight, bias], [x, slope, plain, weight], level, convolve_joined)
     }
 
-    fn pool_activated(
-        x: FloatTensor<Self>,
-        slope: FloatTensor<Self>,
-        level: Level,
-    ) -> FloatTensor<Self> {
+    fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
         tracked!(PoolActivated, [x, slope], [x, slope], level, pool_activated)
     }
 
@@ -408,12 +338,6 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(
-            UnpoolActivated,
-            [x, slope, weight, bias],
-            [x, slope, weight],
-            level,
-            unpool_activated
-        )
+        tracked!(UnpoolActivated, [x, slope, weight, bias], [x, slope, weight], level, unpool_activated)
     }
 }

@@ -42,40 +42,21 @@ impl Features {
 ///
 /// # Shapes
 /// `weight`: `[out, in, 3, 3]`, `bias`: `[out]`.
-pub(super) fn convolve(
-    level: Level,
-    inputs: &[&Features],
-    weight: Tensor<4>,
-    bias: Tensor<1>,
-) -> Tensor<4> {
+pub(super) fn convolve(level: Level, inputs: &[&Features], weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
     let dispatch = |t: &Tensor<4>| t.clone().into_dispatch();
     if level != Level::Plain {
         let (w, b) = (weight.clone().into_dispatch(), bias.clone().into_dispatch());
         match inputs {
             [Features { values, slope: None }] => {
-                return Tensor::from_dispatch(Dispatch::convolve_plain(
-                    dispatch(values),
-                    w,
-                    b,
-                    level,
-                ));
+                return Tensor::from_dispatch(Dispatch::convolve_plain(dispatch(values), w, b, level));
             }
             [Features { values, slope: Some(slope) }] => {
                 let slope = slope.clone().into_dispatch();
-                return Tensor::from_dispatch(Dispatch::convolve_activated(
-                    dispatch(values),
-                    slope,
-                    w,
-                    b,
-                    level,
-                ));
+                return Tensor::from_dispatch(Dispatch::convolve_activated(dispatch(values), slope, w, b, level));
             }
             [Features { values, slope: Some(slope) }, Features { values: plain, slope: None }] => {
-                let (x, slope, plain) =
-                    (dispatch(values), slope.clone().into_dispatch(), dispatch(plain));
-                return Tensor::from_dispatch(Dispatch::convolve_joined(
-                    x, slope, plain, w, b, level,
-                ));
+                let (x, slope, plain) = (dispatch(values), slope.clone().into_dispatch(), dispatch(plain));
+                return Tensor::from_dispatch(Dispatch::convolve_joined(x, slope, plain, w, b, level));
             }
             _ => {}
         }
@@ -98,12 +79,7 @@ pub(super) fn pool(level: Level, input: &Features) -> Tensor<4> {
 ///
 /// # Shapes
 /// `weight`: `[in, out, 2, 2]`, `bias`: `[out]`.
-pub(super) fn unpool(
-    level: Level,
-    input: &Features,
-    weight: Tensor<4>,
-    bias: Tensor<1>,
-) -> Tensor<4> {
+pub(super) fn unpool(level: Level, input: &Features, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
     if let (true, Some(slope)) = (level != Level::Plain, &input.slope) {
         let (x, slope) = (input.values.clone().into_dispatch(), slope.clone().into_dispatch());
         let (weight, bias) = (weight.into_dispatch(), bias.into_dispatch());

@@ -7,9 +7,8 @@
 use std::path::Path;
 
 use onnx_rs::ast::{
-    Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId,
-    StringStringEntry, TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto,
-    TypeValue, ValueInfo,
+    Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId, StringStringEntry,
+    TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue, ValueInfo,
 };
 
 use super::card::ModelCard;
@@ -30,30 +29,17 @@ pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()
 /// The bytes of [`export`]'s file.
 pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     let config = model.config();
-    if (card.base_width, card.scales, card.multiple)
-        != (config.base_width, config.scales, config.multiple())
-    {
+    if (card.base_width, card.scales, card.multiple) != (config.base_width, config.scales, config.multiple()) {
         return Err(Error::bad(
             "",
             "model card",
-            format!(
-                "width {}, scales {}, multiple {}",
-                card.base_width, card.scales, card.multiple
-            ),
-            format!(
-                "the network's: {}, {}, {}",
-                config.base_width,
-                config.scales,
-                config.multiple()
-            ),
+            format!("width {}, scales {}, multiple {}", card.base_width, card.scales, card.multiple),
+            format!("the network's: {}, {}, {}", config.base_width, config.scales, config.multiple()),
         ));
     }
     let parameters = model.parameters();
     if let Some(bad) = parameters.iter().find(|p| p.values.iter().any(|v| !v.is_finite())) {
-        return Err(Error::Internal(format!(
-            "parameter {} is not finite; nothing was exported",
-            bad.name
-        )));
+        return Err(Error::Internal(format!("parameter {} is not finite; nothing was exported", bad.name)));
     }
     let steps = steps(config.scales);
     let metadata = card.to_metadata();
@@ -62,10 +48,7 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         opset_import: vec![OperatorSetId { domain: "", version: OPSET }],
         producer_name: "isoplanat",
         producer_version: env!("CARGO_PKG_VERSION"),
-        metadata_props: metadata
-            .iter()
-            .map(|(key, value)| StringStringEntry { key, value })
-            .collect(),
+        metadata_props: metadata.iter().map(|(key, value)| StringStringEntry { key, value }).collect(),
         graph: Some(Graph {
             name: "reconstruction",
             node: steps.iter().map(Operation::node).collect(),
@@ -104,19 +87,14 @@ fn steps(scales: usize) -> Vec<Operation> {
         steps.push(Operation { kind, name: name.to_owned(), inputs });
         name.to_owned()
     };
-    let convolve =
-        |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, kind, layer: &str, input: &str| {
-            push(kind, layer, &[input, &format!("{layer}.weight"), &format!("{layer}.bias")])
-        };
+    let convolve = |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, kind, layer: &str, input: &str| {
+        push(kind, layer, &[input, &format!("{layer}.weight"), &format!("{layer}.bias")])
+    };
     let block = |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, name: &str, input: &str| {
         let mut value = input.to_owned();
         for n in 1..=2 {
             value = convolve(push, Kind::Convolution, &format!("{name}.conv{n}"), &value);
-            value = push(
-                Kind::Activation,
-                &format!("{name}.act{n}"),
-                &[&value, &format!("{name}.slope{n}")],
-            );
+            value = push(Kind::Activation, &format!("{name}.act{n}"), &[&value, &format!("{name}.slope{n}")]);
         }
         value
     };
@@ -143,25 +121,13 @@ fn steps(scales: usize) -> Vec<Operation> {
 impl Operation {
     fn node(&self) -> Node<'_> {
         let (op_type, attribute) = match self.kind {
-            Kind::Convolution => {
-                (OpType::Conv, vec![ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])])
-            }
+            Kind::Convolution => (OpType::Conv, vec![ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])]),
             Kind::Activation => (OpType::PRelu, vec![]),
-            Kind::Pool => {
-                (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])])
-            }
-            Kind::Unpool => (
-                OpType::ConvTranspose,
-                vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])],
-            ),
+            Kind::Pool => (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
+            Kind::Unpool => (OpType::ConvTranspose, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
             Kind::Concatenation => (
                 OpType::Concat,
-                vec![Attribute {
-                    name: "axis",
-                    r#type: AttributeType::Int,
-                    i: 1,
-                    ..Default::default()
-                }],
+                vec![Attribute { name: "axis", r#type: AttributeType::Int, i: 1, ..Default::default() }],
             ),
             Kind::Addition => (OpType::Add, vec![]),
         };
@@ -191,20 +157,11 @@ fn initializer(parameter: &Parameter) -> TensorProto<'_> {
 
 /// `[batch, 3, height, width]` f32.
 fn image(name: &str) -> ValueInfo<'_> {
-    let dim = [
-        Dimension::Param("batch"),
-        Dimension::Value(3),
-        Dimension::Param("height"),
-        Dimension::Param("width"),
-    ]
-    .map(|value| TensorShapeDimension { value, ..Default::default() });
+    let dim = [Dimension::Param("batch"), Dimension::Value(3), Dimension::Param("height"), Dimension::Param("width")]
+        .map(|value| TensorShapeDimension { value, ..Default::default() });
     let shape = Some(TensorShape { dim: dim.into() });
     let value = Some(TypeValue::Tensor(TensorTypeProto { elem_type: DataType::Float, shape }));
-    ValueInfo {
-        name,
-        r#type: Some(TypeProto { value, ..Default::default() }),
-        ..Default::default()
-    }
+    ValueInfo { name, r#type: Some(TypeProto { value, ..Default::default() }), ..Default::default() }
 }
 
 #[cfg(test)]
@@ -221,9 +178,7 @@ mod tests {
         let mut model = Reconstructor::new(config, 9).expect("valid");
         let rng = &mut fastrand::Rng::with_seed(2);
         for mut parameter in model.parameters() {
-            if parameter.values.iter().all(|&v| v == parameter.values[0])
-                || parameter.name == "output.weight"
-            {
+            if parameter.values.iter().all(|&v| v == parameter.values[0]) || parameter.name == "output.weight" {
                 parameter.values.iter_mut().for_each(|v| *v = rng.f32() - 0.4);
             }
             model.set_parameter(&parameter.name, &parameter.values).expect("same length");
@@ -242,14 +197,8 @@ mod tests {
         assert_eq!(ModelCard::from_metadata(&metadata).expect("complete"), card);
         let graph = parsed.graph.expect("there");
         for parameter in model.parameters() {
-            let stored =
-                graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
-            assert_eq!(
-                stored.as_f32().expect("f32").as_ref(),
-                parameter.values,
-                "{}",
-                parameter.name
-            );
+            let stored = graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
+            assert_eq!(stored.as_f32().expect("f32").as_ref(), parameter.values, "{}", parameter.name);
         }
         card.scales = 2;
         assert!(encode(&model, &card).is_err());
@@ -270,11 +219,8 @@ mod tests {
                 .and_then(|m| m.into_optimized())
                 .and_then(|m| m.into_runnable())
                 .expect("tract reads the file");
-            let tensor = Tensor::from_shape(
-                &[batch, 3, rows, columns],
-                input.as_slice().expect("standard layout"),
-            )
-            .expect("shape fits");
+            let tensor = Tensor::from_shape(&[batch, 3, rows, columns], input.as_slice().expect("standard layout"))
+                .expect("shape fits");
             let theirs = plan.run(tvec!(tensor.into())).expect("tract runs");
             let theirs = theirs[0].to_plain_array_view::<f32>().expect("f32").to_owned();
             let ours = model.forward(input.view()).expect("fits");
@@ -289,8 +235,7 @@ mod tests {
     #[test]
     #[ignore = "writes files for an external check"]
     fn files_for_an_external_check() {
-        let Some(folder) = std::env::var_os("ISOPLANAT_ONNX_CHECK").map(std::path::PathBuf::from)
-        else {
+        let Some(folder) = std::env::var_os("ISOPLANAT_ONNX_CHECK").map(std::path::PathBuf::from) else {
             return;
         };
         let (model, card) = model();

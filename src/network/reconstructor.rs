@@ -85,14 +85,7 @@ impl Reconstructor {
         let device = Device::flex().autodiff();
         let network = Unet::new(&config, seed, &device);
         let weights: Vec<f32> = collect(&network).into_iter().flat_map(|p| p.values).collect();
-        Ok(Self {
-            adam: Adam::new(weights.len()),
-            level: Level::detect(),
-            config,
-            device,
-            network,
-            weights,
-        })
+        Ok(Self { adam: Adam::new(weights.len()), level: Level::detect(), config, device, network, weights })
     }
 
     /// The network's size.
@@ -117,12 +110,7 @@ impl Reconstructor {
             let n = parameter.values.len();
             if parameter.name == name {
                 if values.len() != n {
-                    return Err(Error::bad(
-                        "",
-                        name,
-                        format!("{} values", values.len()),
-                        format!("{n} values"),
-                    ));
+                    return Err(Error::bad("", name, format!("{} values", values.len()), format!("{n} values")));
                 }
                 self.weights[offset..offset + n].copy_from_slice(values);
                 self.write_weights();
@@ -130,12 +118,7 @@ impl Reconstructor {
             }
             offset += n;
         }
-        Err(Error::bad(
-            "",
-            name,
-            "no such parameter",
-            "a name from the network's list of parameters",
-        ))
+        Err(Error::bad("", name, "no such parameter", "a name from the network's list of parameters"))
     }
 
     /// The network's output. Height and width must be multiples of [`UnetConfig::multiple`]; a large picture is done in
@@ -152,8 +135,7 @@ impl Reconstructor {
         if rows * columns * self.config.base_width <= TILE_ABOVE {
             return run(input);
         }
-        let margin =
-            receptive_radius_px(self.config.scales).next_multiple_of(self.config.multiple());
+        let margin = receptive_radius_px(self.config.scales).next_multiple_of(self.config.multiple());
         tiles::forward_tiled(input, TILE, margin, run)
     }
 
@@ -181,18 +163,14 @@ impl Reconstructor {
         learning_rate: f64,
         update: bool,
     ) -> Result<Step> {
-        let Backward { loss, output, input_bar, gradient } =
-            self.backward(&input, &target, true, update)?;
-        let input_bar = input_bar
-            .ok_or_else(|| Error::Internal("no gradient reached the network's input".into()))?;
+        let Backward { loss, output, input_bar, gradient } = self.backward(&input, &target, true, update)?;
+        let input_bar = input_bar.ok_or_else(|| Error::Internal("no gradient reached the network's input".into()))?;
         let scale = -1.0 / output.len() as f32;
         let mut target_bar = Array4::zeros(output.raw_dim());
-        ndarray::Zip::from(&mut target_bar).and(&output).and(&target).for_each(
-            |bar, &output, &target| {
-                let difference = output - target;
-                *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
-            },
-        );
+        ndarray::Zip::from(&mut target_bar).and(&output).and(&target).for_each(|bar, &output, &target| {
+            let difference = output - target;
+            *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
+        });
         let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
         Ok(Step { loss, output, input_bar, target_bar, gradient_norm, updated })
     }
@@ -204,8 +182,7 @@ impl Reconstructor {
         target: ArrayView4<f32>,
         learning_rate: f64,
     ) -> Result<NetworkStep> {
-        let Backward { loss, output, gradient, .. } =
-            self.backward(&input, &target, false, true)?;
+        let Backward { loss, output, gradient, .. } = self.backward(&input, &target, false, true)?;
         let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
         Ok(NetworkStep { loss, output, gradient_norm, updated })
     }
@@ -253,15 +230,9 @@ impl Reconstructor {
         let mut gradients = difference.abs().mean().backward();
 
         let output = array(output.inner())?;
-        let sum: f64 =
-            output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
-        let input_bar = if with_input {
-            input.grad_remove(&mut gradients).map(array).transpose()?
-        } else {
-            None
-        };
-        let gradient =
-            with_weights.then(|| collect_gradient(network, &mut gradients, self.weights.len()));
+        let sum: f64 = output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
+        let input_bar = if with_input { input.grad_remove(&mut gradients).map(array).transpose()? } else { None };
+        let gradient = with_weights.then(|| collect_gradient(network, &mut gradients, self.weights.len()));
         Ok(Backward { loss: (sum / output.len() as f64) as f32, output, input_bar, gradient })
     }
 
@@ -293,9 +264,7 @@ impl Reconstructor {
                 "",
                 "network input",
                 format!("shape [{batch}, {channels}, {rows}, {columns}]"),
-                format!(
-                    "[batch, {CHANNELS}, rows, columns], rows and columns multiples of {multiple}"
-                ),
+                format!("[batch, {CHANNELS}, rows, columns], rows and columns multiples of {multiple}"),
             ));
         }
         Ok(())
@@ -318,10 +287,8 @@ fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
 
 fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
     let shape = tensor.dims();
-    let values = tensor
-        .into_data()
-        .try_into_vec::<f32>()
-        .map_err(|e| Error::Internal(format!("tensor data: {e:?}")))?;
+    let values =
+        tensor.into_data().try_into_vec::<f32>().map_err(|e| Error::Internal(format!("tensor data: {e:?}")))?;
     Array4::from_shape_vec(shape, values).map_err(|e| Error::Internal(format!("tensor shape: {e}")))
 }
 
@@ -386,9 +353,7 @@ impl ModuleMapper for Write<'_> {
         let (head, rest) = self.values.split_at(shape.iter().product());
         self.values = rest;
         let device = self.device;
-        param.map(|_| {
-            Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad()
-        })
+        param.map(|_| Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad())
     }
 }
 
@@ -440,8 +405,7 @@ mod tests {
     #[test]
     fn names_are_stable() {
         let model = Reconstructor::new(small(), 1).expect("valid");
-        let names: Vec<_> =
-            model.parameters().into_iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
+        let names: Vec<_> = model.parameters().into_iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
         assert_eq!(names.len(), 3 * 6 + 2 * 2 + 2 * 6 + 2);
         for name in [
             "encoder.0.conv1.weight [4, 3, 3, 3]",
@@ -464,23 +428,18 @@ mod tests {
         let direction = picture((1, 3, 32, 24), 6).mapv(|v| v - 0.5);
         let loss = |x: &Array4<f32>, y: &Array4<f32>| {
             let out = model.forward(x.view()).expect("fits");
-            out.iter().zip(y).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).sum::<f64>()
-                / out.len() as f64
+            out.iter().zip(y).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).sum::<f64>() / out.len() as f64
         };
         let h = 3e-4f32;
         let slope = |towards: bool| {
             let shift = |s: f32| direction.mapv(|d| s * h * d);
             if towards {
-                (loss(&(&input + &shift(1.0)), &target) - loss(&(&input + &shift(-1.0)), &target))
-                    / f64::from(2.0 * h)
+                (loss(&(&input + &shift(1.0)), &target) - loss(&(&input + &shift(-1.0)), &target)) / f64::from(2.0 * h)
             } else {
-                (loss(&input, &(&target + &shift(1.0))) - loss(&input, &(&target + &shift(-1.0))))
-                    / f64::from(2.0 * h)
+                (loss(&input, &(&target + &shift(1.0))) - loss(&input, &(&target + &shift(-1.0)))) / f64::from(2.0 * h)
             }
         };
-        let dot = |bar: &Array4<f32>| {
-            bar.iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum::<f64>()
-        };
+        let dot = |bar: &Array4<f32>| bar.iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum::<f64>();
         assert_rel(dot(&step.input_bar), slope(true), 5e-3, 1e-3, "input");
         assert_rel(dot(&step.target_bar), slope(false), 5e-3, 1e-3, "target");
     }
@@ -489,38 +448,25 @@ mod tests {
     fn weight_gradients_match_central_differences() {
         let model = awake(small(), 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
-        let gradient = model
-            .backward(&input.view(), &target.view(), false, true)
-            .expect("fits")
-            .gradient
-            .expect("asked for");
+        let gradient =
+            model.backward(&input.view(), &target.view(), false, true).expect("fits").gradient.expect("asked for");
         let mut offset = 0;
         let rng = &mut fastrand::Rng::with_seed(8);
         for parameter in model.parameters() {
             let n = parameter.values.len();
             // Random lengths with the gradient's signs: the slope is large against what a kink of PReLU or pooling adds.
-            let direction: Vec<f32> = gradient[offset..offset + n]
-                .iter()
-                .map(|g| g.signum() * (0.5 + rng.f32()))
-                .collect();
-            let pulled: f64 = gradient[offset..offset + n]
-                .iter()
-                .zip(&direction)
-                .map(|(a, b)| f64::from(a * b))
-                .sum();
+            let direction: Vec<f32> =
+                gradient[offset..offset + n].iter().map(|g| g.signum() * (0.5 + rng.f32())).collect();
+            let pulled: f64 = gradient[offset..offset + n].iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum();
             offset += n;
             let loss = |h: f32| {
                 let mut moved = Reconstructor::new(small(), 3).expect("valid");
                 moved.weights.clone_from(&model.weights);
                 moved.write_weights();
-                let values: Vec<f32> =
-                    parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
+                let values: Vec<f32> = parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
                 moved.set_parameter(&parameter.name, &values).expect("same length");
                 let out = moved.forward(input.view()).expect("fits");
-                out.iter()
-                    .zip(&target)
-                    .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
-                    .sum::<f64>()
+                out.iter().zip(&target).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).sum::<f64>()
                     / out.len() as f64
             };
             let h = 1e-3 / (n as f32).sqrt();
@@ -531,8 +477,7 @@ mod tests {
 
     #[test]
     fn both_kinds_of_step_move_the_weights_alike_and_learn() {
-        let (input, target) =
-            (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
+        let (input, target) = (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
         let mut a = Reconstructor::new(small(), 3).expect("valid");
         let mut b = Reconstructor::new(small(), 3).expect("valid");
         let first = a.step(input.view(), target.view(), 3e-3, true).expect("fits");
@@ -609,8 +554,7 @@ mod tests {
             Level::Avx2 => vec![Level::Avx2],
             Level::Plain => vec![],
         };
-        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))]
-        {
+        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))] {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
             let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
             model.level = Level::Plain;
@@ -622,19 +566,16 @@ mod tests {
             };
             for &level in &levels {
                 model.level = level;
-                let found =
-                    model.backward(&input.view(), &target.view(), true, true).expect("fits");
+                let found = model.backward(&input.view(), &target.view(), true, true).expect("fits");
                 close(
                     found.output.as_slice().expect("contiguous"),
                     expected.output.as_slice().expect("contiguous"),
                     "output",
                 );
-                let bars = [&found, &expected].map(|b| {
-                    b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous")
-                });
+                let bars = [&found, &expected]
+                    .map(|b| b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous"));
                 close(bars[0], bars[1], "input");
-                let weights =
-                    [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
+                let weights = [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
                 close(weights[0], weights[1], "weights");
             }
         }
@@ -644,8 +585,7 @@ mod tests {
     #[ignore = "a measurement, not a check: seconds per training step"]
     fn time_of_a_step() {
         for base_width in [16, 32] {
-            let mut model =
-                Reconstructor::new(UnetConfig { base_width, scales: 3 }, 1).expect("valid");
+            let mut model = Reconstructor::new(UnetConfig { base_width, scales: 3 }, 1).expect("valid");
             let (input, target) = (picture((1, 3, 256, 256), 1), picture((1, 3, 256, 256), 2));
             let mut time = |name: &str, run: &mut dyn FnMut(&mut Reconstructor)| {
                 let mut seconds: Vec<f64> = (0..12)
@@ -656,18 +596,11 @@ mod tests {
                     })
                     .collect();
                 seconds.sort_by(f64::total_cmp);
-                eprintln!(
-                    "{base_width} {name}: median {:.4} s, least {:.4} s",
-                    seconds[6], seconds[0]
-                );
+                eprintln!("{base_width} {name}: median {:.4} s, least {:.4} s", seconds[6], seconds[0]);
             };
             time("forward", &mut |m| drop(m.forward(input.view()).expect("fits")));
-            time("network step", &mut |m| {
-                drop(m.step_network_only(input.view(), target.view(), 1e-4).expect("fits"))
-            });
-            time("joint step", &mut |m| {
-                drop(m.step(input.view(), target.view(), 1e-4, true).expect("fits"))
-            });
+            time("network step", &mut |m| drop(m.step_network_only(input.view(), target.view(), 1e-4).expect("fits")));
+            time("joint step", &mut |m| drop(m.step(input.view(), target.view(), 1e-4, true).expect("fits")));
         }
     }
 }

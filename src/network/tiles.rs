@@ -21,8 +21,7 @@ pub(super) fn forward_tiled(
         for column in (0..columns).step_by(tile) {
             let (row_end, column_end) = ((row + tile).min(rows), (column + tile).min(columns));
             let (top, left) = (row.saturating_sub(margin), column.saturating_sub(margin));
-            let (bottom, right) =
-                ((row_end + margin).min(rows), (column_end + margin).min(columns));
+            let (bottom, right) = ((row_end + margin).min(rows), (column_end + margin).min(columns));
             let done = run(input.slice(s![.., .., top..bottom, left..right]))?;
             output.slice_mut(s![.., .., row..row_end, column..column_end]).assign(&done.slice(s![
                 ..,
@@ -39,11 +38,8 @@ pub(super) fn forward_tiled(
 /// (which are not repeated); a picture of one row or column is repeated.
 pub(super) fn reflect_to_multiple(input: ArrayView4<f32>, multiple: usize) -> Array4<f32> {
     let (batch, channels, rows, columns) = input.dim();
-    let shape =
-        (batch, channels, rows.next_multiple_of(multiple), columns.next_multiple_of(multiple));
-    Array4::from_shape_fn(shape, |(b, c, row, column)| {
-        input[[b, c, mirror(row, rows), mirror(column, columns)]]
-    })
+    let shape = (batch, channels, rows.next_multiple_of(multiple), columns.next_multiple_of(multiple));
+    Array4::from_shape_fn(shape, |(b, c, row, column)| input[[b, c, mirror(row, rows), mirror(column, columns)]])
 }
 
 /// `index` folded into `0..n` by mirroring at both ends.
@@ -72,11 +68,8 @@ mod tests {
 
     #[test]
     fn tiles_of_a_pointwise_function_cover_everything_once() {
-        let input = Array4::from_shape_fn((2, 3, 10, 13), |(b, c, r, w)| {
-            (b + 2 * c + 5 * r + 7 * w) as f32
-        });
-        let out =
-            forward_tiled(input.view(), 4, 2, |w| Ok(w.mapv(|v| 2.0 * v))).expect("no errors");
+        let input = Array4::from_shape_fn((2, 3, 10, 13), |(b, c, r, w)| (b + 2 * c + 5 * r + 7 * w) as f32);
+        let out = forward_tiled(input.view(), 4, 2, |w| Ok(w.mapv(|v| 2.0 * v))).expect("no errors");
         assert_eq!(out, input.mapv(|v| 2.0 * v));
     }
 }

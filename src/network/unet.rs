@@ -41,12 +41,7 @@ impl UnetConfig {
     /// Refuses sizes that are no network or too large to train.
     pub fn validate(&self) -> Result<()> {
         if !(1..=512).contains(&self.base_width) {
-            return Err(Error::bad(
-                "",
-                "network.base_width",
-                self.base_width.to_string(),
-                "1 to 512 channels",
-            ));
+            return Err(Error::bad("", "network.base_width", self.base_width.to_string(), "1 to 512 channels"));
         }
         if !(1..=7).contains(&self.scales) {
             return Err(Error::bad("", "network.scales", self.scales.to_string(), "1 to 7 scales"));
@@ -82,13 +77,7 @@ struct Convolution {
 
 impl Convolution {
     /// 3×3, `[out, in, 3, 3]`, He's uniform distribution for PReLU times `gain`.
-    fn square(
-        inputs: usize,
-        outputs: usize,
-        gain: f64,
-        rng: &mut fastrand::Rng,
-        device: &Device,
-    ) -> Self {
+    fn square(inputs: usize, outputs: usize, gain: f64, rng: &mut fastrand::Rng, device: &Device) -> Self {
         Self::draw([outputs, inputs, 3, 3], outputs, 9 * inputs, gain, rng, device)
     }
 
@@ -107,8 +96,7 @@ impl Convolution {
     ) -> Self {
         let deviation = (2.0 / ((1.0 + f64::from(INITIAL_SLOPE).powi(2)) * fan_in as f64)).sqrt();
         let bound = 3f64.sqrt() * deviation * gain;
-        let values: Vec<f32> =
-            (0..shape.iter().product()).map(|_| (bound * (2.0 * rng.f64() - 1.0)) as f32).collect();
+        let values: Vec<f32> = (0..shape.iter().product()).map(|_| (bound * (2.0 * rng.f64() - 1.0)) as f32).collect();
         Self {
             weight: Param::from_data(TensorData::new(values, shape), device),
             bias: Param::from_data(TensorData::new(vec![0f32; outputs], [outputs]), device),
@@ -127,8 +115,7 @@ struct Block {
 
 impl Block {
     fn new(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
-        let slope =
-            || Param::from_data(TensorData::new(vec![INITIAL_SLOPE; outputs], [outputs]), device);
+        let slope = || Param::from_data(TensorData::new(vec![INITIAL_SLOPE; outputs], [outputs]), device);
         Self {
             conv1: Convolution::square(inputs, outputs, 1.0, rng, device),
             slope1: slope(),
@@ -165,16 +152,10 @@ impl Unet {
         let coarser = config.scales - 1;
         Self {
             encoder: (0..config.scales)
-                .map(|s| {
-                    Block::new(if s == 0 { CHANNELS } else { width(s - 1) }, width(s), rng, device)
-                })
+                .map(|s| Block::new(if s == 0 { CHANNELS } else { width(s - 1) }, width(s), rng, device))
                 .collect(),
-            up: (0..coarser)
-                .map(|s| Convolution::transposed(width(s + 1), width(s), rng, device))
-                .collect(),
-            decoder: (0..coarser)
-                .map(|s| Block::new(2 * width(s), width(s), rng, device))
-                .collect(),
+            up: (0..coarser).map(|s| Convolution::transposed(width(s + 1), width(s), rng, device)).collect(),
+            decoder: (0..coarser).map(|s| Block::new(2 * width(s), width(s), rng, device)).collect(),
             output: Convolution::square(width(0), CHANNELS, OUTPUT_GAIN, rng, device),
         }
     }

@@ -176,8 +176,7 @@ impl PsfGrid {
                     let (mut x_bar, mut y_bar) = (vec![0.0; count], vec![0.0; count]);
                     let mut w_bar = vec![direct; count];
                     for (n, node) in nodes.iter().enumerate().filter(|(_, node)| node.radius == i) {
-                        let scales: Vec<f64> =
-                            (0..channels).map(|c| weights[c] / self.throughput[[i, c]]).collect();
+                        let scales: Vec<f64> = (0..channels).map(|c| weights[c] / self.throughput[[i, c]]).collect();
                         let mono_bar = mixed(kernels_bar.index_axis(Axis(0), n), &scales);
                         for q in 0..count {
                             let u = pixel(plan, node, map.x[q], map.y[q] - radii_mm[i]);

@@ -214,12 +214,7 @@ impl PupilMap {
     fn from_nodes(system: &System, sampling: &PupilSampling, field: FieldPoint, nodes: Vec<Node>, kept: f64) -> Self {
         let image = system.image();
         let gather = |f: &dyn Fn(&Node) -> f64| nodes.iter().map(f).collect::<Vec<f64>>();
-        let at = |surface: usize| {
-            (
-                gather(&|n| n.hits[surface].at.point.x),
-                gather(&|n| n.hits[surface].at.point.y),
-            )
-        };
+        let at = |surface: usize| (gather(&|n| n.hits[surface].at.point.x), gather(&|n| n.hits[surface].at.point.y));
         let (x_nodes, y_nodes) = at(image);
         let fitted = sampling.refit.dot(&ArrayView1::from(&y_nodes));
         let residual = fitted.iter().zip(&y_nodes).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -237,9 +232,8 @@ impl PupilMap {
         let n4 = cosines(field, &e);
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let area = std::f64::consts::PI / sampling.points.len() as f64;
-        let open: Vec<f64> = (0..x.len())
-            .map(|q| area * n4[0][q] * (jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q]))
-            .collect();
+        let open: Vec<f64> =
+            (0..x.len()).map(|q| area * n4[0][q] * (jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q])).collect();
         // Apertures that any node comes near.
         let mut weight = open.clone();
         let mut clips = Vec::new();

@@ -66,7 +66,9 @@ fn continued(
         let at = FieldPoint { slope: field.slope * f, vergence: field.vergence };
         let start = match (before, last) {
             (Some(a), Some(b)) => 2.0 * b - a,
-            (None, Some(b)) => b + pupil.guess(at, target) - pupil.guess(FieldPoint { slope: DVec2::ZERO, ..at }, target),
+            (None, Some(b)) => {
+                b + pupil.guess(at, target) - pupil.guess(FieldPoint { slope: DVec2::ZERO, ..at }, target)
+            }
             _ => pupil.guess(at, target),
         };
         let e = newton(system, at, target, start, hits)?;
@@ -75,7 +77,13 @@ fn continued(
     Ok(last.expect("at least one step"))
 }
 
-fn newton(system: &System, field: FieldPoint, target: DVec2, start: DVec2, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
+fn newton(
+    system: &System,
+    field: FieldPoint,
+    target: DVec2,
+    start: DVec2,
+    hits: &mut Vec<Hit>,
+) -> Result<DVec2, Failure> {
     let stop = system.stop;
     let scale = system.stop_semi_diameter;
     let mut e = start;

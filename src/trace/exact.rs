@@ -73,15 +73,21 @@ pub struct AnswerGradient {
 
 /// Reads a request; errors name the ray.
 pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
-    let request: Request = serde_json::from_str(text)
-        .map_err(|e| Error::bad(file, format!("line {}", e.line()), e.to_string(), "wavelength_nm and rays of origin_mm, direction"))?;
+    let request: Request = serde_json::from_str(text).map_err(|e| {
+        Error::bad(file, format!("line {}", e.line()), e.to_string(), "wavelength_nm and rays of origin_mm, direction")
+    })?;
     if !(200.0..=20_000.0).contains(&request.wavelength_nm) {
         return Err(Error::bad(file, "wavelength_nm", request.wavelength_nm.to_string(), "200 to 20000 nm"));
     }
     for (i, ray) in request.rays.iter().enumerate() {
         let d = DVec3::from(ray.direction);
         if !ray.origin_mm.iter().all(|x| x.is_finite()) || !d.is_finite() || !(d.length() > 0.0) {
-            return Err(Error::bad(file, format!("rays[{i}]"), format!("{ray:?}"), "finite numbers, a direction not zero"));
+            return Err(Error::bad(
+                file,
+                format!("rays[{i}]"),
+                format!("{ray:?}"),
+                "finite numbers, a direction not zero",
+            ));
         }
     }
     Ok(request)

@@ -26,11 +26,8 @@ fn system(golden: &Value, wavelength: usize) -> System {
     let (mut surfaces, mut n, mut distance) = (Vec::new(), 1.0, 0.0);
     for s in golden["surfaces"].as_array().expect("list") {
         let after = number(&s["index_after"][wavelength]);
-        let shape = Shape {
-            curvature: number(&s["curvature"]),
-            conic: number(&s["conic"]),
-            asphere: numbers(&s["coeffs"]),
-        };
+        let shape =
+            Shape { curvature: number(&s["curvature"]), conic: number(&s["conic"]), asphere: numbers(&s["coeffs"]) };
         let aspheric = shape.is_aspheric();
         surfaces.push(TraceSurface {
             shape,
@@ -78,12 +75,18 @@ fn rays_agree_with_rayoptics() {
                 let direction = (hit.direction - DVec3::from_slice(&row[3..6])).length();
                 let path = (hit.optical_path - row[6]).abs();
                 worst = [worst[0].max(position), worst[1].max(direction), worst[2].max(path)];
-                assert!(position < 1e-9 && direction < 1e-10 && path < 1e-9, "{name}: {position:e} {direction:e} {path:e}");
+                assert!(
+                    position < 1e-9 && direction < 1e-10 && path < 1e-9,
+                    "{name}: {position:e} {direction:e} {path:e}"
+                );
             }
             count += 1;
         }
     }
-    eprintln!("{count} golden rays: worst position {:e} mm, direction {:e}, path {:e} mm", worst[0], worst[1], worst[2]);
+    eprintln!(
+        "{count} golden rays: worst position {:e} mm, direction {:e}, path {:e} mm",
+        worst[0], worst[1], worst[2]
+    );
 }
 
 /// Gradient of the landing in the file's parameter order, for cotangent `bar` at the image.
@@ -99,7 +102,9 @@ fn gradient(s: &System, golden: &Value, ray: Ray, bar: DVec3) -> (DVec3, Vec<f64
         match p["kind"].as_str().expect("kind") {
             "curvature" => g.shapes[i].curvature,
             "conic" => g.shapes[i].conic,
-            "asphere" => g.shapes[i].asphere[usize::try_from(p["order"].as_u64().expect("order")).expect("small") / 2 - 1],
+            "asphere" => {
+                g.shapes[i].asphere[usize::try_from(p["order"].as_u64().expect("order")).expect("small") / 2 - 1]
+            }
             "thickness" => g.distances[i + 1],
             "index_after" => g.indices[i + 1] + if i + 1 == s.image() { g.indices[i + 2] } else { 0.0 },
             other => panic!("unknown parameter kind {other}"),

@@ -23,8 +23,7 @@ fn compare(texture: &Array3<f32>, what: &str) {
     let frame = frame_of(&lens).expect("valid");
     let density = SpectralDensity::new(&Sensor::generic());
     let max_slope = slope_at_height(&lens, lens.object_vergence, 1.02 * frame.max_radius_mm()).expect("reaches");
-    let plan =
-        plan(&lens, lens.object_vergence, &frame, &density, Quality::FINE, Some(max_slope)).expect("plans");
+    let plan = plan(&lens, lens.object_vergence, &frame, &density, Quality::FINE, Some(max_slope)).expect("plans");
     for (row, col) in [(200, 300), (200, 2600)] {
         let region = Region { row, col, rows: 96, cols: 96 };
         // The photograph's middle at the region's middle, a texel a pixel.

@@ -142,16 +142,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let clock = Instant::now();
     let render = plan(&lens, lens.object_vergence, &frame, &density, settings.fine, None)?;
     let optics = kit::whole_frame(&lens, &render, settings.wiener_spacing)?;
-    let kit = kit::build(
-        "isoplanat demo",
-        &lens,
-        &net,
-        &sensor,
-        &frame,
-        &optics,
-        textures.sha256(),
-        settings.tile,
-    )?;
+    let kit = kit::build("isoplanat demo", &lens, &net, &sensor, &frame, &optics, textures.sha256(), settings.tile)?;
     kit.save(&folder.join("kit"), false)?;
     stage("Kit: ONNX model and calibration", clock, &mut report);
 
@@ -159,7 +150,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
     let clock = Instant::now();
     for unseen in settings.unseen() {
-        let result = capture::photograph(folder, &settings, &lens, &kit, &optics, &options, unseen, &mut report.runtime)?;
+        let result =
+            capture::photograph(folder, &settings, &lens, &kit, &optics, &options, unseen, &mut report.runtime)?;
         write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
         report.scenes.push(result);
     }
@@ -176,10 +168,11 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.loss = vec![curve("lens and network", &joint_history), curve("network for the finished lens", &history)];
     report.settings = settings.describe(&sensor, &render);
     report.left_out.extend(left_out(&lens, &optics, &render));
-    report.summary = "A coarse two-element lens and a small network are designed together; the network is then trained for \
+    report.summary =
+        "A coarse two-element lens and a small network are designed together; the network is then trained for \
                       the finished lens, exported to ONNX, and used on RAW captures of scenes that neither has seen, \
                       rendered by an independent ray tracer from the sensor."
-        .into();
+            .into();
     report.seconds_total = started.elapsed().as_secs_f64();
     std::fs::write(folder.join("report.html"), report.to_html()?).map_err(|e| Error::writing(folder, e))?;
     let summary = format!("{:#}\n", report.summary_json());

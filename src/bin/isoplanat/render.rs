@@ -83,8 +83,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
         Method::MonteCarlo => {
             let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-            let how =
-                Settings { samples: args.samples, seed: args.seed, channels: Channels::All, sampling: Sampling::Bounded };
+            let how = Settings {
+                samples: args.samples,
+                seed: args.seed,
+                channels: Channels::All,
+                sampling: Sampling::Bounded,
+            };
             let r = render(&lens, &plane, &density, &frame, whole, how, Some(&progress))?;
             let figures = serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() });
             (r.mean, figures)

@@ -88,10 +88,7 @@ impl SceneArgs {
         #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
         let relative = |axis: f64, n: usize, texels: usize| axis / n as f64 * texels as f64;
         Ok(Plane {
-            axis_texel: [
-                relative(frame.axis_px[0], frame.columns, cols),
-                relative(frame.axis_px[1], frame.rows, rows),
-            ],
+            axis_texel: [relative(frame.axis_px[0], frame.columns, cols), relative(frame.axis_px[1], frame.rows, rows)],
             texture,
             texels_per_slope: zoom / per_pixel,
             vergence: lens.object_vergence,

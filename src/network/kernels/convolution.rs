@@ -1,15 +1,10 @@
 //! 3×3 convolution with zero padding over several sources, and its cotangents.
-#![allow(
-    unsafe_code,
-    reason = "strips of one output written by several threads; see each Safety note"
-)]
+#![allow(unsafe_code, reason = "strips of one output written by several threads; see each Safety note")]
 
 use rayon::prelude::*;
 
 use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
-use super::strip::{
-    Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
-};
+use super::strip::{Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
 
 const TAPS: usize = 9;
@@ -38,8 +33,7 @@ pub(in super::super) fn convolve(
     let inputs: usize = sources.iter().map(|s| s.channels).sum();
     let outputs = bias.len();
     assert_eq!(weight.len(), inputs * outputs * TAPS);
-    let packed =
-        pack(outputs, inputs, block(level), |o, i, tap| weight[(o * inputs + i) * TAPS + tap]);
+    let packed = pack(outputs, inputs, block(level), |o, i, tap| weight[(o * inputs + i) * TAPS + tap]);
     let rows = rows_of_strip(extent, inputs);
     filled(extent.batch * outputs * extent.plane(), |to| {
         strips(extent, rows).into_par_iter().for_each(|strip| {
@@ -74,11 +68,7 @@ pub(super) struct Strip {
 pub(super) fn strips(extent: Extent, rows: usize) -> Vec<Strip> {
     (0..extent.batch)
         .flat_map(|image| {
-            (0..extent.rows).step_by(rows).map(move |first| Strip {
-                image,
-                first,
-                rows: rows.min(extent.rows - first),
-            })
+            (0..extent.rows).step_by(rows).map(move |first| Strip { image, first, rows: rows.min(extent.rows - first) })
         })
         .collect()
 }
@@ -119,32 +109,12 @@ impl Kernel for Forward<'_> {
         let layout = Layout::new(self.inputs, rows + 2, self.extent.columns);
         // SAFETY: this thread's scratch, borrowed for the call.
         let buffer = unsafe { &mut *self.scratch }.get(layout.len());
-        unsafe {
-            load_activated::<S>(
-                self.sources,
-                self.extent,
-                image,
-                first as isize - 1,
-                &layout,
-                buffer,
-            )
-        };
+        unsafe { load_activated::<S>(self.sources, self.extent, image, first as isize - 1, &layout, buffer) };
         let plane = self.extent.plane();
         let outputs = self.bias.len();
         // SAFETY: the strip's rows of picture `image`, which no other strip writes.
         let to = unsafe { self.to.0.add(image * outputs * plane + first * self.extent.columns) };
-        unsafe {
-            convolve_strip::<S>(
-                &layout,
-                buffer,
-                rows,
-                self.packed,
-                self.bias,
-                to,
-                plane,
-                self.extent.columns,
-            )
-        };
+        unsafe { convolve_strip::<S>(&layout, buffer, rows, self.packed, self.bias, to, plane, self.extent.columns) };
     }
 }
 
@@ -204,10 +174,8 @@ pub(in super::super) fn convolve_vjp(
     let groups: Vec<&[Strip]> = all.chunks(all.len().div_ceil(GROUPS)).collect();
     let zeros = vec![0.0; inputs];
 
-    let mut bars: Vec<Vec<f32>> = sources
-        .iter()
-        .map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 }))
-        .collect();
+    let mut bars: Vec<Vec<f32>> =
+        sources.iter().map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 })).collect();
     let to: Vec<Shared> = bars.iter_mut().map(|bar| Shared(bar.as_mut_ptr())).collect();
     let sums: Vec<Sums> = groups
         .par_iter()
@@ -256,11 +224,8 @@ pub(in super::super) fn convolve_vjp(
         .into_iter()
         .zip(sources)
         .map(|(values, source)| {
-            let slope = if source.slope.is_some() {
-                slopes[channel..channel + source.channels].to_vec()
-            } else {
-                vec![]
-            };
+            let slope =
+                if source.slope.is_some() { slopes[channel..channel + source.channels].to_vec() } else { vec![] };
             channel += source.channels;
             SourceBar { values, slope }
         })
@@ -295,8 +260,7 @@ impl Kernel for Backward<'_> {
         let (extent, outputs, inputs) = (self.extent, self.output_bar.channels, self.zeros.len());
         let above = first as isize - 1;
         // SAFETY: this group's sums and this thread's scratch, borrowed for the call.
-        let (sums, bars, values) =
-            unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
+        let (sums, bars, values) = unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
         let bar_layout = Layout::new(outputs, rows + 2, extent.columns);
         let bars = bars.get(bar_layout.len());
         unsafe { load_activated::<S>(&[self.output_bar], extent, image, above, &bar_layout, bars) };
@@ -308,13 +272,7 @@ impl Kernel for Backward<'_> {
             let values = values.get(layout.len());
             unsafe {
                 load_activated::<S>(self.sources, extent, image, above, &layout, values);
-                weight_strip::<S>(
-                    (&bar_layout, bars),
-                    (&layout, values),
-                    rows,
-                    extent.columns,
-                    &mut sums.weight,
-                );
+                weight_strip::<S>((&bar_layout, bars), (&layout, values), rows, extent.columns, &mut sums.weight);
                 bias_strip::<S>(&bar_layout, bars, rows, extent.columns, &mut sums.bias);
             }
         }
@@ -347,12 +305,8 @@ impl Backward<'_> {
                         if let Some(slope) = source.slope {
                             for o in 0..size {
                                 let values = source.values.as_ptr().add(at + o * plane);
-                                sums.slope[channel + start + o] += activate_vjp::<S>(
-                                    to.add(o * plane),
-                                    values,
-                                    slope[start + o],
-                                    columns,
-                                );
+                                sums.slope[channel + start + o] +=
+                                    activate_vjp::<S>(to.add(o * plane), values, slope[start + o], columns);
                             }
                         }
                     }
@@ -386,16 +340,7 @@ unsafe fn weight_strip<S: Simd>(
                     unsafe {
                         let b = [b.from, b.from.add(1), b.from.add(2)];
                         let to = sums.as_mut_ptr().add((output * inputs + input) * TAPS + 3 * ky);
-                        correlate_block::<S>(
-                            size,
-                            a,
-                            b,
-                            layout.row_stride,
-                            chunk,
-                            columns,
-                            to,
-                            (inputs * TAPS, 1),
-                        );
+                        correlate_block::<S>(size, a, b, layout.row_stride, chunk, columns, to, (inputs * TAPS, 1));
                     }
                 }
             }
@@ -430,13 +375,7 @@ pub(super) unsafe fn correlate_block<S: Simd>(
 
 /// Adds a strip's part of the bias gradient: the sum of every channel's rows.
 #[inline(always)]
-unsafe fn bias_strip<S: Simd>(
-    layout: &Layout,
-    bars: &[f32],
-    rows: usize,
-    columns: usize,
-    sums: &mut [f32],
-) {
+unsafe fn bias_strip<S: Simd>(layout: &Layout, bars: &[f32], rows: usize, columns: usize, sums: &mut [f32]) {
     for (channel, sum) in sums.iter_mut().enumerate() {
         let mut total = unsafe { S::zero() };
         for row in 0..rows {

@@ -59,12 +59,7 @@ impl Kernel for Forward<'_> {
 }
 
 /// Cotangent of [`pool`]'s source.
-pub(in super::super) fn pool_vjp(
-    level: Level,
-    source: Source,
-    extent: Extent,
-    output_bar: &[f32],
-) -> SourceBar {
+pub(in super::super) fn pool_vjp(level: Level, source: Source, extent: Extent, output_bar: &[f32]) -> SourceBar {
     let n = source.values.len();
     assert_eq!(output_bar.len(), n / 4);
     let mut values = recycle::take(n);
@@ -115,8 +110,7 @@ impl Kernel for Backward<'_> {
             let mut slope_bar = S::zero();
             for row in 0..rows / 2 {
                 let corner = 2 * row * self.columns;
-                let (from, to) =
-                    (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
+                let (from, to) = (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
                 let bars = self.output_bar.as_ptr().add(row * n);
                 let mut x = 0;
                 while x < n {
@@ -128,8 +122,7 @@ impl Kernel for Backward<'_> {
                     for active in &mut active {
                         *active = activate::<S>(*active, slope);
                     }
-                    let largest =
-                        S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
+                    let largest = S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
                     let mut bar = S::load_first(bars.add(x), left);
                     let mut out = values;
                     for ((out, value), active) in out.iter_mut().zip(values).zip(active) {

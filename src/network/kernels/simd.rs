@@ -287,8 +287,7 @@ pub(super) unsafe fn correlate_tile<S: Simd, const O: usize>(
 pub(super) fn blocks(total: usize, largest: usize) -> impl Iterator<Item = (usize, usize)> {
     let mut first = 0;
     std::iter::from_fn(move || {
-        let size =
-            [8, 4, 3, 2, 1].into_iter().find(|&size| size <= largest && first + size <= total)?;
+        let size = [8, 4, 3, 2, 1].into_iter().find(|&size| size <= largest && first + size <= total)?;
         first += size;
         Some((first - size, size))
     })

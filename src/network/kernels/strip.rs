@@ -1,8 +1,5 @@
 //! Scratch rows: a strip of a picture's planes, activated, with a border of zeros around every row.
-#![allow(
-    unsafe_code,
-    reason = "vector loads and stores within buffers whose size is checked on entry"
-)]
+#![allow(unsafe_code, reason = "vector loads and stores within buffers whose size is checked on entry")]
 
 use std::cell::RefCell;
 
@@ -47,13 +44,7 @@ impl Layout {
     }
 
     /// Rows to read from `buffer` from `channel`, `row`, and column −`left` on.
-    pub(super) fn rows_from(
-        &self,
-        buffer: &[f32],
-        channel: usize,
-        row: usize,
-        left: usize,
-    ) -> Rows {
+    pub(super) fn rows_from(&self, buffer: &[f32], channel: usize, row: usize, left: usize) -> Rows {
         assert!(buffer.len() >= self.len() && left <= PAD);
         Rows {
             from: buffer[self.at(channel, row) - left..].as_ptr(),
@@ -92,8 +83,7 @@ pub(super) unsafe fn load_activated<S: Simd>(
     let n = extent.columns;
     let mut channel = 0;
     for source in sources {
-        let planes = &source.values[image * source.channels * extent.plane()..]
-            [..source.channels * extent.plane()];
+        let planes = &source.values[image * source.channels * extent.plane()..][..source.channels * extent.plane()];
         for c in 0..source.channels {
             for row in 0..layout.rows {
                 let at = layout.at(channel, row);
@@ -117,10 +107,7 @@ pub(super) unsafe fn load_activated<S: Simd>(
                                 x += S::LANES;
                             }
                             if x < n {
-                                S::store(
-                                    to.add(x),
-                                    activate::<S>(S::load_first(from.add(x), n - x), slope),
-                                );
+                                S::store(to.add(x), activate::<S>(S::load_first(from.add(x), n - x), slope));
                             }
                         }
                         None => copy::<S>(from, to, n),
@@ -135,12 +122,7 @@ pub(super) unsafe fn load_activated<S: Simd>(
             }
             // SAFETY: the slack behind a channel's last row is within the buffer.
             unsafe {
-                zero::<S>(
-                    buffer
-                        .as_mut_ptr()
-                        .add(layout.at(channel, layout.rows - 1) + n.next_multiple_of(16)),
-                    PAD,
-                )
+                zero::<S>(buffer.as_mut_ptr().add(layout.at(channel, layout.rows - 1) + n.next_multiple_of(16)), PAD)
             };
             channel += 1;
         }
@@ -187,12 +169,7 @@ pub(super) unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
 /// # Safety
 /// The processor must have the instruction set of `S`; `bar` and `values` must have `n` values.
 #[inline(always)]
-pub(super) unsafe fn activate_vjp<S: Simd>(
-    bar: *mut f32,
-    values: *const f32,
-    slope: f32,
-    n: usize,
-) -> f32 {
+pub(super) unsafe fn activate_vjp<S: Simd>(bar: *mut f32, values: *const f32, slope: f32, n: usize) -> f32 {
     unsafe {
         let (one, slope) = (S::splat(1.0), S::splat(slope));
         let mut slope_bar = S::zero();

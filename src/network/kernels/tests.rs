@@ -16,9 +16,7 @@ fn levels() -> Vec<Level> {
 /// Leaves values that would be noticed in the scratch buffers of all threads.
 fn soil_scratch() {
     rayon::broadcast(|_| {
-        strip::with_scratch(|buffers| {
-            buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9))
-        });
+        strip::with_scratch(|buffers| buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9)));
     });
 }
 
@@ -72,17 +70,11 @@ impl Plain {
 }
 
 /// Calls `visit(output index, input index, weight index, source)` for every product of a 3×3 convolution.
-fn products(
-    channels: &[usize],
-    outputs: usize,
-    extent: Extent,
-    mut visit: impl FnMut(usize, usize, usize, usize),
-) {
+fn products(channels: &[usize], outputs: usize, extent: Extent, mut visit: impl FnMut(usize, usize, usize, usize)) {
     let Extent { batch, rows, columns } = extent;
     let inputs: usize = channels.iter().sum();
     for (n, o, y, x) in (0..batch).flat_map(|n| {
-        (0..outputs)
-            .flat_map(move |o| (0..rows).flat_map(move |y| (0..columns).map(move |x| (n, o, y, x))))
+        (0..outputs).flat_map(move |o| (0..rows).flat_map(move |y| (0..columns).map(move |x| (n, o, y, x))))
     }) {
         let mut first = 0;
         for (s, &count) in channels.iter().enumerate() {
@@ -120,11 +112,7 @@ fn convolution_and_cotangents_match_plain_loops() {
             let pictures: Vec<_> = channels.iter().map(|c| draw(c * n, rng)).collect();
             let slope = draw(channels[0], rng);
             let sources: Vec<Source> = (0..channels.len())
-                .map(|s| Source {
-                    values: &pictures[s],
-                    channels: channels[s],
-                    slope: (s == 0).then_some(&slope[..]),
-                })
+                .map(|s| Source { values: &pictures[s], channels: channels[s], slope: (s == 0).then_some(&slope[..]) })
                 .collect();
             let (weight, bias) = (draw(outputs * inputs * 9, rng), draw(*outputs, rng));
             let bar = draw(outputs * n, rng);
@@ -133,17 +121,14 @@ fn convolution_and_cotangents_match_plain_loops() {
             let mut output: Vec<f64> =
                 (0..outputs * n).map(|i| f64::from(bias[i / extent.plane() % outputs])).collect();
             let mut weight_bar = vec![0.0; weight.len()];
-            let mut activated_bars: Vec<_> =
-                plain.iter().map(|p| vec![0.0; p.values.len()]).collect();
+            let mut activated_bars: Vec<_> = plain.iter().map(|p| vec![0.0; p.values.len()]).collect();
             products(channels, *outputs, extent, |to, from, w, s| {
                 output[to] += f64::from(weight[w]) * plain[s].values[from];
                 weight_bar[w] += f64::from(bar[to]) * plain[s].values[from];
                 activated_bars[s][from] += f64::from(bar[to]) * f64::from(weight[w]);
             });
             let mut bias_bar = vec![0.0; *outputs];
-            bar.iter()
-                .enumerate()
-                .for_each(|(i, b)| bias_bar[i / extent.plane() % outputs] += f64::from(*b));
+            bar.iter().enumerate().for_each(|(i, b)| bias_bar[i / extent.plane() % outputs] += f64::from(*b));
 
             let what = format!("{level:?} {channels:?} to {outputs}, {extent:?}");
             soil_scratch();
@@ -159,23 +144,9 @@ fn convolution_and_cotangents_match_plain_loops() {
                 let expected = if s == 0 { slopes } else { vec![] };
                 assert_close(&found.slope, &expected, &format!("{what}: slopes of {s}"));
             }
-            let half = convolve_vjp(
-                level,
-                &sources,
-                extent,
-                &weight,
-                &bar,
-                Wanted { inputs: false, weights: true },
-            );
+            let half = convolve_vjp(level, &sources, extent, &weight, &bar, Wanted { inputs: false, weights: true });
             assert_eq!((half.1, half.0[0].values.len()), (w, 0));
-            let half = convolve_vjp(
-                level,
-                &sources,
-                extent,
-                &weight,
-                &bar,
-                Wanted { inputs: true, weights: false },
-            );
+            let half = convolve_vjp(level, &sources, extent, &weight, &bar, Wanted { inputs: true, weights: false });
             assert_eq!((&half.0[0].values, half.1.len(), half.2.len()), (&bars[0].values, 0, 0));
         }
     }
@@ -201,8 +172,7 @@ fn unpooling_and_cotangents_match_plain_loops() {
             let mut activated_bar = vec![0.0; values.len()];
             for (to, (out, &bar)) in output.iter_mut().zip(&bar).enumerate() {
                 let (x, y) = (to % (2 * columns), to / (2 * columns) % (2 * rows));
-                let (o, n) =
-                    (to / (4 * extent.plane()) % outputs, to / (4 * extent.plane() * outputs));
+                let (o, n) = (to / (4 * extent.plane()) % outputs, to / (4 * extent.plane() * outputs));
                 *out = f64::from(bias[o]);
                 bias_bar[o] += f64::from(bar);
                 for c in 0..inputs {
@@ -235,18 +205,15 @@ fn pooling_and_cotangents_match_plain_loops() {
         for (channels, batch, rows, columns) in [(3, 2, 8, 38), (2, 1, 2, 2), (1, 1, 6, 64)] {
             let extent = Extent { batch, rows, columns };
             // Coarse values, so that there are ties, of which the first counts.
-            let values: Vec<f32> = draw(batch * channels * extent.plane(), rng)
-                .iter()
-                .map(|v| (8.0 * v).round() / 8.0)
-                .collect();
+            let values: Vec<f32> =
+                draw(batch * channels * extent.plane(), rng).iter().map(|v| (8.0 * v).round() / 8.0).collect();
             let slope: Vec<f32> = draw(channels, rng).iter().map(|s| s + 0.3).collect();
             let source = Source { values: &values, channels, slope: Some(&slope) };
             let bar = draw(values.len() / 4, rng);
             let plain = Plain::new(&source, extent);
             let (mut output, mut activated_bar) = (vec![0.0; bar.len()], vec![0.0; values.len()]);
             for (to, out) in output.iter_mut().enumerate() {
-                let (x, y, plane) =
-                    (to % (columns / 2), to / (columns / 2) % (rows / 2), 4 * to / extent.plane());
+                let (x, y, plane) = (to % (columns / 2), to / (columns / 2) % (rows / 2), 4 * to / extent.plane());
                 let corner = plane * extent.plane() + 2 * y * columns + 2 * x;
                 let block = [corner, corner + 1, corner + columns, corner + columns + 1];
                 let best = block
@@ -277,8 +244,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
     let wanted = Wanted { inputs: true, weights: true };
     for level in levels() {
         let with = |threads| {
-            let pool =
-                rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
             pool.install(|| {
                 let (sources, w, b) = convolve_vjp(level, &[source], extent, &weight, &bar, wanted);
                 (sources[0].values.clone(), sources[0].slope.clone(), w, b)
@@ -292,19 +258,12 @@ fn results_do_not_depend_on_the_number_of_threads() {
 #[ignore = "a measurement, not a check: GFLOP/s of the convolution's three passes"]
 fn speed_of_the_convolution() {
     let rng = &mut fastrand::Rng::with_seed(5);
-    for (inputs, outputs, side) in [
-        (3, 16, 256),
-        (16, 16, 256),
-        (32, 16, 256),
-        (32, 32, 128),
-        (64, 64, 64),
-        (16, 3, 256),
-        (128, 128, 64),
-    ] {
+    for (inputs, outputs, side) in
+        [(3, 16, 256), (16, 16, 256), (32, 16, 256), (32, 32, 128), (64, 64, 64), (16, 3, 256), (128, 128, 64)]
+    {
         let extent = Extent { batch: 1, rows: side, columns: side };
         let (values, bar) = (draw(inputs * side * side, rng), draw(outputs * side * side, rng));
-        let (weight, bias, slope) =
-            (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
+        let (weight, bias, slope) = (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
         let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
         let operations = (2 * 9 * inputs * outputs * side * side) as f64;
         for level in levels() {
@@ -317,8 +276,7 @@ fn speed_of_the_convolution() {
                 operations / 1e9 / (0..15).map(|_| once()).fold(f64::INFINITY, f64::min)
             };
             for threads in [1, 2] {
-                let pool =
-                    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
                 pool.install(|| {
                     let forward = time(&|| drop(convolve(level, &[source], extent, &weight, &bias)));
                     let back = |inputs, weights| {

@@ -1,17 +1,12 @@
 //! Transposed 2×2 convolution with stride 2, and its cotangents: a product of matrices per pixel, whose four results a
 //! channel are interleaved into the finer picture.
-#![allow(
-    unsafe_code,
-    reason = "strips of one output written by several threads; see each Safety note"
-)]
+#![allow(unsafe_code, reason = "strips of one output written by several threads; see each Safety note")]
 
 use rayon::prelude::*;
 
 use super::convolution::{Strip, correlate_block, strips};
 use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch, load_pairs, store_pairs};
-use super::strip::{
-    Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch,
-};
+use super::strip::{Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted};
 
 /// Taps: row and column of the 2×2 block.
@@ -59,13 +54,7 @@ unsafe fn product_row<S: Simd>(
 }
 
 /// Output `[batch, bias.len(), 2 rows, 2 columns]`; `weight` is `[in, out, 2, 2]`, `extent` that of the source.
-pub(in super::super) fn unpool(
-    level: Level,
-    source: Source,
-    extent: Extent,
-    weight: &[f32],
-    bias: &[f32],
-) -> Vec<f32> {
+pub(in super::super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let products = bias.len() * TAPS;
     assert_eq!(weight.len(), source.channels * products);
     let packed = pack(products, source.channels, block(level), |m, k| weight[k * products + m]);
@@ -74,15 +63,7 @@ pub(in super::super) fn unpool(
     filled(extent.batch * products * extent.plane(), |to| {
         strips(extent, rows).into_par_iter().for_each(|strip| {
             with_scratch(|[a, b, _]| {
-                let job = Forward {
-                    source,
-                    extent,
-                    strip,
-                    packed: &packed,
-                    bias: &spread,
-                    to,
-                    scratch: (a, b),
-                };
+                let job = Forward { source, extent, strip, packed: &packed, bias: &spread, to, scratch: (a, b) };
                 dispatch(level, &job);
             });
         });
@@ -110,9 +91,7 @@ impl Kernel for Forward<'_> {
         // SAFETY: this thread's scratch, borrowed for the call.
         let (buffer, row_products) = unsafe { (&mut *self.scratch.0, &mut *self.scratch.1) };
         let buffer = buffer.get(layout.len());
-        unsafe {
-            load_activated::<S>(&[self.source], self.extent, image, first as isize, &layout, buffer)
-        };
+        unsafe { load_activated::<S>(&[self.source], self.extent, image, first as isize, &layout, buffer) };
         let width = columns.next_multiple_of(16);
         let row_products = row_products.get(8 * width);
         let mut weights = self.packed.as_ptr();
@@ -120,25 +99,14 @@ impl Kernel for Forward<'_> {
             for row in 0..rows {
                 let from = layout.rows_from(buffer, 0, row, 0);
                 let bias = self.bias[m..].as_ptr();
-                unsafe {
-                    product_row::<S>(
-                        size,
-                        from,
-                        weights,
-                        bias,
-                        row_products.as_mut_ptr(),
-                        width,
-                        columns,
-                    )
-                };
+                unsafe { product_row::<S>(size, from, weights, bias, row_products.as_mut_ptr(), width, columns) };
                 // Products come in pairs (left, right) of one fine row.
                 for pair in 0..size / 2 {
                     let (channel, fine_row) = ((m + 2 * pair) / TAPS, (m + 2 * pair) % TAPS / 2);
-                    let at = ((image * products / TAPS + channel) * 2 * self.extent.rows
-                        + 2 * (first + row)
-                        + fine_row)
-                        * 2
-                        * columns;
+                    let at =
+                        ((image * products / TAPS + channel) * 2 * self.extent.rows + 2 * (first + row) + fine_row)
+                            * 2
+                            * columns;
                     // SAFETY: the strip's rows, which no other strip writes.
                     unsafe {
                         let left = row_products.as_ptr().add(2 * pair * width);
@@ -180,11 +148,7 @@ pub(in super::super) fn unpool_vjp(
             .par_iter()
             .map(|strips| {
                 let n = if wanted.weights { weight.len() } else { 0 };
-                let mut sums = Sums {
-                    weight: vec![0.0; n],
-                    products: vec![0.0; products],
-                    slope: vec![0.0; inputs],
-                };
+                let mut sums = Sums { weight: vec![0.0; n], products: vec![0.0; products], slope: vec![0.0; inputs] };
                 for &strip in *strips {
                     with_scratch(|[a, b, _]| {
                         let job = Backward {
@@ -213,11 +177,8 @@ pub(in super::super) fn unpool_vjp(
         }
         total
     };
-    let bias = if wanted.weights {
-        total(|s| &s.products).chunks(TAPS).map(|c| c.iter().sum()).collect()
-    } else {
-        vec![]
-    };
+    let bias =
+        if wanted.weights { total(|s| &s.products).chunks(TAPS).map(|c| c.iter().sum()).collect() } else { vec![] };
     let slope = if source.slope.is_some() { total(|s| &s.slope) } else { vec![] };
     (SourceBar { values, slope }, total(|s| &s.weight), bias)
 }
@@ -250,8 +211,7 @@ impl Kernel for Backward<'_> {
         let Strip { image, first, rows } = self.strip;
         let (extent, columns, inputs) = (self.extent, self.extent.columns, self.zeros.len());
         // SAFETY: this group's sums and this thread's scratch, borrowed for the call.
-        let (sums, bars, values) =
-            unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
+        let (sums, bars, values) = unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
         let bar_layout = Layout::new(sums.products.len(), rows, columns);
         let bars = bars.get(bar_layout.len());
         unsafe { self.separate::<S>(&bar_layout, bars, &mut sums.products) };
@@ -264,25 +224,12 @@ impl Kernel for Backward<'_> {
                     // SAFETY: the strip's rows, which no other strip writes.
                     unsafe {
                         let to = self.to.0.add(at);
-                        product_row::<S>(
-                            size,
-                            from,
-                            weights,
-                            self.zeros.as_ptr(),
-                            to,
-                            extent.plane(),
-                            columns,
-                        );
+                        product_row::<S>(size, from, weights, self.zeros.as_ptr(), to, extent.plane(), columns);
                         if let Some(slope) = self.source.slope {
                             for o in 0..size {
-                                let values =
-                                    self.source.values.as_ptr().add(at + o * extent.plane());
-                                sums.slope[start + o] += activate_vjp::<S>(
-                                    to.add(o * extent.plane()),
-                                    values,
-                                    slope[start + o],
-                                    columns,
-                                );
+                                let values = self.source.values.as_ptr().add(at + o * extent.plane());
+                                sums.slope[start + o] +=
+                                    activate_vjp::<S>(to.add(o * extent.plane()), values, slope[start + o], columns);
                             }
                         }
                     }
@@ -293,30 +240,18 @@ impl Kernel for Backward<'_> {
         if self.wanted.weights {
             let layout = Layout::new(inputs, rows, columns);
             let values = values.get(layout.len());
-            unsafe {
-                load_activated::<S>(&[self.source], extent, image, first as isize, &layout, values)
-            };
+            unsafe { load_activated::<S>(&[self.source], extent, image, first as isize, &layout, values) };
             let products = bar_layout.channels;
             // Three inputs a time; where fewer are left the last one is computed again into a bin.
             let mut bin = [0.0f32; 8 * 3];
             for (m, size) in blocks(products, S::BLOCK) {
                 let a = bar_layout.rows_from(bars, m, 0, 0);
                 for input in (0..inputs).step_by(3) {
-                    let b = [0, 1, 2]
-                        .map(|t| layout.rows_from(values, (input + t).min(inputs - 1), 0, 0).from);
+                    let b = [0, 1, 2].map(|t| layout.rows_from(values, (input + t).min(inputs - 1), 0, 0).from);
                     unsafe {
                         if input + 3 <= inputs {
                             let to = sums.weight.as_mut_ptr().add(input * products + m);
-                            correlate_block::<S>(
-                                size,
-                                a,
-                                b,
-                                layout.row_stride,
-                                rows,
-                                columns,
-                                to,
-                                (1, products),
-                            );
+                            correlate_block::<S>(size, a, b, layout.row_stride, rows, columns, to, (1, products));
                         } else {
                             bin.fill(0.0);
                             correlate_block::<S>(
@@ -356,8 +291,7 @@ impl Backward<'_> {
                 let (mut left, mut right) = (S::zero(), S::zero());
                 for row in 0..rows {
                     let y = 2 * (first + row) + fine_row;
-                    let from =
-                        ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
+                    let from = ((image * channels + channel) * 2 * self.extent.rows + y) * 2 * columns;
                     let from = self.output_bar[from..][..2 * columns].as_ptr();
                     let to = bars.as_mut_ptr();
                     let mut x = 0;

@@ -136,9 +136,7 @@ impl Simd for Avx512 {
     }
     #[inline(always)]
     unsafe fn choose(sign: __m512, a: __m512, b: __m512) -> __m512 {
-        unsafe {
-            _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(sign, _mm512_setzero_ps()), b, a)
-        }
+        unsafe { _mm512_mask_blend_ps(_mm512_cmp_ps_mask::<_CMP_GE_OQ>(sign, _mm512_setzero_ps()), b, a) }
     }
     #[inline(always)]
     unsafe fn max(a: __m512, b: __m512) -> __m512 {
@@ -241,8 +239,7 @@ impl Simd for Avx2 {
     unsafe fn unzip(a: __m256, b: __m256) -> (__m256, __m256) {
         unsafe {
             // Pairs of four lanes, then the halves in order.
-            let order =
-                |v| _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(_mm256_castps_pd(v)));
+            let order = |v| _mm256_castpd_ps(_mm256_permute4x64_pd::<0b11_01_10_00>(_mm256_castps_pd(v)));
             let even = _mm256_shuffle_ps::<0b10_00_10_00>(a, b);
             let odd = _mm256_shuffle_ps::<0b11_01_11_01>(a, b);
             (order(even), order(odd))

@@ -125,7 +125,8 @@ fn valid(frame: &Frame, distortion: &Distortion) -> (usize, usize) {
             let [dx, dy] = [c as f64 - frame.axis_px[0], r as f64 - frame.axis_px[1]];
             let rho = dx.hypot(dy) * frame.pitch_mm;
             let k = if rho > 0.0 { captured_radius(distortion, rho) / rho } else { 1.0 };
-            dx * k + frame.axis_px[0] <= frame.columns as f64 - 8.0 && dy * k + frame.axis_px[1] <= frame.rows as f64 - 8.0
+            dx * k + frame.axis_px[0] <= frame.columns as f64 - 8.0
+                && dy * k + frame.axis_px[1] <= frame.rows as f64 - 8.0
         };
         if (0..=20).all(|i| inside(rows, cols * i / 20) && inside(rows * i / 20, cols)) {
             return (rows.min(frame.rows - 8), cols.min(frame.columns - 8));
@@ -195,7 +196,9 @@ pub(crate) fn compare(
             seconds: fast_seconds,
             psnr_db: report.psnr_fast_vs_reference_db,
             relative_l2: (mse.max(0.0) / square).sqrt(),
-            note: format!("three regions of {side} × {side} pixels, centre to corner, PSF tracing included; energy {energy:+.1e}"),
+            note: format!(
+                "three regions of {side} × {side} pixels, centre to corner, PSF tracing included; energy {energy:+.1e}"
+            ),
         },
         MethodResult {
             name: format!("Reference, {} rays a pixel and channel", settings.reference_samples),

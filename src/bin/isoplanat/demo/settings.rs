@@ -113,13 +113,24 @@ impl Settings {
             pair("Lens", format!("models/lenses/{}.toml, object at 1 m", self.task.lens)),
             pair(
                 "Frame",
-                format!("{} × {} pixels of {:.0} µm, axis at the corner", frame.columns, frame.rows, frame.pitch_mm * 1e3),
+                format!(
+                    "{} × {} pixels of {:.0} µm, axis at the corner",
+                    frame.columns,
+                    frame.rows,
+                    frame.pitch_mm * 1e3
+                ),
             ),
             pair(
                 "Sensor noise",
-                format!("shot noise of {} e⁻ full well, {} e⁻ read noise", sensor.full_well_electrons, sensor.read_noise_electrons),
+                format!(
+                    "shot noise of {} e⁻ full well, {} e⁻ read noise",
+                    sensor.full_well_electrons, sensor.read_noise_electrons
+                ),
             ),
-            pair("Wavelengths", render.psf.wavelength_nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm"),
+            pair(
+                "Wavelengths",
+                render.psf.wavelength_nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
+            ),
             pair("Network", format!("U-Net, three scales, {} channels at the finest", self.task.base_width)),
             pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),
             pair("Wiener filter", "PSF of each place on the frame, noise level tuned on the capture itself".into()),
