@@ -168,6 +168,28 @@ mod tests {
         }
     }
 
+    /// Coefficients of the fit against differences of the whole lens.
+    #[test]
+    fn fit_distortion_vjp_agrees_with_differences() {
+        let lens = crate::lens::builtin::lens("two_element").expect("shipped");
+        let (v, bar) = (lens.object_vergence, [0.3, -1.0, 0.5, 2.0]);
+        let mut g = LensGradient::zeros(&lens);
+        fit_distortion_vjp(&lens, v, 0.4, bar, &mut g).expect("fits");
+        let vars = crate::lens::variables::Variables::all(&lens);
+        let x = vars.values(&lens);
+        for seed in 0..3 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
+            let pulled: f64 = vars.gradient(&g).iter().zip(&dx).map(|(a, b)| a * b).sum();
+            let f = |h: f64| {
+                let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                let d = fit_distortion(&vars.lens(&lens, &moved), v, 0.4).expect("fits");
+                d.coefficients_mm.iter().zip(&bar).map(|(a, b)| a * b).sum::<f64>()
+            };
+            assert_rel(pulled, central_difference(f, 1e-5), 1e-7, 1e-3, &format!("seed {seed}"));
+        }
+    }
+
     #[test]
     fn illumination_vjp_agrees_with_differences() {
         let rng = &mut fastrand::Rng::with_seed(1);

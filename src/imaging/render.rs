@@ -225,3 +225,76 @@ pub fn render_frame<T: Real>(
     }
     Ok((out, optics))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::plan::{Quality, frame_of, plan};
+    use crate::imaging::scene::{SceneKind, generate};
+    use crate::imaging::sensor::Sensor;
+    use crate::imaging::spectrum::SpectralDensity;
+    use crate::lens::{SensorRaster, builtin, variables::Variables};
+    use crate::testing::{assert_rel, central_difference};
+
+    const QUALITY: Quality =
+        Quality { degree: 5, dense: 60, wavelengths: 2, spacing: 20, outside: 2e-2, max_half_width: 8 };
+
+    fn small() -> (Lens, RenderPlan) {
+        let mut lens = builtin::lens("two_element").expect("shipped");
+        lens.sensor = SensorRaster { columns: 160, rows: 120, pitch_um: 100.0, axis_px: [0.0, 0.0] };
+        let density = SpectralDensity::new(&Sensor::generic());
+        let frame = frame_of(&lens).expect("valid");
+        let plan = plan(&lens, 1e-3, &frame, &density, QUALITY, None).expect("plans");
+        (lens, plan)
+    }
+
+    /// `Optics::vjp`: cotangents on kernels, amplitudes and distortion against differences of the lens.
+    #[test]
+    fn optics_vjp_agrees_with_differences() {
+        let (lens, plan) = small();
+        let region = Region { row: 40, col: 60, rows: 24, cols: 24 };
+        let raster = NodeRaster::over(region, plan.spacing);
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let optics = Optics::compute(&lens, 1e-3, &plan, raster).expect("traces");
+        let dim = optics.grid.kernels.dim();
+        let bar = OpticsBar {
+            kernels: Array4::from_shape_fn(dim, |_| rng.f64() - 0.5),
+            amplitude: Array2::from_shape_fn((dim.0, dim.1), |_| rng.f64() - 0.5),
+            distortion: [0.1, -0.2, 0.3, 0.05],
+        };
+        let g = optics.vjp(&lens, &plan, &bar).expect("pulls back");
+        let vars = Variables::refracting(&lens);
+        let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
+        for seed in 0..4 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
+            let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
+            let f = |h: f64| {
+                let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                let o = Optics::compute(&vars.lens(&lens, &moved), 1e-3, &plan, raster).expect("traces");
+                let b = o.distortion.coefficients_mm;
+                (&o.grid.kernels * &bar.kernels).sum()
+                    + (&o.amplitude::<f64>() * &bar.amplitude).sum()
+                    + b.iter().zip(&bar.distortion).map(|(a, b)| a * b).sum::<f64>()
+            };
+            assert_rel(pulled, central_difference(f, 1e-7), 1e-6, 1e-2, &format!("seed {seed}"));
+        }
+    }
+
+    /// A frame rendered in tiles equals each of its regions rendered alone: no seams.
+    #[test]
+    fn tiles_of_a_frame_agree_with_one_region() {
+        let (lens, plan) = small();
+        let scene = Plane {
+            texture: generate(SceneKind::Text, 1, 160, 200),
+            texels_per_slope: 500.0,
+            axis_texel: [0.0, 0.0],
+            vergence: 1e-3,
+        };
+        let (tiled, optics) = render_frame::<f64>(&lens, &plan, &scene, 32, &|_| {}).expect("renders");
+        let whole = Region { row: 0, col: 0, rows: 120, cols: 160 };
+        let once = render_region::<f64>(&optics, &plan, &scene, whole).image;
+        let worst = tiled.iter().zip(&once).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-12, "{worst:e}");
+    }
+}
