@@ -6,7 +6,7 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
 
-use ndarray::{Array2, Array3, s};
+use ndarray::{Array2, Array3};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, WellKnownIFD};
 use rawler::imgop::xyz::Illuminant;
 use rawler::rawimage::{RawImage, RawImageData, RawPhotometricInterpretation};
@@ -66,7 +66,8 @@ impl RawCapture {
     }
 }
 
-const REFUSAL: &str = "a RAW file of a supported camera, or a DNG";
+/// What a file to decode may be.
+pub(super) const ALLOWED: &str = "a RAW file of a supported camera, or a DNG";
 
 /// Decodes a RAW file in this process.
 ///
@@ -76,10 +77,10 @@ const REFUSAL: &str = "a RAW file of a supported camera, or a DNG";
 pub fn decode(path: &Path) -> Result<RawCapture> {
     let facts = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?;
     if !facts.is_file() {
-        return Err(bad(path, "not a file", REFUSAL));
+        return Err(bad(path, "not a file", ALLOWED));
     }
     if facts.len() == 0 {
-        return Err(bad(path, "the file is empty", REFUSAL));
+        return Err(bad(path, "the file is empty", ALLOWED));
     }
     // The decoder maps the file; opening it first gives the system's own reason.
     std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
@@ -108,12 +109,18 @@ fn bad(path: &Path, found: impl Into<String>, allowed: &str) -> Error {
 
 /// One sentence from the decoder's own words: its first line, without the advice to report to its authors.
 fn refused(path: &Path, reason: &str) -> Error {
+    if reason.contains("behind EOF") {
+        return bad(path, "the file is cut short", "a complete file");
+    }
     let line = reason.lines().next().unwrap_or_default();
     let line = line.split("Please ").next().unwrap_or(line);
-    let line =
-        line.trim_start_matches("Error: ").trim_start_matches("Failed to decode image, possibly corrupt image: ");
+    let line = line.split(", model '").next().unwrap_or(line);
+    let line = line
+        .trim_start_matches("Error: ")
+        .trim_start_matches("TODO: ")
+        .trim_start_matches("Failed to decode image, possibly corrupt image: ");
     let line: String = line.trim().chars().filter(|c| !c.is_control()).take(200).collect();
-    bad(path, format!("cannot be decoded ({line})"), REFUSAL)
+    bad(path, format!("cannot be decoded ({line})"), ALLOWED)
 }
 
 /// Refuses a file that ends before the samples its directory promises.
@@ -155,17 +162,24 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: boo
         (top, left, height, width) = (area.p.y, area.p.x, area.d.h, area.d.w);
     }
     let samples = match &image.data {
-        RawImageData::Integer(data) => data.iter().map(|&v| f32::from(v)).collect(),
-        RawImageData::Float(data) => data.clone(),
+        RawImageData::Integer(data) => data.len(),
+        RawImageData::Float(data) => data.len(),
     };
-    if samples.len() != rows * columns * planes {
-        let found = format!("{} samples for {columns} × {rows} × {planes}", samples.len());
+    if samples != rows * columns * planes {
+        let found = format!("{samples} samples for {columns} × {rows} × {planes}");
         return Err(bad(path, found, "as many samples as pixels"));
     }
-    if !samples.iter().all(|v| v.is_finite()) {
+    if matches!(&image.data, RawImageData::Float(data) if !data.iter().all(|v| v.is_finite())) {
         return Err(bad(path, "a sample that is not a finite number", "finite samples"));
     }
-    // A DNG counts its level table from the active area, the decoder's own camera list from the whole sensor.
+    // One copy, already cut: large captures have to fit the memory limit.
+    let sample = |plane: usize, row: usize, column: usize| {
+        let at = ((top + row) * columns + left + column) * planes + plane;
+        match &image.data {
+            RawImageData::Integer(data) => f32::from(data[at]),
+            RawImageData::Float(data) => data[at],
+        }
+    };
     let (black, white) = if dng { levels(path, &image, 0, 0) } else { levels(path, &image, top, left) }?;
     let pixels = match (&image.photometric, planes) {
         (RawPhotometricInterpretation::Cfa(config), 1) => {
@@ -173,14 +187,11 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: boo
                 let name: String = config.cfa.name.chars().take(12).collect();
                 bad(path, format!("colour filter layout `{name}`"), "a Bayer layout: RGGB, BGGR, GRBG or GBRG")
             })?;
-            let all = shaped(path, Array2::from_shape_vec((rows, columns), samples))?;
-            let samples = all.slice(s![top..top + height, left..left + width]).to_owned();
+            let samples = Array2::from_shape_fn((height, width), |(r, c)| sample(0, r, c));
             RawPixels::Mosaic { samples, cfa: cfa.shifted(top, left) }
         }
         (RawPhotometricInterpretation::LinearRaw, 3) => {
-            let all = shaped(path, Array3::from_shape_vec((rows, columns, 3), samples))?;
-            let area = all.slice(s![top..top + height, left..left + width, ..]);
-            RawPixels::Linear(area.permuted_axes([2, 0, 1]).as_standard_layout().into_owned())
+            RawPixels::Linear(Array3::from_shape_fn((3, height, width), |(plane, r, c)| sample(plane, r, c)))
         }
         (kind, planes) => {
             let kind = match kind {
@@ -241,10 +252,6 @@ fn apply_opcodes(path: &Path, decoder: &dyn Decoder, capture: &mut RawCapture) -
     Ok(())
 }
 
-fn shaped<A>(path: &Path, array: std::result::Result<A, ndarray::ShapeError>) -> Result<A> {
-    array.map_err(|e| bad(path, format!("samples in an impossible shape ({e})"), REFUSAL))
-}
-
 /// Black and white level of the four places of the active area's 2×2 cell, or of the three channels; the area starts
 /// at `top`, `left` of the level table.
 fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f32; 4], [f32; 4])> {
@@ -252,11 +259,11 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
     let all = table.as_vec();
     let entries = table.width.checked_mul(table.height).and_then(|n| n.checked_mul(table.cpp));
     if all.is_empty() || entries != Some(all.len()) {
-        return Err(bad(path, "a table of black levels of the wrong size", REFUSAL));
+        return Err(bad(path, "a table of black levels of the wrong size", ALLOWED));
     }
     let white_levels = image.whitelevel.as_vec();
     let Some(&first_white) = white_levels.first() else {
-        return Err(bad(path, "no white level", REFUSAL));
+        return Err(bad(path, "no white level", ALLOWED));
     };
     let (mut black, mut white) = ([0.0; 4], [0.0; 4]);
     for i in 0..4 {
@@ -285,7 +292,13 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
 
 /// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
 fn neutral(image: &RawImage) -> Option<[f64; 3]> {
-    let [r, g, b, _] = image.wb_coeffs;
+    let [mut r, g, mut b, _] = image.wb_coeffs;
+    if image.clean_model == "D1" {
+        // The Nikon D1 writes its gains on top of fixed ones that its samples already carry (dcraw and RawSpeed: 527/256
+        // for red, 317/256 for blue); the decoder leaves them in.
+        r *= 256.0 / 527.0;
+        b *= 256.0 / 317.0;
+    }
     let response = [f64::from(g / r), 1.0, f64::from(g / b)];
     response.iter().all(|v| v.is_finite() && (0.02..=50.0).contains(v)).then_some(response)
 }
@@ -308,6 +321,7 @@ fn camera_from_xyz(image: &RawImage) -> Option<[[f64; 3]; 3]> {
 mod tests {
     use super::*;
     use crate::testing::shared;
+    use ndarray::s;
 
     fn facts(name: &str) -> Option<(RawCapture, serde_json::Value)> {
         let file = shared(&format!("data/raw/{name}"))?;
@@ -345,6 +359,14 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn the_d1s_gains_leave_its_grey_pavement_grey() {
+        let Some(path) = shared("data/raw/RAW_NIKON_D1.NEF") else { return };
+        let neutral = decode(&path).expect("decodes").neutral.expect("as shot");
+        // The file's own gains, 1.97656 and 1.28906, by 256/527 and 256/317; LibRaw reports 1 and 1 for this file.
+        assert!((neutral[0] - 1.0415).abs() < 1e-3 && (neutral[2] - 0.9606).abs() < 1e-3, "{neutral:?}");
     }
 
     #[test]

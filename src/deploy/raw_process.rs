@@ -16,7 +16,7 @@ use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
 
 use crate::deploy::orientation::Orientation;
-use crate::deploy::raw::{self, RawCapture, RawPixels};
+use crate::deploy::raw::{self, ALLOWED, RawCapture, RawPixels};
 use crate::error::{Error, Result};
 use crate::imaging::cfa::Cfa;
 
@@ -43,7 +43,7 @@ impl Default for Limits {
 #[derive(Serialize, Deserialize)]
 enum Reply {
     Capture(Header),
-    Refused { message: String },
+    Refused { found: String, allowed: String },
 }
 
 #[derive(Serialize, Deserialize)]
@@ -74,12 +74,12 @@ pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
         Ok(capture) => capture,
         Err(error) => {
             // The parent knows the file's name and puts it before the sentence again.
-            let message = match error {
-                Error::BadInput { found, allowed, .. } => format!("{found}; expected {allowed}"),
-                Error::Io { source, .. } => source.to_string(),
-                other => other.to_string(),
+            let (found, allowed) = match error {
+                Error::BadInput { found, allowed, .. } => (found, allowed),
+                Error::Io { source, .. } => (source.to_string(), ALLOWED.into()),
+                other => (other.to_string(), ALLOWED.into()),
             };
-            return write_line(out, &Reply::Refused { message });
+            return write_line(out, &Reply::Refused { found, allowed });
         }
     };
     let (rows, columns) = capture.size();
@@ -127,8 +127,8 @@ fn write_line(out: &mut impl Write, reply: &Reply) -> std::io::Result<()> {
 pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture> {
     // Said here, the system's own reason reaches the user.
     std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
-    let failed =
-        |why: String| Error::bad(path.display().to_string(), "RAW", why, "a RAW file of a supported camera, or a DNG");
+    let refused = |found: String, allowed: String| Error::bad(path.display().to_string(), "RAW", found, allowed);
+    let failed = |found: String| refused(found, ALLOWED.into());
     let mut child = spawn(program, path, limits)
         .map_err(|e| Error::Internal(format!("the RAW decoder could not be started: {e}")))?;
     let mut pipe = child.stdout.take().ok_or_else(|| Error::Internal("the RAW decoder has no output".into()))?;
@@ -153,7 +153,7 @@ pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture>
     let bytes = outcome.ok().and_then(std::result::Result::ok).unwrap_or_default();
     match parse(&bytes) {
         Some(Ok(capture)) if status.success() => Ok(capture),
-        Some(Err(message)) => Err(failed(message)),
+        Some(Err((found, allowed))) => Err(refused(found, allowed)),
         _ => {
             let limit = limits.memory_bytes >> 20;
             Err(failed(format!("the decoder broke off (damaged file, or more than {limit} MiB of memory)")))
@@ -187,11 +187,12 @@ fn spawn(program: &Path, path: &Path, limits: Limits) -> std::io::Result<Child> 
     start(command)
 }
 
-/// The child's bytes; `None` if they are not a whole reply, `Some(Err)` with the child's own words if it refused.
-fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, String>> {
+/// The child's bytes; `None` if they are not a whole reply, `Some(Err)` with what the child found and what is allowed if
+/// it refused.
+fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String)>> {
     let end = bytes.iter().position(|&b| b == b'\n')?;
     let header = match serde_json::from_slice(&bytes[..end]).ok()? {
-        Reply::Refused { message } => return Some(Err(message)),
+        Reply::Refused { found, allowed } => return Some(Err((found, allowed))),
         Reply::Capture(header) => header,
     };
     let body = &bytes[end + 1..];
@@ -249,8 +250,8 @@ mod tests {
         std::fs::write(&path, "not a picture").expect("writes");
         let mut bytes = Vec::new();
         serve(&path, &mut bytes).expect("writes");
-        let message = parse(&bytes).expect("whole").expect_err("refused");
-        assert!(message.contains("cannot be decoded"), "{message}");
+        let (found, _) = parse(&bytes).expect("whole").expect_err("refused");
+        assert!(found.contains("cannot be decoded"), "{found}");
     }
 
     #[cfg(unix)]

@@ -1,1 +1,12 @@
-//! (empty)
+//! Lens and network together.
+//!
+//! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
+//! the network and the optimiser around it; [`constraint`] keeps the lens buildable; [`data`] draws patches;
+//! [`run`] is the loop with its folder; [`kit`] exports what the camera needs.
+
+pub mod chain;
+pub mod constraint;
+pub mod data;
+pub mod joint;
+pub mod run;
+pub mod task;

@@ -8,7 +8,7 @@
 //!
 //! [`psnr`] and [`ssim`] compare as seen: both pictures are cut off to `[0, 1]` and sRGB-encoded first.
 
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3, s};
+use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -162,13 +162,18 @@ fn window() -> [f64; SSIM_WINDOW] {
 /// Weighted mean under the window wherever it lies inside: 10 rows and columns fewer.
 fn windowed(x: ArrayView2<'_, f64>) -> Array2<f64> {
     let (rows, cols) = (x.nrows() + 1 - SSIM_WINDOW, x.ncols() + 1 - SSIM_WINDOW);
-    let mut along = Array2::zeros((rows, x.ncols()));
+    let weights = window();
     let mut out = Array2::zeros((rows, cols));
-    for (i, w) in window().into_iter().enumerate() {
-        along.scaled_add(w, &x.slice(s![i..i + rows, ..]));
-    }
-    for (i, w) in window().into_iter().enumerate() {
-        out.scaled_add(w, &along.slice(s![.., i..i + cols]));
+    // Row by row, so that what is summed stays in the cache.
+    let mut along = Array1::zeros(x.ncols());
+    for (r, mut row) in out.outer_iter_mut().enumerate() {
+        along.fill(0.0);
+        for (i, w) in weights.into_iter().enumerate() {
+            along.scaled_add(w, &x.row(r + i));
+        }
+        for (i, w) in weights.into_iter().enumerate() {
+            row.scaled_add(w, &along.slice(s![i..i + cols]));
+        }
     }
     out
 }
@@ -176,13 +181,17 @@ fn windowed(x: ArrayView2<'_, f64>) -> Array2<f64> {
 /// The transpose of [`windowed`].
 fn windowed_vjp(bar: ArrayView2<'_, f64>) -> Array2<f64> {
     let (rows, cols) = bar.dim();
-    let mut along = Array2::zeros((rows, cols + SSIM_WINDOW - 1));
+    let weights = window();
     let mut out = Array2::zeros((rows + SSIM_WINDOW - 1, cols + SSIM_WINDOW - 1));
-    for (i, w) in window().into_iter().enumerate() {
-        along.slice_mut(s![.., i..i + cols]).scaled_add(w, &bar);
-    }
-    for (i, w) in window().into_iter().enumerate() {
-        out.slice_mut(s![i..i + rows, ..]).scaled_add(w, &along);
+    let mut along = Array1::zeros(cols + SSIM_WINDOW - 1);
+    for (r, row) in bar.outer_iter().enumerate() {
+        along.fill(0.0);
+        for (i, w) in weights.into_iter().enumerate() {
+            along.slice_mut(s![i..i + cols]).scaled_add(w, &row);
+        }
+        for (i, w) in weights.into_iter().enumerate() {
+            out.row_mut(r + i).scaled_add(w, &along);
+        }
     }
     out
 }

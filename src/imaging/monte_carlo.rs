@@ -1,1 +1,363 @@
-//! (stub)
+//! The reference renderer: rays from the sensor, the paper's own image formation (§3.1.2).
+//!
+//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, `Z` in front of it;
+//! `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture stops it. Position
+//! in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The result is relative
+//! to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
+//!
+//! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
+//! estimate is unbiased but for the wavelengths' grid ([`rear`], below 1e-5). Directions come from the whole rear aperture
+//! ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass ([`Sampling::Bounded`],
+//! [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so that a probe's mistake
+//! costs noise, not truth.
+//! Not covered: diffraction, Fresnel losses, depth within a scene, gradients.
+
+pub mod bounds;
+pub mod halves;
+pub mod rear;
+mod sampler;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use glam::{DVec2, DVec3};
+use ndarray::{Array2, Array3, Axis};
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::imaging::cfa::Cfa;
+use crate::imaging::frame::Frame;
+use crate::imaging::noise::mixed;
+use crate::imaging::spectrum::SpectralDensity;
+use crate::imaging::warp::{Plane, Region};
+use crate::lens::Lens;
+use bounds::Footprints;
+use rear::RearView;
+use sampler::{Sampler, disk_from_square};
+
+/// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
+const GROUPS: usize = 2;
+
+/// Which channels a pixel gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// Red, green and blue.
+    All,
+    /// The one its colour filter lets through; the layout's first pixel is the frame's row 0, column 0.
+    Bayer(Cfa),
+}
+
+/// Where directions are drawn from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sampling {
+    /// The whole rear aperture: the paper's plain sampling.
+    RearAperture,
+    /// An ellipse around the rays that pass, by sensor radius: the same mean, less noise.
+    Bounded,
+}
+
+/// How to render.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Rays a pixel and channel, 2 or more; in two groups, best of 2ᵏ rays each.
+    pub samples: usize,
+    /// Seed of the draws; every pixel has a stream of its own.
+    pub seed: u64,
+    /// Channels.
+    pub channels: Channels,
+    /// Directions.
+    pub sampling: Sampling,
+}
+
+/// A rendered region.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// Irradiance relative to white on the axis: `[3, row, col]`, or `[1, row, col]` for a mosaic.
+    pub mean: Array3<f32>,
+    /// Variance of the mean, estimated from two independent groups of rays, in the shape of `mean`.
+    ///
+    /// A single pixel's estimate is coarse (two groups: one degree of freedom); sums over pixels are good.
+    pub variance: Array3<f32>,
+    /// Rays started.
+    pub rays: u64,
+    /// Rays that reached the scene.
+    pub passed: u64,
+    /// Rays that passed outside the bounding ellipse (0 unless the probe missed a part of the pupil).
+    pub outside: u64,
+    /// Irradiance of white on the axis in the lens's units (sr, for a sensor in air): R, G, B.
+    pub axis_irradiance: [f64; 3],
+    /// Wall time, preparation included.
+    pub seconds: f64,
+}
+
+impl Rendered {
+    /// The first plane: the mosaic of a Bayer rendering.
+    pub fn mosaic(&self) -> Array2<f32> {
+        self.mean.index_axis(Axis(0), 0).to_owned()
+    }
+
+    /// Root of the mean variance of the mean: the noise that is left.
+    pub fn noise_rms(&self) -> f64 {
+        let sum: f64 = self.variance.iter().map(|v| f64::from(*v)).sum();
+        (sum / self.variance.len().max(1) as f64).sqrt()
+    }
+}
+
+/// Renders `region` of `frame` as `lens` images `scene`, by rays from the sensor.
+///
+/// `progress` is told the share that is done, from any thread. The result does not depend on the number of threads, and
+/// a pixel of
+/// the frame does not depend on the region it is rendered in.
+///
+/// # Errors
+/// Fewer than 2 samples, a scene without texels or with other than 1 or 3 channels, a lens without room before its
+/// sensor, and a region that no ray reaches.
+pub fn render(
+    lens: &Lens,
+    scene: &Plane,
+    density: &SpectralDensity,
+    frame: &Frame,
+    region: Region,
+    settings: Settings,
+    progress: Option<&(dyn Fn(f64) + Sync)>,
+) -> Result<Rendered> {
+    let start = Instant::now();
+    check(scene, region, settings)?;
+    let radii = radii_mm(frame, region);
+    // The whole frame's view, so that a part of a picture equals the same part of the whole.
+    let rear = RearView::new(lens, density, radii[1].max(frame.max_radius_mm()))?;
+    let footprints = match settings.sampling {
+        Sampling::Bounded => Some(Footprints::probe(&rear, radii)),
+        Sampling::RearAperture => None,
+    };
+    let pixel = PixelRenderer { scene, frame, rear: &rear, footprints: footprints.as_ref(), settings };
+    let planes = match settings.channels {
+        Channels::All => 3,
+        Channels::Bayer(_) => 1,
+    };
+    let mut mean = Array3::zeros((planes, region.rows, region.cols));
+    let mut variance = mean.clone();
+    let count = Count::default();
+    // One row a task; a pixel's stream depends on its place alone.
+    mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
+        |(i, (mut mean, mut variance))| {
+            let row = region.row + i.cast_signed();
+            let mut tally = Tally::default();
+            for j in 0..region.cols {
+                let col = region.col + j.cast_signed();
+                for plane in 0..planes {
+                    let channel = match settings.channels {
+                        Channels::All => plane,
+                        Channels::Bayer(cfa) => {
+                            cfa.channel(row.rem_euclid(2).cast_unsigned(), col.rem_euclid(2).cast_unsigned())
+                        }
+                    };
+                    let (m, v) = pixel.render(row, col, channel, &mut tally);
+                    mean[[plane, j]] = m as f32;
+                    variance[[plane, j]] = v as f32;
+                }
+            }
+            let done = count.add(&tally);
+            if let Some(progress) = progress {
+                progress(done as f64 / region.rows as f64);
+            }
+        },
+    );
+    let [rays, passed, outside] = [&count.rays, &count.passed, &count.outside].map(|n| n.load(Ordering::Relaxed));
+    if passed == 0 {
+        let found = format!("no rays reach the sensor: {rays} were started within {:.3} mm of the axis", radii[1]);
+        return Err(Error::bad("", "rendered region", found, "a region inside the lens's image circle"));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: rear.axis_irradiance, seconds })
+}
+
+/// Two independent renderings with half the samples each, for [`halves`].
+///
+/// # Errors
+/// As [`render`].
+pub fn render_halves(
+    lens: &Lens,
+    scene: &Plane,
+    density: &SpectralDensity,
+    frame: &Frame,
+    region: Region,
+    settings: Settings,
+    progress: Option<&(dyn Fn(f64) + Sync)>,
+) -> Result<[Rendered; 2]> {
+    let half = |k: u64| {
+        let settings = Settings { samples: settings.samples.div_ceil(2), seed: mixed(settings.seed, k), ..settings };
+        let share = |done: f64| {
+            if let Some(progress) = progress {
+                progress(0.5 * (k as f64 + done));
+            }
+        };
+        render(lens, scene, density, frame, region, settings, Some(&share))
+    };
+    Ok([half(0)?, half(1)?])
+}
+
+fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
+    let (channels, rows, cols) = scene.texture.dim();
+    if !(channels == 1 || channels == 3) || rows == 0 || cols == 0 {
+        let found = format!("{channels} channels of {rows} × {cols} texels");
+        return Err(Error::bad("", "scene", found, "1 or 3 channels, at least one texel"));
+    }
+    if region.rows == 0 || region.cols == 0 {
+        let found = format!("{} × {} pixels", region.rows, region.cols);
+        return Err(Error::bad("", "rendered region", found, "at least one pixel"));
+    }
+    if settings.samples < 2 {
+        let allowed = "2 or more, so that the noise can be estimated";
+        return Err(Error::bad("", "samples per pixel", settings.samples.to_string(), allowed));
+    }
+    Ok(())
+}
+
+/// Smallest and largest distance from the axis of any point of the region, mm.
+fn radii_mm(frame: &Frame, region: Region) -> [f64; 2] {
+    let ends = |first: isize, count: usize, axis: f64| {
+        let (a, b) = (first as f64 - axis, (first + count.cast_signed()) as f64 - axis);
+        let nearest = if a <= 0.0 && b >= 0.0 { 0.0 } else { a.abs().min(b.abs()) };
+        [nearest, a.abs().max(b.abs())]
+    };
+    let x = ends(region.col, region.cols, frame.axis_px[0]);
+    let y = ends(region.row, region.rows, frame.axis_px[1]);
+    [0, 1].map(|k| x[k].hypot(y[k]) * frame.pitch_mm)
+}
+
+/// What one row counted.
+#[derive(Default)]
+struct Tally {
+    rays: u64,
+    passed: u64,
+    outside: u64,
+}
+
+/// The sum over rows; whole numbers, so that the order does not matter.
+#[derive(Default)]
+struct Count {
+    rows: AtomicU64,
+    rays: AtomicU64,
+    passed: AtomicU64,
+    outside: AtomicU64,
+}
+
+impl Count {
+    fn add(&self, tally: &Tally) -> u64 {
+        self.rays.fetch_add(tally.rays, Ordering::Relaxed);
+        self.passed.fetch_add(tally.passed, Ordering::Relaxed);
+        self.outside.fetch_add(tally.outside, Ordering::Relaxed);
+        self.rows.fetch_add(1, Ordering::Relaxed) + 1
+    }
+}
+
+struct PixelRenderer<'a> {
+    scene: &'a Plane,
+    frame: &'a Frame,
+    rear: &'a RearView,
+    footprints: Option<&'a Footprints>,
+    settings: Settings,
+}
+
+impl PixelRenderer<'_> {
+    /// Mean and variance of the mean of one pixel and channel.
+    fn render(&self, row: isize, col: isize, channel: usize, tally: &mut Tally) -> (f64, f64) {
+        let seed = mixed(mixed(mixed(self.settings.seed, row as u64), col as u64), channel as u64);
+        let mut rng = fastrand::Rng::with_seed(seed);
+        let size = self.settings.samples.div_ceil(GROUPS);
+        let (mut sum, mut squares) = (0.0, 0.0);
+        for _ in 0..GROUPS {
+            let mut sampler = Sampler::new(&mut rng);
+            let mut group = 0.0;
+            for _ in 0..size {
+                // The pupil gets the first two dimensions: its edge makes most of the noise.
+                let u = sampler.next();
+                let (p, (radial, radius)) = self.sensor_point(row, col, [u[2], u[3]]);
+                // A point of the ellipse (in the sensor point's meridional frame) or of the whole aperture.
+                let q = disk_from_square([u[0], u[1]]);
+                let (target, area) = match self.footprints {
+                    Some(footprints) => {
+                        let e = footprints.at(radius);
+                        let (x, y) = (e.across * q.x, e.centre + e.along * q.y);
+                        (y * radial + x * radial.perp(), e.area())
+                    }
+                    None => (self.rear.disk_radius * q, self.rear.disk_area()),
+                };
+                if area > 0.0 {
+                    group += area * self.contribution(p, target, channel, u[4], tally);
+                }
+            }
+            let group = group / size as f64;
+            sum += group;
+            squares += group * group;
+        }
+        let n = GROUPS as f64;
+        let mut mean = sum / n;
+        let mut variance = ((squares - n * mean * mean) / (n * (n - 1.0))).max(0.0);
+        if let Some(footprints) = self.footprints {
+            let found = self.outside(footprints, row, col, channel, &mut rng, tally);
+            mean += found;
+            // A single draw: its square is no less than its variance in the mean.
+            variance += found * found;
+        }
+        let scale = self.rear.axis_irradiance[channel].recip();
+        (mean * scale, variance * scale * scale)
+    }
+
+    /// One ray through the part of the rear aperture outside the ellipse.
+    fn outside(
+        &self,
+        footprints: &Footprints,
+        row: isize,
+        col: isize,
+        channel: usize,
+        rng: &mut fastrand::Rng,
+        tally: &mut Tally,
+    ) -> f64 {
+        let (p, (radial, radius)) = self.sensor_point(row, col, [rng.f64(), rng.f64()]);
+        let target = self.rear.disk_radius * disk_from_square([rng.f64(), rng.f64()]);
+        let e = footprints.at(radius);
+        let u = rng.f64();
+        if e.contains(DVec2::new(target.dot(radial.perp()), target.dot(radial))) {
+            return 0.0;
+        }
+        let before = tally.passed;
+        let value = self.rear.disk_area() * self.contribution(p, target, channel, u, tally);
+        tally.outside += tally.passed - before;
+        value
+    }
+
+    /// The sensor point at `u` of a pixel, its radial direction (up on the axis) and its radius.
+    #[inline]
+    fn sensor_point(&self, row: isize, col: isize, u: [f64; 2]) -> (DVec2, (DVec2, f64)) {
+        let p = DVec2::from(self.frame.sensor_mm_from_pixel([col as f64 + u[0], row as f64 + u[1]]));
+        let radius = p.length();
+        (p, (if radius > 0.0 { p / radius } else { DVec2::Y }, radius))
+    }
+
+    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` of the rim's plane; `u` picks the wavelength.
+    #[inline]
+    fn contribution(&self, p: DVec2, target: DVec2, channel: usize, u: f64, tally: &mut Tally) -> f64 {
+        tally.rays += 1;
+        let colour = self.rear.colour(channel, u);
+        let Some((weight, leaving)) = self.rear.trace(p, target, colour) else { return 0.0 };
+        tally.passed += 1;
+        let slope = object_slope(leaving.origin, leaving.direction, self.scene.vergence);
+        let channel = channel.min(self.scene.texture.len_of(Axis(0)) - 1);
+        weight * self.scene.sample(channel, self.scene.texel_from_slope(slope.into())).0
+    }
+}
+
+/// Where a ray that left the lens towards the object meets it: object height over object distance, `[right, up]`.
+///
+/// The ray stands in the first vertex's frame seen from the sensor (`z` towards the object). It crosses the vertex plane
+/// at `e` with the slope `m`; at the distance `1/v` its height times `v` is `v e + m`, for every `v`.
+#[inline]
+fn object_slope(point: DVec3, direction: DVec3, vergence: f64) -> DVec2 {
+    let m = direction.truncate() / direction.z;
+    vergence * (point.truncate() - point.z * m) + m
+}
+
+#[cfg(test)]
+mod tests;

@@ -113,7 +113,8 @@ impl SpectralDensity {
         sums
     }
 
-    fn quadrature(&self, n: usize) -> Spectrum {
+    /// The rule of `n` nodes for these densities; `n = 0` is taken as 1.
+    pub fn quadrature(&self, n: usize) -> Spectrum {
         let n = n.max(1);
         // Place the bins on a fine grid by the running integral of (Σ p)^(2/3).
         let (first, last) = (self.nm[0], self.nm[self.nm.len() - 1]);

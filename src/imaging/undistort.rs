@@ -58,6 +58,9 @@ fn resample(image: ArrayView3<'_, f32>, frame: &Frame, source_radius: impl Fn(f6
     assert_eq!((rows, columns), (frame.rows, frame.columns), "the picture has the frame's size");
     let kernel = Lanczos::new();
     let table = RadialTable::new(&source_radius, frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm);
+    let image = image.as_standard_layout();
+    let planes: Vec<&[f32]> =
+        image.as_slice().map(|all| all.chunks_exact(rows * columns).collect()).unwrap_or_default();
     let mut out = Array3::<f32>::zeros((channels, rows, columns));
     let mut inside = Array2::from_elem((rows, columns), true);
     let by_row = out.axis_iter_mut(Axis(1)).into_par_iter().zip(inside.axis_iter_mut(Axis(0)).into_par_iter());
@@ -72,22 +75,38 @@ fn resample(image: ArrayView3<'_, f32>, frame: &Frame, source_radius: impl Fn(f6
                 inside[j] = false;
                 continue;
             }
-            across.set(&kernel, column - 0.5, stretch, columns);
-            down.set(&kernel, row - 0.5, stretch, rows);
-            for c in 0..channels {
-                let plane = image.index_axis(Axis(0), c);
-                let mut sum = 0.0;
-                for (&r, &w) in down.index.iter().zip(&down.weight) {
-                    let line = plane.row(r);
-                    let along: f32 = across.index.iter().zip(&across.weight).map(|(&q, &v)| v * line[q]).sum();
-                    sum += w * along;
-                }
-                out[[c, j]] = sum;
+            across.set(&kernel, column - 0.5, stretch);
+            down.set(&kernel, row - 0.5, stretch);
+            for (c, plane) in planes.iter().enumerate() {
+                out[[c, j]] = weighted(plane, columns, &across, &down);
             }
         }
     });
     let outside = Zip::from(&inside).fold(0_usize, |n, &ok| n + usize::from(!ok));
     Resampled { image: out, inside, outside_fraction: outside as f64 / (rows * columns).max(1) as f64 }
+}
+
+/// Sum of a plane's samples under the taps of both axes; the border is repeated.
+fn weighted(plane: &[f32], columns: usize, across: &Taps, down: &Taps) -> f32 {
+    let rows = plane.len() / columns;
+    // Nearly all pixels: few taps, all within the picture, a fixed number of operations.
+    if let (Some((q, along)), Some((r, weights))) = (across.few(columns), down.few(rows)) {
+        let mut sums = [0.0_f32; FEW];
+        for (k, w) in weights.iter().enumerate() {
+            let start = (r + k) * columns + q;
+            for (sum, v) in sums.iter_mut().zip(&plane[start..start + FEW]) {
+                *sum += w * v;
+            }
+        }
+        return sums.iter().zip(along).map(|(s, w)| s * w).sum();
+    }
+    let clamped = |k: i64, n: usize| k.clamp(0, n as i64 - 1) as usize;
+    let mut sum = 0.0;
+    for (r, w) in (down.first..).zip(&down.weight) {
+        let line = &plane[clamped(r, rows) * columns..][..columns];
+        sum += w * (across.first..).zip(&across.weight).map(|(q, v)| v * line[clamped(q, columns)]).sum::<f32>();
+    }
+    sum
 }
 
 /// The radial map in pixels, tabulated: ratio of source to output radius, and how far the source steps per pixel.
@@ -146,24 +165,25 @@ impl Lanczos {
     }
 }
 
-/// Source indices and weights of one axis; weights sum to one, the border is repeated.
+/// Taps that the quick path takes: as many as Lanczos-3 has unless it is stretched by more than a sixth.
+const FEW: usize = 8;
+
+/// Weights of one axis from sample `first` on; they sum to one.
 #[derive(Default)]
 struct Taps {
-    index: Vec<usize>,
+    first: i64,
     weight: Vec<f32>,
+    padded: [f32; FEW],
 }
 
 impl Taps {
     /// Taps around `centre` (in units where sample `k` sits at `k`), the kernel stretched by `stretch ≥ 1`.
-    fn set(&mut self, kernel: &Lanczos, centre: f64, stretch: f64, samples: usize) {
-        self.index.clear();
-        self.weight.clear();
+    fn set(&mut self, kernel: &Lanczos, centre: f64, stretch: f64) {
         let reach = 3.0 * stretch;
         let (first, last) = ((centre - reach).ceil() as i64, (centre + reach).floor() as i64);
-        for k in first..=last {
-            self.index.push(k.clamp(0, samples as i64 - 1) as usize);
-            self.weight.push(kernel.at((k as f64 - centre) / stretch));
-        }
+        self.first = first;
+        self.weight.clear();
+        self.weight.extend((first..=last).map(|k| kernel.at((k as f64 - centre) / stretch)));
         let scale = 1.0 / self.weight.iter().sum::<f32>();
         self.weight.iter_mut().for_each(|w| *w *= scale);
         // Plain Lanczos shifts smooth pictures by up to 0.02 pixels; the two central taps take the first moment out.
@@ -171,6 +191,16 @@ impl Taps {
         let middle = (centre.floor() as i64 - first) as usize;
         self.weight[middle] += moment;
         self.weight[middle + 1] -= moment;
+        if self.weight.len() <= FEW {
+            self.padded = [0.0; FEW];
+            self.padded[..self.weight.len()].copy_from_slice(&self.weight);
+        }
+    }
+
+    /// First sample and weights, padded with zeros, if they are few and lie within `samples` samples.
+    fn few(&self, samples: usize) -> Option<(usize, &[f32; FEW])> {
+        let first = usize::try_from(self.first).ok()?;
+        (self.weight.len() <= FEW && first + FEW <= samples).then_some((first, &self.padded))
     }
 }
 
@@ -275,6 +305,30 @@ mod tests {
             if out.inside[[i, j]] {
                 assert!((v - 1.0).abs() < 1e-6);
             }
+        }
+    }
+
+    #[test]
+    fn the_quick_path_equals_the_general_one() {
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let (rows, columns) = (30, 40);
+        let plane: Vec<f32> = (0..rows * columns).map(|_| rng.f32()).collect();
+        let (kernel, mut across, mut down) = (Lanczos::new(), Taps::default(), Taps::default());
+        for _ in 0..1000 {
+            let centre = |rng: &mut fastrand::Rng, n: usize| rng.f64() * n as f64 - 0.5;
+            let stretch = 1.0 + 0.4 * rng.f64();
+            let (x, y) = (centre(rng, columns), centre(rng, rows));
+            across.set(&kernel, x, stretch);
+            down.set(&kernel, y, stretch);
+            let mut expected = 0.0;
+            for (r, w) in down.weight.iter().enumerate() {
+                for (q, v) in across.weight.iter().enumerate() {
+                    let r = (down.first + r as i64).clamp(0, rows as i64 - 1) as usize;
+                    let q = (across.first + q as i64).clamp(0, columns as i64 - 1) as usize;
+                    expected += f64::from(*w) * f64::from(*v) * f64::from(plane[r * columns + q]);
+                }
+            }
+            assert!((f64::from(weighted(&plane, columns, &across, &down)) - expected).abs() < 2e-6);
         }
     }
 

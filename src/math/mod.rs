@@ -1,1 +1,3 @@
-//! (empty)
+//! Numerics without an optical word.
+
+pub mod fft;

@@ -1,1 +1,33 @@
-//! The reconstruction network: configuration and card here without burn; model, training and export behind `train`.
+//! The reconstruction network: the model card here without burn; model, training and export behind `train`.
+//!
+//! Input and output are `[batch, 3, row, col]`, f32, linear camera RGB, black at 0, white at 1, white-balanced and
+//! demosaicked. burn's types stay inside this module: the design loop and the tests speak `ndarray`.
+//!
+//! Reading order: [`card`] (the contract with the camera), `unet` (the model), `layers` (its three operations),
+//! `reconstructor` (forward, training step, checkpoint), `onnx` (export). The fast convolutions are in `kernels`.
+
+pub mod card;
+
+#[cfg(feature = "train")]
+mod adam;
+#[cfg(feature = "train")]
+mod checkpoint;
+#[cfg(feature = "train")]
+mod extension;
+#[cfg(feature = "train")]
+mod kernels;
+#[cfg(feature = "train")]
+mod layers;
+#[cfg(feature = "train")]
+pub mod onnx;
+#[cfg(feature = "train")]
+pub mod reconstructor;
+#[cfg(feature = "train")]
+mod tiles;
+#[cfg(feature = "train")]
+pub mod unet;
+
+#[cfg(feature = "train")]
+pub use reconstructor::{NetworkStep, Parameter, Reconstructor, Step};
+#[cfg(feature = "train")]
+pub use unet::UnetConfig;

@@ -4,11 +4,17 @@
 //! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod demo;
+#[cfg(feature = "train")]
+mod design;
 mod input;
 mod inspect;
-#[cfg(any(test, not(feature = "train")))]
+#[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
 mod output;
+#[cfg(feature = "train")]
+mod progress;
 mod psf;
 mod trace;
 
@@ -34,9 +40,15 @@ enum Command {
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
     Psf(psf::Args),
-    /// The whole chain on built-in scenes, with a report (needs the feature `train`)
-    #[cfg(not(feature = "train"))]
+    /// The whole chain on built-in scenes, with a report
+    #[cfg(all(feature = "train", feature = "deploy"))]
+    Demo(demo::Args),
+    /// The whole chain on built-in scenes, with a report (needs the features `train` and `deploy`)
+    #[cfg(not(all(feature = "train", feature = "deploy")))]
     Demo(missing::Args),
+    /// Joint design of lens and network
+    #[cfg(feature = "train")]
+    Design(design::Args),
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
@@ -53,8 +65,16 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Design(args) => design::run(&args, out),
+        #[cfg(all(feature = "train", feature = "deploy"))]
+        Command::Demo(args) => demo::run(&args, out),
         #[cfg(not(feature = "train"))]
-        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
+        Command::Demo(_) => missing::feature("train"),
+        #[cfg(all(feature = "train", not(feature = "deploy")))]
+        Command::Demo(_) => missing::feature("deploy"),
+        #[cfg(not(feature = "train"))]
+        Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
     }
 }
 

@@ -1,0 +1,261 @@
+//! `isoplanat demo`: the whole chain on built-in scenes, from a coarse lens to pictures from RAW captures.
+
+mod capture;
+mod settings;
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use isoplanat::deploy::kit::{Kit, LensEntry};
+use isoplanat::deploy::session::Options;
+use isoplanat::design::run::{Entry, Scenery, joint_stage, network, network_stage};
+use isoplanat::imaging::files::write_png8;
+use isoplanat::imaging::patches::NodeRaster;
+use isoplanat::imaging::plan::{frame_of, plan};
+use isoplanat::imaging::render::Optics;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::Region;
+use isoplanat::lens::prescription;
+use isoplanat::network::card::{ModelCard, sha256_hex};
+use isoplanat::network::onnx;
+use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
+use isoplanat::{Error, Result};
+
+use crate::progress::Bar;
+use settings::Settings;
+
+/// The whole chain on built-in scenes, with a report.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// The same path in a minute, on a smaller frame.
+    #[arg(long)]
+    quick: bool,
+    /// Folder for run, kit, captures, pictures and report.
+    #[arg(short, long, default_value = "isoplanat-demo")]
+    output: PathBuf,
+    /// Train on the photographs of this folder instead of built-in scenes.
+    #[arg(long)]
+    photos: Option<PathBuf>,
+    /// Seed of every draw.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// The ONNX Runtime library to use.
+    #[arg(long)]
+    onnxruntime: Option<PathBuf>,
+    /// Overwrite the folder.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    if args.output.exists() && !args.force {
+        return Err(Error::Exists(args.output.clone()).into());
+    }
+    // Everything is made beside the folder and renamed at the end.
+    let mut name = args.output.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".part{}", std::process::id()));
+    let beside = args.output.with_file_name(name);
+    std::fs::create_dir_all(&beside).map_err(|e| Error::writing(&beside, e))?;
+    let report = chain(args, &beside);
+    let done = report.and_then(|report| {
+        if args.output.exists() {
+            std::fs::remove_dir_all(&args.output).map_err(|e| Error::writing(&args.output, e))?;
+        }
+        std::fs::rename(&beside, &args.output).map_err(|e| Error::writing(&args.output, e))?;
+        Ok(report)
+    });
+    if done.is_err() {
+        let _ = std::fs::remove_dir_all(&beside);
+    }
+    let report = done?;
+    for s in &report.scenes {
+        writeln!(
+            out,
+            "{:12} capture {:.2} dB, Wiener {:.2} dB, network {:.2} dB; SSIM {:.3}, {:.3}, {:.3}",
+            s.name,
+            s.capture_quality.psnr_db,
+            s.wiener_quality.psnr_db,
+            s.reconstruction_quality.psnr_db,
+            s.capture_quality.ssim,
+            s.wiener_quality.ssim,
+            s.reconstruction_quality.ssim
+        )?;
+    }
+    writeln!(
+        out,
+        "fast renderer against the reference: {:.2} dB in {:.2} s against {:.1} s",
+        report.psnr_fast_vs_reference_db, report.seconds_fast, report.seconds_reference
+    )?;
+    writeln!(out, "{} in {:.0} s", args.output.join("report.html").display(), report.seconds_total)?;
+    Ok(())
+}
+
+fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
+    let started = Instant::now();
+    let settings = Settings::new(args.quick, args.seed, args.photos.clone());
+    let task = &settings.task;
+    eprintln!("about {} on two cores", if args.quick { "50 seconds" } else { "9 minutes" });
+    let start = task.lens()?;
+    let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
+    let density = SpectralDensity::new(&sensor);
+    let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
+    let mut stage = |what: &str, since: Instant, report: &mut DemoReport| {
+        report.stages.push((what.to_owned(), since.elapsed().as_secs_f64()));
+    };
+
+    // Scenes to train on.
+    let clock = Instant::now();
+    let bar = Bar::new("training scenes");
+    let textures = task.textures()?;
+    bar.done(format!("{} scenes", textures.len()));
+    stage("Training scenes", clock, &mut report);
+    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
+
+    // Lens and network together.
+    let clock = Instant::now();
+    let bar = Bar::new("lens and network");
+    let (joint, joint_history) =
+        joint_stage(&scenery, &start, network(task.base_width, task.seed)?, settings.joint, &mut |share, e| {
+            bar.set(share, message(e));
+        })?;
+    bar.done(format!("{} steps taken back", joint.rejected));
+    let mut lens = joint.lens;
+    lens.name = format!("{}, designed", start.name);
+    stage("Joint design of lens and network", clock, &mut report);
+
+    // The final network for the finished lens.
+    let clock = Instant::now();
+    let bar = Bar::new("network for the lens");
+    let mut net = joint.network;
+    let history = network_stage(&scenery, &lens, &mut net, settings.train, &mut |share, e| {
+        bar.set(share, message(e));
+    })?;
+    bar.done(history.last().map(message).unwrap_or_default());
+    stage("Final training of the network", clock, &mut report);
+
+    // The run's files.
+    let run = folder.join("run");
+    std::fs::create_dir_all(&run).map_err(|e| Error::writing(&run, e))?;
+    prescription::save(&start, &run.join("lens-start.toml"))?;
+    prescription::save(&lens, &run.join("lens.toml"))?;
+    net.save(&run.join("network.safetensors"))?;
+
+    // Kit: optics of the whole frame, ONNX model with its card.
+    let clock = Instant::now();
+    let render = plan(&lens, lens.object_vergence, &frame, &density, settings.fine, None)?;
+    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let optics = Optics::compute(
+        &lens,
+        lens.object_vergence,
+        &render,
+        NodeRaster::over(whole.grown(render.margin()), settings.wiener_spacing),
+    )?;
+    let shading = optics.shading()?;
+    let mut card = ModelCard::for_unet("isoplanat demo", task.base_width, 3);
+    card.lens_name.clone_from(&lens.name);
+    card.lens_sha256 = lens.sha256();
+    card.calibration_sha256 = sha256_hex(toml::to_string(&sensor).unwrap_or_default().as_bytes());
+    card.training_sha256 = textures.sha256();
+    let kit = Kit::new(
+        "isoplanat demo",
+        LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
+        onnx::encode(&net, &card)?,
+        settings.tile,
+        sensor.clone(),
+        frame.clone(),
+        optics.distortion.clone(),
+        shading,
+    )?;
+    kit.save(&folder.join("kit"), false)?;
+    stage("Kit: ONNX model and calibration", clock, &mut report);
+
+    // Captures of unseen scenes by the reference renderer, and what the camera makes of them.
+    let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
+    let clock = Instant::now();
+    for unseen in settings.unseen() {
+        let result = capture::photograph(folder, &settings, &lens, &kit, &optics, &options, unseen, &mut report.runtime)?;
+        write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
+        report.scenes.push(result);
+    }
+    stage("Captures, Wiener filter, camera", clock, &mut report);
+
+    // The fast renderer against the reference.
+    let clock = Instant::now();
+    capture::compare(&settings, &lens, &render, &density, &mut report)?;
+    stage("Fast renderer against the reference", clock, &mut report);
+
+    let depth = 1.0 / lens.object_vergence;
+    report.before = Some(LensView::new(&start, depth, settings.atlas)?);
+    report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
+    report.loss = vec![curve("lens and network", &joint_history), curve("network for the finished lens", &history)];
+    report.settings = settings.describe(&sensor, &render);
+    report.left_out.extend(left_out(&lens, &optics, &render));
+    report.summary = "A coarse two-element lens and a small network are designed together; the network is then trained for \
+                      the finished lens, exported to ONNX, and used on RAW captures of scenes that neither has seen, \
+                      rendered by an independent ray tracer from the sensor."
+        .into();
+    report.seconds_total = started.elapsed().as_secs_f64();
+    std::fs::write(folder.join("report.html"), report.to_html()?).map_err(|e| Error::writing(folder, e))?;
+    let summary = format!("{:#}\n", report.summary_json());
+    std::fs::write(folder.join("summary.json"), summary).map_err(|e| Error::writing(folder, e))?;
+    Ok(report)
+}
+
+fn message(e: &Entry) -> String {
+    if e.loss.is_finite() {
+        format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)
+    } else {
+        "rendering training pairs".into()
+    }
+}
+
+fn curve(name: &str, history: &[Entry]) -> LossCurve {
+    #[expect(clippy::cast_precision_loss, reason = "step counts")]
+    let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
+    LossCurve { name: name.to_owned(), points }
+}
+
+/// What this lens and scene did not need.
+fn left_out(
+    lens: &isoplanat::lens::Lens,
+    optics: &Optics,
+    render: &isoplanat::imaging::render::RenderPlan,
+) -> Vec<String> {
+    let apertures: Vec<String> = (0..lens.surfaces.len())
+        .filter(|i| *i != lens.stop && !optics.grid.clipping.contains(i))
+        .map(|i| i.to_string())
+        .collect();
+    let radii = optics.illumination.len_of(ndarray::Axis(0));
+    let nodes = optics.raster.len();
+    let worst = optics.grid.outside.iter().copied().fold(0.0, f64::max);
+    vec![
+        format!(
+            "Other depths: the scenes are flat, at {:.0} mm; one depth of the PSF grid serves. Exact.",
+            1.0 / lens.object_vergence
+        ),
+        format!(
+            "Half of every pupil: the lens is symmetric about its axis, so {} of {} node rays are traced. Exact.",
+            render.psf.sampling.traced_rays(),
+            2 * render.psf.sampling.traced_rays()
+        ),
+        format!("Repeated radii: {nodes} PSF nodes share {radii} traced field radii; landings are turned. Exact."),
+        if apertures.is_empty() {
+            "No clear aperture could be left out.".into()
+        } else {
+            format!("Clear apertures of surfaces {}: no ray of any field comes near them. Exact.", apertures.join(", "))
+        },
+        format!(
+            "Kernels beyond {} × {} pixels: at most {:.2e} of a PSF's energy falls outside.",
+            render.psf.size, render.psf.size, worst
+        ),
+        format!(
+            "Dense ray tracing: each PSF continues {} traced rays to {} by a polynomial; its residual is at most \
+             {:.1e} mm.",
+            2 * render.psf.sampling.traced_rays(),
+            render.psf.sampling.points.len(),
+            optics.grid.residual_mm
+        ),
+    ]
+}

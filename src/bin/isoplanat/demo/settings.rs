@@ -1,0 +1,128 @@
+//! What the demo does, and how long it may take.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use isoplanat::design::run::{Budget, JointSettings, TrainSettings};
+use isoplanat::design::task::{Task, TaskSensor};
+use isoplanat::imaging::plan::Quality;
+use isoplanat::imaging::render::RenderPlan;
+use isoplanat::imaging::scene::SceneKind;
+use isoplanat::imaging::sensor::Sensor;
+
+/// Everything the demo's stages need.
+pub(crate) struct Settings {
+    /// Lens, sensor, training scenes.
+    pub(crate) task: Task,
+    /// The joint stage.
+    pub(crate) joint: JointSettings,
+    /// The final training.
+    pub(crate) train: TrainSettings,
+    /// Sampling of final renders.
+    pub(crate) fine: Quality,
+    /// Distance between the Wiener filter's PSFs, pixels.
+    pub(crate) wiener_spacing: usize,
+    /// Tile of the camera's network, pixels.
+    pub(crate) tile: usize,
+    /// Rays a pixel of a capture.
+    pub(crate) samples: usize,
+    /// Rays a pixel and channel of the reference, both halves together.
+    pub(crate) reference_samples: usize,
+    /// Side of the regions the renderers are compared on, pixels.
+    pub(crate) compared: usize,
+    /// Fields in the PSF atlas.
+    pub(crate) atlas: usize,
+}
+
+/// An unseen scene: file name, family, seed.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Unseen {
+    pub(crate) name: &'static str,
+    pub(crate) kind: SceneKind,
+    pub(crate) seed: u64,
+}
+
+impl Settings {
+    pub(crate) fn new(quick: bool, seed: u64, photos: Option<PathBuf>) -> Self {
+        let mut task = Task::demo();
+        task.seed = seed;
+        task.photos = photos;
+        let seconds = |s: u64| Budget::Time(Duration::from_secs(s));
+        let base = Self {
+            joint: JointSettings {
+                budget: seconds(150),
+                patch: 128,
+                batch: 2,
+                lens_rate: 0.02,
+                network_rate: 2e-3,
+                quality: Quality::DESIGN,
+            },
+            train: TrainSettings {
+                budget: seconds(270),
+                regions: 160,
+                region: 256,
+                crop: 192,
+                rate: 2e-3,
+                quality: Quality::TRAINING,
+            },
+            fine: Quality::FINE,
+            wiener_spacing: 64,
+            tile: 320,
+            samples: 96,
+            reference_samples: 512,
+            compared: 128,
+            atlas: 7,
+            task,
+        };
+        if quick { base.quick() } else { base }
+    }
+
+    /// The same path on a quarter of the pixels, twice as large, in a minute.
+    fn quick(mut self) -> Self {
+        self.task.sensor = Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
+        self.task.scenes = 12;
+        self.joint.budget = Budget::Time(Duration::from_secs(10));
+        self.joint.patch = 96;
+        self.joint.batch = 1;
+        self.train.budget = Budget::Time(Duration::from_secs(15));
+        self.train.regions = 40;
+        self.train.region = 160;
+        self.train.crop = 128;
+        self.fine = Quality { degree: 7, dense: 1000, wavelengths: 7, spacing: 48, outside: 1e-3, max_half_width: 60 };
+        self.samples = 32;
+        self.reference_samples = 128;
+        self.compared = 64;
+        self.atlas = 5;
+        self
+    }
+
+    /// Scenes for the captures: a new draw of a family the training knows, and a family it never saw.
+    pub(crate) fn unseen(&self) -> [Unseen; 2] {
+        let seed = self.task.seed.wrapping_mul(7919).wrapping_add(500_000);
+        [
+            Unseen { name: "leaves", kind: SceneKind::DeadLeaves, seed },
+            Unseen { name: "street", kind: SceneKind::Facades, seed },
+        ]
+    }
+
+    /// For the report's table.
+    pub(crate) fn describe(&self, sensor: &Sensor, render: &RenderPlan) -> Vec<(String, String)> {
+        let pair = |a: &str, b: String| (a.to_owned(), b);
+        let frame = &render.frame;
+        vec![
+            pair("Lens", format!("models/lenses/{}.toml, object at 1 m", self.task.lens)),
+            pair(
+                "Frame",
+                format!("{} × {} pixels of {:.0} µm, axis at the corner", frame.columns, frame.rows, frame.pitch_mm * 1e3),
+            ),
+            pair(
+                "Sensor noise",
+                format!("shot noise of {} e⁻ full well, {} e⁻ read noise", sensor.full_well_electrons, sensor.read_noise_electrons),
+            ),
+            pair("Wavelengths", render.psf.wavelength_nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm"),
+            pair("Network", format!("U-Net, three scales, {} channels at the finest", self.task.base_width)),
+            pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),
+            pair("Wiener filter", "PSF of each place on the frame, noise level tuned on the capture itself".into()),
+        ]
+    }
+}

@@ -1,0 +1,114 @@
+//! `isoplanat design TASK.toml -o RUN/`: lens and network together.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isoplanat::design::data::Textures;
+use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, validate};
+use isoplanat::design::task::Task;
+use isoplanat::imaging::plan::{Quality, frame_of};
+use isoplanat::lens::prescription;
+use isoplanat::{Error, Result};
+
+use crate::progress::Bar;
+
+/// Joint design of lens and network.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Task file (form in models/README.md).
+    task: PathBuf,
+    /// Folder of the run: lens, network, log.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Judge the result on patches of these photographs too.
+    #[arg(long)]
+    validate: Option<PathBuf>,
+    /// Results as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Overwrite the run folder.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    if args.output.exists() && !args.force {
+        return Err(Error::Exists(args.output.clone()).into());
+    }
+    let task = Task::load(&args.task)?;
+    let (lens, sensor) = (task.lens()?, task.sensor()?);
+    let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
+    let frame = frame_of(&lens)?;
+    let textures = task.textures()?;
+    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
+    let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
+    let settings = JointSettings {
+        budget: task.budget(),
+        patch: task.patch_px,
+        batch: task.batch,
+        lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
+        network_rate: task.network_rate,
+        quality: Quality::DESIGN,
+    };
+    let start = network(task.base_width, task.seed)?;
+    let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
+        bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
+    })?;
+    bar.done(String::new());
+    save(args, &lens, &joint, &history)?;
+    let judged = match &held_out {
+        Some(textures) => {
+            let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
+            Some(validate(&scenery, &joint.lens, &joint.network, task.patch_px, 48, Quality::TRAINING)?)
+        }
+        None => None,
+    };
+    let last = history.last().copied();
+    if args.json {
+        let value = serde_json::json!({ "schema": 1, "last": last, "validation": judged, "rejected": joint.rejected });
+        writeln!(out, "{value}")?;
+    } else {
+        if let Some(e) = last {
+            writeln!(out, "training    L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
+        }
+        if let Some(e) = judged {
+            writeln!(out, "validation  L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
+        }
+        writeln!(out, "steps taken back: {}", joint.rejected)?;
+    }
+    Ok(())
+}
+
+/// Writes the run beside its place, then renames it there.
+fn save(
+    args: &Args,
+    start: &isoplanat::lens::Lens,
+    joint: &isoplanat::design::joint::Joint,
+    history: &[isoplanat::design::run::Entry],
+) -> Result<()> {
+    let beside = args.output.with_extension(format!("part{}", std::process::id()));
+    let io = |e| Error::writing(&args.output, e);
+    std::fs::create_dir_all(&beside).map_err(io)?;
+    let fill = || -> Result<()> {
+        std::fs::copy(&args.task, beside.join("task.toml")).map_err(io)?;
+        prescription::save(start, &beside.join("lens-start.toml"))?;
+        prescription::save(&joint.lens, &beside.join("lens.toml"))?;
+        joint.network.save(&beside.join("network.safetensors"))?;
+        let mut log = String::from("seconds,loss,input_psnr_db,output_psnr_db\n");
+        for e in history {
+            log += &format!("{:.3},{:.6},{:.3},{:.3}\n", e.seconds, e.loss, e.input_psnr_db, e.output_psnr_db);
+        }
+        std::fs::write(beside.join("log.csv"), log).map_err(io)
+    };
+    let done = fill().and_then(|()| {
+        if args.output.exists() {
+            std::fs::remove_dir_all(&args.output).map_err(io)?;
+        }
+        std::fs::rename(&beside, &args.output).map_err(io)
+    });
+    if done.is_err() {
+        let _ = std::fs::remove_dir_all(&beside);
+    }
+    done
+}

@@ -1,0 +1,414 @@
+//! The kit folder: everything a camera needs to reconstruct the captures of one lens on one sensor.
+//!
+//! ```text
+//! KIT/kit.toml     schema = 1: names, hashes, tiles, sensor, frame, distortion, shading
+//! KIT/model.onnx   the network, its card in the metadata
+//! ```
+//! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
+//! was written with, a network trained for another lens.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::deploy::session;
+use crate::deploy::tiles::Tiling;
+use crate::error::{Error, Result};
+use crate::imaging::distortion::Distortion;
+use crate::imaging::files;
+use crate::imaging::frame::Frame;
+use crate::imaging::sensor::Sensor;
+use crate::imaging::shading::Shading;
+use crate::network::card::{DEMOSAIC, ModelCard, sha256_hex};
+
+/// The form of `kit.toml` this version reads and writes.
+pub const SCHEMA: u32 = 1;
+
+/// The file that makes a folder a kit.
+pub const FILE: &str = "kit.toml";
+
+/// A kit.
+#[derive(Clone, Debug)]
+pub struct Kit {
+    /// Name of the kit, for people.
+    pub name: String,
+    /// The program and version that wrote it.
+    pub created_by: String,
+    /// The lens it is for.
+    pub lens: LensEntry,
+    /// The network and how to tile it.
+    pub model: ModelEntry,
+    /// The sensor: levels, layout, colour.
+    pub sensor: Sensor,
+    /// Size and axis of the captures.
+    pub frame: Frame,
+    /// Distortion to take out after the network.
+    pub distortion: Distortion,
+    /// Illumination to divide out before it.
+    pub shading: Shading,
+    /// What the network says of itself.
+    pub card: ModelCard,
+    /// The bytes of `model.onnx`.
+    pub model_bytes: Vec<u8>,
+}
+
+/// The lens a kit is for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LensEntry {
+    /// Its name.
+    pub name: String,
+    /// SHA-256 (hex) of the lens file; equal to the one in the model's card.
+    pub sha256: String,
+}
+
+/// The network of a kit.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelEntry {
+    /// Its file in the kit's folder.
+    pub file: String,
+    /// SHA-256 (hex) of that file.
+    pub sha256: String,
+    /// Side of a tile, pixels.
+    pub tile_px: usize,
+    /// Pixels thrown away on each side of a tile; at least the network's receptive radius.
+    pub overlap_px: usize,
+    /// Height and width of a tile are multiples of this.
+    pub multiple: usize,
+}
+
+/// The form of `kit.toml`.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KitFile {
+    schema: u32,
+    name: String,
+    created_by: String,
+    demosaic: String,
+    lens: LensEntry,
+    model: ModelEntry,
+    frame: Frame,
+    distortion: DistortionTable,
+    shading: Shading,
+    sensor: Sensor,
+}
+
+/// [`Distortion`], unknown keys refused.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DistortionTable {
+    max_slope: f64,
+    coefficients_mm: [f64; 4],
+    residual_mm: f64,
+}
+
+impl Kit {
+    /// Puts a kit together from its parts; `model` is the ONNX file.
+    ///
+    /// # Errors
+    /// Parts that [`Kit::load`] would refuse.
+    #[allow(clippy::too_many_arguments, reason = "a kit has these parts; a builder would only rename them")]
+    pub fn new(
+        name: impl Into<String>,
+        lens: LensEntry,
+        model: Vec<u8>,
+        tile_px: usize,
+        sensor: Sensor,
+        frame: Frame,
+        distortion: Distortion,
+        shading: Shading,
+    ) -> Result<Self> {
+        let card = ModelCard::from_metadata(&session::metadata(&model, Path::new("model.onnx"))?)?;
+        let entry = ModelEntry {
+            file: "model.onnx".into(),
+            sha256: sha256_hex(&model),
+            tile_px,
+            overlap_px: card.receptive_radius_px.next_multiple_of(card.multiple),
+            multiple: card.multiple,
+        };
+        let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
+        let kit = Self {
+            name: name.into(),
+            created_by,
+            lens,
+            model: entry,
+            sensor,
+            frame,
+            distortion,
+            shading,
+            card,
+            model_bytes: model,
+        };
+        kit.check("kit")?;
+        Ok(kit)
+    }
+
+    /// Loads and checks a kit folder.
+    ///
+    /// # Errors
+    /// One for each thing that can be wrong, naming file and place; see the module.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let path = folder.join(FILE);
+        if !folder.is_dir() {
+            let found = if folder.exists() { "not a folder" } else { "there is no such folder" };
+            return Err(Error::bad(folder.display().to_string(), "kit", found, format!("a folder with {FILE}")));
+        }
+        let text = std::fs::read_to_string(&path).map_err(|e| Error::reading(&path, e))?;
+        let file = parse(&text, &path.display().to_string())?;
+        if Path::new(&file.model.file).file_name() != Some(file.model.file.as_ref()) {
+            let found = file.model.file.clone();
+            return Err(Error::bad(path.display().to_string(), "model.file", found, "a file in the kit's folder"));
+        }
+        let model_path = folder.join(&file.model.file);
+        let model_bytes = std::fs::read(&model_path).map_err(|e| Error::reading(&model_path, e))?;
+        let found = sha256_hex(&model_bytes);
+        if found != file.model.sha256 {
+            let allowed = format!("the file the kit was written with, {}", short(&file.model.sha256));
+            let found = format!("SHA-256 {}", short(&found));
+            return Err(Error::bad(model_path.display().to_string(), "model", found, allowed));
+        }
+        let metadata = session::metadata(&model_bytes, &model_path)?;
+        let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(&model_path))?;
+        if file.demosaic != DEMOSAIC {
+            let allowed = format!("{DEMOSAIC}, which this version has");
+            return Err(Error::bad(path.display().to_string(), "demosaic", file.demosaic, allowed));
+        }
+        let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
+        let kit = Self {
+            name: file.name,
+            created_by: file.created_by,
+            lens: file.lens,
+            model: file.model,
+            sensor: file.sensor,
+            frame: file.frame,
+            distortion: Distortion { max_slope, coefficients_mm, residual_mm },
+            shading: file.shading,
+            card,
+            model_bytes,
+        };
+        kit.check(&path.display().to_string())?;
+        Ok(kit)
+    }
+
+    /// Writes the kit as a folder, whole or not at all: into a new folder beside, which is then renamed.
+    ///
+    /// With `replace` an existing kit gives way; any other folder never does.
+    ///
+    /// # Errors
+    /// [`Error::Exists`], or a file that cannot be written.
+    pub fn save(&self, folder: &Path, replace: bool) -> Result<()> {
+        if folder.exists() && !(replace && folder.join(FILE).is_file()) {
+            return Err(Error::Exists(folder.to_owned()));
+        }
+        let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+        let beside = |what: &str| folder.with_file_name(format!(".{name}.{}.{what}", std::process::id()));
+        let (partial, old) = (beside("partial"), beside("old"));
+        let written = self.write_into(&partial).and_then(|()| {
+            if folder.exists() {
+                std::fs::rename(folder, &old).map_err(|e| Error::writing(folder, e))?;
+            }
+            std::fs::rename(&partial, folder).map_err(|e| {
+                // Put the old kit back; the first error is the one to tell.
+                let _ = std::fs::rename(&old, folder);
+                Error::writing(folder, e)
+            })
+        });
+        let leftovers = if written.is_ok() { &old } else { &partial };
+        if leftovers.exists() {
+            let _ = std::fs::remove_dir_all(leftovers);
+        }
+        written
+    }
+
+    fn write_into(&self, folder: &Path) -> Result<()> {
+        std::fs::create_dir_all(folder).map_err(|e| Error::writing(folder, e))?;
+        files::write_bytes(&folder.join(FILE), self.to_toml()?.as_bytes())?;
+        files::write_bytes(&folder.join(&self.model.file), &self.model_bytes)
+    }
+
+    /// The text of `kit.toml`.
+    ///
+    /// # Errors
+    /// Never for a checked kit.
+    pub fn to_toml(&self) -> Result<String> {
+        let Distortion { max_slope, coefficients_mm, residual_mm } = self.distortion;
+        let file = KitFile {
+            schema: SCHEMA,
+            name: self.name.clone(),
+            created_by: self.created_by.clone(),
+            demosaic: self.card.demosaic.clone(),
+            lens: self.lens.clone(),
+            model: self.model.clone(),
+            frame: self.frame.clone(),
+            distortion: DistortionTable { max_slope, coefficients_mm, residual_mm },
+            shading: self.shading.clone(),
+            sensor: self.sensor.clone(),
+        };
+        toml::to_string(&file).map_err(|e| Error::Internal(format!("kit to TOML: {e}")))
+    }
+
+    /// How the network is tiled.
+    ///
+    /// # Errors
+    /// Sizes that contradict each other.
+    pub fn tiling(&self) -> Result<Tiling> {
+        Tiling::new(self.model.tile_px, self.model.overlap_px, self.model.multiple)
+    }
+
+    /// Refuses parts that contradict each other; `file` names them.
+    fn check(&self, file: &str) -> Result<()> {
+        let bad = |place: &str, found: String, allowed: String| Err(Error::bad(file, place, found, allowed));
+        self.sensor.check(file)?;
+        self.tiling().map_err(|e| e.in_file(Path::new(file)))?;
+        let (card, model) = (&self.card, &self.model);
+        if card.lens_sha256 != self.lens.sha256 {
+            let found = format!("{} ({})", short(&self.lens.sha256), self.lens.name);
+            let allowed =
+                format!("the lens the network was trained for, {} ({})", short(&card.lens_sha256), card.lens_name);
+            return bad("lens.sha256", found, allowed);
+        }
+        if card.multiple != model.multiple {
+            return bad("model.multiple", model.multiple.to_string(), format!("{}, as the model says", card.multiple));
+        }
+        if model.overlap_px < card.receptive_radius_px {
+            let allowed = format!("at least the network's receptive radius, {}", card.receptive_radius_px);
+            return bad("model.overlap_px", model.overlap_px.to_string(), allowed);
+        }
+        let d = &self.distortion;
+        let finite = d.coefficients_mm.iter().chain([&d.max_slope, &d.residual_mm]).all(|v| v.is_finite());
+        if !(finite && d.max_slope > 0.0) {
+            return bad("distortion", format!("{d:?}"), "finite numbers and max_slope above 0".into());
+        }
+        let grows = |i: i32| d.sensor_from_slope_derivative(d.max_slope * f64::from(i) / 256.0) > 0.0;
+        if !(0..=256).all(grows) {
+            return bad("distortion", "image height stops growing".into(), "a model that grows up to max_slope".into());
+        }
+        Ok(())
+    }
+}
+
+/// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.
+fn parse(text: &str, file: &str) -> Result<KitFile> {
+    #[derive(Deserialize)]
+    struct Form {
+        schema: Option<u32>,
+    }
+    let syntax = |e: toml::de::Error| {
+        let line = e.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
+        let found = e.message().trim().replace('\n', " ");
+        Error::bad(file, format!("line {line}"), found, "the keys `isoplanat export` writes")
+    };
+    let form: Form = toml::from_str(text).map_err(syntax)?;
+    match form.schema {
+        Some(SCHEMA) => toml::from_str(text).map_err(syntax),
+        Some(newer) if newer > SCHEMA => {
+            let allowed = format!("up to {SCHEMA}, which this version reads; a newer isoplanat-camera reads this kit");
+            Err(Error::bad(file, "schema", newer.to_string(), allowed))
+        }
+        other => {
+            let found = other.map_or("missing".into(), |s| s.to_string());
+            Err(Error::bad(file, "schema", found, format!("schema = {SCHEMA}")))
+        }
+    }
+}
+
+/// The start of a hash, for people.
+fn short(hash: &str) -> String {
+    let start: String = hash.chars().take(12).collect();
+    if start.is_empty() { "none".into() } else { format!("{start}…") }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::deploy::test_model;
+
+    /// A kit whose network is the small U-Net of the tests.
+    pub(crate) fn kit(columns: usize, rows: usize) -> Kit {
+        let mut card = ModelCard::for_unet("test", 4, 3);
+        card.lens_name = "Cooke triplet".into();
+        card.lens_sha256 = sha256_hex(b"lens");
+        let metadata = card.to_metadata();
+        let entries: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
+        let frame = Frame::centred(columns, rows, 0.006).expect("valid");
+        let max_slope = 1.2 * frame.max_radius_mm() / 50.0;
+        Kit::new(
+            "test kit",
+            LensEntry { name: card.lens_name.clone(), sha256: card.lens_sha256.clone() },
+            test_model::unet(4, 3, &entries),
+            96,
+            Sensor::generic(),
+            frame,
+            Distortion { max_slope, coefficients_mm: [50.0 * max_slope, -2.0 * max_slope, 0.0, 0.0], residual_mm: 1e-4 },
+            Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]]).expect("valid"),
+        )
+        .expect("valid")
+    }
+
+    #[test]
+    fn a_saved_kit_loads_again_and_is_not_overwritten() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let (folder, kit) = (dir.path().join("kit"), kit(64, 48));
+        kit.save(&folder, false).expect("saves");
+        let back = Kit::load(&folder).expect("loads");
+        assert_eq!(back.to_toml().expect("writes"), kit.to_toml().expect("writes"));
+        assert_eq!((back.card, back.model_bytes), (kit.card.clone(), kit.model_bytes.clone()));
+        assert!(matches!(kit.save(&folder, false), Err(Error::Exists(_))));
+        kit.save(&folder, true).expect("replaces");
+        let other = dir.path().join("other");
+        std::fs::create_dir(&other).expect("creates");
+        assert!(matches!(kit.save(&other, true), Err(Error::Exists(_))), "a folder that is no kit stays");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 2, "nothing half-written is left");
+    }
+
+    #[test]
+    fn each_fault_has_its_own_error() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let good = kit(64, 48).to_toml().expect("writes");
+        let with = |from: &str, to: &str| {
+            assert!(good.contains(from), "{from}\n{good}");
+            good.replacen(from, to, 1)
+        };
+        let cases = [
+            ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
+            ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
+            ("newer schema", with("schema = 1", "schema = 2\nnews = 1"), "newer isoplanat-camera"),
+            ("no schema", with("schema = 1", ""), "schema"),
+            ("lens", with(&sha256_hex(b"lens"), &sha256_hex(b"other")), "trained for"),
+            ("model elsewhere", with("file = \"model.onnx\"", "file = \"../model.onnx\""), "kit's folder"),
+            ("model missing", with("file = \"model.onnx\"", "file = \"none.onnx\""), "none.onnx"),
+            ("demosaic", with(DEMOSAIC, "ahd"), "demosaic"),
+            ("overlap", with("overlap_px = 24", "overlap_px = 8"), "receptive radius"),
+            ("multiple", with("multiple = 4", "multiple = 8"), "multiple"),
+            ("tile", with("tile_px = 96", "tile_px = 40"), "overlap_px"),
+            ("frame", with("columns = 64", "columns = 0"), "columns"),
+            ("sensor", with("bits = 12", "bits = 99"), "bits"),
+            ("no TOML", "= 3".into(), "line 1"),
+        ];
+        for (what, text, words) in cases {
+            let folder = dir.path().join("kit");
+            let _ = std::fs::remove_dir_all(&folder);
+            kit(64, 48).save(&folder, false).expect("saves");
+            std::fs::write(folder.join(FILE), text).expect("writes");
+            let error = Kit::load(&folder).expect_err(what);
+            assert_eq!(error.exit_code(), 2, "{what}");
+            let message = error.to_string();
+            assert!(message.contains(words) && message.contains("kit") && !message.contains('\n'), "{what}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_changed_model_is_refused_by_its_hash() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let folder = dir.path().join("kit");
+        kit(64, 48).save(&folder, false).expect("saves");
+        let model = folder.join("model.onnx");
+        let mut bytes = std::fs::read(&model).expect("reads");
+        *bytes.last_mut().expect("not empty") ^= 1;
+        std::fs::write(&model, bytes).expect("writes");
+        assert!(Kit::load(&folder).expect_err("changed").to_string().contains("SHA-256"));
+        assert_eq!(Kit::load(dir.path()).expect_err("no kit").exit_code(), 2);
+        assert_eq!(Kit::load(&dir.path().join("none")).expect_err("no folder").exit_code(), 2);
+    }
+}

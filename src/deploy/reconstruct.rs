@@ -1,0 +1,359 @@
+//! A capture to a picture: levels, white balance, flat field, demosaic, network, undistort, colour, upright.
+//!
+//! The order is [`crate::imaging::develop`]'s. Without a kit the capture is developed from what its own file says, and
+//! no network is applied.
+
+use std::path::Path;
+use std::time::{Duration, Instant};
+
+use ndarray::{Array3, ArrayView4};
+
+use crate::deploy::kit::Kit;
+use crate::deploy::raw::{RawCapture, RawPixels};
+use crate::deploy::session::{Options, Session};
+use crate::deploy::tiles;
+use crate::error::{Error, Result};
+use crate::imaging::color::XYZ_FROM_SRGB;
+use crate::imaging::develop::{self, Balance, Development, IDENTITY};
+
+/// Which steps of a kit to do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Steps {
+    /// The network.
+    pub network: bool,
+    /// Undistortion.
+    pub undistort: bool,
+}
+
+impl Default for Steps {
+    fn default() -> Self {
+        Self { network: true, undistort: true }
+    }
+}
+
+/// A camera ready to develop captures.
+#[derive(Debug, Default)]
+pub struct Camera {
+    calibrated: Option<Calibrated>,
+}
+
+#[derive(Debug)]
+struct Calibrated {
+    kit: Kit,
+    session: Option<Session>,
+    undistort: bool,
+}
+
+/// A finished picture.
+#[derive(Clone, Debug)]
+pub struct Picture {
+    /// Linear sRGB from 0 to 1, upright, `[3, row, col]`.
+    pub image: Array3<f32>,
+    /// What the user should know, one sentence each.
+    pub notes: Vec<String>,
+    /// Fraction of pixels that undistortion had no source for (black).
+    pub outside_fraction: f64,
+    /// Number of tiles the network ran.
+    pub tiles: usize,
+    /// Where the time went.
+    pub times: Times,
+}
+
+/// Time of each part of a reconstruction.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Times {
+    /// Levels, white balance, flat field, demosaic.
+    pub input: Duration,
+    /// The network, tiles cut and put together included.
+    pub network: Duration,
+    /// Within the runtime itself, summed over tiles (which may run at the same time).
+    pub runtime: Duration,
+    /// Undistortion, colour, orientation.
+    pub finish: Duration,
+}
+
+impl Camera {
+    /// A camera without a kit: develops what the file itself says.
+    pub fn plain() -> Self {
+        Self::default()
+    }
+
+    /// A camera with a kit. The network's runtime is opened here, unless `steps` leaves the network out.
+    ///
+    /// # Errors
+    /// A model the runtime refuses, or a named runtime that cannot be used.
+    pub fn with_kit(kit: Kit, steps: Steps, options: &Options) -> Result<Self> {
+        let session = if steps.network {
+            Some(Session::open(&kit.model_bytes, Path::new(&kit.model.file), options)?)
+        } else {
+            None
+        };
+        Ok(Self { calibrated: Some(Calibrated { kit, session, undistort: steps.undistort }) })
+    }
+
+    /// The network's session, if one is applied.
+    pub fn session(&self) -> Option<&Session> {
+        self.calibrated.as_ref().and_then(|c| c.session.as_ref())
+    }
+
+    /// Develops a capture; `file` names it in messages, `progress(done, all)` counts tiles.
+    ///
+    /// # Errors
+    /// A capture that is not of the kit's camera, or a network that fails.
+    pub fn reconstruct(
+        &self,
+        capture: RawCapture,
+        file: &Path,
+        progress: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<Picture> {
+        let mut notes = capture.notes.clone();
+        let orientation = capture.orientation;
+        let development = match &self.calibrated {
+            Some(calibrated) => calibrated.development(&capture, file, &mut notes)?,
+            None => plain_development(&capture, &mut notes),
+        };
+        let started = Instant::now();
+        let mut camera = match capture.pixels {
+            RawPixels::Mosaic { samples, cfa } => {
+                develop::network_input(samples.view(), cfa, &development.balance, development.flat_field)
+            }
+            RawPixels::Linear(mut samples) => {
+                develop::balance_colours(&mut samples, &development.balance);
+                samples
+            }
+        };
+        let mut times = Times { input: started.elapsed(), ..Times::default() };
+        let mut count = 0;
+        if let Some((calibrated, session)) = self.calibrated.as_ref().zip(self.session()) {
+            let started = Instant::now();
+            let tiling = calibrated.kit.tiling()?;
+            count = tiling.count(camera.dim().1, camera.dim().2);
+            let inside = std::sync::Mutex::new(Duration::ZERO);
+            let network = |tile: ArrayView4<'_, f32>| {
+                let started = Instant::now();
+                let output = session.run(tile);
+                *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += started.elapsed();
+                output
+            };
+            camera = tiles::run(camera.view(), tiling, session.parallel_tiles(), &network, progress)?;
+            times.network = started.elapsed();
+            times.runtime = inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+        }
+        let started = Instant::now();
+        let developed = develop::finish(camera, &development);
+        let image = orientation.apply(developed.image);
+        times.finish = started.elapsed();
+        Ok(Picture { image, notes, outside_fraction: developed.outside_fraction, tiles: count, times })
+    }
+}
+
+impl Calibrated {
+    /// The kit's own levels, colour and calibration; white balance as the capture was shot.
+    fn development(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<Development<'_>> {
+        let Kit { sensor, frame, distortion, shading, .. } = &self.kit;
+        let file = file.display().to_string();
+        let (rows, columns) = capture.size();
+        if (rows, columns) != (frame.rows, frame.columns) {
+            let allowed = format!("{} × {}, the kit's frame", frame.columns, frame.rows);
+            return Err(Error::bad(file, "size", format!("{columns} × {rows} pixels"), allowed));
+        }
+        match capture.pixels {
+            RawPixels::Mosaic { cfa, .. } if cfa == sensor.cfa => {}
+            RawPixels::Mosaic { cfa, .. } => {
+                return Err(Error::bad(file, "colour filter", cfa.to_string(), format!("{}, the kit's", sensor.cfa)));
+            }
+            RawPixels::Linear(_) => {
+                let found = "a picture that is demosaicked already";
+                return Err(Error::bad(file, "RAW", found, "the sensor's mosaic; without --kit it is only developed"));
+            }
+        }
+        let mut balance = Balance::from_sensor(sensor);
+        let range = balance.white[0] - balance.black[0];
+        let far = |a: f32, b: f32| (a - b).abs() > 0.01 * range;
+        if (0..4).any(|i| far(capture.black[i], balance.black[i]) || far(capture.white[i], balance.white[i])) {
+            notes.push(format!(
+                "the file's levels ({} to {}) are not the kit's ({} to {}), which are used",
+                capture.black[0], capture.white[0], balance.black[0], balance.white[0]
+            ));
+        }
+        match capture.neutral {
+            Some(neutral) => balance.neutral = neutral,
+            None => notes.push("the file names no white balance; the kit's is used".into()),
+        }
+        Ok(Development {
+            balance,
+            flat_field: Some((frame, shading)),
+            distortion: self.undistort.then_some((frame, distortion)),
+            srgb_from_camera: sensor.srgb_from_camera,
+        })
+    }
+}
+
+/// Levels and colour as the file has them.
+fn plain_development(capture: &RawCapture, notes: &mut Vec<String>) -> Development<'static> {
+    let neutral = capture.neutral.unwrap_or_else(|| {
+        let daylight = capture.camera_from_xyz.as_ref().and_then(daylight_response);
+        let source = if daylight.is_some() { "daylight is assumed" } else { "none is applied" };
+        notes.push(format!("the file names no white balance; {source}"));
+        daylight.unwrap_or([1.0; 3])
+    });
+    let srgb_from_camera = capture.camera_from_xyz.as_ref().and_then(develop::srgb_from_camera).unwrap_or_else(|| {
+        notes.push("no colour matrix is known for this camera; colours are the camera's own".into());
+        IDENTITY
+    });
+    Development {
+        balance: Balance { black: capture.black, white: capture.white, neutral },
+        flat_field: None,
+        distortion: None,
+        srgb_from_camera,
+    }
+}
+
+/// Response to D65 relative to green, from the colour matrix.
+fn daylight_response(camera_from_xyz: &[[f64; 3]; 3]) -> Option<[f64; 3]> {
+    let white: [f64; 3] = XYZ_FROM_SRGB.map(|row| row.iter().sum());
+    let response = camera_from_xyz.map(|row| row.iter().zip(white).map(|(m, w)| m * w).sum::<f64>());
+    let relative = response.map(|v| v / response[1]);
+    relative.iter().all(|v| v.is_finite() && (0.02..=50.0).contains(v)).then_some(relative)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::deploy::kit::tests::kit;
+    use crate::deploy::orientation::Orientation;
+    use crate::deploy::raw;
+    use crate::deploy::session::Choice;
+    use crate::imaging::cfa::Cfa;
+    use crate::testing::shared;
+    use ndarray::Array2;
+
+    fn capture(columns: usize, rows: usize) -> RawCapture {
+        let rng = &mut fastrand::Rng::with_seed(2);
+        let samples = Array2::from_shape_fn((rows, columns), |(r, c)| {
+            (800.0 + 500.0 * (r as f32 / 9.0).sin() * (c as f32 / 7.0).cos() + 20.0 * rng.f32()).round()
+        });
+        RawCapture {
+            pixels: RawPixels::Mosaic { samples, cfa: Cfa::RGGB },
+            black: [256.0; 4],
+            white: [4095.0; 4],
+            neutral: None,
+            camera_from_xyz: None,
+            orientation: Orientation::from_exif(6),
+            make: "Test".into(),
+            model: "Test".into(),
+            notes: Vec::new(),
+        }
+    }
+
+    fn tract() -> Options {
+        Options { choice: Choice::Tract, threads: 2, ..Options::default() }
+    }
+
+    #[test]
+    fn the_whole_path_equals_its_steps_in_order() {
+        let (kit, capture) = (kit(150, 110), capture(150, 110));
+        let camera = Camera::with_kit(kit.clone(), Steps::default(), &tract()).expect("opens");
+        let picture = camera.reconstruct(capture.clone(), Path::new("a.dng"), &|_, _| ()).expect("develops");
+        assert_eq!(picture.image.dim(), (3, 150, 110), "turned upright");
+        // The same by the pure functions, the network in one piece.
+        let RawPixels::Mosaic { samples, cfa } = &capture.pixels else { panic!("a mosaic") };
+        let development = Development {
+            balance: Balance::from_sensor(&kit.sensor),
+            flat_field: Some((&kit.frame, &kit.shading)),
+            distortion: Some((&kit.frame, &kit.distortion)),
+            srgb_from_camera: kit.sensor.srgb_from_camera,
+        };
+        let session = Session::open(&kit.model_bytes, Path::new("m"), &tract()).expect("opens");
+        let network = |input: Array3<f32>| {
+            let tiling = tiles::Tiling::new(256, 24, 4).expect("valid");
+            tiles::run(input.view(), tiling, 1, &|t: ArrayView4<'_, f32>| session.run(t), &|_, _| ())
+        };
+        let expected = develop::develop(samples.view(), *cfa, &development, network).expect("develops");
+        let expected = Orientation::from_exif(6).apply(expected.image);
+        let worst = (&picture.image - &expected).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        assert!(worst <= 2e-6, "{worst}");
+    }
+
+    #[test]
+    fn steps_can_be_left_out() {
+        let (kit, capture) = (kit(150, 110), capture(150, 110));
+        let steps = Steps { network: false, undistort: false };
+        let camera = Camera::with_kit(kit, steps, &tract()).expect("opens");
+        let picture = camera.reconstruct(capture, Path::new("a.dng"), &|_, _| ()).expect("develops");
+        assert!(camera.session().is_none() && picture.tiles == 0 && picture.outside_fraction == 0.0);
+        assert!(picture.notes.iter().any(|n| n.contains("white balance")));
+    }
+
+    #[test]
+    fn captures_of_another_camera_are_refused() {
+        let kit = kit(150, 110);
+        let camera = Camera::with_kit(kit, Steps { network: false, undistort: true }, &tract()).expect("opens");
+        let refused = |capture: RawCapture| {
+            let error = camera.reconstruct(capture, Path::new("a.dng"), &|_, _| ()).expect_err("refused");
+            assert_eq!(error.exit_code(), 2);
+            error.to_string()
+        };
+        assert!(refused(capture(148, 110)).contains("148 × 110"));
+        let mut other = capture(150, 110);
+        other.pixels = RawPixels::Mosaic { samples: Array2::zeros((110, 150)), cfa: Cfa::BGGR };
+        assert!(refused(other).contains("BGGR"));
+        let mut linear = capture(150, 110);
+        linear.pixels = RawPixels::Linear(Array3::zeros((3, 110, 150)));
+        assert!(refused(linear).contains("demosaicked"));
+    }
+
+    #[test]
+    fn balanced_captures_have_libraws_colour() {
+        for (name, balanced) in [
+            ("nikon_crop_gbrg_u16.dng", true),
+            ("nikon_crop_rggb_lj92.dng", true),
+            ("canon_eos_6d_linear_lossy.dng", true),
+            ("RAW_NIKON_D1.NEF", false),
+        ] {
+            let Some(path) = shared(&format!("data/raw/{name}")) else { return };
+            let Some(facts) = shared(&format!("data/raw/{name}.json")) else { return };
+            let facts: serde_json::Value =
+                serde_json::from_str(&std::fs::read_to_string(facts).expect("readable")).expect("JSON");
+            let capture = raw::decode(&path).expect("decodes");
+            let mut balance = plain_development(&capture, &mut Vec::new()).balance;
+            if !balanced {
+                balance.neutral = [1.0; 3];
+            }
+            let camera = match capture.pixels {
+                RawPixels::Mosaic { samples, cfa } => develop::network_input(samples.view(), cfa, &balance, None),
+                RawPixels::Linear(mut samples) => {
+                    develop::balance_colours(&mut samples, &balance);
+                    samples
+                }
+            };
+            for c in 0..3 {
+                // LibRaw cuts at white, on 16 bits.
+                let plane = camera.index_axis(ndarray::Axis(0), c);
+                let mean = plane.iter().map(|v| f64::from(v.clamp(0.0, 1.0))).sum::<f64>() / plane.len() as f64;
+                let expected = facts["linear_demosaic_camera_rgb16"]["mean_rgb"][c].as_f64().expect("mean") / 65_535.0;
+                // The demosaicking kernels differ.
+                assert!((mean / expected - 1.0).abs() < 4e-3, "{name} {c}: {mean} {expected}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_same_scene_from_both_layouts_is_the_same_picture() {
+        // The two DNG hold the same samples, arranged differently within each cell of the mosaic.
+        let (Some(a), Some(b)) =
+            (shared("data/raw/nikon_crop_gbrg_u16.dng"), shared("data/raw/nikon_crop_rggb_lj92.dng"))
+        else {
+            return;
+        };
+        let develop = |path: &Path| {
+            let capture = raw::decode(path).expect("decodes");
+            Camera::plain().reconstruct(capture, path, &|_, _| ()).expect("develops").image
+        };
+        let (a, b) = (develop(&a), develop(&b));
+        let mean = |i: &Array3<f32>, c: usize| i.index_axis(ndarray::Axis(0), c).mean().expect("pixels");
+        for c in 0..3 {
+            assert!((mean(&a, c) / mean(&b, c) - 1.0).abs() < 0.01, "channel {c}");
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Patches to train on: textures from the built-in generators or a folder of photographs, placed at random fields.
+
+use std::path::Path;
+
+use ndarray::{Array3, s};
+use rayon::prelude::*;
+
+use super::chain::Patch;
+use crate::error::Result;
+use crate::imaging::distortion::Distortion;
+use crate::imaging::frame::Frame;
+use crate::imaging::scene::photos::Photos;
+use crate::imaging::scene::{TRAINING, generate};
+use crate::imaging::warp::{Plane, Region, slope_per_mm};
+use crate::network::card::sha256_hex;
+
+/// Largest side of a kept texture, pixels; larger photographs are cut to their middle.
+const LARGEST: usize = 1024;
+
+/// Textures in memory and what they are.
+#[derive(Clone, Debug)]
+pub struct Textures {
+    images: Vec<Array3<f32>>,
+    names: Vec<String>,
+}
+
+impl Textures {
+    /// `count` built-in scenes of `size × size`, kinds in turn, seeds counted up from `seed`.
+    pub fn built_in(seed: u64, count: usize, size: usize) -> Self {
+        let images = (0..count)
+            .into_par_iter()
+            .map(|i| generate(TRAINING[i % TRAINING.len()], seed.wrapping_add(i as u64), size, size))
+            .collect();
+        let names = (0..count)
+            .map(|i| format!("built-in {} seed {}", TRAINING[i % TRAINING.len()], seed.wrapping_add(i as u64)))
+            .collect();
+        Self { images, names }
+    }
+
+    /// Every photograph of a folder, the middle of large ones.
+    pub fn photos(folder: &Path) -> Result<Self> {
+        let photos = Photos::open(folder)?;
+        let mut images = Vec::new();
+        for i in 0..photos.len() {
+            let image = photos.load(i)?;
+            let (_, rows, cols) = image.dim();
+            let (h, w) = (rows.min(LARGEST), cols.min(LARGEST));
+            let (r, c) = ((rows - h) / 2, (cols - w) / 2);
+            images.push(image.slice(s![.., r..r + h, c..c + w]).to_owned());
+        }
+        let names = photos.paths().iter().map(|p| p.file_name().unwrap_or_default().to_string_lossy().into_owned());
+        Ok(Self { names: names.collect(), images })
+    }
+
+    /// SHA-256 of the list of names: what a model card says it was trained on.
+    pub fn sha256(&self) -> String {
+        sha256_hex(self.names.join("\n").as_bytes())
+    }
+
+    /// How many.
+    pub fn len(&self) -> usize {
+        self.images.len()
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.images.is_empty()
+    }
+
+    /// A random `size × size` patch of `frame`: uniform over the frame, a random part of a random texture, mirrored or
+    /// turned at random, 1 to 1.35 texels a pixel on the axis.
+    ///
+    /// Rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the camera.
+    pub fn draw(
+        &self,
+        rng: &mut fastrand::Rng,
+        frame: &Frame,
+        distortion: &Distortion,
+        size: usize,
+        vergence: f64,
+    ) -> Patch {
+        let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
+        let region = Region {
+            row: start(rng, frame.rows).cast_signed(),
+            col: start(rng, frame.columns).cast_signed(),
+            rows: size,
+            cols: size,
+        };
+        self.place(rng, frame, distortion, region, vergence)
+    }
+
+    /// A random texture placed so that `region` shows a random part of it.
+    pub fn place(
+        &self,
+        rng: &mut fastrand::Rng,
+        frame: &Frame,
+        distortion: &Distortion,
+        region: Region,
+        vergence: f64,
+    ) -> Patch {
+        let mut texture = self.images[rng.usize(0..self.images.len())].view();
+        if rng.bool() {
+            texture.invert_axis(ndarray::Axis(1));
+        }
+        if rng.bool() {
+            texture.invert_axis(ndarray::Axis(2));
+        }
+        if rng.bool() {
+            texture.swap_axes(1, 2);
+        }
+        let zoom = 1.0 + 0.35 * rng.f64();
+        let texels_per_slope = zoom / (slope_per_mm(distortion, 0.0) * frame.pitch_mm);
+        let centre = region.offset(frame, region.rows / 2, region.cols / 2);
+        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
+        let scale = slope_per_mm(distortion, radius) * frame.pitch_mm * texels_per_slope;
+        // The part of the texture that the region and a margin need, cut out so that a patch stays small.
+        let (_, rows, cols) = texture.dim();
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a patch's size")]
+        let need = |n: usize| ((n as f64 * zoom * 1.25).ceil() as usize) + 160;
+        let cut = |rng: &mut fastrand::Rng, have: usize, want: usize| {
+            let want = want.min(have);
+            (rng.usize(0..=have - want), want)
+        };
+        let (r0, h) = cut(rng, rows, need(region.rows));
+        let (c0, w) = cut(rng, cols, need(region.cols));
+        let texture = texture.slice(s![.., r0..r0 + h, c0..c0 + w]).to_owned();
+        let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
+        let texture = texture.as_standard_layout().to_owned();
+        Patch {
+            scene: Plane { texture, texels_per_slope, axis_texel, vergence },
+            region,
+            noise_seed: rng.u64(..),
+        }
+    }
+}

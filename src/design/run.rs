@@ -1,0 +1,306 @@
+//! The two stages of a run: lens and network together, then the final network for the finished lens.
+//!
+//! Each has a budget in steps or in seconds. A budget in steps is deterministic (same seed, machine, thread count:
+//! same bits); one in seconds is for people who wait.
+
+use std::time::{Duration, Instant};
+
+use ndarray::{Array2, Array3, Array4, Axis, s};
+
+use super::chain::{Patch, forward};
+use super::constraint::Constraints;
+use super::data::Textures;
+use super::joint::{Joint, Report};
+use crate::error::Result;
+use crate::imaging::field_map::fit_distortion;
+use crate::imaging::frame::Frame;
+use crate::imaging::noise::{Noise, standard_normal};
+use crate::imaging::patches::NodeRaster;
+use crate::imaging::plan::{Quality, plan};
+use crate::imaging::render::{Optics, RenderPlan, render_region};
+use crate::imaging::sensor::Sensor;
+use crate::imaging::simulate::{Electronics, simulate};
+use crate::imaging::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use crate::lens::variables::Variables;
+use crate::network::{Reconstructor, UnetConfig};
+
+/// When a stage ends.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Budget {
+    /// After so many steps.
+    Steps(usize),
+    /// After so much time.
+    Time(Duration),
+}
+
+impl Budget {
+    /// Share of the budget used, 0 to 1.
+    fn used(self, step: usize, started: Instant) -> f64 {
+        match self {
+            Self::Steps(n) => step as f64 / n.max(1) as f64,
+            Self::Time(t) => started.elapsed().as_secs_f64() / t.as_secs_f64().max(1e-9),
+        }
+    }
+}
+
+/// What a stage works on.
+#[derive(Clone, Debug)]
+pub struct Scenery<'a> {
+    /// Textures to train on.
+    pub textures: &'a Textures,
+    /// The sensor.
+    pub sensor: &'a Sensor,
+    /// The frame it covers.
+    pub frame: Frame,
+    /// Seed of every draw.
+    pub seed: u64,
+}
+
+impl Scenery<'_> {
+    fn electronics(&self) -> Electronics {
+        Electronics { cfa: self.sensor.cfa, noise: Noise::of(self.sensor), neutral: self.sensor.neutral_response }
+    }
+}
+
+/// One entry of a stage's history.
+#[derive(Clone, Copy, Debug, serde::Serialize)]
+pub struct Entry {
+    /// Seconds since the stage began.
+    pub seconds: f64,
+    /// Mean L1 loss over the last steps.
+    pub loss: f64,
+    /// PSNR of the network's input, dB.
+    pub input_psnr_db: f64,
+    /// PSNR of its output, dB.
+    pub output_psnr_db: f64,
+}
+
+/// Settings of the joint stage.
+#[derive(Clone, Copy, Debug)]
+pub struct JointSettings {
+    /// When it ends.
+    pub budget: Budget,
+    /// Patch side, pixels; a multiple of 4.
+    pub patch: usize,
+    /// Patches a step.
+    pub batch: usize,
+    /// Largest step of the lens, scaled units; 0 freezes the lens.
+    pub lens_rate: f64,
+    /// Largest step of the network.
+    pub network_rate: f64,
+    /// Sampling.
+    pub quality: Quality,
+}
+
+/// Average over this many steps in a history.
+const SMOOTH: usize = 10;
+
+/// Rise over the first 3 %, then a half cosine to zero.
+fn schedule(used: f64) -> f64 {
+    let rise = (used / 0.03).min(1.0);
+    rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
+}
+
+/// Lens and network together. `progress(share, last entry)` is called after every step.
+pub fn joint_stage(
+    scenery: &Scenery<'_>,
+    lens: &Lens,
+    network: Reconstructor,
+    settings: JointSettings,
+    progress: &mut dyn FnMut(f64, &Entry),
+) -> Result<(Joint, Vec<Entry>)> {
+    let density = SpectralDensity::new(scenery.sensor);
+    let electronics = scenery.electronics();
+    let v = lens.object_vergence;
+    let mut render = plan(lens, v, &scenery.frame, &density, settings.quality, None)?;
+    let field = render.max_slope;
+    let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
+    let mut rng = fastrand::Rng::with_seed(scenery.seed);
+    let (mut history, mut recent) = (Vec::new(), Vec::new());
+    let started = Instant::now();
+    let mut step = 0;
+    loop {
+        let used = settings.budget.used(step, started);
+        if used >= 1.0 {
+            break;
+        }
+        // The kernel follows the PSF as the lens gets better; the fitted field stays.
+        if step % 25 == 0 && step > 0 && settings.lens_rate > 0.0 {
+            if let Ok(p) = plan(&joint.lens, v, &scenery.frame, &density, settings.quality, Some(field)) {
+                render = p;
+            }
+        }
+        let distortion = fit_distortion(&joint.lens, v, field)?;
+        let patches: Vec<Patch> = (0..settings.batch)
+            .map(|_| scenery.textures.draw(&mut rng, &scenery.frame, &distortion, settings.patch, v))
+            .collect();
+        let rate = schedule(used);
+        let lens_rate = settings.lens_rate * rate;
+        let report = joint.step(&render, &electronics, &patches, lens_rate, settings.network_rate * rate)?;
+        step += 1;
+        recent.push(report);
+        let entry = average(&recent, started);
+        if recent.len() == SMOOTH {
+            history.push(entry);
+            recent.clear();
+        }
+        progress(used.min(1.0), &entry);
+    }
+    Ok((joint, history))
+}
+
+fn average(recent: &[Report], started: Instant) -> Entry {
+    let mean = |f: fn(&Report) -> f64| recent.iter().map(f).sum::<f64>() / recent.len().max(1) as f64;
+    Entry {
+        seconds: started.elapsed().as_secs_f64(),
+        loss: mean(|r| r.loss),
+        input_psnr_db: mean(|r| r.input_psnr_db),
+        output_psnr_db: mean(|r| r.output_psnr_db),
+    }
+}
+
+/// Settings of the final training.
+#[derive(Clone, Copy, Debug)]
+pub struct TrainSettings {
+    /// When it ends, rendering of the training pairs included.
+    pub budget: Budget,
+    /// Regions rendered for training.
+    pub regions: usize,
+    /// Their side, pixels; a multiple of 4.
+    pub region: usize,
+    /// Crop a step trains on; a multiple of 4.
+    pub crop: usize,
+    /// Largest step.
+    pub rate: f64,
+    /// Sampling.
+    pub quality: Quality,
+}
+
+/// One rendered training region: irradiance, illumination, truth.
+struct Pair {
+    image: Array3<f32>,
+    illumination: Array3<f32>,
+    truth: Array3<f32>,
+}
+
+/// Trains `network` on the finished lens: pairs rendered once, noise and crops drawn anew every step.
+pub fn network_stage(
+    scenery: &Scenery<'_>,
+    lens: &Lens,
+    network: &mut Reconstructor,
+    settings: TrainSettings,
+    progress: &mut dyn FnMut(f64, &Entry),
+) -> Result<Vec<Entry>> {
+    let density = SpectralDensity::new(scenery.sensor);
+    let electronics = scenery.electronics();
+    let v = lens.object_vergence;
+    let started = Instant::now();
+    let render = plan(lens, v, &scenery.frame, &density, settings.quality, None)?;
+    let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x7261_6e64);
+    let distortion = fit_distortion(lens, v, render.max_slope)?;
+    let empty = Entry { seconds: 0.0, loss: f64::NAN, input_psnr_db: f64::NAN, output_psnr_db: f64::NAN };
+    let mut pairs = Vec::with_capacity(settings.regions);
+    for _ in 0..settings.regions.max(1) {
+        // A time budget never spends more than a third on pairs.
+        let used = settings.budget.used(0, started);
+        if used > 0.33 && !pairs.is_empty() {
+            break;
+        }
+        let patch = scenery.textures.draw(&mut rng, &scenery.frame, &distortion, settings.region, v);
+        pairs.push(render_pair(lens, &render, &patch)?);
+        progress(used.min(1.0), &empty);
+    }
+    let (mut history, mut recent) = (Vec::new(), Vec::new());
+    let begun = settings.budget.used(0, started);
+    let mut step = 0;
+    loop {
+        let used = settings.budget.used(step, started);
+        if used >= 1.0 {
+            break;
+        }
+        let pair = &pairs[rng.usize(0..pairs.len())];
+        let (input, target) = crop(&electronics, pair, settings.crop, &mut rng);
+        let rate = settings.rate * schedule((used - begun) / (1.0 - begun));
+        let done = network.step_network_only(input.view(), target.view(), rate)?;
+        let psnr = |a: &Array4<f32>| {
+            let mse = a.iter().zip(&target).map(|(x, y)| f64::from(x - y).powi(2)).sum::<f64>() / a.len() as f64;
+            -10.0 * mse.max(1e-12).log10()
+        };
+        step += 1;
+        recent.push(Report {
+            loss: f64::from(done.loss),
+            penalty: 0.0,
+            input_psnr_db: psnr(&input),
+            output_psnr_db: psnr(&done.output),
+            moved: false,
+        });
+        let entry = average(&recent, started);
+        if recent.len() == SMOOTH {
+            history.push(entry);
+            recent.clear();
+        }
+        progress(used.min(1.0), &entry);
+    }
+    Ok(history)
+}
+
+fn render_pair(lens: &Lens, plan: &RenderPlan, patch: &Patch) -> Result<Pair> {
+    let raster = NodeRaster::over(patch.region.grown(plan.margin()), plan.spacing);
+    let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
+    let r = render_region::<f32>(&optics, plan, &patch.scene, patch.region);
+    Ok(Pair { image: r.image, illumination: r.illumination, truth: r.truth })
+}
+
+/// A random crop of a pair with fresh noise: the network's input and target, `[1, 3, crop, crop]`.
+fn crop(electronics: &Electronics, pair: &Pair, size: usize, rng: &mut fastrand::Rng) -> (Array4<f32>, Array4<f32>) {
+    let (_, rows, cols) = pair.image.dim();
+    let (h, w) = (size.min(rows), size.min(cols));
+    let (r, c) = (rng.usize(0..=(rows - h) / 4) * 4, rng.usize(0..=(cols - w) / 4) * 4);
+    let part = |a: &Array3<f32>| a.slice(s![.., r..r + h, c..c + w]).to_owned();
+    let eps: Array2<f32> = standard_normal(rng.u64(..), (h, w));
+    let (input, _) = simulate(electronics, part(&pair.image).view(), part(&pair.illumination).view(), eps);
+    (input.insert_axis(Axis(0)), part(&pair.truth).insert_axis(Axis(0)))
+}
+
+/// Mean L1 and PSNR after the network over held-out patches: how a design is judged.
+pub fn validate(
+    scenery: &Scenery<'_>,
+    lens: &Lens,
+    network: &Reconstructor,
+    patch: usize,
+    count: usize,
+    quality: Quality,
+) -> Result<Entry> {
+    let density = SpectralDensity::new(scenery.sensor);
+    let electronics = scenery.electronics();
+    let v = lens.object_vergence;
+    let started = Instant::now();
+    let render = plan(lens, v, &scenery.frame, &density, quality, None)?;
+    let distortion = fit_distortion(lens, v, render.max_slope)?;
+    let mut rng = fastrand::Rng::with_seed(scenery.seed);
+    let mut reports = Vec::with_capacity(count);
+    for _ in 0..count {
+        let p = scenery.textures.draw(&mut rng, &scenery.frame, &distortion, patch, v);
+        let f = forward::<f32>(lens, &render, &electronics, &p)?;
+        let output = network.forward(f.developed.view().insert_axis(Axis(0)))?;
+        let error = |a: ndarray::ArrayView3<'_, f32>| {
+            let n = a.len() as f64;
+            let (mut l1, mut l2) = (0.0, 0.0);
+            for (x, y) in a.iter().zip(&f.truth) {
+                let d = f64::from(x - y);
+                l1 += d.abs() / n;
+                l2 += d * d / n;
+            }
+            (l1, -10.0 * l2.max(1e-12).log10())
+        };
+        let (input, out) = (error(f.developed.view()), error(output.index_axis(Axis(0), 0)));
+        reports.push(Report { loss: out.0, penalty: 0.0, input_psnr_db: input.1, output_psnr_db: out.1, moved: false });
+    }
+    Ok(average(&reports, started))
+}
+
+/// A fresh network.
+pub fn network(base_width: usize, seed: u64) -> Result<Reconstructor> {
+    Reconstructor::new(UnetConfig { base_width, scales: 3 }, seed)
+}

@@ -1,0 +1,211 @@
+//! A design task as a TOML file: which lens, on which sensor, trained on what, for how long.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+
+use super::data::Textures;
+use super::run::Budget;
+use crate::error::{Error, Result};
+use crate::imaging::sensor::Sensor;
+use crate::lens::{Lens, SensorRaster, builtin};
+
+/// The form of task files this program reads.
+pub const SCHEMA: u32 = 1;
+
+/// A task; every key but `schema` and `lens` has a default.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Task {
+    /// Form of the file: 1.
+    pub schema: u32,
+    /// Lens file, or the name of a shipped lens.
+    pub lens: String,
+    /// Raster in place of the lens file's own.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sensor: Option<TaskSensor>,
+    /// Sensor calibration file; the generic sensor where left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<PathBuf>,
+    /// Folder of photographs; built-in scenes where left out.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub photos: Option<PathBuf>,
+    /// Built-in scenes to generate.
+    #[serde(default = "default_scenes")]
+    pub scenes: usize,
+    /// Seed of every draw.
+    #[serde(default = "default_seed")]
+    pub seed: u64,
+    /// Steps of the joint stage (repeatable), or …
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub steps: Option<usize>,
+    /// … minutes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub minutes: Option<f64>,
+    /// Patch side, pixels.
+    #[serde(default = "default_patch")]
+    pub patch_px: usize,
+    /// Patches a step.
+    #[serde(default = "default_batch")]
+    pub batch: usize,
+    /// Channels of the network's finest scale.
+    #[serde(default = "default_width")]
+    pub base_width: usize,
+    /// Largest lens step, scaled units.
+    #[serde(default = "default_lens_rate")]
+    pub lens_rate: f64,
+    /// Largest network step.
+    #[serde(default = "default_network_rate")]
+    pub network_rate: f64,
+    /// Train the network alone.
+    #[serde(default)]
+    pub freeze_lens: bool,
+}
+
+/// A raster in a task.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TaskSensor {
+    /// Pixels in a row.
+    pub columns: usize,
+    /// Rows.
+    pub rows: usize,
+    /// Pixel pitch, µm.
+    pub pitch_um: f64,
+    /// Axis `[column, row]`; the centre where left out.
+    pub axis_px: Option<[f64; 2]>,
+}
+
+fn default_scenes() -> usize {
+    40
+}
+fn default_seed() -> u64 {
+    1
+}
+fn default_patch() -> usize {
+    128
+}
+fn default_batch() -> usize {
+    2
+}
+fn default_width() -> usize {
+    16
+}
+fn default_lens_rate() -> f64 {
+    0.01
+}
+fn default_network_rate() -> f64 {
+    2e-3
+}
+
+impl Task {
+    /// The demo's task: the two-element lens on a quadrant sensor of 960 × 640 pixels of 20 µm.
+    pub fn demo() -> Self {
+        Self {
+            schema: SCHEMA,
+            lens: "two_element".into(),
+            sensor: Some(TaskSensor { columns: 960, rows: 640, pitch_um: 20.0, axis_px: Some([0.0, 0.0]) }),
+            calibration: None,
+            photos: None,
+            scenes: default_scenes(),
+            seed: default_seed(),
+            steps: None,
+            minutes: None,
+            patch_px: default_patch(),
+            batch: default_batch(),
+            base_width: default_width(),
+            lens_rate: default_lens_rate(),
+            network_rate: default_network_rate(),
+            freeze_lens: false,
+        }
+    }
+
+    /// Reads and checks a task file; paths in it are relative to it.
+    pub fn load(path: &Path) -> Result<Self> {
+        let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+        let file = path.display().to_string();
+        let mut task: Self = toml::from_str(&text).map_err(|e| {
+            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
+            Error::bad(&file, format!("line {line}"), e.message().replace('\n', " "), "the keys of models/README.md")
+        })?;
+        let folder = path.parent().unwrap_or(Path::new("."));
+        for p in [&mut task.photos, &mut task.calibration].into_iter().flatten() {
+            *p = folder.join(&*p);
+        }
+        let beside = folder.join(&task.lens);
+        if beside.is_file() {
+            task.lens = beside.display().to_string();
+        }
+        task.check(&file)?;
+        Ok(task)
+    }
+
+    fn check(&self, file: &str) -> Result<()> {
+        let bad = |place: &str, found: String, allowed: &str| Err(Error::bad(file, place, found, allowed));
+        if self.schema != SCHEMA {
+            return bad("schema", self.schema.to_string(), "1");
+        }
+        if self.patch_px < 32 || self.patch_px % 4 != 0 || self.patch_px > 1024 {
+            return bad("patch_px", self.patch_px.to_string(), "a multiple of 4 from 32 to 1024");
+        }
+        if !(1..=64).contains(&self.batch) {
+            return bad("batch", self.batch.to_string(), "1 to 64");
+        }
+        if !(1..=10_000).contains(&self.scenes) {
+            return bad("scenes", self.scenes.to_string(), "1 to 10000");
+        }
+        if self.steps.is_some() == self.minutes.is_some() {
+            return bad("steps, minutes", "both or neither".into(), "exactly one of steps and minutes");
+        }
+        if let Some(m) = self.minutes
+            && !(m > 0.0 && m < 1e6)
+        {
+            return bad("minutes", m.to_string(), "a positive number");
+        }
+        for (name, v) in [("lens_rate", self.lens_rate), ("network_rate", self.network_rate)] {
+            if !(v > 0.0 && v < 1.0) {
+                return bad(name, v.to_string(), "above 0, below 1");
+            }
+        }
+        Ok(())
+    }
+
+    /// The joint stage's budget.
+    pub fn budget(&self) -> Budget {
+        match (self.steps, self.minutes) {
+            (Some(n), _) => Budget::Steps(n),
+            (None, m) => Budget::Time(Duration::from_secs_f64(60.0 * m.unwrap_or(1.0))),
+        }
+    }
+
+    /// The lens, on the task's raster.
+    pub fn lens(&self) -> Result<Lens> {
+        let mut lens = builtin::lens_or_file(&self.lens)?;
+        if let Some(s) = self.sensor {
+            #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
+            let centre = [s.columns as f64 / 2.0, s.rows as f64 / 2.0];
+            lens.sensor = SensorRaster {
+                columns: s.columns,
+                rows: s.rows,
+                pitch_um: s.pitch_um,
+                axis_px: s.axis_px.unwrap_or(centre),
+            };
+        }
+        // Through the file form once: what a file may not hold, a task may not either.
+        crate::lens::prescription::from_toml(&crate::lens::prescription::to_toml(&lens), &self.lens)
+    }
+
+    /// The sensor's calibration.
+    pub fn sensor(&self) -> Result<Sensor> {
+        self.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)
+    }
+
+    /// The textures to train on.
+    pub fn textures(&self) -> Result<Textures> {
+        match &self.photos {
+            Some(folder) => Textures::photos(folder),
+            None => Ok(Textures::built_in(self.seed.wrapping_mul(1000), self.scenes, 640)),
+        }
+    }
+}

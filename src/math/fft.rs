@@ -1,0 +1,113 @@
+//! Two-dimensional real FFTs with cached plans (rustfft, realfft).
+
+use std::sync::Arc;
+
+use ndarray::{Array2, ArrayView2};
+use realfft::{ComplexToReal, FftNum, RealFftPlanner, RealToComplex};
+use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
+
+/// Plans for one size; cheap to share between threads.
+#[derive(Clone)]
+pub struct RealFft2<T: FftNum> {
+    rows: usize,
+    cols: usize,
+    forward_rows: Arc<dyn RealToComplex<T>>,
+    inverse_rows: Arc<dyn ComplexToReal<T>>,
+    forward_cols: Arc<dyn Fft<T>>,
+    inverse_cols: Arc<dyn Fft<T>>,
+}
+
+/// Half spectrum, stored transposed: `[column frequency, row frequency]`, so that both passes run over rows.
+pub type Spectrum<T> = Array2<Complex<T>>;
+
+impl<T: FftNum> RealFft2<T> {
+    /// Plans for `rows × cols`, both at least 1.
+    pub fn new(rows: usize, cols: usize) -> Self {
+        let (mut real, mut complex) = (RealFftPlanner::new(), FftPlanner::new());
+        Self {
+            rows,
+            cols,
+            forward_rows: real.plan_fft_forward(cols),
+            inverse_rows: real.plan_fft_inverse(cols),
+            forward_cols: complex.plan_fft_forward(rows),
+            inverse_cols: complex.plan_fft_inverse(rows),
+        }
+    }
+
+    /// Spectrum of `image` in the first corner of a zero raster of the planned size.
+    pub fn forward(&self, image: ArrayView2<'_, T>) -> Spectrum<T> {
+        let half = self.cols / 2 + 1;
+        let mut out = Array2::from_elem((half, self.rows), Complex::new(T::zero(), T::zero()));
+        let mut line = self.forward_rows.make_input_vec();
+        let mut freq = self.forward_rows.make_output_vec();
+        let mut scratch = self.forward_rows.make_scratch_vec();
+        for (i, row) in image.outer_iter().enumerate() {
+            line.fill(T::zero());
+            line.iter_mut().zip(row).for_each(|(a, b)| *a = *b);
+            self.forward_rows.process_with_scratch(&mut line, &mut freq, &mut scratch).expect("planned lengths");
+            for (j, f) in freq.iter().enumerate() {
+                out[[j, i]] = *f;
+            }
+        }
+        let slice = out.as_slice_mut().expect("standard layout");
+        let mut scratch = vec![Complex::new(T::zero(), T::zero()); self.forward_cols.get_inplace_scratch_len()];
+        self.forward_cols.process_with_scratch(slice, &mut scratch);
+        out
+    }
+
+    /// Image of a spectrum (consumed), scaled so that `inverse(forward(x)) = x`; only rows `first..first + count`.
+    pub fn inverse(&self, mut spectrum: Spectrum<T>, first: usize, count: usize) -> Array2<T> {
+        let slice = spectrum.as_slice_mut().expect("standard layout");
+        let mut scratch = vec![Complex::new(T::zero(), T::zero()); self.inverse_cols.get_inplace_scratch_len()];
+        self.inverse_cols.process_with_scratch(slice, &mut scratch);
+        let scale = T::one() / T::from_usize(self.rows * self.cols).expect("a size");
+        let mut out = Array2::from_elem((count, self.cols), T::zero());
+        let mut freq = self.inverse_rows.make_input_vec();
+        let mut line = self.inverse_rows.make_output_vec();
+        let mut scratch = self.inverse_rows.make_scratch_vec();
+        for (i, mut row) in out.outer_iter_mut().enumerate() {
+            for (j, f) in freq.iter_mut().enumerate() {
+                *f = spectrum[[j, first + i]];
+            }
+            // The imaginary parts of the two real lines are rounding; realfft refuses them otherwise.
+            freq[0].im = T::zero();
+            if self.cols % 2 == 0 {
+                let last = freq.len() - 1;
+                freq[last].im = T::zero();
+            }
+            self.inverse_rows.process_with_scratch(&mut freq, &mut line, &mut scratch).expect("planned lengths");
+            row.iter_mut().zip(&line).for_each(|(a, b)| *a = *b * scale);
+        }
+        out
+    }
+}
+
+/// The smallest even size ≥ `n` whose factors are 2, 3 and 5.
+pub fn good_size(n: usize) -> usize {
+    let smooth = |mut m: usize| {
+        for p in [2, 3, 5] {
+            while m % p == 0 {
+                m /= p;
+            }
+        }
+        m == 1
+    };
+    (n.max(2)..).find(|m| m % 2 == 0 && smooth(*m)).expect("powers of two have no end")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn forward_then_inverse_is_the_identity() {
+        for (rows, cols) in [(12, 10), (5, 8), (1, 2), (15, 18)] {
+            let plan = RealFft2::<f64>::new(rows, cols);
+            let rng = &mut fastrand::Rng::with_seed(1);
+            let x = Array2::from_shape_fn((rows, cols), |_| rng.f64());
+            let y = plan.inverse(plan.forward(x.view()), 0, rows);
+            assert!(x.iter().zip(&y).all(|(a, b)| (a - b).abs() < 1e-14));
+        }
+    }
+}

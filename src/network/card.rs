@@ -1,0 +1,234 @@
+//! The model card: what a network expects and what it was made for, stored in the ONNX file's metadata.
+//!
+//! It is the whole contract between training and the camera, so it knows nothing of burn. Every entry is a string under
+//! the prefix `isoplanat.`; unknown entries are left alone, a newer schema is refused by its number.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::error::{Error, Result};
+
+/// The card's schema this version reads and writes.
+pub const SCHEMA: u32 = 1;
+
+/// The demosaicking kernel that training and camera share.
+pub const DEMOSAIC: &str = "malvar-he-cutler";
+
+/// What the network takes, in one sentence.
+pub const INPUT_CONVENTION: &str = "[batch, 3, row, col] f32 linear camera RGB, black at 0, white at 1, \
+                                    white-balanced, demosaicked; output alike";
+
+const PREFIX: &str = "isoplanat.";
+
+/// What a network expects and what it was trained for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelCard {
+    /// Version of this form, [`SCHEMA`].
+    pub schema: u32,
+    /// Name of the model, for people.
+    pub name: String,
+    /// Name of the lens it was trained for.
+    pub lens_name: String,
+    /// SHA-256 (hex) of the lens file.
+    pub lens_sha256: String,
+    /// SHA-256 (hex) of the calibration (sensor, colour, distortion).
+    pub calibration_sha256: String,
+    /// SHA-256 (hex) of the list of training pictures.
+    pub training_sha256: String,
+    /// Channels of the finest scale.
+    pub base_width: usize,
+    /// Number of scales of the U-Net.
+    pub scales: usize,
+    /// Height and width must be multiples of this many pixels.
+    pub multiple: usize,
+    /// Colour channels in and out.
+    pub channels: usize,
+    /// Demosaicking kernel before the network.
+    pub demosaic: String,
+    /// What the input means, [`INPUT_CONVENTION`].
+    pub input: String,
+    /// No input pixel further away than this (in rows or columns) changes an output pixel: the overlap of tiles, pixels.
+    pub receptive_radius_px: usize,
+}
+
+impl ModelCard {
+    /// The card of a network of `base_width` channels and `scales` scales; lens, hashes and training stay empty.
+    pub fn for_unet(name: impl Into<String>, base_width: usize, scales: usize) -> Self {
+        Self {
+            schema: SCHEMA,
+            name: name.into(),
+            lens_name: String::new(),
+            lens_sha256: String::new(),
+            calibration_sha256: String::new(),
+            training_sha256: String::new(),
+            base_width,
+            scales,
+            multiple: 1 << scales.saturating_sub(1),
+            channels: 3,
+            demosaic: DEMOSAIC.into(),
+            input: INPUT_CONVENTION.into(),
+            receptive_radius_px: receptive_radius_px(scales),
+        }
+    }
+
+    /// The card as metadata entries for an ONNX file.
+    pub fn to_metadata(&self) -> BTreeMap<String, String> {
+        let entries = [
+            ("schema", self.schema.to_string()),
+            ("name", self.name.clone()),
+            ("lens_name", self.lens_name.clone()),
+            ("lens_sha256", self.lens_sha256.clone()),
+            ("calibration_sha256", self.calibration_sha256.clone()),
+            ("training_sha256", self.training_sha256.clone()),
+            ("base_width", self.base_width.to_string()),
+            ("scales", self.scales.to_string()),
+            ("multiple", self.multiple.to_string()),
+            ("channels", self.channels.to_string()),
+            ("demosaic", self.demosaic.clone()),
+            ("input", self.input.clone()),
+            ("receptive_radius_px", self.receptive_radius_px.to_string()),
+        ];
+        entries.into_iter().map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
+    }
+
+    /// Reads a card back from an ONNX file's metadata; refuses missing entries, a newer schema, and values that no
+    /// network of this program can have.
+    pub fn from_metadata(metadata: &BTreeMap<String, String>) -> Result<Self> {
+        let schema = number(metadata, "schema")?;
+        let schema = u32::try_from(schema).unwrap_or(u32::MAX);
+        if schema != SCHEMA {
+            return Err(Error::bad(
+                "",
+                format!("metadata {PREFIX}schema"),
+                schema.to_string(),
+                format!("this version reads schema {SCHEMA}"),
+            ));
+        }
+        let card = Self {
+            schema,
+            name: text(metadata, "name")?,
+            lens_name: text(metadata, "lens_name")?,
+            lens_sha256: text(metadata, "lens_sha256")?,
+            calibration_sha256: text(metadata, "calibration_sha256")?,
+            training_sha256: text(metadata, "training_sha256")?,
+            base_width: number(metadata, "base_width")?,
+            scales: number(metadata, "scales")?,
+            multiple: number(metadata, "multiple")?,
+            channels: number(metadata, "channels")?,
+            demosaic: text(metadata, "demosaic")?,
+            input: text(metadata, "input")?,
+            receptive_radius_px: number(metadata, "receptive_radius_px")?,
+        };
+        card.validate()?;
+        Ok(card)
+    }
+
+    /// Refuses a card whose numbers contradict each other or that asks for another input than the camera makes.
+    fn validate(&self) -> Result<()> {
+        let bad = |key: &str, found: String, allowed: &str| {
+            Err(Error::bad("", format!("metadata {PREFIX}{key}"), found, allowed))
+        };
+        if self.channels != 3 {
+            return bad("channels", self.channels.to_string(), "3 colour channels");
+        }
+        if !(1..=12).contains(&self.scales) {
+            return bad("scales", self.scales.to_string(), "1 to 12 scales");
+        }
+        if self.multiple != 1 << (self.scales - 1) {
+            return bad("multiple", self.multiple.to_string(), "2^(scales − 1)");
+        }
+        if self.receptive_radius_px > 1 << 16 {
+            return bad(
+                "receptive_radius_px",
+                self.receptive_radius_px.to_string(),
+                "at most 65536 pixels",
+            );
+        }
+        if self.demosaic != DEMOSAIC {
+            return bad(
+                "demosaic",
+                self.demosaic.clone(),
+                "malvar-he-cutler, the one kernel the camera has",
+            );
+        }
+        Ok(())
+    }
+}
+
+/// Distance in rows or columns, pixels, beyond which an input pixel cannot change an output pixel of a U-Net of `scales`
+/// scales: every 3×3 convolution at scale `s` adds `2^s` (two going down, two going up, two at the bottom, one at the
+/// end), and pooling and unpooling align to blocks of `2^(scales − 1)`.
+pub const fn receptive_radius_px(scales: usize) -> usize {
+    let coarsest = 1 << scales.saturating_sub(1);
+    let down_and_up = 4 * (coarsest - 1);
+    down_and_up + 2 * coarsest + 1 + (coarsest - 1)
+}
+
+/// SHA-256 of `bytes` as 64 lower-case hexadecimal digits.
+pub fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+fn text(metadata: &BTreeMap<String, String>, key: &str) -> Result<String> {
+    metadata.get(&format!("{PREFIX}{key}")).cloned().ok_or_else(|| {
+        Error::bad(
+            "",
+            format!("metadata {PREFIX}{key}"),
+            "missing",
+            "a model exported by `isoplanat export` carries it",
+        )
+    })
+}
+
+fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<usize> {
+    let value = text(metadata, key)?;
+    value
+        .parse()
+        .map_err(|_| Error::bad("", format!("metadata {PREFIX}{key}"), value, "a whole number"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metadata_brings_the_card_back() {
+        let mut card = ModelCard::for_unet("triplet", 16, 3);
+        card.lens_name = "Cooke triplet, 50 mm f/5".into();
+        card.lens_sha256 = sha256_hex(b"lens");
+        assert_eq!(ModelCard::from_metadata(&card.to_metadata()).expect("own card"), card);
+        assert_eq!((card.multiple, card.receptive_radius_px), (4, 24));
+    }
+
+    #[test]
+    fn bad_metadata_is_refused_by_key() {
+        let good = ModelCard::for_unet("x", 16, 3).to_metadata();
+        for (key, value) in [
+            ("schema", "2"),
+            ("channels", "4"),
+            ("scales", "0"),
+            ("multiple", "3"),
+            ("demosaic", "ahd"),
+            ("base_width", "-1"),
+        ] {
+            let mut metadata = good.clone();
+            metadata.insert(format!("isoplanat.{key}"), value.into());
+            let message = ModelCard::from_metadata(&metadata).expect_err(key).to_string();
+            assert!(message.contains(key), "{message}");
+            metadata.remove(&format!("isoplanat.{key}"));
+            assert!(ModelCard::from_metadata(&metadata).is_err(), "{key} missing");
+        }
+    }
+
+    #[test]
+    fn sha256_of_abc_is_the_published_one() {
+        // FIPS 180-2, appendix B.1.
+        assert_eq!(
+            sha256_hex(b"abc"),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+        );
+    }
+}

@@ -1,0 +1,333 @@
+//! The kernels at every level this processor has, against plain loops in f64.
+
+use super::*;
+
+fn levels() -> Vec<Level> {
+    match Level::detect() {
+        Level::Avx512 => vec![Level::Avx512, Level::Avx2],
+        Level::Avx2 => vec![Level::Avx2],
+        Level::Plain => {
+            eprintln!("SKIPPED: this processor has neither AVX2 nor AVX-512");
+            vec![]
+        }
+    }
+}
+
+/// Leaves values that would be noticed in the scratch buffers of all threads.
+fn soil_scratch() {
+    rayon::broadcast(|_| {
+        strip::with_scratch(|buffers| {
+            buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9))
+        });
+    });
+}
+
+fn draw(n: usize, rng: &mut fastrand::Rng) -> Vec<f32> {
+    (0..n).map(|_| rng.f32() - 0.5).collect()
+}
+
+/// Largest difference relative to the largest reference value, or to 0.1 where all are smaller (inputs are of order 1).
+fn error(found: &[f32], reference: &[f64]) -> f64 {
+    assert_eq!(found.len(), reference.len());
+    let scale = reference.iter().fold(0.1f64, |m, v| m.max(v.abs()));
+    found.iter().zip(reference).fold(0.0, |m, (f, r)| m.max((f64::from(*f) - r).abs() / scale))
+}
+
+#[track_caller]
+fn assert_close(found: &[f32], reference: &[f64], what: &str) {
+    let error = error(found, reference);
+    assert!(error < 3e-6, "{what}: {error:e}");
+}
+
+/// A picture, activated, in f64, and the derivative of the activation.
+struct Plain {
+    values: Vec<f64>,
+    slopes: Vec<f64>,
+    /// Values below zero, zero elsewhere: the derivative by the slope.
+    below: Vec<f64>,
+}
+
+impl Plain {
+    fn new(source: &Source, extent: Extent) -> Self {
+        let slope = |i: usize| {
+            let channel = i / extent.plane() % source.channels;
+            source.slope.map_or(1.0, |s| f64::from(s[channel]))
+        };
+        let all = || source.values.iter().enumerate().map(|(i, &v)| (f64::from(v), slope(i)));
+        Self {
+            values: all().map(|(v, s)| if v >= 0.0 { v } else { s * v }).collect(),
+            slopes: all().map(|(v, s)| if v >= 0.0 { 1.0 } else { s }).collect(),
+            below: all().map(|(v, _)| v.min(0.0)).collect(),
+        }
+    }
+
+    /// Cotangents of values and slopes from that of the activated values.
+    fn pull(&self, bar: &[f64], channels: usize, extent: Extent) -> (Vec<f64>, Vec<f64>) {
+        let mut slope = vec![0.0; channels];
+        for (i, bar) in bar.iter().enumerate() {
+            slope[i / extent.plane() % channels] += bar * self.below[i];
+        }
+        (bar.iter().zip(&self.slopes).map(|(b, s)| b * s).collect(), slope)
+    }
+}
+
+/// Calls `visit(output index, input index, weight index, source)` for every product of a 3×3 convolution.
+fn products(
+    channels: &[usize],
+    outputs: usize,
+    extent: Extent,
+    mut visit: impl FnMut(usize, usize, usize, usize),
+) {
+    let Extent { batch, rows, columns } = extent;
+    let inputs: usize = channels.iter().sum();
+    for (n, o, y, x) in (0..batch).flat_map(|n| {
+        (0..outputs)
+            .flat_map(move |o| (0..rows).flat_map(move |y| (0..columns).map(move |x| (n, o, y, x))))
+    }) {
+        let mut first = 0;
+        for (s, &count) in channels.iter().enumerate() {
+            for c in 0..count {
+                for tap in 0..9 {
+                    let (v, u) = ((y + tap / 3).wrapping_sub(1), (x + tap % 3).wrapping_sub(1));
+                    if v < rows && u < columns {
+                        let to = ((n * outputs + o) * rows + y) * columns + x;
+                        let from = ((n * count + c) * rows + v) * columns + u;
+                        visit(to, from, (o * inputs + first + c) * 9 + tap, s);
+                    }
+                }
+            }
+            first += count;
+        }
+    }
+}
+
+#[test]
+fn convolution_and_cotangents_match_plain_loops() {
+    let rng = &mut fastrand::Rng::with_seed(1);
+    let cases = [
+        (vec![3], 16, 1, 5, 7),
+        (vec![16], 3, 2, 9, 33),
+        (vec![5, 2], 7, 1, 40, 17),
+        (vec![8, 8], 12, 1, 3, 48),
+        (vec![1], 1, 3, 1, 1),
+        (vec![4, 4], 9, 1, 2, 130),
+        (vec![2], 11, 1, 70, 16),
+    ];
+    for level in levels() {
+        for (channels, outputs, batch, rows, columns) in &cases {
+            let extent = Extent { batch: *batch, rows: *rows, columns: *columns };
+            let (n, inputs) = (batch * extent.plane(), channels.iter().sum::<usize>());
+            let pictures: Vec<_> = channels.iter().map(|c| draw(c * n, rng)).collect();
+            let slope = draw(channels[0], rng);
+            let sources: Vec<Source> = (0..channels.len())
+                .map(|s| Source {
+                    values: &pictures[s],
+                    channels: channels[s],
+                    slope: (s == 0).then_some(&slope[..]),
+                })
+                .collect();
+            let (weight, bias) = (draw(outputs * inputs * 9, rng), draw(*outputs, rng));
+            let bar = draw(outputs * n, rng);
+
+            let plain: Vec<_> = sources.iter().map(|s| Plain::new(s, extent)).collect();
+            let mut output: Vec<f64> =
+                (0..outputs * n).map(|i| f64::from(bias[i / extent.plane() % outputs])).collect();
+            let mut weight_bar = vec![0.0; weight.len()];
+            let mut activated_bars: Vec<_> =
+                plain.iter().map(|p| vec![0.0; p.values.len()]).collect();
+            products(channels, *outputs, extent, |to, from, w, s| {
+                output[to] += f64::from(weight[w]) * plain[s].values[from];
+                weight_bar[w] += f64::from(bar[to]) * plain[s].values[from];
+                activated_bars[s][from] += f64::from(bar[to]) * f64::from(weight[w]);
+            });
+            let mut bias_bar = vec![0.0; *outputs];
+            bar.iter()
+                .enumerate()
+                .for_each(|(i, b)| bias_bar[i / extent.plane() % outputs] += f64::from(*b));
+
+            let what = format!("{level:?} {channels:?} to {outputs}, {extent:?}");
+            soil_scratch();
+            assert_close(&convolve(level, &sources, extent, &weight, &bias), &output, &what);
+            let wanted = Wanted { inputs: true, weights: true };
+            soil_scratch();
+            let (bars, w, b) = convolve_vjp(level, &sources, extent, &weight, &bar, wanted);
+            assert_close(&w, &weight_bar, &format!("{what}: weight"));
+            assert_close(&b, &bias_bar, &format!("{what}: bias"));
+            for (s, found) in bars.iter().enumerate() {
+                let (values, slopes) = plain[s].pull(&activated_bars[s], channels[s], extent);
+                assert_close(&found.values, &values, &format!("{what}: source {s}"));
+                let expected = if s == 0 { slopes } else { vec![] };
+                assert_close(&found.slope, &expected, &format!("{what}: slopes of {s}"));
+            }
+            let half = convolve_vjp(
+                level,
+                &sources,
+                extent,
+                &weight,
+                &bar,
+                Wanted { inputs: false, weights: true },
+            );
+            assert_eq!((half.1, half.0[0].values.len()), (w, 0));
+            let half = convolve_vjp(
+                level,
+                &sources,
+                extent,
+                &weight,
+                &bar,
+                Wanted { inputs: true, weights: false },
+            );
+            assert_eq!((&half.0[0].values, half.1.len(), half.2.len()), (&bars[0].values, 0, 0));
+        }
+    }
+}
+
+#[test]
+fn unpooling_and_cotangents_match_plain_loops() {
+    let rng = &mut fastrand::Rng::with_seed(2);
+    for level in levels() {
+        for (inputs, outputs, batch, rows, columns) in
+            [(8, 4, 1, 4, 16), (5, 3, 2, 7, 9), (1, 1, 1, 1, 1), (7, 6, 1, 35, 50)]
+        {
+            let extent = Extent { batch, rows, columns };
+            let values = draw(batch * inputs * extent.plane(), rng);
+            let slope = draw(inputs, rng);
+            let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
+            let (weight, bias) = (draw(inputs * outputs * 4, rng), draw(outputs, rng));
+            let bar = draw(4 * batch * outputs * extent.plane(), rng);
+            let plain = Plain::new(&source, extent);
+            let mut output = vec![0.0; bar.len()];
+            let mut weight_bar = vec![0.0; weight.len()];
+            let mut bias_bar = vec![0.0; outputs];
+            let mut activated_bar = vec![0.0; values.len()];
+            for (to, (out, &bar)) in output.iter_mut().zip(&bar).enumerate() {
+                let (x, y) = (to % (2 * columns), to / (2 * columns) % (2 * rows));
+                let (o, n) =
+                    (to / (4 * extent.plane()) % outputs, to / (4 * extent.plane() * outputs));
+                *out = f64::from(bias[o]);
+                bias_bar[o] += f64::from(bar);
+                for c in 0..inputs {
+                    let from = ((n * inputs + c) * rows + y / 2) * columns + x / 2;
+                    let w = (c * outputs + o) * 4 + 2 * (y % 2) + x % 2;
+                    *out += f64::from(weight[w]) * plain.values[from];
+                    weight_bar[w] += f64::from(bar) * plain.values[from];
+                    activated_bar[from] += f64::from(bar) * f64::from(weight[w]);
+                }
+            }
+            let what = format!("{level:?} {inputs} to {outputs}, {extent:?}");
+            soil_scratch();
+            assert_close(&unpool(level, source, extent, &weight, &bias), &output, &what);
+            let wanted = Wanted { inputs: true, weights: true };
+            soil_scratch();
+            let (found, w, b) = unpool_vjp(level, source, extent, &weight, &bar, wanted);
+            let (values, slopes) = plain.pull(&activated_bar, inputs, extent);
+            assert_close(&w, &weight_bar, &format!("{what}: weight"));
+            assert_close(&b, &bias_bar, &format!("{what}: bias"));
+            assert_close(&found.values, &values, &format!("{what}: source"));
+            assert_close(&found.slope, &slopes, &format!("{what}: slopes"));
+        }
+    }
+}
+
+#[test]
+fn pooling_and_cotangents_match_plain_loops() {
+    let rng = &mut fastrand::Rng::with_seed(3);
+    for level in levels() {
+        for (channels, batch, rows, columns) in [(3, 2, 8, 38), (2, 1, 2, 2), (1, 1, 6, 64)] {
+            let extent = Extent { batch, rows, columns };
+            // Coarse values, so that there are ties, of which the first counts.
+            let values: Vec<f32> = draw(batch * channels * extent.plane(), rng)
+                .iter()
+                .map(|v| (8.0 * v).round() / 8.0)
+                .collect();
+            let slope: Vec<f32> = draw(channels, rng).iter().map(|s| s + 0.3).collect();
+            let source = Source { values: &values, channels, slope: Some(&slope) };
+            let bar = draw(values.len() / 4, rng);
+            let plain = Plain::new(&source, extent);
+            let (mut output, mut activated_bar) = (vec![0.0; bar.len()], vec![0.0; values.len()]);
+            for (to, out) in output.iter_mut().enumerate() {
+                let (x, y, plane) =
+                    (to % (columns / 2), to / (columns / 2) % (rows / 2), 4 * to / extent.plane());
+                let corner = plane * extent.plane() + 2 * y * columns + 2 * x;
+                let block = [corner, corner + 1, corner + columns, corner + columns + 1];
+                let best = block
+                    .into_iter()
+                    .reduce(|a, b| if plain.values[b] > plain.values[a] { b } else { a })
+                    .expect("four");
+                *out = plain.values[best];
+                activated_bar[best] += f64::from(bar[to]);
+            }
+            let what = format!("{level:?} {channels}, {extent:?}");
+            assert_close(&pool(level, source, extent), &output, &what);
+            let found = pool_vjp(level, source, extent, &bar);
+            let (values, slopes) = plain.pull(&activated_bar, channels, extent);
+            assert_close(&found.values, &values, &format!("{what}: source"));
+            assert_close(&found.slope, &slopes, &format!("{what}: slopes"));
+        }
+    }
+}
+
+#[test]
+fn results_do_not_depend_on_the_number_of_threads() {
+    let rng = &mut fastrand::Rng::with_seed(4);
+    let extent = Extent { batch: 2, rows: 96, columns: 80 };
+    let values = draw(2 * 8 * extent.plane(), rng);
+    let slope = draw(8, rng);
+    let source = Source { values: &values, channels: 8, slope: Some(&slope) };
+    let (weight, bar) = (draw(16 * 8 * 9, rng), draw(2 * 16 * extent.plane(), rng));
+    let wanted = Wanted { inputs: true, weights: true };
+    for level in levels() {
+        let with = |threads| {
+            let pool =
+                rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| {
+                let (sources, w, b) = convolve_vjp(level, &[source], extent, &weight, &bar, wanted);
+                (sources[0].values.clone(), sources[0].slope.clone(), w, b)
+            })
+        };
+        assert_eq!(with(1), with(3), "{level:?}");
+    }
+}
+
+#[test]
+#[ignore = "a measurement, not a check: GFLOP/s of the convolution's three passes"]
+fn speed_of_the_convolution() {
+    let rng = &mut fastrand::Rng::with_seed(5);
+    for (inputs, outputs, side) in [
+        (3, 16, 256),
+        (16, 16, 256),
+        (32, 16, 256),
+        (32, 32, 128),
+        (64, 64, 64),
+        (16, 3, 256),
+        (128, 128, 64),
+    ] {
+        let extent = Extent { batch: 1, rows: side, columns: side };
+        let (values, bar) = (draw(inputs * side * side, rng), draw(outputs * side * side, rng));
+        let (weight, bias, slope) =
+            (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
+        let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
+        let operations = (2 * 9 * inputs * outputs * side * side) as f64;
+        for level in levels() {
+            let time = |run: &dyn Fn()| {
+                let once = || {
+                    let start = std::time::Instant::now();
+                    run();
+                    start.elapsed().as_secs_f64()
+                };
+                operations / 1e9 / (0..15).map(|_| once()).fold(f64::INFINITY, f64::min)
+            };
+            for threads in [1, 2] {
+                let pool =
+                    rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                pool.install(|| {
+                    let forward = time(&|| drop(convolve(level, &[source], extent, &weight, &bias)));
+                    let back = |inputs, weights| {
+                        time(&|| drop(convolve_vjp(level, &[source], extent, &weight, &bar, Wanted { inputs, weights })))
+                    };
+                    let (by_input, by_weight) = (back(true, false), back(false, true));
+                    eprintln!("{level:?} {threads} threads {inputs} to {outputs} at {side}: forward {forward:.0}, input {by_input:.0}, weight {by_weight:.0} GFLOP/s");
+                });
+            }
+        }
+    }
+}

@@ -1,0 +1,307 @@
+//! Export to ONNX: the same operations as the in-crate forward pass, dynamic batch, height and width, the card in the
+//! metadata.
+//!
+//! Opset 17, IR 9. Input `input` and output `output` are `[batch, 3, height, width]` f32; height and width must be multiples
+//! of the card's `multiple`. Initialisers carry the parameters' names.
+
+use std::path::Path;
+
+use onnx_rs::ast::{
+    Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId,
+    StringStringEntry, TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto,
+    TypeValue, ValueInfo,
+};
+
+use super::card::ModelCard;
+use super::checkpoint::write_whole;
+use super::reconstructor::{Parameter, Reconstructor};
+use crate::error::{Error, Result};
+
+const OPSET: i64 = 17;
+const IR_VERSION: i64 = 9;
+
+/// Writes `model` with `card` in its metadata to `path`, whole or not at all.
+///
+/// Refuses weights that are not finite, and a card of another network.
+pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()> {
+    write_whole(path, &encode(model, card)?)
+}
+
+/// The bytes of [`export`]'s file.
+pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
+    let config = model.config();
+    if (card.base_width, card.scales, card.multiple)
+        != (config.base_width, config.scales, config.multiple())
+    {
+        return Err(Error::bad(
+            "",
+            "model card",
+            format!(
+                "width {}, scales {}, multiple {}",
+                card.base_width, card.scales, card.multiple
+            ),
+            format!(
+                "the network's: {}, {}, {}",
+                config.base_width,
+                config.scales,
+                config.multiple()
+            ),
+        ));
+    }
+    let parameters = model.parameters();
+    if let Some(bad) = parameters.iter().find(|p| p.values.iter().any(|v| !v.is_finite())) {
+        return Err(Error::Internal(format!(
+            "parameter {} is not finite; nothing was exported",
+            bad.name
+        )));
+    }
+    let steps = steps(config.scales);
+    let metadata = card.to_metadata();
+    let encoded = Model {
+        ir_version: IR_VERSION,
+        opset_import: vec![OperatorSetId { domain: "", version: OPSET }],
+        producer_name: "isoplanat",
+        producer_version: env!("CARGO_PKG_VERSION"),
+        metadata_props: metadata
+            .iter()
+            .map(|(key, value)| StringStringEntry { key, value })
+            .collect(),
+        graph: Some(Graph {
+            name: "reconstruction",
+            node: steps.iter().map(Operation::node).collect(),
+            initializer: parameters.iter().map(initializer).collect(),
+            input: vec![image("input")],
+            output: vec![image("output")],
+            ..Default::default()
+        }),
+        ..Default::default()
+    };
+    Ok(onnx_rs::encode(&encoded))
+}
+
+/// One node of the graph; the name is also that of its output.
+struct Operation {
+    kind: Kind,
+    name: String,
+    inputs: Vec<String>,
+}
+
+#[derive(Clone, Copy)]
+enum Kind {
+    Convolution,
+    Activation,
+    Pool,
+    Unpool,
+    Concatenation,
+    Addition,
+}
+
+/// The network's operations in order, as in the in-crate forward pass.
+fn steps(scales: usize) -> Vec<Operation> {
+    let mut steps: Vec<Operation> = Vec::new();
+    let mut push = |kind, name: &str, inputs: &[&str]| {
+        let inputs = inputs.iter().map(|input| (*input).to_owned()).collect();
+        steps.push(Operation { kind, name: name.to_owned(), inputs });
+        name.to_owned()
+    };
+    let convolve =
+        |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, kind, layer: &str, input: &str| {
+            push(kind, layer, &[input, &format!("{layer}.weight"), &format!("{layer}.bias")])
+        };
+    let block = |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, name: &str, input: &str| {
+        let mut value = input.to_owned();
+        for n in 1..=2 {
+            value = convolve(push, Kind::Convolution, &format!("{name}.conv{n}"), &value);
+            value = push(
+                Kind::Activation,
+                &format!("{name}.act{n}"),
+                &[&value, &format!("{name}.slope{n}")],
+            );
+        }
+        value
+    };
+    let mut value = "input".to_owned();
+    let mut skips = Vec::new();
+    for scale in 0..scales {
+        if scale > 0 {
+            value = push(Kind::Pool, &format!("pool.{}", scale - 1), &[&value]);
+        }
+        value = block(&mut push, &format!("encoder.{scale}"), &value);
+        skips.push(value.clone());
+    }
+    for scale in (0..scales - 1).rev() {
+        let up = format!("up.{scale}");
+        value = push(Kind::Unpool, &up, &[&value, &format!("{up}.weight"), &format!("{up}.bias")]);
+        value = push(Kind::Concatenation, &format!("concat.{scale}"), &[&skips[scale], &value]);
+        value = block(&mut push, &format!("decoder.{scale}"), &value);
+    }
+    value = push(Kind::Convolution, "residual", &[&value, "output.weight", "output.bias"]);
+    push(Kind::Addition, "output", &["input", &value]);
+    steps
+}
+
+impl Operation {
+    fn node(&self) -> Node<'_> {
+        let (op_type, attribute) = match self.kind {
+            Kind::Convolution => {
+                (OpType::Conv, vec![ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])])
+            }
+            Kind::Activation => (OpType::PRelu, vec![]),
+            Kind::Pool => {
+                (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])])
+            }
+            Kind::Unpool => (
+                OpType::ConvTranspose,
+                vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])],
+            ),
+            Kind::Concatenation => (
+                OpType::Concat,
+                vec![Attribute {
+                    name: "axis",
+                    r#type: AttributeType::Int,
+                    i: 1,
+                    ..Default::default()
+                }],
+            ),
+            Kind::Addition => (OpType::Add, vec![]),
+        };
+        Node {
+            name: &self.name,
+            op_type,
+            input: self.inputs.iter().map(String::as_str).collect(),
+            output: vec![&self.name],
+            attribute,
+            ..Default::default()
+        }
+    }
+}
+
+fn ints<'a>(name: &'a str, values: &[i64]) -> Attribute<'a> {
+    Attribute { name, r#type: AttributeType::Ints, ints: values.to_vec(), ..Default::default() }
+}
+
+/// Slopes are stored as `[channels, 1, 1]`, which is how ONNX's PRelu broadcasts them.
+fn initializer(parameter: &Parameter) -> TensorProto<'_> {
+    let mut shape: Vec<i64> = parameter.shape.iter().map(|&n| n as i64).collect();
+    if parameter.name.contains(".slope") {
+        shape.extend([1, 1]);
+    }
+    TensorProto::from_f32(&parameter.name, shape, parameter.values.clone())
+}
+
+/// `[batch, 3, height, width]` f32.
+fn image(name: &str) -> ValueInfo<'_> {
+    let dim = [
+        Dimension::Param("batch"),
+        Dimension::Value(3),
+        Dimension::Param("height"),
+        Dimension::Param("width"),
+    ]
+    .map(|value| TensorShapeDimension { value, ..Default::default() });
+    let shape = Some(TensorShape { dim: dim.into() });
+    let value = Some(TypeValue::Tensor(TensorTypeProto { elem_type: DataType::Float, shape }));
+    ValueInfo {
+        name,
+        r#type: Some(TypeProto { value, ..Default::default() }),
+        ..Default::default()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use ndarray::Array4;
+
+    use super::*;
+    use crate::network::UnetConfig;
+
+    fn model() -> (Reconstructor, ModelCard) {
+        let config = UnetConfig { base_width: 6, scales: 3 };
+        let mut model = Reconstructor::new(config, 9).expect("valid");
+        let rng = &mut fastrand::Rng::with_seed(2);
+        for mut parameter in model.parameters() {
+            if parameter.values.iter().all(|&v| v == parameter.values[0])
+                || parameter.name == "output.weight"
+            {
+                parameter.values.iter_mut().for_each(|v| *v = rng.f32() - 0.4);
+            }
+            model.set_parameter(&parameter.name, &parameter.values).expect("same length");
+        }
+        (model, ModelCard::for_unet("test", 6, 3))
+    }
+
+    #[test]
+    fn the_file_carries_card_and_names() {
+        let (model, mut card) = model();
+        card.lens_name = "triplet".into();
+        let bytes = encode(&model, &card).expect("finite");
+        let parsed = onnx_rs::parse(&bytes).expect("own file");
+        let metadata: BTreeMap<String, String> =
+            parsed.metadata_props.iter().map(|e| (e.key.to_owned(), e.value.to_owned())).collect();
+        assert_eq!(ModelCard::from_metadata(&metadata).expect("complete"), card);
+        let graph = parsed.graph.expect("there");
+        for parameter in model.parameters() {
+            let stored =
+                graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
+            assert_eq!(
+                stored.as_f32().expect("f32").as_ref(),
+                parameter.values,
+                "{}",
+                parameter.name
+            );
+        }
+        card.scales = 2;
+        assert!(encode(&model, &card).is_err());
+    }
+
+    #[cfg(feature = "deploy")]
+    #[test]
+    fn tract_computes_the_same() {
+        use tract_onnx::prelude::*;
+        let (model, card) = model();
+        let bytes = encode(&model, &card).expect("finite");
+        for (batch, rows, columns) in [(1usize, 32usize, 24usize), (2, 20, 44)] {
+            let rng = &mut fastrand::Rng::with_seed(3);
+            let input = Array4::from_shape_simple_fn((batch, 3, rows, columns), || rng.f32());
+            let plan = tract_onnx::onnx()
+                .model_for_read(&mut bytes.as_slice())
+                .and_then(|m| m.with_input_fact(0, f32::fact([batch, 3, rows, columns]).into()))
+                .and_then(|m| m.into_optimized())
+                .and_then(|m| m.into_runnable())
+                .expect("tract reads the file");
+            let tensor = Tensor::from_shape(
+                &[batch, 3, rows, columns],
+                input.as_slice().expect("standard layout"),
+            )
+            .expect("shape fits");
+            let theirs = plan.run(tvec!(tensor.into())).expect("tract runs");
+            let theirs = theirs[0].to_plain_array_view::<f32>().expect("f32").to_owned();
+            let ours = model.forward(input.view()).expect("fits");
+            let scale = ours.iter().fold(1f32, |m, v| m.max(v.abs()));
+            let worst = ours.iter().zip(theirs.iter()).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+            assert!(worst <= 1e-5 * scale, "{worst} of {scale}");
+        }
+    }
+
+    /// Writes `model.onnx`, `input.bin` and `output.bin` (little-endian f32) into the folder `ISOPLANAT_ONNX_CHECK`, for
+    /// a comparison with ONNX Runtime.
+    #[test]
+    #[ignore = "writes files for an external check"]
+    fn files_for_an_external_check() {
+        let Some(folder) = std::env::var_os("ISOPLANAT_ONNX_CHECK").map(std::path::PathBuf::from)
+        else {
+            return;
+        };
+        let (model, card) = model();
+        export(&model, &card, &folder.join("model.onnx")).expect("written");
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let input = Array4::from_shape_simple_fn((2, 3, 52, 76), || rng.f32());
+        let output = model.forward(input.view()).expect("fits");
+        for (name, array) in [("input.bin", &input), ("output.bin", &output)] {
+            let bytes: Vec<u8> = array.iter().flat_map(|v| v.to_le_bytes()).collect();
+            std::fs::write(folder.join(name), bytes).expect("written");
+        }
+        model.save(&folder.join("network.safetensors")).expect("written");
+    }
+}

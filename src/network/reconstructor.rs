@@ -1,0 +1,673 @@
+//! The network as the rest of the crate sees it: forward pass, training step, checkpoint, parameters; `ndarray` only.
+//!
+//! One step is: output = network(input), loss = mean |output − target|, backward through burn's graph, Adam. The
+//! cotangents of input and target leave here as arrays; optics takes over there.
+
+use std::path::Path;
+
+use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::tensor::{Device, Gradients, Tensor, TensorData};
+use ndarray::{Array4, ArrayView4};
+
+use super::adam::{Adam, norm};
+use super::card::receptive_radius_px;
+use super::kernels::Level;
+use super::unet::{CHANNELS, Unet, UnetConfig};
+use super::{checkpoint, tiles};
+use crate::error::{Error, Result};
+
+/// Gradients longer than this (global Euclidean norm) are scaled down to it.
+const CLIP_NORM: f64 = 1.0;
+
+/// Pixels × base width above which the forward pass works in tiles (about 1 GiB of features).
+const TILE_ABOVE: usize = 1 << 26;
+
+/// Side of such a tile without its margin, pixels.
+const TILE: usize = 1024;
+
+/// A network with its optimiser.
+#[derive(Debug)]
+pub struct Reconstructor {
+    config: UnetConfig,
+    device: Device,
+    network: Unet,
+    /// All parameters in the order of [`Reconstructor::parameters`]; `network` holds the same values.
+    weights: Vec<f32>,
+    adam: Adam,
+    level: Level,
+}
+
+/// What a training step gives.
+#[derive(Clone, Debug)]
+pub struct Step {
+    /// Mean absolute difference of output and target.
+    pub loss: f32,
+    /// The network's output, `[batch, 3, row, col]`.
+    pub output: Array4<f32>,
+    /// Cotangent of the input: ∂loss/∂input through network and global skip.
+    pub input_bar: Array4<f32>,
+    /// Cotangent of the target: ∂loss/∂target = −sign(output − target) / N.
+    pub target_bar: Array4<f32>,
+    /// Global norm of the weights' gradient before clipping; 0 where no update was asked for.
+    pub gradient_norm: f64,
+    /// Whether the weights moved: asked for, and loss and gradient were finite.
+    pub updated: bool,
+}
+
+/// What a step of the network alone gives.
+#[derive(Clone, Debug)]
+pub struct NetworkStep {
+    /// Mean absolute difference of output and target, before the update.
+    pub loss: f32,
+    /// The network's output, `[batch, 3, row, col]`.
+    pub output: Array4<f32>,
+    /// Global norm of the weights' gradient before clipping.
+    pub gradient_norm: f64,
+    /// Whether the weights moved: loss and gradient were finite.
+    pub updated: bool,
+}
+
+/// One named parameter.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Parameter {
+    /// Stable name, as `encoder.0.conv1.weight`.
+    pub name: String,
+    /// Shape: weights `[out, in, 3, 3]` or (`up`) `[in, out, 2, 2]`, biases and slopes `[channels]`.
+    pub shape: Vec<usize>,
+    /// Values in row-major order.
+    pub values: Vec<f32>,
+}
+
+impl Reconstructor {
+    /// A fresh network with weights drawn from `seed`; the same seed gives the same bits.
+    pub fn new(config: UnetConfig, seed: u64) -> Result<Self> {
+        config.validate()?;
+        let device = Device::flex().autodiff();
+        let network = Unet::new(&config, seed, &device);
+        let weights: Vec<f32> = collect(&network).into_iter().flat_map(|p| p.values).collect();
+        Ok(Self {
+            adam: Adam::new(weights.len()),
+            level: Level::detect(),
+            config,
+            device,
+            network,
+            weights,
+        })
+    }
+
+    /// The network's size.
+    pub fn config(&self) -> &UnetConfig {
+        &self.config
+    }
+
+    /// Training steps taken.
+    pub fn steps(&self) -> u64 {
+        self.adam.steps
+    }
+
+    /// All parameters by name, in a fixed order.
+    pub fn parameters(&self) -> Vec<Parameter> {
+        collect(&self.network)
+    }
+
+    /// Replaces the values of the parameter `name`; the optimiser's moments stay.
+    pub fn set_parameter(&mut self, name: &str, values: &[f32]) -> Result<()> {
+        let mut offset = 0;
+        for parameter in self.parameters() {
+            let n = parameter.values.len();
+            if parameter.name == name {
+                if values.len() != n {
+                    return Err(Error::bad(
+                        "",
+                        name,
+                        format!("{} values", values.len()),
+                        format!("{n} values"),
+                    ));
+                }
+                self.weights[offset..offset + n].copy_from_slice(values);
+                self.write_weights();
+                return Ok(());
+            }
+            offset += n;
+        }
+        Err(Error::bad(
+            "",
+            name,
+            "no such parameter",
+            "a name from the network's list of parameters",
+        ))
+    }
+
+    /// The network's output. Height and width must be multiples of [`UnetConfig::multiple`]; a large picture is done in
+    /// overlapping tiles, with the same result.
+    ///
+    /// # Shapes
+    /// `[batch, 3, row, col]` → the same.
+    pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
+        self.check(&input)?;
+        let (network, level) = (self.network.valid(), self.level);
+        let device = self.device.clone().inner();
+        let run = |window: ArrayView4<f32>| array(network.forward(level, tensor(&window, &device)));
+        let (_, _, rows, columns) = input.dim();
+        if rows * columns * self.config.base_width <= TILE_ABOVE {
+            return run(input);
+        }
+        let margin =
+            receptive_radius_px(self.config.scales).next_multiple_of(self.config.multiple());
+        tiles::forward_tiled(input, TILE, margin, run)
+    }
+
+    /// [`Reconstructor::forward`] for any height and width: continued by reflection below and to the right to the next
+    /// multiple, then cropped.
+    pub fn forward_padded(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
+        let (_, _, rows, columns) = input.dim();
+        let multiple = self.config.multiple();
+        if rows.is_multiple_of(multiple) && columns.is_multiple_of(multiple) {
+            return self.forward(input);
+        }
+        let padded = tiles::reflect_to_multiple(input, multiple);
+        let output = self.forward(padded.view())?;
+        Ok(output.slice(ndarray::s![.., .., ..rows, ..columns]).to_owned())
+    }
+
+    /// Loss, output and cotangents for one batch; with `update`, one Adam step of size `learning_rate` after it.
+    ///
+    /// # Shapes
+    /// `input`, `target`: `[batch, 3, row, col]`, rows and columns multiples of [`UnetConfig::multiple`].
+    pub fn step(
+        &mut self,
+        input: ArrayView4<f32>,
+        target: ArrayView4<f32>,
+        learning_rate: f64,
+        update: bool,
+    ) -> Result<Step> {
+        let Backward { loss, output, input_bar, gradient } =
+            self.backward(&input, &target, true, update)?;
+        let input_bar = input_bar
+            .ok_or_else(|| Error::Internal("no gradient reached the network's input".into()))?;
+        let scale = -1.0 / output.len() as f32;
+        let mut target_bar = Array4::zeros(output.raw_dim());
+        ndarray::Zip::from(&mut target_bar).and(&output).and(&target).for_each(
+            |bar, &output, &target| {
+                let difference = output - target;
+                *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
+            },
+        );
+        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        Ok(Step { loss, output, input_bar, target_bar, gradient_norm, updated })
+    }
+
+    /// One Adam step on the network alone: [`Reconstructor::step`] without the cotangents and their cost.
+    pub fn step_network_only(
+        &mut self,
+        input: ArrayView4<f32>,
+        target: ArrayView4<f32>,
+        learning_rate: f64,
+    ) -> Result<NetworkStep> {
+        let Backward { loss, output, gradient, .. } =
+            self.backward(&input, &target, false, true)?;
+        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        Ok(NetworkStep { loss, output, gradient_norm, updated })
+    }
+
+    /// Writes weights, optimiser and size to `path` (safetensors), whole or not at all. Refuses weights that are not finite.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        checkpoint::save(path, &self.config, &self.parameters(), &self.adam)
+    }
+
+    /// Reads what [`Reconstructor::save`] wrote; training goes on with the same bits.
+    pub fn load(path: &Path) -> Result<Self> {
+        let config = checkpoint::read_config(path)?;
+        let mut fresh = Self::new(config, 0)?;
+        let (weights, adam) = checkpoint::load(path, &fresh.parameters())?;
+        fresh.weights = weights;
+        fresh.adam = adam;
+        fresh.write_weights();
+        Ok(fresh)
+    }
+
+    /// Forward and backward; the gradients asked for only.
+    fn backward(
+        &self,
+        input: &ArrayView4<f32>,
+        target: &ArrayView4<f32>,
+        with_input: bool,
+        with_weights: bool,
+    ) -> Result<Backward> {
+        self.check(input)?;
+        if input.dim() != target.dim() {
+            return Err(Error::bad(
+                "",
+                "training target",
+                format!("shape {:?}", target.dim()),
+                format!("the input's shape, {:?}", input.dim()),
+            ));
+        }
+        let input = tensor(input, &self.device);
+        let input = if with_input { input.require_grad() } else { input };
+        let frozen = (!with_weights).then(|| self.network.clone().no_grad());
+        let network = frozen.as_ref().unwrap_or(&self.network);
+
+        let output = network.forward(self.level, input.clone());
+        let difference = output.clone() - tensor(target, &self.device);
+        let mut gradients = difference.abs().mean().backward();
+
+        let output = array(output.inner())?;
+        let sum: f64 =
+            output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
+        let input_bar = if with_input {
+            input.grad_remove(&mut gradients).map(array).transpose()?
+        } else {
+            None
+        };
+        let gradient =
+            with_weights.then(|| collect_gradient(network, &mut gradients, self.weights.len()));
+        Ok(Backward { loss: (sum / output.len() as f64) as f32, output, input_bar, gradient })
+    }
+
+    /// Clipped Adam step; leaves everything as it was where loss or gradient is not finite.
+    fn update(&mut self, loss: f32, gradient: Option<&[f32]>, learning_rate: f64) -> (f64, bool) {
+        let Some(gradient) = gradient else { return (0.0, false) };
+        let norm = norm(gradient);
+        if !loss.is_finite() || !norm.is_finite() {
+            return (norm, false);
+        }
+        let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
+        self.adam.step(&mut self.weights, gradient, scale, learning_rate);
+        self.write_weights();
+        (norm, true)
+    }
+
+    /// Puts `self.weights` into the burn module.
+    fn write_weights(&mut self) {
+        let mut writer = Write { values: &self.weights, device: &self.device };
+        self.network = self.network.clone().map(&mut writer);
+    }
+
+    fn check(&self, input: &ArrayView4<f32>) -> Result<()> {
+        let (batch, channels, rows, columns) = input.dim();
+        let multiple = self.config.multiple();
+        let fits = |n: usize| n > 0 && n.is_multiple_of(multiple);
+        if batch == 0 || channels != CHANNELS || !fits(rows) || !fits(columns) {
+            return Err(Error::bad(
+                "",
+                "network input",
+                format!("shape [{batch}, {channels}, {rows}, {columns}]"),
+                format!(
+                    "[batch, {CHANNELS}, rows, columns], rows and columns multiples of {multiple}"
+                ),
+            ));
+        }
+        Ok(())
+    }
+}
+
+/// What one pass forward and back gives.
+struct Backward {
+    loss: f32,
+    output: Array4<f32>,
+    input_bar: Option<Array4<f32>>,
+    gradient: Option<Vec<f32>>,
+}
+
+fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
+    let (batch, channels, rows, columns) = view.dim();
+    let values = view.as_standard_layout().into_owned().into_raw_vec_and_offset().0;
+    Tensor::from_data(TensorData::new(values, [batch, channels, rows, columns]), device)
+}
+
+fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
+    let shape = tensor.dims();
+    let values = tensor
+        .into_data()
+        .try_into_vec::<f32>()
+        .map_err(|e| Error::Internal(format!("tensor data: {e:?}")))?;
+    Array4::from_shape_vec(shape, values).map_err(|e| Error::Internal(format!("tensor shape: {e}")))
+}
+
+fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_into_vec::<f32>().expect("parameters are f32 in the host's memory")
+}
+
+/// All parameters by name, in the module's order.
+fn collect(network: &Unet) -> Vec<Parameter> {
+    #[derive(Default)]
+    struct Collect {
+        path: Vec<String>,
+        found: Vec<Parameter>,
+    }
+    impl ModuleVisitor for Collect {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let tensor = param.val().inner();
+            let shape = tensor.dims().to_vec();
+            self.found.push(Parameter { name: self.path.join("."), shape, values: values(tensor) });
+        }
+        fn enter_module(&mut self, name: &str, _container: &str) {
+            self.path.push(name.to_owned());
+        }
+        fn exit_module(&mut self, _name: &str, _container: &str) {
+            self.path.pop();
+        }
+    }
+    let mut collect = Collect::default();
+    network.visit(&mut collect);
+    collect.found
+}
+
+/// The weights' gradient in the order of [`collect`]; zeros where none arrived.
+fn collect_gradient(network: &Unet, gradients: &mut Gradients, n: usize) -> Vec<f32> {
+    struct Collect<'a> {
+        gradients: &'a mut Gradients,
+        found: Vec<f32>,
+    }
+    impl ModuleVisitor for Collect<'_> {
+        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+            let tensor = param.val();
+            match tensor.grad_remove(self.gradients) {
+                Some(gradient) => self.found.extend(values(gradient)),
+                None => self.found.extend(std::iter::repeat_n(0.0, tensor.dims().iter().product())),
+            }
+        }
+    }
+    let mut collect = Collect { gradients, found: Vec::with_capacity(n) };
+    network.visit(&mut collect);
+    collect.found
+}
+
+/// Replaces all parameters, in the order of [`collect`], by `values`.
+struct Write<'a> {
+    values: &'a [f32],
+    device: &'a Device,
+}
+
+impl ModuleMapper for Write<'_> {
+    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
+        let shape = param.val().dims();
+        let (head, rest) = self.values.split_at(shape.iter().product());
+        self.values = rest;
+        let device = self.device;
+        param.map(|_| {
+            Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad()
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::assert_rel;
+
+    fn small() -> UnetConfig {
+        UnetConfig { base_width: 4, scales: 3 }
+    }
+
+    fn picture(shape: (usize, usize, usize, usize), seed: u64) -> Array4<f32> {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        Array4::from_shape_simple_fn(shape, || rng.f32())
+    }
+
+    /// A target far off any output, mostly above it: the loss has no kink near it.
+    fn far_target() -> Array4<f32> {
+        picture((1, 3, 32, 24), 5).mapv(|v| if v > 0.2 { v + 50.0 } else { v - 50.0 })
+    }
+
+    /// A network whose last layer is not small, so that the gradient through the network counts, and whose slopes lie
+    /// around 1, so that the kinks of PReLU are too weak to spoil a difference quotient.
+    fn awake(config: UnetConfig, seed: u64) -> Reconstructor {
+        let mut model = Reconstructor::new(config, seed).expect("valid");
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        for mut parameter in model.parameters() {
+            if parameter.name == "output.weight" {
+                parameter.values.iter_mut().for_each(|v| *v *= 15.0);
+            } else if parameter.name.contains("slope") {
+                parameter.values.iter_mut().for_each(|v| *v = 0.9 + 0.2 * rng.f32());
+            }
+            model.set_parameter(&parameter.name, &parameter.values).expect("same length");
+        }
+        model
+    }
+
+    #[test]
+    fn training_starts_near_the_identity_and_is_deterministic() {
+        let input = picture((2, 3, 16, 24), 1);
+        let a = Reconstructor::new(small(), 7).expect("valid").forward(input.view()).expect("fits");
+        let b = Reconstructor::new(small(), 7).expect("valid").forward(input.view()).expect("fits");
+        assert_eq!(a, b);
+        let difference = (&a - &input).iter().fold(0f32, |m, v| m.max(v.abs()));
+        assert!(difference > 0.0 && difference < 0.05, "{difference}");
+    }
+
+    #[test]
+    fn names_are_stable() {
+        let model = Reconstructor::new(small(), 1).expect("valid");
+        let names: Vec<_> =
+            model.parameters().into_iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
+        assert_eq!(names.len(), 3 * 6 + 2 * 2 + 2 * 6 + 2);
+        for name in [
+            "encoder.0.conv1.weight [4, 3, 3, 3]",
+            "encoder.2.slope2 [16]",
+            "up.1.weight [16, 8, 2, 2]",
+            "decoder.0.conv1.weight [4, 8, 3, 3]",
+            "output.bias [3]",
+        ] {
+            assert!(names.iter().any(|n| n == name), "{name} not in {names:?}");
+        }
+    }
+
+    #[test]
+    fn cotangents_match_central_differences() {
+        let mut model = awake(small(), 3);
+        let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
+        let step = model.step(input.view(), target.view(), 0.0, false).expect("fits");
+        assert!(!step.updated);
+        // Along a direction, summed in f64. PReLU and pooling have kinks, so the step is small.
+        let direction = picture((1, 3, 32, 24), 6).mapv(|v| v - 0.5);
+        let loss = |x: &Array4<f32>, y: &Array4<f32>| {
+            let out = model.forward(x.view()).expect("fits");
+            out.iter().zip(y).map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs()).sum::<f64>()
+                / out.len() as f64
+        };
+        let h = 3e-4f32;
+        let slope = |towards: bool| {
+            let shift = |s: f32| direction.mapv(|d| s * h * d);
+            if towards {
+                (loss(&(&input + &shift(1.0)), &target) - loss(&(&input + &shift(-1.0)), &target))
+                    / f64::from(2.0 * h)
+            } else {
+                (loss(&input, &(&target + &shift(1.0))) - loss(&input, &(&target + &shift(-1.0))))
+                    / f64::from(2.0 * h)
+            }
+        };
+        let dot = |bar: &Array4<f32>| {
+            bar.iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum::<f64>()
+        };
+        assert_rel(dot(&step.input_bar), slope(true), 5e-3, 1e-3, "input");
+        assert_rel(dot(&step.target_bar), slope(false), 5e-3, 1e-3, "target");
+    }
+
+    #[test]
+    fn weight_gradients_match_central_differences() {
+        let model = awake(small(), 3);
+        let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
+        let gradient = model
+            .backward(&input.view(), &target.view(), false, true)
+            .expect("fits")
+            .gradient
+            .expect("asked for");
+        let mut offset = 0;
+        let rng = &mut fastrand::Rng::with_seed(8);
+        for parameter in model.parameters() {
+            let n = parameter.values.len();
+            // Random lengths with the gradient's signs: the slope is large against what a kink of PReLU or pooling adds.
+            let direction: Vec<f32> = gradient[offset..offset + n]
+                .iter()
+                .map(|g| g.signum() * (0.5 + rng.f32()))
+                .collect();
+            let pulled: f64 = gradient[offset..offset + n]
+                .iter()
+                .zip(&direction)
+                .map(|(a, b)| f64::from(a * b))
+                .sum();
+            offset += n;
+            let loss = |h: f32| {
+                let mut moved = Reconstructor::new(small(), 3).expect("valid");
+                moved.weights.clone_from(&model.weights);
+                moved.write_weights();
+                let values: Vec<f32> =
+                    parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
+                moved.set_parameter(&parameter.name, &values).expect("same length");
+                let out = moved.forward(input.view()).expect("fits");
+                out.iter()
+                    .zip(&target)
+                    .map(|(a, b)| (f64::from(*a) - f64::from(*b)).abs())
+                    .sum::<f64>()
+                    / out.len() as f64
+            };
+            let h = 1e-3 / (n as f32).sqrt();
+            let pushed = (loss(h) - loss(-h)) / f64::from(2.0 * h);
+            assert_rel(pulled, pushed, 5e-3, 2e-3, &parameter.name);
+        }
+    }
+
+    #[test]
+    fn both_kinds_of_step_move_the_weights_alike_and_learn() {
+        let (input, target) =
+            (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
+        let mut a = Reconstructor::new(small(), 3).expect("valid");
+        let mut b = Reconstructor::new(small(), 3).expect("valid");
+        let first = a.step(input.view(), target.view(), 3e-3, true).expect("fits");
+        assert!(first.updated && first.gradient_norm > 0.0);
+        b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+        assert_eq!(a.parameters(), b.parameters());
+        for _ in 0..60 {
+            b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+        }
+        let last = b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+        assert!(last.loss < 0.8 * first.loss, "{} {}", first.loss, last.loss);
+    }
+
+    #[test]
+    fn a_step_with_nan_is_skipped_and_said() {
+        let mut model = Reconstructor::new(small(), 3).expect("valid");
+        let before = model.parameters();
+        let (mut input, target) = (picture((1, 3, 8, 8), 4), picture((1, 3, 8, 8), 5));
+        input[[0, 1, 2, 3]] = f32::NAN;
+        let step = model.step(input.view(), target.view(), 1e-3, true).expect("fits");
+        assert!(!step.updated);
+        assert_eq!((model.parameters(), model.steps()), (before, 0));
+    }
+
+    #[test]
+    fn shapes_that_do_not_fit_are_refused() {
+        let mut model = Reconstructor::new(small(), 3).expect("valid");
+        for shape in [(1, 3, 10, 8), (1, 4, 8, 8), (0, 3, 8, 8), (1, 3, 0, 8)] {
+            assert!(model.forward(picture(shape, 1).view()).is_err(), "{shape:?}");
+        }
+        let (a, b) = (picture((1, 3, 8, 8), 1), picture((1, 3, 8, 12), 1));
+        assert!(model.step(a.view(), b.view(), 1e-3, true).is_err());
+    }
+
+    #[test]
+    fn nothing_beyond_the_receptive_radius_counts() {
+        let model = awake(small(), 11);
+        let radius = receptive_radius_px(3);
+        let input = picture((1, 3, 80, 80), 2);
+        let before = model.forward(input.view()).expect("fits");
+        assert_eq!(before, model.forward(input.view()).expect("fits"), "repeatable");
+        for (row, col) in [(40, 40), (37, 42), (39, 35)] {
+            let mut moved = input.clone();
+            moved[[0, 0, row, col]] += 10.0;
+            let after = model.forward(moved.view()).expect("fits");
+            for ((_, channel, r, c), v) in after.indexed_iter() {
+                if r.abs_diff(row).max(c.abs_diff(col)) > radius {
+                    assert_eq!(*v, before[[0, channel, r, c]], "{r} {c}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn padding_and_tiles_agree_with_the_whole() {
+        let model = awake(small(), 11);
+        let input = picture((1, 3, 84, 92), 2);
+        let whole = model.forward(input.view()).expect("fits");
+        let margin = receptive_radius_px(3).next_multiple_of(4);
+        let (network, level) = (model.network.valid(), model.level);
+        let device = model.device.clone().inner();
+        let run = |w: ArrayView4<f32>| array(network.forward(level, tensor(&w, &device)));
+        let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
+        let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
+        assert!(difference < 1e-5, "{difference}");
+        let cropped = input.slice(ndarray::s![.., .., ..83, ..90]);
+        assert_eq!(model.forward_padded(cropped).expect("any size").dim(), (1, 3, 83, 90));
+    }
+
+    #[test]
+    fn every_level_gives_the_same_step() {
+        let levels = match Level::detect() {
+            Level::Avx512 => vec![Level::Avx512, Level::Avx2],
+            Level::Avx2 => vec![Level::Avx2],
+            Level::Plain => vec![],
+        };
+        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))]
+        {
+            let (input, target) = (picture(shape, 4), picture(shape, 5));
+            let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
+            model.level = Level::Plain;
+            let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
+            let close = |a: &[f32], b: &[f32], what: &str| {
+                let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
+                let worst = a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+                assert!(worst <= 1e-5 * scale, "{what} {base_width} {shape:?}: {worst} of {scale}");
+            };
+            for &level in &levels {
+                model.level = level;
+                let found =
+                    model.backward(&input.view(), &target.view(), true, true).expect("fits");
+                close(
+                    found.output.as_slice().expect("contiguous"),
+                    expected.output.as_slice().expect("contiguous"),
+                    "output",
+                );
+                let bars = [&found, &expected].map(|b| {
+                    b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous")
+                });
+                close(bars[0], bars[1], "input");
+                let weights =
+                    [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
+                close(weights[0], weights[1], "weights");
+            }
+        }
+    }
+
+    #[test]
+    #[ignore = "a measurement, not a check: seconds per training step"]
+    fn time_of_a_step() {
+        for base_width in [16, 32] {
+            let mut model =
+                Reconstructor::new(UnetConfig { base_width, scales: 3 }, 1).expect("valid");
+            let (input, target) = (picture((1, 3, 256, 256), 1), picture((1, 3, 256, 256), 2));
+            let mut time = |name: &str, run: &mut dyn FnMut(&mut Reconstructor)| {
+                let mut seconds: Vec<f64> = (0..12)
+                    .map(|_| {
+                        let start = std::time::Instant::now();
+                        run(&mut model);
+                        start.elapsed().as_secs_f64()
+                    })
+                    .collect();
+                seconds.sort_by(f64::total_cmp);
+                eprintln!(
+                    "{base_width} {name}: median {:.4} s, least {:.4} s",
+                    seconds[6], seconds[0]
+                );
+            };
+            time("forward", &mut |m| drop(m.forward(input.view()).expect("fits")));
+            time("network step", &mut |m| {
+                drop(m.step_network_only(input.view(), target.view(), 1e-4).expect("fits"))
+            });
+            time("joint step", &mut |m| {
+                drop(m.step(input.view(), target.view(), 1e-4, true).expect("fits"))
+            });
+        }
+    }
+}

@@ -1,0 +1,215 @@
+//! The trimmed U-Net (paper §3.2, fig. 3): two 3×3 convolutions with PReLU at every scale, max-pooling down,
+//! transposed convolutions up, skips by concatenation, and a global skip, so that it learns the residual.
+//!
+//! Parameters are named by scale (`encoder.0.conv1.weight`, `up.1.bias`, `decoder.0.slope2`, …; scale 0 is the finest,
+//! `encoder.{last}` the flat bottom), so that a deeper network can start from a shallower one.
+
+use burn::module::{Module, Param};
+use burn::tensor::{Device, Tensor, TensorData};
+use serde::{Deserialize, Serialize};
+
+use super::kernels::Level;
+use super::layers::{Features, convolve, pool, unpool};
+use crate::error::{Error, Result};
+
+/// Colour channels in and out.
+pub(super) const CHANNELS: usize = 3;
+
+/// PReLU's slope at the start (He et al. 2015, as in the common frameworks).
+const INITIAL_SLOPE: f32 = 0.25;
+
+/// Scale of the last convolution's weights against the others': training starts near the identity.
+const OUTPUT_GAIN: f64 = 0.01;
+
+/// Size of the network.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UnetConfig {
+    /// Channels of the finest scale; each coarser scale has twice as many (16: 16, 32, 64).
+    pub base_width: usize,
+    /// Number of scales; height and width are multiples of `2^(scales − 1)`.
+    pub scales: usize,
+}
+
+impl Default for UnetConfig {
+    fn default() -> Self {
+        Self { base_width: 16, scales: 3 }
+    }
+}
+
+impl UnetConfig {
+    /// Refuses sizes that are no network or too large to train.
+    pub fn validate(&self) -> Result<()> {
+        if !(1..=512).contains(&self.base_width) {
+            return Err(Error::bad(
+                "",
+                "network.base_width",
+                self.base_width.to_string(),
+                "1 to 512 channels",
+            ));
+        }
+        if !(1..=7).contains(&self.scales) {
+            return Err(Error::bad("", "network.scales", self.scales.to_string(), "1 to 7 scales"));
+        }
+        if self.width(self.scales - 1) > 2048 {
+            return Err(Error::bad(
+                "",
+                "network",
+                format!("{} channels at the coarsest scale", self.width(self.scales - 1)),
+                "at most 2048; lower base_width or scales",
+            ));
+        }
+        Ok(())
+    }
+
+    /// Height and width must be multiples of this.
+    pub fn multiple(&self) -> usize {
+        1 << (self.scales - 1)
+    }
+
+    /// Channels at `scale`.
+    pub(super) fn width(&self, scale: usize) -> usize {
+        self.base_width << scale
+    }
+}
+
+/// Weights of one convolution.
+#[derive(Module, Debug)]
+struct Convolution {
+    weight: Param<Tensor<4>>,
+    bias: Param<Tensor<1>>,
+}
+
+impl Convolution {
+    /// 3×3, `[out, in, 3, 3]`, He's uniform distribution for PReLU times `gain`.
+    fn square(
+        inputs: usize,
+        outputs: usize,
+        gain: f64,
+        rng: &mut fastrand::Rng,
+        device: &Device,
+    ) -> Self {
+        Self::draw([outputs, inputs, 3, 3], outputs, 9 * inputs, gain, rng, device)
+    }
+
+    /// 2×2 transposed, `[in, out, 2, 2]`; each output pixel sees one tap of every input.
+    fn transposed(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
+        Self::draw([inputs, outputs, 2, 2], outputs, inputs, 1.0, rng, device)
+    }
+
+    fn draw(
+        shape: [usize; 4],
+        outputs: usize,
+        fan_in: usize,
+        gain: f64,
+        rng: &mut fastrand::Rng,
+        device: &Device,
+    ) -> Self {
+        let deviation = (2.0 / ((1.0 + f64::from(INITIAL_SLOPE).powi(2)) * fan_in as f64)).sqrt();
+        let bound = 3f64.sqrt() * deviation * gain;
+        let values: Vec<f32> =
+            (0..shape.iter().product()).map(|_| (bound * (2.0 * rng.f64() - 1.0)) as f32).collect();
+        Self {
+            weight: Param::from_data(TensorData::new(values, shape), device),
+            bias: Param::from_data(TensorData::new(vec![0f32; outputs], [outputs]), device),
+        }
+    }
+}
+
+/// Two convolutions with PReLU.
+#[derive(Module, Debug)]
+struct Block {
+    conv1: Convolution,
+    slope1: Param<Tensor<1>>,
+    conv2: Convolution,
+    slope2: Param<Tensor<1>>,
+}
+
+impl Block {
+    fn new(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
+        let slope =
+            || Param::from_data(TensorData::new(vec![INITIAL_SLOPE; outputs], [outputs]), device);
+        Self {
+            conv1: Convolution::square(inputs, outputs, 1.0, rng, device),
+            slope1: slope(),
+            conv2: Convolution::square(outputs, outputs, 1.0, rng, device),
+            slope2: slope(),
+        }
+    }
+
+    fn forward(&self, level: Level, inputs: &[&Features]) -> Features {
+        let values = convolve(level, inputs, self.conv1.weight.val(), self.conv1.bias.val());
+        let middle = Features { values, slope: Some(self.slope1.val()) };
+        let values = convolve(level, &[&middle], self.conv2.weight.val(), self.conv2.bias.val());
+        Features { values, slope: Some(self.slope2.val()) }
+    }
+}
+
+/// The network; the forward pass is [`Unet::forward`].
+#[derive(Module, Debug)]
+pub(super) struct Unet {
+    /// By scale, finest first; the last is the flat bottom.
+    encoder: Vec<Block>,
+    /// `up[s]` lifts scale `s + 1` to scale `s`.
+    up: Vec<Convolution>,
+    /// By scale, finest first.
+    decoder: Vec<Block>,
+    output: Convolution,
+}
+
+impl Unet {
+    /// A network with weights drawn from `seed`; the same seed gives the same bits.
+    pub(super) fn new(config: &UnetConfig, seed: u64, device: &Device) -> Self {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let width = |scale| config.width(scale);
+        let coarser = config.scales - 1;
+        Self {
+            encoder: (0..config.scales)
+                .map(|s| {
+                    Block::new(if s == 0 { CHANNELS } else { width(s - 1) }, width(s), rng, device)
+                })
+                .collect(),
+            up: (0..coarser)
+                .map(|s| Convolution::transposed(width(s + 1), width(s), rng, device))
+                .collect(),
+            decoder: (0..coarser)
+                .map(|s| Block::new(2 * width(s), width(s), rng, device))
+                .collect(),
+            output: Convolution::square(width(0), CHANNELS, OUTPUT_GAIN, rng, device),
+        }
+    }
+
+    /// # Shapes
+    /// `[batch, 3, row, col]` → the same; rows and columns are multiples of `2^(scales − 1)`.
+    pub(super) fn forward(&self, level: Level, input: Tensor<4>) -> Tensor<4> {
+        let mut features = Features::plain(input.clone());
+        let mut skips = Vec::with_capacity(self.encoder.len());
+        for (scale, block) in self.encoder.iter().enumerate() {
+            if scale > 0 {
+                features = Features::plain(pool(level, &features));
+            }
+            features = block.forward(level, &[&features]);
+            skips.push(features.clone());
+        }
+        for (scale, block) in self.decoder.iter().enumerate().rev() {
+            let up = &self.up[scale];
+            let lifted = Features::plain(unpool(level, &features, up.weight.val(), up.bias.val()));
+            features = block.forward(level, &[&skips[scale], &lifted]);
+        }
+        input + convolve(level, &[&features], self.output.weight.val(), self.output.bias.val())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_that_are_no_network_are_refused() {
+        for (base_width, scales) in [(0, 3), (16, 0), (16, 8), (513, 1), (512, 4)] {
+            assert!(UnetConfig { base_width, scales }.validate().is_err(), "{base_width} {scales}");
+        }
+        assert!(UnetConfig::default().validate().is_ok());
+        assert_eq!(UnetConfig::default().multiple(), 4);
+    }
+}
