@@ -127,7 +127,8 @@ mod tests {
         let shot = capture(&lens, &white(), &sensor, &frame, settings(), None).expect("renders");
         for channel in 0..3 {
             let of = |(r, c): (usize, usize)| sensor.cfa.channel(r, c) == channel;
-            let values: Vec<f64> = shot.dn.indexed_iter().filter(|(at, _)| of(*at)).map(|(_, v)| f64::from(*v)).collect();
+            let values: Vec<f64> =
+                shot.dn.indexed_iter().filter(|(at, _)| of(*at)).map(|(_, v)| f64::from(*v)).collect();
             let mean = values.iter().sum::<f64>() / values.len() as f64;
             let expected = 256.0 + 0.8 * sensor.neutral_response[channel] * 3839.0;
             // Five standard errors of the rendering, and the rounding to whole DN.
@@ -145,7 +146,11 @@ mod tests {
         let again = capture(&lens, &white(), &sensor, &frame, with_noise, None).expect("renders");
         assert_eq!(shot.dn, again.dn);
         let scale = sensor.white_level - sensor.black_level;
-        let added = shot.dn.iter().zip(&shot.clean).map(|(dn, y)| ((f64::from(*dn) - sensor.black_level) / scale - f64::from(*y)) as f32);
+        let added = shot
+            .dn
+            .iter()
+            .zip(&shot.clean)
+            .map(|(dn, y)| ((f64::from(*dn) - sensor.black_level) / scale - f64::from(*y)) as f32);
         let rms = root_mean_square(added.collect::<Vec<_>>().into_iter());
         // 6144 draws: five standard errors of an RMS are 4.5 %.
         assert!((rms / shot.sensor_noise - 1.0).abs() < 0.05, "{rms} against {}", shot.sensor_noise);

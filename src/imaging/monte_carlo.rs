@@ -1,15 +1,15 @@
 //! The reference renderer: rays from the sensor, the paper's own image formation (§3.1.2).
 //!
-//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, `Z` in front of it;
-//! `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture stops it. Position
-//! in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The result is relative
-//! to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
+//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, at the
+//! distance `Z`; `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture
+//! stops it. Position in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The
+//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
 //!
 //! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
-//! estimate is unbiased but for the wavelengths' grid ([`rear`], below 1e-5). Directions come from the whole rear aperture
-//! ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass ([`Sampling::Bounded`],
-//! [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so that a probe's mistake
-//! costs noise, not truth.
+//! estimate is unbiased but for the grid of wavelengths ([`rear`], below 1e-5). Directions come from the whole rear
+//! aperture ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass
+//! ([`Sampling::Bounded`], [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so
+//! that a probe's mistake costs noise, not truth.
 //! Not covered: diffraction, Fresnel losses, depth within a scene, gradients.
 
 pub mod bounds;
@@ -272,7 +272,7 @@ impl PixelRenderer<'_> {
             let mut group = 0.0;
             for _ in 0..size {
                 // The pupil gets the first two dimensions: its edge makes most of the noise.
-                let u = sampler.next();
+                let u = sampler.draw();
                 let (p, (radial, radius)) = self.sensor_point(row, col, [u[2], u[3]]);
                 // A point of the ellipse (in the sensor point's meridional frame) or of the whole aperture.
                 let q = disk_from_square([u[0], u[1]]);
@@ -336,7 +336,7 @@ impl PixelRenderer<'_> {
         (p, (if radius > 0.0 { p / radius } else { DVec2::Y }, radius))
     }
 
-    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` of the rim's plane; `u` picks the wavelength.
+    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` in the rim's plane; `u` picks the wavelength.
     #[inline]
     fn contribution(&self, p: DVec2, target: DVec2, channel: usize, u: f64, tally: &mut Tally) -> f64 {
         tally.rays += 1;

@@ -55,8 +55,8 @@ pub fn trace_forward(surfaces: &[TraceSurface], ratios: &[f64], ray: Ray) -> Opt
         let b = d.z - c * (x0 * d.x + y0 * d.y);
         let cc = c * (x0 * x0 + y0 * y0);
         let disc = b * b - a * cc;
-        // Also refuses a ray along the vertex plane, whose numbers are not finite.
-        if !(disc >= 0.0) {
+        // A ray along the vertex plane has no numbers.
+        if disc.is_nan() || disc < 0.0 {
             return None;
         }
         let root = disc.sqrt().copysign(d.z);

@@ -101,7 +101,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
     let density = SpectralDensity::new(&sensor);
     let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
-    let mut stage = |what: &str, since: Instant, report: &mut DemoReport| {
+    let stage = |what: &str, since: Instant, report: &mut DemoReport| {
         report.stages.push((what.to_owned(), since.elapsed().as_secs_f64()));
     };
 

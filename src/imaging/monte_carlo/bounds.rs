@@ -101,15 +101,16 @@ impl Passing {
         found
     }
 
-    /// Half width across and span along of the points, one cell wider.
+    /// Half width across and span along of the points, two cells wider.
     fn box_around(&self) -> (f64, [f64; 2]) {
-        let half = self.points.iter().map(|p| p.x).fold(0.0, f64::max) + self.cell.x;
-        let low = self.points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min) - self.cell.y;
-        let high = self.points.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max) + self.cell.y;
+        let half = self.points.iter().map(|p| p.x).fold(0.0, f64::max) + 2.0 * self.cell.x;
+        let low = self.points.iter().map(|p| p.y).fold(f64::INFINITY, f64::min) - 2.0 * self.cell.y;
+        let high = self.points.iter().map(|p| p.y).fold(f64::NEG_INFINITY, f64::max) + 2.0 * self.cell.y;
         (half, [low, high])
     }
 
-    /// Tries `cells` rows and half as many columns of `0..half` × `span`.
+    /// Tries `cells` rows and half as many columns of `0..half` × `span`, the first column on the axis of symmetry, where
+    /// even a small pupil has its full height.
     fn on_grid(rear: &RearView, radius: f64, half: f64, span: [f64; 2], cells: usize) -> Self {
         let columns = cells / 2;
         let cell = DVec2::new(half / columns as f64, (span[1] - span[0]) / cells as f64);
@@ -119,9 +120,9 @@ impl Passing {
         for i in 0..cells {
             let y = span[0] + (i as f64 + 0.5) * cell.y;
             for colour in colours {
-                let passes = |j: &usize| rear.trace(p, DVec2::new((*j as f64 + 0.5) * cell.x, y), colour).is_some();
+                let passes = |j: &usize| rear.trace(p, DVec2::new(*j as f64 * cell.x, y), colour).is_some();
                 if let Some(j) = (0..columns).rev().find(passes) {
-                    points.push(DVec2::new((j as f64 + 0.5) * cell.x, y));
+                    points.push(DVec2::new(j as f64 * cell.x, y));
                 }
             }
         }

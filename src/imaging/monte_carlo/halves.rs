@@ -40,9 +40,7 @@ pub fn psnr_against_halves(f: ArrayView3<'_, f32>, halves: &[Rendered; 2]) -> Ag
     let [a, b] = halves;
     let mean_square = unbiased_mse(f, a.mean.view(), b.mean.view());
     let (mut error_part, mut noise_part) = (0.0, 0.0);
-    for (((&f, &ra), &rb), (&va, &vb)) in
-        f.iter().zip(&a.mean).zip(&b.mean).zip(a.variance.iter().zip(&b.variance))
-    {
+    for (((&f, &ra), &rb), (&va, &vb)) in f.iter().zip(&a.mean).zip(&b.mean).zip(a.variance.iter().zip(&b.variance)) {
         let (va, vb) = (f64::from(va), f64::from(vb));
         error_part += f64::from(f - ra) * f64::from(f - rb) * (va + vb);
         noise_part += va * vb;
@@ -71,7 +69,8 @@ mod tests {
             let exact = off.iter().zip(&truth).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / truth.len() as f64;
             let sigma = 0.03;
             let halves = [1, 2].map(|k| {
-                let plane: Vec<f32> = crate::imaging::noise::standard_normal(seed * 2 + k, (1, truth.len())).into_raw_vec_and_offset().0;
+                let plane: Vec<f32> =
+                    crate::imaging::noise::standard_normal(seed * 2 + k, (1, truth.len())).into_raw_vec_and_offset().0;
                 let noise = Array3::from_shape_vec(shape, plane).expect("as many");
                 Rendered {
                     mean: &truth + &(noise * sigma),

@@ -57,7 +57,7 @@ impl Sampler {
 
     /// The next point in `(0, 1)⁵`; the sequence repeats after 2³² points.
     #[inline]
-    pub(super) fn next(&mut self) -> [f64; 5] {
+    pub(super) fn draw(&mut self) -> [f64; 5] {
         let point = self.state.map(|x| (f64::from(x) + 0.5) * (1.0 / 4_294_967_296.0));
         self.count = self.count.wrapping_add(1);
         let bit = (self.count.trailing_zeros() & 31) as usize;
@@ -91,7 +91,7 @@ mod tests {
         let rng = &mut fastrand::Rng::with_seed(1);
         for _ in 0..20 {
             let mut sampler = Sampler::new(rng);
-            let points: Vec<[f64; 5]> = (0..64).map(|_| sampler.next()).collect();
+            let points: Vec<[f64; 5]> = (0..64).map(|_| sampler.draw()).collect();
             for d in 0..5 {
                 let mut seen = [false; 64];
                 points.iter().for_each(|p| seen[(p[d] * 64.0) as usize] = true);
@@ -111,7 +111,7 @@ mod tests {
         let mut sums = [0.0; 6];
         for _ in 0..n {
             let mut sampler = Sampler::new(rng);
-            let p = (0..6).map(|_| sampler.next()).last().expect("six points");
+            let p = (0..6).map(|_| sampler.draw()).last().expect("six points");
             (0..5).for_each(|d| sums[d] += p[d] - 0.5);
             sums[5] += (p[0] - 0.5) * (p[1] - 0.5);
         }

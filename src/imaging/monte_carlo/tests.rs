@@ -126,14 +126,22 @@ fn a_bright_texel_lands_where_rays_from_the_object_land() {
             let pixel = frame.pixel_from_sensor_mm(centroid.into());
             let reach = 18isize;
             let side = (2 * reach).cast_unsigned();
-            let region = Region { row: pixel[1].floor() as isize - reach, col: pixel[0].floor() as isize - reach, rows: side, cols: side };
-            let how = settings(1024);
+            let region = Region {
+                row: pixel[1].floor() as isize - reach,
+                col: pixel[0].floor() as isize - reach,
+                rows: side,
+                cols: side,
+            };
+            // One channel at every pixel.
+            let how = Settings { channels: Channels::Bayer(Cfa([1; 4])), ..settings(1024) };
+            // An object to the right and up is shown to the right and up.
+            assert!((pixel[0] > frame.axis_px[0]) == (right > 0.0) && (pixel[1] < frame.axis_px[1]) == (up > 0.0));
             let got = render(&lens, &scene, &density(), &frame, region, how, None).expect("renders");
             let (mut total, mut variance, mut m, mut m_var) = (0.0, 0.0, [0.0; 2], [0.0; 2]);
             for i in 0..side {
                 for j in 0..side {
-                    let v = f64::from(got.mean[[channel, i, j]]);
-                    let e = f64::from(got.variance[[channel, i, j]]);
+                    let v = f64::from(got.mean[[0, i, j]]);
+                    let e = f64::from(got.variance[[0, i, j]]);
                     let centre = [(region.col + j as isize) as f64 + 0.5, (region.row + i as isize) as f64 + 0.5];
                     total += v;
                     variance += e;
@@ -188,6 +196,22 @@ fn both_samplings_agree_within_their_confidence() {
 }
 
 #[test]
+fn the_probe_misses_nothing_over_whole_frames() {
+    for (name, _) in builtin::LENSES {
+        let lens = builtin::lens(name).expect(name);
+        let frame = Frame::centred(480, 360, lens.sensor.radius_mm() / 300.0).expect("valid");
+        let region = Region { row: 0, col: 0, rows: 360, cols: 480 };
+        let how = Settings { channels: Channels::Bayer(Cfa::RGGB), ..settings(4) };
+        let got = render(&lens, &white(lens.object_vergence), &density(), &frame, region, how, None).expect("renders");
+        assert_eq!(got.outside, 0, "{name}");
+        // The ellipse is tight: of the rays in it (all but one a pixel) most pass.
+        let inside = got.rays - 480 * 360;
+        assert!(got.passed * 10 > inside * 8, "{name}: {} of {inside} pass", got.passed);
+        assert!(got.mean.iter().all(|v| v.is_finite() && *v >= 0.0), "{name}");
+    }
+}
+
+#[test]
 fn threads_and_regions_do_not_change_a_bit() {
     let lens = builtin::lens("two_element").expect("shipped");
     let frame = Frame::centred(64, 48, 0.2).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
@@ -218,7 +242,7 @@ fn no_light_and_bad_requests_are_errors() {
         assert_eq!(error.exit_code(), 2);
         assert!(error.to_string().contains(expected), "{error}");
     };
-    // A thick plate of glass between crossed apertures far from the sensor: outside the image circle.
+    // Far outside the image circle.
     let far = Region { row: 500_000, col: 0, rows: 2, cols: 2 };
     refused(&lens, &white(0.0), far, settings(8), "no rays reach the sensor");
     let mut closed = lens.clone();
@@ -252,7 +276,8 @@ fn halves_are_independent_and_progress_ends_at_one() {
     let product = halves::unbiased_mse(fine.mean.view(), a.mean.view(), b.mean.view());
     let agreement = halves::psnr_against_halves(fine.mean.view(), &[a.clone(), b.clone()]);
     assert!((product - fine.noise_rms().powi(2)).abs() < 4.0 * agreement.standard_error, "{agreement:?}");
-    let off = |r: &Rendered| (&r.mean - &fine.mean).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / r.mean.len() as f64;
+    let off =
+        |r: &Rendered| (&r.mean - &fine.mean).iter().map(|d| f64::from(*d).powi(2)).sum::<f64>() / r.mean.len() as f64;
     let expected = a.noise_rms().powi(2) + fine.noise_rms().powi(2);
     assert!((off(&a) / expected - 1.0).abs() < 0.15, "{} {expected}", off(&a));
 }

@@ -65,7 +65,7 @@ pub(crate) fn photograph(
     write_dng(&dng, taken.dn.view(), sensor, &info)?;
     // The camera, with and without its network.
     let bar = Bar::new(&format!("camera: {}", unseen.name));
-    let camera = |network: bool| -> Result<Array3<f32>> {
+    let mut camera = |network: bool| -> Result<Array3<f32>> {
         let camera = Camera::with_kit(kit.clone(), Steps { network, undistort: true }, options)?;
         if let Some(session) = camera.session() {
             *runtime = session.runtime().to_string();
