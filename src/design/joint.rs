@@ -161,3 +161,107 @@ impl Joint {
         self.adam.first.fill(0.0);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::design::chain::PatchForward;
+    use crate::design::data::Textures;
+    use crate::design::run::{JointSettings, Scenery, Budget, joint_stage, network};
+    use crate::design::task::Task;
+    use crate::imaging::field_map::fit_distortion;
+    use crate::imaging::noise::Noise;
+    use crate::imaging::plan::{Quality, frame_of, plan};
+    use crate::imaging::sensor::Sensor;
+    use crate::imaging::spectrum::SpectralDensity;
+
+    const QUALITY: Quality =
+        Quality { degree: 7, dense: 300, wavelengths: 3, spacing: 40, outside: 1e-2, max_half_width: 16 };
+
+    fn task() -> Task {
+        let mut task = Task::demo();
+        let sensor = task.sensor.as_mut().expect("the demo's");
+        (sensor.columns, sensor.rows, sensor.pitch_um) = (240, 160, 80.0);
+        task
+    }
+
+    /// Scene → loss through the f32 network: the lens gradient against central differences, 1e-2.
+    #[test]
+    fn the_lens_gradient_through_the_network_agrees_with_differences() {
+        let task = task();
+        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let frame = frame_of(&lens).expect("valid");
+        let textures = Textures::built_in(3, 5, 400);
+        let v = lens.object_vergence;
+        let plan = plan(&lens, v, &frame, &SpectralDensity::new(&sensor), QUALITY, None).expect("plans");
+        let electronics =
+            Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
+        let mut net = network(8, 5).expect("valid");
+        let distortion = fit_distortion(&lens, v, plan.max_slope).expect("fits");
+        let mut rng = fastrand::Rng::with_seed(2);
+        // A few steps, so that the network is no identity.
+        for _ in 0..30 {
+            let p = textures.draw(&mut rng, &frame, &distortion, 64, v);
+            let f = forward::<f32>(&lens, &plan, &electronics, &p).expect("renders");
+            net.step_network_only(f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)), 2e-3)
+                .expect("trains");
+        }
+        let patch = textures.draw(&mut rng, &frame, &distortion, 64, v);
+        // The loss in f64 from the f32 pictures, so that its own rounding stays below the differences.
+        let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, crate::network::Step) {
+            let f = forward::<f32>(lens, &plan, &electronics, &patch).expect("renders");
+            let (x, t) = (f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)));
+            let s = net.step(x, t, 0.0, false).expect("runs");
+            let l1 = s.output.iter().zip(&f.truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+            (l1 / s.output.len() as f64, f, s)
+        };
+        let (_, f, s) = loss(&lens);
+        let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), 0), s.target_bar.index_axis(Axis(0), 0));
+        let g = forward_vjp(&lens, &plan, &electronics, &patch, &f, x_bar, t_bar).expect("pulls back");
+        let vars = Variables::refracting(&lens);
+        let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
+        let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
+        for seed in 0..6 {
+            let rng = &mut fastrand::Rng::with_seed(40 + seed);
+            // Half along the gradient, half at random, unit length: a slope that f32 can resolve.
+            let mut dx: Vec<f64> = gradient.iter().map(|v| v / norm).collect();
+            dx.iter_mut().for_each(|d| *d += (rng.f64() - 0.5) * 0.8);
+            let length = dx.iter().map(|v| v * v).sum::<f64>().sqrt();
+            dx.iter_mut().for_each(|d| *d /= length);
+            let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
+            let h = 2e-4;
+            let mut at = |t: f64| {
+                let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();
+                loss(&vars.lens(&lens, &moved)).0
+            };
+            let numeric = (at(h) - at(-h)) / (2.0 * h);
+            crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("direction {seed}"));
+        }
+    }
+
+    /// A budget in steps gives the same bits again, and the lens moves.
+    #[test]
+    fn a_joint_stage_repeats_to_the_bit() {
+        let task = task();
+        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let textures = Textures::built_in(3, 5, 400);
+        let scenery =
+            Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+        let settings = JointSettings {
+            budget: Budget::Steps(6),
+            patch: 32,
+            batch: 1,
+            lens_rate: 0.01,
+            network_rate: 1e-3,
+            quality: QUALITY,
+        };
+        let run = || {
+            let net = network(4, 1).expect("valid");
+            joint_stage(&scenery, &lens, net, settings, &mut |_, _| {}).expect("runs").0
+        };
+        let (a, b) = (run(), run());
+        assert_eq!(a.lens, b.lens);
+        assert_ne!(a.lens, lens);
+        assert_eq!(a.network.parameters(), b.network.parameters());
+    }
+}

@@ -4,4 +4,5 @@ mod adjoints;
 mod cli;
 mod golden;
 mod layering;
+mod renderers;
 mod support;

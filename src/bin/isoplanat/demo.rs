@@ -7,21 +7,17 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use isoplanat::deploy::kit::{Kit, LensEntry};
 use isoplanat::deploy::session::Options;
 use isoplanat::design::run::{Entry, Scenery, joint_stage, network, network_stage};
 use isoplanat::imaging::files::write_png8;
-use isoplanat::imaging::patches::NodeRaster;
 use isoplanat::imaging::plan::{frame_of, plan};
 use isoplanat::imaging::render::Optics;
 use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::Region;
 use isoplanat::lens::prescription;
-use isoplanat::network::card::{ModelCard, sha256_hex};
-use isoplanat::network::onnx;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
 use isoplanat::{Error, Result};
 
+use crate::kit;
 use crate::progress::Bar;
 use settings::Settings;
 
@@ -145,28 +141,16 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
     let render = plan(&lens, lens.object_vergence, &frame, &density, settings.fine, None)?;
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-    let optics = Optics::compute(
-        &lens,
-        lens.object_vergence,
-        &render,
-        NodeRaster::over(whole.grown(render.margin()), settings.wiener_spacing),
-    )?;
-    let shading = optics.shading()?;
-    let mut card = ModelCard::for_unet("isoplanat demo", task.base_width, 3);
-    card.lens_name.clone_from(&lens.name);
-    card.lens_sha256 = lens.sha256();
-    card.calibration_sha256 = sha256_hex(toml::to_string(&sensor).unwrap_or_default().as_bytes());
-    card.training_sha256 = textures.sha256();
-    let kit = Kit::new(
+    let optics = kit::whole_frame(&lens, &render, settings.wiener_spacing)?;
+    let kit = kit::build(
         "isoplanat demo",
-        LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
-        onnx::encode(&net, &card)?,
+        &lens,
+        &net,
+        &sensor,
+        &frame,
+        &optics,
+        textures.sha256(),
         settings.tile,
-        sensor.clone(),
-        frame.clone(),
-        optics.distortion.clone(),
-        shading,
     )?;
     kit.save(&folder.join("kit"), false)?;
     stage("Kit: ONNX model and calibration", clock, &mut report);

@@ -4,18 +4,24 @@
 //! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
+mod capture;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod demo;
 #[cfg(feature = "train")]
 mod design;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod export;
 mod input;
 mod inspect;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod kit;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
 mod output;
-#[cfg(feature = "train")]
 mod progress;
 mod psf;
+mod render;
+mod scene;
 mod trace;
 
 use std::io::{BufWriter, ErrorKind, Write};
@@ -40,6 +46,10 @@ enum Command {
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
     Psf(psf::Args),
+    /// The picture on the sensor, by PSF grid or by rays from the sensor
+    Render(render::Args),
+    /// A RAW capture of a scene, by rays from the sensor
+    Capture(capture::Args),
     /// The whole chain on built-in scenes, with a report
     #[cfg(all(feature = "train", feature = "deploy"))]
     Demo(demo::Args),
@@ -52,11 +62,11 @@ enum Command {
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
-    /// The final network for a fixed lens (needs the feature `train`)
-    #[cfg(not(feature = "train"))]
-    Train(missing::Args),
-    /// ONNX model and calibration of a finished run (needs the feature `train`)
-    #[cfg(not(feature = "train"))]
+    /// ONNX model and calibration of a run, for the camera
+    #[cfg(all(feature = "train", feature = "deploy"))]
+    Export(export::Args),
+    /// ONNX model and calibration of a run (needs the features `train` and `deploy`)
+    #[cfg(not(all(feature = "train", feature = "deploy")))]
     Export(missing::Args),
 }
 
@@ -65,16 +75,18 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
+        Command::Render(args) => render::run(&args, out),
+        Command::Capture(args) => capture::run(&args, out),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
+        #[cfg(not(feature = "train"))]
+        Command::Demo(_) | Command::Design(_) | Command::Export(_) => missing::feature("train"),
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),
-        #[cfg(not(feature = "train"))]
-        Command::Demo(_) => missing::feature("train"),
+        #[cfg(all(feature = "train", feature = "deploy"))]
+        Command::Export(args) => export::run(&args, out),
         #[cfg(all(feature = "train", not(feature = "deploy")))]
-        Command::Demo(_) => missing::feature("deploy"),
-        #[cfg(not(feature = "train"))]
-        Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
+        Command::Demo(_) | Command::Export(_) => missing::feature("deploy"),
     }
 }
 

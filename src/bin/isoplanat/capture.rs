@@ -1,0 +1,78 @@
+//! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isoplanat::imaging::dng::{DngInfo, write_dng};
+use isoplanat::imaging::expose::{CaptureSettings, capture};
+use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
+use isoplanat::imaging::plan::frame_of;
+use isoplanat::imaging::sensor::Sensor;
+
+use crate::progress::Bar;
+use crate::scene::SceneArgs;
+use crate::{input, output};
+
+/// A RAW capture of a scene, by rays from the sensor.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file, or the name of a shipped lens.
+    lens: String,
+    /// Picture file, or a built-in scene as KIND or KIND:SEED.
+    scene: String,
+    /// DNG to write.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Rays a pixel.
+    #[arg(long, default_value_t = 128)]
+    samples: usize,
+    /// Signal of a white object on the axis, green channel, relative to saturation.
+    #[arg(long, default_value_t = 1.0)]
+    exposure: f64,
+    /// Sensor calibration; the generic sensor where left out.
+    #[arg(long)]
+    calibration: Option<PathBuf>,
+    #[command(flatten)]
+    place: SceneArgs,
+    /// Seed of rays and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Overwrite the file.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    output::check_writable(&args.output, args.force)?;
+    let mut lens = input::lens(&args.lens)?;
+    args.place.apply(&mut lens)?;
+    let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
+    let frame = frame_of(&lens)?;
+    let max_slope = slope_at_height(&lens, lens.object_vergence, 1.02 * frame.max_radius_mm())?;
+    let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
+    let plane = args.place.plane(&args.scene, &lens, &frame, &distortion)?;
+    let bar = Bar::new("capture");
+    let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };
+    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;
+    bar.done(String::new());
+    let info = DngInfo {
+        software: concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into(),
+        description: format!("{}, seed {}", args.scene, args.seed),
+        lens: lens.name.clone(),
+        model: String::new(),
+    };
+    write_dng(&args.output, taken.dn.view(), &sensor, &info)?;
+    writeln!(
+        out,
+        "{}: {} × {} pixels, {} rays in {:.1} s; noise of the rendering {:.1e} beside the sensor's {:.1e}",
+        args.output.display(),
+        frame.columns,
+        frame.rows,
+        taken.rays,
+        taken.seconds,
+        taken.render_noise,
+        taken.sensor_noise
+    )?;
+    Ok(())
+}

@@ -1,0 +1,100 @@
+//! `SCENE` on the command line: a picture file, or a built-in scene as `KIND` or `KIND:SEED`.
+
+use std::path::Path;
+
+use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::files::read_linear;
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::warp::{Plane, slope_per_mm};
+use isoplanat::lens::{Lens, SensorRaster};
+use isoplanat::{Error, Result};
+
+/// Where the scene stands and what sees it.
+#[derive(Debug, clap::Args)]
+pub(crate) struct SceneArgs {
+    /// Object distance before the first surface, mm (inf allowed); the lens file's where left out.
+    #[arg(long)]
+    pub(crate) depth_mm: Option<f64>,
+    /// Texels per pixel on the axis; by default the picture just fills the frame.
+    #[arg(long)]
+    pub(crate) texels_per_pixel: Option<f64>,
+    /// Pixels in a row, in place of the lens file's.
+    #[arg(long)]
+    columns: Option<usize>,
+    /// Rows, in place of the lens file's.
+    #[arg(long)]
+    rows: Option<usize>,
+    /// Pixel pitch, µm, in place of the lens file's.
+    #[arg(long)]
+    pitch_um: Option<f64>,
+    /// Axis at the frame's corner: the first quadrant of the field.
+    #[arg(long)]
+    quadrant: bool,
+}
+
+impl SceneArgs {
+    /// Puts the raster and the depth of the command line into `lens`.
+    pub(crate) fn apply(&self, lens: &mut Lens) -> Result<()> {
+        if let Some(depth) = self.depth_mm {
+            if depth.is_nan() || depth <= 0.0 {
+                return Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf"));
+            }
+            lens.object_vergence = 1.0 / depth;
+        }
+        let raster = &mut lens.sensor;
+        let changed = self.columns.is_some() || self.rows.is_some();
+        let (columns, rows) = (self.columns.unwrap_or(raster.columns), self.rows.unwrap_or(raster.rows));
+        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+        let centre = [columns as f64 / 2.0, rows as f64 / 2.0];
+        let axis_px = if self.quadrant {
+            [0.0, 0.0]
+        } else if changed {
+            centre
+        } else {
+            raster.axis_px
+        };
+        *raster = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(raster.pitch_um), axis_px };
+        Ok(())
+    }
+
+    /// The scene named `name`, placed in front of `lens` so that the axis meets the same relative place of both.
+    pub(crate) fn plane(&self, name: &str, lens: &Lens, frame: &Frame, distortion: &Distortion) -> Result<Plane> {
+        // What a lens without distortion would need to fill the frame, and a margin for distortion.
+        let per_pixel = slope_per_mm(distortion, 0.0) * frame.pitch_mm;
+        let path = Path::new(name);
+        let (texture, zoom) = if path.exists() {
+            let texture = read_linear(path)?;
+            let (_, rows, cols) = texture.dim();
+            #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+            let fill = (cols as f64 / frame.columns as f64).min(rows as f64 / frame.rows as f64);
+            (texture, self.texels_per_pixel.unwrap_or(fill))
+        } else {
+            let (kind, seed) = name.split_once(':').unwrap_or((name, "1"));
+            let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
+            let allowed = format!("a picture file, or {} with an optional :SEED", known.join(", "));
+            let bad = |found: String| Error::bad("SCENE", "argument", found, allowed.clone());
+            let kind = SceneKind::from_name(kind).ok_or_else(|| bad(format!("`{name}`")))?;
+            let seed = seed.parse().map_err(|_| bad(format!("seed `{seed}`")))?;
+            let zoom = self.texels_per_pixel.unwrap_or(1.0);
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "raster sizes")]
+            let size = |n: usize| ((n as f64 * zoom * 1.25).ceil() as usize).clamp(16, 16_384);
+            (generate(kind, seed, size(frame.rows), size(frame.columns)), zoom)
+        };
+        if !(zoom > 0.0 && zoom.is_finite()) {
+            return Err(Error::bad("--texels-per-pixel", "value", zoom.to_string(), "a positive number"));
+        }
+        let (_, rows, cols) = texture.dim();
+        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+        let relative = |axis: f64, n: usize, texels: usize| axis / n as f64 * texels as f64;
+        Ok(Plane {
+            axis_texel: [
+                relative(frame.axis_px[0], frame.columns, cols),
+                relative(frame.axis_px[1], frame.rows, rows),
+            ],
+            texture,
+            texels_per_slope: zoom / per_pixel,
+            vergence: lens.object_vergence,
+        })
+    }
+}
