@@ -126,7 +126,7 @@ impl Task {
         let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
         let file = path.display().to_string();
         let mut task: Self = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
+            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
             Error::bad(&file, format!("line {line}"), e.message().replace('\n', " "), "the keys of models/README.md")
         })?;
         let folder = path.parent().unwrap_or(Path::new("."));

@@ -132,7 +132,7 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         ));
     }
     let parsed: File = toml::from_str(text).map_err(|e| {
-        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].lines().count().max(1));
+        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
         Error::bad(file, format!("line {line}"), e.message().replace('\n', " "), "see models/README.md for the form")
     })?;
     if parsed.surface.is_empty() {

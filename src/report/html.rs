@@ -128,7 +128,9 @@ impl Page {
     }
 
     fn grid(&mut self, figures: &str, min_px: u32) -> &mut Self {
-        self.add(&format!("<div class=\"grid\" style=\"--min:{min_px}px\">{figures}</div>"))
+        // What is small on a desk still stands two to a row on a phone.
+        let class = if min_px < 300 { "grid small" } else { "grid" };
+        self.add(&format!("<div class=\"{class}\" style=\"--min:{min_px}px\">{figures}</div>"))
     }
 
     fn add(&mut self, html: &str) -> &mut Self {
@@ -171,11 +173,11 @@ h3 { font-size: 1.02rem; margin: 1.6rem 0 .5rem; }
 p, ul { max-width: 75ch; margin: .5rem 0 1rem; }
 .facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 8.8rem), 1fr)); gap: .75rem; margin: 1rem 0; }
 .facts div { background: var(--card); border-radius: 8px; padding: .7rem .9rem; }
-.facts b { display: block; font-size: 1.4rem; font-weight: 600; font-variant-numeric: tabular-nums; line-height: 1.25; }
+.facts b { display: block; white-space: nowrap; font-size: 1.2rem; font-weight: 600; font-variant-numeric: tabular-nums; line-height: 1.25; }
 .facts span { color: var(--soft); font-size: .86rem; }
 .grid { display: grid; gap: 1rem; margin: 1rem 0;
   grid-template-columns: repeat(auto-fit, minmax(min(var(--min), 100%), 1fr)); align-items: start; }
-@media (max-width: 560px) { .grid { grid-template-columns: repeat(auto-fit, minmax(min(var(--min), 44%), 1fr)); gap: .6rem; } }
+@media (max-width: 560px) { .small { grid-template-columns: repeat(auto-fit, minmax(min(var(--min), 44%), 1fr)); gap: .6rem; } }
 figure { margin: 0; min-width: 0; }
 figure img { display: block; width: 100%; height: auto; border-radius: 4px; background: #000; }
 img.px { image-rendering: pixelated; }

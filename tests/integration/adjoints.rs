@@ -2,7 +2,16 @@
 
 use glam::{DVec2, DVec3};
 use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::field_map::{fit_distortion, fit_distortion_vjp, slope_at_height};
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::patches::NodeRaster;
+use isoplanat::imaging::render::{Optics, RenderPlan, render_region, render_region_vjp};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::Spectrum;
+use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
+use isoplanat::psf::PsfPlan;
+use isoplanat::psf::pupil::PupilSampling;
 use isoplanat::testing::{assert_rel, between, central_difference};
 use isoplanat::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
@@ -10,6 +19,7 @@ use isoplanat::trace::launch::{launch, launch_vjp};
 use isoplanat::trace::refract::{refract, refract_vjp};
 use isoplanat::trace::system::TraceSurface;
 use isoplanat::trace::{FieldPoint, System, SystemGradient};
+use ndarray::Array3;
 
 fn vector(rng: &mut fastrand::Rng, size: f64) -> DVec3 {
     DVec3::new(between(rng, -size, size), between(rng, -size, size), between(rng, -size, size))
@@ -153,4 +163,84 @@ fn slope_from_sensor_vjp_agrees_with_differences() {
         let f = |h: f64| 1.7 * model(std::array::from_fn(|j| b[j] + h * b_dot[j])).slope_from_sensor(r_d);
         assert_rel(pulled, central_difference(f, 1e-3), 1e-8, 1e-2, &format!("{r_d} mm"));
     }
+}
+
+/// A value of the lens against its pulled-back gradient, along random directions of all its numbers.
+fn assert_lens_gradient(lens: &Lens, gradient: &LensGradient, value: impl Fn(&Lens) -> f64, step: f64, tol: f64) {
+    let variables = Variables::all(lens);
+    let (x, gradient) = (variables.values(lens), variables.gradient(gradient));
+    let norm = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    for seed in 0..6 {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
+        let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
+        let at = |h: f64| {
+            let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+            value(&variables.lens(lens, &moved))
+        };
+        assert_rel(pulled, central_difference(at, step), tol, 1e-3 * norm, &format!("{}, direction {seed}", lens.name));
+    }
+}
+
+#[test]
+fn fit_distortion_vjp_agrees_with_differences() {
+    for (name, max_slope) in [("two_element", 0.4), ("cooke_triplet", 0.35), ("phone", 0.6)] {
+        let lens = builtin::lens(name).expect("shipped");
+        let bar = [0.7, -1.1, 0.4, 0.9];
+        let mut gradient = LensGradient::zeros(&lens);
+        fit_distortion_vjp(&lens, lens.object_vergence, max_slope, bar, &mut gradient).expect("traces");
+        let value = |lens: &Lens| {
+            let fit = fit_distortion(lens, lens.object_vergence, max_slope).expect("fits");
+            fit.coefficients_mm.iter().zip(&bar).map(|(c, b)| c * b).sum()
+        };
+        assert_lens_gradient(&lens, &gradient, value, 1e-5, 1e-6);
+    }
+}
+
+/// Image, ideal picture and illumination of one region, each with a random cotangent, through `render_region_vjp` and
+/// `Optics::vjp`.
+#[test]
+fn a_rendered_region_pulls_back_to_the_lens() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+    let spectrum = Spectrum::quadrature(&Sensor::generic(), 2);
+    let plan = RenderPlan {
+        psf: PsfPlan {
+            sampling: PupilSampling::new(7, 80),
+            size: 25,
+            pitch_mm: 0.02,
+            wavelength_nm: spectrum.wavelength_nm,
+            weight: spectrum.weight.to_vec(),
+        },
+        spacing: 20,
+        max_slope: slope_at_height(&lens, 1e-3, 1.1 * frame.max_radius_mm()).expect("inside"),
+        frame,
+    };
+    let scene = Plane {
+        texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
+            let (x, y, k) = (j as f32, i as f32, c as f32 + 1.0);
+            0.5 + 0.2 * (0.31 * x + 0.2 * y * k).sin() + 0.2 * (0.17 * x - 0.43 * y / k).cos()
+        }),
+        texels_per_slope: 2500.0,
+        axis_texel: [-300.0, -200.0],
+        vergence: 1e-3,
+    };
+    let region = Region { row: 141, col: 210, rows: 24, cols: 30 };
+    let rng = &mut fastrand::Rng::with_seed(8);
+    let bars: [Array3<f64>; 3] = std::array::from_fn(|_| Array3::from_shape_fn((3, 24, 30), |_| rng.f64() - 0.5));
+    let optics = |lens: &Lens| {
+        let raster = NodeRaster::over(region.grown(plan.margin()), plan.spacing);
+        Optics::compute(lens, scene.vergence, &plan, raster).expect("traces")
+    };
+    let value = |lens: &Lens| {
+        let r = render_region::<f64>(&optics(lens), &plan, &scene, region);
+        (&r.image * &bars[0]).sum() + (&r.truth * &bars[1]).sum() + (&r.illumination * &bars[2]).sum()
+    };
+    let here = optics(&lens);
+    let rendered = render_region::<f64>(&here, &plan, &scene, region);
+    let [image, truth, illumination] = bars.each_ref().map(|b| b.view());
+    let bar = render_region_vjp(&here, &plan, &scene, region, &rendered, image, truth, illumination);
+    let gradient = here.vjp(&lens, &plan, &bar).expect("pulls back");
+    // A step small enough for the kinks between bilinear texels.
+    assert_lens_gradient(&lens, &gradient, value, 1e-6, 1e-6);
 }

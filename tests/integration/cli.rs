@@ -14,8 +14,10 @@ fn read_json(text: &str) -> Value {
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
-    for command in ["inspect", "trace", "psf"] {
+    for command in ["inspect", "trace", "psf", "render", "capture", "demo", "design", "export"] {
         assert!(help.contains(command), "{help}");
+    }
+    for command in ["inspect", "trace", "psf", "render", "capture"] {
         assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
     }
     assert!(place.run("--version").done().starts_with("isoplanat "));
@@ -108,7 +110,7 @@ fn psf_writes_kernels_and_a_picture_and_overwrites_only_with_force() {
 #[test]
 fn bad_lenses_are_refused_by_file_place_and_value() {
     let cases = [
-        ("radius_mm = 18.5", "radius_mm = 18.5\ncolour = 3", vec!["line", "colour"]),
+        ("radius_mm = 18.5", "radius_mm = 18.5\ncolour = 3", vec!["line 14", "colour"]),
         ("thickness_mm = 8.0", "thickness = 8.0", vec!["line", "thickness"]),
         ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", vec!["surface 0", "semi_diameter_mm", "19", "18.5"]),
         ("thickness_mm = 8.0", "thickness_mm = 0.1", vec!["surfaces 0 and 1", "cross"]),
@@ -170,11 +172,83 @@ fn a_closed_pipe_is_no_error() {
     assert!(output.status.success() && output.stderr.is_empty(), "{output:?}");
 }
 
+/// Both renderers through the program on a small frame: the same picture, to what few rays can show.
+#[test]
+fn render_writes_the_picture_of_either_method() {
+    let place = Workplace::new();
+    let frame = "--columns 48 --rows 32 --pitch-um 60";
+    place.run(&format!("render two_element leaves_are_no_scene -o a.png {frame}")).refused(&["SCENE", "dead_leaves"]);
+    let json = read_json(&place.run(&format!("render two_element dead_leaves:3 -o a.tif {frame} --json")).done());
+    assert!(json["figures"]["largest_energy_outside"].as_f64().expect("number") < 0.01, "{json}");
+    let slow = "--method monte-carlo --samples 16";
+    place.run(&format!("render two_element dead_leaves:3 -o b.tif {frame} {slow}")).done();
+    assert_eq!(place.files(), ["a.tif", "b.tif"]);
+    let [a, b] = ["a.tif", "b.tif"].map(|f| isoplanat::imaging::files::read_linear(&place.path(f)).expect("reads"));
+    assert_eq!(a.dim(), (3, 32, 48));
+    let psnr = isoplanat::imaging::metrics::psnr_linear(a.view(), b.view());
+    assert!(psnr > 25.0, "{psnr:.1} dB");
+    place.run(&format!("render two_element dead_leaves -o a.tif {frame}")).refused(&["a.tif", "--force"]);
+    // A picture of one's own as the scene.
+    place.run(&format!("render two_element a.tif -o c.png {frame}")).done();
+}
+
+#[test]
+fn capture_writes_a_raw_file_that_holds_its_sensor() {
+    let place = Workplace::new();
+    let command = "capture three_element text -o x.dng --columns 32 --rows 24 --pitch-um 30 --samples 4";
+    place.run(command).done();
+    assert_eq!(place.files(), ["x.dng"]);
+    let bytes = std::fs::read(place.path("x.dng")).expect("reads");
+    assert!(bytes.starts_with(b"II*\0") || bytes.starts_with(b"MM\0*"), "a TIFF");
+    place.run(command).refused(&["x.dng", "--force"]);
+}
+
+#[test]
+fn bad_scenes_and_rasters_are_refused_and_nothing_is_written() {
+    let place = Workplace::new();
+    place.write("scene.png", b"no picture").write("sensor.toml", "schema = 1\nname = 3\n");
+    for (arguments, expected) in [
+        ("render cooke_triplet scene.png -o a.png", ["scene.png", "picture"]),
+        ("render cooke_triplet text:x -o a.png", ["SCENE", "seed"]),
+        ("render cooke_triplet text -o none/a.png", ["none/a.png", "folder"]),
+        ("render cooke_triplet text -o a.png --depth-mm 0 --columns 16 --rows 16", ["--depth-mm", "0"]),
+        ("render cooke_triplet text -o a.png --columns 0 --rows 16", ["columns", "0"]),
+        ("render cooke_triplet text -o a.png --columns 16 --rows 16 --pitch-um 0", ["pitch", "0"]),
+        ("capture cooke_triplet text -o a.dng --calibration sensor.toml", ["sensor.toml", "line 2"]),
+        ("capture no_such_lens text -o a.dng", ["no_such_lens", "cooke_triplet"]),
+    ] {
+        place.run(arguments).refused(&expected);
+    }
+    assert_eq!(place.files(), ["scene.png", "sensor.toml"]);
+}
+
+/// A run of two steps, its kit, and what each refuses.
+#[cfg(all(feature = "train", feature = "deploy"))]
+#[test]
+fn design_and_export_make_a_run_and_a_kit() {
+    let place = Workplace::new();
+    let task = "schema = 1\nlens = \"two_element\"\nscenes = 1\nsteps = 2\npatch_px = 32\nbatch = 1\nbase_width = 4\n\
+                sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
+    place.write("task.toml", task).write("bad.toml", task.replace("scenes", "scnes"));
+    place.run("design bad.toml -o run").refused(&["bad.toml", "line 3", "scnes"]);
+    place.run("design none.toml -o run").refused(&["none.toml"]);
+    place.run("export run -o kit").refused(&["run"]);
+    assert_eq!(place.files(), ["bad.toml", "task.toml"]);
+    place.run("design task.toml -o run").done();
+    place.run("design task.toml -o run").refused(&["run", "--force"]);
+    place.run("export run -o kit").done();
+    place.run("export run -o kit").refused(&["kit", "--force"]);
+    assert_eq!(place.files(), ["bad.toml", "kit", "run", "task.toml"]);
+    for file in ["kit/kit.toml", "kit/model.onnx", "run/lens.toml", "run/network.safetensors", "run/log.csv"] {
+        assert!(place.path(file).is_file(), "{file}");
+    }
+}
+
 #[cfg(not(feature = "train"))]
 #[test]
 fn commands_of_a_missing_feature_say_how_to_get_it() {
     let place = Workplace::new();
-    for command in ["demo --quick", "design task.toml -o run", "train task.toml -o run", "export run -o kit"] {
+    for command in ["demo --quick", "design task.toml -o run", "export run -o kit"] {
         place.run(command).refused(&["this build lacks the feature `train`; build with --features train"]);
     }
 }

@@ -20,10 +20,11 @@ const CRATES: [(&[&str], &[&str]); 5] = [
 ];
 
 /// Files over 600 lines, each with its reason.
-const LONG: [(&str, &str); 0] = [];
+const LONG: [(&str, &str); 1] = [("src/network/reconstructor.rs", "400 lines of one type, the rest its tests")];
 
-/// Adjoints without a test that names them, each with its reason.
-const UNTESTED: [(&str, &str); 0] = [];
+/// Methods called `vjp` whose test stands in `tests/`: their file, and the test.
+const TESTED_ELSEWHERE: [(&str, &str); 1] =
+    [("src/imaging/render.rs", "fn a_rendered_region_pulls_back_to_the_lens()")];
 
 /// Every source file: path from the root, text.
 fn sources(folder: &str) -> BTreeMap<String, String> {
@@ -180,17 +181,20 @@ fn a_module_uses_only_modules_before_it() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// Crates by place; the code of tests is left out.
 #[test]
 fn heavy_crates_are_named_only_in_their_places() {
     let mut wrong = Vec::new();
     for (file, text) in sources("src") {
+        // Tests may name the crate that judges.
         let code = code(&text);
+        let code = code.split("#[cfg(test)]").next().unwrap_or_default();
         for (names, places) in CRATES {
             if places.iter().any(|p| file.starts_with(p)) {
                 continue;
             }
             for name in names {
-                let used = paths(&code, name).first().map(|p| p.2);
+                let used = paths(code, name).first().map(|p| p.2);
                 let imported = code.lines().position(|l| l.trim() == format!("use {name};"));
                 if let Some(line) = used.or(imported) {
                     wrong.push(format!("{file}:{line}: names the crate {name}; only {places:?} may"));
@@ -214,10 +218,10 @@ fn every_adjoint_has_a_test_that_names_it() {
             let call = if name == "vjp" { ".vjp(".to_owned() } else { format!("{name}(") };
             let generic = call.replace('(', "::<");
             let named = |text: &str| text.contains(&call) || text.contains(&generic);
-            let listed = UNTESTED.iter().any(|(n, _)| *n == format!("{file}:{name}"));
             // A method called `vjp` must be called in its own file: elsewhere the call may be another type's.
-            let tested = named(own_tests) || name != "vjp" && named(&tests);
-            if (name == "vjp" || name.ends_with("_vjp")) && !tested && !listed {
+            let listed = || TESTED_ELSEWHERE.iter().any(|(f, test)| *f == file && tests.contains(test));
+            let tested = named(own_tests) || if name == "vjp" { listed() } else { named(&tests) };
+            if (name == "vjp" || name.ends_with("_vjp")) && !tested {
                 missing.push(format!("{file}: {name}"));
             }
         }
