@@ -50,7 +50,7 @@ impl Settings {
         let seconds = |s: u64| Budget::Time(Duration::from_secs(s));
         let base = Self {
             joint: JointSettings {
-                budget: seconds(150),
+                budget: seconds(140),
                 patch: 128,
                 batch: 2,
                 lens_rate: 0.02,
@@ -58,7 +58,7 @@ impl Settings {
                 quality: Quality::DESIGN,
             },
             train: TrainSettings {
-                budget: seconds(270),
+                budget: seconds(300),
                 regions: 160,
                 region: 256,
                 crop: 192,
@@ -68,7 +68,7 @@ impl Settings {
             fine: Quality::FINE,
             wiener_spacing: 64,
             tile: 320,
-            samples: 96,
+            samples: 192,
             reference_samples: 512,
             compared: 128,
             atlas: 7,
