@@ -30,7 +30,7 @@ impl Tiling {
         if !(1..=1024).contains(&multiple) {
             return Err(Error::bad("", "multiple", multiple.to_string(), "1 to 1024 pixels"));
         }
-        if tile == 0 || tile % multiple != 0 || tile > 8192 {
+        if tile == 0 || !tile.is_multiple_of(multiple) || tile > 8192 {
             let allowed = format!("a multiple of {multiple} up to 8192");
             return Err(Error::bad("", "tile_px", tile.to_string(), allowed));
         }

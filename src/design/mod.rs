@@ -2,7 +2,7 @@
 //!
 //! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
 //! the network and the optimiser around it; [`constraint`] keeps the lens buildable; [`data`] draws patches;
-//! [`run`] is the loop with its folder; [`kit`] exports what the camera needs.
+//! [`run`] is the loop with its folder; [`task`] is the file that asks for one.
 
 pub mod chain;
 pub mod constraint;

@@ -126,10 +126,12 @@ pub fn joint_stage(
             break;
         }
         // The kernel follows the PSF as the lens gets better; the fitted field stays.
-        if step % 25 == 0 && step > 0 && settings.lens_rate > 0.0 {
-            if let Ok(p) = plan(&joint.lens, v, &scenery.frame, &density, settings.quality, Some(field)) {
-                render = p;
-            }
+        if step % 25 == 0
+            && step > 0
+            && settings.lens_rate > 0.0
+            && let Ok(p) = plan(&joint.lens, v, &scenery.frame, &density, settings.quality, Some(field))
+        {
+            render = p;
         }
         let distortion = fit_distortion(&joint.lens, v, field)?;
         let patches: Vec<Patch> = (0..settings.batch)

@@ -146,7 +146,7 @@ impl Task {
         if self.schema != SCHEMA {
             return bad("schema", self.schema.to_string(), "1");
         }
-        if self.patch_px < 32 || self.patch_px % 4 != 0 || self.patch_px > 1024 {
+        if self.patch_px < 32 || !self.patch_px.is_multiple_of(4) || self.patch_px > 1024 {
             return bad("patch_px", self.patch_px.to_string(), "a multiple of 4 from 32 to 1024");
         }
         if !(1..=64).contains(&self.batch) {

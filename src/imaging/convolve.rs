@@ -41,7 +41,7 @@ pub fn convolve<T: Real>(
     let channels = source.len_of(Axis(0));
     let plan = RealFft2::new(good_size(grown.rows), good_size(grown.cols));
     let nodes: Vec<usize> = (0..raster.len()).filter(|n| raster.support(*n, grown).is_some()).collect();
-    let spectra: Vec<(Vec<Spectrum<T>>, Vec<Spectrum<T>>)> = nodes
+    let spectra: Vec<(Vec<_>, Vec<_>)> = nodes
         .par_iter()
         .map(|&n| {
             (0..channels)
@@ -58,7 +58,7 @@ pub fn convolve<T: Real>(
         .map(|c| {
             let mut sum = zero_like(&kernel_spectra[0][c]);
             for (k, x) in kernel_spectra.iter().zip(&source_spectra) {
-                sum.iter_mut().zip(k[c].iter().zip(&x[c])).for_each(|(s, (a, b))| *s = *s + *a * *b);
+                sum.iter_mut().zip(k[c].iter().zip(&x[c])).for_each(|(s, (a, b))| *s += *a * *b);
             }
             plan.inverse(sum, size - 1, region.rows).slice(s![.., size - 1..size - 1 + region.cols]).to_owned()
         })
@@ -203,7 +203,7 @@ fn zero_like<T: Real>(a: &Spectrum<T>) -> Spectrum<T> {
 /// `bar · conj(x)`: spectrum of the correlation.
 fn correlated<T: Real>(bar: &Spectrum<T>, x: &Spectrum<T>) -> Spectrum<T> {
     let mut out = bar.clone();
-    out.iter_mut().zip(x).for_each(|(a, b)| *a = *a * b.conj());
+    out.iter_mut().zip(x).for_each(|(a, b)| *a *= b.conj());
     out
 }
 

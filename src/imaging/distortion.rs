@@ -178,8 +178,8 @@ mod tests {
         let b = [25.0, -2.5, 0.3, -0.1];
         let (r, s) = samples(b);
         let model = fit(&r, &s).expect("monotonic");
-        for j in 0..4 {
-            assert!((model.coefficients_mm[j] - b[j]).abs() < 1e-11, "{:?}", model.coefficients_mm);
+        for (found, planted) in model.coefficients_mm.iter().zip(b) {
+            assert!((found - planted).abs() < 1e-11, "{:?}", model.coefficients_mm);
         }
         for i in 0..100 {
             let r = 0.5 * f64::from(i) / 100.0;

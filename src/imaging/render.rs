@@ -169,6 +169,7 @@ pub fn render_region<T: Real>(optics: &Optics, plan: &RenderPlan, scene: &Plane,
 }
 
 /// Pulls cotangents on image, truth and illumination of a rendered region back to the optics.
+#[expect(clippy::too_many_arguments, reason = "the forward call's own arguments and three cotangents")]
 pub fn render_region_vjp<T: Real>(
     optics: &Optics,
     plan: &RenderPlan,

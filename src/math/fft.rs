@@ -72,7 +72,7 @@ impl<T: FftNum> RealFft2<T> {
             }
             // The imaginary parts of the two real lines are rounding; realfft refuses them otherwise.
             freq[0].im = T::zero();
-            if self.cols % 2 == 0 {
+            if self.cols.is_multiple_of(2) {
                 let last = freq.len() - 1;
                 freq[last].im = T::zero();
             }
@@ -87,7 +87,7 @@ impl<T: FftNum> RealFft2<T> {
 pub fn good_size(n: usize) -> usize {
     let smooth = |mut m: usize| {
         for p in [2, 3, 5] {
-            while m % p == 0 {
+            while m.is_multiple_of(p) {
                 m /= p;
             }
         }

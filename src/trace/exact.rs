@@ -81,7 +81,7 @@ pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
     }
     for (i, ray) in request.rays.iter().enumerate() {
         let d = DVec3::from(ray.direction);
-        if !ray.origin_mm.iter().all(|x| x.is_finite()) || !d.is_finite() || !(d.length() > 0.0) {
+        if !ray.origin_mm.iter().all(|x| x.is_finite()) || d.try_normalize().is_none() {
             return Err(Error::bad(
                 file,
                 format!("rays[{i}]"),

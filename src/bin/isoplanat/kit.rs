@@ -19,6 +19,7 @@ pub(crate) fn whole_frame(lens: &Lens, render: &RenderPlan, spacing: usize) -> R
 }
 
 /// The kit of `network`, trained for `lens`; `optics` gives distortion and illumination.
+#[expect(clippy::too_many_arguments, reason = "the parts of a kit")]
 pub(crate) fn build(
     name: &str,
     lens: &Lens,
