@@ -21,7 +21,9 @@ pub(super) struct MapPolynomial {
 impl MapPolynomial {
     /// Whether it applies to a sample.
     pub(super) fn covers(&self, plane: usize, row: usize, column: usize) -> bool {
-        let on = |at: usize, (from, to): (usize, usize), step: usize| at >= from && at < to && (at - from).is_multiple_of(step);
+        let on = |at: usize, (from, to): (usize, usize), step: usize| {
+            at >= from && at < to && (at - from).is_multiple_of(step)
+        };
         let (first, planes) = self.planes;
         (first..first.saturating_add(planes)).contains(&plane)
             && on(row, self.rows, self.step.0)
