@@ -4,5 +4,7 @@ mod adjoints;
 mod cli;
 mod golden;
 mod layering;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod parity;
 mod renderers;
 mod support;

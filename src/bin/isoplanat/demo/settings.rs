@@ -50,7 +50,7 @@ impl Settings {
         let seconds = |s: u64| Budget::Time(Duration::from_secs(s));
         let base = Self {
             joint: JointSettings {
-                budget: seconds(140),
+                budget: seconds(135),
                 patch: 128,
                 batch: 2,
                 lens_rate: 0.02,
@@ -58,7 +58,7 @@ impl Settings {
                 quality: Quality::DESIGN,
             },
             train: TrainSettings {
-                budget: seconds(300),
+                budget: seconds(285),
                 regions: 160,
                 region: 256,
                 crop: 192,
