@@ -63,6 +63,12 @@ impl Error {
         Self::Io { path: path.to_owned(), what: "writing", source }
     }
 
+    /// A TOML text that does not parse: its line, and what the parser said.
+    pub fn toml(file: &str, text: &str, error: &toml::de::Error, allowed: &str) -> Self {
+        let line = error.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
+        Self::bad(file, format!("line {line}"), error.message().trim().replace('\n', " "), allowed)
+    }
+
     /// The same error with the file's name put in where it was not known (`file` empty).
     #[must_use]
     pub fn in_file(self, path: &Path) -> Self {
@@ -82,15 +88,4 @@ impl Error {
             _ => 2,
         }
     }
-}
-
-/// Writes `bytes` beside `path` and renames them there, so that the file appears whole or not at all.
-pub fn write_atomically(path: &Path, bytes: &[u8]) -> Result<()> {
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".part{}", std::process::id()));
-    let beside = path.with_file_name(name);
-    std::fs::write(&beside, bytes).and_then(|()| std::fs::rename(&beside, path)).map_err(|e| {
-        let _ = std::fs::remove_file(&beside);
-        Error::writing(path, e)
-    })
 }

@@ -13,6 +13,8 @@
 //! dispersion formulas (`_um`). `z` runs along the light, `+y` is up. Images are `[channel, row, col]` in linear light.
 
 pub mod error;
+
+pub mod atomic;
 pub mod units;
 
 #[doc(hidden)]

@@ -11,11 +11,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::atomic;
 use crate::deploy::session;
 use crate::deploy::tiles::Tiling;
 use crate::error::{Error, Result};
 use crate::imaging::distortion::Distortion;
-use crate::imaging::files;
 use crate::imaging::frame::Frame;
 use crate::imaging::sensor::Sensor;
 use crate::imaging::shading::Shading;
@@ -198,33 +198,12 @@ impl Kit {
     /// # Errors
     /// [`Error::Exists`], or a file that cannot be written.
     pub fn save(&self, folder: &Path, replace: bool) -> Result<()> {
-        if folder.exists() && !(replace && folder.join(FILE).is_file()) {
-            return Err(Error::Exists(folder.to_owned()));
-        }
-        let name = folder.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-        let beside = |what: &str| folder.with_file_name(format!(".{name}.{}.{what}", std::process::id()));
-        let (partial, old) = (beside("partial"), beside("old"));
-        let written = self.write_into(&partial).and_then(|()| {
-            if folder.exists() {
-                std::fs::rename(folder, &old).map_err(|e| Error::writing(folder, e))?;
-            }
-            std::fs::rename(&partial, folder).map_err(|e| {
-                // Put the old kit back; the first error is the one to tell.
-                let _ = std::fs::rename(&old, folder);
-                Error::writing(folder, e)
-            })
-        });
-        let leftovers = if written.is_ok() { &old } else { &partial };
-        if leftovers.exists() {
-            let _ = std::fs::remove_dir_all(leftovers);
-        }
-        written
+        atomic::write_folder(folder, FILE, replace, |partial| self.write_into(partial))
     }
 
     fn write_into(&self, folder: &Path) -> Result<()> {
-        std::fs::create_dir_all(folder).map_err(|e| Error::writing(folder, e))?;
-        files::write_bytes(&folder.join(FILE), self.to_toml()?.as_bytes())?;
-        files::write_bytes(&folder.join(&self.model.file), &self.model_bytes)
+        atomic::write_bytes(&folder.join(FILE), self.to_toml()?.as_bytes())?;
+        atomic::write_bytes(&folder.join(&self.model.file), &self.model_bytes)
     }
 
     /// The text of `kit.toml`.
@@ -294,11 +273,7 @@ fn parse(text: &str, file: &str) -> Result<KitFile> {
     struct Form {
         schema: Option<u32>,
     }
-    let syntax = |e: toml::de::Error| {
-        let line = e.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
-        let found = e.message().trim().replace('\n', " ");
-        Error::bad(file, format!("line {line}"), found, "the keys `isoplanat export` writes")
-    };
+    let syntax = |e: toml::de::Error| Error::toml(file, text, &e, "the keys `isoplanat export` writes");
     let form: Form = toml::from_str(text).map_err(syntax)?;
     match form.schema {
         Some(SCHEMA) => toml::from_str(text).map_err(syntax),

@@ -9,6 +9,7 @@ use ndarray::{Array4, Axis};
 use super::chain::{Patch, forward, forward_vjp};
 use super::constraint::Constraints;
 use crate::error::Result;
+use crate::imaging::metrics::decibel;
 use crate::imaging::render::RenderPlan;
 use crate::imaging::simulate::Electronics;
 use crate::lens::variables::Variables;
@@ -74,6 +75,21 @@ pub struct Report {
     pub moved: bool,
 }
 
+/// Mean absolute difference, and PSNR in linear light (dB, at most 120), of two pictures of equal size.
+pub(super) fn l1_and_psnr<'a>(
+    a: impl ExactSizeIterator<Item = &'a f32>,
+    b: impl Iterator<Item = &'a f32>,
+) -> (f64, f64) {
+    let n = a.len() as f64;
+    let (mut l1, mut l2) = (0.0, 0.0);
+    for (x, y) in a.zip(b) {
+        let d = f64::from(x - y);
+        l1 += d.abs();
+        l2 += d * d;
+    }
+    (l1 / n, decibel((l2 / n).max(1e-12)))
+}
+
 impl Joint {
     /// Starts from `lens` and `network`.
     pub fn new(lens: Lens, network: Reconstructor, variables: Variables, constraints: Constraints) -> Self {
@@ -108,10 +124,7 @@ impl Joint {
             ndarray::stack(Axis(0), &views).expect("equal sizes")
         };
         let (input, target) = (batch(|f| &f.developed), batch(|f| &f.truth));
-        let psnr = |a: &Array4<f32>| {
-            let mse = a.iter().zip(&target).map(|(x, y)| f64::from(x - y).powi(2)).sum::<f64>() / a.len() as f64;
-            -10.0 * mse.max(1e-12).log10()
-        };
+        let psnr = |a: &Array4<f32>| l1_and_psnr(a.iter(), target.iter()).1;
         if lens_rate == 0.0 {
             let s = self.network.step_network_only(input.view(), target.view(), network_rate)?;
             return Ok(Report {

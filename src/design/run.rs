@@ -10,7 +10,7 @@ use ndarray::{Array2, Array3, Array4, Axis, s};
 use super::chain::{Patch, forward};
 use super::constraint::Constraints;
 use super::data::Textures;
-use super::joint::{Joint, Report};
+use super::joint::{Joint, Report, l1_and_psnr};
 use crate::error::Result;
 use crate::imaging::field_map::fit_distortion;
 use crate::imaging::frame::Frame;
@@ -225,10 +225,7 @@ pub fn network_stage(
         let (input, target) = crop(&electronics, pair, settings.crop, &mut rng);
         let rate = settings.rate * schedule((used - begun) / (1.0 - begun));
         let done = network.step_network_only(input.view(), target.view(), rate)?;
-        let psnr = |a: &Array4<f32>| {
-            let mse = a.iter().zip(&target).map(|(x, y)| f64::from(x - y).powi(2)).sum::<f64>() / a.len() as f64;
-            -10.0 * mse.max(1e-12).log10()
-        };
+        let psnr = |a: &Array4<f32>| l1_and_psnr(a.iter(), target.iter()).1;
         step += 1;
         recent.push(Report {
             loss: f64::from(done.loss),
@@ -286,16 +283,7 @@ pub fn validate(
         let p = scenery.textures.draw(&mut rng, &scenery.frame, &distortion, patch, v);
         let f = forward::<f32>(lens, &render, &electronics, &p)?;
         let output = network.forward(f.developed.view().insert_axis(Axis(0)))?;
-        let error = |a: ndarray::ArrayView3<'_, f32>| {
-            let n = a.len() as f64;
-            let (mut l1, mut l2) = (0.0, 0.0);
-            for (x, y) in a.iter().zip(&f.truth) {
-                let d = f64::from(x - y);
-                l1 += d.abs() / n;
-                l2 += d * d / n;
-            }
-            (l1, -10.0 * l2.max(1e-12).log10())
-        };
+        let error = |a: ndarray::ArrayView3<'_, f32>| l1_and_psnr(a.iter(), f.truth.iter());
         let (input, out) = (error(f.developed.view()), error(output.index_axis(Axis(0), 0)));
         reports.push(Report { loss: out.0, penalty: 0.0, input_psnr_db: input.1, output_psnr_db: out.1, moved: false });
     }

@@ -125,10 +125,8 @@ impl Task {
     pub fn load(path: &Path) -> Result<Self> {
         let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
         let file = path.display().to_string();
-        let mut task: Self = toml::from_str(&text).map_err(|e| {
-            let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
-            Error::bad(&file, format!("line {line}"), e.message().replace('\n', " "), "the keys of models/README.md")
-        })?;
+        let mut task: Self =
+            toml::from_str(&text).map_err(|e| Error::toml(&file, &text, &e, "the keys of models/README.md"))?;
         let folder = path.parent().unwrap_or(Path::new("."));
         for p in [&mut task.photos, &mut task.calibration].into_iter().flatten() {
             *p = folder.join(&*p);

@@ -5,16 +5,15 @@
 //! grey becomes three equal channels, the orientation in the metadata is applied. Outputs are written beside their place and
 //! renamed, so that they appear whole or not at all.
 
-use std::fs::{self, File};
-use std::io::{BufWriter, Cursor, Write};
-use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::io::Cursor;
+use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder};
 use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Rgb};
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
+pub use crate::atomic::{write_atomic, write_bytes};
 use crate::error::{Error, Result};
 use crate::imaging::color::{linear_from_srgb, srgb_from_linear};
 
@@ -216,43 +215,10 @@ fn unwritten(path: &Path, e: ImageError) -> Error {
     }
 }
 
-/// Writes bytes, whole or not at all.
-pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
-    write_atomic(path, |out| out.write_all(bytes).map_err(|e| Error::writing(path, e)))
-}
-
-/// Runs `fill` on a file beside `path` and renames it to `path` when that went well; otherwise nothing is left behind.
-pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    let partial = Partial(beside(path));
-    let failed = |e| Error::writing(path, e);
-    let file = File::options().write(true).create_new(true).open(&partial.0).map_err(failed)?;
-    let mut out = BufWriter::new(file);
-    fill(&mut out)?;
-    out.flush().map_err(failed)?;
-    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
-    file.sync_all().map_err(failed)?;
-    fs::rename(&partial.0, path).map_err(failed)
-}
-
-/// A file that is removed when its writing ends early; after the rename there is nothing left to remove.
-struct Partial(PathBuf);
-
-impl Drop for Partial {
-    fn drop(&mut self) {
-        let _ = fs::remove_file(&self.0);
-    }
-}
-
-/// A name in the same folder that no other writer uses.
-fn beside(path: &Path) -> PathBuf {
-    static COUNT: AtomicU64 = AtomicU64::new(0);
-    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
-    let count = COUNT.fetch_add(1, Ordering::Relaxed);
-    path.with_file_name(format!(".{name}.{}-{count}.partial", std::process::id()))
-}
-
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn picture() -> Array3<f32> {

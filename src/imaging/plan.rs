@@ -43,6 +43,11 @@ pub fn frame_of(lens: &Lens) -> Result<Frame> {
     Frame::centred(lens.sensor.columns, lens.sensor.rows, lens.sensor.pitch_mm())?.with_axis(lens.sensor.axis_px)
 }
 
+/// Object slope up to which the distortion is fitted for `frame`: 2 % beyond its farthest corner.
+pub fn field_slope(lens: &Lens, vergence: f64, frame: &Frame) -> Result<f64> {
+    slope_at_height(lens, vergence, 1.02 * frame.max_radius_mm())
+}
+
 /// A plan for rendering `lens` on `frame`, objects at `vergence`; `max_slope` may be held from an earlier plan.
 pub fn plan(
     lens: &Lens,
@@ -55,7 +60,7 @@ pub fn plan(
     let spectrum: Spectrum = density.quadrature(quality.wavelengths);
     let max_slope = match max_slope {
         Some(s) => s,
-        None => slope_at_height(lens, vergence, 1.02 * frame.max_radius_mm())?,
+        None => field_slope(lens, vergence, frame)?,
     };
     let mut plan = RenderPlan {
         psf: PsfPlan {

@@ -84,11 +84,8 @@ impl Sensor {
         struct Form {
             schema: Option<u32>,
         }
-        let syntax = |e: toml::de::Error| {
-            let line = e.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
-            let found = e.message().trim().replace('\n', " ");
-            Error::bad(file, format!("line {line}"), found, "calibration/README.md lists the keys of a sensor.toml")
-        };
+        let syntax =
+            |e: toml::de::Error| Error::toml(file, text, &e, "calibration/README.md lists the keys of a sensor.toml");
         let form: Form = toml::from_str(text).map_err(syntax)?;
         if form.schema != Some(SCHEMA) {
             let found = form.schema.map_or("missing".into(), |s| s.to_string());

@@ -4,7 +4,7 @@
 //! nearest texel continues. The pixel at offset `δ` (pixels) from the axis sees the object slope
 //! `r = D⁻¹(|δ| p)` in the direction of `δ`: [`warp`]; its pull-back goes to the distortion's coefficients.
 
-use ndarray::{Array2, Array3, ArrayView3, Axis};
+use ndarray::{Array3, ArrayView3, Axis};
 use rayon::prelude::*;
 
 use super::cfa::Real;
@@ -173,12 +173,6 @@ pub fn warp_vjp<T: Real>(
         s.iter_mut().zip(r).for_each(|(a, b)| *a += b);
         s
     })
-}
-
-/// Mean over channels, for scenes that are grey.
-pub fn is_grey(texture: &Array3<f32>) -> bool {
-    let first: Array2<f32> = texture.index_axis(Axis(0), 0).to_owned();
-    texture.axis_iter(Axis(0)).all(|c| c == first)
 }
 
 #[cfg(test)]

@@ -15,9 +15,10 @@ use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
-use self::fft::{Fft2, smooth};
+use self::fft::Fft2;
 use crate::error::{Error, Result};
 use crate::imaging::metrics;
+use crate::math::fft::good_size;
 
 /// Smallest margin around a tile, pixels: the filter's tails are longer than the kernel.
 const MARGIN: usize = 24;
@@ -211,7 +212,7 @@ impl Tile {
     /// The tile's part of the restored plane, weighted.
     fn restore(&self, plane: ArrayView2<'_, f32>, kernel: ArrayView2<'_, f32>, nsr: f32, prior: Prior) -> Array2<f32> {
         let margin = MARGIN.max(kernel.nrows());
-        let fft = Fft2::new(smooth(self.rows.len() + 2 * margin), smooth(self.cols.len() + 2 * margin));
+        let fft = Fft2::new(good_size(self.rows.len() + 2 * margin), good_size(self.cols.len() + 2 * margin));
         // Cut out the tile with its margin, reflected at the image's border.
         let cut = |r: usize, c: usize| {
             let row = reflected((self.rows.start + r) as isize - margin as isize, plane.nrows());

@@ -131,10 +131,8 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
             "this program reads schema 1; use a newer one for this file",
         ));
     }
-    let parsed: File = toml::from_str(text).map_err(|e| {
-        let line = e.span().map_or(1, |s| text[..s.start.min(text.len())].matches('\n').count() + 1);
-        Error::bad(file, format!("line {line}"), e.message().replace('\n', " "), "see models/README.md for the form")
-    })?;
+    let parsed: File =
+        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "see models/README.md for the form"))?;
     if parsed.surface.is_empty() {
         return Err(refuse("surface", "no surfaces".into(), "at least one [[surface]]"));
     }
@@ -361,7 +359,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
 
 /// Writes the canonical form beside `path`, then renames it there.
 pub fn save(lens: &Lens, path: &Path) -> Result<()> {
-    crate::error::write_atomically(path, to_toml(lens).as_bytes())
+    crate::atomic::write_bytes(path, to_toml(lens).as_bytes())
 }
 
 #[cfg(test)]

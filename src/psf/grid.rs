@@ -162,6 +162,7 @@ impl PsfGrid {
                 t_bar[[node.radius, c]] -= dot / self.throughput[[node.radius, c]];
             }
         }
+        let systems: Vec<System> = plan.wavelength_nm.iter().map(|nm| System::new(lens, *nm)).collect();
         let parts: Vec<(LensGradient, f64, f64)> = (0..slopes.len())
             .into_par_iter()
             .map(|i| {
@@ -170,7 +171,7 @@ impl PsfGrid {
                 let (mut slope_bar, mut radius_bar) = (0.0, 0.0);
                 for (l, map) in self.maps[i].iter().enumerate() {
                     let weights: Vec<f64> = (0..channels).map(|c| plan.weight[c][l]).collect();
-                    let system = System::new(lens, plan.wavelength_nm[l]);
+                    let system = &systems[l];
                     let count = map.x.len();
                     let direct: f64 = (0..channels).map(|c| weights[c] * t_bar[[i, c]]).sum();
                     let (mut x_bar, mut y_bar) = (vec![0.0; count], vec![0.0; count]);
@@ -188,8 +189,8 @@ impl PsfGrid {
                             w_bar[q] += weight_bar;
                         }
                     }
-                    let mut out = SystemGradient::zeros(&system);
-                    slope_bar += map.vjp(&system, &plan.sampling, field, &x_bar, &y_bar, &w_bar, &mut out);
+                    let mut out = SystemGradient::zeros(system);
+                    slope_bar += map.vjp(system, &plan.sampling, field, &x_bar, &y_bar, &w_bar, &mut out);
                     out.add_to(lens, plan.wavelength_nm[l], &mut gradient);
                 }
                 (gradient, slope_bar, radius_bar)

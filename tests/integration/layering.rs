@@ -7,8 +7,10 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 12] =
-    ["error", "units", "testing", "math", "lens", "trace", "psf", "imaging", "report", "network", "design", "deploy"];
+const ORDER: [&str; 13] = [
+    "error", "atomic", "units", "testing", "math", "lens", "trace", "psf", "imaging", "report", "network", "design",
+    "deploy",
+];
 
 /// Crates, and the only places that may name them.
 const CRATES: [(&[&str], &[&str]); 5] = [

@@ -5,13 +5,11 @@ use std::path::PathBuf;
 
 use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::expose::{CaptureSettings, capture};
-use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
-use isoplanat::imaging::plan::frame_of;
 use isoplanat::imaging::sensor::Sensor;
 
+use crate::output;
 use crate::progress::Bar;
-use crate::scene::SceneArgs;
-use crate::{input, output};
+use crate::scene::{Placed, SceneArgs};
 
 /// A RAW capture of a scene, by rays from the sensor.
 #[derive(Debug, clap::Args)]
@@ -45,13 +43,8 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
-    let mut lens = input::lens(&args.lens)?;
-    args.place.apply(&mut lens)?;
+    let Placed { lens, frame, plane, .. } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
-    let frame = frame_of(&lens)?;
-    let max_slope = slope_at_height(&lens, lens.object_vergence, 1.02 * frame.max_radius_mm())?;
-    let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
-    let plane = args.place.plane(&args.scene, &lens, &frame, &distortion)?;
     let bar = Bar::new("capture");
     let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };
     let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;

@@ -15,11 +15,14 @@ use isoplanat::imaging::render::Optics;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, atomic};
 
 use crate::kit;
 use crate::progress::Bar;
 use settings::Settings;
+
+/// The file that makes a folder a demo's.
+const MARKER: &str = "report.html";
 
 /// The whole chain on built-in scenes, with a report.
 #[derive(Debug, clap::Args)]
@@ -46,26 +49,7 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    if args.output.exists() && !args.force {
-        return Err(Error::Exists(args.output.clone()).into());
-    }
-    // Everything is made beside the folder and renamed at the end.
-    let mut name = args.output.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".part{}", std::process::id()));
-    let beside = args.output.with_file_name(name);
-    std::fs::create_dir_all(&beside).map_err(|e| Error::writing(&beside, e))?;
-    let report = chain(args, &beside);
-    let done = report.and_then(|report| {
-        if args.output.exists() {
-            std::fs::remove_dir_all(&args.output).map_err(|e| Error::writing(&args.output, e))?;
-        }
-        std::fs::rename(&beside, &args.output).map_err(|e| Error::writing(&args.output, e))?;
-        Ok(report)
-    });
-    if done.is_err() {
-        let _ = std::fs::remove_dir_all(&beside);
-    }
-    let report = done?;
+    let report = atomic::write_folder(&args.output, MARKER, args.force, |folder| chain(args, folder))?;
     for s in &report.scenes {
         writeln!(
             out,
@@ -174,9 +158,9 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
                       rendered by an independent ray tracer from the sensor."
             .into();
     report.seconds_total = started.elapsed().as_secs_f64();
-    std::fs::write(folder.join("report.html"), report.to_html()?).map_err(|e| Error::writing(folder, e))?;
+    atomic::write_bytes(&folder.join(MARKER), report.to_html()?.as_bytes())?;
     let summary = format!("{:#}\n", report.summary_json());
-    std::fs::write(folder.join("summary.json"), summary).map_err(|e| Error::writing(folder, e))?;
+    atomic::write_bytes(&folder.join("summary.json"), summary.as_bytes())?;
     Ok(report)
 }
 

@@ -8,9 +8,12 @@ use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, valid
 use isoplanat::design::task::Task;
 use isoplanat::imaging::plan::{Quality, frame_of};
 use isoplanat::lens::prescription;
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, atomic};
 
 use crate::progress::Bar;
+
+/// The file that makes a folder a run.
+const MARKER: &str = "task.toml";
 
 /// Joint design of lens and network.
 #[derive(Debug, clap::Args)]
@@ -33,9 +36,7 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    if args.output.exists() && !args.force {
-        return Err(Error::Exists(args.output.clone()).into());
-    }
+    atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
     let (lens, sensor) = (task.lens()?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
@@ -80,35 +81,22 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Writes the run beside its place, then renames it there.
+/// Writes the run folder.
 fn save(
     args: &Args,
     start: &isoplanat::lens::Lens,
     joint: &isoplanat::design::joint::Joint,
     history: &[isoplanat::design::run::Entry],
 ) -> Result<()> {
-    let beside = args.output.with_extension(format!("part{}", std::process::id()));
-    let io = |e| Error::writing(&args.output, e);
-    std::fs::create_dir_all(&beside).map_err(io)?;
-    let fill = || -> Result<()> {
-        std::fs::copy(&args.task, beside.join("task.toml")).map_err(io)?;
-        prescription::save(start, &beside.join("lens-start.toml"))?;
-        prescription::save(&joint.lens, &beside.join("lens.toml"))?;
-        joint.network.save(&beside.join("network.safetensors"))?;
+    atomic::write_folder(&args.output, MARKER, args.force, |folder| {
+        std::fs::copy(&args.task, folder.join(MARKER)).map_err(|e| Error::writing(&args.output, e))?;
+        prescription::save(start, &folder.join("lens-start.toml"))?;
+        prescription::save(&joint.lens, &folder.join("lens.toml"))?;
+        joint.network.save(&folder.join("network.safetensors"))?;
         let mut log = String::from("seconds,loss,input_psnr_db,output_psnr_db\n");
         for e in history {
             log += &format!("{:.3},{:.6},{:.3},{:.3}\n", e.seconds, e.loss, e.input_psnr_db, e.output_psnr_db);
         }
-        std::fs::write(beside.join("log.csv"), log).map_err(io)
-    };
-    let done = fill().and_then(|()| {
-        if args.output.exists() {
-            std::fs::remove_dir_all(&args.output).map_err(io)?;
-        }
-        std::fs::rename(&beside, &args.output).map_err(io)
-    });
-    if done.is_err() {
-        let _ = std::fs::remove_dir_all(&beside);
-    }
-    done
+        atomic::write_bytes(&folder.join("log.csv"), log.as_bytes())
+    })
 }

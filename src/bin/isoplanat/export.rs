@@ -3,7 +3,8 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isoplanat::Error;
+use isoplanat::atomic;
+use isoplanat::deploy::kit::FILE;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::plan::{Quality, frame_of, plan};
 use isoplanat::imaging::spectrum::SpectralDensity;
@@ -27,9 +28,7 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    if args.output.exists() && !args.force {
-        return Err(Error::Exists(args.output.clone()).into());
-    }
+    atomic::check_folder(&args.output, FILE, args.force)?;
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = prescription::load(&args.run.join("lens.toml"))?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;

@@ -4,19 +4,18 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
 use isoplanat::imaging::files::{Encoding, write_picture};
 use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings, render};
-use isoplanat::imaging::plan::{Quality, frame_of, plan};
+use isoplanat::imaging::plan::{Quality, plan};
 use isoplanat::imaging::render::render_frame;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::Region;
 use ndarray::Array3;
 
+use crate::output;
 use crate::progress::Bar;
-use crate::scene::SceneArgs;
-use crate::{input, output};
+use crate::scene::{Placed, SceneArgs};
 
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -59,13 +58,8 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
-    let mut lens = input::lens(&args.lens)?;
-    args.place.apply(&mut lens)?;
-    let frame = frame_of(&lens)?;
+    let Placed { lens, frame, max_slope, plane } = args.place.place(&args.lens, &args.scene)?;
     let density = SpectralDensity::new(&Sensor::generic());
-    let max_slope = slope_at_height(&lens, lens.object_vergence, 1.02 * frame.max_radius_mm())?;
-    let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
-    let plane = args.place.plane(&args.scene, &lens, &frame, &distortion)?;
     let clock = Instant::now();
     let bar = Bar::new("render");
     let progress = |share: f64| bar.set(share, String::new());

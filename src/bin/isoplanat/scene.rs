@@ -3,22 +3,26 @@
 use std::path::Path;
 
 use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::field_map::fit_distortion;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plan::{field_slope, frame_of};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::warp::{Plane, slope_per_mm};
 use isoplanat::lens::{Lens, SensorRaster};
 use isoplanat::{Error, Result};
+
+use crate::input;
 
 /// Where the scene stands and what sees it.
 #[derive(Debug, clap::Args)]
 pub(crate) struct SceneArgs {
     /// Object distance before the first surface, mm (inf allowed); the lens file's where left out.
     #[arg(long)]
-    pub(crate) depth_mm: Option<f64>,
+    depth_mm: Option<f64>,
     /// Texels per pixel on the axis; by default the picture just fills the frame.
     #[arg(long)]
-    pub(crate) texels_per_pixel: Option<f64>,
+    texels_per_pixel: Option<f64>,
     /// Pixels in a row, in place of the lens file's.
     #[arg(long)]
     columns: Option<usize>,
@@ -33,9 +37,32 @@ pub(crate) struct SceneArgs {
     quadrant: bool,
 }
 
+/// A scene in front of a lens.
+pub(crate) struct Placed {
+    /// The lens, with the command line's raster and depth.
+    pub(crate) lens: Lens,
+    /// Its frame.
+    pub(crate) frame: Frame,
+    /// Object slope up to which its distortion is fitted.
+    pub(crate) max_slope: f64,
+    /// The scene.
+    pub(crate) plane: Plane,
+}
+
 impl SceneArgs {
+    /// The lens and the scene of the command line, on its raster and at its depth.
+    pub(crate) fn place(&self, lens: &str, scene: &str) -> Result<Placed> {
+        let mut lens = input::lens(lens)?;
+        self.apply(&mut lens)?;
+        let frame = frame_of(&lens)?;
+        let max_slope = field_slope(&lens, lens.object_vergence, &frame)?;
+        let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
+        let plane = self.plane(scene, &lens, &frame, &distortion)?;
+        Ok(Placed { lens, frame, max_slope, plane })
+    }
+
     /// Puts the raster and the depth of the command line into `lens`.
-    pub(crate) fn apply(&self, lens: &mut Lens) -> Result<()> {
+    fn apply(&self, lens: &mut Lens) -> Result<()> {
         if let Some(depth) = self.depth_mm {
             if depth.is_nan() || depth <= 0.0 {
                 return Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf"));
@@ -59,7 +86,7 @@ impl SceneArgs {
     }
 
     /// The scene named `name`, placed in front of `lens` so that the axis meets the same relative place of both.
-    pub(crate) fn plane(&self, name: &str, lens: &Lens, frame: &Frame, distortion: &Distortion) -> Result<Plane> {
+    fn plane(&self, name: &str, lens: &Lens, frame: &Frame, distortion: &Distortion) -> Result<Plane> {
         // What a lens without distortion would need to fill the frame, and a margin for distortion.
         let per_pixel = slope_per_mm(distortion, 0.0) * frame.pitch_mm;
         let path = Path::new(name);

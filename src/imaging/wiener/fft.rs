@@ -6,19 +6,6 @@ use ndarray::Array2;
 use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
 
-/// The next even size whose only prime factors are 2, 3 and 5.
-pub(super) fn smooth(n: usize) -> usize {
-    let only = |mut v: usize| {
-        for p in [2, 3, 5] {
-            while v.is_multiple_of(p) {
-                v /= p;
-            }
-        }
-        v == 1
-    };
-    (n.max(2)..).find(|v| v.is_multiple_of(2) && only(*v)).expect("powers of two have no end")
-}
-
 /// A two-dimensional real transform; spectra are `[row, col]` with `cols / 2 + 1` columns, row by row.
 pub(super) struct Fft2 {
     pub(super) rows: usize,
@@ -109,6 +96,6 @@ mod tests {
         assert!((spectrum[2 * 10 + 3] - bin).norm() < 1e-3);
         let worst = (&fft.inverse(spectrum) - &field).iter().fold(0.0f32, |a, v| a.max(v.abs()));
         assert!(worst < 1e-6, "{worst}");
-        assert_eq!([2, 7, 31, 121].map(smooth), [2, 8, 32, 128]);
+        assert_eq!([2, 7, 31, 121].map(crate::math::fft::good_size), [2, 8, 32, 128]);
     }
 }

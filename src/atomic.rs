@@ -1,0 +1,105 @@
+//! Files and folders that appear whole or not at all: written beside their place, then renamed there.
+
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use crate::error::{Error, Result};
+
+/// Writes bytes, whole or not at all.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_atomic(path, |out| out.write_all(bytes).map_err(|e| Error::writing(path, e)))
+}
+
+/// Runs `fill` on a file beside `path` and renames it to `path` when that went well; otherwise nothing is left behind.
+pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+    let partial = Partial(beside(path, "partial"));
+    let failed = |e| Error::writing(path, e);
+    let file = File::options().write(true).create_new(true).open(&partial.0).map_err(failed)?;
+    let mut out = BufWriter::new(file);
+    fill(&mut out)?;
+    out.flush().map_err(failed)?;
+    let file = out.into_inner().map_err(|e| failed(e.into_error()))?;
+    file.sync_all().map_err(failed)?;
+    fs::rename(&partial.0, path).map_err(failed)
+}
+
+/// Whether [`write_folder`] may put a folder at `folder`: nothing stands there, or `replace` and one with `marker` in it.
+///
+/// # Errors
+/// [`Error::Exists`].
+pub fn check_folder(folder: &Path, marker: &str, replace: bool) -> Result<()> {
+    if folder.exists() && !(replace && folder.join(marker).is_file()) {
+        return Err(Error::Exists(folder.to_owned()));
+    }
+    Ok(())
+}
+
+/// Runs `fill` on a folder beside `folder` and renames it there when that went well.
+///
+/// With `replace` an existing folder that holds the file `marker` gives way; any other never does.
+///
+/// # Errors
+/// [`Error::Exists`], `fill`'s, or a folder that cannot be made.
+pub fn write_folder<T>(folder: &Path, marker: &str, replace: bool, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
+    check_folder(folder, marker, replace)?;
+    let (partial, old) = (beside(folder, "partial"), beside(folder, "old"));
+    let failed = |e| Error::writing(folder, e);
+    let written = fs::create_dir_all(&partial).map_err(failed).and_then(|()| fill(&partial)).and_then(|value| {
+        if folder.exists() {
+            fs::rename(folder, &old).map_err(failed)?;
+        }
+        fs::rename(&partial, folder).map_err(|e| {
+            // Put the old folder back; the first error is the one to tell.
+            let _ = fs::rename(&old, folder);
+            failed(e)
+        })?;
+        Ok(value)
+    });
+    let leftovers = if written.is_ok() { &old } else { &partial };
+    if leftovers.exists() {
+        let _ = fs::remove_dir_all(leftovers);
+    }
+    written
+}
+
+/// A file that is removed when its writing ends early; after the rename there is nothing left to remove.
+struct Partial(PathBuf);
+
+impl Drop for Partial {
+    fn drop(&mut self) {
+        let _ = fs::remove_file(&self.0);
+    }
+}
+
+/// A name in the same folder that no other writer uses.
+fn beside(path: &Path, what: &str) -> PathBuf {
+    static COUNT: AtomicU64 = AtomicU64::new(0);
+    let name = path.file_name().map(|n| n.to_string_lossy().into_owned()).unwrap_or_default();
+    let count = COUNT.fetch_add(1, Ordering::Relaxed);
+    path.with_file_name(format!(".{name}.{}-{count}.{what}", std::process::id()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A folder of ours gives way to a new one; another folder, and a failed writing, leave everything as it was.
+    #[test]
+    fn folders_appear_whole_and_foreign_folders_are_never_replaced() {
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let folder = place.path().join("run");
+        let fill = |text: &'static str| move |at: &Path| write_bytes(&at.join("mark"), text.as_bytes());
+        write_folder(&folder, "mark", false, fill("one")).expect("new");
+        assert!(matches!(write_folder(&folder, "mark", false, fill("two")), Err(Error::Exists(_))));
+        write_folder(&folder, "mark", true, fill("two")).expect("replaced");
+        let failed = write_folder(&folder, "mark", true, |_| Err::<(), _>(Error::Internal("no".into())));
+        assert!(failed.is_err());
+        assert_eq!(fs::read(folder.join("mark")).expect("kept"), b"two");
+        let foreign = place.path().join("photos");
+        fs::create_dir(&foreign).expect("made");
+        assert!(matches!(write_folder(&foreign, "mark", true, fill("x")), Err(Error::Exists(_))));
+        assert_eq!(fs::read_dir(place.path()).expect("readable").count(), 2, "nothing is left beside");
+    }
+}
