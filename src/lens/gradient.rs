@@ -1,6 +1,6 @@
 //! One cotangent for every number of a lens.
 
-use super::{Lens, Shape};
+use super::{Lens, Pose, Shape};
 
 /// Cotangents of one surface.
 #[derive(Clone, Debug, PartialEq)]
@@ -15,6 +15,8 @@ pub struct SurfaceGradient {
     pub v_d: f64,
     /// Clear semi-diameter.
     pub semi_diameter: f64,
+    /// Tilt and decentre, where the surface states them.
+    pub pose: Pose,
 }
 
 /// Cotangents of a whole lens, in the lens's own order.
@@ -22,6 +24,8 @@ pub struct SurfaceGradient {
 pub struct LensGradient {
     /// One entry per surface.
     pub surfaces: Vec<SurfaceGradient>,
+    /// Displacements of the elements.
+    pub elements: Vec<Pose>,
 }
 
 impl LensGradient {
@@ -36,22 +40,23 @@ impl LensGradient {
                 n_d: 0.0,
                 v_d: 0.0,
                 semi_diameter: 0.0,
+                pose: Pose::default(),
             })
             .collect();
-        Self { surfaces }
+        Self { surfaces, elements: vec![Pose::default(); lens.elements.len()] }
     }
 
     /// Adds `other`.
     pub fn add(&mut self, other: &Self) {
         for (a, b) in self.surfaces.iter_mut().zip(&other.surfaces) {
-            a.shape.curvature += b.shape.curvature;
-            a.shape.conic += b.shape.conic;
-            a.shape.asphere.iter_mut().zip(&b.shape.asphere).for_each(|(x, y)| *x += y);
+            a.shape.add(&b.shape);
+            a.pose.add(&b.pose);
             a.thickness += b.thickness;
             a.n_d += b.n_d;
             a.v_d += b.v_d;
             a.semi_diameter += b.semi_diameter;
         }
+        self.elements.iter_mut().zip(&other.elements).for_each(|(a, b)| a.add(b));
     }
 
     /// Adds cotangents of the indices at `nm` (entry 0 is the object space), chained to `n_d` and `v_d`.

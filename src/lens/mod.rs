@@ -1,20 +1,26 @@
 //! What the lens is: validated numbers, no rays.
 //!
-//! A [`Lens`] is a list of rotationally symmetric [`Surface`]s in the order the light meets them, a stop, an object
-//! distance (as vergence) and the raster the image falls on. Lengths mm, angles radians. The TOML form and all
+//! A [`Lens`] is a list of [`Surface`]s in the order the light meets them, a stop, an object distance (as vergence) and
+//! the raster the image falls on. Surfaces and elements may be tilted and decentred ([`pose`]). Lengths mm, angles radians. The TOML form and all
 //! validation live in [`prescription`]; a `Lens` that exists is one that was checked.
 
 pub mod builtin;
+pub mod freeform;
 pub mod glass;
 pub mod gradient;
 pub mod paraxial;
+pub mod pose;
 pub mod prescription;
 pub mod seidel;
 pub mod shape;
 pub mod variables;
 
+use crate::error::{Error, Result};
+
+pub use freeform::{Xy, Zernike};
 pub use glass::Medium;
 pub use gradient::{LensGradient, SurfaceGradient};
+pub use pose::{Element, Pose};
 pub use shape::Shape;
 
 /// One refracting surface (or a dummy: the same medium on both sides) with the space behind it.
@@ -28,6 +34,8 @@ pub struct Surface {
     pub medium: Medium,
     /// Clear semi-diameter, mm: rays beyond it are vignetted.
     pub semi_diameter: f64,
+    /// Tilt and decentre, where stated.
+    pub pose: Option<Pose>,
 }
 
 /// How the file states the size of the stop.
@@ -74,6 +82,8 @@ pub struct Lens {
     pub source: String,
     /// Surfaces in the order of the light.
     pub surfaces: Vec<Surface>,
+    /// Groups of surfaces that are moved together.
+    pub elements: Vec<Element>,
     /// Index of the stop surface.
     pub stop: usize,
     /// How the stop's size is stated.
@@ -112,6 +122,39 @@ impl Lens {
     /// Axial distance from the first vertex to the sensor, mm.
     pub fn length(&self) -> f64 {
         self.surfaces.iter().map(|s| s.thickness).sum()
+    }
+
+    /// Nominal positions of the vertices along the axis, mm from the first.
+    pub fn vertices(&self) -> Vec<f64> {
+        let next = |z: &mut f64, s: &Surface| {
+            let here = *z;
+            *z += s.thickness;
+            Some(here)
+        };
+        self.surfaces.iter().scan(0.0, next).collect()
+    }
+
+    /// Whether the whole lens is rotationally symmetric about its axis.
+    pub fn is_symmetric(&self) -> bool {
+        self.surfaces.iter().all(|s| s.shape.is_symmetric() && s.pose.is_none_or(|p| p.is_nominal()))
+            && self.elements.iter().all(|e| e.pose.is_nominal())
+    }
+
+    /// Refuses a lens that lacks rotational symmetry or a flat image, for work that counts on both.
+    pub fn require_symmetry(&self, work: &str) -> Result<()> {
+        if self.is_symmetric() && self.max_field_deg < 90.0 {
+            return Ok(());
+        }
+        if self.is_symmetric() {
+            let found = format!("half field {}°", self.max_field_deg);
+            return Err(Error::bad(self.name.as_str(), "field.max_angle_deg", found, format!("below 90° for {work}")));
+        }
+        Err(Error::bad(
+            self.name.as_str(),
+            "surfaces",
+            "tilts, decentres or freeform terms",
+            format!("a rotationally symmetric lens for {work}; `trace`, `inspect` and `check` take any"),
+        ))
     }
 
     /// SHA-256 of the canonical TOML form: names this lens in kits and run folders.

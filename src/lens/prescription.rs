@@ -7,9 +7,14 @@ use serde::{Deserialize, Serialize};
 use super::{Aperture, Lens, Medium, SensorRaster, Shape, Surface, Wavelengths};
 use crate::error::{Error, Result};
 
+mod freeform;
+
 /// The newest form this program reads.
 pub const SCHEMA: u32 = 1;
-const ORDERS: [&str; 10] = ["a2", "a4", "a6", "a8", "a10", "a12", "a14", "a16", "a18", "a20"];
+/// Largest half field angle. Work on a flat image asks for less than 90.
+const MAX_FIELD_DEG: f64 = 110.0;
+/// Highest power of an aspheric term.
+const MAX_POWER: usize = 20;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -23,6 +28,8 @@ struct File {
     wavelengths: FileWavelengths,
     sensor: FileSensor,
     surface: Vec<FileSurface>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    element: Vec<FileElement>,
 }
 
 #[derive(Serialize, Deserialize, Default)]
@@ -82,6 +89,41 @@ struct FileSurface {
     semi_diameter_mm: f64,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     stop: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    decentre_mm: Option<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    zernike: Option<FileZernike>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    xy: Option<FileXy>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileZernike {
+    radius_mm: f64,
+    terms: Vec<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileXy {
+    radius_mm: f64,
+    terms: std::collections::BTreeMap<String, f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileElement {
+    first: usize,
+    last: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    decentre_mm: Option<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pivot_mm: f64,
 }
 
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's form")]
@@ -163,8 +205,9 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         return Err(refuse("object.distance_mm", distance.to_string(), "a positive distance, or inf"));
     }
     let angle = parsed.field.max_angle_deg;
-    if !(0.0..90.0).contains(&angle) {
-        return Err(refuse("field.max_angle_deg", angle.to_string(), "0 to below 90"));
+    if !(0.0..=MAX_FIELD_DEG).contains(&angle) {
+        let allowed = format!("0 to {MAX_FIELD_DEG}");
+        return Err(refuse("field.max_angle_deg", angle.to_string(), &allowed));
     }
     let wavelengths = read_wavelengths(parsed.wavelengths, file)?;
     let FileSensor { columns, rows, pitch_um, axis_px } = parsed.sensor;
@@ -179,10 +222,17 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
     let sensor = SensorRaster { columns, rows, pitch_um: positive(pitch_um, "sensor.pitch_um", file)?, axis_px };
     let surfaces =
         parsed.surface.into_iter().enumerate().map(|(i, s)| read_surface(i, s, file)).collect::<Result<Vec<_>>>()?;
+    let elements = parsed
+        .element
+        .into_iter()
+        .enumerate()
+        .map(|(i, e)| freeform::element(&e, surfaces.len(), &format!("element {i}"), file))
+        .collect::<Result<Vec<_>>>()?;
     let lens = Lens {
         name: parsed.name,
         source: parsed.source,
         surfaces,
+        elements,
         stop,
         aperture,
         object_vergence: 1.0 / distance,
@@ -230,23 +280,28 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
         (None, Some(c)) => return Err(refuse("curvature_per_mm", c.to_string(), "a finite number")),
         _ => return Err(refuse("radius_mm", "radius and curvature both or neither".into(), "exactly one of the two")),
     };
-    let mut asphere = Vec::new();
+    let (mut asphere, mut odd) = (Vec::new(), Vec::new());
     for (key, value) in &s.asphere {
-        let Some(order) = ORDERS.iter().position(|o| o == key) else {
-            return Err(refuse("asphere", format!("unknown term `{key}`"), "a2, a4, … a20"));
+        let power = key.strip_prefix('a').and_then(|p| p.parse::<usize>().ok());
+        let Some(power) = power.filter(|p| (2..=MAX_POWER).contains(p) && *key == format!("a{p}")) else {
+            return Err(refuse("asphere", format!("unknown term `{key}`"), "a2, a3, … a20"));
         };
         if !value.is_finite() {
             return Err(refuse("asphere", format!("{key} = {value}"), "finite coefficients"));
         }
-        if asphere.len() <= order {
-            asphere.resize(order + 1, 0.0);
+        let (list, entry) = if power % 2 == 0 { (&mut asphere, power / 2 - 1) } else { (&mut odd, power / 2 - 1) };
+        if list.len() <= entry {
+            list.resize(entry + 1, 0.0);
         }
-        asphere[order] = *value;
+        list[entry] = *value;
     }
+    let zernike = s.zernike.map(|z| freeform::zernike(z, &place("zernike"), file)).transpose()?;
+    let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
+    let pose = freeform::pose(s.tilt_deg, s.decentre_mm, &place("tilt_deg, decentre_mm"), file)?;
     if !s.conic.is_finite() {
         return Err(refuse("conic", s.conic.to_string(), "a finite number"));
     }
-    let shape = Shape { curvature, conic: s.conic, asphere };
+    let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let semi_diameter = positive(s.semi_diameter_mm, &place("semi_diameter_mm"), file)?;
     if semi_diameter >= shape.reach() {
         let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
@@ -276,7 +331,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
             Medium::Table { wavelength_nm, index }
         }
     };
-    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter })
+    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter, pose })
 }
 
 /// Surfaces must not cross within the clear apertures both have (to 1e-9 mm: elements may touch).
@@ -285,9 +340,15 @@ fn check_crossing(lens: &Lens, file: &str) -> Result<()> {
         let limit = pair[0].semi_diameter.min(pair[1].semi_diameter);
         for step in 0..=64 {
             let r = limit * f64::from(step) / 64.0;
-            let sag = |s: &Surface| s.shape.sag(r * r).map(|s| s.h);
-            let (Some(a), Some(b)) = (sag(&pair[0]), sag(&pair[1])) else { continue };
-            let gap = pair[0].thickness + b - a;
+            // One azimuth says all where both surfaces are symmetric; tilts and decentres are not looked at.
+            let symmetric = pair.iter().all(|s| s.shape.is_symmetric());
+            let gap = (0..if symmetric { 1 } else { 16 })
+                .filter_map(|k| {
+                    let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
+                    let sag = |s: &Surface| s.shape.at(r * cos, r * sin).map(|l| l.h);
+                    Some(pair[0].thickness + sag(&pair[1])? - sag(&pair[0])?)
+                })
+                .fold(f64::INFINITY, f64::min);
             if gap < -1e-9 {
                 return Err(Error::bad(
                     file,
@@ -329,20 +390,25 @@ pub fn to_toml(lens: &Lens) -> String {
             axis_px: Some(lens.sensor.axis_px),
         },
         surface,
+        element: lens.elements.iter().map(freeform::write_element).collect(),
     };
     toml::to_string(&file).expect("plain data")
+}
+
+/// `a<power>` of a list whose powers start at `from` and rise by two.
+fn terms(list: &[f64], from: usize) -> impl Iterator<Item = (String, f64)> {
+    list.iter().enumerate().map(move |(i, a)| (format!("a{}", 2 * i + from), *a))
 }
 
 fn write_surface(s: &Surface, stop: bool) -> FileSurface {
     // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
     let radius = 1.0 / s.shape.curvature;
     let exact = 1.0 / radius == s.shape.curvature;
-    let used = s.shape.asphere.len();
     FileSurface {
         radius_mm: exact.then_some(radius),
         curvature_per_mm: (!exact).then_some(s.shape.curvature),
         conic: s.shape.conic,
-        asphere: (0..used).map(|j| (ORDERS[j].to_owned(), s.shape.asphere[j])).collect(),
+        asphere: terms(&s.shape.asphere, 2).chain(terms(&s.shape.odd, 3)).collect(),
         thickness_mm: s.thickness,
         medium: match &s.medium {
             Medium::Air => FileMedium::Name("air".into()),
@@ -354,6 +420,10 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
         },
         semi_diameter_mm: s.semi_diameter,
         stop,
+        tilt_deg: s.pose.map(|p| p.tilt.map(freeform::degrees)),
+        decentre_mm: s.pose.map(|p| p.decentre),
+        zernike: s.shape.zernike.as_ref().map(|z| FileZernike { radius_mm: z.radius(), terms: z.terms().to_vec() }),
+        xy: s.shape.xy.as_ref().map(freeform::write_xy),
     }
 }
 

@@ -117,11 +117,12 @@ mod tests {
         lens.surfaces = list(&golden["surfaces"])
             .iter()
             .map(|s| Surface {
-                shape: Shape {
-                    curvature: number(&s["curvature"]),
-                    conic: number(&s["conic"]),
-                    asphere: list(&s["coeffs"]).iter().map(number).collect(),
-                },
+                shape: Shape::even(
+                    number(&s["curvature"]),
+                    number(&s["conic"]),
+                    list(&s["coeffs"]).iter().map(number).collect(),
+                ),
+                pose: None,
                 thickness: number(&s["thickness"]),
                 medium: Medium::Table { wavelength_nm: vec![587.5618], index: vec![number(&s["index_after"][1])] },
                 semi_diameter: 100.0,

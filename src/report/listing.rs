@@ -83,7 +83,7 @@ impl<'a> Listing<'a> {
 
     fn surface_json(&self, i: usize) -> Value {
         let s = &self.lens.surfaces[i];
-        json!({
+        let mut object = json!({
             "curvature_per_mm": s.shape.curvature,
             "radius_mm": 1.0 / s.shape.curvature,
             "conic": s.shape.conic,
@@ -94,7 +94,22 @@ impl<'a> Listing<'a> {
             "semi_diameter_mm": s.semi_diameter,
             "stop": i == self.lens.stop,
             "seidel_mm": sums_json(self.seidel[i]),
-        })
+        });
+        if !s.shape.odd.is_empty() {
+            object["odd"] = json!(s.shape.odd);
+        }
+        if let Some(z) = &s.shape.zernike {
+            object["zernike"] = json!({ "radius_mm": z.radius(), "terms": z.terms() });
+        }
+        if let Some(p) = &s.shape.xy {
+            let terms = p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), json!(c)));
+            object["xy"] = json!({ "radius_mm": p.radius(), "terms": terms.collect::<serde_json::Map<_, _>>() });
+        }
+        if let Some(p) = &s.pose {
+            object["tilt_deg"] = json!(p.tilt.map(f64::to_degrees));
+            object["decentre_mm"] = json!(p.decentre);
+        }
+        object
     }
 
     /// Surfaces, one a row, counted from 0.
@@ -111,6 +126,11 @@ impl<'a> Listing<'a> {
             }
             let terms = s.shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0);
             form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 2, significant(*a, 5))));
+            let terms = s.shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0);
+            form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 3, significant(*a, 5))));
+            form.extend(s.shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
+            form.extend(s.shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
+            form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
             table.row([
                 i.to_string(),
                 significant(1.0 / s.shape.curvature, 7),

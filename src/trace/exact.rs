@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::sequential::{Hit, HitBar, trace, trace_vjp};
 use super::{Cause, Failure, Ray, System, SystemGradient};
 use crate::error::{Error, Result};
+use crate::lens::{Lens, LensGradient, Pose, Shape};
 
 /// Rays to trace.
 #[derive(Clone, Debug, Deserialize)]
@@ -63,7 +64,8 @@ pub struct AnswerHit {
 /// Derivative of the image-plane landing with respect to one number of the lens.
 #[derive(Clone, Debug, Serialize)]
 pub struct AnswerGradient {
-    /// `surface[i].curvature | conic | a2… | thickness | index`.
+    /// `surface[i].curvature | conic | a2… | z1… | x1y0… | tilt_x… | decentre_x… | thickness | index`, and the tilts (per
+    /// radian) and decentres of `element[i]`; poses where the lens states them.
     pub parameter: String,
     /// `∂x/∂parameter`.
     pub dx: f64,
@@ -94,7 +96,8 @@ pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
 }
 
 /// Traces every ray; `clip` stops rays at clear apertures, `gradient` adds landing derivatives.
-pub fn answer(system: &System, request: &Request, clip: bool, gradient: bool) -> Answer {
+pub fn answer(lens: &Lens, request: &Request, clip: bool, gradient: bool) -> Answer {
+    let system = &System::new(lens, request.wavelength_nm);
     let mut hits = Vec::new();
     let rays = request
         .rays
@@ -119,7 +122,7 @@ pub fn answer(system: &System, request: &Request, clip: bool, gradient: bool) ->
                     status: "ok",
                     surface: None,
                     surfaces,
-                    gradient: gradient.then(|| landing_gradient(system, &hits)),
+                    gradient: gradient.then(|| landing_gradient(lens, system, &hits)),
                 },
                 Err(f) => AnswerRay { status: name(f.cause), surface: Some(f.surface), surfaces, gradient: None },
             }
@@ -145,7 +148,33 @@ fn name(cause: Cause) -> &'static str {
     }
 }
 
-fn landing_gradient(system: &System, hits: &[Hit]) -> Vec<AnswerGradient> {
+/// Names and derivatives of the polynomial terms, powers rising: `a2`, `a3`, …, `z1`, …, `x1y2`, ….
+fn named_terms(x: &Shape, y: &Shape) -> Vec<(String, f64, f64)> {
+    let mut powers: Vec<(usize, f64, f64)> = Vec::new();
+    powers.extend((0..x.asphere.len()).map(|j| (2 * j + 2, x.asphere[j], y.asphere[j])));
+    powers.extend((0..x.odd.len()).map(|j| (2 * j + 3, x.odd[j], y.odd[j])));
+    powers.sort_by_key(|p| p.0);
+    let mut terms: Vec<_> = powers.into_iter().map(|(power, x, y)| (format!("a{power}"), x, y)).collect();
+    if let (Some(x), Some(y)) = (&x.zernike, &y.zernike) {
+        terms.extend(x.terms().iter().zip(y.terms()).enumerate().map(|(j, (x, y))| (format!("z{}", j + 1), *x, *y)));
+    }
+    if let (Some(x), Some(y)) = (&x.xy, &y.xy) {
+        let values = x.terms().iter().zip(y.terms());
+        terms.extend(x.orders().iter().zip(values).map(|((i, j), (x, y))| (format!("x{i}y{j}"), *x, *y)));
+    }
+    terms
+}
+
+fn pose_terms(x: &Pose, y: &Pose, push: &mut impl FnMut(String, f64, f64)) {
+    for (k, axis) in ["x", "y", "z"].iter().enumerate() {
+        push(format!("tilt_{axis}"), x.tilt[k], y.tilt[k]);
+    }
+    for (k, axis) in ["x", "y"].iter().enumerate() {
+        push(format!("decentre_{axis}"), x.decentre[k], y.decentre[k]);
+    }
+}
+
+fn landing_gradient(lens: &Lens, system: &System, hits: &[Hit]) -> Vec<AnswerGradient> {
     let image = system.image();
     let [gx, gy] = [DVec3::X, DVec3::Y].map(|bar| {
         let mut g = SystemGradient::zeros(system);
@@ -154,20 +183,36 @@ fn landing_gradient(system: &System, hits: &[Hit]) -> Vec<AnswerGradient> {
         trace_vjp(system, hits, &bars, &mut g);
         g
     });
+    let [lx, ly] = [&gx, &gy].map(|g| {
+        let mut lens_gradient = LensGradient::zeros(lens);
+        g.add_to(lens, system.wavelength_nm, &mut lens_gradient);
+        lens_gradient
+    });
     let mut list = Vec::new();
     for i in 0..image {
         let mut push = |what: String, dx: f64, dy: f64| {
             list.push(AnswerGradient { parameter: format!("surface[{i}].{what}"), dx, dy });
         };
-        push("curvature".into(), gx.shapes[i].curvature, gy.shapes[i].curvature);
-        push("conic".into(), gx.shapes[i].conic, gy.shapes[i].conic);
-        for j in 0..gx.shapes[i].asphere.len() {
-            push(format!("a{}", 2 * j + 2), gx.shapes[i].asphere[j], gy.shapes[i].asphere[j]);
+        let (sx, sy) = (&gx.shapes[i], &gy.shapes[i]);
+        push("curvature".into(), sx.curvature, sy.curvature);
+        push("conic".into(), sx.conic, sy.conic);
+        for (name, x, y) in named_terms(sx, sy) {
+            push(name, x, y);
+        }
+        if lens.surfaces[i].pose.is_some() {
+            let (x, y) = (&lx.surfaces[i].pose, &ly.surfaces[i].pose);
+            pose_terms(x, y, &mut push);
         }
         push("thickness".into(), gx.distances[i + 1], gy.distances[i + 1]);
         // The image plane stands in the last space: its index is that of the last surface.
         let index = |g: &SystemGradient| g.indices[i + 1] + if i + 1 == image { g.indices[image + 1] } else { 0.0 };
         push("index".into(), index(&gx), index(&gy));
+    }
+    for (i, (x, y)) in lx.elements.iter().zip(&ly.elements).enumerate() {
+        let mut push = |what: String, dx: f64, dy: f64| {
+            list.push(AnswerGradient { parameter: format!("element[{i}].{what}"), dx, dy });
+        };
+        pose_terms(x, y, &mut push);
     }
     list
 }

@@ -6,6 +6,7 @@
 
 pub mod aim;
 pub mod exact;
+pub mod first_root;
 pub mod forward;
 pub mod intersect;
 pub mod launch;

@@ -1,6 +1,6 @@
 //! The loop over surfaces: [`trace`] forward, [`trace_vjp`] back.
 
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 
 use super::intersect::{Intersection, gradient, intersect, intersect_vjp};
 use super::refract::{refract, refract_vjp};
@@ -40,6 +40,10 @@ pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Res
         let fail = |cause| Failure { cause, surface: i };
         // Transfer to this surface's frame, then intersect.
         origin.z -= surface.distance;
+        if let Some(m) = &surface.motion {
+            let back = m.rotation.transpose();
+            (origin, direction) = (back * (origin - m.shift), back * direction);
+        }
         let at = intersect(surface, origin, direction).map_err(fail)?;
         path += surface.index_before * at.t;
         // Refract; equal media leave the direction alone to the last bit.
@@ -55,6 +59,9 @@ pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Res
         }
         hits.push(Hit { at, incoming, direction, optical_path: path });
         origin = at.point;
+        if let Some(m) = &surface.motion {
+            (origin, direction) = (m.rotation * origin + m.shift, m.rotation * direction);
+        }
     }
     Ok(hits[last])
 }
@@ -66,11 +73,19 @@ pub fn trace_vjp(system: &System, hits: &[Hit], bars: &[HitBar], out: &mut Syste
     let mut path_bar = 0.0;
     for i in (0..bars.len()).rev() {
         let (surface, hit, bar) = (&system.surfaces[i], &hits[i], &bars[i]);
+        // Back to the nominal frame.
+        if let Some(m) = &surface.motion {
+            let motion_bar = &mut out.motions[i];
+            motion_bar.shift += point_bar;
+            motion_bar.rotation += outer(point_bar, hit.at.point) + outer(direction_bar, hit.direction);
+            let back = m.rotation.transpose();
+            (point_bar, direction_bar) = (back * point_bar, back * direction_bar);
+        }
         point_bar += bar.point;
         direction_bar += bar.direction;
         path_bar += bar.optical_path;
-        let (mut h_bar, mut h1_bar) = (0.0, 0.0);
-        let rho = hit.at.point.x * hit.at.point.x + hit.at.point.y * hit.at.point.y;
+        let mut slope_bar = [0.0; 2];
+        let (x, y) = (hit.at.point.x, hit.at.point.y);
         // Refraction.
         if surface.index_before != surface.index_after {
             let g = gradient(&hit.at);
@@ -85,23 +100,34 @@ pub fn trace_vjp(system: &System, hits: &[Hit], bars: &[HitBar], out: &mut Syste
             out.indices[i + 1] -= mu_bar * mu / surface.index_after;
             // Normal to slope to point.
             let g_bar = flip * (n_bar - normal * normal.dot(n_bar)) / length;
-            let (x, y) = (hit.at.point.x, hit.at.point.y);
-            point_bar.x += 2.0 * hit.at.sag.h1 * g_bar.x;
-            point_bar.y += 2.0 * hit.at.sag.h1 * g_bar.y;
-            h1_bar = 2.0 * (x * g_bar.x + y * g_bar.y);
-            point_bar.x += 2.0 * x * h1_bar * hit.at.sag.h2;
-            point_bar.y += 2.0 * y * h1_bar * hit.at.sag.h2;
+            slope_bar = [g_bar.x, g_bar.y];
+            let [xx, xy, yy] = hit.at.local.second;
+            point_bar.x += xx * g_bar.x + xy * g_bar.y;
+            point_bar.y += xy * g_bar.x + yy * g_bar.y;
         }
         // Path.
         out.indices[i] += path_bar * hit.at.t;
         // Intersection.
         let back = intersect_vjp(&hit.at, hit.incoming, point_bar, path_bar * surface.index_before);
-        h_bar += back.sag;
-        surface.shape.sag_vjp(rho, &hit.at.sag, h_bar, h1_bar, &mut out.shapes[i]);
+        surface.shape.at_vjp(x, y, &hit.at.local, back.sag, slope_bar, &mut out.shapes[i]);
         point_bar = back.origin;
         direction_bar += back.direction;
+        // Into the surface's frame: p = Rᵀ(p₀ − s), d = Rᵀ d₀.
+        if let Some(m) = &surface.motion {
+            let motion_bar = &mut out.motions[i];
+            let origin = hit.at.point - hit.at.t * hit.incoming;
+            motion_bar.rotation +=
+                outer(m.rotation * origin, point_bar) + outer(m.rotation * hit.incoming, direction_bar);
+            (point_bar, direction_bar) = (m.rotation * point_bar, m.rotation * direction_bar);
+            motion_bar.shift -= point_bar;
+        }
         // Transfer.
         out.distances[i] -= point_bar.z;
     }
     (point_bar, direction_bar)
+}
+
+/// `a bᵀ`.
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }

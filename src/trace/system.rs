@@ -1,5 +1,6 @@
 //! A lens at one wavelength: what a ray meets, image plane included.
 
+use crate::lens::pose::{Motion, Pose, placed, placed_vjp};
 use crate::lens::{Lens, LensGradient, Shape, paraxial};
 
 /// One surface as a ray meets it.
@@ -15,8 +16,35 @@ pub struct TraceSurface {
     pub index_after: f64,
     /// Clear semi-diameter, mm (infinite for the image plane).
     pub semi_diameter: f64,
-    /// Whether polynomial terms are present (kept so that the inner loop does not search).
+    /// Where the surface stands relative to its nominal vertex frame.
+    pub motion: Option<Motion>,
+    /// Whether anything beyond the conic is present (kept so that the inner loop does not search).
     pub aspheric: bool,
+    /// Radius within which the first root is looked for, mm; see [`super::first_root`].
+    pub domain: f64,
+    /// Upper bound of the slope `|∇h|` within [`Self::domain`].
+    pub steepest: f64,
+}
+
+/// The surface is taken to go on to this multiple of its clear semi-diameter.
+const DOMAIN: f64 = 1.1;
+
+impl TraceSurface {
+    /// A surface in its nominal place, `distance` behind the previous vertex, between two indices.
+    pub fn new(shape: Shape, distance: f64, indices: [f64; 2], semi_diameter: f64) -> Self {
+        let domain = (DOMAIN * semi_diameter).min(shape.reach());
+        Self {
+            aspheric: shape.is_aspheric(),
+            steepest: if shape.is_aspheric() { shape.steepest(domain) } else { f64::INFINITY },
+            shape,
+            distance,
+            index_before: indices[0],
+            index_after: indices[1],
+            semi_diameter,
+            motion: None,
+            domain,
+        }
+    }
 }
 
 /// All surfaces of a lens at one wavelength; the image plane is the last.
@@ -39,26 +67,16 @@ impl System {
         let stop_semi_diameter = paraxial::stop_semi_diameter(lens);
         let mut surfaces = Vec::with_capacity(lens.surfaces.len() + 1);
         let mut distance = 0.0;
+        let vertices = lens.vertices();
         for (i, s) in lens.surfaces.iter().enumerate() {
-            surfaces.push(TraceSurface {
-                shape: s.shape.clone(),
-                distance,
-                index_before: n[i],
-                index_after: n[i + 1],
-                semi_diameter: if i == lens.stop { stop_semi_diameter } else { s.semi_diameter },
-                aspheric: s.shape.is_aspheric(),
-            });
+            let semi_diameter = if i == lens.stop { stop_semi_diameter } else { s.semi_diameter };
+            let mut surface = TraceSurface::new(s.shape.clone(), distance, [n[i], n[i + 1]], semi_diameter);
+            surface.motion = placed(i, s.pose.as_ref(), &lens.elements, &vertices);
+            surfaces.push(surface);
             distance = s.thickness;
         }
         let last = n[n.len() - 1];
-        surfaces.push(TraceSurface {
-            shape: Shape::default(),
-            distance,
-            index_before: last,
-            index_after: last,
-            semi_diameter: f64::INFINITY,
-            aspheric: false,
-        });
+        surfaces.push(TraceSurface::new(Shape::default(), distance, [last, last], f64::INFINITY));
         Self { wavelength_nm: nm, surfaces, stop: lens.stop, stop_semi_diameter }
     }
 
@@ -75,8 +93,8 @@ impl System {
                 distance,
                 index_before: s.index_after,
                 index_after: s.index_before,
-                semi_diameter: s.semi_diameter,
-                aspheric: s.aspheric,
+                motion: s.motion.map(|m| m.mirrored()),
+                ..s.clone()
             });
             distance = s.distance;
         }
@@ -107,6 +125,8 @@ pub struct SystemGradient {
     pub semi_diameters: Vec<f64>,
     /// Semi-diameter of the stop.
     pub stop_semi_diameter: f64,
+    /// Places of the surfaces that state a pose.
+    pub motions: Vec<Motion>,
 }
 
 impl SystemGradient {
@@ -119,20 +139,20 @@ impl SystemGradient {
             indices: vec![0.0; count + 1],
             semi_diameters: vec![0.0; count],
             stop_semi_diameter: 0.0,
+            motions: vec![Motion::ZERO; count],
         }
     }
 
     /// Adds these cotangents to `gradient` of `lens`, glasses and stop size included.
     pub fn add_to(&self, lens: &Lens, wavelength_nm: f64, gradient: &mut LensGradient) {
         for (i, g) in gradient.surfaces.iter_mut().enumerate() {
-            g.shape.curvature += self.shapes[i].curvature;
-            g.shape.conic += self.shapes[i].conic;
-            g.shape.asphere.iter_mut().zip(&self.shapes[i].asphere).for_each(|(a, b)| *a += b);
+            g.shape.add(&self.shapes[i]);
             g.thickness += self.distances[i + 1];
             if i != lens.stop {
                 g.semi_diameter += self.semi_diameters[i];
             }
         }
+        self.add_poses_to(lens, gradient);
         let image = lens.surfaces.len();
         let mut indices = self.indices[..=image].to_vec();
         // The image plane stands in the last space.
@@ -141,6 +161,35 @@ impl SystemGradient {
         let stop_bar = self.stop_semi_diameter + self.semi_diameters[lens.stop];
         if stop_bar != 0.0 {
             paraxial::first_order_vjp(lens, lens.wavelengths.primary_nm, 0.0, stop_bar, gradient);
+        }
+    }
+
+    fn add_poses_to(&self, lens: &Lens, gradient: &mut LensGradient) {
+        let vertices = lens.vertices();
+        let mut vertex_bar = vec![0.0; vertices.len()];
+        for (i, s) in lens.surfaces.iter().enumerate() {
+            if self.motions[i] == Motion::ZERO {
+                continue;
+            }
+            let mut own = Pose::default();
+            let bar = &self.motions[i];
+            placed_vjp(
+                i,
+                s.pose.as_ref(),
+                &lens.elements,
+                &vertices,
+                bar,
+                &mut own,
+                &mut gradient.elements,
+                &mut vertex_bar,
+            );
+            gradient.surfaces[i].pose.add(&own);
+        }
+        // A vertex lies behind all thicknesses before it.
+        let mut behind = 0.0;
+        for i in (1..vertices.len()).rev() {
+            behind += vertex_bar[i];
+            gradient.surfaces[i - 1].thickness += behind;
         }
     }
 }

@@ -67,27 +67,19 @@ fn launch_vjp_agrees_with_differences() {
 fn intersect_vjp_agrees_with_differences() {
     for seed in 0..100 {
         let rng = &mut fastrand::Rng::with_seed(seed);
-        let shape = Shape {
-            curvature: if seed == 0 { 0.0 } else { between(rng, -0.04, 0.04) },
-            conic: between(rng, -2.0, 0.5),
-            asphere: if seed % 2 == 0 { vec![] } else { vec![between(rng, -1e-3, 1e-3), between(rng, -2e-6, 2e-6)] },
+        let asphere = |rng: &mut fastrand::Rng, size: [f64; 2]| {
+            if seed % 2 == 0 { vec![] } else { size.iter().map(|a| between(rng, -a, *a)).collect() }
         };
-        let shape_dot = Shape {
-            curvature: between(rng, -0.01, 0.01),
-            conic: between(rng, -0.5, 0.5),
-            asphere: shape.asphere.iter().map(|_| between(rng, -1e-5, 1e-5)).collect(),
-        };
-        let surface = |h: f64| TraceSurface {
-            shape: Shape {
-                curvature: shape.curvature + h * shape_dot.curvature,
-                conic: shape.conic + h * shape_dot.conic,
-                asphere: shape.asphere.iter().zip(&shape_dot.asphere).map(|(a, b)| a + h * b).collect(),
-            },
-            distance: 0.0,
-            index_before: 1.0,
-            index_after: 1.5,
-            semi_diameter: 12.0,
-            aspheric: !shape.asphere.is_empty(),
+        let curvature = if seed == 0 { 0.0 } else { between(rng, -0.04, 0.04) };
+        let shape = Shape::even(curvature, between(rng, -2.0, 0.5), asphere(rng, [1e-3, 2e-6]));
+        let shape_dot = Shape::even(between(rng, -0.01, 0.01), between(rng, -0.5, 0.5), asphere(rng, [1e-5, 1e-5]));
+        let surface = |h: f64| {
+            let moved = Shape::even(
+                shape.curvature + h * shape_dot.curvature,
+                shape.conic + h * shape_dot.conic,
+                shape.asphere.iter().zip(&shape_dot.asphere).map(|(a, b)| a + h * b).collect(),
+            );
+            TraceSurface::new(moved, 0.0, [1.0, 1.5], 12.0)
         };
         let origin = DVec3::new(between(rng, -6.0, 6.0), between(rng, -6.0, 6.0), between(rng, -9.0, -3.0));
         let direction = (DVec3::Z + vector(rng, 0.25)).normalize();
@@ -102,7 +94,7 @@ fn intersect_vjp_agrees_with_differences() {
         let hit = intersect(&surface(0.0), origin, direction).expect("meets");
         let back = intersect_vjp(&hit, direction, bar, t_bar);
         let mut shape_bar = shape.zeros_like();
-        shape.sag_vjp(hit.point.truncate().length_squared(), &hit.sag, back.sag, 0.0, &mut shape_bar);
+        shape.at_vjp(hit.point.x, hit.point.y, &hit.local, back.sag, [0.0; 2], &mut shape_bar);
         let pulled = back.origin.dot(o_dot)
             + back.direction.dot(d_dot)
             + shape_bar.curvature * shape_dot.curvature

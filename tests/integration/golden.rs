@@ -26,27 +26,11 @@ fn system(golden: &Value, wavelength: usize) -> System {
     let (mut surfaces, mut n, mut distance) = (Vec::new(), 1.0, 0.0);
     for s in golden["surfaces"].as_array().expect("list") {
         let after = number(&s["index_after"][wavelength]);
-        let shape =
-            Shape { curvature: number(&s["curvature"]), conic: number(&s["conic"]), asphere: numbers(&s["coeffs"]) };
-        let aspheric = shape.is_aspheric();
-        surfaces.push(TraceSurface {
-            shape,
-            distance,
-            index_before: n,
-            index_after: after,
-            semi_diameter: number(&s["semi_diameter"]) * 2.0,
-            aspheric,
-        });
+        let shape = Shape::even(number(&s["curvature"]), number(&s["conic"]), numbers(&s["coeffs"]));
+        surfaces.push(TraceSurface::new(shape, distance, [n, after], number(&s["semi_diameter"]) * 2.0));
         (n, distance) = (after, number(&s["thickness"]));
     }
-    surfaces.push(TraceSurface {
-        shape: Shape::default(),
-        distance,
-        index_before: n,
-        index_after: n,
-        semi_diameter: f64::INFINITY,
-        aspheric: false,
-    });
+    surfaces.push(TraceSurface::new(Shape::default(), distance, [n, n], f64::INFINITY));
     let stop = usize::try_from(golden["stop_index"].as_u64().expect("index")).expect("small");
     System { wavelength_nm: 587.5618, surfaces, stop, stop_semi_diameter: number(&golden["stop_radius"]) }
 }

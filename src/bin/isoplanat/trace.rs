@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isoplanat::trace::{System, exact};
+use isoplanat::trace::exact;
 
 /// Arguments of `trace`.
 #[derive(Debug, clap::Args)]
@@ -35,8 +35,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let (text, name) = crate::input::text(&args.rays)?;
     let request = exact::request_from_json(&text, &name)?;
-    let system = System::new(&lens, request.wavelength_nm);
-    let answer = exact::answer(&system, &request, args.clip, args.gradient);
+    let answer = exact::answer(&lens, &request, args.clip, args.gradient);
     let mut json = serde_json::to_string_pretty(&answer)?;
     json.push('\n');
     crate::output::put(&json, args.output.as_deref(), out)

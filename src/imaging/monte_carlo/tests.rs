@@ -33,7 +33,8 @@ fn density() -> SpectralDensity {
 fn pinhole(radius: f64, distance: f64) -> Lens {
     let mut lens = builtin::lens("two_element").expect("shipped");
     let shape = Shape::default();
-    lens.surfaces = vec![Surface { shape, thickness: distance, medium: Medium::Air, semi_diameter: radius }];
+    lens.surfaces =
+        vec![Surface { shape, thickness: distance, medium: Medium::Air, semi_diameter: radius, pose: None }];
     (lens.stop, lens.aperture) = (0, Aperture::StopSemiDiameter(radius));
     lens
 }
