@@ -33,6 +33,7 @@ pub fn failed(lens: &Lens, what: &str, f: Failure) -> Error {
 
 /// Fits the distortion of `lens` for objects at `vergence` over `0..max_slope`, chief rays of the primary wavelength.
 pub fn fit_distortion(lens: &Lens, vergence: f64, max_slope: f64) -> Result<Distortion> {
+    lens.require_symmetry("radial distortion")?;
     let slopes = fit_slopes(max_slope);
     let heights = chief_heights(lens, vergence, &slopes).map_err(|f| failed(lens, "distortion fit", f))?;
     fit(&slopes, &heights).map_err(|e| e.in_file(std::path::Path::new(&lens.name)))
@@ -55,6 +56,7 @@ pub fn fit_distortion_vjp(
 ///
 /// The field of a fit: called once a lens (or once a run), then held.
 pub fn slope_at_height(lens: &Lens, vergence: f64, radius_mm: f64) -> Result<f64> {
+    lens.require_symmetry("radial distortion")?;
     let height = |s: f64| chief_heights(lens, vergence, &[s]).ok().map(|h| h[0].abs());
     let (mut lo, mut hi) = (0.0, 0.02);
     // Double until the height is reached; a ray that fails ends the search.

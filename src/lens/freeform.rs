@@ -39,6 +39,16 @@ impl Polynomial {
         Self { radius, degree, terms }
     }
 
+    /// Normalisation radius, mm.
+    pub fn radius(&self) -> f64 {
+        self.radius
+    }
+
+    /// `(i, j, coefficient in mm)` of every monomial.
+    pub fn terms(&self) -> &[(usize, usize, f64)] {
+        &self.terms
+    }
+
     /// Highest total degree.
     pub fn degree(&self) -> usize {
         self.degree
@@ -163,6 +173,11 @@ impl Zernike {
     /// The sum of all terms.
     pub fn polynomial(&self) -> &Polynomial {
         &self.sum
+    }
+
+    /// Monomials `(i, j, factor)` of entry `term`.
+    pub fn monomials(&self, term: usize) -> &[(usize, usize, f64)] {
+        &self.basis[term]
     }
 
     /// Adds the pull-back of cotangents on value and slope at `(x, y)` to the terms of `bar`.

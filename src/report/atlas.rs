@@ -66,6 +66,7 @@ impl KernelSet {
     /// A lens that loses rays the fields need, or a distortion that folds (file left empty); a window that would be
     /// larger than 1023 pixels.
     pub fn compute(lens: &Lens, request: &KernelRequest) -> Result<Self> {
+        lens.require_symmetry("the PSF grid")?;
         let channels = request.wavelength_nm.len();
         // One channel a wavelength.
         let weight = (0..channels).map(|c| (0..channels).map(|l| f64::from(u8::from(c == l))).collect()).collect();
@@ -99,6 +100,7 @@ impl KernelSet {
 /// Kernels in the colours of the generic sensor, `[tile, channel, row, col]`, depth by depth and field by field; the
 /// request's own wavelengths are not used.
 pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<Array4<f32>> {
+    lens.require_symmetry("the PSF grid")?;
     let spectrum = Spectrum::quadrature(&Sensor::generic(), COLOUR_NODES);
     let grids = grids(lens, request, &spectrum.wavelength_nm, spectrum.weight.to_vec())?;
     let views: Vec<_> = grids.iter().map(|(_, g)| g.kernels.view()).collect();

@@ -31,6 +31,7 @@ impl FieldLine {
     /// # Errors
     /// A chief ray that does not reach the sensor; a distortion that folds. The file is left empty in the error.
     pub fn new(lens: &Lens, vergence: f64, count: usize) -> Result<Self> {
+        lens.require_symmetry("curves over the field")?;
         let max_slope = max_slope(lens, vergence);
         let samples: Vec<f64> = (0..SAMPLES).map(|i| max_slope * f64::from(i) / f64::from(SAMPLES - 1)).collect();
         let heights = chief_heights(lens, vergence, &samples).map_err(untraceable)?;

@@ -50,6 +50,27 @@ pub(super) fn first_root(
     Err(Cause::Missed)
 }
 
+/// Every crossing of `origin + t·direction` with `surface` inside its domain, as `t`, in order; touching points are left
+/// out. For reports: the trace needs the first one only.
+pub fn crossings(surface: &TraceSurface, origin: DVec3, direction: DVec3) -> Result<Vec<f64>, Cause> {
+    let t0 = -origin.dot(direction);
+    let near = origin + t0 * direction;
+    if !near.is_finite() {
+        return Err(Cause::Missed);
+    }
+    let line = Line { shape: &surface.shape, near, d: direction };
+    let radius = surface.domain.min(surface.shape.reach() * (1.0 - 1e-12));
+    let Some((mut from, to)) = line.within(radius) else { return Ok(Vec::new()) };
+    let (mut found, mut spent) = (Vec::new(), 0);
+    while from < to {
+        let at_start = line.value(from).ok_or(Cause::NotConverged)?;
+        let Some((s, _)) = line.first(from, to, at_start, &mut spent)? else { break };
+        found.push(t0 + s);
+        from = s + 1e-9 * (to - from).min(radius);
+    }
+    Ok(found)
+}
+
 struct Line<'a> {
     shape: &'a Shape,
     near: DVec3,
@@ -237,4 +258,114 @@ fn expanded(q: &mut [f64], x: f64, half: f64) -> (f64, f64) {
     }
     let spread = q.iter().skip(1).rev().fold(0.0, |sum, a| (sum + a.abs()) * half);
     (q[0], spread + 64.0 * f64::EPSILON * size)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::{Xy, Zernike};
+    use crate::testing::between;
+    use crate::trace::intersect::intersect;
+
+    /// The rule of the head by brute force: a fine scan of the cylinder, then bisection.
+    fn by_scan(surface: &TraceSurface, origin: DVec3, d: DVec3) -> Option<f64> {
+        let value = |t: f64| {
+            let p = origin + t * d;
+            surface.shape.at(p.x, p.y).map(|l| l.h - p.z)
+        };
+        let mut radius = surface.domain;
+        for _ in 0..=DOUBLINGS {
+            let limit = radius.min(surface.shape.reach() * (1.0 - 1e-12));
+            let (a, b) = (d.truncate().length_squared(), origin.truncate().dot(d.truncate()));
+            let disc = b * b - a * (origin.truncate().length_squared() - limit * limit);
+            if disc > 0.0 {
+                let ends = [(-b - disc.sqrt()) / a, (-b + disc.sqrt()) / a];
+                let inside = |f: f64| ends[0] + (ends[1] - ends[0]) * (1e-12 + f * (1.0 - 2e-12));
+                let start = 0f64.clamp(inside(0.0), inside(1.0));
+                let before = value(start)? >= 0.0;
+                let end = if before { inside(1.0) } else { inside(0.0) };
+                let steps = 20_000;
+                let at = |i: i32| start + (end - start) * f64::from(i) / f64::from(steps);
+                for i in 0..steps {
+                    let (mut lo, mut hi) = (at(i), at(i + 1));
+                    if (value(hi)? >= 0.0) != before {
+                        for _ in 0..80 {
+                            let middle = 0.5 * (lo + hi);
+                            if (value(middle)? >= 0.0) == before {
+                                lo = middle;
+                            } else {
+                                hi = middle;
+                            }
+                        }
+                        return Some(0.5 * (lo + hi));
+                    }
+                }
+            }
+            if limit < radius {
+                break;
+            }
+            radius *= 2.0;
+        }
+        None
+    }
+
+    fn wild(rng: &mut fastrand::Rng, kind: u64) -> Shape {
+        let mut draw = |w: f64| between(rng, -w, w);
+        let mut shape = Shape { curvature: draw(0.06), conic: draw(2.0), ..Shape::default() };
+        shape.asphere = vec![draw(0.02), draw(2e-3), draw(4e-5), draw(5e-7)];
+        match kind {
+            1 => shape.odd = vec![draw(5e-3), draw(2e-4)],
+            2 => shape.zernike = Some(Zernike::new(6.0, (0..20).map(|_| draw(0.1)).collect())),
+            3 => {
+                shape.xy =
+                    Some(Xy::new(5.0, &[(1, 1, draw(0.5)), (3, 0, draw(0.5)), (2, 4, draw(0.3)), (0, 5, draw(0.3))]))
+            }
+            _ => {}
+        }
+        shape
+    }
+
+    #[test]
+    fn the_first_root_is_that_of_a_fine_scan() {
+        let (mut met, mut several) = (0, 0);
+        for seed in 0..400 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let surface = TraceSurface::new(wild(rng, seed % 4), 0.0, [1.0, 1.5], 6.0);
+            let from = DVec3::new(between(rng, -6.0, 6.0), between(rng, -6.0, 6.0), between(rng, -12.0, 1.0));
+            let to = DVec3::new(between(rng, -5.0, 5.0), between(rng, -5.0, 5.0), between(rng, 0.5, 4.0));
+            let d = (to - from).normalize();
+            let got = intersect(&surface, from, d);
+            match by_scan(&surface, from, d) {
+                Some(t) => {
+                    met += 1;
+                    several += usize::from(crossings(&surface, from, d).expect("settles").len() > 1);
+                    let got = got.unwrap_or_else(|c| panic!("seed {seed}: {c:?}, scan finds {t}"));
+                    assert!((got.t - t).abs() < 1e-9, "seed {seed}: {} against {t}", got.t);
+                }
+                None => assert_eq!(got.err(), Some(Cause::Missed), "seed {seed}"),
+            }
+        }
+        eprintln!("{met} of 400 rays meet their surface, {several} of them more than once");
+        assert!(met > 200 && several > 30, "{met} {several}");
+    }
+
+    #[test]
+    fn every_crossing_of_a_gull_wing_is_listed() {
+        // h = 0.2 r² − 0.03 r⁴ + 0.001 r⁶: up, down, up again.
+        let surface = TraceSurface::new(Shape::even(0.0, 0.0, vec![0.2, -0.03, 0.001]), 0.0, [1.0, 1.5], 5.0);
+        let d = DVec3::new(0.0, 1.0, 0.02).normalize();
+        let origin = DVec3::new(0.0, -5.4, -0.1);
+        let all = crossings(&surface, origin, d).expect("settles");
+        // The same by a scan from side to side.
+        let value = |i: i32| {
+            let p = origin + f64::from(i) * 1e-4 * d;
+            surface.shape.at(p.x, p.y).map_or(0.0, |l| l.h - p.z)
+        };
+        let scanned: Vec<f64> =
+            (0..110_000).filter(|i| value(*i) * value(i + 1) < 0.0).map(|i| f64::from(i) * 1e-4).collect();
+        assert_eq!(all.len(), scanned.len(), "{all:?} {scanned:?}");
+        assert!(all.len() >= 6 && all.iter().zip(&scanned).all(|(a, b)| a - b < 1e-4 && a >= b), "{all:?} {scanned:?}");
+        let first = intersect(&surface, origin, d).expect("meets");
+        assert!((all[0] - first.t).abs() < 1e-12, "{all:?} {}", first.t);
+    }
 }

@@ -10,6 +10,7 @@ pub mod first_root;
 pub mod forward;
 pub mod intersect;
 pub mod launch;
+pub mod precise;
 pub mod refract;
 pub mod sequential;
 pub mod system;

@@ -104,6 +104,15 @@ pub fn trace_vjp(system: &System, hits: &[Hit], bars: &[HitBar], out: &mut Syste
             let [xx, xy, yy] = hit.at.local.second;
             point_bar.x += xx * g_bar.x + xy * g_bar.y;
             point_bar.y += xy * g_bar.x + yy * g_bar.y;
+        } else {
+            // Equal media bend nothing, but would if one of them changed: μ d + (μ cosθ − cosθ') n̂ at μ = 1.
+            let g = gradient(&hit.at);
+            let ci = -g.dot(hit.incoming);
+            if ci != 0.0 {
+                let mu_bar = direction_bar.dot(hit.incoming) + direction_bar.dot(g) / ci;
+                out.indices[i] += mu_bar / surface.index_after;
+                out.indices[i + 1] -= mu_bar / surface.index_after;
+            }
         }
         // Path.
         out.indices[i] += path_bar * hit.at.t;

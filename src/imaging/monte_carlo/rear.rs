@@ -59,6 +59,7 @@ impl RearView {
     /// # Errors
     /// No room between the rear surface and the sensor, no finite rear aperture, no light on the axis.
     pub fn new(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
+        lens.require_symmetry("rendering")?;
         let system = System::new(lens, lens.wavelengths.primary_nm).reversed();
         let (distance, disk_radius) = rim(&system.surfaces[1], radius_mm).ok_or_else(|| {
             let found = "its rear surface reaches the sensor or its clear aperture has no end";

@@ -1,0 +1,367 @@
+//! The trace in any arithmetic: f32, f64, double-double. One plain loop, for measuring what precision costs.
+//!
+//! The branch of every intersection comes from an f64 trace of the same ray; here the root is polished by Newton in the
+//! arithmetic asked for. In double-double (32 digits) the result serves as the reference for f64 rays, and central
+//! differences with steps of 1e-10 are derivatives to 20 digits: an oracle for the adjoint that shares none of its
+//! formulas.
+
+use std::ops::{Add, Div, Mul, Neg, Sub};
+
+use glam::DVec3;
+use twofloat::TwoFloat;
+
+use super::sequential::Hit;
+use super::{Ray, System};
+use crate::lens::variables::Parameter;
+use crate::lens::{Lens, Pose};
+
+/// What a trace needs of its numbers.
+pub trait Scalar:
+    Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self> + Neg<Output = Self>
+{
+    /// Rounded from f64.
+    fn of(x: f64) -> Self;
+    /// Rounded to f64.
+    fn to_f64(self) -> f64;
+    /// Square root.
+    fn root(self) -> Self;
+}
+
+impl Scalar for f64 {
+    fn of(x: f64) -> Self {
+        x
+    }
+    fn to_f64(self) -> f64 {
+        self
+    }
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+}
+
+impl Scalar for f32 {
+    #[expect(clippy::cast_possible_truncation, reason = "rounding is the purpose")]
+    fn of(x: f64) -> Self {
+        x as f32
+    }
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+}
+
+impl Scalar for TwoFloat {
+    fn of(x: f64) -> Self {
+        TwoFloat::from(x)
+    }
+    fn to_f64(self) -> f64 {
+        self.hi() + self.lo()
+    }
+    fn root(self) -> Self {
+        self.sqrt()
+    }
+}
+
+type Vec3<S> = [S; 3];
+
+/// One surface in arithmetic `S`.
+#[derive(Clone)]
+struct PreciseSurface<S> {
+    curvature: S,
+    conic: S,
+    even: Vec<S>,
+    odd: Vec<S>,
+    /// Radius and monomials of Zernike and xy terms.
+    freeform: Vec<(S, Vec<(usize, usize, S)>)>,
+    distance: S,
+    indices: [S; 2],
+    /// Rotation (rows) and shift.
+    motion: Option<([Vec3<S>; 3], Vec3<S>)>,
+}
+
+/// A [`System`] in arithmetic `S`.
+#[derive(Clone)]
+pub struct PreciseSystem<S> {
+    surfaces: Vec<PreciseSurface<S>>,
+}
+
+/// Where a precise ray lands: x, y on the image plane, direction, optical path from its origin.
+#[derive(Clone, Copy)]
+pub struct Landing<S> {
+    /// Point on the image plane, mm.
+    pub x: S,
+    /// Point on the image plane, mm.
+    pub y: S,
+    /// Direction behind the last surface.
+    pub direction: [S; 3],
+    /// Optical path, mm.
+    pub path: S,
+}
+
+/// Which number of a system is moved.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Number {
+    /// A number of the lens's form; glass and poses of elements aside.
+    Of(Parameter),
+    /// Index of the space behind a surface.
+    IndexBehind(usize),
+}
+
+impl<S: Scalar> PreciseSystem<S> {
+    /// `system`, every number rounded to `S`.
+    pub fn new(system: &System) -> Self {
+        let of = |list: &[f64]| list.iter().map(|x| S::of(*x)).collect::<Vec<S>>();
+        let surfaces = system
+            .surfaces
+            .iter()
+            .map(|s| PreciseSurface {
+                curvature: S::of(s.shape.curvature),
+                conic: S::of(s.shape.conic),
+                even: of(&s.shape.asphere),
+                odd: of(&s.shape.odd),
+                freeform: [
+                    s.shape.zernike.as_ref().map(|z| z.polynomial()),
+                    s.shape.xy.as_ref().map(|p| p.polynomial()),
+                ]
+                .into_iter()
+                .flatten()
+                .map(|p| (S::of(p.radius()), p.terms().iter().map(|(i, j, c)| (*i, *j, S::of(*c))).collect()))
+                .collect(),
+                distance: S::of(s.distance),
+                indices: [S::of(s.index_before), S::of(s.index_after)],
+                motion: s.motion.map(|m| {
+                    let rows = m.rotation.transpose();
+                    (
+                        [rows.x_axis, rows.y_axis, rows.z_axis].map(|r| r.to_array().map(S::of)),
+                        m.shift.to_array().map(S::of),
+                    )
+                }),
+            })
+            .collect();
+        Self { surfaces }
+    }
+
+    /// Moves one number by `h`. Poses of surfaces that belong to an element are not moved: returns false.
+    pub fn bump(&mut self, lens: &Lens, number: Number, h: f64) -> bool {
+        let h = S::of(h);
+        let add = |x: &mut S| *x = *x + h;
+        let last = self.surfaces.len() - 1;
+        match number {
+            Number::IndexBehind(i) => {
+                add(&mut self.surfaces[i].indices[1]);
+                add(&mut self.surfaces[i + 1].indices[0]);
+                if i + 1 == last {
+                    add(&mut self.surfaces[last].indices[1]);
+                }
+            }
+            Number::Of(parameter) => match parameter {
+                Parameter::Curvature(i) => add(&mut self.surfaces[i].curvature),
+                Parameter::Conic(i) => add(&mut self.surfaces[i].conic),
+                Parameter::Asphere(i, j) => add(&mut self.surfaces[i].even[j]),
+                Parameter::Odd(i, j) => add(&mut self.surfaces[i].odd[j]),
+                Parameter::Thickness(i) => add(&mut self.surfaces[i + 1].distance),
+                Parameter::Zernike(i, j) => {
+                    let Some(z) = &lens.surfaces[i].shape.zernike else { return false };
+                    let (_, terms) = &mut self.surfaces[i].freeform[0];
+                    for (a, b, c) in z.monomials(j) {
+                        match terms.iter_mut().find(|t| (t.0, t.1) == (*a, *b)) {
+                            Some(term) => term.2 = term.2 + h * S::of(*c),
+                            None => terms.push((*a, *b, h * S::of(*c))),
+                        }
+                    }
+                }
+                Parameter::Xy(i, j) => {
+                    let Some((_, terms)) = self.surfaces[i].freeform.last_mut() else { return false };
+                    add(&mut terms[j].2);
+                }
+                Parameter::Decentre(i, k) if !in_element(lens, i) => {
+                    let Some((_, shift)) = &mut self.surfaces[i].motion else { return false };
+                    add(&mut shift[k]);
+                }
+                Parameter::Tilt(i, k) if !in_element(lens, i) => {
+                    let (Some(motion), Some(pose)) = (&mut self.surfaces[i].motion, &lens.surfaces[i].pose) else {
+                        return false;
+                    };
+                    motion.0 = tilted(pose, k, h);
+                }
+                _ => return false,
+            },
+        }
+        true
+    }
+
+    /// Traces `ray` along the branch of `hits` (the f64 trace of the same ray, image plane included). `None` where the
+    /// polished ray leaves that branch.
+    pub fn trace(&self, ray: Ray, hits: &[Hit]) -> Option<Landing<S>> {
+        let mut origin = ray.origin.to_array().map(S::of);
+        let mut direction = ray.direction.to_array().map(S::of);
+        let length = dot(direction, direction).root();
+        direction = direction.map(|x| x / length);
+        let mut path = S::of(0.0);
+        for (surface, hit) in self.surfaces.iter().zip(hits) {
+            origin[2] = origin[2] - surface.distance;
+            if let Some((r, s)) = &surface.motion {
+                let from: Vec3<S> = std::array::from_fn(|k| origin[k] - s[k]);
+                (origin, direction) = (back(r, from), back(r, direction));
+            }
+            let (t, slope) = surface.polish(origin, direction, hit.at.t)?;
+            let mut point: Vec3<S> = std::array::from_fn(|k| origin[k] + t * direction[k]);
+            path = path + surface.indices[0] * t;
+            if (surface.indices[0] - surface.indices[1]).to_f64() != 0.0 {
+                let mu = surface.indices[0] / surface.indices[1];
+                let length = (slope[0] * slope[0] + slope[1] * slope[1] + S::of(1.0)).root();
+                let mut normal = [slope[0] / length, slope[1] / length, -(S::of(1.0) / length)];
+                if dot(normal, direction).to_f64() > 0.0 {
+                    normal = normal.map(|x| -x);
+                }
+                let ci = -dot(direction, normal);
+                let under = S::of(1.0) - mu * mu * (S::of(1.0) - ci * ci);
+                if under.to_f64() < 0.0 {
+                    return None;
+                }
+                let gamma = mu * ci - under.root();
+                direction = std::array::from_fn(|k| mu * direction[k] + gamma * normal[k]);
+            }
+            if let Some((r, s)) = &surface.motion {
+                let turned = forth(r, point);
+                point = std::array::from_fn(|k| turned[k] + s[k]);
+                direction = forth(r, direction);
+            }
+            origin = point;
+        }
+        let landing = Landing { x: origin[0], y: origin[1], direction, path };
+        (landing.x.to_f64().is_finite() && landing.y.to_f64().is_finite()).then_some(landing)
+    }
+}
+
+fn in_element(lens: &Lens, surface: usize) -> bool {
+    lens.elements.iter().any(|e| (e.first..=e.last).contains(&surface))
+}
+
+fn dot<S: Scalar>(a: Vec3<S>, b: Vec3<S>) -> S {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn forth<S: Scalar>(rows: &[Vec3<S>; 3], v: Vec3<S>) -> Vec3<S> {
+    rows.map(|r| dot(r, v))
+}
+
+fn back<S: Scalar>(rows: &[Vec3<S>; 3], v: Vec3<S>) -> Vec3<S> {
+    std::array::from_fn(|k| rows[0][k] * v[0] + rows[1][k] * v[1] + rows[2][k] * v[2])
+}
+
+/// Rows of the rotation of `pose` with angle `axis` moved by a small `h`: sine and cosine by the addition theorem from
+/// the f64 values, so that the nominal rotation is the f64 one.
+fn tilted<S: Scalar>(pose: &Pose, axis: usize, h: S) -> [Vec3<S>; 3] {
+    let (one, zero) = (S::of(1.0), S::of(0.0));
+    let (sin_h, cos_h) = (h - h * h * h / S::of(6.0), one - h * h / S::of(2.0) + h * h * h * h / S::of(24.0));
+    let about = |k: usize| {
+        let (s, c) = pose.tilt[k].sin_cos();
+        let (mut s, mut c) = (S::of(s), S::of(c));
+        if k == axis {
+            (s, c) = (s * cos_h + c * sin_h, c * cos_h - s * sin_h);
+        }
+        let (i, j) = ((k + 1) % 3, (k + 2) % 3);
+        let mut r = [[zero; 3]; 3];
+        r[k][k] = one;
+        (r[i][i], r[i][j], r[j][i], r[j][j]) = (c, -s, s, c);
+        r
+    };
+    let product = |a: [Vec3<S>; 3], b: [Vec3<S>; 3]| a.map(|row| back(&b, row));
+    product(product(about(0), about(1)), about(2))
+}
+
+impl<S: Scalar> PreciseSurface<S> {
+    /// Sag and slope; `None` beyond the conic's reach.
+    fn at(&self, x: S, y: S) -> Option<(S, [S; 2])> {
+        let one = S::of(1.0);
+        let rho = x * x + y * y;
+        let phi_sq = one - (one + self.conic) * self.curvature * self.curvature * rho;
+        if !(phi_sq.to_f64() > 0.0) {
+            return None;
+        }
+        let phi = phi_sq.root();
+        let mut h = self.curvature * rho / (one + phi);
+        // dh/dρ, twice.
+        let mut twice = self.curvature / phi;
+        let series = |terms: &[S], from: f64| {
+            let (mut p, mut d) = (S::of(0.0), S::of(0.0));
+            for (i, a) in terms.iter().enumerate().rev() {
+                #[expect(clippy::cast_precision_loss, reason = "small orders")]
+                let order = i as f64 + from;
+                p = p * rho + *a;
+                d = d * rho + *a * S::of(order);
+            }
+            (p, d)
+        };
+        // Σ a ρ^{i+1} and its derivative Σ (i+1) a ρ^i.
+        let (p, d) = series(&self.even, 1.0);
+        h = h + p * rho;
+        twice = twice + d + d;
+        if !self.odd.is_empty() {
+            let r = rho.root();
+            let (p, d) = series(&self.odd, 1.5);
+            h = h + p * rho * r;
+            twice = twice + (d + d) * r;
+        }
+        let mut slope = [twice * x, twice * y];
+        for (radius, terms) in &self.freeform {
+            let (u, v) = (x / *radius, y / *radius);
+            let power = |base: S, n: usize| (0..n).fold(one, |p, _| p * base);
+            for (i, j, c) in terms {
+                #[expect(clippy::cast_precision_loss, reason = "small orders")]
+                let (di, dj) = (*i as f64, *j as f64);
+                h = h + *c * power(u, *i) * power(v, *j);
+                if *i > 0 {
+                    slope[0] = slope[0] + *c * S::of(di) * power(u, *i - 1) * power(v, *j) / *radius;
+                }
+                if *j > 0 {
+                    slope[1] = slope[1] + *c * S::of(dj) * power(u, *i) * power(v, *j - 1) / *radius;
+                }
+            }
+        }
+        Some((h, slope))
+    }
+
+    /// The root near `t`, and the slope there.
+    fn polish(&self, origin: Vec3<S>, d: Vec3<S>, t: f64) -> Option<(S, [S; 2])> {
+        let mut t = S::of(t);
+        let mut before = f64::INFINITY;
+        for _ in 0..40 {
+            let p: Vec3<S> = std::array::from_fn(|k| origin[k] + t * d[k]);
+            let (h, slope) = self.at(p[0], p[1])?;
+            let step = (h - p[2]) / (slope[0] * d[0] + slope[1] * d[1] - d[2]);
+            let size = step.to_f64().abs();
+            if !size.is_finite() {
+                return None;
+            }
+            // Steps shrink until they are rounding.
+            if size >= 0.25 * before || size == 0.0 {
+                return Some((t, slope));
+            }
+            before = size;
+            t = t - step;
+        }
+        None
+    }
+}
+
+/// `∂(x, y)/∂number` of a ray's landing by central differences in double-double, step `h` (a natural scale of the number
+/// times about 1e-10). `None` where the number cannot be moved or the ray is lost.
+pub fn derivative(lens: &Lens, system: &System, ray: Ray, hits: &[Hit], number: Number, h: f64) -> Option<[f64; 2]> {
+    let side = |h: f64| {
+        let mut moved = PreciseSystem::<TwoFloat>::new(system);
+        moved.bump(lens, number, h).then(|| moved.trace(ray, hits)).flatten()
+    };
+    let (a, b) = (side(h)?, side(-h)?);
+    let per = |p: TwoFloat, q: TwoFloat| ((p - q) / TwoFloat::from(2.0 * h)).to_f64();
+    Some([per(a.x, b.x), per(a.y, b.y)])
+}
+
+/// Landing of `ray` in double-double, rounded: point on the image plane and optical path.
+pub fn reference(system: &System, ray: Ray, hits: &[Hit]) -> Option<(DVec3, f64)> {
+    let l = PreciseSystem::<TwoFloat>::new(system).trace(ray, hits)?;
+    Some((DVec3::new(l.x.to_f64(), l.y.to_f64(), 0.0), l.path.to_f64()))
+}
