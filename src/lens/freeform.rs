@@ -345,6 +345,50 @@ mod tests {
         }
     }
 
+    /// Both `terms_vjp` against the surface itself: value and slope are linear in every term.
+    #[test]
+    fn terms_vjp_is_the_transpose_of_value_and_slope() {
+        use crate::lens::Shape;
+        use crate::testing::assert_rel;
+        let (x, y, h_bar, slope_bar) = (2.3, -1.7, 0.7, [-1.1, 0.4]);
+        let dot = |shape: &Shape| {
+            let l = shape.at(x, y).expect("a plane reaches everywhere");
+            h_bar * l.h + slope_bar[0] * l.slope[0] + slope_bar[1] * l.slope[1]
+        };
+        let zernike = Zernike::new(4.0, vec![0.0; MAX_NOLL]);
+        let mut bar = zernike.zeros_like();
+        zernike.terms_vjp(x, y, h_bar, slope_bar, &mut bar);
+        for j in 0..MAX_NOLL {
+            let mut terms = vec![0.0; MAX_NOLL];
+            terms[j] = 1.0;
+            let shape = Shape { zernike: Some(Zernike::new(4.0, terms)), ..Shape::default() };
+            assert_rel(bar.terms()[j], dot(&shape), 1e-12, 1e-3, &format!("Z{}", j + 1));
+        }
+        let orders = [(1, 0), (0, 1), (2, 3), (10, 0), (4, 6)];
+        let xy = Xy::new(3.0, &orders.map(|(i, j)| (i, j, 0.0)));
+        let mut bar = xy.zeros_like();
+        xy.terms_vjp(x, y, h_bar, slope_bar, &mut bar);
+        for (k, (i, j)) in orders.into_iter().enumerate() {
+            let shape = Shape { xy: Some(Xy::new(3.0, &[(i, j, 1.0)])), ..Shape::default() };
+            assert_rel(bar.terms()[k], dot(&shape), 1e-12, 1e-3, &format!("x{i}y{j}"));
+        }
+    }
+
+    /// The polynomial along a line is the polynomial.
+    #[test]
+    fn along_a_line_is_the_surface_there() {
+        use crate::lens::Shape;
+        let xy = Xy::new(3.0, &[(1, 0, 0.3), (2, 3, -0.8), (4, 6, 0.2), (0, 7, 0.5)]);
+        let (p, d) = ([0.4, -1.1], [0.6, 0.3]);
+        let along = xy.polynomial().along(p, d);
+        let shape = Shape { xy: Some(xy), ..Shape::default() };
+        for s in [-2.0, 0.0, 0.7, 3.1] {
+            let value = along.iter().rev().fold(0.0, |sum, c| sum * s + c);
+            let h = shape.at(p[0] + s * d[0], p[1] + s * d[1]).expect("reaches").h;
+            assert!((value - h).abs() < 1e-13, "{value} {h}");
+        }
+    }
+
     /// Orthonormal on the disk, by quadrature exact to degree 20.
     #[test]
     fn terms_are_orthonormal() {

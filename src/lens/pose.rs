@@ -170,6 +170,28 @@ mod tests {
         assert!((about_z.rotation * DVec3::X - DVec3::Y).length() < 1e-15);
     }
 
+    #[test]
+    fn motion_vjp_agrees_with_differences() {
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let (pose, dot) = (random(rng, 0.8), random(rng, 1.0));
+        let mut draw = || DVec3::new(between(rng, -1.0, 1.0), between(rng, -1.0, 1.0), between(rng, -1.0, 1.0));
+        let motion_bar = Motion { rotation: DMat3::from_cols(draw(), draw(), draw()), shift: draw() };
+        let f = |h: f64| {
+            let moved = Pose {
+                decentre: std::array::from_fn(|k| pose.decentre[k] + h * dot.decentre[k]),
+                tilt: std::array::from_fn(|k| pose.tilt[k] + h * dot.tilt[k]),
+            };
+            let m = moved.motion();
+            m.shift.dot(motion_bar.shift)
+                + (0..3).map(|k| m.rotation.col(k).dot(motion_bar.rotation.col(k))).sum::<f64>()
+        };
+        let mut bar = Pose::default();
+        pose.motion_vjp(&motion_bar, &mut bar);
+        let pulled = bar.decentre.iter().zip(&dot.decentre).map(|(a, b)| a * b).sum::<f64>()
+            + bar.tilt.iter().zip(&dot.tilt).map(|(a, b)| a * b).sum::<f64>();
+        assert_rel(pulled, central_difference(f, 1e-3), 1e-10, 1e-2, "pose");
+    }
+
     /// A pull-back through a surface's pose and two elements against differences.
     #[test]
     fn placed_vjp_agrees_with_differences() {

@@ -97,7 +97,11 @@ pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
 
 /// Traces every ray; `clip` stops rays at clear apertures, `gradient` adds landing derivatives.
 pub fn answer(lens: &Lens, request: &Request, clip: bool, gradient: bool) -> Answer {
-    let system = &System::new(lens, request.wavelength_nm);
+    answer_in(lens, &System::new(lens, request.wavelength_nm), request, clip, gradient)
+}
+
+/// [`answer`] in a `system` made from `lens` and changed since (another medium before the lens).
+pub fn answer_in(lens: &Lens, system: &System, request: &Request, clip: bool, gradient: bool) -> Answer {
     let mut hits = Vec::new();
     let rays = request
         .rays
@@ -203,7 +207,7 @@ fn landing_gradient(lens: &Lens, system: &System, hits: &[Hit]) -> Vec<AnswerGra
             let (x, y) = (&lx.surfaces[i].pose, &ly.surfaces[i].pose);
             pose_terms(x, y, &mut push);
         }
-        push("thickness".into(), gx.distances[i + 1], gy.distances[i + 1]);
+        push("thickness".into(), lx.surfaces[i].thickness, ly.surfaces[i].thickness);
         // The image plane stands in the last space: its index is that of the last surface.
         let index = |g: &SystemGradient| g.indices[i + 1] + if i + 1 == image { g.indices[image + 1] } else { 0.0 };
         push("index".into(), index(&gx), index(&gy));

@@ -18,6 +18,8 @@ use crate::lens::shape::{Local, Shape};
 
 /// Doublings of the domain before a ray counts as missed.
 const DOUBLINGS: u32 = 6;
+/// The edge of the conic itself has no slope: the search ends at this share of its reach.
+const EDGE: f64 = 1.0 - 1e-15;
 /// Segments looked at in one cylinder before a ray counts as not converged.
 const SEGMENTS: u32 = 20_000;
 
@@ -29,8 +31,7 @@ pub(super) fn first_root(
     origin: f64,
 ) -> Result<(f64, Local, u32), Cause> {
     let shape = &surface.shape;
-    // The edge of the conic itself has no slope.
-    let reach = shape.reach() * (1.0 - 1e-12);
+    let reach = shape.reach() * EDGE;
     let mut spent = 0;
     for doubling in 0..=DOUBLINGS {
         let radius = (surface.domain * f64::from(1u32 << doubling)).min(reach);
@@ -59,7 +60,7 @@ pub fn crossings(surface: &TraceSurface, origin: DVec3, direction: DVec3) -> Res
         return Err(Cause::Missed);
     }
     let line = Line { shape: &surface.shape, near, d: direction };
-    let radius = surface.domain.min(surface.shape.reach() * (1.0 - 1e-12));
+    let radius = surface.domain.min(surface.shape.reach() * EDGE);
     let Some((mut from, to)) = line.within(radius) else { return Ok(Vec::new()) };
     let (mut found, mut spent) = (Vec::new(), 0);
     while from < to {
@@ -275,7 +276,7 @@ mod tests {
         };
         let mut radius = surface.domain;
         for _ in 0..=DOUBLINGS {
-            let limit = radius.min(surface.shape.reach() * (1.0 - 1e-12));
+            let limit = radius.min(surface.shape.reach() * EDGE);
             let (a, b) = (d.truncate().length_squared(), origin.truncate().dot(d.truncate()));
             let disc = b * b - a * (origin.truncate().length_squared() - limit * limit);
             if disc > 0.0 {

@@ -236,6 +236,49 @@ impl<S: Scalar> PreciseSystem<S> {
     }
 }
 
+/// Where Newton's iteration for an intersection starts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Start {
+    /// Where the ray meets the vertex plane.
+    VertexPlane,
+    /// Where it meets the base conic (the vertex plane if it misses that).
+    BaseConic,
+}
+
+impl<S: Scalar> PreciseSystem<S> {
+    /// Newton on the intersection of a ray in the frame of `surface`, until the step is at most `tolerance` mm: distance
+    /// and number of iterations. Unsafeguarded, for measuring what tolerance, start and arithmetic cost and give.
+    pub fn newton(
+        &self,
+        surface: usize,
+        origin: [S; 3],
+        direction: [S; 3],
+        start: Start,
+        tolerance: f64,
+    ) -> Option<(S, u32)> {
+        let s = &self.surfaces[surface];
+        let plane = -(origin[2] / direction[2]);
+        let mut t = match start {
+            Start::VertexPlane => plane,
+            Start::BaseConic => s.conic_root(origin, direction, plane),
+        };
+        for iteration in 1..=50 {
+            let p: Vec3<S> = std::array::from_fn(|k| origin[k] + t * direction[k]);
+            let (h, slope) = s.at(p[0], p[1])?;
+            let step = (h - p[2]) / (slope[0] * direction[0] + slope[1] * direction[1] - direction[2]);
+            t = t - step;
+            let size = step.to_f64().abs();
+            if !size.is_finite() {
+                return None;
+            }
+            if size <= tolerance {
+                return Some((t, iteration));
+            }
+        }
+        None
+    }
+}
+
 fn in_element(lens: &Lens, surface: usize) -> bool {
     lens.elements.iter().any(|e| (e.first..=e.last).contains(&surface))
 }
@@ -325,6 +368,17 @@ impl<S: Scalar> PreciseSurface<S> {
         Some((h, slope))
     }
 
+    /// The exact root on the base conic from the vertex plane on, `plane` where there is none.
+    fn conic_root(&self, origin: Vec3<S>, d: Vec3<S>, plane: S) -> S {
+        let (c, one) = (self.curvature, S::of(1.0));
+        let (x, y) = (origin[0] + plane * d[0], origin[1] + plane * d[1]);
+        let a = c * (one + self.conic * d[2] * d[2]);
+        let b = d[2] - c * (x * d[0] + y * d[1]);
+        let cc = c * (x * x + y * y);
+        let disc = b * b - a * cc;
+        if disc.to_f64() >= 0.0 { plane + cc / (b + disc.root()) } else { plane }
+    }
+
     /// The root near `t`, and the slope there.
     fn polish(&self, origin: Vec3<S>, d: Vec3<S>, t: f64) -> Option<(S, [S; 2])> {
         let mut t = S::of(t);
@@ -364,4 +418,32 @@ pub fn derivative(lens: &Lens, system: &System, ray: Ray, hits: &[Hit], number: 
 pub fn reference(system: &System, ray: Ray, hits: &[Hit]) -> Option<(DVec3, f64)> {
     let l = PreciseSystem::<TwoFloat>::new(system).trace(ray, hits)?;
     Some((DVec3::new(l.x.to_f64(), l.y.to_f64(), 0.0), l.path.to_f64()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::trace::sequential::trace;
+
+    /// f64 in this loop is the plain trace, f32 is worse by its digits, double-double is better.
+    #[test]
+    fn precision_falls_and_rises_with_the_arithmetic() {
+        for name in ["cooke_triplet", "phone"] {
+            let lens = builtin::lens(name).expect("shipped");
+            let system = System::new(&lens, 550.0);
+            let ray = Ray { origin: DVec3::new(0.1, 0.4, -1.0), direction: DVec3::new(0.02, 0.1, 1.0).normalize() };
+            let mut hits = Vec::new();
+            let landing = trace(&system, ray, system.image(), &mut hits).expect("traces").at.point;
+            let (exact, path) = reference(&system, ray, &hits).expect("traces");
+            let double = PreciseSystem::<f64>::new(&system).trace(ray, &hits).expect("traces");
+            let single = PreciseSystem::<f32>::new(&system).trace(ray, &hits).expect("traces");
+            let off = |x: f64, y: f64| (x - exact.x).hypot(y - exact.y);
+            assert!(off(landing.x, landing.y) < 1e-13, "{name}: {:e}", off(landing.x, landing.y));
+            assert!(off(double.x, double.y) < 1e-13, "{name}: {:e}", off(double.x, double.y));
+            let rough = off(f64::from(single.x), f64::from(single.y));
+            assert!((1e-9..1e-4).contains(&rough), "{name}: {rough:e}");
+            assert!((hits[system.image()].optical_path - path).abs() < 1e-12, "{name}");
+        }
+    }
 }

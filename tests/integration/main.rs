@@ -7,4 +7,5 @@ mod layering;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod renderers;
+mod stiff;
 mod support;

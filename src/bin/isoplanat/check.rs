@@ -1,0 +1,32 @@
+//! `isoplanat check`: numerical health of a lens.
+
+use std::io::Write;
+
+use isoplanat::report::health::HealthReport;
+use isoplanat::trace::health::Verdict;
+
+/// Arguments of `check`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (TOML), or the name of a shipped lens
+    lens: String,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command; the result goes to `out`. A failed check is an error (exit code 1) that names the first failure.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let lens = crate::input::lens(&args.lens)?;
+    let report = HealthReport::new(&lens);
+    if args.json {
+        writeln!(out, "{:#}", report.json())?;
+    } else {
+        write!(out, "{report}")?;
+    }
+    out.flush()?;
+    let failed: Vec<&str> =
+        report.health().figures.iter().filter(|f| f.verdict == Verdict::Fail).map(|f| f.what).collect();
+    anyhow::ensure!(failed.is_empty(), "{}: {} of the checks failed: {}", args.lens, failed.len(), failed.join("; "));
+    Ok(())
+}
