@@ -126,7 +126,7 @@ def ellipsoid_edge():
     out = []
     for name, text, asphere in (("ellipsoid-edge", ".", None),
                                 ("ellipsoid-edge-asphere", ", on an ellipsoid with even terms.", {"a4": 1e-5, "a6": -2e-8})):
-        rays = axial(heights, grad=(0, 1, 2))
+        rays = axial(heights, grad=(0, 1, 2, 3))
         rays += [ray([y * 0.6, y * 0.8, -5.0], [0.0, 0.0, 1.0]) for y in heights[:3]]
         rays += [ray([0.0, high, -5.0], [0.0, 0.0, 1.0], "missed", 0)]
         rays += bundle([(0.0, 15.5), (0.0, -15.9)], -5.0, direction(0, 0.5))
@@ -194,6 +194,8 @@ def gull_wing():
     behind = [ray([0.0, 0.0, 1.0], [0.0, 1.0, 0.15], roots=(0,), grad=True), ray([0.5, 1.0, 1.5], [0.05, 1.0, 0.1], roots=(0,)),
               ray([0.0, 10.4, 2.4], [0.0, 1.0, 0.15], roots=(0,)), ray([0.0, 12.5, 3.0], [0.0, 1.0, 0.15], roots=(0,)),
               ray([0.0, 3.0, 5.0], [0.0, 0.1, 1.0], roots=(0,)),
+              # Met at 1.6 times the clear semi-diameter only: the wider cylinders.
+              ray([0.0, -17.0, -230.0], [0.0, 0.0, 1.0]), ray([0.5, -20.0, -270.0], [0.0, 0.02, 1.0], roots=(0,)),
               # Starts behind the outer wall: what lies ahead is not looked at, and behind it there is no crossing.
               ray([1.5, -10.4, -1.0], [0.05, 1.0, 0.12], "missed", 0, roots=(0,))]
     return case("gull-wing", "An even asphere with a ring-shaped crest: oblique rays cross it three times or more inside the "
@@ -226,7 +228,7 @@ def steep_asphere():
     rays += [ray([x, y - 0.3, -1.0], d, grad=g) for x, y, d, g in (
         (0.0, 0.0, direction(0, 15), False), (0.5, 0.3, direction(0, 15), True))]
     rays += [ray([x, y - 0.62, -1.0], direction(0, 30), grad=x > 0) for x, y in ((0.0, 0.0), (0.4, -0.3), (0.0, 0.6), (0.0, -0.6))]
-    return case("steep-asphere", "A telephone lens of our own, three elements f/2 with an inflected last surface, at 0, 15 and 30 "
+    return case("steep-asphere", "A phone lens of our own, three elements f/2 with an inflected last surface, at 0, 15 and 30 "
                 "degrees.", surfaces, rays, aims([0, 15, 30], [(0, 0), (0.5, 0.5)]))
 
 

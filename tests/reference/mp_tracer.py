@@ -12,6 +12,7 @@ DIGITS = 60          # working digits of every traced ray
 DIFF_DIGITS = 90     # working digits while differences are taken
 DIFF_STEP = 30       # difference step, 10^-30 of a parameter's scale
 SCAN = 4000          # samples a chord for surfaces with odd terms (r is no polynomial in t)
+NOISE = mpf(10) ** -40  # mm: what is smaller is zero
 REACH_STEPS = 7      # cylinders of 1, 2, 4, ... 64 times the first
 
 mp.dps = DIGITS
@@ -534,7 +535,9 @@ def gradient(lens, origin, direction):
                 moved = dict(base)
                 moved[name] = value + sign * h
                 ends.append(trace(lens, moved, origin, direction, guide=nominal).rows[-1])
-            out.append((name, (ends[0][0] - ends[1][0]) / (2 * h), (ends[0][1] - ends[1][1]) / (2 * h)))
+            row = [(a - b) / (2 * h) for a, b in zip(ends[0][:2], ends[1][:2])]
+            unit = h * mpf(10) ** DIFF_STEP
+            out.append((name, *(v if abs(v * unit) > NOISE else mpf(0) for v in row)))
     return out
 
 

@@ -3,7 +3,7 @@
     pip install mpmath gmpy2 && python3 tests/reference/trace_suite.py
 
 (gmpy2 is optional and only makes it faster.) `--only NAME` runs one case and prints it, `--check-golden DIR` compares the tracer
-with programs and data of others, `--check-roots` compares the root finder with mpmath.polyroots. README.md has the schema.
+with programs and data of others, `--check` tests shapes, poses and the root finder (against mpmath.polyroots). README.md has the schema.
 """
 
 import argparse
@@ -26,7 +26,7 @@ HERE = os.path.dirname(os.path.abspath(__file__))
 
 
 def doubles(row):
-    return [nearest(v) for v in row]
+    return [nearest(v) if abs(v) > tr.NOISE else 0.0 for v in row]
 
 
 def trace_ray(lens, p, spec, label):
@@ -128,13 +128,14 @@ def main():
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--only")
     ask.add_argument("--check-golden", metavar="DIR")
-    ask.add_argument("--check-roots", action="store_true")
+    ask.add_argument("--check", action="store_true")
     ask.add_argument("-o", "--output", default=os.path.join(HERE, "trace_suite.json"))
     a = ask.parse_args()
     if a.check_golden:
         print(json.dumps(checks.golden(a.check_golden), indent=1))
         return
-    if a.check_roots:
+    if a.check:
+        print(checks.shapes())
         print(checks.roots(random_roots.surfaces_and_rays()))
         return
     done, start = [], time.time()
