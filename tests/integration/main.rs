@@ -8,3 +8,4 @@ mod layering;
 mod parity;
 mod renderers;
 mod support;
+mod throughput;
