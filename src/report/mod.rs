@@ -9,7 +9,7 @@ pub mod atlas;
 pub mod demo;
 pub mod drawing;
 pub mod field;
-//HEALTH pub mod health;
+pub mod health;
 pub mod html;
 pub mod listing;
 pub mod plot;

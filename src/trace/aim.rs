@@ -1,41 +1,33 @@
 //! Rays aimed at a point of the real stop, with the implicit derivative of the aiming.
 //!
-//! Newton on the point `e` of the first vertex plane: `S(e) = s`, with the Jacobian from the trace's own pull-back,
-//! started from the paraxial entrance pupil and, where that fails, continued from the axis in steps of field.
-//! At the solution `δe = −S_e⁻¹ (S_θ δθ)`: [`aim_vjp`].
+//! The unknowns are the two coordinates `p` of the launch ray: the point `e` of the first vertex plane for a field
+//! point in slopes ([`aim`]), the point of a plane perpendicular to the light for an object at any angle ([`Aimer`]).
+//! Newton on `S(p) = s` from the paraxial entrance pupil ([`newton`]) settles the ordinary ray in a few traces. Where it
+//! fails (wide angles, fast lenses: the first guess misses a surface) the light is followed backwards from the stop
+//! ([`backward`]), walking from the axis to the field, and Newton only confirms. At the solution
+//! `δp = −S_p⁻¹ (S_θ δθ)`: [`aim_vjp`], [`aimed_vjp`](aimer::aimed_vjp).
 
-use glam::{DMat2, DVec2, DVec3};
+mod aimer;
+mod backward;
+mod newton;
+mod paraxial;
+
+use glam::{DVec2, DVec3};
+
+pub use aimer::{Aimed, AimedBar, Aimer, aimed_vjp};
+use backward::Front;
+use newton::{solve, stop_jacobian};
+pub use paraxial::ParaxialPupil;
 
 use super::launch::{FieldPoint, launch, launch_vjp};
-use super::sequential::{Hit, HitBar, trace, trace_vjp};
-use super::{Cause, Failure, System, SystemGradient};
-
-/// Aimed to this distance in the stop, relative to its semi-diameter.
-const TOLERANCE: f64 = 1e-12;
-const ITERATIONS: usize = 30;
-
-/// First guess: the paraxial entrance pupil at `pupil_z`, `pupil_scale` mm of pupil per mm of stop.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ParaxialPupil {
-    /// Position from the first vertex, mm.
-    pub z: f64,
-    /// Entrance-pupil radius over stop radius.
-    pub scale: f64,
-}
-
-impl ParaxialPupil {
-    /// The entrance pupil of `lens` at its primary wavelength.
-    pub fn new(lens: &crate::lens::Lens) -> Self {
-        let p = crate::lens::paraxial::first_order(lens, lens.wavelengths.primary_nm);
-        Self { z: p.entrance_pupil_position, scale: 0.5 * p.entrance_pupil_diameter / p.stop_semi_diameter }
-    }
-
-    fn guess(&self, field: FieldPoint, target: DVec2) -> DVec2 {
-        (target * self.scale - self.z * field.slope) / (1.0 + self.z * field.vergence)
-    }
-}
+use super::object::ObjectPoint;
+use super::sequential::{Hit, HitBar, trace_vjp};
+use super::{Failure, System, SystemGradient};
 
 /// The point on the first vertex plane whose ray meets the stop at `target` (mm); `hits` ends with the stop.
+///
+/// `start` is a first guess (a neighbouring ray's); without one, or where it fails, the paraxial pupil's is taken, and
+/// where that fails the ray is found backwards from the stop.
 pub fn aim(
     system: &System,
     pupil: ParaxialPupil,
@@ -44,95 +36,29 @@ pub fn aim(
     start: Option<DVec2>,
     hits: &mut Vec<Hit>,
 ) -> Result<DVec2, Failure> {
-    let first = newton(system, field, target, start.unwrap_or_else(|| pupil.guess(field, target)), hits);
-    if first.is_ok() || start.is_some() {
-        return first.or_else(|_| continued(system, pupil, field, target, hits));
-    }
-    continued(system, pupil, field, target, hits)
-}
-
-/// Walks from the axis to the field, each solution (and its trend) the start of the next.
-fn continued(
-    system: &System,
-    pupil: ParaxialPupil,
-    field: FieldPoint,
-    target: DVec2,
-    hits: &mut Vec<Hit>,
-) -> Result<DVec2, Failure> {
-    const STEPS: u32 = 12;
-    let (mut before, mut last) = (None::<DVec2>, None::<DVec2>);
-    for i in 0..=STEPS {
-        let f = f64::from(i) / f64::from(STEPS);
-        let at = FieldPoint { slope: field.slope * f, vergence: field.vergence };
-        let start = match (before, last) {
-            (Some(a), Some(b)) => 2.0 * b - a,
-            (None, Some(b)) => {
-                b + pupil.guess(at, target) - pupil.guess(FieldPoint { slope: DVec2::ZERO, ..at }, target)
-            }
-            _ => pupil.guess(at, target),
-        };
-        let e = newton(system, at, target, start, hits)?;
-        (before, last) = (last, Some(e));
-    }
-    Ok(last.expect("at least one step"))
-}
-
-fn newton(
-    system: &System,
-    field: FieldPoint,
-    target: DVec2,
-    start: DVec2,
-    hits: &mut Vec<Hit>,
-) -> Result<DVec2, Failure> {
-    let stop = system.stop;
-    let scale = system.stop_semi_diameter;
-    let mut e = start;
-    let mut hit = trace(system, launch(field, e), stop, hits)?;
-    for _ in 0..ITERATIONS {
-        let miss = hit.at.point.truncate() - target;
-        if miss.length() <= TOLERANCE * scale {
-            return Ok(e);
-        }
-        let step = stop_jacobian(system, field, e, hits).inverse() * miss;
-        if !step.is_finite() {
-            break;
-        }
-        // Halve the step while it loses the ray or the distance.
-        let mut factor = 1.0;
-        loop {
-            let trial = e - factor * step;
-            match trace(system, launch(field, trial), stop, hits) {
-                Ok(h) if (h.at.point.truncate() - target).length() < miss.length() => {
-                    (e, hit) = (trial, h);
-                    break;
-                }
-                _ if factor > 1e-3 => factor *= 0.5,
-                // No better point: rounding at the solution is accepted, anything else is not.
-                _ => {
-                    trace(system, launch(field, e), stop, hits)?;
-                    return if miss.length() <= 1e3 * TOLERANCE * scale {
-                        Ok(e)
-                    } else {
-                        Err(Failure { cause: Cause::NotConverged, surface: stop })
-                    };
-                }
-            }
+    let mut forward = None;
+    for guess in start.into_iter().chain([pupil.guess(field, target)]) {
+        match solve(system, &field, target, guess, hits) {
+            Ok(s) if s.upright => return Ok(s.p),
+            other => forward = forward.or(Some(other)),
         }
     }
-    Err(Failure { cause: Cause::NotConverged, surface: stop })
-}
-
-/// `∂(stop point)/∂e`: two pull-backs, one per row.
-fn stop_jacobian(system: &System, field: FieldPoint, e: DVec2, hits: &[Hit]) -> DMat2 {
-    let mut scratch = SystemGradient::zeros(system);
-    let ray = launch(field, e);
-    let mut row = |bar: DVec3| {
-        let mut bars = vec![HitBar::default(); system.stop + 1];
-        bars[system.stop].point = bar;
-        let (o, d) = trace_vjp(system, hits, &bars, &mut scratch);
-        launch_vjp(field, ray, o, d).0
-    };
-    DMat2::from_cols(row(DVec3::X), row(DVec3::Y)).transpose()
+    let object = ObjectPoint::from_field(field);
+    let backward = Front::new(system).and_then(|front| front.search(object, target)).and_then(|found| {
+        let n = found.direction;
+        // Its point on the first vertex plane, if it has one.
+        let e = found.point.truncate() - n.truncate() * (found.point.z / n.z);
+        solve(system, &field, target, e, hits)
+    });
+    match (backward, forward) {
+        (Ok(s), _) => Ok(s.p),
+        // A ray that reaches its point on a folded pupil is a ray still.
+        (Err(_), Some(Ok(s))) => solve(system, &field, target, s.p, hits).map(|s| s.p),
+        (Err(failure), _) => {
+            hits.clear();
+            Err(failure)
+        }
+    }
 }
 
 /// Cotangents that leave [`aim_vjp`].
@@ -154,10 +80,14 @@ pub fn aim_vjp(
     e_bar: DVec2,
     out: &mut SystemGradient,
 ) -> AimBar {
-    let lambda = stop_jacobian(system, field, e, hits).transpose().inverse() * e_bar;
+    let ray = launch(field, e);
+    let lambda = stop_jacobian(system, &field, &ray, hits).transpose().inverse() * e_bar;
     let mut bars = vec![HitBar::default(); system.stop + 1];
     bars[system.stop].point = DVec3::new(-lambda.x, -lambda.y, 0.0);
     let (o, d) = trace_vjp(system, hits, &bars, out);
-    let (_, slope) = launch_vjp(field, launch(field, e), o, d);
+    let (_, slope) = launch_vjp(field, ray, o, d);
     AimBar { slope, target: lambda }
 }
+
+#[cfg(test)]
+mod tests;

@@ -33,7 +33,7 @@ pub enum Verdict {
 }
 
 /// Which side of its limit a figure should be on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 enum Limit {
     AtMost(f64),
     AtLeast(f64),
@@ -168,7 +168,10 @@ impl Run {
     }
 
     fn bundle(&mut self, lens: &Lens, system: &System, index: usize, field_deg: f64, azimuth_deg: f64) {
-        let object = ObjectPoint::from_angle(field_deg.to_radians(), azimuth_deg.to_radians(), lens.object_vergence);
+        // An object plane: farther along the slanted ray than on the axis.
+        let angle = field_deg.to_radians();
+        let vergence = lens.object_vergence * angle.cos().max(0.0);
+        let object = ObjectPoint::from_angle(angle, azimuth_deg.to_radians(), vergence);
         let aimer = Aimer::new(system);
         for point in pupil_points() {
             self.rays += 1;
@@ -189,9 +192,8 @@ impl Run {
                     continue;
                 }
             };
-            let relative = aimed.residual / system.stop_semi_diameter;
-            if relative >= self.aiming.0 {
-                self.aiming = (relative, label.clone());
+            if aimed.residual >= self.aiming.0 {
+                self.aiming = (aimed.residual, label.clone());
             }
             self.iterations = self.iterations.max(aimed.iterations);
             let mut hits = Vec::new();
@@ -267,12 +269,7 @@ impl Run {
             Limit::AtMost(0.0),
         );
         put("aiming_residual", "aiming residual / stop radius", self.aiming.clone(), Limit::AtMost(1e-10));
-        put(
-            "aiming_iterations",
-            "most aiming iterations",
-            (f64::from(self.iterations), String::new()),
-            Limit::None,
-        );
+        put("aiming_iterations", "most aiming iterations", (f64::from(self.iterations), String::new()), Limit::None);
         put(
             "intersection_evaluations",
             "most evaluations of an intersection",
@@ -303,7 +300,12 @@ impl Run {
             worst(&|s| s.cos2_refracted, false),
             Limit::AtLeast(1e-6),
         );
-        put("conic_edge", "1 − αρ: distance to the conic's edge", worst(&|s| s.conic_edge, false), Limit::AtLeast(1e-6));
+        put(
+            "conic_edge",
+            "1 − αρ: distance to the conic's edge",
+            worst(&|s| s.conic_edge, false),
+            Limit::AtLeast(1e-6),
+        );
         put("incidence_deg", "largest angle of incidence, degrees", worst(&|s| s.incidence_deg, true), Limit::None);
         put(
             "f64_error",
@@ -317,7 +319,12 @@ impl Run {
             (single.0 / lens.sensor.pitch_mm(), single.1),
             Limit::AtMost(0.1),
         );
-        put("gradient_error", "derivatives against double-double, relative", conditioning.gradient, Limit::AtMost(1e-8));
+        put(
+            "gradient_error",
+            "derivatives against double-double, relative",
+            conditioning.gradient,
+            Limit::AtMost(1e-8),
+        );
         put(
             "scale_ratio",
             "largest / smallest effect of a scaled variable",

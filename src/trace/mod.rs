@@ -2,22 +2,33 @@
 //!
 //! One ray, one surface: transfer to the surface's frame, intersect ([`intersect`]), refract ([`refract`]); the loop
 //! over surfaces is [`sequential`]. Rays are launched from a field point through a point of the first vertex plane
-//! ([`launch`]) and aimed at the real stop ([`aim`]). All of it is f64. A ray that fails is data: [`Failure`].
+//! ([`launch`]), or at any angle from a plane before the lens ([`object`]), and aimed at the real stop ([`aim`]).
+//! [`pupil`] finds what apertures leave of it, [`wavefront`] the optical path difference in it. All of it is f64. A ray
+//! that fails is data: [`Failure`].
 
 pub mod aim;
+pub mod differential;
 pub mod exact;
+pub mod exit_pupil;
 pub mod first_root;
 pub mod forward;
+pub mod health;
 pub mod intersect;
 pub mod launch;
+pub mod object;
 pub mod precise;
+pub mod pupil;
 pub mod refract;
 pub mod sequential;
 pub mod system;
+#[cfg(test)]
+pub(crate) mod test_lenses;
+pub mod wavefront;
 
 use glam::DVec3;
 
 pub use launch::FieldPoint;
+pub use object::ObjectPoint;
 pub use system::{System, SystemGradient};
 
 /// A ray: a point and a unit direction, mm.

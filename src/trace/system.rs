@@ -45,6 +45,19 @@ impl TraceSurface {
             domain,
         }
     }
+
+    /// The same surface met from the other side, `distance` behind the previous vertex.
+    #[must_use]
+    pub(super) fn reversed(&self, distance: f64) -> Self {
+        Self {
+            shape: self.shape.reversed(),
+            distance,
+            index_before: self.index_after,
+            index_after: self.index_before,
+            motion: self.motion.map(|m| m.mirrored()),
+            ..*self
+        }
+    }
 }
 
 /// All surfaces of a lens at one wavelength; the image plane is the last.
@@ -88,22 +101,10 @@ impl System {
         let mut surfaces = Vec::with_capacity(count);
         let mut distance = 0.0;
         for s in self.surfaces.iter().rev() {
-            surfaces.push(TraceSurface {
-                shape: s.shape.reversed(),
-                distance,
-                index_before: s.index_after,
-                index_after: s.index_before,
-                motion: s.motion.map(|m| m.mirrored()),
-                ..s.clone()
-            });
+            surfaces.push(s.reversed(distance));
             distance = s.distance;
         }
-        Self {
-            wavelength_nm: self.wavelength_nm,
-            surfaces,
-            stop: count - 1 - self.stop,
-            stop_semi_diameter: self.stop_semi_diameter,
-        }
+        Self { surfaces, stop: count - 1 - self.stop, ..*self }
     }
 
     /// Index of the image plane in [`Self::surfaces`].

@@ -9,3 +9,4 @@ mod parity;
 mod renderers;
 mod stiff;
 mod support;
+mod throughput;

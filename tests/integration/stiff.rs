@@ -3,14 +3,15 @@
 
 use std::time::Instant;
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use isoplanat::lens::{Aperture, Element, Lens, Medium, Pose, Shape, Surface, Xy, Zernike, builtin};
+use isoplanat::trace::aim::Aimer;
 use isoplanat::trace::exact::{Answer, Request, answer_in};
 use isoplanat::trace::first_root::crossings;
 use isoplanat::trace::intersect::intersect;
 use isoplanat::trace::sequential::{Hit, trace};
 use isoplanat::trace::system::TraceSurface;
-use isoplanat::trace::{Cause, Ray, System};
+use isoplanat::trace::{Cause, ObjectPoint, Ray, System};
 use serde_json::Value;
 
 use crate::support::root;
@@ -291,4 +292,52 @@ fn stiff_first_roots_are_those_of_the_polynomial() {
     }
     eprintln!("{met} rays meet, {several} of them more than once, {missed} miss; worst first root {worst:e} relative");
     assert!(met > 50 && missed > 10 && several > 10);
+}
+
+/// Rays aimed at the real stop: fields of 0 to 95°, stops before, between and behind, objects at 1 mm and far away.
+#[test]
+fn stiff_aims_agree_with_sixty_digits() {
+    let suite = suite();
+    eprintln!("{:18} {:>5} {:>10} {:>10} {:>10} {:>6}", "case", "rays", "ray/mm", "landing/mm", "residual", "traced");
+    let mut failed = Vec::new();
+    for case in list(&suite["cases"]).iter().filter(|c| !list(&c["aim"]).is_empty()) {
+        let name = case["name"].as_str().expect("a name");
+        let (lens, system) = system(case);
+        let aimer = Aimer::new(&system).expect("the stop is a surface");
+        let length = lens.length();
+        let (mut worst, mut traced, mut hits) = ([0.0f64; 3], 0, Vec::new());
+        for (i, a) in list(&case["aim"]).iter().enumerate() {
+            let (origin, direction) = (vector(&a["origin"]), vector(&a["direction"]).normalize());
+            let angle = number(&a["field_deg"]).to_radians();
+            let object = match a["object_distance"].as_f64() {
+                // Light comes with direction (0, sin, cos).
+                None => ObjectPoint::from_angle(angle, std::f64::consts::FRAC_PI_2, 0.0),
+                // The object itself is the ray's origin.
+                Some(_) => ObjectPoint::finite(origin),
+            };
+            let target = DVec2::new(number(&a["stop_target"][0]), number(&a["stop_target"][1]));
+            let aimed = match aimer.aim(object, target, None) {
+                Ok(aimed) => aimed,
+                Err(f) => {
+                    failed.push(format!("{name}, aim {i}: {f:?}"));
+                    continue;
+                }
+            };
+            // Distance of the two lines, at the reference's origin.
+            let apart = aimed.ray.origin - origin;
+            let off = (apart - direction * direction.dot(apart)).length() + (aimed.ray.direction - direction).length();
+            let landing = trace(&system, aimed.ray, system.image(), &mut hits).map(|h| h.at.point);
+            let landing = landing.map_or(f64::INFINITY, |p| {
+                (p - DVec3::new(number(&a["landing"][0]), number(&a["landing"][1]), p.z)).length()
+            });
+            worst = [worst[0].max(off), worst[1].max(landing), worst[2].max(aimed.residual)];
+            traced = traced.max(aimed.iterations);
+            if off > 1e-11 * length || landing > 1e-11 * length || aimed.residual > 1e-11 {
+                failed.push(format!("{name}, aim {i}: {off:e} {landing:e} {:e}", aimed.residual));
+            }
+        }
+        let count = list(&case["aim"]).len();
+        eprintln!("{name:18} {count:5} {:10.1e} {:10.1e} {:10.1e} {traced:6}", worst[0], worst[1], worst[2]);
+    }
+    assert!(failed.is_empty(), "{} aims fall short:\n{}", failed.len(), failed.join("\n"));
 }

@@ -5,7 +5,7 @@
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
 mod capture;
-//HEALTH mod check;
+mod check;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod demo;
 #[cfg(feature = "train")]
@@ -43,8 +43,8 @@ struct Cli {
 enum Command {
     /// First-order data, aberration sums and surfaces of a lens
     Inspect(inspect::Args),
-    //HEALTH /// Numerical health of a lens: intersections, aiming, derivatives, precision
-    //HEALTH Check(check::Args),
+    /// Numerical health of a lens: intersections, aiming, derivatives, precision
+    Check(check::Args),
     /// Exact rays through every surface, as JSON
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
@@ -76,7 +76,7 @@ enum Command {
 fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     match command {
         Command::Inspect(args) => inspect::run(&args, out),
-        //HEALTH Command::Check(args) => check::run(&args, out),
+        Command::Check(args) => check::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
         Command::Render(args) => render::run(&args, out),
