@@ -12,10 +12,9 @@ use glam::{DVec2, DVec3};
 use isoplanat::lens::builtin;
 use isoplanat::report::plot::{Mark, Plot, Scale, Series};
 use isoplanat::trace::launch::{FieldPoint, launch};
-use isoplanat::trace::precise::{PreciseSystem, Scalar, Start};
+use isoplanat::trace::precise::{DoubleDouble, PreciseSystem, Scalar, Start};
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{Ray, System};
-use twofloat::TwoFloat;
 
 /// One intersection to solve: surface, ray in its frame, true distance.
 struct Case {
@@ -25,7 +24,7 @@ struct Case {
 }
 
 fn cases(system: &System, slopes: [f64; 2]) -> Vec<Case> {
-    let precise = PreciseSystem::<TwoFloat>::new(system);
+    let precise = PreciseSystem::<DoubleDouble>::new(system);
     let mut hits = Vec::new();
     let mut cases = Vec::new();
     for slope in slopes {
@@ -43,7 +42,7 @@ fn cases(system: &System, slopes: [f64; 2]) -> Vec<Case> {
                 let origin = before - DVec3::new(0.0, 0.0, s.distance);
                 let hit = &hits[surface];
                 if s.aspheric {
-                    let of = |v: DVec3| v.to_array().map(TwoFloat::of);
+                    let of = |v: DVec3| v.to_array().map(DoubleDouble::of);
                     let (d, o) = (of(hit.incoming), of(origin));
                     if let Some((t, _)) = precise.newton(surface, o, d, Start::BaseConic, 1e-25) {
                         cases.push(Case { surface, ray: Ray { origin, direction: hit.incoming }, exact: t.to_f64() });

@@ -45,7 +45,9 @@ impl<'a> HealthReport<'a> {
     fn figures(&self) -> Table {
         let mut table = Table::new(["check", "worst", "limit", "verdict", "where"]);
         for f in &self.health.figures {
-            let limit = f.limit.map_or(String::new(), |l| format!("{} {l}", if f.at_most { "≤" } else { "≥" }));
+            let limit = f
+                .limit
+                .map_or(String::new(), |l| format!("{} {}", if f.at_most { "≤" } else { "≥" }, significant(l, 3)));
             let verdict = match f.verdict {
                 Verdict::Pass => "pass",
                 Verdict::Fail => "FAIL",

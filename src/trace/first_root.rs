@@ -107,7 +107,8 @@ impl Line<'_> {
         let half = ((radius * radius - rest) / a).sqrt();
         // A hair inside, so that rounding does not leave the cylinder.
         let half = half * (1.0 - 1e-14);
-        (half > 0.0).then_some((middle - half, middle + half))
+        let (low, high) = (middle - half, middle + half);
+        (half > 0.0 && low.is_finite() && high.is_finite()).then_some((low, high))
     }
 
     /// First sign change of `F` from `from` (where it is `at_start`) towards `to`.

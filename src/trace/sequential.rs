@@ -57,6 +57,10 @@ pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Res
             direction = refract(direction, normal, surface.index_before / surface.index_after)
                 .ok_or_else(|| fail(Cause::TotalReflection))?;
         }
+        // Numbers beyond f64 are no place to go on from.
+        if !(at.point.is_finite() && direction.is_finite() && path.is_finite()) {
+            return Err(fail(Cause::NotConverged));
+        }
         hits.push(Hit { at, incoming, direction, optical_path: path });
         origin = at.point;
         if let Some(m) = &surface.motion {

@@ -14,10 +14,10 @@ fn read_json(text: &str) -> Value {
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
-    for command in ["inspect", "trace", "psf", "render", "capture", "demo", "design", "export"] {
+    for command in ["inspect", "check", "trace", "psf", "render", "capture", "demo", "design", "export"] {
         assert!(help.contains(command), "{help}");
     }
-    for command in ["inspect", "trace", "psf", "render", "capture"] {
+    for command in ["inspect", "check", "trace", "psf", "render", "capture"] {
         assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
     }
     assert!(place.run("--version").done().starts_with("isoplanat "));
@@ -46,6 +46,82 @@ fn every_shipped_lens_can_be_inspected() {
     let place = Workplace::new();
     for (name, _) in isoplanat::lens::builtin::LENSES {
         assert_eq!(read_json(&place.run(&format!("inspect {name} --json")).done())["schema"], json!(1), "{name}");
+    }
+}
+
+/// Every shipped lens is healthy; the table and the JSON say the same.
+#[test]
+fn check_passes_the_shipped_lenses() {
+    let place = Workplace::new();
+    for (name, _) in isoplanat::lens::builtin::LENSES {
+        let json = read_json(&place.run(&format!("check {name} --json")).done());
+        assert_eq!(json["passes"], json!(true), "{name}");
+        let figures = json["figures"].as_array().expect("list");
+        assert!(figures.len() > 15 && figures.iter().all(|f| f["value"].is_number() || f["value"].is_null()), "{name}");
+        assert!(json["variables"].as_array().expect("list").iter().all(|v| v["effect_mm"].is_number()), "{name}");
+    }
+    let text = place.run("check cooke_triplet").done();
+    assert!(text.contains("aiming residual") && text.trim_end().ends_with("passes"), "{text}");
+}
+
+/// A rim at total reflection fails the check with exit code 1, after the report; a file that is no lens is bad input.
+#[test]
+fn check_fails_a_lens_at_its_limits() {
+    let place = Workplace::new();
+    // Collimated light in glass on a rear surface of radius 9: sin θ = r/9, critical at r = 6. The stop asks for more.
+    let sick = LENS
+        .replacen("radius_mm = 18.5", "radius_mm = inf", 1)
+        .replacen("radius_mm = 27.5", "radius_mm = -9.0", 1)
+        .replacen("entrance_pupil_diameter_mm = 12.5", "entrance_pupil_diameter_mm = 18.0", 1)
+        .replacen("max_angle_deg = 30.0", "max_angle_deg = 0.0", 1)
+        .replacen("semi_diameter_mm = 8.7", "semi_diameter_mm = 8.5", 1);
+    assert_ne!(sick, LENS);
+    place.write("sick.toml", sick);
+    let ran = place.run("check sick.toml");
+    assert_eq!(ran.code, 1, "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains("FAIL") && ran.err.contains("check"), "{}{}", ran.out, ran.err);
+    place.write("no.toml", "schema = 1");
+    assert_eq!(place.run("check no.toml").code, 2);
+}
+
+/// Tilts, elements and freeform terms: read, traced with their derivatives, refused where symmetry is needed.
+#[test]
+fn displaced_and_freeform_surfaces_are_traced_and_not_imaged() {
+    let place = Workplace::new();
+    let lens = LENS.replacen(
+        "radius_mm = 18.5",
+        "radius_mm = 18.5\ntilt_deg = [0.2, 0.0, 0.0]\ndecentre_mm = [0.0, 0.05]\n\
+         zernike = { radius_mm = 12.0, terms = [0.0, 0.0, 0.0, 0.001] }\n\
+         xy = { radius_mm = 12.0, terms = { x1y2 = 0.002 } }\nasphere = { a3 = 1e-6 }",
+        1,
+    ) + "\n[[element]]\nfirst = 3\nlast = 4\ntilt_deg = [0.0, 0.1, 0.0]\n";
+    place.write("lens.toml", lens);
+    place.write(
+        "rays.json",
+        r#"{"wavelength_nm": 550.0, "rays": [{"origin_mm": [0.5, 1.0, -5.0], "direction": [0, 0, 1]}]}"#,
+    );
+    let json = read_json(&place.run("trace lens.toml --rays rays.json --gradient").done());
+    let gradient = json["rays"][0]["gradient"].as_array().expect("list");
+    for name in ["surface[0].a3", "surface[0].z4", "surface[0].x1y2", "surface[0].tilt_x", "element[0].decentre_y"] {
+        let entry = gradient.iter().find(|g| g["parameter"] == name).unwrap_or_else(|| panic!("{name}"));
+        assert!(entry["dy"].as_f64().expect("number") != 0.0, "{name}");
+    }
+    assert!(place.run("inspect lens.toml").done().contains("displaced"));
+    assert_eq!(place.run("check lens.toml").code, 0);
+    for command in ["psf lens.toml -o x.npz", "render lens.toml street -o x.png"] {
+        let ran = place.run(command);
+        assert!(ran.code == 2 && ran.err.contains("rotationally symmetric"), "{command}: {}", ran.err);
+    }
+    for (from, to, said) in [
+        ("x1y2", "x9y9", "x9y9"),
+        ("a3", "a21", "a21"),
+        ("last = 4", "last = 9", "element 0"),
+        ("tilt_deg = [0.2", "tilt_deg = [120.0", "tilt_deg"),
+    ] {
+        let text = std::fs::read_to_string(place.path("lens.toml")).expect("readable");
+        place.write("bad.toml", text.replacen(from, to, 1));
+        let ran = place.run("inspect bad.toml");
+        assert!(ran.code == 2 && ran.err.contains(said), "{to}: {}", ran.err);
     }
 }
 

@@ -97,14 +97,16 @@ pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Condi
             (sum / count).sqrt() * columns[j].scale
         })
         .collect();
+    let strongest = effect.iter().copied().fold(0.0, f64::max);
     // Every seventh ray is compared with differences in double-double.
     for (ray, row) in rays.iter().zip(&rows).step_by(7) {
         for (j, column) in columns.iter().enumerate() {
             let step = 1e-10 * column.scale;
             let Some(exact) = derivative(lens, system, ray.ray, &ray.hits, column.number, step) else { continue };
             let length = exact[0].hypot(exact[1]);
-            // A derivative far below the variable's own mean effect is compared with that.
-            let floor = 1e-3 * effect[j] / column.scale;
+            // A derivative far below the variable's own mean effect is compared with that, and one far below what the
+            // strongest variable does (zero but for rounding, as at surfaces between equal media) with a millionth of it.
+            let floor = (1e-3 * effect[j]).max(1e-6 * strongest) / column.scale;
             let off = (row[j][0] - exact[0]).hypot(row[j][1] - exact[1]);
             let error = if off == 0.0 { 0.0 } else { off / length.max(floor) };
             errors[j] = Some(errors[j].unwrap_or(0.0).max(error));
@@ -113,7 +115,7 @@ pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Condi
             }
         }
     }
-    let acting: Vec<usize> = (0..columns.len()).filter(|j| effect[*j] > 0.0).collect();
+    let acting: Vec<usize> = (0..columns.len()).filter(|j| effect[*j] > 1e-12 * strongest).collect();
     let (independence, condition) = independence(&rows, &columns, &effect, &acting);
     let by_effect = |a: &&usize, b: &&usize| effect[**a].total_cmp(&effect[**b]);
     let (least, most) = (acting.iter().min_by(by_effect), acting.iter().max_by(by_effect));
