@@ -61,7 +61,7 @@ fn narrowed(name: &str, slope: f64) -> Lens {
     let mut lens = builtin::lens(name).expect("shipped");
     let system = System::new(&lens, NM);
     let (field, pupil) = (field(&lens, slope), ParaxialPupil::new(&lens));
-    let mut heights = |target: f64, surface: usize| {
+    let heights = |target: f64, surface: usize| {
         let mut hits = Vec::new();
         let target = DVec2::new(0.0, target * system.stop_semi_diameter);
         let e = aim(&system, pupil, field, target, None, &mut hits).expect("aims");
