@@ -56,6 +56,20 @@ mod tests {
     use crate::lens::builtin;
     use crate::lens::variables::Variables;
     use crate::testing::{assert_rel, central_difference};
+    use crate::trace::test_lenses::laikin_100;
+
+    /// A 100° lens, whose chief rays the paraxial pupil does not guess.
+    #[test]
+    fn chief_rays_of_a_wide_lens_rise_with_the_field() {
+        let lens = laikin_100();
+        let slopes: Vec<f64> = (0..=50).map(|deg| f64::from(deg).to_radians().tan()).collect();
+        let heights = chief_heights(&lens, 0.0, &slopes).expect("aims");
+        assert!(heights.windows(2).all(|w| w[1] > w[0]), "{heights:?}");
+        // Barrel distortion: less than f tan θ, more than f sin θ.
+        let f = crate::lens::paraxial::first_order(&lens, 587.5618).effective_focal_length;
+        let edge = heights[50] / f;
+        assert!((0.7..1.2).contains(&edge), "{edge}");
+    }
 
     #[test]
     fn chief_heights_vjp_agrees_with_differences() {

@@ -6,6 +6,7 @@
 //! landings that the distortion fit stands on.
 
 pub mod chief;
+mod clip;
 pub mod grid;
 pub mod pupil;
 pub mod splat;

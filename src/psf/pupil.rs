@@ -6,13 +6,14 @@
 //! stop is traced.
 //!
 //! A dense ray carries the étendue `N⁴ |∂e/∂(stop)| dA` (see [`crate::trace::launch`]) times the soft edge of every
-//! clear aperture that clips it: a C² ramp one pupil-sample spacing wide, symmetric about the hard edge. Apertures
-//! that no node comes near are left out. Where node rays fail, the largest concentric part of the stop whose nodes
+//! clear aperture that clips it (`psf/clip.rs`): a C² ramp one pupil-sample spacing wide, symmetric about the hard edge.
+//! Apertures that no node comes near are left out. Where node rays fail, the largest concentric part of the stop whose nodes
 //! all survive is kept and the rest counts as lost ([`PupilMap::kept`]).
 
 use glam::{DVec2, DVec3};
 use ndarray::{Array2, ArrayView1};
 
+use super::clip::Clip;
 use crate::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use crate::trace::launch::{FieldPoint, launch, launch_vjp};
 use crate::trace::sequential::{Hit, HitBar, trace, trace_vjp};
@@ -22,17 +23,17 @@ use crate::trace::{Failure, System, SystemGradient};
 #[derive(Clone, Debug)]
 pub struct PupilSampling {
     /// Nodes with `x ≥ 0`; their mirror images follow by symmetry.
-    nodes: Vec<DVec2>,
+    pub(super) nodes: Vec<DVec2>,
     /// Dense points (both halves), equal area.
     pub points: Vec<DVec2>,
     /// Dense value, `∂/∂x`, `∂/∂y` from node values of a function even in x.
-    even: [Array2<f64>; 3],
+    pub(super) even: [Array2<f64>; 3],
     /// The same for a function odd in x.
-    odd: [Array2<f64>; 3],
+    pub(super) odd: [Array2<f64>; 3],
     /// Node values of the fit from node values (even functions): for the residual.
     refit: Array2<f64>,
     /// Spacing of the dense points on the unit stop.
-    spacing: f64,
+    pub(super) spacing: f64,
 }
 
 /// Fractions of the stop tried in turn when rays fail.
@@ -143,15 +144,6 @@ fn fit_operator(nodes: &[DVec2], degree: usize, parity: usize) -> Array2<f64> {
     x
 }
 
-/// One aperture that clips: surface, its heights at the dense points.
-#[derive(Clone, Debug)]
-struct Clip {
-    surface: usize,
-    radius: f64,
-    x: Vec<f64>,
-    y: Vec<f64>,
-}
-
 /// Dense landings and weights of one field point on +y and one wavelength.
 #[derive(Clone, Debug)]
 pub struct PupilMap {
@@ -178,18 +170,6 @@ struct Node {
     target: DVec2,
     e: DVec2,
     hits: Vec<Hit>,
-}
-
-/// C² ramp from 0 to 1 over `−1/2..1/2`, and its derivative.
-fn ramp(t: f64) -> (f64, f64) {
-    if t <= -0.5 {
-        return (0.0, 0.0);
-    }
-    if t >= 0.5 {
-        return (1.0, 0.0);
-    }
-    let s = t + 0.5;
-    (s * s * s * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s * s * (1.0 - s) * (1.0 - s))
 }
 
 impl PupilMap {
@@ -242,20 +222,8 @@ impl PupilMap {
                 continue;
             }
             let (cx, cy) = at(surface);
-            let farthest = cx.iter().zip(&cy).map(|(a, b)| a.hypot(*b)).fold(0.0, f64::max);
-            let width = soft_width(s.semi_diameter, sampling);
-            if farthest < s.semi_diameter - 2.0 * width {
-                continue;
-            }
-            let clip = Clip {
-                surface,
-                radius: s.semi_diameter,
-                x: dense(&sampling.odd[0], &cx),
-                y: dense(&sampling.even[0], &cy),
-            };
-            for (q, w) in weight.iter_mut().enumerate() {
-                *w *= ramp((clip.radius - clip.x[q].hypot(clip.y[q])) / width).0;
-            }
+            let Some(clip) = Clip::new(sampling, surface, s.semi_diameter, &cx, &cy) else { continue };
+            weight.iter_mut().enumerate().for_each(|(q, w)| *w *= clip.share(q));
             clips.push(clip);
         }
         let n4 = [n4[0].clone(), n4[1].clone()];
@@ -280,31 +248,17 @@ impl PupilMap {
         out: &mut SystemGradient,
     ) -> f64 {
         let count = self.x.len();
-        let width = |c: &Clip| soft_width(c.radius, sampling);
-        // Soft edges: weight = open · Π ramp.
-        let ramps: Vec<Vec<(f64, f64)>> = self
-            .clips
-            .iter()
-            .map(|c| (0..count).map(|q| ramp((c.radius - c.x[q].hypot(c.y[q])) / width(c))).collect())
-            .collect();
-        let mut open_bar = vec![0.0; count];
-        let mut clip_bars: Vec<(Vec<f64>, Vec<f64>)> = vec![(vec![0.0; count], vec![0.0; count]); self.clips.len()];
-        for q in 0..count {
-            let product: f64 = ramps.iter().map(|r| r[q].0).product();
-            open_bar[q] = weight_bar[q] * product;
-            for (k, c) in self.clips.iter().enumerate() {
-                if ramps[k][q].1 == 0.0 {
-                    continue;
-                }
-                let others: f64 = (0..ramps.len()).filter(|j| *j != k).map(|j| ramps[j][q].0).product();
-                let t_bar = weight_bar[q] * self.open[q] * others * ramps[k][q].1;
-                let (r, w) = (c.x[q].hypot(c.y[q]), width(c));
-                // t = (R − r)/w with w = R·spacing·2: ∂t/∂R = 1/w − (R − r)/(w R).
-                out.semi_diameters[c.surface] += t_bar * (1.0 / w - (c.radius - r) / (w * c.radius));
-                let r_bar = -t_bar / w;
-                clip_bars[k].0[q] += r_bar * c.x[q] / r;
-                clip_bars[k].1[q] += r_bar * c.y[q] / r;
-            }
+        // Soft edges: weight = open · Π share.
+        let shares: Vec<Vec<f64>> = self.clips.iter().map(|c| (0..count).map(|q| c.share(q)).collect()).collect();
+        let open_bar: Vec<f64> =
+            (0..count).map(|q| weight_bar[q] * shares.iter().map(|s| s[q]).product::<f64>()).collect();
+        let mut bars_at: Vec<(usize, Vec<f64>, Vec<f64>)> = Vec::with_capacity(self.clips.len() + 1);
+        for (k, clip) in self.clips.iter().enumerate() {
+            let others = |q: usize| (0..shares.len()).filter(|j| *j != k).map(|j| shares[j][q]).product::<f64>();
+            let share_bar: Vec<f64> = (0..count).map(|q| weight_bar[q] * self.open[q] * others(q)).collect();
+            let (nodes, radius) = clip.share_vjp(sampling, &share_bar);
+            out.semi_diameters[clip.surface] += radius;
+            bars_at.push((clip.surface, nodes.x, nodes.y));
         }
         // Étendue.
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
@@ -336,11 +290,7 @@ impl PupilMap {
         }
         // Back to the nodes.
         let image = system.image();
-        let mut bars_at: Vec<(usize, Vec<f64>, Vec<f64>)> =
-            vec![(image, pull(&sampling.odd[0], x_bar), pull(&sampling.even[0], y_bar))];
-        for (c, (bx, by)) in self.clips.iter().zip(&clip_bars) {
-            bars_at.push((c.surface, pull(&sampling.odd[0], bx), pull(&sampling.even[0], by)));
-        }
+        bars_at.push((image, pull(&sampling.odd[0], x_bar), pull(&sampling.even[0], y_bar)));
         let mut ex_bar = pull(&sampling.odd[0], &e_bar[0]);
         add(&mut ex_bar, &pull(&sampling.odd[1], &jac_bar[0]));
         add(&mut ex_bar, &pull(&sampling.odd[2], &jac_bar[1]));
@@ -363,11 +313,6 @@ impl PupilMap {
     }
 }
 
-/// Width of the soft edge: one spacing of the dense points, scaled from the stop to the aperture.
-fn soft_width(radius: f64, sampling: &PupilSampling) -> f64 {
-    2.0 * radius * sampling.spacing
-}
-
 /// `N⁴` and `−4 N⁶` at the dense points.
 fn cosines(field: FieldPoint, e: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
     let n2: Vec<f64> = e[0]
@@ -381,15 +326,15 @@ fn cosines(field: FieldPoint, e: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
     [n2.iter().map(|v| v * v).collect(), n2.iter().map(|v| -4.0 * v * v * v).collect()]
 }
 
-fn dense(operator: &Array2<f64>, nodes: &[f64]) -> Vec<f64> {
+pub(super) fn dense(operator: &Array2<f64>, nodes: &[f64]) -> Vec<f64> {
     operator.dot(&ArrayView1::from(nodes)).to_vec()
 }
 
-fn pull(operator: &Array2<f64>, bar: &[f64]) -> Vec<f64> {
+pub(super) fn pull(operator: &Array2<f64>, bar: &[f64]) -> Vec<f64> {
     operator.t().dot(&ArrayView1::from(bar)).to_vec()
 }
 
-fn add(a: &mut [f64], b: &[f64]) {
+pub(super) fn add(a: &mut [f64], b: &[f64]) {
     a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
 }
 

@@ -424,11 +424,14 @@ mod tests {
             if tilted {
                 tilt(&mut lens, rng, 0.3);
             }
+            // Paths of 300 mm round to 1e-13 mm: the long lenses need the larger step.
+            let step = if lens.length() > 100.0 { 1e-4 } else { 1e-5 };
             let nm = 587.5618;
             let points: Vec<DVec2> = points(8).iter().map(|p| 0.9 * *p).collect();
             for given in [false, true] {
                 let bar: Vec<f64> = points.iter().map(|_| between(rng, -1.0, 1.0)).collect();
-                let rms_bar = between(rng, 0.5, 1.5);
+                // Beside a given point the tilt rules the RMS, which is no smooth function of so small a thing.
+                let rms_bar = if given { 0.0 } else { between(rng, 0.5, 1.5) };
                 let system = System::new(&lens, nm);
                 let object = |angle: f64, v: f64| ObjectPoint::from_angle(angle, 0.9, v);
                 let at = opd(&system, object(angle, vergence), &points, Reference::ChiefRay).centre;
@@ -461,7 +464,7 @@ mod tests {
                         let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
                         value(&variables.lens(&lens, &moved), object(angle, vergence), DVec3::ZERO)
                     };
-                    assert_rel(pulled, central_difference(f, 1e-5), 1e-7, 0.1 * size, &what);
+                    assert_rel(pulled, central_difference(f, step), 1e-7, 0.1 * size, &what);
                 }
                 let pulled = ObjectPoint::from_angle_vjp(angle, 0.9, &back.object).0;
                 let f = |h: f64| value(&lens, object(angle + h, vergence), DVec3::ZERO);

@@ -1,11 +1,13 @@
 //! Rays and derivatives against independent programs (`../shared/golden`): 1e-9 mm, 1e-10 in direction, 1e-8 relative.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 use isoplanat::lens::Shape;
 use isoplanat::testing::shared;
+use isoplanat::trace::aim::Aimer;
 use isoplanat::trace::sequential::{HitBar, trace, trace_vjp};
 use isoplanat::trace::system::TraceSurface;
-use isoplanat::trace::{Ray, System, SystemGradient};
+use isoplanat::trace::wavefront::{Reference, Wavefront};
+use isoplanat::trace::{ObjectPoint, Ray, System, SystemGradient};
 use serde_json::Value;
 
 fn number(v: &Value) -> f64 {
@@ -196,4 +198,57 @@ fn chief_rays_of_the_double_gauss_agree_with_code_v() {
         eprintln!("chief ray {height:.9} mm, CODE V {printed:.6}");
         assert!((height - printed).abs() < 0.5e-6, "{height} against CODE V's {printed}");
     }
+}
+
+/// Path differences from the golden rays' own paths and landings (d line), by the plain formula of the sphere, against
+/// ours: rays aimed anew at the stop points that the golden rays met.
+#[test]
+fn path_differences_agree_with_rayoptics() {
+    let (mut count, mut worst, mut largest) = (0, 0.0f64, 0.0f64);
+    for name in LENSES {
+        let Some(golden) = read(name) else { return };
+        let s = system(&golden, 1);
+        let aimer = Aimer::new(&s).expect("has a stop");
+        let exit = number(&golden["paraxial_d_line"]["reference_40digit"]["exit_pupil_from_last_vertex"]);
+        let all = golden["rays"].as_array().expect("list");
+        let line: Vec<&Value> = all.iter().filter(|r| r["wavelength_index"].as_u64() == Some(1)).collect();
+        for chief in line.iter().filter(|r| numbers(&r["pupil"]) == [0.0, 0.0]) {
+            let of_field = |r: &&&Value| r["object"] == chief["object"] && r["field"] == chief["field"];
+            let rays: Vec<&&Value> = line.iter().filter(of_field).collect();
+            let infinite = chief["object"].as_str() == Some("inf");
+            let launch = ray(chief);
+            let object =
+                if infinite { ObjectPoint::infinite(launch.direction) } else { ObjectPoint::finite(launch.origin) };
+            // Landing, direction and path from the object (or the plane through the first vertex).
+            let end = |r: &Value| {
+                let rows = r["rayoptics"].as_array().expect("rows");
+                let row = numbers(&rows[rows.len() - 1]);
+                let start = if infinite { ray(r).origin.dot(launch.direction) } else { 0.0 };
+                (DVec3::from_slice(&row[..3]), DVec3::from_slice(&row[3..6]), row[6] + start)
+            };
+            let (centre, direction, chief_path) = end(chief);
+            let back = (exit - s.surfaces[s.image()].distance - centre.z) / direction.z;
+            let radius = back.abs();
+            let to_sphere = |p: DVec3, d: DVec3| {
+                let (q, b) = (p - centre, (p - centre).dot(d));
+                let root = (radius * radius - q.length_squared() + b * b).sqrt();
+                -b + back.signum() * root
+            };
+            let stop = |r: &Value| {
+                let row = numbers(&r["rayoptics"].as_array().expect("rows")[s.stop]);
+                DVec2::new(row[0], row[1]) / s.stop_semi_diameter
+            };
+            let points: Vec<DVec2> = rays.iter().map(|r| stop(r)).collect();
+            let ours = Wavefront::compute(&aimer, object, &points, Reference::ChiefRay, false).expect("computes");
+            for (r, w) in rays.iter().zip(&ours.opd) {
+                let (p, d, path) = end(r);
+                let expected = chief_path + back - path - to_sphere(p, d);
+                let error = (w.expect("lives") - expected).abs();
+                (worst, largest) = (worst.max(error), largest.max(expected.abs()));
+                assert!(error < 1e-10, "{name} {}: {error:e} mm of {expected:e}", chief["field"]);
+                count += 1;
+            }
+        }
+    }
+    eprintln!("{count} golden path differences up to {largest} mm: worst {worst:e} mm");
 }
