@@ -5,9 +5,11 @@
 //! where the system is well conditioned; it is linear least squares, so its derivative is one constant matrix.
 //! Not covered: decentring and tilt (tangential terms).
 
+use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::math::least_squares::fit_operator;
 
 /// A fitted radial model: `r_d = x·(b₀ + b₁ x² + b₂ x⁴ + b₃ x⁶)` with `x = r / r_max`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -104,8 +106,8 @@ impl Distortion {
 pub fn fit(slopes: &[f64], sensor_mm: &[f64]) -> Result<Distortion> {
     assert_eq!(slopes.len(), sensor_mm.len());
     let max_slope = slopes.iter().copied().fold(0.0, f64::max);
-    let coefficients: [f64; 4] =
-        std::array::from_fn(|j| operator(slopes, max_slope)[j].iter().zip(sensor_mm).map(|(a, s)| a * s).sum());
+    let rows = operator(slopes, max_slope);
+    let coefficients: [f64; 4] = std::array::from_fn(|j| rows.row(j).iter().zip(sensor_mm).map(|(a, s)| a * s).sum());
     let mut model = Distortion { max_slope, coefficients_mm: coefficients, residual_mm: 0.0 };
     model.residual_mm =
         slopes.iter().zip(sensor_mm).map(|(&r, &s)| (model.sensor_from_slope(r) - s).abs()).fold(0.0, f64::max);
@@ -127,39 +129,14 @@ pub fn fit(slopes: &[f64], sensor_mm: &[f64]) -> Result<Distortion> {
 /// Pulls a cotangent on the coefficients back to the sampled sensor radii.
 pub fn fit_vjp(slopes: &[f64], max_slope: f64, coefficients_bar: [f64; 4]) -> Vec<f64> {
     let rows = operator(slopes, max_slope);
-    (0..slopes.len()).map(|i| (0..4).map(|j| coefficients_bar[j] * rows[j][i]).sum()).collect()
+    (0..slopes.len()).map(|i| (0..4).map(|j| coefficients_bar[j] * rows[[j, i]]).sum()).collect()
 }
 
-/// The pseudo-inverse of the design matrix, `4 × n`, by modified Gram–Schmidt (twice, for orthogonality to rounding).
-fn operator(slopes: &[f64], max_slope: f64) -> [Vec<f64>; 4] {
-    let n = slopes.len();
-    let basis: [Vec<f64>; 4] = std::array::from_fn(|j| {
-        slopes.iter().map(|r| (r / max_slope).powi(2 * i32::try_from(j).expect("small") + 1)).collect()
-    });
-    let dot = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(x, y)| x * y).sum::<f64>();
-    let (mut q, mut upper) = (basis, [[0.0; 4]; 4]);
-    for j in 0..4 {
-        for _ in 0..2 {
-            for i in 0..j {
-                let (head, tail) = q.split_at_mut(j);
-                let overlap = dot(&head[i], &tail[0]);
-                upper[i][j] += overlap;
-                tail[0].iter_mut().zip(&head[i]).for_each(|(t, h)| *t -= overlap * h);
-            }
-        }
-        upper[j][j] = dot(&q[j], &q[j]).sqrt();
-        let inv = 1.0 / upper[j][j];
-        q[j].iter_mut().for_each(|v| *v *= inv);
-    }
-    // Back substitution: rows of R⁻¹ Qᵀ.
-    let mut rows: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; n]);
-    for j in (0..4).rev() {
-        for i in 0..n {
-            let known: f64 = (j + 1..4).map(|k| upper[j][k] * rows[k][i]).sum();
-            rows[j][i] = (q[j][i] - known) / upper[j][j];
-        }
-    }
-    rows
+/// From sampled sensor radii to the four coefficients, `[4, n]`.
+fn operator(slopes: &[f64], max_slope: f64) -> Array2<f64> {
+    fit_operator(&Array2::from_shape_fn((slopes.len(), 4), |(i, j)| {
+        (slopes[i] / max_slope).powi(2 * i32::try_from(j).expect("small") + 1)
+    }))
 }
 
 #[cfg(test)]

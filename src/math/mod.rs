@@ -1,3 +1,4 @@
 //! Numerics without an optical word.
 
 pub mod fft;
+pub mod least_squares;

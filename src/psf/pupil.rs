@@ -14,6 +14,7 @@ use glam::{DVec2, DVec3};
 use ndarray::{Array2, ArrayView1};
 
 use super::clip::Clip;
+use crate::math::least_squares::fit_operator;
 use crate::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use crate::trace::launch::{FieldPoint, launch, launch_vjp};
 use crate::trace::sequential::{Hit, HitBar, trace, trace_vjp};
@@ -66,7 +67,7 @@ impl PupilSampling {
                 points.push(u.sqrt() * DVec2::new(sign * angle.cos(), angle.sin()));
             }
         }
-        let (even_nodes, odd_nodes) = (fit_operator(&nodes, degree, 0), fit_operator(&nodes, degree, 1));
+        let (even_nodes, odd_nodes) = (from_nodes(&nodes, degree, 0), from_nodes(&nodes, degree, 1));
         let evaluate = |parity: usize, fit: &Array2<f64>| {
             let [v, x, y] = basis(&points, degree, parity);
             [v.dot(fit), x.dot(fit), y.dot(fit)]
@@ -113,35 +114,9 @@ fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
     (t, d)
 }
 
-/// Least-squares coefficients from node values: `R⁻¹Qᵀ` by Gram–Schmidt, twice for orthogonality.
-fn fit_operator(nodes: &[DVec2], degree: usize, parity: usize) -> Array2<f64> {
-    let a = basis(nodes, degree, parity)[0].clone();
-    let (m, n) = a.dim();
-    let mut q = a;
-    let mut r = Array2::<f64>::zeros((n, n));
-    for j in 0..n {
-        for _ in 0..2 {
-            for i in 0..j {
-                let overlap = q.column(i).dot(&q.column(j));
-                r[[i, j]] += overlap;
-                for k in 0..m {
-                    let v = q[[k, i]];
-                    q[[k, j]] -= overlap * v;
-                }
-            }
-        }
-        let norm = q.column(j).dot(&q.column(j)).sqrt();
-        r[[j, j]] = norm;
-        q.column_mut(j).mapv_inplace(|v| v / norm);
-    }
-    let mut x = q.t().to_owned();
-    for j in (0..n).rev() {
-        for k in 0..m {
-            let known: f64 = (j + 1..n).map(|i| r[[j, i]] * x[[i, k]]).sum();
-            x[[j, k]] = (x[[j, k]] - known) / r[[j, j]];
-        }
-    }
-    x
+/// Least-squares coefficients from node values.
+fn from_nodes(nodes: &[DVec2], degree: usize, parity: usize) -> Array2<f64> {
+    fit_operator(&basis(nodes, degree, parity)[0])
 }
 
 /// Dense landings and weights of one field point on +y and one wavelength.
