@@ -1,11 +1,15 @@
 //! The soft edge of a clear aperture over the dense points of the stop, with adjoint.
 //!
-//! `t = (R − r)/(|∇_s r| Δ)` is the distance of a ray from the aperture's edge as seen in the stop, in units of the
-//! points' spacing `Δ`: `r` is the ray's height at the aperture, `s` its place in the unit stop. A C² ramp over
-//! `−1/2 < t < 1/2`, symmetric about the hard edge, is the ray's share of light. The edge so is one spacing wide wherever
-//! the aperture stands and however small the beam is there.
+//! `t = (R − r)/(|∇_s r| w)` is the distance of a ray from the aperture's edge as seen in the stop, in units of the
+//! edge's width `w`: `r` is the ray's height at the aperture, `s` its place in the unit stop. A C² ramp over
+//! `−1/2 < t < 1/2`, symmetric about the hard edge, is the ray's share of light. With `w` 1.5 spacings of the dense points
+//! (four fifths of the rise within one spacing) the error of a cut beam's area is least: a narrower edge counts points, a
+//! wider one blunts the edge. The width is the same wherever the aperture stands and however small the beam is there.
 
 use super::pupil::{PupilSampling, add, dense, pull};
+
+/// Width of the edge in spacings of the dense points.
+const WIDTH: f64 = 1.5;
 
 /// One aperture that clips: heights of the dense rays, and their derivatives over the unit stop.
 #[derive(Clone, Debug)]
@@ -13,7 +17,7 @@ pub(super) struct Clip {
     /// The aperture's surface.
     pub(super) surface: usize,
     radius: f64,
-    spacing: f64,
+    width: f64,
     x: Vec<f64>,
     y: Vec<f64>,
     /// `∂x/∂s_x, ∂x/∂s_y, ∂y/∂s_x, ∂y/∂s_y`.
@@ -56,13 +60,19 @@ impl Clip {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let middle = y.iter().sum::<f64>() / y.len() as f64;
         let size = x.iter().zip(y).map(|(a, b)| a.hypot(b - middle)).fold(0.0, f64::max);
-        if farthest < radius - 3.0 * size * sampling.spacing {
+        if farthest < radius - 3.0 * size * WIDTH * sampling.spacing {
             return None;
         }
         let (odd, even) = (&sampling.odd, &sampling.even);
         let jacobian = [dense(&odd[1], x), dense(&odd[2], x), dense(&even[1], y), dense(&even[2], y)];
-        let clip =
-            Self { surface, radius, spacing: sampling.spacing, x: dense(&odd[0], x), y: dense(&even[0], y), jacobian };
+        let clip = Self {
+            surface,
+            radius,
+            width: WIDTH * sampling.spacing,
+            x: dense(&odd[0], x),
+            y: dense(&even[0], y),
+            jacobian,
+        };
         (0..clip.x.len()).any(|q| clip.share(q) < 1.0).then_some(clip)
     }
 
@@ -73,7 +83,7 @@ impl Clip {
         let j = [0, 1, 2, 3].map(|k: usize| self.jacobian[k][q]);
         let gradient = [(x * j[0] + y * j[2]) / r, (x * j[1] + y * j[3]) / r];
         let size = gradient[0].hypot(gradient[1]);
-        let t = (self.radius - r) / (size * self.spacing);
+        let t = (self.radius - r) / (size * self.width);
         t.is_finite().then_some((r, gradient, size, t))
     }
 
@@ -93,7 +103,7 @@ impl Clip {
         let (x, y) = (self.x[q], self.y[q]);
         let [a, b, c, d] = [0, 1, 2, 3].map(|k: usize| self.jacobian[k][q]);
         let (u, v) = (g0 / size, g1 / size);
-        let by_r = -slope / (size * self.spacing);
+        let by_r = -slope / (size * self.width);
         let by_size = -slope * t / size;
         Some(ShareSlope {
             radius: -by_r,
@@ -135,18 +145,18 @@ mod tests {
     use super::*;
     use crate::testing::{assert_rel, central_difference};
 
-    /// The share of a round beam beside an aperture: half on the edge, one spacing from none to all.
+    /// The share of a round beam beside an aperture: half on the edge, one width from none to all.
     #[test]
-    fn the_edge_is_one_spacing_wide() {
+    fn the_edge_has_its_width_in_the_stop() {
         let sampling = PupilSampling::new(7, 400);
         // A beam of radius 2 about (0, 5): x = 2 s_x, y = 5 + 2 s_y.
         let (x, y): (Vec<f64>, Vec<f64>) = sampling.nodes.iter().map(|s| (2.0 * s.x, 5.0 + 2.0 * s.y)).unzip();
         let clip = Clip::new(&sampling, 3, 5.0, &x, &y).expect("clips");
         for (q, s) in sampling.points.iter().enumerate() {
             let distance = 2.5 - (s.x).hypot(2.5 + s.y);
-            assert_rel(clip.share(q), ramp(distance / sampling.spacing).0, 1e-9, 1.0, "share");
+            assert_rel(clip.share(q), ramp(distance / (WIDTH * sampling.spacing)).0, 1e-9, 1.0, "share");
         }
-        assert!(Clip::new(&sampling, 3, 7.0 + 2.0 * sampling.spacing, &x, &y).is_none());
+        assert!(Clip::new(&sampling, 3, 7.0 + 3.0 * sampling.spacing, &x, &y).is_none());
     }
 
     #[test]

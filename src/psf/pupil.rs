@@ -6,7 +6,8 @@
 //! stop is traced.
 //!
 //! A dense ray carries the étendue `N⁴ |∂e/∂(stop)| dA` (see [`crate::trace::launch`]) times the soft edge of every
-//! clear aperture that clips it (`psf/clip.rs`): a C² ramp one pupil-sample spacing wide, symmetric about the hard edge.
+//! clear aperture that clips it (`psf/clip.rs`): a C² ramp about one pupil-sample spacing wide, symmetric about
+//! the hard edge.
 //! Apertures that no node comes near are left out. Where node rays fail, the largest concentric part of the stop whose nodes
 //! all survive is kept and the rest counts as lost ([`PupilMap::kept`]).
 
@@ -56,17 +57,7 @@ impl PupilSampling {
                 nodes.push(radius * DVec2::new(angle.cos(), angle.sin()));
             }
         }
-        // Equal-area points: a low-discrepancy set on the half disk (R2 sequence), then its mirror.
-        let half = dense.div_ceil(2).max(1);
-        let mut points = Vec::with_capacity(2 * half);
-        for sign in [1.0, -1.0] {
-            for k in 0..half {
-                #[expect(clippy::cast_precision_loss, reason = "small counts")]
-                let (u, v) = ((k as f64 + 0.5) / half as f64, (0.5 + k as f64 * 0.618_033_988_749_894_9).fract());
-                let angle = std::f64::consts::PI * (v - 0.5);
-                points.push(u.sqrt() * DVec2::new(sign * angle.cos(), angle.sin()));
-            }
-        }
+        let points = equal_area_rings(dense);
         let (even_nodes, odd_nodes) = (from_nodes(&nodes, degree, 0), from_nodes(&nodes, degree, 1));
         let evaluate = |parity: usize, fit: &Array2<f64>| {
             let [v, x, y] = basis(&points, degree, parity);
@@ -84,6 +75,40 @@ impl PupilSampling {
     pub fn traced_rays(&self) -> usize {
         self.nodes.len()
     }
+}
+
+/// About `count` points of equal area on the unit disk: rings of as many points as their area asks for, mirror images
+/// in x and nearly so in y, so that a beam cut from above and one cut from below come out alike.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "small counts"
+)]
+fn equal_area_rings(count: usize) -> Vec<DVec2> {
+    use std::f64::consts::PI;
+    let half = count.div_ceil(2).max(1);
+    let rings = ((count as f64 / PI).sqrt().round() as usize).clamp(1, half);
+    // Points of the half `x > 0`, ring by ring; the last takes what is left.
+    let mut in_ring: Vec<usize> = (0..rings)
+        .map(|k| ((2 * k + 1) as f64 * half as f64 / (rings * rings) as f64).round().max(1.0) as usize)
+        .collect();
+    let inner: usize = in_ring[..rings - 1].iter().sum();
+    in_ring[rings - 1] = half.saturating_sub(inner).max(1);
+    let total: usize = in_ring.iter().sum();
+    let mut points = Vec::with_capacity(2 * total);
+    let mut before = 0;
+    for n in in_ring {
+        let radius = ((before as f64 + 0.5 * n as f64) / total as f64).sqrt();
+        before += n;
+        points.extend((0..n).map(|j| {
+            let (x, y) = (PI * (j as f64 + 0.5) / n as f64).sin_cos();
+            radius * DVec2::new(x, y)
+        }));
+    }
+    let mirrored: Vec<DVec2> = points.iter().map(|p| DVec2::new(-p.x, p.y)).collect();
+    points.extend(mirrored);
+    points
 }
 
 /// Values and derivatives of the basis `x^p y^q` in Chebyshev form with `p` of the given parity, `p + q ≤ degree`.
@@ -366,6 +391,26 @@ mod tests {
             }
             eprintln!("{name}: kept {}, polynomial error {worst:e} mm, residual {:e}", map.kept, map.residual);
             assert!(worst < tol, "{name}: {worst:e} mm");
+        }
+    }
+
+    /// Rings of equal area: their count, their mirror images, their moments those of the disk.
+    #[test]
+    fn dense_points_cover_the_disk_evenly() {
+        for count in [1, 2, 7, 60, 100, 200, 512, 3000] {
+            let points = equal_area_rings(count);
+            #[expect(clippy::cast_precision_loss, reason = "small counts")]
+            let n = points.len() as f64;
+            assert!((points.len()).abs_diff(count) <= 1, "{count}: {}", points.len());
+            let (right, left) = points.split_at(points.len() / 2);
+            assert!(right.iter().zip(left).all(|(a, b)| a.x == -b.x && a.y == b.y && a.x > 0.0));
+            let mean = |f: &dyn Fn(&DVec2) -> f64| points.iter().map(f).sum::<f64>() / n;
+            // ⟨y⟩ = 0, ⟨r²⟩ = 1/2, ⟨y²⟩ = 1/4 over the disk.
+            assert!(mean(&|p| p.y).abs() < 1e-12, "{count}");
+            assert_rel(mean(&|p| p.length_squared()), 0.5, 1e-12, 0.0, "second moment");
+            if count >= 60 {
+                assert_rel(mean(&|p| p.y * p.y), 0.25, 1e-2, 0.0, "moment of y");
+            }
         }
     }
 

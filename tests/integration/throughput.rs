@@ -79,6 +79,7 @@ fn narrowed(name: &str, slope: f64) -> Lens {
 /// Bias of the soft edge: the sum of the weights against hard-edged rays.
 #[test]
 fn the_soft_edge_has_little_bias() {
+    let mut worst = [0.0f64; 3];
     for (name, slope) in CASES {
         let lens = narrowed(name, slope);
         let hard = hard_throughput(&lens, slope, 1200);
@@ -91,8 +92,13 @@ fn the_soft_edge_has_little_bias() {
             "{name} slope {slope}: {hard:.4} mm², clipped by {:?}, kept {}, bias {:+.2e} (60 points) {:+.2e} (200) {:+.2e} (3000)",
             b200.1, b200.2, b60.0, b200.0, b3000.0
         );
-        assert!(b200.0.abs() < 1e-2 && b3000.0.abs() < 2e-3, "{name} {slope}: {b200:?} {b3000:?}");
+        worst = [worst[0].max(b60.0.abs()), worst[1].max(b200.0.abs()), worst[2].max(b3000.0.abs())];
     }
+    let [a, b, c] = worst;
+    // Where the edges of two apertures nearly coincide (the three elements near the axis) or cross at a small angle, the
+    // product of their ramps falls short, most where little of the stop is left.
+    eprintln!("worst bias {a:.2e} (60 points), {b:.2e} (200), {c:.2e} (3000)");
+    assert!(b < 1e-2 && c < 2e-3, "{worst:?}");
 }
 
 /// Gradient of the throughput at `slope`.
