@@ -130,6 +130,7 @@ mod tests {
             spacing: 24,
             max_slope: slope_at_height(&lens, 1e-3, 1.1 * frame.max_radius_mm()).expect("inside"),
             frame,
+            white: vec![0.98, 1.01, 1.03],
         };
         let electronics =
             Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 2e-4, read: 1e-3 }, neutral: [0.55, 1.0, 0.7] };

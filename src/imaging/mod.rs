@@ -26,4 +26,5 @@ pub mod simulate;
 pub mod spectrum;
 pub mod undistort;
 pub mod warp;
+pub mod white;
 pub mod wiener;

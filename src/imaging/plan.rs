@@ -4,6 +4,7 @@ use super::field_map::{failed, field_at, fit_distortion, slope_at_height};
 use super::frame::Frame;
 use super::render::RenderPlan;
 use super::spectrum::{SpectralDensity, Spectrum};
+use super::white::on_axis_of;
 use crate::error::Result;
 use crate::lens::Lens;
 use crate::psf::grid::{PsfGrid, PsfNode, PsfPlan};
@@ -73,6 +74,7 @@ pub fn plan(
         spacing: quality.spacing,
         max_slope,
         frame: frame.clone(),
+        white: vec![1.0; 3],
     };
     // The kernel follows the widest PSF over the field.
     let distortion = fit_distortion(lens, vergence, max_slope)?;
@@ -83,5 +85,9 @@ pub fn plan(
         .map_err(|f| failed(lens, "PSF grid", f))?;
     let half = probe.half_width_px(&plan.psf, &radii, quality.outside).min(quality.max_half_width);
     plan.psf.size = 2 * half + 1;
+    // What the grid's own level on the axis lacks to white there.
+    let jacobian = field_at(&distortion, 0.0).jacobian;
+    let ratio = |(exact, grid): (f64, &f64)| if exact > 0.0 { exact / (grid * jacobian) } else { 1.0 };
+    plan.white = on_axis_of(lens, &plan.psf).into_iter().zip(&probe.throughput.row(0)).map(ratio).collect();
     Ok(plan)
 }

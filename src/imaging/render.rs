@@ -31,12 +31,19 @@ pub struct RenderPlan {
     pub max_slope: f64,
     /// The sensor's frame.
     pub frame: Frame,
+    /// White on the axis over the grid's own level there, by channel ([`super::white`]); held while the lens moves.
+    pub white: Vec<f64>,
 }
 
 impl RenderPlan {
     /// Margin in pixels that a region's source has on every side.
     pub fn margin(&self) -> usize {
         self.psf.size / 2
+    }
+
+    /// Amplitudes `[node, channel]` relative to white on the axis; its own transpose.
+    fn of_white<T: Real>(&self, amplitude: &Array2<T>) -> Array2<T> {
+        Array2::from_shape_fn(amplitude.dim(), |(n, c)| amplitude[[n, c]] / T::real(self.white[c]))
     }
 }
 
@@ -161,10 +168,11 @@ pub struct Rendered<T: Real> {
 pub fn render_region<T: Real>(optics: &Optics, plan: &RenderPlan, scene: &Plane, region: Region) -> Rendered<T> {
     let margin = plan.margin();
     let source: Array3<T> = warp(scene, &optics.distortion, &plan.frame, region.grown(margin));
-    let amplitude = optics.amplitude();
+    let relative = optics.amplitude::<T>();
+    let amplitude = plan.of_white(&relative);
     let (image, record) = convolve(optics.raster, &optics.kernels(), &amplitude, source.view(), region);
     let truth = source.slice(s![.., margin..margin + region.rows, margin..margin + region.cols]).to_owned();
-    let illumination = interpolate(optics.raster, &amplitude, region);
+    let illumination = interpolate(optics.raster, &relative, region);
     Rendered { image, truth, illumination, source, amplitude, record }
 }
 
@@ -196,7 +204,7 @@ pub fn render_region_vjp<T: Real>(
     let from_illumination = interpolate_vjp(optics.raster, region, illumination_bar);
     OpticsBar {
         kernels: back.kernels.mapv(Real::to_double),
-        amplitude: back.amplitude.mapv(Real::to_double) + from_illumination.mapv(Real::to_double),
+        amplitude: plan.of_white(&back.amplitude).mapv(Real::to_double) + from_illumination.mapv(Real::to_double),
         distortion: warp_vjp(scene, &optics.distortion, &plan.frame, region.grown(margin), back.source.view()),
     }
 }

@@ -207,6 +207,7 @@ fn a_rendered_region_pulls_back_to_the_lens() {
         spacing: 20,
         max_slope: slope_at_height(&lens, 1e-3, 1.1 * frame.max_radius_mm()).expect("inside"),
         frame,
+        white: vec![0.98, 1.01, 1.03],
     };
     let scene = Plane {
         texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
