@@ -9,6 +9,7 @@ pub mod exact;
 pub mod first_root;
 pub mod forward;
 pub mod intersect;
+pub mod lanes;
 pub mod launch;
 pub mod refract;
 pub mod sequential;
