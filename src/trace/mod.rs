@@ -14,6 +14,7 @@ pub mod first_root;
 pub mod forward;
 pub mod health;
 pub mod intersect;
+pub mod lanes;
 pub mod launch;
 pub mod object;
 pub mod precise;

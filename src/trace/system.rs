@@ -144,6 +144,20 @@ impl SystemGradient {
         }
     }
 
+    /// Adds the cotangents `other` of the same system.
+    pub fn add(&mut self, other: &Self) {
+        let add = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+        self.shapes.iter_mut().zip(&other.shapes).for_each(|(a, b)| a.add(b));
+        add(&mut self.distances, &other.distances);
+        add(&mut self.indices, &other.indices);
+        add(&mut self.semi_diameters, &other.semi_diameters);
+        self.stop_semi_diameter += other.stop_semi_diameter;
+        for (a, b) in self.motions.iter_mut().zip(&other.motions) {
+            a.rotation += b.rotation;
+            a.shift += b.shift;
+        }
+    }
+
     /// Adds these cotangents to `gradient` of `lens`, glasses and stop size included.
     pub fn add_to(&self, lens: &Lens, wavelength_nm: f64, gradient: &mut LensGradient) {
         for (i, g) in gradient.surfaces.iter_mut().enumerate() {

@@ -1,0 +1,421 @@
+//! One tile through one surface: plane, sphere and conic in closed form, even aspheres by Newton without roots.
+//!
+//! Every surface is written implicitly, with `w = z − P(ρ)` and `v = (1+κ)c`: `G = cρ/2 − w + vw²/2 = 0`, whose gradient
+//! `N = (Ax, Ay, −φ)`, `A = c + 2P′φ`, `φ = 1 − vw`, points against the light. On a conic `q = −N·d` is the root of the
+//! discriminant. Snell's law needs no unit normal: `d' = μd + γN`, `γ = (μ² − 1)/(μq + R)`, `R² = μ²q² + (1 − μ²) N·N`.
+//! Each ray first advances to its point nearest the vertex, as in [`crate::trace::intersect`].
+//!
+//! A lane's numbers never depend on the other lanes. Where a lane is not certain of the plain trace's root, the plain
+//! trace decides ([`mend`]): it stands for the accuracy and gives the failure's cause.
+#![allow(unsafe_code, reason = "vectors and raw pointers into a tile; see each Safety note")]
+
+use super::mend::mend;
+pub(super) use super::mend::one_by_one;
+use super::program::Step;
+use super::simd::{Lanes, Simd, Truth};
+use super::tile::{Bundle, Status, TILE};
+
+/// What a kernel computes beside the rays.
+pub(super) trait Mode {
+    /// Optical path.
+    const PATH: bool;
+    /// What the adjoint needs.
+    const RECORD: bool;
+    /// An index ratio per ray.
+    const SPECTRAL: bool;
+}
+
+macro_rules! modes {
+    ($($(#[$doc:meta])* $name:ident: $path:literal, $record:literal, $spectral:literal;)+) => {
+        $(
+            $(#[$doc])*
+            pub(super) struct $name;
+            impl Mode for $name {
+                const PATH: bool = $path;
+                const RECORD: bool = $record;
+                const SPECTRAL: bool = $spectral;
+            }
+        )+
+    };
+}
+
+modes! {
+    /// The rays alone.
+    Lean: false, false, false;
+    /// Rays and optical paths.
+    WithPath: true, false, false;
+    /// Rays, paths and the record of the adjoint.
+    Recorded: true, true, false;
+    /// Rays of several wavelengths.
+    Spectral: false, false, true;
+}
+
+/// What the adjoint needs of one surface, beside the rays before and after it.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Extra {
+    /// `γ`; 0 where nothing is refracted.
+    pub(super) gamma: [f64; TILE],
+    /// `1/R`.
+    pub(super) inverse_r: [f64; TILE],
+    /// `1/q`.
+    pub(super) inverse_q: [f64; TILE],
+    /// `w` and `2P′`; only of surfaces with terms.
+    pub(super) w: [f64; TILE],
+    pub(super) slope: [f64; TILE],
+    // Keeps the arrays of records at one distance.
+    _unused: [[f64; TILE]; 3],
+}
+
+impl Extra {
+    pub(super) const ZERO: Self = Self {
+        gamma: [0.0; TILE],
+        inverse_r: [0.0; TILE],
+        inverse_q: [0.0; TILE],
+        w: [0.0; TILE],
+        slope: [0.0; TILE],
+        _unused: [[0.0; TILE]; 3],
+    };
+}
+
+/// A tile at one surface.
+pub(super) struct Run {
+    /// Rays before the surface, in the frame of the one before.
+    pub(super) from: *mut Bundle,
+    /// Rays behind it, in its own nominal frame.
+    pub(super) to: *mut Bundle,
+    /// Record; only touched by [`Recorded`].
+    pub(super) extra: *mut Extra,
+    /// Wavelengths; only read by [`Spectral`].
+    pub(super) colour: *const u32,
+    /// One bit per lane that has not failed.
+    pub(super) alive: *mut u64,
+    /// Where failures are written.
+    pub(super) status: *mut Status,
+    /// Lanes in use.
+    pub(super) len: usize,
+}
+
+/// `step` again, so that its constants are read from memory where they are used instead of taking registers over the loop.
+#[inline(always)]
+fn fresh(step: &Step) -> &Step {
+    #[cfg(target_arch = "x86_64")]
+    {
+        let mut pointer: *const Step = step;
+        // SAFETY: no instruction; the pointer stays what it is.
+        unsafe {
+            std::arch::asm!("/* {0} */", inout(reg) pointer, options(readonly, nostack, preserves_flags));
+            &*pointer
+        }
+    }
+    #[cfg(not(target_arch = "x86_64"))]
+    step
+}
+
+/// Held by a kernel, makes its stack frame aligned: vectors that do not fit the registers then lie in whole cache lines.
+#[repr(align(64))]
+pub(super) struct AlignedFrame(#[allow(dead_code, reason = "only its place matters")] [f64; 8]);
+
+impl AlignedFrame {
+    #[inline(always)]
+    pub(super) fn hold() {
+        let frame = Self([0.0; 8]);
+        std::hint::black_box(&frame);
+    }
+}
+
+/// Rays in registers, at their points nearest the vertex.
+struct Near<S: Simd> {
+    x: Lanes<S>,
+    y: Lanes<S>,
+    z: Lanes<S>,
+    l: Lanes<S>,
+    m: Lanes<S>,
+    n: Lanes<S>,
+    /// Distance advanced.
+    t: Lanes<S>,
+}
+
+impl<S: Simd> Near<S> {
+    #[inline(always)]
+    unsafe fn load(step: &Step, from: &Bundle, at: usize) -> Self {
+        unsafe {
+            let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
+            let (x, y, z) = (load(&from.x), load(&from.y), load(&from.z) - Lanes::splat(step.surface.distance));
+            let (l, m, n) = (load(&from.l), load(&from.m), load(&from.n));
+            let back = x.fma(l, y.fma(m, z * n));
+            Self { x: back.fnma(l, x), y: back.fnma(m, y), z: back.fnma(n, z), l, m, n, t: -back }
+        }
+    }
+
+    /// Moves on by `s`.
+    #[inline(always)]
+    fn advance(&mut self, s: Lanes<S>) {
+        self.x = s.fma(self.l, self.x);
+        self.y = s.fma(self.m, self.y);
+        self.z = s.fma(self.n, self.z);
+        self.t = self.t + s;
+    }
+
+    /// `ρ`.
+    #[inline(always)]
+    fn rho(&self) -> Lanes<S> {
+        self.x.fma(self.x, self.y * self.y)
+    }
+}
+
+/// A point on the surface as [`finish`] takes it: `N = (nx, ny, −phi)`, `q = −N·d`, `1/q`, and which lanes are certain.
+struct Met<S: Simd> {
+    nx: Lanes<S>,
+    ny: Lanes<S>,
+    phi: Lanes<S>,
+    q: Lanes<S>,
+    inverse_q: Lanes<S>,
+    sound: Truth<S>,
+}
+
+/// Stores rays behind a surface, refracted, and lets the plain trace mend the lanes that are not certain. `limit_sq`
+/// bounds `ρ`; `UNIT` says that `N` has length 1.
+#[inline(always)]
+unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
+    step: &Step,
+    run: &Run,
+    at: usize,
+    mut ray: Near<S>,
+    met: Met<S>,
+    limit_sq: f64,
+) {
+    unsafe {
+        let splat = |value| Lanes::<S>::splat(value);
+        let Met { nx, ny, phi, q, inverse_q, sound } = met;
+        let mut fine = sound.and_at_most(ray.rho(), splat(limit_sq));
+        let (from, to) = (&*run.from, &mut *run.to);
+        let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
+        if step.refracts {
+            let (mu, mu_sq, under, over);
+            if M::SPECTRAL {
+                mu = Lanes(S::gather(step.ratios.as_ptr(), run.colour.add(at)));
+                mu_sq = mu * mu;
+                (under, over) = (splat(1.0) - mu_sq, mu_sq - splat(1.0));
+            } else {
+                (mu, mu_sq) = (splat(step.mu), splat(step.mu_sq));
+                (under, over) = (splat(step.under), splat(step.over));
+            }
+            let root;
+            if UNIT {
+                (root, inverse_r) = (mu_sq * q).fma(q, under).sqrt_and_inverse();
+                gamma = mu * q - root;
+            } else {
+                let square = nx.fma(nx, ny.fma(ny, phi * phi));
+                let r_sq = (mu_sq * q).fma(q, under * square);
+                if M::RECORD {
+                    (root, inverse_r) = r_sq.sqrt_and_inverse();
+                } else {
+                    root = r_sq.sqrt();
+                }
+                gamma = over / mu.fma(q, root);
+            }
+            fine = fine.and_less(splat(0.0), root);
+            ray.l = mu.fma(ray.l, gamma * nx);
+            ray.m = mu.fma(ray.m, gamma * ny);
+            ray.n = gamma.fnma(phi, mu * ray.n);
+        }
+        let store = |v: Lanes<S>, array: &mut [f64; TILE]| v.store(array.as_mut_ptr().add(at));
+        store(ray.x, &mut to.x);
+        store(ray.y, &mut to.y);
+        store(ray.z, &mut to.z);
+        store(ray.l, &mut to.l);
+        store(ray.m, &mut to.m);
+        store(ray.n, &mut to.n);
+        if M::PATH {
+            let before = Lanes::<S>::load(from.path.as_ptr().add(at));
+            store(splat(step.surface.index_before).fma(ray.t, before), &mut to.path);
+        }
+        if M::RECORD {
+            let extra = &mut *run.extra;
+            store(ray.t, &mut to.t);
+            store(gamma, &mut extra.gamma);
+            store(inverse_r, &mut extra.inverse_r);
+            store(inverse_q, &mut extra.inverse_q);
+        }
+        let bad = (*run.alive >> at) & !fine.bits() & lanes_mask(S::LANES);
+        if bad != 0 {
+            mend::<M>(step, run, at, bad, sound.bits());
+        }
+    }
+}
+
+#[inline(always)]
+const fn lanes_mask(lanes: usize) -> u64 {
+    if lanes >= 64 { u64::MAX } else { (1 << lanes) - 1 }
+}
+
+/// A tile through a plane.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; the pointers of `run` must be valid and apart.
+#[inline(always)]
+pub(super) unsafe fn plane<S: Simd, M: Mode>(step: &Step, run: &Run) {
+    AlignedFrame::hold();
+    let mut at = 0;
+    while at < run.len {
+        let step = fresh(step);
+        unsafe {
+            let (zero, one) = (Lanes::<S>::splat(0.0), Lanes::<S>::splat(1.0));
+            let mut ray = Near::<S>::load(step, &*run.from, at);
+            let inverse_q = one / ray.n;
+            ray.advance(-(ray.z * inverse_q));
+            ray.z = zero;
+            keep_flat::<S, M>(step, run, at, zero);
+            // Only light that goes on crosses a plane from before to behind.
+            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound: zero.less(ray.n) };
+            finish::<S, M, true>(step, run, at, ray, met, step.clip_sq);
+        }
+        at += S::LANES;
+    }
+}
+
+/// The record of a conic whose cotangent has polynomial terms: `w = z`, no slope.
+#[inline(always)]
+unsafe fn keep_flat<S: Simd, M: Mode>(step: &Step, run: &Run, at: usize, w: Lanes<S>) {
+    if M::RECORD && !step.surface.shape.asphere.is_empty() {
+        unsafe {
+            let extra = &mut *run.extra;
+            w.store(extra.w.as_mut_ptr().add(at));
+            Lanes::<S>::splat(0.0).store(extra.slope.as_mut_ptr().add(at));
+        }
+    }
+}
+
+/// A tile through a sphere or a conic.
+///
+/// # Safety
+/// As [`plane`].
+#[inline(always)]
+pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, run: &Run) {
+    AlignedFrame::hold();
+    let mut at = 0;
+    while at < run.len {
+        let step = fresh(step);
+        unsafe {
+            let splat = |value| Lanes::<S>::splat(value);
+            let (zero, c, v) = (splat(0.0), splat(step.c), splat(step.v));
+            let mut ray = Near::<S>::load(step, &*run.from, at);
+            // A s² − 2B s + C = 0 from the point nearest the vertex, where p·d = 0.
+            let (a, b, cc);
+            if SPHERE {
+                (a, b) = (c, ray.n);
+                cc = c.fma(ray.z.fma(ray.z, ray.rho()), splat(-2.0) * ray.z);
+            } else {
+                let excess = splat(step.excess);
+                a = excess.fma(ray.n * ray.n, c);
+                b = (excess * ray.z).fnma(ray.n, ray.n);
+                cc = c.fma(ray.rho(), v.fma(ray.z, splat(-2.0)) * ray.z);
+            }
+            let disc = a.fnma(cc, b * b);
+            let (q, inverse_q) = disc.sqrt_and_inverse();
+            ray.advance(cc / (b + q));
+            let phi = v.fnma(ray.z, splat(1.0));
+            keep_flat::<S, M>(step, run, at, ray.z);
+            // The crossing from before to behind on the sheet of the vertex; B < 0 is left to the plain trace.
+            let mut sound = zero.less(b).and_less(zero, phi);
+            if M::RECORD {
+                // A ray that touches has no derivative.
+                sound = sound.and_less(zero, q);
+            }
+            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound };
+            finish::<S, M, SPHERE>(step, run, at, ray, met, step.clip_sq);
+        }
+        at += S::LANES;
+    }
+}
+
+/// Newton steps before the plain trace takes over.
+const ITERATIONS: u32 = 8;
+
+/// A tile through a conic with `N` even terms.
+///
+/// # Safety
+/// As [`plane`].
+#[inline(always)]
+pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &Run) {
+    AlignedFrame::hold();
+    let mut at = 0;
+    while at < run.len {
+        let step = fresh(step);
+        unsafe {
+            let splat = |value| Lanes::<S>::splat(value);
+            let mut ray = Near::<S>::load(step, &*run.from, at);
+            // The start: near enough, so rough roots and inverses will do.
+            let [u, s, excess] = step.start;
+            let b = (splat(excess) * ray.z).fnma(ray.n, ray.n);
+            let cc = splat(u).fma(ray.rho(), splat(s).fma(ray.z, splat(-2.0)) * ray.z);
+            let a = splat(excess).fma(ray.n * ray.n, splat(u));
+            let disc = a.fnma(cc, b * b).max(splat(f64::MIN_POSITIVE));
+            ray.advance(cc * disc.fma(disc.rough_inverse_sqrt(), b).rough_inverse());
+            let dead = !*run.alive >> at;
+            let full = lanes_mask(S::LANES);
+            let mut rounds = 0;
+            let (mut w, mut slope, mut a, mut dot, mut q, mut g, mut phi, mut done, mut rho);
+            loop {
+                rho = ray.rho();
+                let mut p = splat(step.terms[N - 1]);
+                slope = splat(step.terms1[N - 1]);
+                for i in (0..N - 1).rev() {
+                    p = p.fma(rho, splat(step.terms[i]));
+                    slope = slope.fma(rho, splat(step.terms1[i]));
+                }
+                w = rho.fnma(p, ray.z);
+                phi = splat(step.v).fnma(w, splat(1.0));
+                g = splat(step.half_v).fma(w, splat(-1.0)).fma(w, splat(step.half_c) * rho);
+                a = slope.fma(phi, splat(step.c));
+                dot = ray.x.fma(ray.l, ray.y * ray.m);
+                q = a.fnma(dot, phi * ray.n);
+                let forth = g * q.rough_inverse();
+                done = forth.abs().at_most(splat(step.small));
+                if (done.bits() | dead) & full == full || rounds == ITERATIONS {
+                    break;
+                }
+                // Lanes that are done stay where they are, whatever their neighbours need.
+                ray.advance(forth.zero_where(done));
+                rounds += 1;
+            }
+            // The last step is small: everything follows it to first order.
+            let rough = q.rough_inverse();
+            let forth = g * (rough * q.fnma(rough, splat(2.0)));
+            let mut bend = splat(step.terms2[N - 1]);
+            for i in (1..N - 1).rev() {
+                bend = bend.fma(rho, splat(step.terms2[i]));
+            }
+            ray.advance(forth);
+            let half_d_rho = dot * forth;
+            w = slope.fnma(half_d_rho, forth.fma(ray.n, w));
+            slope = bend.fma(half_d_rho + half_d_rho, slope);
+            phi = splat(step.v).fnma(w, splat(1.0));
+            a = slope.fma(phi, splat(step.c));
+            let sideways = ray.l.fma(ray.l, ray.m * ray.m);
+            dot = forth.fma(sideways, dot);
+            q = a.fnma(dot, phi * ray.n);
+            // On the vertex's sheet, and certainly the only root in the cylinder.
+            let mut sound = done
+                .and_less(splat(0.0), phi)
+                .and_less(splat(0.0), ray.n)
+                .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n);
+            if step.from_within {
+                let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
+                let (x, y) = (load(&(*run.from).x), load(&(*run.from).y));
+                sound = sound.and_at_most(x.fma(x, y * y), splat(step.domain_sq));
+            }
+            let mut inverse_q = splat(0.0);
+            if M::RECORD {
+                inverse_q = splat(1.0) / q;
+                let extra = &mut *run.extra;
+                w.store(extra.w.as_mut_ptr().add(at));
+                slope.store(extra.slope.as_mut_ptr().add(at));
+            }
+            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound };
+            finish::<S, M, false>(step, run, at, ray, met, step.limit_sq);
+        }
+        at += S::LANES;
+    }
+}

@@ -1,0 +1,28 @@
+//! The fast trace: many rays at once, the same rays as [`crate::trace::sequential`].
+//!
+//! Rays lie as structure of arrays in tiles of [`TILE`] that stay in cache through all surfaces; the kernels of
+//! [`forward`] and [`adjoint`] run on explicit lanes of the instruction set that the processor has ([`Level`]). Planes,
+//! spheres, conics and even aspheres in their nominal places go through lanes; other surfaces, and single rays for which
+//! the lanes' root is not certainly the first, go ray by ray through the plain trace. Whatever the instruction set, the
+//! result agrees with the plain trace to 1e-12 mm and 1e-13 in direction; tests hold it. Results do not depend on the
+//! number of threads; between instruction sets they differ by rounding.
+
+mod adjoint;
+mod batch;
+mod dispatch;
+mod forward;
+mod gradient;
+mod mend;
+mod program;
+mod simd;
+#[cfg(test)]
+mod tests;
+mod tile;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+pub use batch::{GROUPS, trace_batch};
+pub use dispatch::Level;
+pub use gradient::{LaunchBars, trace_gradient};
+pub use program::{Options, Program};
+pub use tile::{Bundle, Rays, Status, TILE, Tile};
