@@ -9,6 +9,7 @@ use isoplanat::trace::aim::Aimer;
 use isoplanat::trace::exact::{Answer, Request, answer_in};
 use isoplanat::trace::first_root::crossings;
 use isoplanat::trace::intersect::intersect;
+use isoplanat::trace::lanes::{Level, Options, Program, Rays};
 use isoplanat::trace::sequential::{Hit, trace};
 use isoplanat::trace::system::TraceSurface;
 use isoplanat::trace::{Cause, ObjectPoint, Ray, System};
@@ -212,6 +213,53 @@ fn stiff_cases_agree_with_sixty_digits() {
             w.evaluations,
             w.gradient
         );
+    }
+    assert!(failed.is_empty(), "{} of the suite's numbers fall short:\n{}", failed.len(), failed.join("\n"));
+}
+
+/// The same cases through every instruction set of the fast trace: outcome, landing, direction, optical path.
+#[test]
+fn stiff_cases_go_through_the_lanes_alike() {
+    let suite = suite();
+    let mut failed = Vec::new();
+    for level in Level::available() {
+        let (mut count, mut worst) = (0, 0.0f64);
+        for case in list(&suite["cases"]) {
+            let name = case["name"].as_str().expect("a name");
+            let (lens, system) = system(case);
+            let length = lens.length().abs().max(1.0);
+            let expected = list(&case["rays"]);
+            let ray = |r: &Value| Ray { origin: vector(&r["origin"]), direction: vector(&r["direction"]).normalize() };
+            let mut rays: Rays = expected.iter().map(ray).collect();
+            let mut paths = vec![0.0; rays.len()];
+            let options = Options { path: true, level: Some(level), ..Options::default() };
+            let statuses = Program::new(&system, options).trace_batch(&mut rays, Some(&mut paths));
+            for (i, (r, status)) in expected.iter().zip(&statuses).enumerate() {
+                count += 1;
+                let ok = r["status"] == "ok";
+                let surface = r.get("surface").filter(|s| !s.is_null()).map(size);
+                if status.is_none() != ok || status.map(|f| f.surface) != surface {
+                    failed.push(format!("{level:?}, {name}, ray {i}: {status:?} instead of {}", r["status"]));
+                }
+                if !ok || status.is_some() {
+                    continue;
+                }
+                let rounding = r.get("rounding_mm").and_then(Value::as_f64).unwrap_or(0.0);
+                let allowed = (1e-12 * length).max(1e-15 * ray(r).origin.length()) + 4.0 * rounding;
+                let row = list(&r["rows"]).last().expect("the image plane");
+                let landed = rays.ray(i);
+                let off = (landed.origin - vector(row)).length();
+                let direction = DVec3::new(number(&row[3]), number(&row[4]), number(&row[5]));
+                let turned = (landed.direction - direction).length();
+                let path = (paths[i] - number(&row[6])).abs();
+                worst = worst.max(off / allowed);
+                if off > allowed || turned > 1e-13 + 4.0 * rounding / length.min(1.0) || path > 4.0 * allowed {
+                    failed
+                        .push(format!("{level:?}, {name}, ray {i}: {off:e} {turned:e} {path:e}, {allowed:e} allowed"));
+                }
+            }
+        }
+        eprintln!("{level:?}: {count} stiff rays, worst landing {worst:.2} of what is allowed");
     }
     assert!(failed.is_empty(), "{} of the suite's numbers fall short:\n{}", failed.len(), failed.join("\n"));
 }
