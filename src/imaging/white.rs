@@ -78,12 +78,20 @@ mod tests {
         assert!((on_axis(&lens, 550.0) - exact).abs() < 1e-12 * exact);
     }
 
-    /// For a lens of small aberration it is the cone of its working f-number.
+    /// What the PSF grid's own level lacks is small, and not nothing.
     #[test]
-    fn a_lens_lets_through_its_cone() {
-        let lens = builtin::lens("cooke_triplet").expect("shipped");
-        let sine = 0.5 / 5.002;
-        let cone = std::f64::consts::PI * sine * sine;
-        assert!((on_axis(&lens, 587.6) / cone - 1.0).abs() < 0.02);
+    fn the_grids_own_level_is_near() {
+        use crate::imaging::plan::{Quality, frame_of, plan};
+        use crate::imaging::sensor::Sensor;
+        use crate::imaging::spectrum::SpectralDensity;
+        for name in ["two_element", "cooke_triplet", "phone"] {
+            let lens = builtin::lens(name).expect("shipped");
+            let frame = frame_of(&lens).expect("valid");
+            let density = SpectralDensity::new(&Sensor::generic());
+            let plan = plan(&lens, lens.object_vergence, &frame, &density, Quality::TRAINING, None).expect("plans");
+            eprintln!("{name}: white on the axis / the grid's level there {:?}", plan.white);
+            assert!(plan.white.iter().all(|w| (w - 1.0).abs() < 0.015), "{name}: {:?}", plan.white);
+            assert!(plan.white.iter().any(|w| (w - 1.0).abs() > 1e-4), "{name}: {:?}", plan.white);
+        }
     }
 }

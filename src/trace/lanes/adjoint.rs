@@ -118,6 +118,11 @@ pub(super) unsafe fn surface_vjp<S: Simd, const N: usize>(step: &Step, back: &Ba
                     let twice = rho_bar + rho_bar;
                     (px, py) = (twice.fma(x, px), twice.fma(y, py));
                 }
+            } else {
+                // Equal media bend nothing, but would if one of them changed: `μ̄ = d̄·d + (d̄·N)/q`.
+                let across = phi.fnma(dn, dl.fma(nx, dm * ny));
+                let along = dl.fma(l, dm.fma(m, dn.fma(n, mu_sum)));
+                mu_sum = across.fma(load(&extra.inverse_q), along);
             }
             // Intersection.
             let lambda = px.fma(l, py.fma(m, pz.fma(n, path * index))) * load(&extra.inverse_q);

@@ -171,11 +171,9 @@ impl Sums {
         }
         out.distances[i] += sum(&self.distance);
         out.indices[i] += sum(&self.index);
-        if step.refracts {
-            let mu_bar = sum(&self.mu);
-            out.indices[i] += mu_bar / surface.index_after;
-            out.indices[i + 1] -= mu_bar * step.mu / surface.index_after;
-        }
+        let mu_bar = sum(&self.mu);
+        out.indices[i] += mu_bar / surface.index_after;
+        out.indices[i + 1] -= mu_bar * step.mu / surface.index_after;
     }
 }
 
