@@ -34,7 +34,7 @@ const STEP: f64 = 0.3;
 /// Steps grow no smaller than this part of the whole way.
 const SMALLEST: f64 = 1e-4;
 /// Attempts in one walk.
-const ATTEMPTS: u32 = 300;
+const ATTEMPTS: u32 = 200;
 const ITERATIONS: u32 = 20;
 /// Angle to the object, radians: on the way, and at the end (the forward trace settles the rest).
 const ON_THE_WAY: f64 = 1e-6;
@@ -170,23 +170,46 @@ impl<'a> Front<'a> {
     }
 
     /// The ray of `object` through `target` of the stop, on the branch that is connected with the axis.
+    ///
+    /// Field and target grow together; where that way is blocked, one grows before the other.
     pub(super) fn search(&self, object: ObjectPoint, target: DVec2) -> Result<Found, Failure> {
-        let lost = Failure { cause: Cause::NotConverged, surface: self.system.stop };
         let angle = object.angle();
         if !(angle.is_finite() && target.is_finite() && object.vergence.is_finite()) {
-            return Err(lost);
+            return Err(Failure { cause: Cause::NotConverged, surface: self.system.stop });
         }
         let mut walk = Walk { hits: Vec::with_capacity(self.reversed.surfaces.len()), traced: 0 };
         // The meridian of the object; any, if it lies straight behind.
         let across = object.direction.truncate().try_normalize().unwrap_or(DVec2::X);
-        let at = |s: f64| {
-            let (sin, cos) = (s * angle).sin_cos();
-            let direction = if s == 1.0 { object.direction } else { (sin * across).extend(cos) };
-            (ObjectPoint { direction, ..object }, s * target)
+        let at = |field: f64, part: f64| {
+            let (sin, cos) = (field * angle).sin_cos();
+            let direction = if field == 1.0 { object.direction } else { (sin * across).extend(cos) };
+            (ObjectPoint { direction, ..object }, part * target)
         };
-        let (mut last, _, sign) = self.newton(at(0.0).0, DVec2::ZERO, DVec3::Z, ON_THE_WAY, &mut walk)?;
+        let first = self.newton(at(0.0, 0.0).0, DVec2::ZERO, DVec3::Z, ON_THE_WAY, &mut walk)?;
+        let start = (first.0, first.2);
+        let step = (STEP / angle).min(1.0);
+        let failure = match self.walk(start, step, &|s| at(s, s), &mut walk) {
+            Ok(found) => return Ok(found),
+            Err(f) => f,
+        };
+        let first_half = |s: f64| (2.0 * s).min(1.0);
+        let second_half = |s: f64| (2.0 * s - 1.0).max(0.0);
+        self.walk(start, 0.5 * step, &|s| at(first_half(s), second_half(s)), &mut walk)
+            .or_else(|_| self.walk(start, 0.5 * step, &|s| at(second_half(s), first_half(s)), &mut walk))
+            .map_err(|_| failure)
+    }
+
+    /// Follows the solution along `at(s)` from `s = 0` (direction and sign of the map there) to 1.
+    fn walk(
+        &self,
+        (mut last, sign): (DVec3, bool),
+        first_step: f64,
+        at: &dyn Fn(f64) -> (ObjectPoint, DVec2),
+        walk: &mut Walk,
+    ) -> Result<Found, Failure> {
+        let lost = Failure { cause: Cause::NotConverged, surface: self.system.stop };
         let mut before = None::<(f64, DVec3)>;
-        let (mut s, mut step) = (0.0, (STEP / angle).min(1.0));
+        let (mut s, mut step) = (0.0, first_step);
         let mut failure = lost;
         for _ in 0..ATTEMPTS {
             let next = if s + 1.01 * step >= 1.0 { 1.0 } else { s + step };
@@ -196,7 +219,7 @@ impl<'a> Front<'a> {
                 None => last,
             };
             let tolerance = if next == 1.0 { AT_THE_END } else { ON_THE_WAY };
-            match self.newton(there, target, trend, tolerance, &mut walk) {
+            match self.newton(there, target, trend, tolerance, walk) {
                 Ok((_, exit, sign_here)) if next == 1.0 && sign_here == sign => {
                     return Ok(Found { point: exit.point, direction: exit.direction, iterations: walk.traced });
                 }
