@@ -58,7 +58,7 @@ pub fn trace(system: &System, ray: Ray, last: usize, hits: &mut Vec<Hit>) -> Res
                 .ok_or_else(|| fail(Cause::TotalReflection))?;
         }
         // Numbers beyond f64 are no place to go on from.
-        if !(at.point.is_finite() && direction.is_finite() && path.is_finite()) {
+        if !(at.point.is_finite() && path.is_finite() && (i < last || direction.is_finite())) {
             return Err(fail(Cause::Missed));
         }
         hits.push(Hit { at, incoming, direction, optical_path: path });
