@@ -2,10 +2,10 @@
 //!
 //! The unknowns are the two coordinates `p` of the launch ray: the point `e` of the first vertex plane for a field
 //! point in slopes ([`aim`]), the point of a plane perpendicular to the light for an object at any angle ([`Aimer`]).
-//! Newton on `S(p) = s` from the paraxial entrance pupil ([`newton`]) settles the ordinary ray in a few traces. Where it
+//! Newton on `S(p) = s` from the paraxial entrance pupil (`aim/newton.rs`) settles the ordinary ray in a few traces. Where it
 //! fails (wide angles, fast lenses: the first guess misses a surface) the light is followed backwards from the stop
-//! ([`backward`]), walking from the axis to the field, and Newton only confirms. At the solution
-//! `δp = −S_p⁻¹ (S_θ δθ)`: [`aim_vjp`], [`aimed_vjp`](aimer::aimed_vjp).
+//! (`aim/backward.rs`), walking from the axis to the field, and Newton only confirms. At the solution
+//! `δp = −S_p⁻¹ (S_θ δθ)`: [`aim_vjp`], [`aimed_vjp`].
 
 mod aimer;
 mod backward;
