@@ -281,7 +281,7 @@ fn noll_orders(j: usize) -> (usize, i64) {
     let k = j - n * (n + 1) / 2;
     let m = if n % 2 == 0 { k / 2 * 2 } else { (k - 1) / 2 * 2 + 1 };
     let signed = i64::try_from(m).expect("small");
-    (n, if j % 2 == 0 { signed } else { -signed })
+    (n, if j.is_multiple_of(2) { signed } else { -signed })
 }
 
 /// Monomials `u^i v^j` of a Noll term: radial polynomial × `p^m cos mθ` or `p^m sin mθ`.

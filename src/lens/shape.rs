@@ -295,7 +295,7 @@ mod tests {
             let rng = &mut fastrand::Rng::with_seed(seed);
             let c = if seed == 0 { 0.0 } else { between(rng, -0.05, 0.05) };
             let mut polynomial = |size: f64| {
-                let list = vec![between(rng, -1e-3, 1e-3), between(rng, -1e-5, 1e-5), between(rng, -1e-7, 1e-7)];
+                let list = [between(rng, -1e-3, 1e-3), between(rng, -1e-5, 1e-5), between(rng, -1e-7, 1e-7)];
                 list.iter().map(|a| a * size).collect::<Vec<f64>>()
             };
             let shape = Shape { curvature: c, asphere: polynomial(1.0), odd: polynomial(0.1), ..Shape::default() };

@@ -107,6 +107,9 @@ impl Div for DoubleDouble {
 
 type Vec3<S> = [S; 3];
 
+/// Powers of x and y, coefficient.
+type Monomial<S> = (usize, usize, S);
+
 /// One surface in arithmetic `S`.
 #[derive(Clone)]
 struct PreciseSurface<S> {
@@ -115,7 +118,7 @@ struct PreciseSurface<S> {
     even: Vec<S>,
     odd: Vec<S>,
     /// Radius and monomials of Zernike and xy terms.
-    freeform: Vec<(S, Vec<(usize, usize, S)>)>,
+    freeform: Vec<(S, Vec<Monomial<S>>)>,
     distance: S,
     indices: [S; 2],
     /// Rotation (rows) and shift.
@@ -365,7 +368,8 @@ impl<S: Scalar> PreciseSurface<S> {
         let one = S::of(1.0);
         let rho = x * x + y * y;
         let phi_sq = one - (one + self.conic) * self.curvature * self.curvature * rho;
-        if !(phi_sq.to_f64() > 0.0) {
+        let reach = phi_sq.to_f64();
+        if reach.is_nan() || reach <= 0.0 {
             return None;
         }
         let phi = phi_sq.root();

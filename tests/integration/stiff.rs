@@ -53,7 +53,7 @@ fn shape(s: &Value) -> Shape {
     if let Some(terms) = s.get("asphere").and_then(Value::as_object) {
         for (key, value) in terms {
             let power: usize = key[1..].parse().expect("a power");
-            let terms = if power % 2 == 0 { &mut shape.asphere } else { &mut shape.odd };
+            let terms = if power.is_multiple_of(2) { &mut shape.asphere } else { &mut shape.odd };
             terms.resize(terms.len().max(power / 2), 0.0);
             terms[power / 2 - 1] = number(value);
         }
