@@ -14,13 +14,13 @@
 
 pub mod bounds;
 pub mod halves;
+mod pixels;
 pub mod rear;
 mod sampler;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
-use glam::{DVec2, DVec3};
 use ndarray::{Array2, Array3, Axis};
 use rayon::prelude::*;
 
@@ -32,8 +32,8 @@ use crate::imaging::spectrum::SpectralDensity;
 use crate::imaging::warp::{Plane, Region};
 use crate::lens::Lens;
 use bounds::Footprints;
+use pixels::{Pixel, Pixels, Row, Tally};
 use rear::RearView;
-use sampler::{Sampler, disk_from_square};
 
 /// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
 const GROUPS: usize = 2;
@@ -130,7 +130,7 @@ pub fn render(
         Sampling::Bounded => Some(Footprints::probe(&rear, radii)),
         Sampling::RearAperture => None,
     };
-    let pixel = PixelRenderer { scene, frame, rear: &rear, footprints: footprints.as_ref(), settings };
+    let pixels = Pixels { scene, frame, rear: &rear, footprints: footprints.as_ref(), settings };
     let planes = match settings.channels {
         Channels::All => 3,
         Channels::Bayer(_) => 1,
@@ -142,22 +142,23 @@ pub fn render(
     mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
         |(i, (mut mean, mut variance))| {
             let row = region.row + i.cast_signed();
-            let mut tally = Tally::default();
-            for j in 0..region.cols {
+            let mut rays = Row::new(pixels);
+            let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
+            for (plane, j) in places() {
                 let col = region.col + j.cast_signed();
-                for plane in 0..planes {
-                    let channel = match settings.channels {
-                        Channels::All => plane,
-                        Channels::Bayer(cfa) => {
-                            cfa.channel(row.rem_euclid(2).cast_unsigned(), col.rem_euclid(2).cast_unsigned())
-                        }
-                    };
-                    let (m, v) = pixel.render(row, col, channel, &mut tally);
-                    mean[[plane, j]] = m as f32;
-                    variance[[plane, j]] = v as f32;
-                }
+                let channel = match settings.channels {
+                    Channels::All => plane,
+                    Channels::Bayer(cfa) => {
+                        cfa.channel(row.rem_euclid(2).cast_unsigned(), col.rem_euclid(2).cast_unsigned())
+                    }
+                };
+                rays.add(Pixel { row, col, channel });
             }
-            let done = count.add(&tally);
+            for ((plane, j), (m, v)) in places().zip(rays.finish()) {
+                mean[[plane, j]] = m as f32;
+                variance[[plane, j]] = v as f32;
+            }
+            let done = count.add(&rays.tally);
             if let Some(progress) = progress {
                 progress(done as f64 / region.rows as f64);
             }
@@ -226,14 +227,6 @@ fn radii_mm(frame: &Frame, region: Region) -> [f64; 2] {
     [0, 1].map(|k| x[k].hypot(y[k]) * frame.pitch_mm)
 }
 
-/// What one row counted.
-#[derive(Default)]
-struct Tally {
-    rays: u64,
-    passed: u64,
-    outside: u64,
-}
-
 /// The sum over rows; whole numbers, so that the order does not matter.
 #[derive(Default)]
 struct Count {
@@ -250,113 +243,6 @@ impl Count {
         self.outside.fetch_add(tally.outside, Ordering::Relaxed);
         self.rows.fetch_add(1, Ordering::Relaxed) + 1
     }
-}
-
-struct PixelRenderer<'a> {
-    scene: &'a Plane,
-    frame: &'a Frame,
-    rear: &'a RearView,
-    footprints: Option<&'a Footprints>,
-    settings: Settings,
-}
-
-impl PixelRenderer<'_> {
-    /// Mean and variance of the mean of one pixel and channel.
-    fn render(&self, row: isize, col: isize, channel: usize, tally: &mut Tally) -> (f64, f64) {
-        let seed = mixed(mixed(mixed(self.settings.seed, row as u64), col as u64), channel as u64);
-        let mut rng = fastrand::Rng::with_seed(seed);
-        let size = self.settings.samples.div_ceil(GROUPS);
-        let (mut sum, mut squares) = (0.0, 0.0);
-        for _ in 0..GROUPS {
-            let mut sampler = Sampler::new(&mut rng);
-            let mut group = 0.0;
-            for _ in 0..size {
-                // The pupil gets the first two dimensions: its edge makes most of the noise.
-                let u = sampler.draw();
-                let (p, (radial, radius)) = self.sensor_point(row, col, [u[2], u[3]]);
-                // A point of the ellipse (in the sensor point's meridional frame) or of the whole aperture.
-                let q = disk_from_square([u[0], u[1]]);
-                let (target, area) = match self.footprints {
-                    Some(footprints) => {
-                        let e = footprints.at(radius);
-                        let (x, y) = (e.across * q.x, e.centre + e.along * q.y);
-                        (y * radial + x * radial.perp(), e.area())
-                    }
-                    None => (self.rear.disk_radius * q, self.rear.disk_area()),
-                };
-                if area > 0.0 {
-                    group += area * self.contribution(p, target, channel, u[4], tally);
-                }
-            }
-            let group = group / size as f64;
-            sum += group;
-            squares += group * group;
-        }
-        let n = GROUPS as f64;
-        let mut mean = sum / n;
-        let mut variance = ((squares - n * mean * mean) / (n * (n - 1.0))).max(0.0);
-        if let Some(footprints) = self.footprints {
-            let found = self.outside(footprints, row, col, channel, &mut rng, tally);
-            mean += found;
-            // A single draw: its square is no less than its variance in the mean.
-            variance += found * found;
-        }
-        let scale = self.rear.axis_irradiance[channel].recip();
-        (mean * scale, variance * scale * scale)
-    }
-
-    /// One ray through the part of the rear aperture outside the ellipse.
-    fn outside(
-        &self,
-        footprints: &Footprints,
-        row: isize,
-        col: isize,
-        channel: usize,
-        rng: &mut fastrand::Rng,
-        tally: &mut Tally,
-    ) -> f64 {
-        let (p, (radial, radius)) = self.sensor_point(row, col, [rng.f64(), rng.f64()]);
-        let target = self.rear.disk_radius * disk_from_square([rng.f64(), rng.f64()]);
-        let e = footprints.at(radius);
-        let u = rng.f64();
-        if e.contains(DVec2::new(target.dot(radial.perp()), target.dot(radial))) {
-            return 0.0;
-        }
-        let before = tally.passed;
-        let value = self.rear.disk_area() * self.contribution(p, target, channel, u, tally);
-        tally.outside += tally.passed - before;
-        value
-    }
-
-    /// The sensor point at `u` of a pixel, its radial direction (up on the axis) and its radius.
-    #[inline]
-    fn sensor_point(&self, row: isize, col: isize, u: [f64; 2]) -> (DVec2, (DVec2, f64)) {
-        let p = DVec2::from(self.frame.sensor_mm_from_pixel([col as f64 + u[0], row as f64 + u[1]]));
-        let radius = p.length();
-        (p, (if radius > 0.0 { p / radius } else { DVec2::Y }, radius))
-    }
-
-    /// `n'² L cos⁴θ′ / Z²` of the ray from `p` through `target` in the rim's plane; `u` picks the wavelength.
-    #[inline]
-    fn contribution(&self, p: DVec2, target: DVec2, channel: usize, u: f64, tally: &mut Tally) -> f64 {
-        tally.rays += 1;
-        let colour = self.rear.colour(channel, u);
-        let Some((weight, leaving)) = self.rear.trace(p, target, colour) else { return 0.0 };
-        tally.passed += 1;
-        let slope = object_slope(leaving.origin, leaving.direction, self.scene.vergence);
-        let channel = channel.min(self.scene.texture.len_of(Axis(0)) - 1);
-        weight * self.scene.sample(channel, self.scene.texel_from_slope(slope.into())).0
-    }
-}
-
-/// Where a ray that left the lens towards the object meets it: object height over object distance, `[right, up]`.
-///
-/// The ray stands in the first vertex's frame seen from the sensor (`z` towards the object). It crosses the vertex plane
-/// at `e` with the slope `m`; at the distance `1/v` its height times `v` is `v e + m`, for every `v`.
-#[inline]
-fn object_slope(point: DVec3, direction: DVec3, vergence: f64) -> DVec2 {
-    let m = direction.truncate() / direction.z;
-    vergence * (point.truncate() - point.z * m) + m
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@ pub mod differential;
 pub mod exact;
 pub mod exit_pupil;
 pub mod first_root;
-pub mod forward;
 pub mod health;
 pub mod intersect;
 pub mod lanes;

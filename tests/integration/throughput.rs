@@ -5,7 +5,7 @@ use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_ord
 use isoplanat::psf::pupil::{PupilMap, PupilSampling};
 use isoplanat::testing::{assert_rel, central_difference};
 use isoplanat::trace::aim::{ParaxialPupil, aim};
-use isoplanat::trace::forward::trace_through;
+use isoplanat::trace::exact::first_vignetted;
 use isoplanat::trace::launch::launch;
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{FieldPoint, System, SystemGradient};
@@ -30,13 +30,15 @@ fn hard_throughput(lens: &Lens, slope: f64, side: u32) -> f64 {
     let (system, field) = (System::new(lens, NM), field(lens, slope));
     let reach = 1.3 * lens.surfaces[0].semi_diameter;
     let step = 2.0 * reach / f64::from(side);
+    let mut hits = Vec::new();
     let mut sum = 0.0;
     for i in 0..side {
         for j in 0..side / 2 {
             // By symmetry half of it.
             let e = DVec2::new((f64::from(j) + 0.5) * step, (f64::from(i) + 0.5) * step - reach);
             let ray = launch(field, e);
-            if trace_through(&system, ray).is_some() {
+            let arrives = trace(&system, ray, system.image(), &mut hits).is_ok();
+            if arrives && first_vignetted(&system, &hits).is_none() {
                 sum += 2.0 * ray.direction.z.powi(4) * step * step;
             }
         }

@@ -10,6 +10,7 @@ use rayon::prelude::*;
 
 use super::rear::RearView;
 use crate::trace::aim::{ParaxialPupil, aim};
+use crate::trace::lanes::Tile;
 use crate::trace::{FieldPoint, System};
 
 /// An ellipse on the plane of the rear rim, in the meridional frame of a sensor point; mm.
@@ -117,13 +118,14 @@ impl Passing {
         let p = DVec2::new(0.0, radius);
         let colours = rear.probe_colours();
         let mut points = Vec::new();
+        let (mut tile, mut row) = (Tile::new(), Vec::with_capacity(columns));
         for i in 0..cells {
             let y = span[0] + (i as f64 + 0.5) * cell.y;
+            row.clear();
+            row.extend((0..columns).map(|j| DVec2::new(j as f64 * cell.x, y)));
             for colour in colours {
-                let passes = |j: &usize| rear.trace(p, DVec2::new(*j as f64 * cell.x, y), colour).is_some();
-                if let Some(j) = (0..columns).rev().find(passes) {
-                    points.push(DVec2::new(j as f64 * cell.x, y));
-                }
+                let outermost = rear.passes(&mut tile, p, &row, colour).iter().rposition(|passes| *passes);
+                points.extend(outermost.map(|j| row[j]));
             }
         }
         Self { points, cell }

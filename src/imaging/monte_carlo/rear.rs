@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::imaging::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::trace::forward::{index_ratios, trace_forward};
+use crate::trace::lanes::{Options, Program, TILE, Tile, index_ratios};
 use crate::trace::system::TraceSurface;
 use crate::trace::{Ray, System};
 
@@ -24,9 +24,9 @@ const MOST: f64 = 8192.0;
 
 /// One wavelength as a ray meets it.
 #[derive(Clone, Copy, Debug)]
-pub struct Colour<'a> {
-    /// `n/n'` of every surface, from the sensor.
-    pub ratios: &'a [f64],
+pub struct Colour {
+    /// Which of the program's wavelengths.
+    pub number: u32,
     /// `n'²` of the space before the sensor: radiance grows by it.
     pub index_square: f64,
 }
@@ -36,6 +36,8 @@ pub struct Colour<'a> {
 pub struct RearView {
     /// The system of the primary wavelength from the sensor; its first surface is the image plane.
     pub system: System,
+    /// The surfaces after the sensor at every wavelength, with their apertures.
+    pub program: Program,
     /// Distance from the sensor to the plane of the rear aperture's rim, mm.
     pub distance: f64,
     /// Radius of a disk in that plane that every ray crosses that meets the rear surface within its aperture.
@@ -46,8 +48,6 @@ pub struct RearView {
     pub axis_irradiance: [f64; 3],
     /// Wavelengths of the grid, nm.
     nm: Vec<f64>,
-    /// Of every wavelength: index ratios of all surfaces, one after the other.
-    ratios: Vec<f64>,
     index_square: Vec<f64>,
     /// Of every channel: the wavelength of each share.
     shares: [Vec<u16>; 3],
@@ -72,10 +72,12 @@ impl RearView {
             ratios.extend(index_ratios(&colour.surfaces[1..]));
             index_square.push(colour.surfaces[0].index_after.powi(2));
         }
+        let clip = Options { clip: true, ..Options::default() };
+        let program = Program::spectral(&system.surfaces[1..], &ratios, clip)?;
         let axis_irradiance = [0.0; 3];
         let Grid { nm, shares } = grid;
         let mut view =
-            Self { system, distance, disk_radius, radius_mm, axis_irradiance, nm, ratios, index_square, shares };
+            Self { system, program, distance, disk_radius, radius_mm, axis_irradiance, nm, index_square, shares };
         let each: Vec<f64> = (0..view.nm.len()).into_par_iter().map(|i| view.on_axis(view.at(i))).collect();
         for (total, shares) in view.axis_irradiance.iter_mut().zip(&view.shares) {
             *total = shares.iter().map(|i| each[usize::from(*i)]).sum::<f64>() / SHARES as f64;
@@ -94,59 +96,86 @@ impl RearView {
 
     /// The wavelength of `channel` that holds the share `u` (`0 ≤ u < 1`) of its light.
     #[inline]
-    pub fn colour(&self, channel: usize, u: f64) -> Colour<'_> {
+    pub fn colour(&self, channel: usize, u: f64) -> Colour {
         self.at(usize::from(self.shares[channel][((u * SHARES as f64) as usize).min(SHARES - 1)]))
     }
 
     /// Both ends of the spectrum and its middle.
-    pub fn probe_colours(&self) -> [Colour<'_>; 3] {
+    pub fn probe_colours(&self) -> [Colour; 3] {
         let last = self.nm.len() - 1;
         [0, last / 2, last].map(|i| self.at(i))
     }
 
     #[inline]
-    fn at(&self, i: usize) -> Colour<'_> {
-        let count = self.system.surfaces.len() - 1;
-        Colour { ratios: &self.ratios[i * count..][..count], index_square: self.index_square[i] }
+    fn at(&self, i: usize) -> Colour {
+        Colour { number: i as u32, index_square: self.index_square[i] }
     }
 
-    /// `n'² cos⁴θ′ / Z²` and the ray towards the object (in the first vertex's frame, `z` towards the object), from the
-    /// sensor point `p` through `target` of the rim's plane; `None` for a ray that fails or is clipped.
+    /// `n'² cos⁴θ′ / Z²` and the ray from the sensor point `p` through `target` of the rim's plane, for [`Self::program`].
     #[inline]
-    pub fn trace(&self, p: DVec2, target: DVec2, colour: Colour<'_>) -> Option<(f64, Ray)> {
+    pub fn ray(&self, p: DVec2, target: DVec2, colour: Colour) -> (f64, Ray) {
         let z = self.distance;
         let offset = target - p;
-        let square = z * z + offset.length_squared();
-        let length = square.sqrt();
-        let direction = DVec3::new(offset.x, offset.y, z) / length;
+        let inverse = (z * z + offset.length_squared()).sqrt().recip();
+        let direction = DVec3::new(offset.x, offset.y, z) * inverse;
         let ray = Ray { origin: DVec3::new(target.x, target.y, z), direction };
-        let leaving = trace_forward(&self.system.surfaces[1..], colour.ratios, ray)?;
+        // cos θ′ = z / length.
+        let share = direction.z * inverse;
+        (colour.index_square * share * share, ray)
+    }
+
+    /// Whether the ray that `tile` was traced with in `lane` leaves the lens towards the object.
+    #[inline]
+    pub fn passed(&self, tile: &Tile, lane: usize) -> bool {
         // A ray that turned back never meets the object.
-        (leaving.direction.z > 0.0).then(|| (colour.index_square * z * z / (square * square), leaving))
+        tile.status[lane].is_none() && tile.rays.n[lane] > 0.0
+    }
+
+    /// Which of the rays from `p` through `targets` leave the lens towards the object.
+    pub fn passes(&self, tile: &mut Tile, p: DVec2, targets: &[DVec2], colour: Colour) -> Vec<bool> {
+        let mut passes = Vec::with_capacity(targets.len());
+        for targets in targets.chunks(TILE) {
+            tile.resize(targets.len());
+            for (lane, target) in targets.iter().enumerate() {
+                tile.rays.set(lane, self.ray(p, *target, colour).1);
+                tile.colour[lane] = colour.number;
+            }
+            self.program.trace_tile(tile);
+            passes.extend((0..targets.len()).map(|lane| self.passed(tile, lane)));
+        }
+        passes
     }
 
     /// `∫ n'² cos⁴θ / Z² dA` from the axial point at one wavelength.
-    fn on_axis(&self, colour: Colour<'_>) -> f64 {
-        let passes = |r: f64| self.trace(DVec2::ZERO, DVec2::new(0.0, r), colour).is_some();
+    fn on_axis(&self, colour: Colour) -> f64 {
+        let mut tile = Tile::new();
+        let mut passes = |radii: &[f64]| {
+            let targets: Vec<DVec2> = radii.iter().map(|r| DVec2::new(0.0, *r)).collect();
+            self.passes(&mut tile, DVec2::ZERO, &targets, colour)
+        };
         let sin_square = |r: f64| r * r / (r * r + self.distance * self.distance);
         // Radii to look at: even steps, and finer ones near the axis for stops that are tiny.
-        let mut radii: Vec<f64> = (0..120).map(|k| 10f64.powf(-8.0 + 6.0 * f64::from(k) / 120.0)).collect();
+        let mut radii = vec![0.0];
+        radii.extend((0..120).map(|k| 10f64.powf(-8.0 + 6.0 * f64::from(k) / 120.0)));
         radii.extend((0..=400).map(|k| 0.01 + 0.99 * f64::from(k) / 400.0));
-        let (mut sum, mut last, mut open) = (0.0, 0.0, passes(0.0));
-        for r in radii.into_iter().map(|r| r * self.disk_radius) {
-            let now = passes(r);
-            if now != open {
-                let (mut inside, mut outside) = (last, r);
-                for _ in 0..50 {
-                    let middle = 0.5 * (inside + outside);
-                    if passes(middle) == open { inside = middle } else { outside = middle }
-                }
-                sum += if open { sin_square(inside) } else { -sin_square(outside) };
+        radii.iter_mut().for_each(|r| *r *= self.disk_radius);
+        let open = passes(&radii);
+        let mut sum = 0.0;
+        for (ends, open) in radii.windows(2).zip(open.windows(2)).filter(|(_, open)| open[0] != open[1]) {
+            let (mut inside, mut outside) = (ends[0], ends[1]);
+            // A tile of radii at a time, down to the last digit.
+            for _ in 0..9 {
+                let step = (outside - inside) / (TILE + 1) as f64;
+                let between: Vec<f64> = (1..=TILE).map(|k| inside + k as f64 * step).collect();
+                let changed = passes(&between).iter().position(|now| *now != open[0]);
+                let k = changed.unwrap_or(TILE);
+                outside = between.get(k).copied().unwrap_or(outside);
+                inside = if k > 0 { between[k - 1] } else { inside };
             }
-            (last, open) = (r, now);
+            sum += if open[0] { sin_square(inside) } else { -sin_square(outside) };
         }
-        if open {
-            sum += sin_square(last);
+        if open[open.len() - 1] {
+            sum += sin_square(radii[radii.len() - 1]);
         }
         std::f64::consts::PI * colour.index_square * sum
     }

@@ -1,12 +1,14 @@
 //! The reference renderer against closed forms and against rays from the object.
 
+use glam::DVec2;
 use ndarray::{Array3, s};
 
 use super::*;
 use crate::imaging::sensor::Sensor;
 use crate::lens::{Aperture, Medium, Shape, Surface, builtin};
+use crate::trace::lanes::{Options, Rays, trace_batch};
 use crate::trace::launch::launch;
-use crate::trace::{FieldPoint, System, forward::trace_through};
+use crate::trace::{FieldPoint, System};
 
 fn white(vergence: f64) -> Plane {
     Plane { texture: Array3::ones((1, 1, 1)), texels_per_slope: 1.0, axis_texel: [0.5, 0.5], vergence }
@@ -104,17 +106,19 @@ fn a_bright_texel_lands_where_rays_from_the_object_land() {
             for k in 0..waves {
                 let nm = density().sample(channel, (f64::from(k) + 0.5) / f64::from(waves));
                 let system = System::new(&lens, nm);
-                for i in 0..cells * cells {
-                    let at = |i: i32| (f64::from(i) + 0.5) * cell - half;
-                    // The object at (right, up) has its rays run the other way: slope −(right, up).
-                    let field = FieldPoint { slope: -DVec2::new(right, up), vergence };
-                    let ray = launch(field, DVec2::new(at(i % cells), at(i / cells)));
-                    if let Some(end) = trace_through(&system, ray) {
-                        let weight = ray.direction.z.powi(4) * cell * cell / f64::from(waves);
-                        flux += weight;
-                        moment += weight * end.origin.truncate();
-                        landings.push(end.origin.truncate());
-                    }
+                let at = |i: i32| (f64::from(i) + 0.5) * cell - half;
+                // The object at (right, up) has its rays run the other way: slope −(right, up).
+                let field = FieldPoint { slope: -DVec2::new(right, up), vergence };
+                let launched: Rays =
+                    (0..cells * cells).map(|i| launch(field, DVec2::new(at(i % cells), at(i / cells)))).collect();
+                let mut landed = launched.clone();
+                let status = trace_batch(&system, &mut landed, Options { clip: true, ..Options::default() });
+                for i in (0..launched.len()).filter(|i| status[*i].is_none()) {
+                    let weight = launched.n[i].powi(4) * cell * cell / f64::from(waves);
+                    let end = landed.ray(i).origin.truncate();
+                    flux += weight;
+                    moment += weight * end;
+                    landings.push(end);
                 }
             }
             let centroid = moment / flux;

@@ -6,7 +6,7 @@
 //! `d̄ += tō`, and `Λ ∂G/∂θ` to every parameter. No root and no division: the forward trace left `γ`, `1/R`, `1/q`.
 #![allow(unsafe_code, reason = "vectors and raw pointers into a tile; see each Safety note")]
 
-use super::forward::Extra;
+use super::forward::{AlignedFrame, Extra, fresh};
 use super::program::{Step, TERMS};
 use super::simd::{Lanes, Simd};
 use super::tile::{Bundle, TILE};
@@ -64,12 +64,11 @@ pub(super) struct Back {
 /// The processor must have the instruction set of `S`; the pointers of `back` must be valid and apart.
 #[inline(always)]
 pub(super) unsafe fn surface_vjp<S: Simd, const N: usize>(step: &Step, back: &Back) {
+    AlignedFrame::hold();
     unsafe {
         let splat = |value| Lanes::<S>::splat(value);
         let (before, after, extra) = (&*back.before, &*back.after, &*back.extra);
         let (bars, sums) = (&mut *back.bars, &mut *back.sums);
-        let (one, half, c, v, mu) = (splat(1.0), splat(0.5), splat(step.c), splat(step.v), splat(step.mu));
-        let index = splat(step.surface.index_before);
         let total = |array: &[f64; WIDEST]| Lanes::<S>::load(array.as_ptr());
         let (mut flat, mut bent, mut mu_sum) = (total(&sums.flat), total(&sums.bent), total(&sums.mu));
         let (mut distance, mut path_sum) = (total(&sums.distance), total(&sums.index));
@@ -79,6 +78,9 @@ pub(super) unsafe fn surface_vjp<S: Simd, const N: usize>(step: &Step, back: &Ba
         }
         let mut at = 0;
         while at < back.len {
+            let step = fresh(step);
+            let (one, half, c, v, mu) = (splat(1.0), splat(0.5), splat(step.c), splat(step.v), splat(step.mu));
+            let index = splat(step.surface.index_before);
             let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
             let (x, y) = (load(&after.x), load(&after.y));
             let (l, m, n, t) = (load(&before.l), load(&before.m), load(&before.n), load(&after.t));

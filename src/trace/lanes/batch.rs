@@ -16,7 +16,8 @@ const TILES: usize = 16;
 
 /// Traces `rays` (frame of the first vertex) through all of `system` in place: rays at the image plane, in its frame.
 ///
-/// One status per ray. A ray that failed carries finite placeholders. Every ray's numbers depend on that ray alone.
+/// One status per ray. In the place of a ray that failed stands one along the
+/// axis. Every ray's numbers depend on that ray alone.
 pub fn trace_batch(system: &System, rays: &mut Rays, options: Options) -> Vec<Status> {
     Program::new(system, options).trace_batch(rays, None)
 }
@@ -69,13 +70,16 @@ impl Program {
             .collect()
     }
 
-    /// Traces the first `tile.len` rays of a tile.
-    pub(super) fn trace_tile(&self, tile: &mut Tile) {
+    /// Traces the rays of one tile: from `tile.rays` to `tile.rays` and `tile.status`.
+    pub fn trace_tile(&self, tile: &mut Tile) {
         tile.start();
         if self.colours > 0 {
             tile.colour.iter_mut().for_each(|i| *i = (*i).min(self.colours - 1));
         }
         for step in &self.steps {
+            if tile.alive == 0 {
+                break;
+            }
             let run = Run {
                 from: &raw mut *tile.rays,
                 to: &raw mut *tile.spare,
@@ -90,6 +94,7 @@ impl Program {
             unsafe { (step.forward)(step, &run) };
             std::mem::swap(&mut tile.rays, &mut tile.spare);
         }
+        tile.settle();
     }
 }
 

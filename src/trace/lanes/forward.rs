@@ -9,8 +9,8 @@
 //! trace decides ([`mend`]): it stands for the accuracy and gives the failure's cause.
 #![allow(unsafe_code, reason = "vectors and raw pointers into a tile; see each Safety note")]
 
-use super::mend::mend;
 pub(super) use super::mend::one_by_one;
+use super::mend::{Known, mend};
 use super::program::Step;
 use super::simd::{Lanes, Simd, Truth};
 use super::tile::{Bundle, Status, TILE};
@@ -98,7 +98,7 @@ pub(super) struct Run {
 
 /// `step` again, so that its constants are read from memory where they are used instead of taking registers over the loop.
 #[inline(always)]
-fn fresh(step: &Step) -> &Step {
+pub(super) fn fresh(step: &Step) -> &Step {
     #[cfg(target_arch = "x86_64")]
     {
         let mut pointer: *const Step = step;
@@ -172,6 +172,8 @@ struct Met<S: Simd> {
     q: Lanes<S>,
     inverse_q: Lanes<S>,
     sound: Truth<S>,
+    /// Lanes that certainly miss.
+    missed: Truth<S>,
 }
 
 /// Stores rays behind a surface, refracted, and lets the plain trace mend the lanes that are not certain. `limit_sq`
@@ -187,7 +189,7 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
 ) {
     unsafe {
         let splat = |value| Lanes::<S>::splat(value);
-        let Met { nx, ny, phi, q, inverse_q, sound } = met;
+        let Met { nx, ny, phi, q, inverse_q, sound, missed } = met;
         let mut fine = sound.and_at_most(ray.rho(), splat(limit_sq));
         let (from, to) = (&*run.from, &mut *run.to);
         let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
@@ -240,7 +242,7 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
         }
         let bad = (*run.alive >> at) & !fine.bits() & lanes_mask(S::LANES);
         if bad != 0 {
-            mend::<M>(step, run, at, bad, sound.bits());
+            mend::<M>(step, run, at, bad, Known { sound: sound.bits(), missed: missed.bits() });
         }
     }
 }
@@ -268,8 +270,10 @@ pub(super) unsafe fn plane<S: Simd, M: Mode>(step: &Step, run: &Run) {
             ray.z = zero;
             keep_flat::<S, M>(step, run, at, zero);
             // Only light that goes on crosses a plane from before to behind.
-            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound: zero.less(ray.n) };
-            finish::<S, M, true>(step, run, at, ray, met, step.clip_sq);
+            let sound = zero.less(ray.n);
+            let missed = ray.n.less(zero);
+            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, missed };
+            finish::<S, M, true>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
     }
@@ -319,12 +323,13 @@ pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, ru
             keep_flat::<S, M>(step, run, at, ray.z);
             // The crossing from before to behind on the sheet of the vertex; B < 0 is left to the plain trace.
             let mut sound = zero.less(b).and_less(zero, phi);
+            let missed = zero.less(b).and_less(disc, zero);
             if M::RECORD {
                 // A ray that touches has no derivative.
                 sound = sound.and_less(zero, q);
             }
-            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound };
-            finish::<S, M, SPHERE>(step, run, at, ray, met, step.clip_sq);
+            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, missed };
+            finish::<S, M, SPHERE>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
     }
@@ -413,7 +418,8 @@ pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &R
                 w.store(extra.w.as_mut_ptr().add(at));
                 slope.store(extra.slope.as_mut_ptr().add(at));
             }
-            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound };
+            let missed = splat(1.0).less(splat(0.0));
+            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, missed };
             finish::<S, M, false>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;

@@ -54,6 +54,10 @@ pub fn trace_gradient(
                     }
                     *record.bars = Bundle::ZERO;
                     loss += landing(first, tile, &mut record.bars);
+                    if in_lanes {
+                        // The adjoint wants the last bundle back.
+                        std::mem::swap(&mut tile.rays, &mut record.rays[recorded.steps.len()]);
+                    }
                     record.bars.silence(!tile.alive);
                     if in_lanes {
                         recorded.back(tile.len, record);
@@ -82,7 +86,7 @@ pub fn trace_gradient(
 /// What one tile leaves on its way forward, and the sums over tiles.
 struct Record {
     /// Rays before the first surface and behind every one.
-    rays: Vec<Bundle>,
+    rays: Vec<Box<Bundle>>,
     extras: Vec<Extra>,
     bars: Box<Bundle>,
     sums: Vec<Sums>,
@@ -91,7 +95,7 @@ struct Record {
 impl Record {
     fn new(surfaces: usize) -> Self {
         Self {
-            rays: vec![Bundle::ZERO; surfaces + 1],
+            rays: vec![Box::new(Bundle::ZERO); surfaces + 1],
             extras: vec![Extra::ZERO; surfaces],
             bars: Box::new(Bundle::ZERO),
             sums: vec![Sums::ZERO; surfaces],
@@ -100,35 +104,33 @@ impl Record {
 }
 
 impl Program {
-    /// Traces a tile and keeps every surface's record.
+    /// Traces a tile and keeps every surface's record; the last bundle stands in the tile.
     fn forward_recorded(&self, tile: &mut Tile, record: &mut Record) {
         tile.start();
-        record.rays[0].clone_from(&tile.rays);
-        let rays = record.rays.as_mut_ptr();
+        std::mem::swap(&mut tile.rays, &mut record.rays[0]);
         for (i, (step, extra)) in self.steps.iter().zip(&mut record.extras).enumerate() {
-            // SAFETY: there is one bundle more than surfaces; `from` and `to` are apart; the level was detected.
-            unsafe {
-                let run = Run {
-                    from: rays.add(i),
-                    to: rays.add(i + 1),
-                    extra,
-                    colour: tile.colour.as_ptr(),
-                    alive: &raw mut tile.alive,
-                    status: tile.status.as_mut_ptr(),
-                    len: tile.len,
-                };
-                (step.forward)(step, &run);
-            }
+            let run = Run {
+                from: &raw mut *record.rays[i],
+                to: &raw mut *record.rays[i + 1],
+                extra,
+                colour: tile.colour.as_ptr(),
+                alive: &raw mut tile.alive,
+                status: tile.status.as_mut_ptr(),
+                len: tile.len,
+            };
+            // SAFETY: every bundle is a box of its own; the level was detected.
+            unsafe { (step.forward)(step, &run) };
         }
-        (*tile.rays).clone_from(&record.rays[self.steps.len()]);
+        std::mem::swap(&mut tile.rays, &mut record.rays[self.steps.len()]);
+        tile.settle();
     }
 
     /// Pulls `record.bars` from behind the last surface back to the launch rays, adding to the sums.
     fn back(&self, len: usize, record: &mut Record) {
         for (i, step) in self.steps.iter().enumerate().rev() {
             let back = Back {
-                before: &raw const record.rays[i],
-                after: &raw const record.rays[i + 1],
+                before: &raw const *record.rays[i],
+                after: &raw const *record.rays[i + 1],
                 extra: &raw const record.extras[i],
                 bars: &raw mut *record.bars,
                 sums: &raw mut record.sums[i],

@@ -10,14 +10,22 @@ use crate::trace::intersect::{Intersection, gradient, intersect};
 use crate::trace::refract::refract;
 use crate::trace::{Cause, Failure, Ray};
 
-/// Lanes `at + i` for every bit `i` of `bad`; bits of `sound` are lanes whose intersection stands if it
-/// lies within the domain.
+/// What lanes know of rays that did not get through, one bit per lane.
+#[derive(Clone, Copy)]
+pub(super) struct Known {
+    /// The intersection stands if it lies within the domain.
+    pub(super) sound: u64,
+    /// There is none.
+    pub(super) missed: u64,
+}
+
+/// Lanes `at + i` for every bit `i` of `bad`: the cause where it is known, the plain trace where it is not.
 ///
 /// # Safety
 /// The pointers of `run` must be valid; `from` must still hold the rays before the surface.
 #[cold]
 #[inline(never)]
-pub(super) unsafe fn mend<M: Mode>(step: &Step, run: &Run, at: usize, bad: u64, sound: u64) {
+pub(super) unsafe fn mend<M: Mode>(step: &Step, run: &Run, at: usize, bad: u64, known: Known) {
     let mut left = bad;
     while left != 0 {
         let i = left.trailing_zeros() as usize;
@@ -25,14 +33,24 @@ pub(super) unsafe fn mend<M: Mode>(step: &Step, run: &Run, at: usize, bad: u64, 
         unsafe {
             let (x, y) = ((*run.to).x[at + i], (*run.to).y[at + i]);
             let rho = x * x + y * y;
-            let known = rho <= step.domain_sq && rho.is_finite();
-            if (sound >> i) & 1 == 1 && known && rho > step.clip_sq {
+            let met = (known.sound >> i) & 1 == 1 && rho <= step.domain_sq && rho.is_finite();
+            if (known.missed >> i) & 1 == 1 {
+                fail::<M>(step, run, at + i, Cause::Missed);
+            } else if met && beyond(rho, step) {
                 fail::<M>(step, run, at + i, Cause::Vignetted);
+            } else if met {
+                // It lies within the aperture: what is left is the root of Snell's law.
+                fail::<M>(step, run, at + i, Cause::TotalReflection);
             } else {
                 one_ray::<M>(step, run, at + i);
             }
         }
     }
+}
+
+/// Beyond the clear aperture; an aperture without a number lets nothing through.
+fn beyond(rho: f64, step: &Step) -> bool {
+    step.clip_sq.is_nan() || rho > step.clip_sq
 }
 
 /// A surface that is not for lanes: every living ray through the plain trace.
@@ -85,7 +103,7 @@ fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray),
         (origin, direction) = (back * (origin - m.shift), back * direction);
     }
     let at = intersect(surface, origin, direction)?;
-    if at.point.x * at.point.x + at.point.y * at.point.y > step.clip_sq {
+    if beyond(at.point.x * at.point.x + at.point.y * at.point.y, step) {
         return Err(Cause::Vignetted);
     }
     let incoming = direction;

@@ -24,5 +24,5 @@ mod x86;
 pub use batch::{GROUPS, trace_batch};
 pub use dispatch::Level;
 pub use gradient::{LaunchBars, trace_gradient};
-pub use program::{Options, Program};
+pub use program::{Options, Program, index_ratios};
 pub use tile::{Bundle, Rays, Status, TILE, Tile};

@@ -21,6 +21,11 @@ pub struct Options {
     pub level: Option<Level>,
 }
 
+/// `n/n'` of every surface of `surfaces`, exactly 1 where the media are equal; see [`Program::spectral`].
+pub fn index_ratios(surfaces: &[TraceSurface]) -> Vec<f64> {
+    surfaces.iter().map(|s| s.index_before / s.index_after).collect()
+}
+
 /// What a surface is to the lanes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
@@ -70,7 +75,7 @@ pub(super) struct Step {
     pub(super) refracts: bool,
     /// Of every wavelength of a spectral program: `n/n'`.
     pub(super) ratios: Vec<f64>,
-    /// Clear semi-diameter squared, mm²; the largest number where rays are not clipped.
+    /// Clear semi-diameter squared, mm²; infinite where rays are not clipped.
     pub(super) clip_sq: f64,
     /// Even terms, padded with zeros: `a_i`, `2(i+1) a_i`, `2(i+1) i a_i`: of `P`, of `2P′`, of `2P″`.
     pub(super) terms: [f64; TERMS],
@@ -81,7 +86,7 @@ pub(super) struct Step {
     /// Where the first root is certain: `r²` and `|d_xy|²/d_z²` up to these.
     pub(super) domain_sq: f64,
     pub(super) steepest_sq: f64,
-    /// The smaller of the two radii squared.
+    /// The smaller of the two radii squared, and a number.
     pub(super) limit_sq: f64,
     /// Whether the ray's origin must lie within that radius as well.
     pub(super) from_within: bool,
@@ -183,7 +188,9 @@ impl Step {
             (terms[i], terms1[i], terms2[i]) = (*a, 2.0 * i1 * a, 2.0 * i1 * i as f64 * a);
         }
         let (radius, steepest, within) = certificate(surface, kind);
-        let clip_sq = if clip { (surface.semi_diameter * surface.semi_diameter).min(f64::MAX) } else { f64::MAX };
+        let clip_sq = if clip { surface.semi_diameter * surface.semi_diameter } else { f64::INFINITY };
+        // An aperture that is no number stays none, and lets nothing through.
+        let limit_sq = [radius * radius, f64::MAX].into_iter().fold(clip_sq, |a, b| if a > b { b } else { a });
         let v = (1.0 + shape.conic) * shape.curvature;
         let [u, s] = start_conic(shape, surface.semi_diameter.min(surface.domain));
         Self {
@@ -207,7 +214,7 @@ impl Step {
             terms2,
             start: [u, s, s - u],
             domain_sq: radius * radius,
-            limit_sq: clip_sq.min(radius * radius),
+            limit_sq,
             steepest_sq: steepest * steepest,
             from_within: within,
             small: SMALL * surface.domain,
@@ -224,7 +231,10 @@ impl Step {
 /// ray does not leave it, so the root is the first one on its way.
 fn certificate(surface: &TraceSurface, kind: Kind) -> (f64, f64, bool) {
     const STEEP: f64 = 1.0;
-    if kind != Kind::Even || surface.steepest <= STEEP || surface.semi_diameter >= surface.domain {
+    if kind != Kind::Even {
+        return (f64::INFINITY, 0.0, false);
+    }
+    if surface.steepest <= STEEP || surface.semi_diameter >= surface.domain {
         return (surface.domain, surface.steepest, false);
     }
     let radius = 0.75 * surface.semi_diameter + 0.25 * surface.domain;

@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 
-use super::{Level, Options, Program, Rays, TILE, Tile, trace_batch};
+use super::{Level, Options, Program, Rays, TILE, Tile, index_ratios, trace_batch};
 use crate::lens::builtin::{self, LENSES};
 use crate::lens::{Lens, Pose};
 use crate::testing::between;
@@ -284,8 +284,7 @@ fn wavelengths_may_differ_from_ray_to_ray() {
     for name in ["cooke_triplet", "phone", "al2550_a"] {
         let lens = builtin::lens(name).expect(name);
         let systems = [450.0, 550.0, 650.0].map(|nm| System::new(&lens, nm));
-        let ratio = |s: &TraceSurface| s.index_before / s.index_after;
-        let ratios: Vec<f64> = systems.iter().flat_map(|s| s.surfaces.iter().map(ratio)).collect();
+        let ratios: Vec<f64> = systems.iter().flat_map(|s| index_ratios(&s.surfaces)).collect();
         let given = rays(&systems[0], 300, rng);
         for level in Level::available() {
             let options = Options { clip: true, path: false, level: Some(level) };

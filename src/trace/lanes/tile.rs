@@ -82,7 +82,7 @@ pub(super) const AXIAL: Ray = Ray { origin: DVec3::ZERO, direction: DVec3::Z };
 pub struct Tile {
     /// The rays: in the frame of the first vertex before the trace, of the last surface's nominal vertex after it.
     ///
-    /// A ray that failed carries finite placeholders.
+    /// In the place of a ray that failed stands one along the axis.
     pub rays: Box<Bundle>,
     /// Which wavelength of a [`super::Program::spectral`] each ray has; not read otherwise.
     pub colour: [u32; TILE],
@@ -95,9 +95,15 @@ pub struct Tile {
     pub(super) len: usize,
 }
 
+impl Default for Tile {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
 impl Tile {
     /// An empty tile.
-    pub(super) fn new() -> Self {
+    pub fn new() -> Self {
         Self {
             rays: Box::new(Bundle::ZERO),
             colour: [0; TILE],
@@ -109,9 +115,18 @@ impl Tile {
     }
 
     /// Number of rays.
-    #[allow(clippy::len_without_is_empty, reason = "a tile that is handed out holds a ray")]
     pub fn len(&self) -> usize {
         self.len
+    }
+
+    /// Sets the number of rays, at most [`TILE`].
+    pub fn resize(&mut self, len: usize) {
+        self.len = len.min(TILE);
+    }
+
+    /// Whether there are none.
+    pub fn is_empty(&self) -> bool {
+        self.len == 0
     }
 
     /// Makes the first `len` lanes alive and the others harmless.
@@ -122,6 +137,18 @@ impl Tile {
         self.rays.path = [0.0; TILE];
         self.status = [None; TILE];
         self.alive = if self.len >= TILE { u64::MAX } else { (1 << self.len) - 1 };
+    }
+
+    /// Puts the placeholder where a ray failed, whatever the surfaces behind made of it.
+    pub(super) fn settle(&mut self) {
+        let used = if self.len >= TILE { u64::MAX } else { (1 << self.len) - 1 };
+        let mut dead = used & !self.alive;
+        while dead != 0 {
+            let lane = dead.trailing_zeros() as usize;
+            dead &= dead - 1;
+            self.rays.set(lane, AXIAL);
+            self.rays.path[lane] = 0.0;
+        }
     }
 }
 
