@@ -37,7 +37,7 @@ impl Case {
         let mut surfaces: Vec<TraceSurface> = (0..count)
             .map(|i| {
                 let sign = if i % 4 < 2 { 1.0 } else { -1.0 };
-                let asphere = (0..terms).map(|k| sign * 1e-3 * 6f64.powi(-2 * k as i32 - 1)).collect();
+                let asphere = (0..terms).map(|k| sign * 1e-3 * 14f64.powi(-2 * k as i32 - 1)).collect();
                 let indices = if i % 2 == 0 { [1.0, 1.5] } else { [1.5, 1.0] };
                 TraceSurface::new(Shape::even(sign * 0.005, -0.3, asphere), 1.0, indices, 12.0)
             })
