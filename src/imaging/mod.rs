@@ -15,6 +15,7 @@ pub mod files;
 pub mod frame;
 pub mod metrics;
 pub mod monte_carlo;
+pub mod node_grid;
 pub mod noise;
 pub mod patches;
 pub mod plan;
