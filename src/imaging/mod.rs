@@ -18,6 +18,7 @@ pub mod monte_carlo;
 pub mod node_grid;
 pub mod noise;
 pub mod patches;
+pub mod picture;
 pub mod plan;
 pub mod render;
 pub mod scene;

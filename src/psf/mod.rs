@@ -7,6 +7,8 @@
 
 pub mod chief;
 mod clip;
+pub mod field_table;
+pub mod fine;
 pub mod grid;
 pub mod pupil;
 pub mod splat;

@@ -5,6 +5,7 @@
 //! one self-contained page, and [`demo`] is the page of the demonstration. [`field`] picks the places along the field
 //! that the others show.
 
+pub mod accuracy;
 pub mod atlas;
 pub mod demo;
 pub mod drawing;

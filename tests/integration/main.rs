@@ -6,6 +6,7 @@ mod golden;
 mod layering;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
+mod picture;
 mod renderers;
 mod stiff;
 mod support;

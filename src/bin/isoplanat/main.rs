@@ -4,6 +4,7 @@
 //! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
+mod accuracy;
 mod capture;
 mod check;
 #[cfg(all(feature = "train", feature = "deploy"))]
@@ -19,6 +20,7 @@ mod kit;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
 mod output;
+mod peak;
 mod progress;
 mod psf;
 mod render;
@@ -51,6 +53,8 @@ enum Command {
     Psf(psf::Args),
     /// The picture on the sensor, by PSF grid or by rays from the sensor
     Render(render::Args),
+    /// Error against run time of every way to make the picture
+    Accuracy(accuracy::Args),
     /// A RAW capture of a scene, by rays from the sensor
     Capture(capture::Args),
     /// The whole chain on built-in scenes, with a report
@@ -80,6 +84,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
         Command::Render(args) => render::run(&args, out),
+        Command::Accuracy(args) => accuracy::run(&args, out),
         Command::Capture(args) => capture::run(&args, out),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),

@@ -6,11 +6,14 @@ use std::time::Instant;
 
 use isoplanat::imaging::files::{Encoding, write_picture};
 use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings, render};
-use isoplanat::imaging::plan::{Quality, plan};
-use isoplanat::imaging::render::render_frame;
+use isoplanat::imaging::picture::plan::{PicturePlan, Wish, plan};
+use isoplanat::imaging::picture::render::render as render_picture;
+use isoplanat::imaging::picture::settings::Settings as Fineness;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::Region;
+use isoplanat::report::table::{Table, significant};
+use isoplanat::{Error, Result};
 use ndarray::Array3;
 
 use crate::output;
@@ -42,6 +45,15 @@ pub(crate) struct Args {
     /// Rays a pixel and channel (monte-carlo).
     #[arg(long, default_value_t = 64)]
     samples: usize,
+    /// Take the cheapest settings that hold this PSNR, dB in linear light for a range of 1 (psf-grid).
+    #[arg(long, value_name = "DB")]
+    min_psnr_db: Option<f64>,
+    /// Leave nothing out and make everything fine (psf-grid); for comparison.
+    #[arg(long, conflicts_with = "min_psnr_db")]
+    everything: bool,
+    /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
+    #[arg(long)]
+    explain: bool,
     #[command(flatten)]
     place: SceneArgs,
     /// Seed of the rays.
@@ -55,25 +67,48 @@ pub(crate) struct Args {
     force: bool,
 }
 
+impl Args {
+    fn wish(&self) -> Result<Wish> {
+        match self.min_psnr_db {
+            None if self.everything => Ok(Wish::Everything),
+            None => Ok(Wish::Psnr(DEFAULT_DB)),
+            Some(db) if db.is_finite() && (10.0..=80.0).contains(&db) => Ok(Wish::Psnr(db)),
+            Some(db) => Err(Error::bad("--min-psnr-db", "value", db.to_string(), "10 to 80 dB")),
+        }
+    }
+}
+
+/// PSNR that is held where none is asked for.
+const DEFAULT_DB: f64 = 50.0;
+
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
+    let wish = args.wish()?;
     let Placed { lens, frame, max_slope, plane } = args.place.place(&args.lens, &args.scene)?;
     let density = SpectralDensity::new(&Sensor::generic());
     let clock = Instant::now();
     let bar = Bar::new("render");
     let progress = |share: f64| bar.set(share, String::new());
+    let mut listed = None;
     let (image, figures): (Array3<f32>, serde_json::Value) = match args.method {
         Method::PsfGrid => {
-            let plan = plan(&lens, lens.object_vergence, &frame, &density, Quality::FINE, Some(max_slope))?;
-            let (image, optics) = render_frame(&lens, &plan, &plane, 192, &progress)?;
-            let outside = optics.grid.outside.iter().copied().fold(0.0, f64::max);
-            let figures = serde_json::json!({
-                "kernel_px": plan.psf.size, "psf_nodes": optics.raster.len(), "largest_energy_outside": outside,
-                "pupil_residual_mm": optics.grid.residual_mm, "traced_pupil_fraction": optics.grid.kept,
-                "distortion_residual_px": optics.distortion.residual_mm / frame.pitch_mm,
-            });
-            (image, figures)
+            let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), wish, args.explain)?;
+            let planned = clock.elapsed().as_secs_f64();
+            let picture = render_picture::<f32>(&plan, &progress);
+            if !plan.holds {
+                let predicted = plan.predicted_db.unwrap_or(f64::NAN);
+                eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
+            }
+            let mut figures = figures(&plan);
+            figures["planning_seconds"] = planned.into();
+            figures["kernels"] = picture.kernels.into();
+            figures["largest_energy_outside"] = picture.outside.into();
+            if args.explain {
+                figures["skips"] = serde_json::to_value(&plan.skips)?;
+                listed = Some(table(&plan));
+            }
+            (picture.image, figures)
         }
         Method::MonteCarlo => {
             let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
@@ -95,9 +130,44 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{}", serde_json::json!({ "schema": 1, "seconds": seconds, "figures": figures }))?;
     } else {
         writeln!(out, "{}: {} × {} pixels in {seconds:.2} s", args.output.display(), frame.columns, frame.rows)?;
-        for (key, value) in figures.as_object().into_iter().flatten() {
+        for (key, value) in figures.as_object().into_iter().flatten().filter(|(key, _)| *key != "skips") {
             writeln!(out, "  {key}: {value}")?;
+        }
+        if let Some(table) = listed {
+            writeln!(out, "\nleft out, or made coarser than the full computation:\n{table}")?;
         }
     }
     Ok(())
+}
+
+/// The plan in numbers.
+fn figures(plan: &PicturePlan<'_>) -> serde_json::Value {
+    let Fineness { samples, wavelengths, degree, dense, .. } = plan.settings;
+    serde_json::json!({
+        "predicted_psnr_db": plan.predicted_db,
+        "holds": plan.holds,
+        "scene_samples_per_px": samples,
+        "wavelengths": wavelengths,
+        "pupil_degree": degree,
+        "pupil_points": dense,
+        "kernel_px": 2 * plan.half_width + 1,
+        "psf_nodes": plan.grid.len(),
+        "node_error": plan.node_error,
+        "fields_traced": plan.bank.table.slopes.len(),
+        "rays_traced": plan.bank.table.rays,
+        "method": format!("{:?}", plan.method),
+        "pupil_residual_mm": plan.bank.table.residual_mm,
+        "traced_pupil_fraction": plan.bank.table.kept,
+        "distortion_residual_px": plan.distortion.residual_mm / plan.frame.pitch_mm,
+    })
+}
+
+/// What was left out.
+fn table(plan: &PicturePlan<'_>) -> Table {
+    let mut table = Table::new(["what", "work left", "bound (rms)", "reason"]);
+    for skip in &plan.skips {
+        let bound = if skip.bound == 0.0 { "none".into() } else { significant(skip.bound, 2) };
+        table.row([skip.what.to_owned(), significant(skip.remaining, 2), bound, skip.reason.clone()]);
+    }
+    table
 }

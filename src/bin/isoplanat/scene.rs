@@ -35,6 +35,25 @@ pub(crate) struct SceneArgs {
     /// Axis at the frame's corner: the first quadrant of the field.
     #[arg(long)]
     quadrant: bool,
+    /// Only this part of the frame, as COLUMN,ROW,COLUMNS,ROWS; the scene stays where it is.
+    #[arg(long, value_delimiter = ',', num_args = 4, value_name = "C,R,COLS,ROWS")]
+    crop: Option<Vec<usize>>,
+}
+
+/// The part `[column, row, columns, rows]` of a frame.
+fn cut(frame: &Frame, [col, row, columns, rows]: [usize; 4]) -> Result<Frame> {
+    let inside = columns > 0
+        && rows > 0
+        && col.checked_add(columns).is_some_and(|end| end <= frame.columns)
+        && row.checked_add(rows).is_some_and(|end| end <= frame.rows);
+    if !inside {
+        let found = format!("{col},{row},{columns},{rows}");
+        let allowed = format!("a part of the frame's {} × {} pixels", frame.columns, frame.rows);
+        return Err(Error::bad("--crop", "value", found, allowed));
+    }
+    #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+    let axis_px = [frame.axis_px[0] - col as f64, frame.axis_px[1] - row as f64];
+    Frame::centred(columns, rows, frame.pitch_mm)?.with_axis(axis_px)
 }
 
 /// A scene in front of a lens.
@@ -58,7 +77,30 @@ impl SceneArgs {
         let max_slope = field_slope(&lens, lens.object_vergence, &frame)?;
         let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
         let plane = self.plane(scene, &lens, &frame, &distortion)?;
+        let frame = match self.crop.as_deref() {
+            Some(&[col, row, columns, rows]) => cut(&frame, [col, row, columns, rows])?,
+            _ => frame,
+        };
         Ok(Placed { lens, frame, max_slope, plane })
+    }
+
+    /// As [`Self::place`]; a frame of more than `most` pixels that no `--crop` has cut is cut to 768 × 512 pixels half way
+    /// between axis and corner, and stderr is told.
+    pub(crate) fn place_within(&self, lens: &str, scene: &str, most: usize) -> Result<Placed> {
+        let placed = self.place(lens, scene)?;
+        let frame = &placed.frame;
+        if self.crop.is_some() || frame.columns * frame.rows <= most {
+            return Ok(placed);
+        }
+        let (columns, rows) = (frame.columns.min(768), frame.rows.min(512));
+        #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+        let start = |axis: f64, n: usize, part: usize| {
+            let middle = 0.5 * (axis.clamp(0.0, n as f64) + if axis < 0.5 * n as f64 { n as f64 } else { 0.0 });
+            (middle - 0.5 * part as f64).clamp(0.0, (n - part) as f64) as usize
+        };
+        let part = [start(frame.axis_px[0], frame.columns, columns), start(frame.axis_px[1], frame.rows, rows), columns, rows];
+        eprintln!("the frame is large: only its part --crop {},{},{},{} is looked at", part[0], part[1], part[2], part[3]);
+        Ok(Placed { frame: cut(frame, part)?, ..placed })
     }
 
     /// Puts the raster and the depth of the command line into `lens`.

@@ -1,0 +1,73 @@
+//! Lenses, frames and scenes that pictures are judged on.
+
+use std::path::PathBuf;
+
+use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
+use isoplanat::imaging::files::read_linear;
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plan::frame_of;
+use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::{Plane, slope_per_mm};
+use isoplanat::lens::{Lens, builtin};
+use ndarray::Array3;
+
+/// The three lenses: blurred, fair, sharp.
+pub const LENSES: [&str; 3] = ["two_element", "cooke_triplet", "phone"];
+
+/// A lens, a part of its frame, a scene.
+pub struct Case {
+    pub lens: Lens,
+    pub frame: Frame,
+    pub scene: Plane,
+    pub density: SpectralDensity,
+}
+
+/// A part of `name`'s frame of `[columns, rows]` pixels, half way between axis and corner.
+pub fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
+    let lens = builtin::lens(name).expect("shipped");
+    let frame = frame_of(&lens).expect("valid");
+    let start = |axis: f64, n: usize, part: usize| {
+        let end = if axis < 0.5 * n as f64 { n as f64 } else { 0.0 };
+        (0.5 * (axis + end) - 0.5 * part as f64).clamp(0.0, (n - part) as f64).floor()
+    };
+    let axis = [
+        frame.axis_px[0] - start(frame.axis_px[0], frame.columns, columns),
+        frame.axis_px[1] - start(frame.axis_px[1], frame.rows, rows),
+    ];
+    let frame = Frame::centred(columns, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
+    (lens, frame)
+}
+
+/// `texture` before a part of a lens's frame: a texel a pixel in the middle, middle on middle.
+pub fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
+    let (lens, frame) = part(name, size);
+    let v = lens.object_vergence;
+    let most = slope_at_height(&lens, v, 1.02 * frame.max_radius_mm()).expect("reaches");
+    let distortion = fit_distortion(&lens, v, most).expect("fits");
+    let middle = [0.5 * size[0] as f64 - frame.axis_px[0], 0.5 * size[1] as f64 - frame.axis_px[1]];
+    let per_pixel = slope_per_mm(&distortion, middle[0].hypot(middle[1]) * frame.pitch_mm) * frame.pitch_mm;
+    let scale = 1.0 / per_pixel;
+    let (_, rows, cols) = texture.dim();
+    let axis_texel = [0.5 * cols as f64 - middle[0], 0.5 * rows as f64 - middle[1]];
+    let scene = Plane { texture, texels_per_slope: scale, axis_texel, vergence: v };
+    Case { lens, frame, scene, density: SpectralDensity::new(&Sensor::generic()) }
+}
+
+/// A built-in scene before a lens.
+pub fn built_in(name: &str, size: [usize; 2]) -> Case {
+    place(name, size, generate(SceneKind::Facades, 3, size[1], size[0]))
+}
+
+/// Photograph `number` of the evaluation set; `None` where the data folder is absent.
+pub fn photograph(number: usize) -> Option<Array3<f32>> {
+    let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/photos/eval");
+    let path = root.join(format!("{number:02}.png"));
+    path.exists().then(|| read_linear(&path).expect("a photograph"))
+}
+
+/// A field of bright points on black, one every 32 texels, as long as the photographs.
+pub fn points() -> Array3<f32> {
+    Array3::from_shape_fn((3, 512, 768), |(_, i, j)| if i % 32 == 16 && j % 32 == 16 { 1.0 } else { 0.0 })
+}

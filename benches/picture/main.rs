@@ -1,0 +1,41 @@
+//! Whole pictures: error against run time, and what plans save.
+//!
+//! `cargo bench --bench picture` times single pictures; `-- tables` judges the fast renderer against the reference on lenses
+//! and photographs and writes `benches/results/picture.md` (photographs from `../shared`; about half an hour), `-- tables
+//! quick` does so with one photograph a lens.
+
+mod cases;
+mod tables;
+
+use criterion::{Criterion, Throughput};
+use isoplanat::imaging::picture::plan::{Wish, plan};
+use isoplanat::imaging::picture::render::render;
+
+fn pictures(c: &mut Criterion) {
+    let mut group = c.benchmark_group("picture");
+    group.sample_size(10);
+    for name in cases::LENSES {
+        let case = cases::built_in(name, [384, 256]);
+        group.throughput(Throughput::Elements(384 * 256));
+        for db in [40.0, 50.0] {
+            group.bench_function(format!("{name}/{db}_db"), |b| {
+                b.iter(|| {
+                    let plan = plan(&case.lens, &case.scene, &case.frame, &case.density, None, Wish::Psnr(db), false);
+                    render::<f32>(&plan.expect("plans"), &|_| ()).image.sum()
+                });
+            });
+        }
+    }
+    group.finish();
+}
+
+fn main() {
+    let arguments: Vec<String> = std::env::args().collect();
+    if arguments.iter().any(|a| a == "tables") {
+        tables::write(arguments.iter().any(|a| a == "quick"));
+        return;
+    }
+    let mut criterion = Criterion::default().configure_from_args();
+    pictures(&mut criterion);
+    criterion.final_summary();
+}

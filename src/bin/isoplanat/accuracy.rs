@@ -1,0 +1,233 @@
+//! `isoplanat accuracy LENS SCENE`: error against run time of every way to make the picture.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::time::Instant;
+
+use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
+use isoplanat::imaging::monte_carlo::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
+use isoplanat::imaging::picture::plan::{Wish, plan};
+use isoplanat::imaging::picture::render::render as render_picture;
+use isoplanat::imaging::picture::settings::Settings;
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::Region;
+use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
+use ndarray::Array3;
+
+use crate::output;
+use crate::peak::measured;
+use crate::progress::Bar;
+use crate::scene::{Placed, SceneArgs};
+
+/// Error against run time of every way to make the picture.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file, or the name of a shipped lens.
+    lens: String,
+    /// Picture file, or a built-in scene as KIND or KIND:SEED.
+    scene: String,
+    /// Rays a pixel and channel of the reference, in two halves.
+    #[arg(long, default_value_t = 512)]
+    reference_samples: usize,
+    /// Page to write: plot and table.
+    #[arg(short, long, value_name = "OUT.html")]
+    output: Option<PathBuf>,
+    /// Plot to write.
+    #[arg(long, value_name = "OUT.svg")]
+    svg: Option<PathBuf>,
+    /// Rows to write as comma-separated values.
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    #[command(flatten)]
+    place: SceneArgs,
+    /// Rows as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Overwrite files.
+    #[arg(long)]
+    force: bool,
+}
+
+/// One way to make the picture.
+enum Way {
+    /// PSF grid, single precision.
+    Grid(Wish),
+    /// PSF grid, double precision.
+    Double(Wish),
+    /// Rays from the sensor.
+    Rays(usize, Sampling),
+}
+
+/// Pixels from which a frame is cut to its middle part unless `--crop` says otherwise.
+const LARGE: usize = 1 << 19;
+
+/// Every row: ladder, settings in words, way.
+fn ways() -> Vec<(&'static str, String, Way)> {
+    let fine = Settings::FINE;
+    let grid = |s: Settings| Way::Grid(Wish::Settings(s));
+    let mut ways = vec![
+        ("nothing left out", "finest, everywhere".into(), Way::Grid(Wish::Everything)),
+        ("precision", "finest, f64".into(), Way::Double(Wish::Settings(fine))),
+        ("precision", "finest, f32".into(), grid(fine)),
+    ];
+    for m in Settings::SAMPLES {
+        ways.push(("scene samples", format!("{m} × {m} a pixel"), grid(Settings { samples: m, ..fine })));
+    }
+    for n in Settings::WAVELENGTHS {
+        ways.push(("wavelengths", format!("{n}"), grid(Settings { wavelengths: n, ..fine })));
+    }
+    for n in Settings::DENSE {
+        ways.push(("pupil points", format!("{n}"), grid(Settings { dense: n, ..fine })));
+    }
+    for e in Settings::NODE_ERRORS {
+        ways.push(("field nodes", format!("interpolated within {e}"), grid(Settings { node_error: e, ..fine })));
+    }
+    for o in Settings::OUTSIDE {
+        ways.push(("kernel size", format!("{o:e} outside"), grid(Settings { outside: o, ..fine })));
+    }
+    for db in [35.0, 40.0, 45.0, 50.0, 55.0] {
+        ways.push(("chosen", format!("--min-psnr-db {db}"), Way::Grid(Wish::Psnr(db))));
+    }
+    for n in [4, 16, 64] {
+        ways.push(("rays", format!("{n} a pixel"), Way::Rays(n, Sampling::Bounded)));
+    }
+    for n in [16, 64, 256] {
+        ways.push(("rays", format!("{n} a pixel"), Way::Rays(n, Sampling::RearAperture)));
+    }
+    ways
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    for path in [&args.output, &args.svg, &args.csv].into_iter().flatten() {
+        output::check_writable(path, args.force)?;
+    }
+    let Placed { lens, frame, max_slope, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
+    let density = SpectralDensity::new(&Sensor::generic());
+    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let rays = |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
+    let bar = Bar::new("reference");
+    let clock = Instant::now();
+    let halves = render_halves(
+        &lens,
+        &plane,
+        &density,
+        &frame,
+        whole,
+        rays(args.reference_samples, Sampling::Bounded, 1),
+        Some(&|share| bar.set(share, String::new())),
+    )?;
+    let reference_seconds = clock.elapsed().as_secs_f64();
+    bar.done(String::new());
+    let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
+    let ways = ways();
+    let bar = Bar::new("methods");
+    let mut rows = Vec::with_capacity(ways.len());
+    for (k, (ladder, words, way)) in ways.iter().enumerate() {
+        #[expect(clippy::cast_precision_loss, reason = "a share")]
+        bar.set(k as f64 / ways.len() as f64, format!("{ladder}: {words}"));
+        let clock = Instant::now();
+        let make = || -> anyhow::Result<(Array3<f32>, &str, String)> {
+            Ok(match way {
+                Way::Grid(wish) => {
+                    let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), *wish, false)?;
+                    let s = plan.settings;
+                    let told = match wish {
+                        Wish::Psnr(_) => format!(
+                            "{words}: {0} × {0} samples, {1} wavelengths, {2} points, {3} nodes, {4}² kernels",
+                            s.samples,
+                            s.wavelengths,
+                            s.dense,
+                            plan.grid.len(),
+                            2 * plan.half_width + 1
+                        ),
+                        _ => words.clone(),
+                    };
+                    (render_picture::<f32>(&plan, &|_| ()).image, "psf-grid", told)
+                }
+                Way::Double(wish) => {
+                    let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), *wish, false)?;
+                    #[expect(clippy::cast_possible_truncation, reason = "compared in single precision")]
+                    let image = render_picture::<f64>(&plan, &|_| ()).image.mapv(|v| v as f32);
+                    (image, "psf-grid", words.clone())
+                }
+                Way::Rays(n, sampling) => {
+                    let r = render(&lens, &plane, &density, &frame, whole, rays(*n, *sampling, 77), None)?;
+                    let name = if *sampling == Sampling::Bounded { "monte-carlo" } else { "monte-carlo, plain" };
+                    (r.mean, name, words.clone())
+                }
+            })
+        };
+        let (made, peak_bytes) = measured(make);
+        let (image, method, settings) = made?;
+        let seconds = clock.elapsed().as_secs_f64();
+        rows.push(judged(&image, &halves, &mean, Row {
+            method: method.into(),
+            ladder: (*ladder).into(),
+            settings,
+            psnr_db: 0.0,
+            psnr_db_interval: [0.0; 2],
+            relative_l2: 0.0,
+            energy: 0.0,
+            worst_pixel: 0.0,
+            seconds,
+            peak_bytes,
+            pareto: false,
+        }));
+    }
+    bar.done(String::new());
+    mark_pareto(&mut rows);
+    let half = halves[0].mean.iter().zip(&halves[1].mean).map(|(a, b)| 0.5 * f64::from((a - b).abs()));
+    let accuracy = Accuracy {
+        schema: 1,
+        lens: lens.name.clone(),
+        scene: args.scene.clone(),
+        frame: [frame.columns, frame.rows],
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        reference_samples: args.reference_samples,
+        reference_noise_rms: halves[0].noise_rms().hypot(halves[1].noise_rms()) / 2.0,
+        reference_worst_pixel: half.fold(0.0, f64::max),
+        reference_seconds,
+        rows,
+    };
+    if let Some(path) = &args.output {
+        output::put(&accuracy.html(), Some(path), out)?;
+    }
+    if let Some(path) = &args.svg {
+        output::put(&accuracy.svg(), Some(path), out)?;
+    }
+    if let Some(path) = &args.csv {
+        output::put(&accuracy.csv(), Some(path), out)?;
+    }
+    if args.json {
+        writeln!(out, "{}", accuracy.json())?;
+    } else {
+        writeln!(out, "{}", accuracy.table())?;
+        writeln!(
+            out,
+            "* no other row is both faster and nearer; the reference took {reference_seconds:.1} s and has {:.1e} rms of noise",
+            accuracy.reference_noise_rms
+        )?;
+    }
+    Ok(())
+}
+
+/// `row` with the errors of `image`.
+fn judged(image: &Array3<f32>, halves: &[Rendered; 2], mean: &Array3<f32>, row: Row) -> Row {
+    let agreement = psnr_against_halves(image.view(), halves);
+    let sum = |a: &Array3<f32>| a.iter().map(|v| f64::from(*v)).sum::<f64>();
+    // ⟨R₁ R₂⟩ is the reference's own mean square, without its noise.
+    let square: f64 = halves[0].mean.iter().zip(&halves[1].mean).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum();
+    #[expect(clippy::cast_precision_loss, reason = "a mean")]
+    let square = square / mean.len().max(1) as f64;
+    let worst = image.iter().zip(mean).map(|(a, b)| f64::from((a - b).abs())).fold(0.0, f64::max);
+    Row {
+        psnr_db: agreement.psnr_db,
+        psnr_db_interval: agreement.psnr_db_interval,
+        relative_l2: (agreement.mean_square.max(0.0) / square.max(f64::MIN_POSITIVE)).sqrt(),
+        energy: sum(image) / sum(mean) - 1.0,
+        worst_pixel: worst,
+        ..row
+    }
+}

@@ -1,0 +1,209 @@
+//! The cheapest setting whose predicted error holds.
+
+use rayon::prelude::*;
+
+use super::bank::{Bank, Rule, Scratch};
+use super::nodes::Nodes;
+use super::probe::{Probe, Probing, Values};
+use super::settings::Settings;
+use crate::error::Result;
+use crate::imaging::metrics::decibel;
+use crate::imaging::node_grid::NodeGrid;
+
+/// Factor on the predicted mean square error that a choice must still hold with: probes are few.
+pub const MARGIN: f64 = 1.5;
+
+/// One step of one approximation's ladder: its setting and, by probe, its differences to the exact values.
+#[derive(Clone, Debug)]
+pub struct Rung<S> {
+    /// The setting.
+    pub setting: S,
+    /// Differences, one list a probe.
+    pub off: Vec<Values>,
+}
+
+impl<S> Rung<S> {
+    /// Mean square of the differences.
+    pub fn mean_square(&self) -> f64 {
+        mean_square(&[&self.off]).0
+    }
+}
+
+/// All ladders of a scene.
+pub struct Ladders {
+    /// Scene samples a pixel.
+    pub samples: Vec<Rung<usize>>,
+    /// Wavelengths.
+    pub wavelengths: Vec<Rung<usize>>,
+    /// Dense pupil points.
+    pub dense: Vec<Rung<usize>>,
+    /// Kernel half-widths, with the share that falls outside.
+    pub windows: Vec<Rung<(f64, usize)>>,
+    /// Node grids, with the interpolation error they were made for and the one they have.
+    pub nodes: Vec<Rung<(f64, f64, NodeGrid)>>,
+}
+
+/// Mean square over all values of the sum of `parts` (lists by probe), and its standard error over the probes.
+#[expect(clippy::cast_precision_loss, reason = "small counts")]
+pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
+    let Some(first) = parts.first() else { return (0.0, 0.0) };
+    let each: Vec<f64> = (0..first.len())
+        .map(|p| {
+            let n = first[p].len();
+            let square = |k: usize| parts.iter().map(|part| f64::from(part[p][k])).sum::<f64>().powi(2);
+            (0..n).map(square).sum::<f64>() / n.max(1) as f64
+        })
+        .collect();
+    let n = each.len().max(1) as f64;
+    let mean = each.iter().sum::<f64>() / n;
+    let variance = each.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
+    (mean, (variance / n).sqrt())
+}
+
+/// What was chosen.
+#[derive(Clone, Debug)]
+pub struct Choice {
+    /// The settings.
+    pub settings: Settings,
+    /// Kernel half-width, pixels.
+    pub half_width: usize,
+    /// Nodes.
+    pub grid: NodeGrid,
+    /// Interpolation error between nodes that was seen, relative L2.
+    pub node_error: f64,
+    /// Predicted PSNR in linear light for a range of 1.
+    pub psnr_db: f64,
+    /// Whether it holds the request (with the margin).
+    pub holds: bool,
+}
+
+/// A bank for another number of wavelengths or dense points.
+pub type MakeBank<'a> = dyn Fn(usize, usize) -> Result<Bank> + 'a;
+
+/// Measures every ladder on `probes`. `rules` are the quadratures of [`Settings::WAVELENGTHS`]; `bank` makes banks of a
+/// number of wavelengths and dense points; `nodes` has been made coarse and is refined until its error is a small part of
+/// `budget` (a mean square), or all of [`Settings::NODE_ERRORS`] are done.
+///
+/// # Errors
+/// A field none of whose rays reaches the sensor.
+pub fn ladders(
+    probing: &Probing<'_>,
+    probes: &[Probe],
+    rules: &[(usize, Rule)],
+    make: &MakeBank<'_>,
+    light: &Bank,
+    nodes: &mut Nodes<'_>,
+    budget: f64,
+) -> Result<Ladders> {
+    let each = |f: &(dyn Fn(&Probe, &mut Scratch) -> Values + Sync)| -> Vec<Values> {
+        probes.par_iter().map_init(Scratch::default, |s, p| f(p, s)).collect()
+    };
+    let fine = probing.scenes.len() - 1;
+    let mut samples: Vec<Rung<usize>> = (0..fine)
+        .map(|k| Rung { setting: probing.scenes[k].samples(), off: each(&|p, s| probing.samples(p, k, s)) })
+        .collect();
+    let nothing: Vec<Values> = probes.iter().map(|p| vec![0.0; p.exact.len()]).collect();
+    samples.push(Rung { setting: probing.scenes[fine].samples(), off: nothing.clone() });
+    let white = probing.bank.white();
+    let wavelengths = rules
+        .iter()
+        .map(|(n, rule)| Rung { setting: *n, off: each(&|p, _| probing.wavelengths(p, rule, white)) })
+        .collect();
+    // Kernel windows: those of the shares, each once.
+    let mut halves: Vec<(f64, usize)> = Vec::new();
+    for share in Settings::OUTSIDE {
+        let half = probing.bank.half_width_px(share).min(probing.size / 2);
+        if halves.last().is_none_or(|(_, h)| *h < half) {
+            halves.push((share, half));
+        } else if let Some(last) = halves.last_mut() {
+            last.0 = share;
+        }
+    }
+    let sizes: Vec<usize> = halves.iter().map(|(_, h)| 2 * h + 1).collect();
+    let by_probe: Vec<Vec<Values>> =
+        probes.par_iter().map_init(Scratch::default, |s, p| probing.windows(p, &sizes, s)).collect();
+    let windows = halves
+        .iter()
+        .enumerate()
+        .map(|(k, half)| Rung { setting: *half, off: by_probe.iter().map(|v| v[k].clone()).collect() })
+        .collect();
+    // Dense points: two wavelengths tell.
+    let most = Settings::DENSE[Settings::DENSE.len() - 1];
+    let reference = make(2, most)?;
+    let mut dense = Vec::new();
+    for n in Settings::DENSE {
+        let off = if n == most {
+            nothing.clone()
+        } else {
+            let bank = make(2, n)?;
+            each(&|p, s| probing.banks(p, &bank, &reference, s))
+        };
+        dense.push(Rung { setting: n, off });
+    }
+    let mut steps = Vec::new();
+    for tolerance in Settings::NODE_ERRORS {
+        nodes.refine(tolerance);
+        let grid = nodes.grid.clone();
+        let off = each(&|p, s| probing.nodes(p, light, &grid, s));
+        let rung = Rung { setting: (tolerance, nodes.error, grid), off };
+        let enough = rung.mean_square() < 0.1 * budget;
+        steps.push(rung);
+        if enough {
+            break;
+        }
+    }
+    Ok(Ladders { samples, wavelengths, dense, windows, nodes: steps })
+}
+
+/// The cheapest combination by `cost` (seconds of the settings, half-width and grid) whose mean square error, times
+/// [`MARGIN`] and with its standard error added, is at most `budget`; the best there is, if none holds.
+pub fn cheapest(
+    ladders: &Ladders,
+    budget: f64,
+    base: Settings,
+    cost: &dyn Fn(&Settings, usize, &NodeGrid) -> f64,
+) -> Choice {
+    let mut best: Option<(f64, Choice)> = None;
+    let mut finest: Option<(f64, Choice)> = None;
+    for nodes in &ladders.nodes {
+        for windows in &ladders.windows {
+            for samples in &ladders.samples {
+                for dense in &ladders.dense {
+                    for wavelengths in &ladders.wavelengths {
+                        let parts: [&[Values]; 5] =
+                            [&nodes.off, &windows.off, &samples.off, &dense.off, &wavelengths.off];
+                        let settings = Settings {
+                            samples: samples.setting,
+                            wavelengths: wavelengths.setting,
+                            dense: dense.setting,
+                            node_error: nodes.setting.0,
+                            outside: windows.setting.0,
+                            ..base
+                        };
+                        let seconds = cost(&settings, windows.setting.1, &nodes.setting.2);
+                        let no_better = |found: &Option<(f64, Choice)>, v: f64| found.as_ref().is_some_and(|b| b.0 <= v);
+                        if no_better(&best, seconds) {
+                            continue;
+                        }
+                        let (mean, error) = mean_square(&parts);
+                        let holds = MARGIN * mean + error <= budget;
+                        let choice = Choice {
+                            settings,
+                            half_width: windows.setting.1,
+                            grid: nodes.setting.2.clone(),
+                            node_error: nodes.setting.1,
+                            psnr_db: decibel(mean),
+                            holds,
+                        };
+                        if holds {
+                            best = Some((seconds, choice));
+                        } else if !no_better(&finest, mean) {
+                            finest = Some((mean, choice));
+                        }
+                    }
+                }
+            }
+        }
+    }
+    best.or(finest).expect("ladders have rungs").1
+}

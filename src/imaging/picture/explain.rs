@@ -1,0 +1,89 @@
+//! What a plan leaves out, in words and numbers.
+
+use super::choose::Ladders;
+use super::plan::{PicturePlan, Skip, bound};
+use super::settings::Settings;
+use crate::imaging::picture::probe::Values;
+use crate::lens::Lens;
+
+/// The list of a plan; `ladders` give the bounds of what was made coarser.
+#[expect(clippy::cast_precision_loss, reason = "shares")]
+pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladders>) -> Vec<Skip> {
+    let mut out = Vec::new();
+    let mut add = |what, reason: String, remaining: f64, bound: f64| out.push(Skip { what, reason, remaining, bound });
+    let share = |a: usize, b: usize| a as f64 / b.max(1) as f64;
+    let fine = Settings::FINE;
+    let s = &plan.settings;
+    let found = |off: Option<&Vec<Values>>| off.map_or(f64::NAN, |o| bound(o));
+    let distance =
+        if plan.scene.vergence > 0.0 { format!("{:.0} mm", 1.0 / plan.scene.vergence) } else { "infinity".into() };
+    add("depths", format!("all of the scene stands at {distance}: one grid of PSFs"), 1.0, 0.0);
+    let pixels = plan.frame.rows * plan.frame.columns;
+    let kept = plan.region.map_or(0, |r| r.rows * r.cols);
+    if kept < pixels {
+        let reason = format!(
+            "light lands on {kept} of {pixels} pixels at most ({:.1} % of the frame's squares are lit); the rest is black",
+            100.0 * plan.needs.lit_share
+        );
+        add("unlit part of the frame", reason, share(kept, pixels), 0.0);
+    } else if plan.needs.lit_share < 1.0 {
+        let reason = format!("{:.1} % of the frame's squares are lit; blocks without light are passed over",
+            100.0 * plan.needs.lit_share);
+        add("unlit blocks", reason, plan.needs.lit_share, 0.0);
+    }
+    let lit = plan.needs.lit_channels.len();
+    if lit < 3 {
+        add("dark channels", format!("{lit} of 3 channels hold light"), share(lit, 3), 0.0);
+    }
+    if plan.needs.grey && lit > 1 {
+        add("colours of the scene", "all channels are the same: one is sampled and transformed".into(), 1.0 / 3.0, 0.0);
+    }
+    let clipping: Vec<String> = plan.bank.table.clipping.iter().map(|k| (k + 1).to_string()).collect();
+    let apertures = lens.surfaces.iter().enumerate();
+    let apertures = apertures.filter(|(k, s)| *k != lens.stop && s.semi_diameter.is_finite()).count();
+    if clipping.len() < apertures {
+        let clip = if clipping.is_empty() { "none clips".into() } else { format!("surface {} clips", clipping.join(", ")) };
+        let reason = format!("of {apertures} clear apertures beside the stop, {clip} a beam of this field");
+        add("apertures", reason, share(clipping.len(), apertures), 0.0);
+    }
+    let (fields, nodes) = (plan.bank.table.slopes.len(), plan.grid.len());
+    let reason = format!(
+        "rotational symmetry: {fields} fields of one meridian, half the pupil each, serve all nodes (landings within \
+         {:.1e} pixel)",
+        plan.bank.table.landing_error_mm / plan.frame.pitch_mm
+    );
+    add("fields off the meridian", reason, (share(fields, 2 * nodes.max(fields))).min(0.5), 0.0);
+    let full = share(plan.frame.rows, 32).ceil().mul_add(share(plan.frame.columns, 32).ceil(), 0.0);
+    let off = ladders.and_then(|l| l.nodes.iter().rev().find(|r| r.setting.0 >= s.node_error)).map(|r| &r.off);
+    if nodes == 1 {
+        let reason = format!("the PSF is the same all over the picture to {:.1} % (relative L2)", 100.0 * plan.node_error);
+        add("PSF nodes", reason, 1.0 / full, found(off));
+    } else {
+        let reason = format!(
+            "{} × {} nodes where the PSF changes; interpolated kernels are within {:.1} % (relative L2)",
+            plan.grid.row_knots.len(),
+            plan.grid.col_knots.len(),
+            100.0 * plan.node_error
+        );
+        add("PSF nodes", reason, nodes as f64 / full, found(off));
+    }
+    let off = ladders.and_then(|l| l.wavelengths.iter().find(|r| r.setting >= s.wavelengths)).map(|r| &r.off);
+    if s.wavelengths < fine.wavelengths {
+        let reason = format!("{} of {} wavelengths tell this scene's colours apart", s.wavelengths, fine.wavelengths);
+        add("wavelengths", reason, share(s.wavelengths, fine.wavelengths), found(off));
+    }
+    let off = ladders.and_then(|l| l.samples.iter().find(|r| r.setting >= s.samples).or(l.samples.last())).map(|r| &r.off);
+    if s.samples < fine.samples {
+        let reason = format!("the blurred scene needs {0} × {0} samples a pixel, not {1} × {1}", s.samples, fine.samples);
+        add("scene samples", reason, share(s.samples * s.samples, fine.samples * fine.samples), found(off));
+    }
+    let off = ladders.and_then(|l| l.dense.iter().find(|r| r.setting >= s.dense)).map(|r| &r.off);
+    if s.dense < fine.dense {
+        add("pupil points", format!("{} of {} points a beam", s.dense, fine.dense), share(s.dense, fine.dense), found(off));
+    }
+    let size = 2 * plan.half_width + 1;
+    let off = ladders.and_then(|l| l.windows.iter().find(|r| r.setting.1 >= plan.half_width)).map(|r| &r.off);
+    let reason = format!("{size} × {size} pixels hold all but {:.1e} of every beam", s.outside);
+    add("light outside the kernels", reason, 1.0, found(off));
+    out
+}

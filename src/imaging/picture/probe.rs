@@ -1,0 +1,288 @@
+//! What every setting costs in error, measured on the scene itself at a few places.
+//!
+//! A probe is a small block of pixels, computed as inner products of the scene with the exact kernel of its place, finely
+//! in every respect; then again with one approximation at a time. To first order the errors of several approximations add,
+//! pixel by pixel, so one table of differences predicts every combination ([`super::choose`]).
+
+use ndarray::{Array4, Axis};
+use rayon::prelude::*;
+
+use super::bank::{Bank, Place, Rule, Scratch};
+use super::source::WarpedScene;
+use crate::imaging::frame::Frame;
+use crate::imaging::node_grid::NodeGrid;
+use crate::imaging::warp::Region;
+
+/// Pixels along the side of a probe.
+pub const SIDE: usize = 3;
+
+/// Values of a probe's pixels, `[channel][pixel]`, flattened.
+pub type Values = Vec<f32>;
+
+/// A block of pixels and its exact kernel.
+pub struct Probe {
+    /// Its pixels.
+    pub region: Region,
+    /// Exact values.
+    pub exact: Values,
+    /// By wavelength of the fine rule: light of the probe's pixels in the units of [`Bank::mono`].
+    mono: Vec<Values>,
+}
+
+/// Everything a probe is computed from.
+pub struct Probing<'a> {
+    /// Fine bank.
+    pub bank: &'a Bank,
+    /// Frame.
+    pub frame: &'a Frame,
+    /// The scene at each number of samples a pixel (1, 2, 4), all of the same channels.
+    pub scenes: &'a [WarpedScene<'a>],
+    /// Kernel size in pixels, odd.
+    pub size: usize,
+}
+
+/// The scene around a region: `[channel]` planes on the fine raster, `m (rows + size − 1)` to a side.
+pub struct Patch {
+    planes: Vec<Vec<f32>>,
+    width: usize,
+    m: usize,
+}
+
+impl Patch {
+    /// Samples `scene` around `region` as far as a kernel of `size` pixels reaches.
+    pub fn sample(scene: &WarpedScene<'_>, region: Region, size: usize) -> Self {
+        let m = scene.samples();
+        let grown = region.grown(size / 2);
+        let mut phases = Array4::<f32>::zeros((scene.channels(), m * m, grown.rows, grown.cols));
+        scene.fill(grown, phases.view_mut());
+        let width = m * grown.cols;
+        let planes = phases
+            .axis_iter(Axis(0))
+            .map(|phases| {
+                let mut plane = vec![0.0; m * grown.rows * width];
+                for ((phase, i, j), v) in phases.indexed_iter() {
+                    plane[(m * i + phase / m) * width + m * j + phase % m] = *v;
+                }
+                plane
+            })
+            .collect();
+        Self { planes, width, m }
+    }
+
+    /// Light of pixel `(i, j)` of the region through a flipped fine kernel of `size` pixels centred in a window of
+    /// `full` pixels.
+    fn response(&self, channel: usize, i: usize, j: usize, flipped: &[f32], size: usize, full: usize) -> f32 {
+        let side = self.m * size;
+        let inset = self.m * (full - size) / 2;
+        let plane = &self.planes[channel.min(self.planes.len() - 1)];
+        let (top, left) = (self.m * i + inset, self.m * j + inset);
+        let rows = flipped.chunks_exact(side).enumerate();
+        rows.map(|(a, row)| dot(row, &plane[(top + a) * self.width + left..][..side])).sum()
+    }
+}
+
+/// `Σ a b` in eight running sums.
+fn dot(a: &[f32], b: &[f32]) -> f32 {
+    let mut sums = [0.0f32; 8];
+    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
+    let rest: f32 = a8.remainder().iter().zip(b8.remainder()).map(|(a, b)| a * b).sum();
+    for (a, b) in a8.zip(b8) {
+        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(s, (a, b))| *s += a * b);
+    }
+    sums.iter().sum::<f32>() + rest
+}
+
+/// The kernel's points in reverse order, in single precision.
+#[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
+fn flipped(fine: &[f64]) -> Vec<f32> {
+    fine.iter().rev().map(|v| *v as f32).collect()
+}
+
+/// The middle `inner` pixels of a fine raster of `size` pixels.
+fn cropped(flipped: &[f32], size: usize, inner: usize, m: usize) -> Vec<f32> {
+    let (side, inset) = (m * size, m * (size - inner) / 2);
+    let rows = flipped.chunks_exact(side).skip(inset).take(m * inner);
+    rows.flat_map(|row| row[inset..inset + m * inner].iter().copied()).collect()
+}
+
+fn pixels(region: Region) -> impl Iterator<Item = (usize, usize)> + Clone {
+    (0..region.rows).flat_map(move |i| (0..region.cols).map(move |j| (i, j)))
+}
+
+fn centre(frame: &Frame, region: Region) -> Place {
+    let [x, y] = region.offset(frame, 0, 0);
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    let half = |n: usize| 0.5 * (n as f64 - 1.0);
+    Place::offset(frame, [x + half(region.cols), y + half(region.rows)])
+}
+
+impl Probing<'_> {
+    fn values(&self, patch: &Patch, region: Region, kernels: &[Vec<f32>], size: usize, full: usize) -> Values {
+        let each = kernels.iter().enumerate();
+        each.flat_map(|(c, k)| pixels(region).map(move |(i, j)| patch.response(c, i, j, k, size, full))).collect()
+    }
+
+    /// The exact values of the pixels of `regions`.
+    pub fn exact(&self, regions: &[Region]) -> Vec<Probe> {
+        let scene = self.scenes.last().expect("at least one sampling");
+        let run = |scratch: &mut Scratch, region: &Region| {
+            let patch = Patch::sample(scene, *region, self.size);
+            let place = centre(self.frame, *region);
+            let channels = self.bank.channels();
+            let count = region.rows * region.cols;
+            let mut exact = vec![0.0; channels * count];
+            let mut mono = Vec::new();
+            for l in 0..self.bank.rule.nm.len() {
+                let kernel = flipped(self.bank.mono(l, place, self.size, scene.samples(), scratch));
+                let mut values = Vec::with_capacity(channels * count);
+                for c in 0..channels {
+                    // A grey scene has one channel: the same light for all.
+                    if c >= scene.channels() {
+                        values.extend_from_within(..count);
+                        continue;
+                    }
+                    let one = |(i, j)| patch.response(c, i, j, &kernel, self.size, self.size);
+                    values.extend(pixels(*region).map(one));
+                }
+                for (k, (e, v)) in exact.iter_mut().zip(&values).enumerate() {
+                    *e += self.bank.weight(k / count, l) as f32 * v;
+                }
+                mono.push(values);
+            }
+            Probe { region: *region, exact, mono }
+        };
+        regions.par_iter().map_init(Scratch::default, run).collect()
+    }
+
+    /// Difference to the exact values with `self.scenes[which]`'s sampling.
+    pub fn samples(&self, probe: &Probe, which: usize, scratch: &mut Scratch) -> Values {
+        let scene = &self.scenes[which];
+        let patch = Patch::sample(scene, probe.region, self.size);
+        let place = centre(self.frame, probe.region);
+        let (fine, _) = self.bank.fine(place, self.size, scene.samples(), scratch);
+        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+        less(self.values(&patch, probe.region, &kernels, self.size, self.size), &probe.exact)
+    }
+
+    /// Difference to the exact values with each of the windows of `sizes` pixels, at the coarsest sampling.
+    pub fn windows(&self, probe: &Probe, sizes: &[usize], scratch: &mut Scratch) -> Vec<Values> {
+        let scene = &self.scenes[0];
+        let m = scene.samples();
+        let patch = Patch::sample(scene, probe.region, self.size);
+        let (fine, _) = self.bank.fine(centre(self.frame, probe.region), self.size, m, scratch);
+        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+        let full = self.values(&patch, probe.region, &kernels, self.size, self.size);
+        let one = |size: &usize| {
+            let inner: Vec<Vec<f32>> = kernels.iter().map(|k| cropped(k, self.size, *size, m)).collect();
+            less(self.values(&patch, probe.region, &inner, *size, self.size), &full)
+        };
+        sizes.iter().map(one).collect()
+    }
+
+    /// Difference to the exact values with another quadrature over wavelength: light between the fine rule's wavelengths
+    /// is interpolated by cubics. `white` is the irradiance of white on the axis at the fine rule's wavelengths.
+    pub fn wavelengths(&self, probe: &Probe, rule: &Rule, white: &[f64]) -> Values {
+        let nm = &self.bank.rule.nm;
+        let count = probe.region.rows * probe.region.cols;
+        let mut out = vec![0.0f64; probe.exact.len()];
+        for (c, weights) in rule.weight.iter().enumerate() {
+            let mut level = 0.0;
+            for (at, w) in rule.nm.iter().zip(weights) {
+                for (l, share) in cubic(nm, *at) {
+                    level += w * share * white[l];
+                    for p in c * count..(c + 1) * count {
+                        out[p] += w * share * f64::from(probe.mono[l][p]);
+                    }
+                }
+            }
+            out[c * count..(c + 1) * count].iter_mut().for_each(|v| *v /= level);
+        }
+        #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
+        out.iter().zip(&probe.exact).map(|(v, e)| (v - f64::from(*e)) as f32).collect()
+    }
+
+    /// Difference that another bank of the same wavelengths makes to this one, at the coarsest sampling.
+    pub fn banks(&self, probe: &Probe, other: &Bank, reference: &Bank, scratch: &mut Scratch) -> Values {
+        let scene = &self.scenes[0];
+        let patch = Patch::sample(scene, probe.region, self.size);
+        let place = centre(self.frame, probe.region);
+        let mut of = |bank: &Bank| {
+            let (fine, _) = bank.fine(place, self.size, scene.samples(), scratch);
+            let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+            self.values(&patch, probe.region, &kernels, self.size, self.size)
+        };
+        let base = of(reference);
+        less(of(other), &base)
+    }
+
+    /// Difference that interpolation between the nodes of `grid` makes to the kernel of the place itself, both of the
+    /// light `bank`, one sample a pixel.
+    pub fn nodes(&self, probe: &Probe, bank: &Bank, grid: &NodeGrid, scratch: &mut Scratch) -> Values {
+        let (region, size) = (probe.region, self.size);
+        let patch = Patch::sample(&self.scenes[0], region, size);
+        let (fine, _) = bank.fine(centre(self.frame, region), size, 1, scratch);
+        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+        let exact = self.values(&patch, region, &kernels, size, size);
+        let grown = region.grown(size / 2);
+        let reach = |knots: &[isize], first: isize, n: usize| {
+            let (a, b) = (NodeGrid::between(knots, first), NodeGrid::between(knots, first + n.cast_signed() - 1));
+            a.first..=b.second
+        };
+        let mut sum = vec![0.0f32; exact.len()];
+        for r in reach(&grid.row_knots, grown.row, grown.rows) {
+            for c in reach(&grid.col_knots, grown.col, grown.cols) {
+                let n = r * grid.col_knots.len() + c;
+                let (row, col) = grid.pixel(n);
+                let (fine, _) = bank.fine(Place::pixel(self.frame, row, col), size, 1, scratch);
+                let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+                let windowed = patch.windowed(grid, n, grown);
+                let part = self.values(&windowed, region, &kernels, size, size);
+                sum.iter_mut().zip(part).for_each(|(s, v)| *s += v);
+            }
+        }
+        less(sum, &exact)
+    }
+}
+
+impl Patch {
+    /// The patch (one sample a pixel) under the window of node `n`.
+    #[expect(clippy::cast_possible_truncation, reason = "windows in single precision")]
+    fn windowed(&self, grid: &NodeGrid, n: usize, grown: Region) -> Self {
+        let along = |knots: &[isize], k: usize, first: isize, count: usize| -> Vec<f32> {
+            let weight = |i: usize| {
+                let b = NodeGrid::between(knots, first + i.cast_signed());
+                if b.first == k {
+                    1.0 - b.weight
+                } else if b.second == k {
+                    b.weight
+                } else {
+                    0.0
+                }
+            };
+            (0..count).map(|i| weight(i) as f32).collect()
+        };
+        let rows = along(&grid.row_knots, n / grid.col_knots.len(), grown.row, grown.rows);
+        let cols = along(&grid.col_knots, n % grid.col_knots.len(), grown.col, grown.cols);
+        let plane = |plane: &Vec<f32>| {
+            let lines = plane.chunks_exact(self.width).zip(&rows);
+            lines.flat_map(|(line, r)| line.iter().zip(&cols).map(move |(v, c)| v * r * c)).collect()
+        };
+        Self { planes: self.planes.iter().map(plane).collect(), width: self.width, m: self.m }
+    }
+}
+
+fn less(mut a: Values, b: &[f32]) -> Values {
+    a.iter_mut().zip(b).for_each(|(a, b)| *a -= b);
+    a
+}
+
+/// Nodes and weights of the cubic (or lower) interpolation at `at` between increasing `nodes`; held at the ends.
+fn cubic(nodes: &[f64], at: f64) -> impl Iterator<Item = (usize, f64)> + '_ {
+    let taps = nodes.len().min(4);
+    let after = nodes.partition_point(|s| *s <= at);
+    let first = after.saturating_sub(taps / 2).min(nodes.len() - taps);
+    (first..first + taps).map(move |i| {
+        let others = (first..first + taps).filter(|j| *j != i);
+        (i, others.map(|j| (at - nodes[j]) / (nodes[i] - nodes[j])).product())
+    })
+}

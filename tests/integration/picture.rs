@@ -1,0 +1,175 @@
+//! Whole pictures: planned against everything, fast against the reference, and stated outcomes for extreme scenes.
+
+use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
+use isoplanat::imaging::files::read_linear;
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
+use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render_halves};
+use isoplanat::imaging::picture::plan::{PicturePlan, Wish, plan};
+use isoplanat::imaging::picture::render::render;
+use isoplanat::imaging::picture::settings::Settings;
+use isoplanat::imaging::plan::frame_of;
+use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::{Plane, Region, slope_per_mm};
+use isoplanat::lens::{Lens, builtin};
+use isoplanat::testing::shared;
+use ndarray::Array3;
+
+/// `texture` before a part of a lens's frame, a texel a pixel in its middle; the part's middle lies at `at` of the way from
+/// the axis to the corner.
+fn case(name: &str, [columns, rows]: [usize; 2], at: f64, texture: Array3<f32>) -> (Lens, Frame, Plane) {
+    let lens = builtin::lens(name).expect("shipped");
+    let frame = frame_of(&lens).expect("valid");
+    let toward = |axis: f64, n: usize| at * if axis < 0.5 * n as f64 { n as f64 - axis } else { -axis };
+    let middle = [toward(frame.axis_px[0], frame.columns), toward(frame.axis_px[1], frame.rows)];
+    let axis = [0.5 * columns as f64 - middle[0], 0.5 * rows as f64 - middle[1]];
+    let frame = Frame::centred(columns, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
+    let v = lens.object_vergence;
+    let most = slope_at_height(&lens, v, 1.02 * frame.max_radius_mm()).expect("reaches");
+    let distortion = fit_distortion(&lens, v, most).expect("fits");
+    let per_pixel = slope_per_mm(&distortion, middle[0].hypot(middle[1]) * frame.pitch_mm) * frame.pitch_mm;
+    let (_, h, w) = texture.dim();
+    let axis_texel = [0.5 * w as f64 - middle[0], 0.5 * h as f64 - middle[1]];
+    (lens, frame, Plane { texture, texels_per_slope: 1.0 / per_pixel, axis_texel, vergence: v })
+}
+
+fn density() -> SpectralDensity {
+    SpectralDensity::new(&Sensor::generic())
+}
+
+fn planned<'a>(lens: &Lens, frame: &Frame, scene: &'a Plane, wish: Wish) -> PicturePlan<'a> {
+    plan(lens, scene, frame, &density(), None, wish, true).expect("plans")
+}
+
+fn rms(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
+    (a.iter().zip(b).map(|(a, b)| f64::from(a - b).powi(2)).sum::<f64>() / a.len() as f64).sqrt()
+}
+
+/// What is left out changes the picture by no more than the plan says.
+#[test]
+fn planned_pictures_are_within_their_bounds() {
+    let size = [128, 96];
+    let street = || generate(SceneKind::Facades, 3, 96, 128);
+    let green = street();
+    let grey = Array3::from_shape_fn(green.dim(), |(_, i, j)| green[[1, i, j]]);
+    let corner = Array3::from_shape_fn(green.dim(), |(c, i, j)| if i < 20 && j < 24 { green[[c, i, j]] } else { 0.0 });
+    let red = Array3::from_shape_fn(green.dim(), |(c, i, j)| if c == 0 { green[[0, i, j]] } else { 0.0 });
+    for (what, lens, at, texture) in [
+        ("single depth", "two_element", 0.5, street()),
+        ("grey", "two_element", 0.5, grey),
+        ("red alone", "cooke_triplet", 0.5, red),
+        ("one lit corner", "two_element", 0.6, corner),
+        ("in focus", "phone", 0.3, street()),
+        ("small central field", "cooke_triplet", 0.0, street()),
+    ] {
+        let (lens, frame, scene) = case(lens, size, at, texture);
+        let everything = render::<f32>(&planned(&lens, &frame, &scene, Wish::Everything), &|_| ());
+        let plan = planned(&lens, &frame, &scene, Wish::Psnr(45.0));
+        let picture = render::<f32>(&plan, &|_| ());
+        let (found, bound) = (rms(&picture.image, &everything.image), plan.skips.iter().map(|s| s.bound).sum::<f64>());
+        let left: Vec<&str> = plan.skips.iter().map(|s| s.what).collect();
+        eprintln!("{what}: {found:.1e} rms, bound {bound:.1e}; {left:?}");
+        assert!(plan.holds && found <= bound, "{what}: {found:e} {bound:e}");
+        assert!(found < 10f64.powf(-45.0 / 20.0), "{what}: {found:e} is not 45 dB");
+        assert!(plan.skips.iter().all(|s| (0.0..=30.0).contains(&s.remaining)), "{what}: {:?}", plan.skips);
+        let told = |what: &str| left.contains(&what);
+        match what {
+            "grey" => assert!(told("colours of the scene")),
+            "red alone" => assert!(told("dark channels") && picture.image.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)),
+            "one lit corner" => assert!(told("unlit part of the frame") || told("unlit blocks")),
+            _ => {}
+        }
+    }
+}
+
+/// 50 dB and energy within 1e-3 of rays from the sensor, on a photograph.
+#[test]
+fn the_finest_pictures_agree_with_the_reference() {
+    let Some(path) = shared("data/photos/eval/05.png") else { return };
+    let photo = read_linear(&path).expect("a photograph");
+    for name in ["two_element", "cooke_triplet", "phone"] {
+        let (lens, frame, scene) = case(name, [96, 64], 0.6, photo.clone());
+        let picture = render::<f32>(&planned(&lens, &frame, &scene, Wish::Settings(Settings::FINE)), &|_| ());
+        let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+        let how = Rays { samples: 2048, seed: 3, channels: Channels::All, sampling: Sampling::Bounded };
+        let halves = render_halves(&lens, &scene, &density(), &frame, whole, how, None).expect("renders");
+        let agreement = psnr_against_halves(picture.image.view(), &halves);
+        let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
+        let energy = f64::from(picture.image.sum()) / f64::from(mean.sum()) - 1.0;
+        eprintln!("{name}: {:.1} dB {:?}, energy {energy:+.1e}", agreement.psnr_db, agreement.psnr_db_interval);
+        assert!(agreement.psnr_db >= 50.0, "{name}: {agreement:?}");
+        assert!(energy.abs() < 1e-3, "{name}: energy {energy:e}");
+    }
+}
+
+/// Frames of one pixel and one row, kernels larger than the picture: parts of the larger picture.
+#[test]
+fn small_frames_are_parts_of_large_ones() {
+    let texture = generate(SceneKind::Facades, 3, 96, 128);
+    let (lens, frame, scene) = case("two_element", [96, 64], 0.9, texture);
+    let settings = Settings { samples: 1, wavelengths: 3, dense: 500, node_error: 0.02, ..Settings::FINE };
+    let large = render::<f64>(&planned(&lens, &frame, &scene, Wish::Settings(settings)), &|_| ()).image;
+    for [row, col, rows, cols] in [[20, 30, 1, 1], [63, 0, 1, 96], [0, 95, 64, 1], [10, 10, 7, 5]] {
+        let axis = [frame.axis_px[0] - col as f64, frame.axis_px[1] - row as f64];
+        let part = Frame::centred(cols, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
+        let most = slope_at_height(&lens, scene.vergence, 1.02 * frame.max_radius_mm()).expect("reaches");
+        let plan = plan(&lens, &scene, &part, &density(), Some(most), Wish::Settings(settings), false).expect("plans");
+        assert!(2 * plan.half_width + 1 > rows, "the kernel is larger than the picture");
+        let small = render::<f64>(&plan, &|_| ()).image;
+        for ((c, i, j), v) in small.indexed_iter() {
+            let whole = large[[c, row + i, col + j]];
+            assert!((v - whole).abs() < 5e-3 * whole.max(0.05), "{rows} × {cols} at {i},{j}: {v} {whole}");
+        }
+    }
+}
+
+/// Radiances that are no numbers are refused by name; negative and huge ones are rendered linearly.
+#[test]
+fn extreme_radiances_have_stated_outcomes() {
+    let (lens, frame, mut scene) = case("cooke_triplet", [40, 30], 0.4, generate(SceneKind::Facades, 1, 60, 80));
+    let settings = Settings { samples: 2, wavelengths: 3, dense: 200, ..Settings::FINE };
+    let plain = render::<f32>(&planned(&lens, &frame, &scene, Wish::Settings(settings)), &|_| ()).image;
+    for scale in [-1.0f32, 1e6] {
+        let mut scaled = scene.clone();
+        scaled.texture.mapv_inplace(|v| v * scale);
+        let image = render::<f32>(&planned(&lens, &frame, &scaled, Wish::Settings(settings)), &|_| ()).image;
+        assert!(image.iter().zip(&plain).all(|(a, b)| (a - b * scale).abs() <= 1e-5 * scale.abs()), "{scale}");
+    }
+    for bad in [f32::NAN, f32::INFINITY] {
+        scene.texture[[2, 7, 9]] = bad;
+        let error = plan(&lens, &scene, &frame, &density(), None, Wish::Psnr(40.0), false).err().expect("refused");
+        let text = error.to_string();
+        assert!(error.exit_code() == 2 && text.contains("channel 2, row 7, column 9"), "{text}");
+    }
+}
+
+/// No light, an object at the lens, a frame beyond the image: a black picture, a picture or an error, never a panic.
+#[test]
+fn extreme_places_have_stated_outcomes() {
+    let (lens, frame, scene) = case("two_element", [24, 16], 0.4, generate(SceneKind::Facades, 1, 30, 40));
+    let dark = Plane { texture: Array3::zeros((3, 4, 4)), ..scene.clone() };
+    let black = planned(&lens, &frame, &dark, Wish::Psnr(50.0));
+    assert!(black.region.is_none());
+    assert!(render::<f32>(&black, &|_| ()).image.iter().all(|v| *v == 0.0));
+    // One lit texel far outside the frame: nothing lands.
+    let mut far = Plane { texture: Array3::zeros((1, 3, 3)), axis_texel: [-1e6, 0.0], ..scene.clone() };
+    far.texture[[0, 1, 1]] = 1.0;
+    assert!(render::<f32>(&planned(&lens, &frame, &far, Wish::Psnr(50.0)), &|_| ()).image.iter().all(|v| *v == 0.0));
+    for vergence in [0.0, 1.0 / 20.0, 1.0, 1e6] {
+        let near = Plane { vergence, ..scene.clone() };
+        let settings = Settings { samples: 1, wavelengths: 3, dense: 200, max_half_width: 40, ..Settings::FINE };
+        match plan(&lens, &near, &frame, &density(), None, Wish::Settings(settings), false) {
+            Ok(plan) => {
+                let image = render::<f32>(&plan, &|_| ()).image;
+                assert!(image.iter().all(|v| v.is_finite()), "{vergence}");
+            }
+            Err(error) => assert_eq!(error.exit_code(), 2, "{vergence}: {error}"),
+        }
+    }
+    for vergence in [f64::NAN, f64::INFINITY, -1.0] {
+        let bad = Plane { vergence, ..scene.clone() };
+        assert!(plan(&lens, &bad, &frame, &density(), None, Wish::Psnr(40.0), false).is_err());
+    }
+}
