@@ -2,6 +2,7 @@
 //!
 //! Images are `ndarray::Array3` `[channel, row, col]`, linear light, channel 0 = R, 1 = G, 2 = B.
 
+pub mod blur;
 pub mod cfa;
 pub mod color;
 pub mod convolve;

@@ -2,3 +2,5 @@
 
 pub mod fft;
 pub mod least_squares;
+pub mod panel_fft;
+pub mod wide;

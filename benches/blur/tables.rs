@@ -1,0 +1,133 @@
+//! The tables of `benches/results/blur.md`: every figure is the best of many runs.
+
+use std::fmt::Write;
+use std::time::Instant;
+
+use isoplanat::imaging::blur::cost::Task;
+use isoplanat::imaging::blur::eigen::EigenKernels;
+use isoplanat::imaging::blur::{Method, blur, blur_kernels_vjp, blur_low_rank};
+
+use crate::cases::{Case, pool};
+
+/// Seconds of the fastest of `runs`.
+fn best(runs: u32, mut work: impl FnMut()) -> f64 {
+    (0..runs)
+        .map(|_| {
+            let start = Instant::now();
+            work();
+            start.elapsed().as_secs_f64()
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+fn forward(case: &Case, method: Method) -> f64 {
+    best(7, || {
+        let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
+        assert!(y[[0, 5, 5]].is_finite());
+    })
+}
+
+pub(crate) fn print() {
+    let mut text = String::new();
+    pool(2).install(|| {
+        frame(&mut text);
+        choice(&mut text);
+    });
+    print!("{text}");
+    std::fs::write("benches/results/blur_tables.md", text).expect("writable");
+}
+
+fn frame(text: &mut String) {
+    let case = Case::new(1024, 128, 65);
+    let bar = case.bar();
+    let line = "1024 × 1024 RGB, 9 × 9 nodes 128 pixels apart, 65 × 65 kernels, f32, two threads:\n\n\
+                | block | forward, ms | Mpixel/s | forward + kernel gradient, ms | Mpixel/s | ratio |\n\
+                |---|---|---|---|---|---|";
+    writeln!(text, "{line}").expect("a string");
+    for block in [32, 64, 96, 128] {
+        let ahead = forward(&case, Method::Cells { block });
+        let both = ahead
+            + best(5, || {
+                let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, block, bar.view());
+                assert!(k[[0, 0, 0, 1, 1]].is_finite());
+            });
+        let rate = |s: f64| case.megapixels() / s;
+        let (ms, ms_both) = (ahead * 1e3, both * 1e3);
+        writeln!(
+            text,
+            "| {block} | {ms:.0} | {:.1} | {ms_both:.0} | {:.1} | {:.2} |",
+            rate(ahead),
+            rate(both),
+            both / ahead
+        )
+        .expect("a string");
+    }
+    writeln!(text, "\nEigen-PSFs on the same frame:\n\n| tolerance | components | largest error | decomposition, ms | block | blur, ms |\n|---|---|---|---|---|---|")
+        .expect("a string");
+    for tolerance in [1e-2, 1e-3] {
+        let start = Instant::now();
+        let eigen = EigenKernels::new(&case.grid, &case.kernels(), usize::MAX, tolerance);
+        let made = start.elapsed().as_secs_f64() * 1e3;
+        for block in [192, 320] {
+            let ms = 1e3
+                * best(3, || {
+                    let y = blur_low_rank(&case.grid, &eigen, &case.source(), case.region, block, &|_| {});
+                    assert!(y[[0, 5, 5]].is_finite());
+                });
+            writeln!(
+                text,
+                "| {tolerance:.0e} | {:?} | {:.1e} | {made:.0} | {block} | {ms:.0} |",
+                eigen.ranks(),
+                eigen.error
+            )
+            .expect("a string");
+        }
+    }
+}
+
+/// The cost model's choice against the best of all it considers.
+fn choice(text: &mut String) {
+    writeln!(text, "\nThe cost model's choice, 512 × 512 RGB, two threads:\n\n| kernel | spacing | choice | ms | best | ms | estimate, ms on one core |\n|---|---|---|---|---|---|---|")
+        .expect("a string");
+    for (size, spacing) in [(5, 64), (9, 64), (15, 64), (31, 64), (65, 64), (65, 256), (129, 128), (257, 128)] {
+        let case = Case::new(512, spacing, size);
+        let task = Task { grid: &case.grid, region: case.region, size, channels: 3, source_channels: 3, phases: 1 };
+        let chosen = task.cheapest(None);
+        let run = |method: Method| {
+            best(3, || {
+                let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
+                assert!(y[[0, 5, 5]].is_finite());
+            })
+        };
+        let mut all: Vec<Method> =
+            [16, 32, 48, 64, 96, 128, 192, 256].iter().map(|b| Method::Cells { block: *b }).collect();
+        all.retain(|m| matches!(m, Method::Cells { block } if *block <= spacing));
+        if size <= 31 {
+            all.push(Method::Direct);
+        }
+        let (fastest, seconds) =
+            all.into_iter().map(|m| (m, run(m))).min_by(|a, b| a.1.total_cmp(&b.1)).expect("methods");
+        let estimate = task.cost(chosen, 0) * 1e-6;
+        writeln!(
+            text,
+            "| {size} | {spacing} | {chosen:?} | {:.1} | {fastest:?} | {:.1} | {estimate:.1} |",
+            run(chosen) * 1e3,
+            seconds * 1e3
+        )
+        .expect("a string");
+    }
+}
+
+/// Inputs and results as `.npy` files for `tests/peers/blur_torch.py`.
+pub(crate) fn export(folder: &str) {
+    let case = Case::new(1024, 128, 65);
+    let write = |name: &str| format!("{folder}/{name}.npy");
+    let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, Method::Cells { block: 64 }, &|_| {});
+    let bar = case.bar();
+    let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, 64, bar.view());
+    ndarray_npy::write_npy(write("kernels"), &case.kernels).expect("writable");
+    ndarray_npy::write_npy(write("source"), &case.planes).expect("writable");
+    ndarray_npy::write_npy(write("image"), &y).expect("writable");
+    ndarray_npy::write_npy(write("bar"), &bar).expect("writable");
+    ndarray_npy::write_npy(write("kernels_bar"), &k).expect("writable");
+}
