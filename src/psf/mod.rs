@@ -7,8 +7,11 @@
 
 pub mod chief;
 mod clip;
+mod fit;
 pub mod grid;
 pub mod pupil;
 pub mod splat;
+#[cfg(test)]
+mod tests;
 
 pub use grid::{PsfGrid, PsfPlan};
