@@ -6,12 +6,13 @@
 //! (four fifths of the rise within one spacing) the error of a cut beam's area is least: a narrower edge counts points, a
 //! wider one blunts the edge. The width is the same wherever the aperture stands and however small the beam is there.
 
-use super::pupil::{PupilSampling, add, dense, pull};
+use super::fit::{Fit, Of};
+use super::pupil::PupilSampling;
 
 /// Width of the edge in spacings of the dense points.
 const WIDTH: f64 = 1.5;
 
-/// One aperture that clips: heights of the dense rays, and their derivatives over the unit stop.
+/// One aperture that clips: heights of the dense rays of the half `x > 0`, and their derivatives over the unit stop.
 #[derive(Clone, Debug)]
 pub(super) struct Clip {
     /// The aperture's surface.
@@ -64,15 +65,10 @@ impl Clip {
             return None;
         }
         let (odd, even) = (&sampling.odd, &sampling.even);
-        let jacobian = [dense(&odd[1], x), dense(&odd[2], x), dense(&even[1], y), dense(&even[2], y)];
-        let clip = Self {
-            surface,
-            radius,
-            width: WIDTH * sampling.spacing,
-            x: dense(&odd[0], x),
-            y: dense(&even[0], y),
-            jacobian,
-        };
+        let (cx, cy) = (odd.coefficients(x), even.coefficients(y));
+        let (x, y) = (odd.dense(Of::Value, &cx), even.dense(Of::Value, &cy));
+        let jacobian = [odd.dense(Of::X, &cx), odd.dense(Of::Y, &cx), even.dense(Of::X, &cy), even.dense(Of::Y, &cy)];
+        let clip = Self { surface, radius, width: WIDTH * sampling.spacing, x, y, jacobian };
         (0..clip.x.len()).any(|q| clip.share(q) < 1.0).then_some(clip)
     }
 
@@ -87,8 +83,9 @@ impl Clip {
         t.is_finite().then_some((r, gradient, size, t))
     }
 
-    /// Share of light of dense ray `q`, 0 to 1.
+    /// Share of light of dense ray `q`, 0 to 1; those of the mirrored half follow on those of the half.
     pub(super) fn share(&self, q: usize) -> f64 {
+        let q = if q < self.x.len() { q } else { q - self.x.len() };
         let hard = || f64::from(u8::from(self.x[q].hypot(self.y[q]) <= self.radius));
         self.edge(q).map_or_else(hard, |(.., t)| ramp(t).0)
     }
@@ -113,29 +110,32 @@ impl Clip {
         })
     }
 
-    /// Pulls cotangents on the shares back to the heights at the nodes; returns that of the semi-diameter as well.
+    /// Pulls cotangents on the shares (of the half, or of both halves) back to the heights at the nodes; returns that
+    /// of the semi-diameter as well.
     pub(super) fn share_vjp(&self, sampling: &PupilSampling, share_bar: &[f64]) -> (ClipBar, f64) {
         let mut radius = 0.0;
-        let mut bars: [Vec<f64>; 6] = std::array::from_fn(|_| vec![0.0; share_bar.len()]);
+        let half = self.x.len();
+        let mut bars: [Vec<f64>; 6] = std::array::from_fn(|_| vec![0.0; half]);
         for (q, bar) in share_bar.iter().enumerate() {
             if *bar == 0.0 {
                 continue;
             }
+            let q = if q < half { q } else { q - half };
             if let Some(s) = self.share_slope(q) {
                 radius += bar * s.radius;
                 let all = [s.x, s.y, s.jacobian[0], s.jacobian[1], s.jacobian[2], s.jacobian[3]];
-                all.iter().zip(&mut bars).for_each(|(by, column)| column[q] = bar * by);
+                all.iter().zip(&mut bars).for_each(|(by, column)| column[q] += bar * by);
             }
         }
-        let gather = |operators: [&ndarray::Array2<f64>; 3], [value, first, second]: [&[f64]; 3]| {
-            let mut sum = pull(operators[0], value);
-            add(&mut sum, &pull(operators[1], first));
-            add(&mut sum, &pull(operators[2], second));
-            sum
+        let back = |fit: &Fit, [value, first, second]: [&[f64]; 3]| {
+            let mut sum = fit.no_bar();
+            fit.pull(Of::Value, value, &mut sum);
+            fit.pull(Of::X, first, &mut sum);
+            fit.pull(Of::Y, second, &mut sum);
+            fit.coefficients_vjp(&sum)
         };
-        let (odd, even) = (&sampling.odd, &sampling.even);
-        let x = gather([&odd[0], &odd[1], &odd[2]], [&bars[0], &bars[2], &bars[3]]);
-        let y = gather([&even[0], &even[1], &even[2]], [&bars[1], &bars[4], &bars[5]]);
+        let x = back(&sampling.odd, [&bars[0], &bars[2], &bars[3]]);
+        let y = back(&sampling.even, [&bars[1], &bars[4], &bars[5]]);
         (ClipBar { x, y }, radius)
     }
 }

@@ -6,10 +6,13 @@
 //! `kernel_c = Σ_λ w_cλ K_λ / T_c`, `T_c = Σ_λ w_cλ Σ_q W_q` with the étendue weights of [`super::pupil`].
 //! Kernels are not renormalised for what falls outside the window; that share is reported.
 
+use std::borrow::Cow;
+
 use glam::DVec2;
-use ndarray::{Array2, Array4, ArrayView3, Axis};
+use ndarray::{Array2, Array4, ArrayView2, ArrayView3, Axis};
 use rayon::prelude::*;
 
+use super::fit::dot;
 use super::pupil::{PupilMap, PupilSampling};
 use super::splat::{splat, splat_vjp};
 use crate::lens::{Lens, LensGradient};
@@ -46,11 +49,11 @@ pub struct PsfNode {
 /// Kernels and throughputs of all nodes at one depth.
 #[derive(Clone, Debug)]
 pub struct PsfGrid {
-    /// `[node, channel, row, col]`; each sums to one less what fell outside.
+    /// `[node, channel, row, col]`; each sums to one less what fell outside, or is 0 where the throughput is.
     pub kernels: Array4<f64>,
     /// Étendue per unit object slope squared, `[radius, channel]`, mm².
     pub throughput: Array2<f64>,
-    /// Share of the energy outside the window, `[node, channel]`.
+    /// Share of the energy outside the window, `[node, channel]`; 0 where there is none.
     pub outside: Array2<f64>,
     /// Smallest traced fraction of the stop's radius over all maps (1 unless rays fail).
     pub kept: f64,
@@ -88,7 +91,11 @@ impl PsfGrid {
             .par_iter()
             .map(|slope| {
                 let field = FieldPoint { slope: DVec2::new(0.0, *slope), vergence };
-                systems.iter().map(|s| PupilMap::compute(s, pupil, &plan.sampling, field)).collect()
+                let mut row: Vec<PupilMap> = Vec::with_capacity(systems.len());
+                for s in &systems {
+                    row.push(PupilMap::compute_near(s, pupil, &plan.sampling, field, row.last())?);
+                }
+                Ok(row)
             })
             .collect::<Result<Vec<Vec<PupilMap>>, Failure>>()?;
         let channels = plan.weight.len();
@@ -104,27 +111,32 @@ impl PsfGrid {
         let size = plan.size;
         let mut kernels = Array4::zeros((nodes.len(), channels, size, size));
         let mut outside = Array2::zeros((nodes.len(), channels));
-        kernels.axis_iter_mut(Axis(0)).into_par_iter().zip(outside.axis_iter_mut(Axis(0))).zip(nodes).for_each(
-            |((mut kernel, mut lost), node)| {
-                for (l, map) in maps[node.radius].iter().enumerate() {
-                    if plan.weight.iter().all(|w| w[l] < NEGLIGIBLE) {
+        let work = kernels.axis_iter_mut(Axis(0)).into_par_iter().zip(outside.axis_iter_mut(Axis(0))).zip(nodes);
+        work.for_each_init(Vec::new, |mono: &mut Vec<f64>, ((mut kernel, mut lost), node)| {
+            let place = Placement::new(plan, node, radii_mm[node.radius]);
+            for (l, map) in maps[node.radius].iter().enumerate() {
+                let fed = fed(plan, &throughput, node.radius, l);
+                if let [(c, scale)] = fed[..] {
+                    // One channel: straight into its kernel.
+                    let mut k = kernel.index_axis_mut(Axis(0), c);
+                    if let Some(k) = k.as_slice_mut() {
+                        lost[c] += place.splat(map, scale, k, size);
                         continue;
                     }
-                    let mut mono = vec![0.0; size * size];
-                    let mut missed = 0.0;
-                    for q in 0..map.x.len() {
-                        let u = pixel(plan, node, map.x[q], map.y[q] - radii_mm[node.radius]);
-                        missed += splat(&mut mono, size, u, map.weight[q]);
-                    }
-                    for c in 0..channels {
-                        let w = plan.weight[c][l] / throughput[[node.radius, c]];
-                        lost[c] += w * missed;
-                        let mut k = kernel.index_axis_mut(Axis(0), c);
-                        k.iter_mut().zip(&mono).for_each(|(a, b)| *a += w * b);
-                    }
                 }
-            },
-        );
+                if fed.is_empty() {
+                    continue;
+                }
+                mono.clear();
+                mono.resize(size * size, 0.0);
+                let missed = place.splat(map, 1.0, mono, size);
+                for (c, scale) in fed {
+                    lost[c] += scale * missed;
+                    let mut k = kernel.index_axis_mut(Axis(0), c);
+                    k.iter_mut().zip(&*mono).for_each(|(a, b)| *a += scale * b);
+                }
+            }
+        });
         let all = || maps.iter().flatten();
         let mut clipping: Vec<usize> = all().flat_map(PupilMap::clipping).collect();
         clipping.sort_unstable();
@@ -149,63 +161,60 @@ impl PsfGrid {
     ) -> GridBar {
         let channels = plan.weight.len();
         // kernel = A/T: T̄ −= Σ k̄·k / T, per radius.
+        let dots: Vec<Vec<f64>> = (0..nodes.len())
+            .into_par_iter()
+            .map(|n| {
+                let (bars, kernels) = (kernels_bar.index_axis(Axis(0), n), self.kernels.index_axis(Axis(0), n));
+                let pairs = bars.outer_iter().zip(kernels.outer_iter());
+                pairs.map(|(bar, kernel)| dot(&flat(bar), &flat(kernel))).collect()
+            })
+            .collect();
         let mut t_bar = throughput_bar.clone();
+        let mut nodes_of: Vec<Vec<usize>> = vec![Vec::new(); slopes.len()];
         for (n, node) in nodes.iter().enumerate() {
+            nodes_of[node.radius].push(n);
             for c in 0..channels {
-                let dot: f64 = kernels_bar
-                    .index_axis(Axis(0), n)
-                    .index_axis(Axis(0), c)
-                    .iter()
-                    .zip(self.kernels.index_axis(Axis(0), n).index_axis(Axis(0), c))
-                    .map(|(a, b)| a * b)
-                    .sum();
-                t_bar[[node.radius, c]] -= dot / self.throughput[[node.radius, c]];
+                let t = self.throughput[[node.radius, c]];
+                if t > 0.0 {
+                    t_bar[[node.radius, c]] -= dots[n][c] / t;
+                }
             }
         }
         let systems: Vec<System> = plan.wavelength_nm.iter().map(|nm| System::new(lens, *nm)).collect();
-        let parts: Vec<(LensGradient, f64, f64)> = (0..slopes.len())
+        let parts: Vec<(LensGradient, f64, f64)> = (0..slopes.len() * systems.len())
             .into_par_iter()
-            .map(|i| {
+            .map(|task| {
+                let (i, l) = (task / systems.len(), task % systems.len());
                 let field = FieldPoint { slope: DVec2::new(0.0, slopes[i]), vergence };
                 let mut gradient = LensGradient::zeros(lens);
-                let (mut slope_bar, mut radius_bar) = (0.0, 0.0);
-                for (l, map) in self.maps[i].iter().enumerate() {
-                    let weights: Vec<f64> = (0..channels).map(|c| plan.weight[c][l]).collect();
-                    let system = &systems[l];
-                    let count = map.x.len();
-                    let direct: f64 = (0..channels).map(|c| weights[c] * t_bar[[i, c]]).sum();
-                    let (mut x_bar, mut y_bar) = (vec![0.0; count], vec![0.0; count]);
-                    let mut w_bar = vec![direct; count];
-                    for (n, node) in nodes.iter().enumerate().filter(|(_, node)| node.radius == i) {
-                        let scales: Vec<f64> = (0..channels).map(|c| weights[c] / self.throughput[[i, c]]).collect();
-                        let mono_bar = mixed(kernels_bar.index_axis(Axis(0), n), &scales);
-                        for q in 0..count {
-                            let u = pixel(plan, node, map.x[q], map.y[q] - radii_mm[i]);
-                            let (u_bar, weight_bar) = splat_vjp(&mono_bar, plan.size, u, map.weight[q]);
-                            let (dx, dy) = pixel_vjp(plan, node, u_bar);
-                            x_bar[q] += dx;
-                            y_bar[q] += dy;
-                            radius_bar -= dy;
-                            w_bar[q] += weight_bar;
+                let (map, system) = (&self.maps[i][l], &systems[l]);
+                let direct: f64 = (0..channels).map(|c| plan.weight[c][l] * t_bar[[i, c]]).sum();
+                let mut bar = MapBar::new(map.x.len(), direct);
+                let fed = fed(plan, &self.throughput, i, l);
+                for n in &nodes_of[i] {
+                    let place = Placement::new(plan, &nodes[*n], radii_mm[i]);
+                    let bars = kernels_bar.index_axis(Axis(0), *n);
+                    match fed[..] {
+                        [] => {}
+                        [(c, scale)] => {
+                            place.splat_vjp(map, scale, &flat(bars.index_axis(Axis(0), c)), plan.size, &mut bar);
                         }
+                        _ => place.splat_vjp(map, 1.0, &mixed(bars, &fed), plan.size, &mut bar),
                     }
-                    let mut out = SystemGradient::zeros(system);
-                    slope_bar += map.vjp(system, &plan.sampling, field, &x_bar, &y_bar, &w_bar, &mut out);
-                    out.add_to(lens, plan.wavelength_nm[l], &mut gradient);
                 }
-                (gradient, slope_bar, radius_bar)
+                let mut out = SystemGradient::zeros(system);
+                let slope_bar = map.vjp(system, &plan.sampling, field, &bar.x, &bar.y, &bar.weight, &mut out);
+                out.add_to(lens, plan.wavelength_nm[l], &mut gradient);
+                (gradient, slope_bar, bar.radius_mm)
             })
             .collect();
-        // Summed in the order of the radii, whatever the thread count.
-        let mut bar = GridBar {
-            lens: LensGradient::zeros(lens),
-            slopes: Vec::with_capacity(slopes.len()),
-            radii_mm: Vec::with_capacity(slopes.len()),
-        };
-        for (g, s, r) in &parts {
+        // Summed in the order of radii and wavelengths, whatever the thread count.
+        let none = vec![0.0; slopes.len()];
+        let mut bar = GridBar { lens: LensGradient::zeros(lens), slopes: none.clone(), radii_mm: none };
+        for (task, (g, s, r)) in parts.iter().enumerate() {
             bar.lens.add(g);
-            bar.slopes.push(*s);
-            bar.radii_mm.push(*r);
+            bar.slopes[task / systems.len()] += s;
+            bar.radii_mm[task / systems.len()] += r;
         }
         bar
     }
@@ -239,25 +248,81 @@ impl PsfGrid {
     }
 }
 
-/// Pixels `(column, row)` from the kernel's centre of a meridional offset `(x, y)` mm at `node`.
-#[inline]
-fn pixel(plan: &PsfPlan, node: &PsfNode, x: f64, y: f64) -> [f64; 2] {
-    let [c, r] = node.outward;
-    let (x, y) = (x / plan.pitch_mm, y / plan.pitch_mm);
-    [y * c - x * r, y * r + x * c]
+/// Channels that wavelength `l` feeds at a radius, each with its weight over the channel's throughput; none where all
+/// weights are negligible or where no light comes.
+fn fed(plan: &PsfPlan, throughput: &Array2<f64>, radius: usize, l: usize) -> Vec<(usize, f64)> {
+    if plan.weight.iter().all(|w| w[l] < NEGLIGIBLE) {
+        return Vec::new();
+    }
+    let scale = |(c, w): (usize, &Vec<f64>)| (c, w[l] / throughput[[radius, c]]);
+    plan.weight.iter().enumerate().map(scale).filter(|(_, s)| *s != 0.0 && s.is_finite()).collect()
 }
 
-#[inline]
-fn pixel_vjp(plan: &PsfPlan, node: &PsfNode, u_bar: [f64; 2]) -> (f64, f64) {
-    let [c, r] = node.outward;
-    ((u_bar[1] * c - u_bar[0] * r) / plan.pitch_mm, (u_bar[0] * c + u_bar[1] * r) / plan.pitch_mm)
+/// Cotangents on one map, and on the place its landings are counted from.
+struct MapBar {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    weight: Vec<f64>,
+    radius_mm: f64,
+}
+
+impl MapBar {
+    fn new(count: usize, direct: f64) -> Self {
+        Self { x: vec![0.0; count], y: vec![0.0; count], weight: vec![direct; count], radius_mm: 0.0 }
+    }
+}
+
+/// From meridional landings in mm to pixels `(column, row)` from the kernel's centre at one node.
+#[derive(Clone, Copy)]
+struct Placement {
+    /// `outward` over the pitch, 1/mm.
+    column: f64,
+    row: f64,
+    radius_mm: f64,
+}
+
+impl Placement {
+    fn new(plan: &PsfPlan, node: &PsfNode, radius_mm: f64) -> Self {
+        let [c, r] = node.outward.map(|v| v / plan.pitch_mm);
+        Self { column: c, row: r, radius_mm }
+    }
+
+    #[inline]
+    fn pixel(&self, x: f64, y: f64) -> [f64; 2] {
+        let y = y - self.radius_mm;
+        [y * self.column - x * self.row, y * self.row + x * self.column]
+    }
+
+    /// Adds `scale` times every ray of `map`; returns what fell outside.
+    fn splat(&self, map: &PupilMap, scale: f64, kernel: &mut [f64], size: usize) -> f64 {
+        let rays = map.x.iter().zip(&map.y).zip(&map.weight);
+        rays.map(|((x, y), w)| splat(kernel, size, self.pixel(*x, *y), scale * w)).sum()
+    }
+
+    /// Pulls a cotangent on the kernel back to the rays (added to `bar`).
+    fn splat_vjp(&self, map: &PupilMap, scale: f64, kernel_bar: &[f64], size: usize, bar: &mut MapBar) {
+        let bars = bar.x.iter_mut().zip(&mut bar.y).zip(&mut bar.weight);
+        for (((x, y), w), ((x_bar, y_bar), w_bar)) in map.x.iter().zip(&map.y).zip(&map.weight).zip(bars) {
+            let (u_bar, weight_bar) = splat_vjp(kernel_bar, size, self.pixel(*x, *y), scale * w);
+            let dy = u_bar[0] * self.column + u_bar[1] * self.row;
+            *x_bar += u_bar[1] * self.column - u_bar[0] * self.row;
+            *y_bar += dy;
+            bar.radius_mm -= dy;
+            *w_bar += scale * weight_bar;
+        }
+    }
+}
+
+/// The pixels of a kernel in order.
+fn flat(kernel: ArrayView2<'_, f64>) -> Cow<'_, [f64]> {
+    kernel.to_slice().map_or_else(|| kernel.iter().copied().collect(), Cow::Borrowed)
 }
 
 /// `Σ_c scale_c · bar_c`.
-fn mixed(bars: ArrayView3<'_, f64>, scales: &[f64]) -> Vec<f64> {
+fn mixed(bars: ArrayView3<'_, f64>, fed: &[(usize, f64)]) -> Vec<f64> {
     let mut out = vec![0.0; bars.len_of(Axis(1)) * bars.len_of(Axis(2))];
-    for (bar, s) in bars.axis_iter(Axis(0)).zip(scales) {
-        out.iter_mut().zip(bar.iter()).for_each(|(a, b)| *a += s * b);
+    for (c, scale) in fed {
+        out.iter_mut().zip(bars.index_axis(Axis(0), *c)).for_each(|(a, b)| *a += scale * b);
     }
     out
 }

@@ -9,8 +9,11 @@ pub mod chief;
 mod clip;
 pub mod field_table;
 pub mod fine;
+mod fit;
 pub mod grid;
 pub mod pupil;
 pub mod splat;
+#[cfg(test)]
+mod tests;
 
 pub use grid::{PsfGrid, PsfPlan};

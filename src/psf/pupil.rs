@@ -1,9 +1,9 @@
 //! The map from the real stop to the sensor for one field point and wavelength.
 //!
 //! Rays are aimed at a few nodes of the stop and continued to a dense set by a polynomial over the stop, fitted by
-//! least squares: `x_dense = E x_nodes` with one constant matrix `E`, so the adjoint is `Eᵀ`. The residual at the
-//! nodes is measured and reported. By rotational symmetry the field lies on +y and only the half `x ≥ 0` of the
-//! stop is traced.
+//! least squares (`psf/fit.rs`): constant matrices, so the adjoint is their transpose. The residual at the nodes is
+//! measured and reported. By rotational symmetry the field lies on +y; only the half `x ≥ 0` of the stop is traced and
+//! evaluated, and mirrored at the end.
 //!
 //! A dense ray carries the étendue `N⁴ |∂e/∂(stop)| dA` (see [`crate::trace::launch`]) times the soft edge of every
 //! clear aperture that clips it (`psf/clip.rs`): a C² ramp about one pupil-sample spacing wide, symmetric about
@@ -12,10 +12,9 @@
 //! all survive is kept and the rest counts as lost ([`PupilMap::kept`]).
 
 use glam::{DVec2, DVec3};
-use ndarray::{Array2, ArrayView1};
 
 use super::clip::Clip;
-use crate::math::least_squares::fit_operator;
+use super::fit::{Fit, Of};
 use crate::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use crate::trace::launch::{FieldPoint, launch, launch_vjp};
 use crate::trace::sequential::{Hit, HitBar, trace, trace_vjp};
@@ -28,12 +27,10 @@ pub struct PupilSampling {
     pub(super) nodes: Vec<DVec2>,
     /// Dense points (both halves), equal area.
     pub points: Vec<DVec2>,
-    /// Dense value, `∂/∂x`, `∂/∂y` from node values of a function even in x.
-    pub(super) even: [Array2<f64>; 3],
-    /// The same for a function odd in x.
-    pub(super) odd: [Array2<f64>; 3],
-    /// Node values of the fit from node values (even functions): for the residual.
-    refit: Array2<f64>,
+    /// Functions even in x, from nodes to the first half of the points (`x > 0`).
+    pub(super) even: Fit,
+    /// Functions odd in x.
+    pub(super) odd: Fit,
     /// Spacing of the dense points on the unit stop.
     pub(super) spacing: f64,
 }
@@ -44,6 +41,11 @@ const FRACTIONS: [f64; 6] = [1.0, 0.93, 0.85, 0.75, 0.6, 0.4];
 impl PupilSampling {
     /// A polynomial of `degree` over the stop, evaluated at about `dense` points.
     pub fn new(degree: usize, dense: usize) -> Self {
+        Self::with_points(degree, equal_area_rings(dense))
+    }
+
+    /// A polynomial of `degree` evaluated at `points`, whose second half mirrors the first in x.
+    pub(super) fn with_points(degree: usize, points: Vec<DVec2>) -> Self {
         // Rings at Gauss–Lobatto-like radii (rim included), half-turn azimuths symmetric about y.
         let rings = degree / 2 + 2;
         let azimuths = degree + 2;
@@ -57,18 +59,19 @@ impl PupilSampling {
                 nodes.push(radius * DVec2::new(angle.cos(), angle.sin()));
             }
         }
-        let points = equal_area_rings(dense);
-        let (even_nodes, odd_nodes) = (from_nodes(&nodes, degree, 0), from_nodes(&nodes, degree, 1));
-        let evaluate = |parity: usize, fit: &Array2<f64>| {
-            let [v, x, y] = basis(&points, degree, parity);
-            [v.dot(fit), x.dot(fit), y.dot(fit)]
-        };
-        let even = evaluate(0, &even_nodes);
-        let odd = evaluate(1, &odd_nodes);
-        let refit = basis(&nodes, degree, 0)[0].dot(&even_nodes);
+        let half = &points[..points.len() / 2];
+        let even = Fit::new(&nodes, half, degree, 0);
+        let odd = Fit::new(&nodes, half, degree, 1);
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let spacing = (std::f64::consts::PI / points.len() as f64).sqrt();
-        Self { nodes, points, even, odd, refit, spacing }
+        Self { nodes, points, even, odd, spacing }
+    }
+
+    /// Area of the unit stop that a dense point stands for.
+    fn area(&self) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let count = self.points.len() as f64;
+        std::f64::consts::PI / count
     }
 
     /// Rays traced per field point and wavelength.
@@ -111,39 +114,6 @@ fn equal_area_rings(count: usize) -> Vec<DVec2> {
     points
 }
 
-/// Values and derivatives of the basis `x^p y^q` in Chebyshev form with `p` of the given parity, `p + q ≤ degree`.
-fn basis(points: &[DVec2], degree: usize, parity: usize) -> [Array2<f64>; 3] {
-    let terms: Vec<(usize, usize)> =
-        (parity..=degree).step_by(2).flat_map(|p| (0..=degree - p).map(move |q| (p, q))).collect();
-    let shape = (points.len(), terms.len());
-    let mut out = [Array2::zeros(shape), Array2::zeros(shape), Array2::zeros(shape)];
-    for (i, s) in points.iter().enumerate() {
-        let (tx, dx) = chebyshev(s.x, degree);
-        let (ty, dy) = chebyshev(s.y, degree);
-        for (j, (p, q)) in terms.iter().enumerate() {
-            out[0][[i, j]] = tx[*p] * ty[*q];
-            out[1][[i, j]] = dx[*p] * ty[*q];
-            out[2][[i, j]] = tx[*p] * dy[*q];
-        }
-    }
-    out
-}
-
-/// `T_0..T_degree` at `x` and their derivatives.
-fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
-    let (mut t, mut d) = (vec![1.0, x], vec![0.0, 1.0]);
-    for n in 1..degree.max(1) {
-        t.push(2.0 * x * t[n] - t[n - 1]);
-        d.push(2.0 * t[n] + 2.0 * x * d[n] - d[n - 1]);
-    }
-    (t, d)
-}
-
-/// Least-squares coefficients from node values.
-fn from_nodes(nodes: &[DVec2], degree: usize, parity: usize) -> Array2<f64> {
-    fit_operator(&basis(nodes, degree, parity)[0])
-}
-
 /// Dense landings and weights of one field point on +y and one wavelength.
 #[derive(Clone, Debug)]
 pub struct PupilMap {
@@ -157,11 +127,16 @@ pub struct PupilMap {
     pub kept: f64,
     /// Largest landing residual of the polynomial at its nodes (y component), mm.
     pub residual: f64,
+    // Of the half `x > 0`: the mirrored half has the same.
     /// Dense weights before the soft edges.
     open: Vec<f64>,
     clips: Vec<Clip>,
     nodes: Vec<Node>,
+    /// Points on the first vertex plane.
     e: [Vec<f64>; 2],
+    /// `∂e_x/∂s_x, ∂e_x/∂s_y, ∂e_y/∂s_x, ∂e_y/∂s_y` over the unit stop.
+    jacobian: [Vec<f64>; 4],
+    /// `N⁴` and `−4 N⁶`.
     n4: [Vec<f64>; 2],
 }
 
@@ -180,10 +155,22 @@ impl PupilMap {
         sampling: &PupilSampling,
         field: FieldPoint,
     ) -> Result<Self, Failure> {
+        Self::compute_near(system, pupil, sampling, field, None)
+    }
+
+    /// The same, its rays sought from those of `near`: the map of a neighbouring wavelength.
+    pub(super) fn compute_near(
+        system: &System,
+        pupil: ParaxialPupil,
+        sampling: &PupilSampling,
+        field: FieldPoint,
+        near: Option<&Self>,
+    ) -> Result<Self, Failure> {
         debug_assert!(field.slope.x == 0.0, "the field lies on +y");
         let mut failure = None;
         for kept in FRACTIONS {
-            match trace_nodes(system, pupil, sampling, field, kept) {
+            let near = near.filter(|m| m.kept == kept).map(|m| m.nodes.as_slice());
+            match trace_nodes(system, pupil, sampling, field, kept, near) {
                 Ok(nodes) => return Ok(Self::from_nodes(system, sampling, field, nodes, kept)),
                 Err(f) => failure = failure.or(Some(f)),
             }
@@ -193,27 +180,20 @@ impl PupilMap {
 
     fn from_nodes(system: &System, sampling: &PupilSampling, field: FieldPoint, nodes: Vec<Node>, kept: f64) -> Self {
         let image = system.image();
+        let (odd, even) = (&sampling.odd, &sampling.even);
         let gather = |f: &dyn Fn(&Node) -> f64| nodes.iter().map(f).collect::<Vec<f64>>();
         let at = |surface: usize| (gather(&|n| n.hits[surface].at.point.x), gather(&|n| n.hits[surface].at.point.y));
         let (x_nodes, y_nodes) = at(image);
-        let fitted = sampling.refit.dot(&ArrayView1::from(&y_nodes));
-        let residual = fitted.iter().zip(&y_nodes).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        let x = dense(&sampling.odd[0], &x_nodes);
-        let y = dense(&sampling.even[0], &y_nodes);
+        let (cx, cy) = (odd.coefficients(&x_nodes), even.coefficients(&y_nodes));
+        let residual = even.residual(&cy, &y_nodes);
         // Étendue: N⁴ |∂e/∂stop| dA; N is a function of e and the field alone.
-        let (ex, ey) = (gather(&|n| n.e.x), gather(&|n| n.e.y));
-        let jac = [
-            dense(&sampling.odd[1], &ex),
-            dense(&sampling.odd[2], &ex),
-            dense(&sampling.even[1], &ey),
-            dense(&sampling.even[2], &ey),
-        ];
-        let e = [dense(&sampling.odd[0], &ex), dense(&sampling.even[0], &ey)];
+        let (ex, ey) = (odd.coefficients(&gather(&|n| n.e.x)), even.coefficients(&gather(&|n| n.e.y)));
+        let jacobian = [odd.dense(Of::X, &ex), odd.dense(Of::Y, &ex), even.dense(Of::X, &ey), even.dense(Of::Y, &ey)];
+        let e = [odd.dense(Of::Value, &ex), even.dense(Of::Value, &ey)];
         let n4 = cosines(field, &e);
-        #[expect(clippy::cast_precision_loss, reason = "small counts")]
-        let area = std::f64::consts::PI / sampling.points.len() as f64;
-        let open: Vec<f64> =
-            (0..x.len()).map(|q| area * n4[0][q] * (jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q])).collect();
+        let [a, b, c, d] = &jacobian;
+        let area = sampling.area();
+        let open: Vec<f64> = (0..n4[0].len()).map(|q| area * n4[0][q] * (a[q] * d[q] - b[q] * c[q])).collect();
         // Apertures that any node comes near.
         let mut weight = open.clone();
         let mut clips = Vec::new();
@@ -226,8 +206,9 @@ impl PupilMap {
             weight.iter_mut().enumerate().for_each(|(q, w)| *w *= clip.share(q));
             clips.push(clip);
         }
-        let n4 = [n4[0].clone(), n4[1].clone()];
-        Self { x, y, weight, kept, residual, open, clips, nodes, e, n4 }
+        let x = mirrored(odd.dense(Of::Value, &cx), -1.0);
+        let y = mirrored(even.dense(Of::Value, &cy), 1.0);
+        Self { x, y, weight: mirrored(weight, 1.0), kept, residual, open, clips, nodes, e, jacobian, n4 }
     }
 
     /// Apertures that clip this beam, by surface.
@@ -247,7 +228,10 @@ impl PupilMap {
         weight_bar: &[f64],
         out: &mut SystemGradient,
     ) -> f64 {
-        let count = self.x.len();
+        let (odd, even) = (&sampling.odd, &sampling.even);
+        let (x_bar, y_bar) = (folded(x_bar, -1.0), folded(y_bar, 1.0));
+        let weight_bar = folded(weight_bar, 1.0);
+        let count = weight_bar.len();
         // Soft edges: weight = open · Π share.
         let shares: Vec<Vec<f64>> = self.clips.iter().map(|c| (0..count).map(|q| c.share(q)).collect()).collect();
         let open_bar: Vec<f64> =
@@ -261,25 +245,18 @@ impl PupilMap {
             bars_at.push((clip.surface, nodes.x, nodes.y));
         }
         // Étendue.
-        #[expect(clippy::cast_precision_loss, reason = "small counts")]
-        let area = std::f64::consts::PI / count as f64;
-        let (ex, ey): (Vec<f64>, Vec<f64>) = self.nodes.iter().map(|n| (n.e.x, n.e.y)).unzip();
-        let jac = [
-            dense(&sampling.odd[1], &ex),
-            dense(&sampling.odd[2], &ex),
-            dense(&sampling.even[1], &ey),
-            dense(&sampling.even[2], &ey),
-        ];
-        let mut jac_bar = [vec![0.0; count], vec![0.0; count], vec![0.0; count], vec![0.0; count]];
+        let area = sampling.area();
+        let [a, b, c, d] = &self.jacobian;
+        let mut jacobian_bar: [Vec<f64>; 4] = std::array::from_fn(|_| vec![0.0; count]);
         let mut e_bar = [vec![0.0; count], vec![0.0; count]];
         let mut slope_bar = 0.0;
         for q in 0..count {
-            let det = jac[0][q] * jac[3][q] - jac[1][q] * jac[2][q];
+            let det = a[q] * d[q] - b[q] * c[q];
             let det_bar = open_bar[q] * area * self.n4[0][q];
-            jac_bar[0][q] = det_bar * jac[3][q];
-            jac_bar[1][q] = -det_bar * jac[2][q];
-            jac_bar[2][q] = -det_bar * jac[1][q];
-            jac_bar[3][q] = det_bar * jac[0][q];
+            jacobian_bar[0][q] = det_bar * d[q];
+            jacobian_bar[1][q] = -det_bar * c[q];
+            jacobian_bar[2][q] = -det_bar * b[q];
+            jacobian_bar[3][q] = det_bar * a[q];
             // N⁴ = (1 + g_x² + g_y²)^{-2} with g = v e + s; ∂N⁴/∂g = −4 g N⁶ = n4[1]·g.
             let n4_bar = open_bar[q] * area * det * self.n4[1][q];
             let gx = field.vergence * self.e[0][q] + field.slope.x;
@@ -290,13 +267,15 @@ impl PupilMap {
         }
         // Back to the nodes.
         let image = system.image();
-        bars_at.push((image, pull(&sampling.odd[0], x_bar), pull(&sampling.even[0], y_bar)));
-        let mut ex_bar = pull(&sampling.odd[0], &e_bar[0]);
-        add(&mut ex_bar, &pull(&sampling.odd[1], &jac_bar[0]));
-        add(&mut ex_bar, &pull(&sampling.odd[2], &jac_bar[1]));
-        let mut ey_bar = pull(&sampling.even[0], &e_bar[1]);
-        add(&mut ey_bar, &pull(&sampling.even[1], &jac_bar[2]));
-        add(&mut ey_bar, &pull(&sampling.even[2], &jac_bar[3]));
+        let back = |fit: &Fit, parts: &[(Of, &[f64])]| {
+            let mut sum = fit.no_bar();
+            parts.iter().for_each(|(of, bar)| fit.pull(*of, bar, &mut sum));
+            fit.coefficients_vjp(&sum)
+        };
+        bars_at.push((image, back(odd, &[(Of::Value, &x_bar)]), back(even, &[(Of::Value, &y_bar)])));
+        let [a, b, c, d] = &jacobian_bar;
+        let ex_bar = back(odd, &[(Of::Value, &e_bar[0]), (Of::X, a), (Of::Y, b)]);
+        let ey_bar = back(even, &[(Of::Value, &e_bar[1]), (Of::X, c), (Of::Y, d)]);
         let mut hit_bars = vec![HitBar::default(); image + 1];
         for (j, node) in self.nodes.iter().enumerate() {
             hit_bars.fill(HitBar::default());
@@ -326,16 +305,18 @@ fn cosines(field: FieldPoint, e: &[Vec<f64>; 2]) -> [Vec<f64>; 2] {
     [n2.iter().map(|v| v * v).collect(), n2.iter().map(|v| -4.0 * v * v * v).collect()]
 }
 
-pub(super) fn dense(operator: &Array2<f64>, nodes: &[f64]) -> Vec<f64> {
-    operator.dot(&ArrayView1::from(nodes)).to_vec()
+/// Values on both halves of the stop from those on the half `x > 0`.
+fn mirrored(mut half: Vec<f64>, sign: f64) -> Vec<f64> {
+    half.extend_from_within(..);
+    let count = half.len() / 2;
+    half[count..].iter_mut().for_each(|v| *v *= sign);
+    half
 }
 
-pub(super) fn pull(operator: &Array2<f64>, bar: &[f64]) -> Vec<f64> {
-    operator.t().dot(&ArrayView1::from(bar)).to_vec()
-}
-
-pub(super) fn add(a: &mut [f64], b: &[f64]) {
-    a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+/// Its transpose.
+fn folded(whole: &[f64], sign: f64) -> Vec<f64> {
+    let (right, left) = whole.split_at(whole.len() / 2);
+    right.iter().zip(left).map(|(a, b)| a + sign * b).collect()
 }
 
 fn trace_nodes(
@@ -344,22 +325,25 @@ fn trace_nodes(
     sampling: &PupilSampling,
     field: FieldPoint,
     kept: f64,
+    near: Option<&[Node]>,
 ) -> Result<Vec<Node>, Failure> {
     let mut hits = Vec::with_capacity(system.surfaces.len());
     let radius = kept * system.stop_semi_diameter;
-    let chief = aim(system, pupil, field, DVec2::ZERO, None, &mut hits)?;
-    sampling
-        .nodes
-        .iter()
-        .map(|s| {
-            let target = *s * radius;
-            // From the chief ray outwards by the paraxial magnification.
-            let start = chief + target * pupil.scale / (1.0 + pupil.z * field.vergence);
-            let e = aim(system, pupil, field, target, Some(start), &mut hits)?;
-            trace(system, launch(field, e), system.image(), &mut hits)?;
-            Ok(Node { target, e, hits: hits.clone() })
-        })
-        .collect()
+    let chief = match near {
+        Some(_) => DVec2::ZERO,
+        None => aim(system, pupil, field, DVec2::ZERO, None, &mut hits)?,
+    };
+    let magnification = pupil.scale / (1.0 + pupil.z * field.vergence);
+    let mut nodes = Vec::with_capacity(sampling.nodes.len());
+    for (j, s) in sampling.nodes.iter().enumerate() {
+        let target = *s * radius;
+        // From the neighbour's ray, or from the chief ray outwards by the paraxial magnification.
+        let start = near.and_then(|n| n.get(j)).map_or_else(|| chief + target * magnification, |n| n.e);
+        let e = aim(system, pupil, field, target, Some(start), &mut hits)?;
+        trace(system, launch(field, e), system.image(), &mut hits)?;
+        nodes.push(Node { target, e, hits: hits.clone() });
+    }
+    Ok(nodes)
 }
 
 #[cfg(test)]

@@ -16,12 +16,39 @@ fn spline(u: f64) -> (isize, [f64; 3], [f64; 3]) {
     (first, [0.5 * a * a, 0.75 - t * t, 0.5 * b * b], [-a, -2.0 * t, b])
 }
 
+/// [`spline`] for `u ≥ 0`, where the nearest pixel is the whole part of `u + 1/2`; at half a pixel, where `round` takes the
+/// other neighbour, both have the same values.
+#[inline]
+fn inner(u: f64) -> (usize, [f64; 3], [f64; 3]) {
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "inside the kernel")]
+    let nearest = (u + 0.5) as i64 as usize;
+    #[expect(clippy::cast_precision_loss, reason = "inside the kernel")]
+    let t = u - nearest as i64 as f64;
+    let (a, b) = (0.5 - t, 0.5 + t);
+    (nearest.wrapping_sub(1), [0.5 * a * a, 0.75 - t * t, 0.5 * b * b], [-a, -2.0 * t, b])
+}
+
 /// Adds one ray of weight `w` at `u` pixels (column, row) from the centre of the `size × size` kernel; returns the
 /// share that fell outside.
 #[inline]
 pub fn splat(kernel: &mut [f64], size: usize, u: [f64; 2], w: f64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "kernel sizes are small")]
     let half = (size / 2) as f64;
+    if u[0].abs() < half - 1.0 && u[1].abs() < half - 1.0 {
+        // All nine pixels are there.
+        let (cx, wx, _) = inner(u[0] + half);
+        let (cy, wy, _) = inner(u[1] + half);
+        let from = cy * size + cx;
+        for (dy, vy) in wy.iter().enumerate() {
+            let v = w * vy;
+            if let Some([a, b, c]) = kernel.get_mut(from + dy * size..from + dy * size + 3) {
+                *a += v * wx[0];
+                *b += v * wx[1];
+                *c += v * wx[2];
+            }
+        }
+        return 0.0;
+    }
     let limit = half + 2.0;
     if !(u[0].abs() < limit && u[1].abs() < limit) {
         return w;
@@ -46,6 +73,21 @@ pub fn splat(kernel: &mut [f64], size: usize, u: [f64; 2], w: f64) -> f64 {
 pub fn splat_vjp(kernel_bar: &[f64], size: usize, u: [f64; 2], w: f64) -> ([f64; 2], f64) {
     #[expect(clippy::cast_precision_loss, reason = "kernel sizes are small")]
     let half = (size / 2) as f64;
+    if u[0].abs() < half - 1.0 && u[1].abs() < half - 1.0 {
+        let (cx, wx, gx) = inner(u[0] + half);
+        let (cy, wy, gy) = inner(u[1] + half);
+        let from = cy * size + cx;
+        let (mut u_bar, mut w_bar) = ([0.0; 2], 0.0);
+        for dy in 0..3 {
+            if let Some([a, b, c]) = kernel_bar.get(from + dy * size..from + dy * size + 3) {
+                let value = wx[0] * a + wx[1] * b + wx[2] * c;
+                u_bar[0] += (gx[0] * a + gx[1] * b + gx[2] * c) * wy[dy];
+                u_bar[1] += value * gy[dy];
+                w_bar += value * wy[dy];
+            }
+        }
+        return ([w * u_bar[0], w * u_bar[1]], w_bar);
+    }
     let limit = half + 2.0;
     if !(u[0].abs() < limit && u[1].abs() < limit) {
         return ([0.0; 2], 0.0);
