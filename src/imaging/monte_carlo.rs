@@ -10,13 +10,16 @@
 //! aperture ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass
 //! ([`Sampling::Bounded`], [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so
 //! that a probe's mistake costs noise, not truth.
-//! Not covered: diffraction, Fresnel losses, depth within a scene, gradients.
+//! Not covered: diffraction, Fresnel losses, depth within a scene. Gradients: [`gradient`].
 
 pub mod bounds;
+mod draw;
+pub mod gradient;
 pub mod halves;
 mod pixels;
 pub mod rear;
 mod sampler;
+mod stream;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
@@ -32,11 +35,16 @@ use crate::imaging::spectrum::SpectralDensity;
 use crate::imaging::warp::{Plane, Region};
 use crate::lens::Lens;
 use bounds::Footprints;
-use pixels::{Pixel, Pixels, Row, Tally};
+use draw::Texels;
+use pixels::{Row, Tally};
 use rear::RearView;
+use stream::{Pixel, View};
 
 /// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
 const GROUPS: usize = 2;
+
+/// Largest radiance of a scene: its square is far inside f32, in which variances are stored.
+const LARGEST: f32 = 1e15;
 
 /// Which channels a pixel gets.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,8 +118,9 @@ impl Rendered {
 /// the frame does not depend on the region it is rendered in.
 ///
 /// # Errors
-/// Fewer than 2 samples, a scene without texels or with other than 1 or 3 channels, a lens without room before its
-/// sensor, and a region that no ray reaches.
+/// Fewer than 2 samples; a scene without texels, with other than 1 or 3 channels, with a radiance that is not finite or
+/// beyond ±1e15 (the first is named) or a place that is not finite; a lens without room before its sensor; a region that
+/// no ray reaches.
 pub fn render(
     lens: &Lens,
     scene: &Plane,
@@ -122,15 +131,10 @@ pub fn render(
     progress: Option<&(dyn Fn(f64) + Sync)>,
 ) -> Result<Rendered> {
     let start = Instant::now();
-    check(scene, region, settings)?;
-    let radii = radii_mm(frame, region);
-    // The whole frame's view, so that a part of a picture equals the same part of the whole.
-    let rear = RearView::new(lens, density, radii[1].max(frame.max_radius_mm()))?;
-    let footprints = match settings.sampling {
-        Sampling::Bounded => Some(Footprints::probe(&rear, radii)),
-        Sampling::RearAperture => None,
-    };
-    let pixels = Pixels { scene, frame, rear: &rear, footprints: footprints.as_ref(), settings };
+    let prepared = Prepared::new(lens, scene, density, frame, region, settings)?;
+    let texture = scene.texture.as_standard_layout();
+    let texels = Texels::new(scene, texture.as_slice().unwrap_or_default());
+    let view = prepared.view(frame, settings);
     let planes = match settings.channels {
         Channels::All => 3,
         Channels::Bayer(_) => 1,
@@ -142,7 +146,7 @@ pub fn render(
     mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
         |(i, (mut mean, mut variance))| {
             let row = region.row + i.cast_signed();
-            let mut rays = Row::new(pixels);
+            let mut rays = Row::new(view, &texels);
             let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
             for (plane, j) in places() {
                 let col = region.col + j.cast_signed();
@@ -158,7 +162,7 @@ pub fn render(
                 mean[[plane, j]] = m as f32;
                 variance[[plane, j]] = v as f32;
             }
-            let done = count.add(&rays.tally);
+            let done = count.add(&rays.tally());
             if let Some(progress) = progress {
                 progress(done as f64 / region.rows as f64);
             }
@@ -166,11 +170,45 @@ pub fn render(
     );
     let [rays, passed, outside] = [&count.rays, &count.passed, &count.outside].map(|n| n.load(Ordering::Relaxed));
     if passed == 0 {
-        let found = format!("no rays reach the sensor: {rays} were started within {:.3} mm of the axis", radii[1]);
+        let found =
+            format!("no rays reach the sensor: {rays} were started within {:.3} mm of the axis", prepared.radii_mm[1]);
         return Err(Error::bad("", "rendered region", found, "a region inside the lens's image circle"));
     }
     let seconds = start.elapsed().as_secs_f64();
-    Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: rear.axis_irradiance, seconds })
+    Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: prepared.rear.axis_irradiance, seconds })
+}
+
+/// What is found out about a lens before its first ray counts.
+struct Prepared {
+    rear: RearView,
+    footprints: Option<Footprints>,
+    /// Smallest and largest distance of the region from the axis.
+    radii_mm: [f64; 2],
+}
+
+impl Prepared {
+    fn new(
+        lens: &Lens,
+        scene: &Plane,
+        density: &SpectralDensity,
+        frame: &Frame,
+        region: Region,
+        settings: Settings,
+    ) -> Result<Self> {
+        check(scene, region, settings)?;
+        let radii_mm = radii_mm(frame, region);
+        // The whole frame's view, so that a part of a picture equals the same part of the whole.
+        let rear = RearView::new(lens, density, radii_mm[1].max(frame.max_radius_mm()))?;
+        let footprints = match settings.sampling {
+            Sampling::Bounded => Some(Footprints::probe(&rear, radii_mm)),
+            Sampling::RearAperture => None,
+        };
+        Ok(Self { rear, footprints, radii_mm })
+    }
+
+    fn view<'a>(&'a self, frame: &'a Frame, settings: Settings) -> View<'a> {
+        View { frame, rear: &self.rear, footprints: self.footprints.as_ref(), settings }
+    }
 }
 
 /// Two independent renderings with half the samples each, for [`halves`].
@@ -203,6 +241,18 @@ fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
     if !(channels == 1 || channels == 3) || rows == 0 || cols == 0 {
         let found = format!("{channels} channels of {rows} × {cols} texels");
         return Err(Error::bad("", "scene", found, "1 or 3 channels, at least one texel"));
+    }
+    // The first that is wrong; NaN is not within anything.
+    let wrong = |v: f32| !(v.abs() <= LARGEST);
+    if let Some(((channel, row, col), v)) = scene.texture.indexed_iter().find(|(_, v)| wrong(**v)) {
+        let place = format!("scene, channel {channel}, row {row}, column {col}");
+        return Err(Error::bad("", place, format!("radiance {v}"), format!("finite numbers within ±{LARGEST:e}")));
+    }
+    let [x, y] = scene.axis_texel;
+    if ![scene.vergence, scene.texels_per_slope, x, y].iter().all(|v| v.is_finite()) {
+        let found =
+            format!("vergence {} /mm, {} texels per slope, axis at {x}, {y}", scene.vergence, scene.texels_per_slope);
+        return Err(Error::bad("", "scene", found, "finite numbers; vergence 0 for an infinite distance"));
     }
     if region.rows == 0 || region.cols == 0 {
         let found = format!("{} × {} pixels", region.rows, region.cols);

@@ -3,6 +3,7 @@
 mod adjoints;
 mod cli;
 mod golden;
+mod gradients;
 mod layering;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;

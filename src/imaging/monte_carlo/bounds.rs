@@ -10,7 +10,7 @@ use rayon::prelude::*;
 
 use super::rear::RearView;
 use crate::trace::aim::{ParaxialPupil, aim};
-use crate::trace::lanes::Tile;
+use crate::trace::lanes::{TILE, Tile};
 use crate::trace::{FieldPoint, System};
 
 /// An ellipse on the plane of the rear rim, in the meridional frame of a sensor point; mm.
@@ -50,6 +50,8 @@ pub struct Footprints {
 /// Cells across the grids that close in, and across the last.
 const COARSE: usize = 40;
 const FINE: usize = 96;
+/// Rays of a row that are tried together: half a tile.
+const CHUNK: usize = TILE / 2;
 
 impl Footprints {
     /// Probes `rear` for sensor radii from `radii[0]` to `radii[1]`, mm.
@@ -69,8 +71,20 @@ impl Footprints {
     /// The ellipse of a sensor point `radius` mm from the axis.
     #[inline]
     pub fn at(&self, radius: f64) -> Ellipse {
-        let bin = ((radius * self.per_mm) as usize).saturating_sub(self.first);
-        self.bins[bin.min(self.bins.len() - 1)]
+        self.bins[self.bin(radius)]
+    }
+
+    #[inline]
+    fn bin(&self, radius: f64) -> usize {
+        ((radius * self.per_mm) as usize).saturating_sub(self.first).min(self.bins.len() - 1)
+    }
+
+    /// Whether nothing passes from sensor points between two radii, mm.
+    pub fn is_empty_between(&self, radii: [f64; 2]) -> bool {
+        // Rounding may put a pixel's corner into a neighbour.
+        let [first, last] = radii.map(|r| self.bin(r));
+        let bins = first.saturating_sub(1)..=(last + 1).min(self.bins.len() - 1);
+        self.bins[bins].iter().all(|e| e.area() == 0.0)
     }
 }
 
@@ -124,7 +138,12 @@ impl Passing {
             row.clear();
             row.extend((0..columns).map(|j| DVec2::new(j as f64 * cell.x, y)));
             for colour in colours {
-                let outermost = rear.passes(&mut tile, p, &row, colour).iter().rposition(|passes| *passes);
+                // From the rim inwards, until one passes.
+                let outermost = (0..columns).step_by(CHUNK).rev().find_map(|first| {
+                    let part = &row[first..columns.min(first + CHUNK)];
+                    let passes = rear.passes(&mut tile, p, part, colour);
+                    passes.iter().rposition(|passes| *passes).map(|j| first + j)
+                });
                 points.extend(outermost.map(|j| row[j]));
             }
         }

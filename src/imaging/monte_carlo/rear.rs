@@ -100,6 +100,21 @@ impl RearView {
         self.at(usize::from(self.shares[channel][((u * SHARES as f64) as usize).min(SHARES - 1)]))
     }
 
+    /// Turns random bits into wavelengths of `channel`, and writes their `n'²`: as [`Self::colour`], one for each entry.
+    #[inline]
+    pub(super) fn colours(&self, channel: usize, bits: &mut [u32], index_square: &mut [f64]) {
+        let shares = &self.shares[channel][..SHARES];
+        for (bits, index_square) in bits.iter_mut().zip(index_square) {
+            let i = shares[(*bits >> (u32::BITS - SHARES.ilog2())) as usize];
+            (*bits, *index_square) = (u32::from(i), self.index_square[usize::from(i)]);
+        }
+    }
+
+    /// Wavelengths of [`Self::program`], nm.
+    pub fn wavelengths_nm(&self) -> &[f64] {
+        &self.nm
+    }
+
     /// Both ends of the spectrum and its middle.
     pub fn probe_colours(&self) -> [Colour; 3] {
         let last = self.nm.len() - 1;

@@ -8,8 +8,13 @@
 
 use glam::DVec2;
 
+use crate::trace::lanes::TILE;
+
+/// Pupil, place in the pixel, wavelength.
+pub(super) const DIMENSIONS: usize = 5;
+
 /// Direction numbers, most significant bit first.
-const SOBOL: [[u32; 32]; 5] = [
+const SOBOL: [[u32; 32]; DIMENSIONS] = [
     directions(0, 0, [0; 3]),
     directions(1, 0, [1, 0, 0]),
     directions(2, 1, [1, 3, 0]),
@@ -43,40 +48,88 @@ const fn directions(degree: usize, a: u32, m: [u32; 3]) -> [u32; 32] {
     v
 }
 
-/// The points of one group of rays, one after the other.
-pub(super) struct Sampler {
-    state: [u32; 5],
-    count: u32,
+/// The first points of the sequence, dimension by dimension.
+const FIRST: [[u32; TILE]; DIMENSIONS] = {
+    let mut table = [[0; TILE]; DIMENSIONS];
+    let mut d = 0;
+    while d < DIMENSIONS {
+        let mut k = 1;
+        while k < TILE {
+            table[d][k] = table[d][k - 1] ^ SOBOL[d][(k as u32).trailing_zeros() as usize];
+            k += 1;
+        }
+        d += 1;
+    }
+    table
+};
+
+/// The points of one group of rays: 32 bits a dimension, of which [`unit`] makes numbers.
+#[derive(Clone, Copy)]
+pub(super) struct Group {
+    shift: [u32; DIMENSIONS],
 }
 
-impl Sampler {
+impl Group {
     /// A group of its own.
     pub(super) fn new(rng: &mut fastrand::Rng) -> Self {
-        Self { state: std::array::from_fn(|_| rng.u32(..)), count: 0 }
+        Self { shift: std::array::from_fn(|_| rng.u32(..)) }
     }
 
-    /// The next point in `(0, 1)⁵`; the sequence repeats after 2³² points.
-    #[inline]
-    pub(super) fn draw(&mut self) -> [f64; 5] {
-        let point = self.state.map(|x| (f64::from(x) + 0.5) * (1.0 / 4_294_967_296.0));
-        self.count = self.count.wrapping_add(1);
-        let bit = (self.count.trailing_zeros() & 31) as usize;
-        self.state.iter_mut().zip(&SOBOL).for_each(|(x, v)| *x ^= v[bit]);
-        point
+    /// Point `TILE * block` in the exclusive-or form that [`Self::bits`] takes; the sequence repeats after 2³² points.
+    ///
+    /// Gray code is linear: point `TILE * block + k` is point `TILE * block` xor point `k`.
+    pub(super) fn block(&self, block: usize) -> Self {
+        let first = (block * TILE) as u32;
+        let gray = first ^ (first >> 1);
+        let mut shift = self.shift;
+        for (bit, _) in (0..32).map(|bit| (bit, (gray >> bit) & 1)).filter(|(_, set)| *set == 1) {
+            shift.iter_mut().zip(&SOBOL).for_each(|(x, v)| *x ^= v[bit]);
+        }
+        Self { shift }
     }
+
+    /// Dimension `d` of the block's points from number `from` on, one for each entry of `to`.
+    #[inline]
+    pub(super) fn bits(&self, d: usize, from: usize, to: &mut [u32]) {
+        let shift = self.shift[d];
+        to.iter_mut().zip(&FIRST[d][from..]).for_each(|(to, first)| *to = first ^ shift);
+    }
+}
+
+/// 32 random bits as a number in `(0, 1)`, never exactly ½.
+#[inline(always)]
+pub(super) fn unit(bits: u32) -> f64 {
+    // The lower half of the signed numbers stands for the lower half of the interval.
+    (f64::from((bits ^ 0x8000_0000).cast_signed()) + 2_147_483_648.5) * (1.0 / 4_294_967_296.0)
+}
+
+/// `sin` and `cos` of `π x/4`, `|x| ≤ 1`, to 1e-12: the series, without branches.
+#[inline(always)]
+fn sin_cos_quarter(x: f64) -> (f64, f64) {
+    let a = std::f64::consts::FRAC_PI_4 * x;
+    let s = a * a;
+    let sin = 1.0
+        + s * (-1.0 / 6.0
+            + s * (1.0 / 120.0
+                + s * (-1.0 / 5040.0
+                    + s * (1.0 / 362_880.0 + s * (-1.0 / 39_916_800.0 + s * (1.0 / 6_227_020_800.0))))));
+    let cos = 1.0
+        + s * (-0.5
+            + s * (1.0 / 24.0
+                + s * (-1.0 / 720.0 + s * (1.0 / 40_320.0 + s * (-1.0 / 3_628_800.0 + s * (1.0 / 479_001_600.0))))));
+    (a * sin, cos)
 }
 
 /// A point of the unit disk from one of the unit square, areas kept in proportion and neighbours kept together.
 ///
-/// P. Shirley, K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2(3), 1997.
-#[inline]
+/// P. Shirley, K. Chiu, "A low distortion map between disk and square", J. Graphics Tools 2(3), 1997; written without
+/// branches.
+#[inline(always)]
 pub(super) fn disk_from_square(u: [f64; 2]) -> DVec2 {
     let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
-    let (large, small, swap) = if a.abs() > b.abs() { (a, b, false) } else { (b, a, true) };
-    if large == 0.0 {
-        return DVec2::ZERO;
-    }
-    let (sin, cos) = (std::f64::consts::FRAC_PI_4 * small / large).sin_cos();
+    let swap = a.abs() <= b.abs();
+    let (large, small) = if swap { (b, a) } else { (a, b) };
+    let (sin, cos) = sin_cos_quarter(small / if large == 0.0 { 1.0 } else { large });
     let (along, across) = (large * cos, large * sin);
     if swap { DVec2::new(across, along) } else { DVec2::new(along, across) }
 }
@@ -85,13 +138,43 @@ pub(super) fn disk_from_square(u: [f64; 2]) -> DVec2 {
 mod tests {
     use super::*;
 
+    fn points(group: &Group, count: usize) -> Vec<[f64; 5]> {
+        let mut bits = [[0; TILE]; 5];
+        (0..5).for_each(|d| group.bits(d, 0, &mut bits[d]));
+        (0..count).map(|k| std::array::from_fn(|d| unit(bits[d][k]))).collect()
+    }
+
+    /// Blocks go on where the sequence in Gray-code order, one direction number a step, does.
+    #[test]
+    fn blocks_follow_the_sequence() {
+        let group = Group { shift: [3, 1 << 31, 77, 0, u32::MAX] };
+        let mut state = group.shift;
+        for k in 0..1000usize {
+            let mut bits = [[0]; 5];
+            (0..5).for_each(|d| group.block(k / TILE).bits(d, k % TILE, &mut bits[d]));
+            assert_eq!(bits.map(|b| b[0]), state, "point {k}");
+            let bit = (k as u32 + 1).trailing_zeros() as usize;
+            state.iter_mut().zip(&SOBOL).for_each(|(x, v)| *x ^= v[bit]);
+        }
+        assert_eq!([0, u32::MAX].map(unit), [0.5 / 4_294_967_296.0, 1.0 - 0.5 / 4_294_967_296.0]);
+    }
+
+    #[test]
+    fn the_series_is_the_sine() {
+        for i in -1000..=1000 {
+            let x = f64::from(i) * 1e-3;
+            let (sin, cos) = sin_cos_quarter(x);
+            let exact = (std::f64::consts::FRAC_PI_4 * x).sin_cos();
+            assert!((sin - exact.0).abs() < 1e-13 && (cos - exact.1).abs() < 1e-12, "{x}: {sin} {cos} {exact:?}");
+        }
+    }
+
     /// Every dimension of the first 2^k points has one point in each of 2^k bins, and so have 4 × 4 boxes of pairs of 16.
     #[test]
     fn groups_are_nets() {
         let rng = &mut fastrand::Rng::with_seed(1);
         for _ in 0..20 {
-            let mut sampler = Sampler::new(rng);
-            let points: Vec<[f64; 5]> = (0..64).map(|_| sampler.draw()).collect();
+            let points = points(&Group::new(rng), 64);
             for d in 0..5 {
                 let mut seen = [false; 64];
                 points.iter().for_each(|p| seen[(p[d] * 64.0) as usize] = true);
@@ -110,8 +193,7 @@ mod tests {
         let n = 100_000;
         let mut sums = [0.0; 6];
         for _ in 0..n {
-            let mut sampler = Sampler::new(rng);
-            let p = (0..6).map(|_| sampler.draw()).last().expect("six points");
+            let p = points(&Group::new(rng), 6)[5];
             (0..5).for_each(|d| sums[d] += p[d] - 0.5);
             sums[5] += (p[0] - 0.5) * (p[1] - 0.5);
         }

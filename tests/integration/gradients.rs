@@ -1,0 +1,157 @@
+//! The fast renderer's gradient against the reference renderer's, which shares only the lens and the trace with it.
+//!
+//! Both pull the same cotangent, that of `Σ (picture − target)²` at the reference's clean picture, back to the lens. The
+//! stop has a size of its own, so that what stands before it does not move its edge: there the reference's interior term
+//! is whole. Behind the stop the interior term lacks the moving edge of the beam and the white level, which it holds;
+//! there the judge is the central difference of the reference itself, the same random numbers on both sides.
+
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::monte_carlo::gradient::render_vjp;
+use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings, render};
+use isoplanat::imaging::patches::NodeRaster;
+use isoplanat::imaging::plan::{Quality, plan};
+use isoplanat::imaging::render::{Optics, render_region, render_region_vjp};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::lens::variables::{Parameter, Variables};
+use isoplanat::lens::{Aperture, Lens, builtin, paraxial};
+use ndarray::Array3;
+
+const REGION: Region = Region { row: 70, col: 120, rows: 12, cols: 12 };
+
+/// The two-element lens with its stop's size held.
+fn two_element() -> Lens {
+    let mut lens = builtin::lens("two_element").expect("shipped");
+    lens.aperture = Aperture::StopSemiDiameter(paraxial::stop_semi_diameter(&lens));
+    lens
+}
+
+/// Waves of tens of pixels' period; eight texels a pixel, so that the bilinear kinks are small.
+fn smooth_scene() -> Plane {
+    let wave = |c: usize, i: usize, j: usize| {
+        let (x, y, k) = (j as f64 / 8.0, i as f64 / 8.0, c as f64 + 1.0);
+        0.5 + 0.2 * (0.31 * x * k.sqrt() + 0.2 * y).sin() + 0.2 * (0.17 * x - 0.43 * y / k).cos()
+    };
+    Plane {
+        texture: Array3::from_shape_fn((3, 1200, 1200), |(c, i, j)| wave(c, i, j) as f32),
+        texels_per_slope: 16_000.0,
+        axis_texel: [-300.0, -100.0],
+        vergence: 1e-3,
+    }
+}
+
+struct Task {
+    lens: Lens,
+    scene: Plane,
+    density: SpectralDensity,
+    frame: Frame,
+    /// Cotangent of the picture.
+    bar: Array3<f64>,
+}
+
+impl Task {
+    fn new() -> Self {
+        let (lens, scene) = (two_element(), smooth_scene());
+        let density = SpectralDensity::new(&Sensor::generic());
+        let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+        let how = Settings { samples: 4096, seed: 7, channels: Channels::All, sampling: Sampling::Bounded };
+        let clean = render(&lens, &scene, &density, &frame, REGION, how, None).expect("renders").mean;
+        let bar = clean.mapv(|v| 2.0 * (f64::from(v) - 0.45));
+        Self { lens, scene, density, frame, bar }
+    }
+
+    fn fast(&self, variables: &Variables) -> Vec<f64> {
+        let plan = plan(&self.lens, 1e-3, &self.frame, &self.density, Quality::FINE, None).expect("plans");
+        let raster = NodeRaster::over(REGION.grown(plan.margin()), plan.spacing);
+        let optics = Optics::compute(&self.lens, 1e-3, &plan, raster).expect("traces");
+        let rendered = render_region::<f64>(&optics, &plan, &self.scene, REGION);
+        let zero = Array3::zeros(self.bar.dim());
+        let bar = render_region_vjp(
+            &optics,
+            &plan,
+            &self.scene,
+            REGION,
+            &rendered,
+            self.bar.view(),
+            zero.view(),
+            zero.view(),
+        );
+        variables.gradient(&optics.vjp(&self.lens, &plan, &bar).expect("pulls back"))
+    }
+
+    /// Central differences of the reference along one scaled variable: mean over seeds, standard error.
+    fn difference(&self, variables: &Variables, k: usize, samples: usize) -> (f64, f64) {
+        const SEEDS: u64 = 6;
+        const STEP: f64 = 2e-3;
+        let x = variables.values(&self.lens);
+        let value = |h: f64, seed: u64| {
+            let mut moved = x.clone();
+            moved[k] += h;
+            let lens = variables.lens(&self.lens, &moved);
+            // Plain: its directions move with the lens, where those of the ellipses jump.
+            let how = Settings { samples, seed, channels: Channels::All, sampling: Sampling::RearAperture };
+            let image = render(&lens, &self.scene, &self.density, &self.frame, REGION, how, None).expect("renders");
+            image.mean.iter().zip(&self.bar).map(|(m, b)| f64::from(*m) * b).sum::<f64>()
+        };
+        let each: Vec<f64> = (0..SEEDS).map(|s| (value(STEP, s) - value(-STEP, s)) / (2.0 * STEP)).collect();
+        let n = SEEDS as f64;
+        let mean = each.iter().sum::<f64>() / n;
+        let variance = each.iter().map(|v| (v - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        (mean, (variance / n).sqrt())
+    }
+}
+
+#[test]
+fn fast_and_reference_gradients_agree_before_the_stop() {
+    use Parameter::{Abbe, Conic, Curvature, Index, Thickness};
+    let task = Task::new();
+    let parameters =
+        vec![Curvature(0), Conic(0), Thickness(0), Index(0), Abbe(0), Curvature(1), Conic(1), Thickness(1)];
+    let variables = Variables::new(&task.lens, parameters);
+    let fast = task.fast(&variables);
+    let how = Settings { samples: 512, seed: 11, channels: Channels::All, sampling: Sampling::Bounded };
+    let reference = render_vjp(&task.lens, &task.scene, &task.density, &task.frame, REGION, how, 16, task.bar.view())
+        .expect("pulls");
+    let components = reference.components(&variables);
+    let norm = components.iter().map(|c| c.mean.abs()).fold(0.0, f64::max);
+    eprintln!("parameter                  fast          reference     standard error  (fast − reference)/largest");
+    let mut worst = 0.0f64;
+    for ((p, fast), c) in variables.parameters.iter().zip(&fast).zip(&components) {
+        let off = (fast - c.mean) / norm;
+        eprintln!("{p:24} {fast:13.5e} {:13.5e} {:13.1e} {off:+13.1e}", c.mean, c.standard_error);
+        // Beyond the confidence interval: the fast path's model.
+        worst = worst.max(((fast - c.mean).abs() - 1.96 * c.standard_error) / norm);
+    }
+    eprintln!("beyond the 95 % interval at most {worst:.1e} of the largest");
+    assert!(worst < MODEL, "{worst:e}");
+}
+
+/// Fast model (polynomial pupil, 9 wavelengths, kernels between nodes, radial warp): of the largest component.
+const MODEL: f64 = 1e-2;
+
+#[test]
+fn fast_gradient_agrees_with_differences_of_the_reference_behind_the_stop() {
+    use Parameter::{Conic, Curvature, Index, Thickness};
+    let task = Task::new();
+    let parameters =
+        vec![Thickness(2), Curvature(3), Thickness(3), Index(3), Curvature(4), Conic(4), Thickness(4), Curvature(0)];
+    let variables = Variables::new(&task.lens, parameters);
+    let fast = task.fast(&variables);
+    let how = Settings { samples: 512, seed: 11, channels: Channels::All, sampling: Sampling::Bounded };
+    let interior = render_vjp(&task.lens, &task.scene, &task.density, &task.frame, REGION, how, 4, task.bar.view())
+        .expect("pulls");
+    let interior = interior.components(&variables);
+    let differences: Vec<(f64, f64)> =
+        (0..variables.parameters.len()).map(|k| task.difference(&variables, k, 4096)).collect();
+    let norm = differences.iter().map(|d| d.0.abs()).fold(0.0, f64::max);
+    eprintln!("parameter                  fast          difference    standard error  interior      standard error");
+    let mut worst = 0.0f64;
+    for (((p, fast), (mean, error)), c) in variables.parameters.iter().zip(&fast).zip(&differences).zip(&interior) {
+        eprintln!("{p:24} {fast:13.5e} {mean:13.5e} {error:13.1e} {:13.5e} {:13.1e}", c.mean, c.standard_error);
+        // Student's t of five degrees of freedom, 95 %.
+        worst = worst.max(((fast - mean).abs() - 2.57 * error) / norm);
+    }
+    eprintln!("beyond the 95 % interval at most {worst:.1e} of the largest");
+    assert!(worst < MODEL, "{worst:e}");
+}
