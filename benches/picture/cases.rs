@@ -14,18 +14,18 @@ use isoplanat::lens::{Lens, builtin};
 use ndarray::Array3;
 
 /// The three lenses: blurred, fair, sharp.
-pub const LENSES: [&str; 3] = ["two_element", "cooke_triplet", "phone"];
+pub(crate) const LENSES: [&str; 3] = ["two_element", "cooke_triplet", "phone"];
 
 /// A lens, a part of its frame, a scene.
-pub struct Case {
-    pub lens: Lens,
-    pub frame: Frame,
-    pub scene: Plane,
-    pub density: SpectralDensity,
+pub(crate) struct Case {
+    pub(crate) lens: Lens,
+    pub(crate) frame: Frame,
+    pub(crate) scene: Plane,
+    pub(crate) density: SpectralDensity,
 }
 
 /// A part of `name`'s frame of `[columns, rows]` pixels, half way between axis and corner.
-pub fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
+pub(crate) fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
     let lens = builtin::lens(name).expect("shipped");
     let frame = frame_of(&lens).expect("valid");
     let start = |axis: f64, n: usize, part: usize| {
@@ -41,7 +41,7 @@ pub fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
 }
 
 /// `texture` before a part of a lens's frame: a texel a pixel in the middle, middle on middle.
-pub fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
+pub(crate) fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
     let (lens, frame) = part(name, size);
     let v = lens.object_vergence;
     let most = slope_at_height(&lens, v, 1.02 * frame.max_radius_mm()).expect("reaches");
@@ -56,18 +56,18 @@ pub fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
 }
 
 /// A built-in scene before a lens.
-pub fn built_in(name: &str, size: [usize; 2]) -> Case {
+pub(crate) fn built_in(name: &str, size: [usize; 2]) -> Case {
     place(name, size, generate(SceneKind::Facades, 3, size[1], size[0]))
 }
 
 /// Photograph `number` of the evaluation set; `None` where the data folder is absent.
-pub fn photograph(number: usize) -> Option<Array3<f32>> {
+pub(crate) fn photograph(number: usize) -> Option<Array3<f32>> {
     let root = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/data/photos/eval");
     let path = root.join(format!("{number:02}.png"));
     path.exists().then(|| read_linear(&path).expect("a photograph"))
 }
 
 /// A field of bright points on black, one every 32 texels, as long as the photographs.
-pub fn points() -> Array3<f32> {
+pub(crate) fn points() -> Array3<f32> {
     Array3::from_shape_fn((3, 512, 768), |(_, i, j)| if i % 32 == 16 && j % 32 == 16 { 1.0 } else { 0.0 })
 }

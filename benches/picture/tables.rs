@@ -62,7 +62,7 @@ fn rms(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
 }
 
 /// Writes `benches/results/picture.md`.
-pub fn write(quick: bool) {
+pub(crate) fn write(quick: bool) {
     let mut page = String::from("# Pictures: error against run time\n\n");
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
     let _ = writeln!(page, "`cargo bench --bench picture -- tables{}`, {threads} threads.\n", if quick { " quick" } else { "" });

@@ -3,7 +3,7 @@
 //! The window multiplies the *source*, because a PSF belongs to its object point. A region is computed from a source
 //! grown by half a kernel on every side; circular wrap then touches only pixels outside the region, so the FFT is as
 //! large as the source. All nodes of a channel are summed in the frequency domain: two forward FFTs a node, one
-//! inverse a channel. Larger frames are cut into regions ([`super::render::render_frame`]).
+//! inverse a channel. Whole frames: [`super::blur`].
 
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;

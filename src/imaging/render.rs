@@ -1,7 +1,7 @@
-//! The fast renderer: scene → image on the sensor through the PSF grid, and the adjoint back to the lens.
+//! One region through the PSF grid: scene → image on the sensor, and the adjoint back to the lens.
 //!
 //! One region: fit the distortion, place PSF nodes on a raster over the region, trace them, warp the scene to the
-//! distorted frame, and blur it with each node's kernel and illumination. A frame is a set of regions over one raster.
+//! distorted frame, and blur it with each node's kernel and illumination. Whole frames without gradients: [`super::picture`].
 //! f64 from lens to PSF; the cast to the image's precision happens once, in [`Optics::kernels`].
 
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
@@ -209,37 +209,10 @@ pub fn render_region_vjp<T: Real>(
     }
 }
 
-/// The whole frame as regions of `tile` pixels over one raster, `[channel, row, col]`; `progress` hears the share done.
-pub fn render_frame<T: Real>(
-    lens: &Lens,
-    plan: &RenderPlan,
-    scene: &Plane,
-    tile: usize,
-    progress: &(dyn Fn(f64) + Sync),
-) -> Result<(Array3<T>, Optics)> {
-    let whole = Region { row: 0, col: 0, rows: plan.frame.rows, cols: plan.frame.columns };
-    let raster = NodeRaster::over(whole.grown(plan.margin()), plan.spacing);
-    let optics = Optics::compute(lens, scene.vergence, plan, raster)?;
-    let channels = scene.texture.len_of(Axis(0));
-    let mut out = Array3::from_elem((channels, whole.rows, whole.cols), T::zero());
-    let (down, across) = (whole.rows.div_ceil(tile), whole.cols.div_ceil(tile));
-    for t in 0..down * across {
-        let (r, c) = (t / across * tile, t % across * tile);
-        let (rows, cols) = (tile.min(whole.rows - r), tile.min(whole.cols - c));
-        let region = Region { row: r.cast_signed(), col: c.cast_signed(), rows, cols };
-        let part = render_region::<T>(&optics, plan, scene, region);
-        out.slice_mut(s![.., r..r + rows, c..c + cols]).assign(&part.image);
-        #[expect(clippy::cast_precision_loss, reason = "a share")]
-        progress((t + 1) as f64 / (down * across) as f64);
-    }
-    Ok((out, optics))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::imaging::plan::{Quality, frame_of, plan};
-    use crate::imaging::scene::{SceneKind, generate};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::spectrum::SpectralDensity;
     use crate::lens::{SensorRaster, builtin, variables::Variables};
@@ -288,22 +261,5 @@ mod tests {
             };
             assert_rel(pulled, central_difference(f, 1e-6), 1e-6, 1e-2, &format!("seed {seed}"));
         }
-    }
-
-    /// A frame rendered in tiles equals each of its regions rendered alone: no seams.
-    #[test]
-    fn tiles_of_a_frame_agree_with_one_region() {
-        let (lens, plan) = small();
-        let scene = Plane {
-            texture: generate(SceneKind::Text, 1, 160, 200),
-            texels_per_slope: 500.0,
-            axis_texel: [0.0, 0.0],
-            vergence: 1e-3,
-        };
-        let (tiled, optics) = render_frame::<f64>(&lens, &plan, &scene, 32, &|_| {}).expect("renders");
-        let whole = Region { row: 0, col: 0, rows: 120, cols: 160 };
-        let once = render_region::<f64>(&optics, &plan, &scene, whole).image;
-        let worst = tiled.iter().zip(&once).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-        assert!(worst < 1e-12, "{worst:e}");
     }
 }

@@ -11,6 +11,9 @@
 /// Weights of one axis at most: `m + 2` for `m ≤ 8`.
 const MOST: usize = 10;
 
+/// Kernels are smaller than this.
+const SHIFT: f64 = 1_048_576.0;
+
 /// Integral of the unit tent from −1 to `v`.
 #[inline]
 fn tent_integral(v: f64) -> f64 {
@@ -24,7 +27,8 @@ fn tent_integral(v: f64) -> f64 {
 fn weights(u: f64, m: usize) -> (isize, [f64; MOST]) {
     let fine = u * m as f64;
     // W_f = [G(f + m − ½ − mu) − G(f − ½ − mu)]/m is above zero for mu − m − ½ < f < mu + 3/2.
-    let first = (fine - m as f64 - 0.5).floor() as isize + 1;
+    // (Truncation after a shift to positive numbers is a floor without its call.)
+    let first = (fine - m as f64 - 0.5 + SHIFT) as isize - SHIFT as isize + 1;
     let mut out = [0.0; MOST];
     let scale = 1.0 / m as f64;
     for (k, w) in out[..m + 2].iter_mut().enumerate() {

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use ndarray::{Array3, Axis, s};
+use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 use super::super::cfa::Real;

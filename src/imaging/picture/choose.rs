@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::bank::{Bank, Rule, Scratch};
 use super::nodes::Nodes;
-use super::probe::{Probe, Probing, Values};
+use super::probe::{Coarse, Probe, Probing, Values};
 use super::settings::Settings;
 use crate::error::Result;
 use crate::imaging::metrics::decibel;
@@ -120,33 +120,38 @@ pub fn ladders(
         }
     }
     let sizes: Vec<usize> = halves.iter().map(|(_, h)| 2 * h + 1).collect();
-    let by_probe: Vec<Vec<Values>> =
-        probes.par_iter().map_init(Scratch::default, |s, p| probing.windows(p, &sizes, s)).collect();
+    let coarse_with = |bank: &Bank| -> Vec<Coarse> {
+        probes.par_iter().map_init(Scratch::default, |s, p| probing.coarse(p, bank, s)).collect()
+    };
+    let coarse = coarse_with(probing.bank);
+    let by_probe: Vec<Vec<Values>> = coarse.par_iter().map(|c| probing.windows(c, &sizes)).collect();
     let windows = halves
         .iter()
         .enumerate()
         .map(|(k, half)| Rung { setting: *half, off: by_probe.iter().map(|v| v[k].clone()).collect() })
         .collect();
-    // Dense points: two wavelengths tell.
+    // Dense points: one wavelength tells.
     let most = Settings::DENSE[Settings::DENSE.len() - 1];
-    let reference = make(2, most)?;
+    let reference = coarse_with(&make(1, most)?);
     let mut dense = Vec::new();
     for n in Settings::DENSE {
         let off = if n == most {
             nothing.clone()
         } else {
-            let bank = make(2, n)?;
-            each(&|p, s| probing.banks(p, &bank, &reference, s))
+            let bank = make(1, n)?;
+            reference.par_iter().map_init(Scratch::default, |s, c| probing.bank(c, &bank, s)).collect()
         };
         dense.push(Rung { setting: n, off });
     }
+    let coarse = coarse_with(light);
     let mut steps = Vec::new();
     for tolerance in Settings::NODE_ERRORS {
         nodes.refine(tolerance);
-        let grid = nodes.grid.clone();
-        let off = each(&|p, s| probing.nodes(p, light, &grid, s));
-        let rung = Rung { setting: (tolerance, nodes.error, grid), off };
-        let enough = rung.mean_square() < 0.1 * budget;
+        let found: &Nodes<'_> = nodes;
+        let off: Vec<Values> = coarse.par_iter().map(|c| probing.nodes(c, found)).collect();
+        let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
+        // What halving an interval again would win is small beside the budget, or there is one node for all.
+        let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;
         steps.push(rung);
         if enough {
             break;

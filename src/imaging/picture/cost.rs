@@ -55,7 +55,13 @@ pub fn pick(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid
     task(work, settings, half_width, grid).cheapest(None)
 }
 
-/// Seconds of one thread for a picture.
+/// Seconds of one thread for the convolution.
+pub fn convolution(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
+    let task = task(work, settings, half_width, grid);
+    1e-9 * task.cost(task.cheapest(None), 0)
+}
+
+/// Seconds of one thread for all else: table, kernels, sampling of the scene.
 #[expect(clippy::cast_precision_loss, reason = "counts")]
 pub fn seconds(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
     let size = (2 * half_width + 1) as f64;
@@ -66,8 +72,6 @@ pub fn seconds(work: &Work, settings: &Settings, half_width: usize, grid: &NodeG
     let table = FIELDS * waves * (60.0 * RAY + dense * DENSE);
     let splat = SPLAT.0 + SPLAT.1 * (m + 2.0) * (m + 2.0);
     let node = waves * (dense * (MIX + splat) + m * m * size * size * (1.0 + channels) * POINT);
-    let task = task(work, settings, half_width, grid);
-    let blur = 1e-9 * task.cost(task.cheapest(None), 0);
     let warp = pixels * m * m * (SAMPLE.0 + SAMPLE.1 * work.planes as f64);
-    table + grid.len() as f64 * node + blur + warp
+    table + grid.len() as f64 * node + warp
 }

@@ -1,6 +1,6 @@
 //! Where nodes stand: intervals are halved until the kernel in their middle is the mean of its neighbours.
 //!
-//! Knots are multiples of a power of two from the first; each axis is halved on its own, by the worst error along the
+//! Knots start evenly spaced from the first pixel to the last; each axis is halved on its own, by the worst error along the
 //! lines of the other. The error of an interval is the relative L2 distance between the kernel computed in its middle and
 //! the mean of the two at its ends, all channels together, at one sample a pixel.
 
@@ -58,21 +58,25 @@ impl<'a> Nodes<'a> {
         if constant <= tolerance {
             nodes.error = constant;
         } else {
-            // The longest power of two with at least two intervals over the longer side.
-            let longer = source.rows.max(source.cols);
-            let mut spacing = LONGEST;
-            while spacing > SHORTEST && spacing * 2 > longer {
-                spacing /= 2;
-            }
-            nodes.grid = NodeGrid::uniform(source, spacing);
+            // Even intervals from the first pixel to the last, two at least over the longer side.
+            let longest = LONGEST.min(source.rows.max(source.cols).div_ceil(2)).max(SHORTEST);
+            nodes.grid = NodeGrid {
+                row_knots: even(source.row, source.rows, longest),
+                col_knots: even(source.col, source.cols, longest),
+            };
             nodes.error = f64::INFINITY;
         }
         nodes
     }
 
+    /// The kernels of node `n` of the grid, channel by channel, one sample a pixel.
+    pub fn kernel(&self, n: usize) -> Option<&[f32]> {
+        self.cache.get(&self.grid.pixel(n)).map(Vec::as_slice)
+    }
+
     /// Halves intervals until every error is at most `tolerance`, or the interval is the shortest.
     pub fn refine(&mut self, tolerance: f64) {
-        if self.grid.len() == 1 && self.error <= tolerance {
+        if self.grid.len() == 1 {
             return;
         }
         loop {
@@ -142,6 +146,13 @@ impl<'a> Nodes<'a> {
         self.sharpest = new.iter().map(|k| norm(k)).fold(self.sharpest, f64::max);
         self.cache.extend(missing.into_iter().zip(new));
     }
+}
+
+/// The fewest knots from the first of `n` pixels to the last that are at most `longest` apart, evenly spaced.
+fn even(first: isize, n: usize, longest: usize) -> Vec<isize> {
+    let length = n.saturating_sub(1);
+    let intervals = length.div_ceil(longest);
+    (0..=intervals).map(|k| first + (k * length / intervals.max(1)).cast_signed()).collect()
 }
 
 /// Kernels fainter or more blurred than this share of the sharpest count as if they had it.

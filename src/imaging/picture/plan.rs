@@ -1,10 +1,13 @@
 //! What a picture needs: settings, nodes, windows, and what is left out, with reason, saving and error bound.
 
+use std::cell::RefCell;
+use std::collections::HashMap;
+
 use serde::Serialize;
 
 use super::bank::{Bank, Rule};
 use super::choose::{Choice, Ladders, MARGIN, cheapest, ladders, mean_square};
-use super::cost::{Work, pick, seconds};
+use super::cost::{Work, convolution, pick, seconds};
 use super::needs::{Needs, check};
 use super::nodes::Nodes;
 use super::probe::{Probing, SIDE, Values};
@@ -197,7 +200,14 @@ pub fn plan<'a>(
             Settings::WAVELENGTHS.iter().filter(|n| **n <= FINE_WAVELENGTHS).map(|n| (*n, s.rule(*n, &channels))).collect();
         let make = |wavelengths: usize, dense: usize| s.bank(s.rule(wavelengths, &channels), base.degree, dense, radii);
         let ladders = ladders(&probing, &probes, &rules, &make, &light, &mut nodes, target)?;
-        let cost = |settings: &Settings, half: usize, grid: &NodeGrid| seconds(&work, settings, half, grid);
+        // The convolution's share depends on nodes, window and sampling alone.
+        let known = RefCell::new(HashMap::new());
+        let cost = |settings: &Settings, half: usize, grid: &NodeGrid| {
+            let key = (grid.row_knots.len(), grid.col_knots.len(), half, settings.samples);
+            let convolution =
+                *known.borrow_mut().entry(key).or_insert_with(|| convolution(&work, settings, half, grid));
+            seconds(&work, settings, half, grid) + convolution
+        };
         let choice = cheapest(&ladders, target, base, &cost);
         measured = Some((choice, ladders));
     }

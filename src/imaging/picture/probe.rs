@@ -8,6 +8,7 @@ use ndarray::{Array4, Axis};
 use rayon::prelude::*;
 
 use super::bank::{Bank, Place, Rule, Scratch};
+use super::nodes::Nodes;
 use super::source::WarpedScene;
 use crate::imaging::frame::Frame;
 use crate::imaging::node_grid::NodeGrid;
@@ -158,23 +159,31 @@ impl Probing<'_> {
     pub fn samples(&self, probe: &Probe, which: usize, scratch: &mut Scratch) -> Values {
         let scene = &self.scenes[which];
         let patch = Patch::sample(scene, probe.region, self.size);
-        let place = centre(self.frame, probe.region);
-        let (fine, _) = self.bank.fine(place, self.size, scene.samples(), scratch);
-        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
+        let kernels = self.kernels(self.bank, probe.region, scene.samples(), scratch);
         less(self.values(&patch, probe.region, &kernels, self.size, self.size), &probe.exact)
     }
 
-    /// Difference to the exact values with each of the windows of `sizes` pixels, at the coarsest sampling.
-    pub fn windows(&self, probe: &Probe, sizes: &[usize], scratch: &mut Scratch) -> Vec<Values> {
+    /// Flipped fine kernels of `bank` in the middle of `region`, by channel.
+    fn kernels(&self, bank: &Bank, region: Region, m: usize, scratch: &mut Scratch) -> Vec<Vec<f32>> {
+        let (fine, _) = bank.fine(centre(self.frame, region), self.size, m, scratch);
+        fine.iter().map(|k| flipped(k)).collect()
+    }
+
+    /// What the coarsest sampling needs of a probe: its patch, and flipped kernels of `bank` with their values.
+    pub fn coarse(&self, probe: &Probe, bank: &Bank, scratch: &mut Scratch) -> Coarse {
         let scene = &self.scenes[0];
-        let m = scene.samples();
         let patch = Patch::sample(scene, probe.region, self.size);
-        let (fine, _) = self.bank.fine(centre(self.frame, probe.region), self.size, m, scratch);
-        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
-        let full = self.values(&patch, probe.region, &kernels, self.size, self.size);
+        let kernels = self.kernels(bank, probe.region, scene.samples(), scratch);
+        let values = self.values(&patch, probe.region, &kernels, self.size, self.size);
+        Coarse { region: probe.region, patch, kernels, values }
+    }
+
+    /// Differences that windows of `sizes` pixels make.
+    pub fn windows(&self, coarse: &Coarse, sizes: &[usize]) -> Vec<Values> {
+        let m = coarse.patch.m;
         let one = |size: &usize| {
-            let inner: Vec<Vec<f32>> = kernels.iter().map(|k| cropped(k, self.size, *size, m)).collect();
-            less(self.values(&patch, probe.region, &inner, *size, self.size), &full)
+            let inner: Vec<Vec<f32>> = coarse.kernels.iter().map(|k| cropped(k, self.size, *size, m)).collect();
+            less(self.values(&coarse.patch, coarse.region, &inner, *size, self.size), &coarse.values)
         };
         sizes.iter().map(one).collect()
     }
@@ -201,47 +210,42 @@ impl Probing<'_> {
         out.iter().zip(&probe.exact).map(|(v, e)| (v - f64::from(*e)) as f32).collect()
     }
 
-    /// Difference that another bank of the same wavelengths makes to this one, at the coarsest sampling.
-    pub fn banks(&self, probe: &Probe, other: &Bank, reference: &Bank, scratch: &mut Scratch) -> Values {
-        let scene = &self.scenes[0];
-        let patch = Patch::sample(scene, probe.region, self.size);
-        let place = centre(self.frame, probe.region);
-        let mut of = |bank: &Bank| {
-            let (fine, _) = bank.fine(place, self.size, scene.samples(), scratch);
-            let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
-            self.values(&patch, probe.region, &kernels, self.size, self.size)
-        };
-        let base = of(reference);
-        less(of(other), &base)
+    /// Difference that another bank's kernel makes.
+    pub fn bank(&self, coarse: &Coarse, other: &Bank, scratch: &mut Scratch) -> Values {
+        let kernels = self.kernels(other, coarse.region, coarse.patch.m, scratch);
+        less(self.values(&coarse.patch, coarse.region, &kernels, self.size, self.size), &coarse.values)
     }
 
-    /// Difference that interpolation between the nodes of `grid` makes to the kernel of the place itself, both of the
-    /// light `bank`, one sample a pixel.
-    pub fn nodes(&self, probe: &Probe, bank: &Bank, grid: &NodeGrid, scratch: &mut Scratch) -> Values {
-        let (region, size) = (probe.region, self.size);
-        let patch = Patch::sample(&self.scenes[0], region, size);
-        let (fine, _) = bank.fine(centre(self.frame, region), size, 1, scratch);
-        let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
-        let exact = self.values(&patch, region, &kernels, size, size);
+    /// Difference that interpolation between `nodes` makes to the kernel of the place itself, one sample a pixel.
+    pub fn nodes(&self, coarse: &Coarse, nodes: &Nodes<'_>) -> Values {
+        let (region, size, grid) = (coarse.region, self.size, &nodes.grid);
         let grown = region.grown(size / 2);
         let reach = |knots: &[isize], first: isize, n: usize| {
             let (a, b) = (NodeGrid::between(knots, first), NodeGrid::between(knots, first + n.cast_signed() - 1));
             a.first..=b.second
         };
-        let mut sum = vec![0.0f32; exact.len()];
+        let mut sum = vec![0.0f32; coarse.values.len()];
         for r in reach(&grid.row_knots, grown.row, grown.rows) {
             for c in reach(&grid.col_knots, grown.col, grown.cols) {
                 let n = r * grid.col_knots.len() + c;
-                let (row, col) = grid.pixel(n);
-                let (fine, _) = bank.fine(Place::pixel(self.frame, row, col), size, 1, scratch);
-                let kernels: Vec<Vec<f32>> = fine.iter().map(|k| flipped(k)).collect();
-                let windowed = patch.windowed(grid, n, grown);
+                let Some(kernel) = nodes.kernel(n) else { continue };
+                let kernels: Vec<Vec<f32>> =
+                    kernel.chunks_exact(size * size).map(|k| k.iter().rev().copied().collect()).collect();
+                let windowed = coarse.patch.windowed(grid, n, grown);
                 let part = self.values(&windowed, region, &kernels, size, size);
                 sum.iter_mut().zip(part).for_each(|(s, v)| *s += v);
             }
         }
-        less(sum, &exact)
+        less(sum, &coarse.values)
     }
+}
+
+/// A probe at the coarsest sampling, through one bank's kernels.
+pub struct Coarse {
+    region: Region,
+    patch: Patch,
+    kernels: Vec<Vec<f32>>,
+    values: Values,
 }
 
 impl Patch {
