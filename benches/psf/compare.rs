@@ -3,7 +3,6 @@
 use std::hint::black_box;
 
 use glam::DVec2;
-use isoplanat::psf::cells::Cells;
 use isoplanat::psf::pupil::{PupilMap, PupilSampling};
 use isoplanat::psf::splat::splat;
 use isoplanat::trace::System;
@@ -11,6 +10,7 @@ use isoplanat::trace::aim::ParaxialPupil;
 use isoplanat::trace::launch::FieldPoint;
 
 use crate::cases::{Case, SIZE, Spot, best, pool, random, relative, spiral, summary};
+use crate::cells::Cells;
 use crate::tables::CONVERGED;
 
 /// Largest side of a cell's part, pixels.

@@ -5,6 +5,7 @@
 //! own: 243 monochromatic kernels of 65 x 65 pixels.
 
 mod cases;
+mod cells;
 mod compare;
 mod tables;
 

@@ -5,7 +5,6 @@
 //! [`grid`] does so over field, depth and wavelength, with the adjoint of all of it; [`chief`] gives the chief-ray
 //! landings that the distortion fit stands on.
 
-pub mod cells;
 pub mod chief;
 mod clip;
 mod fit;
