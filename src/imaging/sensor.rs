@@ -107,6 +107,7 @@ impl Sensor {
         let refuse = |ok: bool, place: &str, found: String, allowed: &str| {
             if ok { Ok(()) } else { Err(Error::bad(file, place, found, allowed)) }
         };
+        refuse(!self.source.trim().is_empty(), "source", "nothing".into(), "where numbers and response come from")?;
         let Self { bits, black_level: black, white_level: white, .. } = *self;
         refuse((1..=16).contains(&bits), "bits", bits.to_string(), "1 to 16")?;
         refuse(black >= 0.0 && black.is_finite(), "black_level", black.to_string(), "a number of DN, 0 or more")?;
@@ -183,6 +184,7 @@ mod tests {
         let cases = [
             ("schema = 1", "schema = 2", "schema"),
             ("schema = 1", "", "schema"),
+            ("source = \"", "source = \" \" # \"", "source"),
             ("bits = 12", "bits = 17", "bits"),
             ("bits = 12", "bits = 12\nlens = 3", "lens"),
             ("\"RGGB\"", "\"RGBW\"", "RGBW"),

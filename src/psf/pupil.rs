@@ -44,8 +44,9 @@ impl PupilSampling {
         Self::with_points(degree, equal_area_rings(dense))
     }
 
-    /// A polynomial of `degree` evaluated at `points`, whose second half mirrors the first in x.
-    pub(super) fn with_points(degree: usize, points: Vec<DVec2>) -> Self {
+    /// A polynomial of `degree` evaluated at `points` of the unit stop, whose second half mirrors the first (`x ≥ 0`) in
+    /// x. Each point's weight stands for an equal area, whether or not it has one.
+    pub fn with_points(degree: usize, points: Vec<DVec2>) -> Self {
         // Rings at Gauss–Lobatto-like radii (rim included), half-turn azimuths symmetric about y.
         let rings = degree / 2 + 2;
         let azimuths = degree + 2;

@@ -123,7 +123,7 @@ fn a_perfect_lens_out_of_focus_gives_the_defocus_disc() {
     assert_abs(exact.iter().sum(), 1.0, 1e-12, "the disc lies inside");
     let lens = perfect(stop, defocus);
     // What the number of dense points leaves, by count.
-    for (dense, limit) in [(300, 0.12), (1000, 0.05), (4000, 0.015), (20_000, 0.004)] {
+    for (dense, limit) in [(300, 0.04), (1000, 0.012), (4000, 3e-3), (20_000, 8e-4)] {
         let plan = plan_of(PupilSampling::new(3, dense), size, pitch);
         let (kernel, outside) = axis(&lens, &plan, [1.0, 0.0], 0.0);
         assert_eq!(outside, 0.0);
@@ -132,8 +132,8 @@ fn a_perfect_lens_out_of_focus_gives_the_defocus_disc() {
         eprintln!("defocus disc of 10 pixels, {dense} points: {error:.1e}");
         assert!(error < limit, "{dense}: {error:e}");
         // In the middle of the disc the kernel is 1/(π r²).
-        let middle = kernel[size * size / 2];
-        assert_rel(middle, 1.0 / (std::f64::consts::PI * disc * disc), 5.0 * limit, 0.0, "middle");
+        let middle = (12..19).flat_map(|r| (12..19).map(move |c| r * size + c)).map(|i| kernel[i]).sum::<f64>() / 49.0;
+        assert_rel(middle, 1.0 / (std::f64::consts::PI * disc * disc), limit, 0.0, "middle");
     }
 }
 
@@ -189,12 +189,12 @@ fn a_vignetted_beam_ends_in_a_kernel_of_zeros() {
     let v = shipped.object_vergence;
     let plan = plan_of(PupilSampling::new(5, 100), 129, 0.006);
     // A beam that leaves the first surface's vertex aside.
-    let slope = 0.5;
+    let slope = 0.55;
     let radius = super::chief::chief_heights(&shipped, v, &[slope]).expect("aims")[0];
     let (mut few, mut none) = (0, 0);
     for step in 0..120 {
         let mut lens = shipped.clone();
-        lens.surfaces[0].semi_diameter = 12.0 * 0.98f64.powi(step);
+        lens.surfaces[0].semi_diameter = 12.0 * 0.95f64.powi(step);
         let (grid, bar) = pull(&lens, v, &plan, &[0.0, slope], &[0.0, radius]).expect("unclipped rays all arrive");
         assert!(finite(&lens, &grid, &bar), "step {step}");
         let sum = grid.kernels.index_axis(Axis(0), 1).sum() + grid.outside[[1, 0]];
