@@ -243,8 +243,8 @@ fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
         return Err(Error::bad("", "scene", found, "1 or 3 channels, at least one texel"));
     }
     // The first that is wrong; NaN is not within anything.
-    let wrong = |v: f32| !(v.abs() <= LARGEST);
-    if let Some(((channel, row, col), v)) = scene.texture.indexed_iter().find(|(_, v)| wrong(**v)) {
+    let fine = |v: f32| v.abs() <= LARGEST;
+    if let Some(((channel, row, col), v)) = scene.texture.indexed_iter().find(|(_, v)| !fine(**v)) {
         let place = format!("scene, channel {channel}, row {row}, column {col}");
         return Err(Error::bad("", place, format!("radiance {v}"), format!("finite numbers within ±{LARGEST:e}")));
     }

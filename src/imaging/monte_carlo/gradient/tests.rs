@@ -202,7 +202,7 @@ fn one_ray_agrees_with_differences() {
                 };
                 assert_rel(
                     pulled[k],
-                    central_difference(f, 1e-6),
+                    central_difference(f, 3e-6),
                     1e-6,
                     1e-3 * norm,
                     &format!("{row} {col} {parameter}"),
