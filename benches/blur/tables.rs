@@ -21,7 +21,7 @@ fn best(runs: u32, mut work: impl FnMut()) -> f64 {
 }
 
 fn forward(case: &Case, method: Method) -> f64 {
-    best(7, || {
+    best(5, || {
         let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
         assert!(y[[0, 5, 5]].is_finite());
     })
@@ -47,7 +47,7 @@ fn frame(text: &mut String) {
     for block in [32, 64, 96, 128] {
         let ahead = forward(&case, Method::Cells { block });
         let both = ahead
-            + best(5, || {
+            + best(3, || {
                 let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, block, bar.view());
                 assert!(k[[0, 0, 0, 1, 1]].is_finite());
             });
