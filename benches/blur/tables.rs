@@ -28,13 +28,15 @@ fn forward(case: &Case, method: Method) -> f64 {
 }
 
 pub(crate) fn print() {
-    let mut text = String::new();
+    let mut text = String::from(
+        "# Varying blur\n\n`cargo bench --bench blur -- tables` writes this page; `tests/peers/blur_torch.py` is the peer.\n\n",
+    );
     pool(2).install(|| {
         frame(&mut text);
         choice(&mut text);
     });
     print!("{text}");
-    std::fs::write("benches/results/blur_tables.md", text).expect("writable");
+    std::fs::write("benches/results/blur.md", text).expect("writable");
 }
 
 fn frame(text: &mut String) {
