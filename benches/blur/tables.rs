@@ -21,20 +21,22 @@ fn best(runs: u32, mut work: impl FnMut()) -> f64 {
 }
 
 fn forward(case: &Case, method: Method) -> f64 {
-    best(7, || {
+    best(5, || {
         let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
         assert!(y[[0, 5, 5]].is_finite());
     })
 }
 
 pub(crate) fn print() {
-    let mut text = String::new();
+    let mut text = String::from(
+        "# Varying blur\n\n`cargo bench --bench blur -- tables` writes this page; `tests/peers/blur_torch.py` is the peer.\n\n",
+    );
     pool(2).install(|| {
         frame(&mut text);
         choice(&mut text);
     });
     print!("{text}");
-    std::fs::write("benches/results/blur_tables.md", text).expect("writable");
+    std::fs::write("benches/results/blur.md", text).expect("writable");
 }
 
 fn frame(text: &mut String) {
@@ -47,7 +49,7 @@ fn frame(text: &mut String) {
     for block in [32, 64, 96, 128] {
         let ahead = forward(&case, Method::Cells { block });
         let both = ahead
-            + best(5, || {
+            + best(3, || {
                 let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, block, bar.view());
                 assert!(k[[0, 0, 0, 1, 1]].is_finite());
             });

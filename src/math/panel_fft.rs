@@ -5,8 +5,6 @@
 //! order and the inverse (decimation in time) takes them so: products of spectra do not care about the order. Sizes
 //! have the factors 2, 3 and 5. Source: Van Loan, Computational Frameworks for the FFT, §1.8 and §2.1.
 
-use std::array::from_fn;
-
 use realfft::FftNum;
 
 /// Columns of a panel.
@@ -64,10 +62,10 @@ impl<T: FftNum> PanelFft<T> {
         for stage in &self.stages {
             for block in panel.chunks_exact_mut(stage.len) {
                 match stage.radix {
-                    2 => split::<T, 2, false>(stage, block, dft2),
-                    3 => split::<T, 3, false>(stage, block, dft3::<T, false>),
-                    4 => split::<T, 4, false>(stage, block, dft4::<T, false>),
-                    _ => split::<T, 5, false>(stage, block, dft5::<T, false>),
+                    2 => by2::<T, false>(stage, block),
+                    3 => by3::<T, false>(stage, block),
+                    4 => by4::<T, false>(stage, block),
+                    _ => by5::<T, false>(stage, block),
                 }
             }
         }
@@ -79,84 +77,117 @@ impl<T: FftNum> PanelFft<T> {
         for stage in self.stages.iter().rev() {
             for block in panel.chunks_exact_mut(stage.len) {
                 match stage.radix {
-                    2 => split::<T, 2, true>(stage, block, dft2),
-                    3 => split::<T, 3, true>(stage, block, dft3::<T, true>),
-                    4 => split::<T, 4, true>(stage, block, dft4::<T, true>),
-                    _ => split::<T, 5, true>(stage, block, dft5::<T, true>),
+                    2 => by2::<T, true>(stage, block),
+                    3 => by3::<T, true>(stage, block),
+                    4 => by4::<T, true>(stage, block),
+                    _ => by5::<T, true>(stage, block),
                 }
             }
         }
     }
 }
 
-/// One stage on one block: small transforms of lines `len / R` apart, then twiddles (before them in the inverse).
-#[inline(always)]
-fn split<T: FftNum, const R: usize, const INVERSE: bool>(
-    stage: &Stage<T>,
-    block: &mut [Line<T>],
-    dft: impl Fn([Line<T>; R]) -> [Line<T>; R],
-) {
-    let step = stage.len / R;
-    let mut parts: [&mut [Line<T>]; R] = {
-        let mut chunks = block.chunks_exact_mut(step);
-        from_fn(|_| chunks.next().unwrap_or_default())
+/// One stage on one block: small transforms of lines `len / radix` apart, then twiddles (before them in the inverse).
+///
+/// A macro and plain loops instead of closures: only code that is inlined is compiled for the caller's vectors.
+macro_rules! stage {
+    ($name:ident, $radix:literal, $dft:ident) => {
+        #[inline(always)]
+        fn $name<T: FftNum, const INVERSE: bool>(stage: &Stage<T>, block: &mut [Line<T>]) {
+            let step = block.len() / $radix;
+            for j in 0..step {
+                let mut x = [[[T::zero(); LANES]; 2]; $radix];
+                for t in 0..$radix {
+                    x[t] = block[t * step + j];
+                }
+                if step > 1 {
+                    let twiddles = &stage.twiddles[j * ($radix - 1)..(j + 1) * ($radix - 1)];
+                    if INVERSE {
+                        for u in 1..$radix {
+                            x[u] = turn(&x[u], [twiddles[u - 1][0], -twiddles[u - 1][1]]);
+                        }
+                    }
+                    x = $dft::<T, INVERSE>(&x);
+                    if !INVERSE {
+                        for u in 1..$radix {
+                            x[u] = turn(&x[u], twiddles[u - 1]);
+                        }
+                    }
+                } else {
+                    x = $dft::<T, INVERSE>(&x);
+                }
+                for t in 0..$radix {
+                    block[t * step + j] = x[t];
+                }
+            }
+        }
     };
-    if step == 1 {
-        let y = dft(from_fn(|t| parts[t][0]));
-        for (part, y) in parts.iter_mut().zip(y) {
-            part[0] = y;
-        }
-        return;
-    }
-    for j in 0..step {
-        let twiddles: &[[T; 2]] = &stage.twiddles[j * (R - 1)..(j + 1) * (R - 1)];
-        let x: [Line<T>; R] = from_fn(|t| parts[t][j]);
-        let y = if INVERSE {
-            dft(from_fn(|u| if u == 0 { x[0] } else { turn(&x[u], [twiddles[u - 1][0], -twiddles[u - 1][1]]) }))
-        } else {
-            let y = dft(x);
-            from_fn(|u| if u == 0 { y[0] } else { turn(&y[u], twiddles[u - 1]) })
-        };
-        for (part, y) in parts.iter_mut().zip(y) {
-            part[j] = y;
-        }
-    }
 }
+
+stage!(by2, 2, dft2);
+stage!(by3, 3, dft3);
+stage!(by4, 4, dft4);
+stage!(by5, 5, dft5);
 
 #[inline(always)]
 fn add<T: FftNum>(a: &Line<T>, b: &Line<T>) -> Line<T> {
-    from_fn(|i| from_fn(|l| a[i][l] + b[i][l]))
+    let mut y = *a;
+    for l in 0..LANES {
+        y[0][l] = a[0][l] + b[0][l];
+        y[1][l] = a[1][l] + b[1][l];
+    }
+    y
 }
 
 #[inline(always)]
 fn sub<T: FftNum>(a: &Line<T>, b: &Line<T>) -> Line<T> {
-    from_fn(|i| from_fn(|l| a[i][l] - b[i][l]))
+    let mut y = *a;
+    for l in 0..LANES {
+        y[0][l] = a[0][l] - b[0][l];
+        y[1][l] = a[1][l] - b[1][l];
+    }
+    y
 }
 
 #[inline(always)]
 fn scale<T: FftNum>(a: &Line<T>, s: T) -> Line<T> {
-    from_fn(|i| from_fn(|l| a[i][l] * s))
+    let mut y = *a;
+    for l in 0..LANES {
+        y[0][l] = a[0][l] * s;
+        y[1][l] = a[1][l] * s;
+    }
+    y
 }
 
 /// `z · w`.
 #[inline(always)]
 fn turn<T: FftNum>(z: &Line<T>, w: [T; 2]) -> Line<T> {
-    [from_fn(|l| z[0][l] * w[0] - z[1][l] * w[1]), from_fn(|l| z[0][l] * w[1] + z[1][l] * w[0])]
+    let mut y = *z;
+    for l in 0..LANES {
+        y[0][l] = z[0][l] * w[0] - z[1][l] * w[1];
+        y[1][l] = z[0][l] * w[1] + z[1][l] * w[0];
+    }
+    y
 }
 
 /// `−i z`, or `i z` in the inverse.
 #[inline(always)]
 fn quarter<T: FftNum, const INVERSE: bool>(z: &Line<T>) -> Line<T> {
-    if INVERSE { [from_fn(|l| -z[1][l]), z[0]] } else { [z[1], from_fn(|l| -z[0][l])] }
+    let mut y = [z[1], z[0]];
+    let negated = if INVERSE { 0 } else { 1 };
+    for v in &mut y[negated] {
+        *v = -*v;
+    }
+    y
 }
 
 #[inline(always)]
-fn dft2<T: FftNum>(x: [Line<T>; 2]) -> [Line<T>; 2] {
+fn dft2<T: FftNum, const INVERSE: bool>(x: &[Line<T>; 2]) -> [Line<T>; 2] {
     [add(&x[0], &x[1]), sub(&x[0], &x[1])]
 }
 
 #[inline(always)]
-fn dft3<T: FftNum, const INVERSE: bool>(x: [Line<T>; 3]) -> [Line<T>; 3] {
+fn dft3<T: FftNum, const INVERSE: bool>(x: &[Line<T>; 3]) -> [Line<T>; 3] {
     let sin = T::from_f64(0.75f64.sqrt()).unwrap_or_else(T::zero);
     let half = T::from_f64(0.5).unwrap_or_else(T::zero);
     let sum = add(&x[1], &x[2]);
@@ -166,14 +197,14 @@ fn dft3<T: FftNum, const INVERSE: bool>(x: [Line<T>; 3]) -> [Line<T>; 3] {
 }
 
 #[inline(always)]
-fn dft4<T: FftNum, const INVERSE: bool>(x: [Line<T>; 4]) -> [Line<T>; 4] {
+fn dft4<T: FftNum, const INVERSE: bool>(x: &[Line<T>; 4]) -> [Line<T>; 4] {
     let (s0, d0) = (add(&x[0], &x[2]), sub(&x[0], &x[2]));
     let (s1, d1) = (add(&x[1], &x[3]), quarter::<T, INVERSE>(&sub(&x[1], &x[3])));
     [add(&s0, &s1), add(&d0, &d1), sub(&s0, &s1), sub(&d0, &d1)]
 }
 
 #[inline(always)]
-fn dft5<T: FftNum, const INVERSE: bool>(x: [Line<T>; 5]) -> [Line<T>; 5] {
+fn dft5<T: FftNum, const INVERSE: bool>(x: &[Line<T>; 5]) -> [Line<T>; 5] {
     let real = |v: f64| T::from_f64(v).unwrap_or_else(T::zero);
     // cos and sin of 72° and 144°.
     let (c1, s1) = (real(0.309_016_994_374_947_45), real(0.951_056_516_295_153_5));
@@ -190,6 +221,7 @@ fn dft5<T: FftNum, const INVERSE: bool>(x: [Line<T>; 5]) -> [Line<T>; 5] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::array::from_fn;
 
     fn panel(size: usize, rng: &mut fastrand::Rng) -> Vec<Line<f64>> {
         (0..size).map(|_| from_fn(|_| from_fn(|_| rng.f64() - 0.5))).collect()

@@ -134,7 +134,7 @@ mod tests {
     use super::super::plain::{Case, cases, difference};
     use super::super::{Method, blur};
     use super::*;
-    use ndarray::{Array5, Zip};
+    use ndarray::{Array5, Zip, s};
 
     fn of<T: Real>(case: &Case<T>, rank: usize, tolerance: f64) -> Array3<T> {
         let method = Method::LowRank { block: case.block, rank, tolerance };

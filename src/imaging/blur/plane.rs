@@ -206,10 +206,16 @@ impl<T: Real> Work for Split<'_, T> {
         for (p, part) in self.freq.chunks(LANES).enumerate() {
             let line = &mut self.lines[p * self.stride + self.at];
             if let Ok(part) = <&[Complex<T>; LANES]>::try_from(part) {
-                *line = [std::array::from_fn(|l| part[l].re), std::array::from_fn(|l| part[l].im)];
+                for l in 0..LANES {
+                    line[0][l] = part[l].re;
+                    line[1][l] = part[l].im;
+                }
             } else {
-                let at = |l: usize| part.get(l).copied().unwrap_or_else(|| Complex::new(T::zero(), T::zero()));
-                *line = [std::array::from_fn(|l| at(l).re), std::array::from_fn(|l| at(l).im)];
+                *line = [[T::zero(); LANES]; 2];
+                for (l, f) in part.iter().enumerate() {
+                    line[0][l] = f.re;
+                    line[1][l] = f.im;
+                }
             }
         }
     }
@@ -251,7 +257,10 @@ impl<T: Real> Work for Forward<'_, T> {
         match self.window {
             Some(window) => {
                 for ((line, from), w) in head.iter_mut().zip(self.from).zip(window) {
-                    *line = std::array::from_fn(|i| std::array::from_fn(|l| from[i][l] * *w));
+                    for l in 0..LANES {
+                        line[0][l] = from[0][l] * *w;
+                        line[1][l] = from[1][l] * *w;
+                    }
                 }
             }
             None => head.copy_from_slice(self.from),
