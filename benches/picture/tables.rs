@@ -65,7 +65,11 @@ fn rms(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
 pub(crate) fn write(quick: bool) {
     let mut page = String::from("# Pictures: error against run time\n\n");
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let _ = writeln!(page, "`cargo bench --bench picture -- tables{}`, {threads} threads.\n", if quick { " quick" } else { "" });
+    let _ = writeln!(
+        page,
+        "`cargo bench --bench picture -- tables{}`, {threads} threads.\n",
+        if quick { " quick" } else { "" }
+    );
     let mut section = |name: &str, text: String| {
         println!("## {name}\n\n{text}");
         let _ = write!(page, "## {name}\n\n{text}\n");
@@ -140,7 +144,9 @@ fn plans() -> String {
          lens on. The bound is the sum of the plan's own.\n\n\
          | case | planned s | everything s | saving | rms difference | stated bound |\n|---|---|---|---|---|---|\n",
     );
-    let photo = photograph(5).unwrap_or_else(|| isoplanat::imaging::scene::generate(isoplanat::imaging::scene::SceneKind::Facades, 3, 512, 768));
+    let photo = photograph(5).unwrap_or_else(|| {
+        isoplanat::imaging::scene::generate(isoplanat::imaging::scene::SceneKind::Facades, 3, 512, 768)
+    });
     let grey = {
         let green = photo.slice(s![1, .., ..]).to_owned();
         Array3::from_shape_fn(photo.dim(), |(_, i, j)| green[[i, j]])
@@ -165,7 +171,8 @@ fn plans() -> String {
     for (what, case) in cases {
         let full = make(&case, Wish::Everything);
         let best = (0..3).map(|_| make(&case, Wish::Psnr(50.0)).seconds).fold(f64::INFINITY, f64::min);
-        let told = plan(&case.lens, &case.scene, &case.frame, &case.density, None, Wish::Psnr(50.0), true).expect("plans");
+        let told =
+            plan(&case.lens, &case.scene, &case.frame, &case.density, None, Wish::Psnr(50.0), true).expect("plans");
         let image = render::<f32>(&told, &|_| ()).image;
         let bound: f64 = told.skips.iter().map(|s| s.bound).sum();
         let _ = writeln!(
@@ -189,7 +196,8 @@ fn equal_error(quick: bool) -> String {
     let (wide, high) = (4096, 512);
     let mirrored = |k: usize, n: usize| if (k / n).is_multiple_of(2) { k % n } else { n - 1 - k % n };
     let texture = Array3::from_shape_fn((3, high, wide), |(c, i, j)| photo[[c, mirrored(i, rows), mirrored(j, cols)]]);
-    let scene = Plane { texture, texels_per_slope: 4096.0 / 0.437, axis_texel: [0.0, 0.0], vergence: lens.object_vergence };
+    let scene =
+        Plane { texture, texels_per_slope: 4096.0 / 0.437, axis_texel: [0.0, 0.0], vergence: lens.object_vergence };
     let density = isoplanat::imaging::spectrum::SpectralDensity::new(&isoplanat::imaging::sensor::Sensor::generic());
     let case = Case { lens, frame, scene, density };
     // Judged on bands of columns over the field.
@@ -264,8 +272,12 @@ fn chosen(quick: bool) -> String {
     let size = [768, 512];
     let targets = [40.0, 45.0, 50.0];
     let numbers: Vec<usize> = if quick { vec![5, 13] } else { (1..=24).collect() };
-    let mut out = String::from("768 × 512 pixels half way to the corner; reference 96 rays a pixel and channel. The cheapest: the least run time of a ladder of twelve settings (without planning) that held, and of the chosen settings themselves.\n\n");
-    let mut lines = String::from("\n| lens | photograph | asked | PSNR dB | predicted | settings | planning s | s | cheapest s | ratio |\n|---|---|---|---|---|---|---|---|---|---|\n");
+    let mut out = String::from(
+        "768 × 512 pixels half way to the corner; reference 96 rays a pixel and channel. The cheapest: the least run time of a ladder of twelve settings (without planning) that held, and of the chosen settings themselves.\n\n",
+    );
+    let mut lines = String::from(
+        "\n| lens | photograph | asked | PSNR dB | predicted | settings | planning s | s | cheapest s | ratio |\n|---|---|---|---|---|---|---|---|---|---|\n",
+    );
     let mut counts = [[0usize; 3]; 3];
     let mut worst = [0.0f64; 3];
     let mut ratios: Vec<f64> = Vec::new();
@@ -273,7 +285,11 @@ fn chosen(quick: bool) -> String {
         for number in &numbers {
             let Some(photo) = photograph(*number) else { continue };
             // Upright ones are turned.
-            let photo = if photo.dim().1 > photo.dim().2 { photo.permuted_axes([0, 2, 1]).as_standard_layout().to_owned() } else { photo };
+            let photo = if photo.dim().1 > photo.dim().2 {
+                photo.permuted_axes([0, 2, 1]).as_standard_layout().to_owned()
+            } else {
+                photo
+            };
             let case = place(lens, size, photo);
             let halves = reference(&case, 96);
             let judge = |image: &Array3<f32>| psnr_against_halves(image.view(), &halves).psnr_db;
@@ -309,7 +325,10 @@ fn chosen(quick: bool) -> String {
                     made.planning,
                     made.seconds
                 );
-                println!("{lens} {number:02} {db}: {psnr:.1} dB (predicted {:.1}), {:.2} s, ratio {ratio:.1}", made.predicted, made.seconds);
+                println!(
+                    "{lens} {number:02} {db}: {psnr:.1} dB (predicted {:.1}), {:.2} s, ratio {ratio:.1}",
+                    made.predicted, made.seconds
+                );
             }
         }
     }
@@ -326,12 +345,7 @@ fn chosen(quick: bool) -> String {
 
 /// From coarse to fine, all approximations together and the scene's samples apart.
 fn ladder() -> Vec<Settings> {
-    let steps = [
-        (3, 200, 0.4, 2e-2),
-        (4, 200, 0.2, 5e-3),
-        (5, 500, 0.2, 2e-3),
-        (7, 1200, 0.1, 5e-4),
-    ];
+    let steps = [(3, 200, 0.4, 2e-2), (4, 200, 0.2, 5e-3), (5, 500, 0.2, 2e-3), (7, 1200, 0.1, 5e-4)];
     let with = |m: usize| {
         steps.map(|(wavelengths, dense, node_error, outside)| Settings {
             samples: m,

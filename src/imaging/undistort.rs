@@ -116,7 +116,7 @@ struct RadialTable {
 }
 
 impl RadialTable {
-    const PER_PIXEL: f64 = 4.0;
+    const PER_PIXEL: f64 = 2.0;
 
     fn new(source_radius: &(impl Fn(f64) -> f64 + Sync), max_px: f64, pitch_mm: f64) -> Self {
         let count = (max_px * Self::PER_PIXEL).ceil() as usize + 2;
@@ -133,12 +133,21 @@ impl RadialTable {
         Self { nodes }
     }
 
+    /// The ratio by the cubic through four neighbours, the stretch linearly.
     fn at(&self, radius_px: f64) -> (f64, f64) {
-        let x = (radius_px * Self::PER_PIXEL).min((self.nodes.len() - 2) as f64);
+        let last = self.nodes.len() - 1;
+        let x = (radius_px * Self::PER_PIXEL).min((last - 1) as f64);
         let i = x as usize;
         let t = x - i as f64;
         let (a, b) = (self.nodes[i], self.nodes[i + 1]);
-        (a.0 + t * (b.0 - a.0), a.1 + t * (b.1 - a.1))
+        // The ratio is even in the radius; beyond the end the last piece continues.
+        let before = self.nodes[i.abs_diff(1)].0;
+        let after = if i + 2 <= last { self.nodes[i + 2].0 } else { 3.0 * (b.0 - a.0) + before };
+        let bend = t * (t - 1.0);
+        let cubic = a.0
+            + t * (b.0 - a.0)
+            + bend * ((2.0 - t) * (before - 2.0 * a.0 + b.0) + (1.0 + t) * (a.0 - 2.0 * b.0 + after)) / 6.0;
+        (cubic, a.1 + t * (b.1 - a.1))
     }
 }
 

@@ -23,7 +23,11 @@ fn tent_integral(v: f64) -> f64 {
 
 /// First fine index and the `m + 2` weights of a displacement of `u` pixels; the index counts from `δ = 0`, `φ = 0`.
 #[inline]
-#[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "small numbers, bounded by the caller")]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    reason = "small numbers, bounded by the caller"
+)]
 fn weights(u: f64, m: usize) -> (isize, [f64; MOST]) {
     let fine = u * m as f64;
     // W_f = [G(f + m − ½ − mu) − G(f − ½ − mu)]/m is above zero for mu − m − ½ < f < mu + 3/2.

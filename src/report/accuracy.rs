@@ -70,7 +70,8 @@ pub fn mark_pareto(rows: &mut [Row]) {
 impl Accuracy {
     /// The rows as a table.
     pub fn table(&self) -> Table {
-        let head = ["", "method", "varied", "settings", "PSNR dB", "95 % interval", "rel. L2", "energy", "worst", "s", "MiB"];
+        let head =
+            ["", "method", "varied", "settings", "PSNR dB", "95 % interval", "rel. L2", "energy", "worst", "s", "MiB"];
         let mut table = Table::new(head);
         for r in &self.rows {
             #[expect(clippy::cast_precision_loss, reason = "bytes for a reader")]
@@ -203,7 +204,13 @@ mod tests {
 
     #[test]
     fn the_front_holds_what_nothing_beats() {
-        let mut rows = vec![row("a", 40.0, 1.0), row("a", 50.0, 2.0), row("b", 45.0, 3.0), row("b", 60.0, 9.0), row("c", 50.0, 2.0)];
+        let mut rows = vec![
+            row("a", 40.0, 1.0),
+            row("a", 50.0, 2.0),
+            row("b", 45.0, 3.0),
+            row("b", 60.0, 9.0),
+            row("c", 50.0, 2.0),
+        ];
         mark_pareto(&mut rows);
         assert_eq!(rows.iter().map(|r| r.pareto).collect::<Vec<_>>(), [true, true, false, true, true]);
     }

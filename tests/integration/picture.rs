@@ -77,7 +77,9 @@ fn planned_pictures_are_within_their_bounds() {
         let told = |what: &str| left.contains(&what);
         match what {
             "grey" => assert!(told("colours of the scene")),
-            "red alone" => assert!(told("dark channels") && picture.image.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)),
+            "red alone" => assert!(
+                told("dark channels") && picture.image.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)
+            ),
             "one lit corner" => assert!(told("unlit part of the frame") || told("unlit blocks")),
             _ => {}
         }

@@ -106,7 +106,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Placed { lens, frame, max_slope, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     let density = SpectralDensity::new(&Sensor::generic());
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-    let rays = |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
+    let rays =
+        |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
     let bar = Bar::new("reference");
     let clock = Instant::now();
     let halves = render_halves(
@@ -162,19 +163,24 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let (made, peak_bytes) = measured(make);
         let (image, method, settings) = made?;
         let seconds = clock.elapsed().as_secs_f64();
-        rows.push(judged(&image, &halves, &mean, Row {
-            method: method.into(),
-            ladder: (*ladder).into(),
-            settings,
-            psnr_db: 0.0,
-            psnr_db_interval: [0.0; 2],
-            relative_l2: 0.0,
-            energy: 0.0,
-            worst_pixel: 0.0,
-            seconds,
-            peak_bytes,
-            pareto: false,
-        }));
+        rows.push(judged(
+            &image,
+            &halves,
+            &mean,
+            Row {
+                method: method.into(),
+                ladder: (*ladder).into(),
+                settings,
+                psnr_db: 0.0,
+                psnr_db_interval: [0.0; 2],
+                relative_l2: 0.0,
+                energy: 0.0,
+                worst_pixel: 0.0,
+                seconds,
+                peak_bytes,
+                pareto: false,
+            },
+        ));
     }
     bar.done(String::new());
     mark_pareto(&mut rows);

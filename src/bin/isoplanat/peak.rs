@@ -27,7 +27,8 @@ mod tests {
     /// 64 MiB that are touched are seen, if anything is.
     #[test]
     fn what_is_touched_is_seen() {
-        let (sum, rise) = measured(|| std::hint::black_box(vec![1u8; 64 << 20]).iter().map(|v| u64::from(*v)).sum::<u64>());
+        let (sum, rise) =
+            measured(|| std::hint::black_box(vec![1u8; 64 << 20]).iter().map(|v| u64::from(*v)).sum::<u64>());
         assert_eq!(sum, 64 << 20);
         assert!(rise.is_none_or(|r| r > 32 << 20), "{rise:?}");
     }

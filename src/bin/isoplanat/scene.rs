@@ -36,8 +36,14 @@ pub(crate) struct SceneArgs {
     #[arg(long)]
     quadrant: bool,
     /// Only this part of the frame, as COLUMN,ROW,COLUMNS,ROWS; the scene stays where it is.
-    #[arg(long, value_delimiter = ',', num_args = 4, value_name = "C,R,COLS,ROWS")]
-    crop: Option<Vec<usize>>,
+    #[arg(long, value_name = "COL,ROW,COLS,ROWS", value_parser = four)]
+    crop: Option<[usize; 4]>,
+}
+
+/// Four whole numbers between commas.
+fn four(text: &str) -> std::result::Result<[usize; 4], String> {
+    let numbers: Option<Vec<usize>> = text.split(',').map(|n| n.trim().parse().ok()).collect();
+    numbers.and_then(|n| n.try_into().ok()).ok_or_else(|| "four whole numbers: COLUMN,ROW,COLUMNS,ROWS".into())
 }
 
 /// The part `[column, row, columns, rows]` of a frame.
@@ -77,9 +83,9 @@ impl SceneArgs {
         let max_slope = field_slope(&lens, lens.object_vergence, &frame)?;
         let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
         let plane = self.plane(scene, &lens, &frame, &distortion)?;
-        let frame = match self.crop.as_deref() {
-            Some(&[col, row, columns, rows]) => cut(&frame, [col, row, columns, rows])?,
-            _ => frame,
+        let frame = match self.crop {
+            Some(part) => cut(&frame, part)?,
+            None => frame,
         };
         Ok(Placed { lens, frame, max_slope, plane })
     }
@@ -93,13 +99,22 @@ impl SceneArgs {
             return Ok(placed);
         }
         let (columns, rows) = (frame.columns.min(768), frame.rows.min(512));
-        #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+        #[expect(
+            clippy::cast_precision_loss,
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "clamped"
+        )]
         let start = |axis: f64, n: usize, part: usize| {
             let middle = 0.5 * (axis.clamp(0.0, n as f64) + if axis < 0.5 * n as f64 { n as f64 } else { 0.0 });
             (middle - 0.5 * part as f64).clamp(0.0, (n - part) as f64) as usize
         };
-        let part = [start(frame.axis_px[0], frame.columns, columns), start(frame.axis_px[1], frame.rows, rows), columns, rows];
-        eprintln!("the frame is large: only its part --crop {},{},{},{} is looked at", part[0], part[1], part[2], part[3]);
+        let part =
+            [start(frame.axis_px[0], frame.columns, columns), start(frame.axis_px[1], frame.rows, rows), columns, rows];
+        eprintln!(
+            "the frame is large: only its part --crop {},{},{},{} is looked at",
+            part[0], part[1], part[2], part[3]
+        );
         Ok(Placed { frame: cut(frame, part)?, ..placed })
     }
 

@@ -131,15 +131,15 @@ impl Bank {
         self.rule.weight.len()
     }
 
-    /// Adds wavelength `l`'s light at `place`, by `weight`, to a fine raster; returns what fell outside.
-    fn splat(&self, l: usize, place: Place, size: usize, m: usize, scratch: &mut Scratch) -> f64 {
+    /// Wavelength `l`'s light at `place` on a fine raster of cells `cell` pixels wide; returns what fell outside.
+    fn splat(&self, l: usize, place: Place, size: usize, m: usize, cell: f64, scratch: &mut Scratch) -> f64 {
         let radius_mm = place.radius_mm.clamp(self.radii_mm[0], self.radii_mm[1]);
         let slope = field_at(&self.distortion, radius_mm).slope;
         self.table.interpolate(slope, l, &mut scratch.landings);
         scratch.mono.clear();
         scratch.mono.resize((m * size) * (m * size), 0.0);
         let [c, r] = place.outward;
-        let per_px = self.frame.pitch_mm.recip();
+        let per_px = (self.frame.pitch_mm * cell).recip();
         let Landings { x, y, weight } = &scratch.landings;
         let mut missed = 0.0;
         for ((x, y), w) in x.iter().zip(y).zip(weight) {
@@ -153,7 +153,7 @@ impl Bank {
 
     /// One wavelength's kernel on the fine raster, in units of its own irradiance `J K_λ`.
     pub fn mono<'s>(&self, l: usize, place: Place, size: usize, m: usize, scratch: &'s mut Scratch) -> &'s [f64] {
-        self.splat(l, place, size, m, scratch);
+        self.splat(l, place, size, m, 1.0, scratch);
         let jacobian = field_at(&self.distortion, place.radius_mm).jacobian;
         scratch.mono.iter_mut().for_each(|v| *v *= jacobian);
         &scratch.mono
@@ -165,7 +165,30 @@ impl Bank {
     }
 
     /// Fine kernels of all channels at `place`, and the light outside the window by channel.
-    pub fn fine<'s>(&self, place: Place, size: usize, m: usize, scratch: &'s mut Scratch) -> (&'s [Vec<f64>], Vec<f64>) {
+    pub fn fine<'s>(
+        &self,
+        place: Place,
+        size: usize,
+        m: usize,
+        scratch: &'s mut Scratch,
+    ) -> (&'s [Vec<f64>], Vec<f64>) {
+        self.mixed(place, size, m, 1.0, scratch)
+    }
+
+    /// Kernels of all channels at `place` on a raster of `size` cells, each `cell` pixels wide.
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    pub fn coarse<'s>(&self, place: Place, size: usize, cell: usize, scratch: &'s mut Scratch) -> &'s [Vec<f64>] {
+        self.mixed(place, size, 1, cell as f64, scratch).0
+    }
+
+    fn mixed<'s>(
+        &self,
+        place: Place,
+        size: usize,
+        m: usize,
+        cell: f64,
+        scratch: &'s mut Scratch,
+    ) -> (&'s [Vec<f64>], Vec<f64>) {
         let channels = self.channels();
         let mut mixed = std::mem::take(&mut scratch.mixed);
         mixed.resize(channels, Vec::new());
@@ -176,7 +199,7 @@ impl Bank {
         let jacobian = field_at(&self.distortion, place.radius_mm).jacobian;
         let mut outside = vec![0.0; channels];
         for l in 0..self.rule.nm.len() {
-            let missed = self.splat(l, place, size, m, scratch);
+            let missed = self.splat(l, place, size, m, cell, scratch);
             for (c, plane) in mixed.iter_mut().enumerate() {
                 let w = self.weight(c, l) * jacobian;
                 if w == 0.0 {
@@ -191,7 +214,13 @@ impl Bank {
     }
 
     /// Writes the kernels at `place`: `[channel, phase, row, col]`.
-    pub fn fill<T: Real>(&self, place: Place, m: usize, scratch: &mut Scratch, mut out: ArrayViewMut4<'_, T>) -> Vec<f64> {
+    pub fn fill<T: Real>(
+        &self,
+        place: Place,
+        m: usize,
+        scratch: &mut Scratch,
+        mut out: ArrayViewMut4<'_, T>,
+    ) -> Vec<f64> {
         let size = out.dim().2;
         let (fine, outside) = self.fine(place, size, m, scratch);
         for (c, plane) in fine.iter().enumerate() {
@@ -203,24 +232,26 @@ impl Bank {
         outside
     }
 
-    /// Half-width in pixels of the square window that holds all but `share` of every traced beam's light (wavelengths of
-    /// less than a hundredth of every channel aside), two pixels for box and tent added.
+    /// Half-width in pixels of the square window that holds all but `share` of every traced field's light, in every
+    /// channel; two pixels for box and tent added.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
     pub fn half_width_px(&self, share: f64) -> usize {
         let mut widest = 0.0f64;
         for (slope, maps) in self.table.fields() {
-            let radius = self.distortion.sensor_from_slope(slope);
+            let radius = self.distortion.sensor_from_slope(slope.min(self.distortion.max_slope))
+                + (slope - self.distortion.max_slope).max(0.0)
+                    * self.distortion.sensor_from_slope_derivative(self.distortion.max_slope);
+            let mut reach: Vec<(f64, usize, f64)> = Vec::new();
             for (l, map) in maps.iter().enumerate() {
-                if self.rule.weight.iter().all(|w| w[l] < 1e-2) {
-                    continue;
-                }
-                let mut reach: Vec<(f64, f64)> =
-                    (0..map.x.len()).map(|q| (map.x[q].hypot(map.y[q] - radius), map.weight[q])).collect();
-                reach.sort_by(|a, b| b.0.total_cmp(&a.0));
-                let total: f64 = map.weight.iter().sum();
+                let far = map.x.iter().zip(&map.y).zip(&map.weight);
+                reach.extend(far.map(|((x, y), w)| (x.hypot(y - radius), l, *w)));
+            }
+            reach.sort_by(|a, b| b.0.total_cmp(&a.0));
+            for weight in &self.rule.weight {
+                let total: f64 = reach.iter().map(|(_, l, w)| weight[*l] * w).sum();
                 let mut sum = 0.0;
-                for (r, w) in reach {
-                    sum += w;
+                for (r, l, w) in &reach {
+                    sum += weight[*l] * w;
                     if sum > share * total {
                         widest = widest.max(r / self.frame.pitch_mm);
                         break;

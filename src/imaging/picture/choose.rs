@@ -147,6 +147,8 @@ pub fn ladders(
     let mut steps = Vec::new();
     for tolerance in Settings::NODE_ERRORS {
         nodes.refine(tolerance);
+        let around: Vec<usize> = probes.iter().flat_map(|p| nodes.around(p.region.grown(probing.size / 2))).collect();
+        nodes.prepare(around.into_iter());
         let found: &Nodes<'_> = nodes;
         let off: Vec<Values> = coarse.par_iter().map(|c| probing.nodes(c, found)).collect();
         let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
@@ -186,7 +188,8 @@ pub fn cheapest(
                             ..base
                         };
                         let seconds = cost(&settings, windows.setting.1, &nodes.setting.2);
-                        let no_better = |found: &Option<(f64, Choice)>, v: f64| found.as_ref().is_some_and(|b| b.0 <= v);
+                        let no_better =
+                            |found: &Option<(f64, Choice)>, v: f64| found.as_ref().is_some_and(|b| b.0 <= v);
                         if no_better(&best, seconds) {
                             continue;
                         }

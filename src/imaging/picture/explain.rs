@@ -27,8 +27,10 @@ pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladder
         );
         add("unlit part of the frame", reason, share(kept, pixels), 0.0);
     } else if plan.needs.lit_share < 1.0 {
-        let reason = format!("{:.1} % of the frame's squares are lit; blocks without light are passed over",
-            100.0 * plan.needs.lit_share);
+        let reason = format!(
+            "{:.1} % of the frame's squares are lit; blocks without light are passed over",
+            100.0 * plan.needs.lit_share
+        );
         add("unlit blocks", reason, plan.needs.lit_share, 0.0);
     }
     let lit = plan.needs.lit_channels.len();
@@ -42,7 +44,8 @@ pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladder
     let apertures = lens.surfaces.iter().enumerate();
     let apertures = apertures.filter(|(k, s)| *k != lens.stop && s.semi_diameter.is_finite()).count();
     if clipping.len() < apertures {
-        let clip = if clipping.is_empty() { "none clips".into() } else { format!("surface {} clips", clipping.join(", ")) };
+        let clip =
+            if clipping.is_empty() { "none clips".into() } else { format!("surface {} clips", clipping.join(", ")) };
         let reason = format!("of {apertures} clear apertures beside the stop, {clip} a beam of this field");
         add("apertures", reason, share(clipping.len(), apertures), 0.0);
     }
@@ -56,7 +59,8 @@ pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladder
     let full = share(plan.frame.rows, 32).ceil().mul_add(share(plan.frame.columns, 32).ceil(), 0.0);
     let off = ladders.and_then(|l| l.nodes.iter().rev().find(|r| r.setting.0 >= s.node_error)).map(|r| &r.off);
     if nodes == 1 {
-        let reason = format!("the PSF is the same all over the picture to {:.1} % (relative L2)", 100.0 * plan.node_error);
+        let reason =
+            format!("the PSF is the same all over the picture to {:.1} % (relative L2)", 100.0 * plan.node_error);
         add("PSF nodes", reason, 1.0 / full, found(off));
     } else {
         let reason = format!(
@@ -72,14 +76,21 @@ pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladder
         let reason = format!("{} of {} wavelengths tell this scene's colours apart", s.wavelengths, fine.wavelengths);
         add("wavelengths", reason, share(s.wavelengths, fine.wavelengths), found(off));
     }
-    let off = ladders.and_then(|l| l.samples.iter().find(|r| r.setting >= s.samples).or(l.samples.last())).map(|r| &r.off);
+    let off =
+        ladders.and_then(|l| l.samples.iter().find(|r| r.setting >= s.samples).or(l.samples.last())).map(|r| &r.off);
     if s.samples < fine.samples {
-        let reason = format!("the blurred scene needs {0} × {0} samples a pixel, not {1} × {1}", s.samples, fine.samples);
+        let reason =
+            format!("the blurred scene needs {0} × {0} samples a pixel, not {1} × {1}", s.samples, fine.samples);
         add("scene samples", reason, share(s.samples * s.samples, fine.samples * fine.samples), found(off));
     }
     let off = ladders.and_then(|l| l.dense.iter().find(|r| r.setting >= s.dense)).map(|r| &r.off);
     if s.dense < fine.dense {
-        add("pupil points", format!("{} of {} points a beam", s.dense, fine.dense), share(s.dense, fine.dense), found(off));
+        add(
+            "pupil points",
+            format!("{} of {} points a beam", s.dense, fine.dense),
+            share(s.dense, fine.dense),
+            found(off),
+        );
     }
     let size = 2 * plan.half_width + 1;
     let off = ladders.and_then(|l| l.windows.iter().find(|r| r.setting.1 >= plan.half_width)).map(|r| &r.off);

@@ -2,7 +2,8 @@
 //!
 //! Knots start evenly spaced from the first pixel to the last; each axis is halved on its own, by the worst error along the
 //! lines of the other. The error of an interval is the relative L2 distance between the kernel computed in its middle and
-//! the mean of the two at its ends, all channels together, at one sample a pixel.
+//! the mean of the two at its ends, all channels together, on a raster of about [`CELLS`] cells a side: finer structure of
+//! wide kernels moves too little light to matter, and is the grain of the pupil's points.
 
 use std::collections::HashMap;
 
@@ -18,6 +19,9 @@ pub const SHORTEST: usize = 16;
 /// Longest interval between nodes, pixels.
 pub const LONGEST: usize = 512;
 
+/// Cells along the side of the kernels that are compared, about.
+const CELLS: usize = 25;
+
 /// Kernels by pixel.
 type Cache = HashMap<(isize, isize), Vec<f32>>;
 
@@ -25,8 +29,13 @@ type Cache = HashMap<(isize, isize), Vec<f32>>;
 pub struct Nodes<'a> {
     bank: &'a Bank,
     frame: &'a Frame,
+    /// Kernel size in pixels, cells of the compared kernels and pixels of a cell.
     size: usize,
+    cells: usize,
+    cell: usize,
     cache: Cache,
+    /// Kernels at one sample a pixel, of the nodes that were asked for.
+    full: Cache,
     /// Norm of the sharpest kernel seen.
     sharpest: f64,
     /// The grid so far.
@@ -39,8 +48,19 @@ impl<'a> Nodes<'a> {
     /// One node in the middle if the kernel is the same all over `source` to `tolerance`, else a coarse grid.
     pub fn coarse(bank: &'a Bank, frame: &'a Frame, source: Region, size: usize, tolerance: f64) -> Self {
         let middle = (source.row + (source.rows / 2).cast_signed(), source.col + (source.cols / 2).cast_signed());
-        let mut nodes =
-            Self { bank, frame, size, cache: Cache::new(), sharpest: 0.0, grid: NodeGrid::single(middle.0, middle.1), error: 0.0 };
+        let cell = size.div_ceil(CELLS);
+        let mut nodes = Self {
+            bank,
+            frame,
+            size,
+            cells: 2 * (size / 2).div_ceil(cell) + 3,
+            cell,
+            cache: Cache::new(),
+            full: Cache::new(),
+            sharpest: 0.0,
+            grid: NodeGrid::single(middle.0, middle.1),
+            error: 0.0,
+        };
         let last = |from: isize, n: usize| from + n.saturating_sub(1).cast_signed();
         let corners = [
             (source.row, source.col),
@@ -53,8 +73,10 @@ impl<'a> Nodes<'a> {
             (middle.0, last(source.col, source.cols)),
         ];
         nodes.need(corners.iter().copied().chain([middle]));
-        let constant =
-            corners.iter().map(|at| distance(&nodes.cache[at], &nodes.cache[&middle], nodes.sharpest)).fold(0.0, f64::max);
+        let constant = corners
+            .iter()
+            .map(|at| distance(&nodes.cache[at], &nodes.cache[&middle], nodes.sharpest))
+            .fold(0.0, f64::max);
         if constant <= tolerance {
             nodes.error = constant;
         } else {
@@ -69,9 +91,31 @@ impl<'a> Nodes<'a> {
         nodes
     }
 
-    /// The kernels of node `n` of the grid, channel by channel, one sample a pixel.
+    /// The kernels of node `n` of the grid, channel by channel, one sample a pixel; asked for by [`Self::prepare`].
     pub fn kernel(&self, n: usize) -> Option<&[f32]> {
-        self.cache.get(&self.grid.pixel(n)).map(Vec::as_slice)
+        self.full.get(&self.grid.pixel(n)).map(Vec::as_slice)
+    }
+
+    /// Computes the kernels of these nodes at one sample a pixel.
+    pub fn prepare(&mut self, nodes: impl Iterator<Item = usize>) {
+        let places = nodes.map(|n| self.grid.pixel(n)).filter(|p| !self.full.contains_key(p));
+        let (bank, frame, size) = (self.bank, self.frame, self.size);
+        let new = computed(places.collect(), |place, scratch| {
+            flat(bank.fine(Place::pixel(frame, place.0, place.1), size, 1, scratch).0)
+        });
+        self.full.extend(new);
+    }
+
+    /// The nodes whose windows reach `region`.
+    pub fn around(&self, region: Region) -> impl Iterator<Item = usize> + use<> {
+        let reach = |knots: &[isize], first: isize, n: usize| {
+            let (a, b) = (NodeGrid::between(knots, first), NodeGrid::between(knots, first + n.cast_signed() - 1));
+            a.first..=b.second
+        };
+        let columns = self.grid.col_knots.len();
+        let cols = reach(&self.grid.col_knots, region.col, region.cols);
+        let rows = reach(&self.grid.row_knots, region.row, region.rows);
+        rows.flat_map(move |r| cols.clone().map(move |c| r * columns + c))
     }
 
     /// Halves intervals until every error is at most `tolerance`, or the interval is the shortest.
@@ -120,8 +164,7 @@ impl<'a> Nodes<'a> {
             .par_windows(2)
             .map(|w| {
                 let error = |b: &isize| {
-                    let [first, middle, last] =
-                        [w[0], w[0].midpoint(w[1]), w[1]].map(|a| &cache[&at(a, *b)]);
+                    let [first, middle, last] = [w[0], w[0].midpoint(w[1]), w[1]].map(|a| &cache[&at(a, *b)]);
                     halfway(first, last, middle, sharpest)
                 };
                 across.iter().map(error).fold(0.0, f64::max)
@@ -129,23 +172,32 @@ impl<'a> Nodes<'a> {
             .collect()
     }
 
-    /// Computes the kernels of all `places` that are not there yet.
+    /// Computes the compared kernels of all `places` that are not there yet.
     fn need(&mut self, places: impl Iterator<Item = (isize, isize)>) {
-        let mut missing: Vec<(isize, isize)> = places.filter(|p| !self.cache.contains_key(p)).collect();
-        missing.sort_unstable();
-        missing.dedup();
-        let (bank, frame, size) = (self.bank, self.frame, self.size);
-        let new: Vec<Vec<f32>> = missing
-            .par_iter()
-            .map_init(Scratch::default, |scratch, (row, col)| {
-                let (fine, _) = bank.fine(Place::pixel(frame, *row, *col), size, 1, scratch);
-                #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
-                fine.iter().flatten().map(|v| *v as f32).collect()
-            })
-            .collect();
-        self.sharpest = new.iter().map(|k| norm(k)).fold(self.sharpest, f64::max);
-        self.cache.extend(missing.into_iter().zip(new));
+        let missing: Vec<(isize, isize)> = places.filter(|p| !self.cache.contains_key(p)).collect();
+        let (bank, frame, cells, cell) = (self.bank, self.frame, self.cells, self.cell);
+        let new = computed(missing, |place, scratch| {
+            flat(bank.coarse(Place::pixel(frame, place.0, place.1), cells, cell, scratch))
+        });
+        self.sharpest = new.iter().map(|(_, k)| norm(k)).fold(self.sharpest, f64::max);
+        self.cache.extend(new);
     }
+}
+
+/// Kernels of all channels, one after the other.
+#[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
+fn flat(kernels: &[Vec<f64>]) -> Vec<f32> {
+    kernels.iter().flatten().map(|v| *v as f32).collect()
+}
+
+/// `f` of every place, each once.
+fn computed(
+    mut places: Vec<(isize, isize)>,
+    f: impl Fn((isize, isize), &mut Scratch) -> Vec<f32> + Sync,
+) -> Vec<((isize, isize), Vec<f32>)> {
+    places.sort_unstable();
+    places.dedup();
+    places.into_par_iter().map_init(Scratch::default, |scratch, place| (place, f(place, scratch))).collect()
 }
 
 /// The fewest knots from the first of `n` pixels to the last that are at most `longest` apart, evenly spaced.

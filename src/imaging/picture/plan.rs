@@ -124,6 +124,8 @@ const FINE_WAVELENGTHS: usize = 9;
 const FINE_DENSE: usize = 2000;
 /// Dense points and wavelengths of the light bank that places nodes.
 const LIGHT: (usize, usize) = (3, 800);
+/// Wavelengths, degree and dense points of the first look, which measures how wide kernels are.
+const LOOK: (usize, usize, usize) = (12, 5, 400);
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel, and from which probes are few.
 const WIDE: (usize, usize) = (65, 301);
 /// Spacing of the nodes where nothing is left out, pixels.
@@ -165,10 +167,10 @@ pub fn plan<'a>(
     let channels = if needs.lit_channels.is_empty() { vec![0] } else { needs.lit_channels.clone() };
     // What can reach the frame: light at most a kernel away from it.
     let field = [0.0, frame.max_radius_mm()];
-    // The kernel's window from a light bank over the lit field.
+    // The kernel's window, over the lit field.
     let lit = needs.lit.map(|lit| common(lit, whole.grown(base.max_half_width)));
     let near = lit.map_or(field, |lit| radii_mm(frame, lit)).map(|r| r.min(field[1]));
-    let look = s.bank(s.rule(LIGHT.0, &channels), 7, LIGHT.1 / 4, near)?;
+    let look = s.bank(s.rule(LOOK.0, &channels), LOOK.1, LOOK.2, near)?;
     let widest = look.half_width_px(base.outside).min(base.max_half_width);
     let size = 2 * widest + 1;
     let source = lit.map(|lit| common(lit, whole.grown(widest)));
@@ -196,8 +198,11 @@ pub fn plan<'a>(
         let probing = Probing { bank: &fine, frame, scenes: &scenes, size };
         let count = if size > WIDE.1 { 8 } else { 24 };
         let probes = probing.exact(&places(region, count));
-        let rules: Vec<(usize, Rule)> =
-            Settings::WAVELENGTHS.iter().filter(|n| **n <= FINE_WAVELENGTHS).map(|n| (*n, s.rule(*n, &channels))).collect();
+        let rules: Vec<(usize, Rule)> = Settings::WAVELENGTHS
+            .iter()
+            .filter(|n| **n <= FINE_WAVELENGTHS)
+            .map(|n| (*n, s.rule(*n, &channels)))
+            .collect();
         let make = |wavelengths: usize, dense: usize| s.bank(s.rule(wavelengths, &channels), base.degree, dense, radii);
         let ladders = ladders(&probing, &probes, &rules, &make, &light, &mut nodes, target)?;
         // The convolution's share depends on nodes, window and sampling alone.
@@ -266,7 +271,12 @@ pub(super) fn bound(off: &[Values]) -> f64 {
 }
 
 /// `count` places of [`SIDE`] pixels spread over `region`, jittered; the same for the same region.
-#[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "raster sizes")]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "raster sizes"
+)]
 fn places(region: Region, count: usize) -> Vec<Region> {
     let mut rng = fastrand::Rng::with_seed(7);
     let aspect = region.cols as f64 / region.rows as f64;

@@ -220,21 +220,14 @@ impl Probing<'_> {
     pub fn nodes(&self, coarse: &Coarse, nodes: &Nodes<'_>) -> Values {
         let (region, size, grid) = (coarse.region, self.size, &nodes.grid);
         let grown = region.grown(size / 2);
-        let reach = |knots: &[isize], first: isize, n: usize| {
-            let (a, b) = (NodeGrid::between(knots, first), NodeGrid::between(knots, first + n.cast_signed() - 1));
-            a.first..=b.second
-        };
         let mut sum = vec![0.0f32; coarse.values.len()];
-        for r in reach(&grid.row_knots, grown.row, grown.rows) {
-            for c in reach(&grid.col_knots, grown.col, grown.cols) {
-                let n = r * grid.col_knots.len() + c;
-                let Some(kernel) = nodes.kernel(n) else { continue };
-                let kernels: Vec<Vec<f32>> =
-                    kernel.chunks_exact(size * size).map(|k| k.iter().rev().copied().collect()).collect();
-                let windowed = coarse.patch.windowed(grid, n, grown);
-                let part = self.values(&windowed, region, &kernels, size, size);
-                sum.iter_mut().zip(part).for_each(|(s, v)| *s += v);
-            }
+        for n in nodes.around(grown) {
+            let Some(kernel) = nodes.kernel(n) else { continue };
+            let kernels: Vec<Vec<f32>> =
+                kernel.chunks_exact(size * size).map(|k| k.iter().rev().copied().collect()).collect();
+            let windowed = coarse.patch.windowed(grid, n, grown);
+            let part = self.values(&windowed, region, &kernels, size, size);
+            sum.iter_mut().zip(part).for_each(|(s, v)| *s += v);
         }
         less(sum, &coarse.values)
     }

@@ -48,7 +48,12 @@ impl RatioTable {
 
     /// Object slope per pixel at the squared radius, pixels².
     #[inline]
-    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "an index")]
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "an index"
+    )]
     pub fn at(&self, square: f64) -> f64 {
         let x = square * self.per_square;
         let k = (x as usize).min(self.pieces.len() - 1);
@@ -136,7 +141,12 @@ impl<'a> WarpedScene<'a> {
 
 /// The two texels around a coordinate and the weight of the second; the border is repeated.
 #[inline]
-#[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "raster sizes")]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "raster sizes"
+)]
 fn axis(x: f64, n: usize) -> (usize, usize, f64) {
     let x = x - 0.5;
     let limit = (n - 1) as f64;
@@ -209,6 +219,9 @@ mod tests {
             assert!((got[[c - 1, 4, i, j]] - v).abs() < 1e-6);
         }
         let dark = Plane { texture: Array3::zeros((1, 4, 4)), ..scene.clone() };
-        assert!(!WarpedScene::new(&dark, &d, &frame, 1, vec![0], 50).fill(region, Array4::<f32>::zeros((1, 1, 9, 13)).view_mut()));
+        assert!(
+            !WarpedScene::new(&dark, &d, &frame, 1, vec![0], 50)
+                .fill(region, Array4::<f32>::zeros((1, 1, 9, 13)).view_mut())
+        );
     }
 }
