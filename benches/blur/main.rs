@@ -6,6 +6,8 @@ mod tables;
 
 use criterion::{Criterion, Throughput};
 use isoplanat::imaging::blur::{Method, blur, blur_kernels_vjp, blur_source_vjp};
+use isoplanat::math::panel_fft::{LANES, Line, PanelFft};
+use isoplanat::math::wide::{Work, wide};
 
 use cases::Case;
 
@@ -36,6 +38,38 @@ fn frame(c: &mut Criterion) {
     group.finish();
 }
 
+/// Forward transforms of 112 columns of 192 and 320: sixteen columns as lanes against rustfft, line by line, columns already
+/// contiguous.
+fn columns(c: &mut Criterion) {
+    let mut group = c.benchmark_group("columns");
+    for size in [192usize, 320] {
+        group.throughput(Throughput::Elements((size * 112) as u64));
+        let plan = PanelFft::<f32>::new(size).expect("a good size");
+        let mut panels = vec![vec![[[0.5f32; LANES]; 2]; size]; 112 / LANES];
+        group.bench_function(format!("panels/{size}"), |b| {
+            b.iter(|| panels.iter_mut().for_each(|p| wide(Forward(&plan, p))));
+        });
+        let fft = rustfft::FftPlanner::<f32>::new().plan_fft_forward(size);
+        let mut lines = vec![rustfft::num_complex::Complex::new(0.5f32, 0.0); size * 112];
+        let mut scratch = vec![rustfft::num_complex::Complex::default(); fft.get_inplace_scratch_len()];
+        group.bench_function(format!("rustfft/{size}"), |b| {
+            b.iter(|| fft.process_with_scratch(&mut lines, &mut scratch));
+        });
+    }
+    group.finish();
+}
+
+/// A panel's transform, compiled for the widest vectors.
+struct Forward<'a>(&'a PanelFft<f32>, &'a mut [Line<f32>]);
+
+impl Work for Forward<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        self.0.forward(self.1);
+    }
+}
+
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     if let Some(at) = arguments.iter().position(|a| a == "export") {
@@ -47,6 +81,7 @@ fn main() {
         return;
     }
     let mut criterion = Criterion::default().configure_from_args();
+    columns(&mut criterion);
     frame(&mut criterion);
     criterion.final_summary();
 }

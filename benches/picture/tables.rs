@@ -273,7 +273,7 @@ fn chosen(quick: bool) -> String {
     let targets = [40.0, 45.0, 50.0];
     let numbers: Vec<usize> = if quick { vec![5, 13] } else { (1..=24).collect() };
     let mut out = String::from(
-        "768 × 512 pixels half way to the corner; reference 96 rays a pixel and channel. The cheapest: the least run time of a ladder of twelve settings (without planning) that held, and of the chosen settings themselves.\n\n",
+        "768 × 512 pixels half way to the corner; reference 96 rays a pixel and channel. The cheapest: the least run time of a ladder of nine settings (without planning) that held, and of the chosen settings themselves.\n\n",
     );
     let mut lines = String::from(
         "\n| lens | photograph | asked | PSNR dB | predicted | settings | planning s | s | cheapest s | ratio |\n|---|---|---|---|---|---|---|---|---|---|\n",
@@ -356,5 +356,5 @@ fn ladder() -> Vec<Settings> {
             ..Settings::FINE
         })
     };
-    [1, 2, 4].into_iter().flat_map(with).collect()
+    [1, 2].into_iter().flat_map(with).chain([with(4)[3]]).collect()
 }

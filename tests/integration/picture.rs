@@ -111,7 +111,7 @@ fn the_finest_pictures_agree_with_the_reference() {
 fn small_frames_are_parts_of_large_ones() {
     let texture = generate(SceneKind::Facades, 3, 96, 128);
     let (lens, frame, scene) = case("two_element", [96, 64], 0.9, texture);
-    let settings = Settings { samples: 1, wavelengths: 3, dense: 500, node_error: 0.02, ..Settings::FINE };
+    let settings = Settings { samples: 1, wavelengths: 3, dense: 3000, node_error: 0.02, ..Settings::FINE };
     let large = render::<f64>(&planned(&lens, &frame, &scene, Wish::Settings(settings)), &|_| ()).image;
     for [row, col, rows, cols] in [[20, 30, 1, 1], [63, 0, 1, 96], [0, 95, 64, 1], [10, 10, 7, 5]] {
         let axis = [frame.axis_px[0] - col as f64, frame.axis_px[1] - row as f64];

@@ -1,7 +1,7 @@
 //! What each method costs, and which is cheapest.
 //!
-//! Operations are counted (transforms as `n log₂ n` a line) and weighed by the nanoseconds that each kind took on one
-//! core, in f32 (estimates, not yet calibrated). Only ratios matter to the choice.
+//! Operations are counted (transforms as `n log₂ n` a line) and weighed by nanoseconds of one core, in f32, set so that
+//! the frames of `benches/results/blur.md` come out within about a third. Ratios matter to the choice.
 
 use super::super::node_grid::NodeGrid;
 use super::super::warp::Region;
@@ -11,15 +11,17 @@ use crate::math::fft::good_size;
 use crate::math::panel_fft::LANES;
 
 /// Real line transform, per point and `log₂`.
-const ROW: f64 = 0.16;
+const ROW: f64 = 0.5;
 /// Column transform, per complex point and `log₂`.
-const COLUMN: f64 = 0.11;
+const COLUMN: f64 = 0.35;
 /// Complex multiply-add of spectra, per point.
-const PRODUCT: f64 = 0.35;
+const PRODUCT: f64 = 1.1;
 /// Windows, tiles and their sums, per point.
-const MOVE: f64 = 0.8;
+const MOVE: f64 = 2.6;
 /// Multiply-add of the direct sum.
-const TAP: f64 = 0.06;
+const TAP: f64 = 0.2;
+/// A block and channel, whatever its size.
+const BLOCK: f64 = 1e4;
 /// Multiply-add of the Gram matrix (f64).
 const GRAM: f64 = 0.5;
 
@@ -179,7 +181,7 @@ fn transforms(rows: &Cut, cols: &Cut) -> (f64, f64, f64) {
 
 /// The way back of all blocks, one channel.
 fn back(rows: &Cut, cols: &Cut, line: f64, column: f64) -> f64 {
-    rows.count * cols.count * column + rows.tiles * cols.count * (line + MOVE * cols.size as f64)
+    rows.count * cols.count * (column + BLOCK) + rows.tiles * cols.count * (line + MOVE * cols.size as f64)
 }
 
 #[cfg(test)]

@@ -3,6 +3,7 @@
 use super::choose::Ladders;
 use super::plan::{PicturePlan, Skip, bound};
 use super::settings::Settings;
+use crate::imaging::blur::Method;
 use crate::imaging::picture::probe::Values;
 use crate::lens::Lens;
 
@@ -93,6 +94,9 @@ pub(super) fn skips(plan: &PicturePlan<'_>, lens: &Lens, ladders: Option<&Ladder
         );
     }
     let size = 2 * plan.half_width + 1;
+    if plan.method == Method::Direct {
+        add("transforms", format!("kernels of {size} × {size} pixels are cheaper summed directly"), 0.0, 0.0);
+    }
     let off = ladders.and_then(|l| l.windows.iter().find(|r| r.setting.1 >= plan.half_width)).map(|r| &r.off);
     let reason = format!("{size} × {size} pixels hold all but {:.1e} of every beam", s.outside);
     add("light outside the kernels", reason, 1.0, found(off));

@@ -199,9 +199,9 @@ impl Probing<'_> {
             for (at, w) in rule.nm.iter().zip(weights) {
                 for (l, share) in cubic(nm, *at) {
                     level += w * share * white[l];
-                    for p in c * count..(c + 1) * count {
-                        out[p] += w * share * f64::from(probe.mono[l][p]);
-                    }
+                    let part = c * count..(c + 1) * count;
+                    let light = out[part.clone()].iter_mut().zip(&probe.mono[l][part]);
+                    light.for_each(|(o, v)| *o += w * share * f64::from(*v));
                 }
             }
             out[c * count..(c + 1) * count].iter_mut().for_each(|v| *v /= level);
