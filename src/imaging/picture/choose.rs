@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::bank::{Bank, Rule, Scratch};
 use super::nodes::Nodes;
-use super::probe::{Coarse, Probe, Probing, Values};
+use super::probe::{Probe, Probing, Values, less};
 use super::settings::Settings;
 use crate::error::Result;
 use crate::imaging::metrics::decibel;
@@ -120,11 +120,7 @@ pub fn ladders(
         }
     }
     let sizes: Vec<usize> = halves.iter().map(|(_, h)| 2 * h + 1).collect();
-    let coarse_with = |bank: &Bank| -> Vec<Coarse> {
-        probes.par_iter().map_init(Scratch::default, |s, p| probing.coarse(p, bank, s)).collect()
-    };
-    let coarse = coarse_with(probing.bank);
-    let by_probe: Vec<Vec<Values>> = coarse.par_iter().map(|c| probing.windows(c, &sizes)).collect();
+    let by_probe: Vec<Vec<Values>> = probes.par_iter().map(|p| probing.windows(p, &sizes)).collect();
     let windows = halves
         .iter()
         .enumerate()
@@ -132,25 +128,26 @@ pub fn ladders(
         .collect();
     // Dense points: one wavelength tells.
     let most = Settings::DENSE[Settings::DENSE.len() - 1];
-    let reference = coarse_with(&make(1, most)?);
+    let through = |bank: &Bank| each(&|p, s| probing.through(p, bank, s));
+    let reference = through(&make(1, most)?);
     let mut dense = Vec::new();
     for n in Settings::DENSE {
         let off = if n == most {
             nothing.clone()
         } else {
-            let bank = make(1, n)?;
-            reference.par_iter().map_init(Scratch::default, |s, c| probing.bank(c, &bank, s)).collect()
+            through(&make(1, n)?).into_iter().zip(&reference).map(|(a, b)| less(a, b)).collect()
         };
         dense.push(Rung { setting: n, off });
     }
-    let coarse = coarse_with(light);
+    let places = through(light);
     let mut steps = Vec::new();
     for tolerance in Settings::NODE_ERRORS {
         nodes.refine(tolerance);
         let around: Vec<usize> = probes.iter().flat_map(|p| nodes.around(p.region.grown(probing.size / 2))).collect();
         nodes.prepare(around.into_iter());
         let found: &Nodes<'_> = nodes;
-        let off: Vec<Values> = coarse.par_iter().map(|c| probing.nodes(c, found)).collect();
+        let off: Vec<Values> =
+            probes.par_iter().zip(&places).map(|(p, values)| probing.nodes(p, values, found)).collect();
         let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
         // What halving an interval again would win is small beside the budget, or there is one node for all.
         let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;

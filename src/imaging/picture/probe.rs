@@ -13,6 +13,7 @@ use super::source::WarpedScene;
 use crate::imaging::frame::Frame;
 use crate::imaging::node_grid::NodeGrid;
 use crate::imaging::warp::Region;
+use crate::math::wide::{Work, wide};
 
 /// Pixels along the side of a probe.
 pub const SIDE: usize = 3;
@@ -26,7 +27,12 @@ pub struct Probe {
     pub region: Region,
     /// Exact values.
     pub exact: Values,
-    /// By wavelength of the fine rule: light of the probe's pixels in the units of [`Bank::mono`].
+    /// The scene around it, at the coarsest sampling.
+    patch: Patch,
+    /// Flipped exact kernels by channel and their values, at the coarsest sampling.
+    kernels: Vec<Vec<f32>>,
+    coarse: Values,
+    /// By wavelength of the fine rule: light of the pixels in the units of [`Bank::mono`], at the coarsest sampling.
     mono: Vec<Values>,
 }
 
@@ -73,24 +79,44 @@ impl Patch {
     /// Light of pixel `(i, j)` of the region through a flipped fine kernel of `size` pixels centred in a window of
     /// `full` pixels.
     fn response(&self, channel: usize, i: usize, j: usize, flipped: &[f32], size: usize, full: usize) -> f32 {
-        let side = self.m * size;
         let inset = self.m * (full - size) / 2;
         let plane = &self.planes[channel.min(self.planes.len() - 1)];
         let (top, left) = (self.m * i + inset, self.m * j + inset);
-        let rows = flipped.chunks_exact(side).enumerate();
-        rows.map(|(a, row)| dot(row, &plane[(top + a) * self.width + left..][..side])).sum()
+        wide(Inner {
+            kernel: flipped,
+            side: self.m * size,
+            plane: &plane[top * self.width + left..],
+            width: self.width,
+        })
     }
 }
 
-/// `Σ a b` in eight running sums.
-fn dot(a: &[f32], b: &[f32]) -> f32 {
-    let mut sums = [0.0f32; 8];
-    let (a8, b8) = (a.chunks_exact(8), b.chunks_exact(8));
-    let rest: f32 = a8.remainder().iter().zip(b8.remainder()).map(|(a, b)| a * b).sum();
-    for (a, b) in a8.zip(b8) {
-        sums.iter_mut().zip(a.iter().zip(b)).for_each(|(s, (a, b))| *s += a * b);
+/// The inner product of a kernel, row by row, with a part of a plane.
+struct Inner<'a> {
+    kernel: &'a [f32],
+    side: usize,
+    plane: &'a [f32],
+    width: usize,
+}
+
+impl Work for Inner<'_> {
+    type Output = f32;
+    #[inline(always)]
+    fn run(self) -> f32 {
+        let mut sums = [0.0f32; 16];
+        let mut rest = 0.0;
+        for (a, row) in self.kernel.chunks_exact(self.side).enumerate() {
+            let line = &self.plane[a * self.width..][..self.side];
+            let (k16, p16) = (row.chunks_exact(16), line.chunks_exact(16));
+            rest += k16.remainder().iter().zip(p16.remainder()).map(|(a, b)| a * b).sum::<f32>();
+            for (k, p) in k16.zip(p16) {
+                for lane in 0..16 {
+                    sums[lane] += k[lane] * p[lane];
+                }
+            }
+        }
+        sums.iter().sum::<f32>() + rest
     }
-    sums.iter().sum::<f32>() + rest
 }
 
 /// The kernel's points in reverse order, in single precision.
@@ -125,38 +151,46 @@ impl Probing<'_> {
 
     /// The exact values of the pixels of `regions`.
     pub fn exact(&self, regions: &[Region]) -> Vec<Probe> {
-        let scene = self.scenes.last().expect("at least one sampling");
+        let (first, last) = (&self.scenes[0], self.scenes.last().expect("at least one sampling"));
         let run = |scratch: &mut Scratch, region: &Region| {
-            let patch = Patch::sample(scene, *region, self.size);
-            let place = centre(self.frame, *region);
-            let channels = self.bank.channels();
+            let (place, size) = (centre(self.frame, *region), self.size);
+            let patch = Patch::sample(first, *region, size);
+            // All channels of a grey scene see the same light.
+            let (planes, channels) = (first.channels(), self.bank.channels());
             let count = region.rows * region.cols;
-            let mut exact = vec![0.0; channels * count];
-            let mut mono = Vec::new();
-            for l in 0..self.bank.rule.nm.len() {
-                let kernel = flipped(self.bank.mono(l, place, self.size, scene.samples(), scratch));
-                let mut values = Vec::with_capacity(channels * count);
-                for c in 0..channels {
-                    // A grey scene has one channel: the same light for all.
-                    if c >= scene.channels() {
-                        values.extend_from_within(..count);
-                        continue;
+            let mut coarse = vec![0.0; channels * count];
+            let mono: Vec<Values> = (0..self.bank.rule.nm.len())
+                .map(|l| {
+                    let kernel = flipped(self.bank.mono(l, place, size, first.samples(), scratch));
+                    let mut values = Vec::with_capacity(channels * count);
+                    for c in 0..planes.min(channels) {
+                        values.extend(pixels(*region).map(|(i, j)| patch.response(c, i, j, &kernel, size, size)));
                     }
-                    let one = |(i, j)| patch.response(c, i, j, &kernel, self.size, self.size);
-                    values.extend(pixels(*region).map(one));
-                }
-                for (k, (e, v)) in exact.iter_mut().zip(&values).enumerate() {
-                    *e += self.bank.weight(k / count, l) as f32 * v;
-                }
-                mono.push(values);
-            }
-            Probe { region: *region, exact, mono }
+                    (values.len() / count..channels).for_each(|_| values.extend_from_within(..count));
+                    #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
+                    for (k, (sum, v)) in coarse.iter_mut().zip(&values).enumerate() {
+                        *sum += self.bank.weight(k / count, l) as f32 * v;
+                    }
+                    values
+                })
+                .collect();
+            let kernels = self.kernels(self.bank, *region, first.samples(), scratch);
+            let exact = if self.scenes.len() == 1 {
+                coarse.clone()
+            } else {
+                let fine = Patch::sample(last, *region, size);
+                self.values(&fine, *region, &self.kernels(self.bank, *region, last.samples(), scratch), size, size)
+            };
+            Probe { region: *region, exact, patch, kernels, coarse, mono }
         };
         regions.par_iter().map_init(Scratch::default, run).collect()
     }
 
     /// Difference to the exact values with `self.scenes[which]`'s sampling.
     pub fn samples(&self, probe: &Probe, which: usize, scratch: &mut Scratch) -> Values {
+        if which == 0 {
+            return less(probe.coarse.clone(), &probe.exact);
+        }
         let scene = &self.scenes[which];
         let patch = Patch::sample(scene, probe.region, self.size);
         let kernels = self.kernels(self.bank, probe.region, scene.samples(), scratch);
@@ -169,26 +203,26 @@ impl Probing<'_> {
         fine.iter().map(|k| flipped(k)).collect()
     }
 
-    /// What the coarsest sampling needs of a probe: its patch, and flipped kernels of `bank` with their values.
-    pub fn coarse(&self, probe: &Probe, bank: &Bank, scratch: &mut Scratch) -> Coarse {
-        let scene = &self.scenes[0];
-        let patch = Patch::sample(scene, probe.region, self.size);
-        let kernels = self.kernels(bank, probe.region, scene.samples(), scratch);
-        let values = self.values(&patch, probe.region, &kernels, self.size, self.size);
-        Coarse { region: probe.region, patch, kernels, values }
+    /// Values of a probe through another bank's kernels, at the coarsest sampling.
+    pub fn through(&self, probe: &Probe, bank: &Bank, scratch: &mut Scratch) -> Values {
+        let kernels = self.kernels(bank, probe.region, probe.patch.m, scratch);
+        self.values(&probe.patch, probe.region, &kernels, self.size, self.size)
     }
 
     /// Differences that windows of `sizes` pixels make.
-    pub fn windows(&self, coarse: &Coarse, sizes: &[usize]) -> Vec<Values> {
-        let m = coarse.patch.m;
+    pub fn windows(&self, probe: &Probe, sizes: &[usize]) -> Vec<Values> {
+        let m = probe.patch.m;
         let one = |size: &usize| {
-            let inner: Vec<Vec<f32>> = coarse.kernels.iter().map(|k| cropped(k, self.size, *size, m)).collect();
-            less(self.values(&coarse.patch, coarse.region, &inner, *size, self.size), &coarse.values)
+            if *size == self.size {
+                return vec![0.0; probe.coarse.len()];
+            }
+            let inner: Vec<Vec<f32>> = probe.kernels.iter().map(|k| cropped(k, self.size, *size, m)).collect();
+            less(self.values(&probe.patch, probe.region, &inner, *size, self.size), &probe.coarse)
         };
         sizes.iter().map(one).collect()
     }
 
-    /// Difference to the exact values with another quadrature over wavelength: light between the fine rule's wavelengths
+    /// Difference that another quadrature over wavelength makes: light between the fine rule's wavelengths
     /// is interpolated by cubics. `white` is the irradiance of white on the axis at the fine rule's wavelengths.
     pub fn wavelengths(&self, probe: &Probe, rule: &Rule, white: &[f64]) -> Values {
         let nm = &self.bank.rule.nm;
@@ -207,38 +241,25 @@ impl Probing<'_> {
             out[c * count..(c + 1) * count].iter_mut().for_each(|v| *v /= level);
         }
         #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
-        out.iter().zip(&probe.exact).map(|(v, e)| (v - f64::from(*e)) as f32).collect()
+        out.iter().zip(&probe.coarse).map(|(v, e)| (v - f64::from(*e)) as f32).collect()
     }
 
-    /// Difference that another bank's kernel makes.
-    pub fn bank(&self, coarse: &Coarse, other: &Bank, scratch: &mut Scratch) -> Values {
-        let kernels = self.kernels(other, coarse.region, coarse.patch.m, scratch);
-        less(self.values(&coarse.patch, coarse.region, &kernels, self.size, self.size), &coarse.values)
-    }
-
-    /// Difference that interpolation between `nodes` makes to the kernel of the place itself, one sample a pixel.
-    pub fn nodes(&self, coarse: &Coarse, nodes: &Nodes<'_>) -> Values {
-        let (region, size, grid) = (coarse.region, self.size, &nodes.grid);
+    /// Difference that interpolation between `nodes` makes to `values`, those of their bank's kernel of the place itself.
+    /// The nodes around have been prepared ([`Nodes::prepare`]).
+    pub fn nodes(&self, probe: &Probe, values: &[f32], nodes: &Nodes<'_>) -> Values {
+        let (region, size) = (probe.region, self.size);
         let grown = region.grown(size / 2);
-        let mut sum = vec![0.0f32; coarse.values.len()];
+        let mut sum = vec![0.0f32; values.len()];
         for n in nodes.around(grown) {
             let Some(kernel) = nodes.kernel(n) else { continue };
             let kernels: Vec<Vec<f32>> =
                 kernel.chunks_exact(size * size).map(|k| k.iter().rev().copied().collect()).collect();
-            let windowed = coarse.patch.windowed(grid, n, grown);
+            let windowed = probe.patch.windowed(&nodes.grid, n, grown);
             let part = self.values(&windowed, region, &kernels, size, size);
             sum.iter_mut().zip(part).for_each(|(s, v)| *s += v);
         }
-        less(sum, &coarse.values)
+        less(sum, values)
     }
-}
-
-/// A probe at the coarsest sampling, through one bank's kernels.
-pub struct Coarse {
-    region: Region,
-    patch: Patch,
-    kernels: Vec<Vec<f32>>,
-    values: Values,
 }
 
 impl Patch {
@@ -268,7 +289,8 @@ impl Patch {
     }
 }
 
-fn less(mut a: Values, b: &[f32]) -> Values {
+/// `a − b`.
+pub(super) fn less(mut a: Values, b: &[f32]) -> Values {
     a.iter_mut().zip(b).for_each(|(a, b)| *a -= b);
     a
 }

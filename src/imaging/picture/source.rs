@@ -1,6 +1,6 @@
 //! The warped scene, sampled `m × m` times a pixel, block by block.
 
-use ndarray::{ArrayViewMut4, Axis};
+use ndarray::{ArrayViewMut4, CowArray, Ix3, s};
 
 use crate::imaging::cfa::Real;
 use crate::imaging::distortion::Distortion;
@@ -65,7 +65,9 @@ impl RatioTable {
 
 /// A scene before a lens with this distortion, sampled `samples²` times a pixel.
 pub struct WarpedScene<'a> {
-    scene: &'a Plane,
+    texture: CowArray<'a, f32, Ix3>,
+    texels_per_slope: f64,
+    axis_texel: [f64; 2],
     frame: Frame,
     table: RatioTable,
     samples: usize,
@@ -87,7 +89,15 @@ impl<'a> WarpedScene<'a> {
     ) -> Self {
         let farthest = frame.max_radius_mm() / frame.pitch_mm + 1.5 * margin as f64 + 4.0;
         let table = RatioTable::new(distortion, frame.pitch_mm, farthest);
-        Self { scene, frame: frame.clone(), table, samples, channels }
+        Self {
+            texture: scene.texture.as_standard_layout(),
+            texels_per_slope: scene.texels_per_slope,
+            axis_texel: scene.axis_texel,
+            frame: frame.clone(),
+            table,
+            samples,
+            channels,
+        }
     }
 
     /// Channels sampled.
@@ -104,38 +114,58 @@ impl<'a> WarpedScene<'a> {
     #[inline]
     pub fn texel(&self, offset: [f64; 2]) -> [f64; 2] {
         let [x, y] = offset;
-        let scale = self.table.at(x * x + y * y) * self.scene.texels_per_slope;
-        [self.scene.axis_texel[0] + x * scale, self.scene.axis_texel[1] + y * scale]
+        let scale = self.table.at(x * x + y * y) * self.texels_per_slope;
+        [self.axis_texel[0] + x * scale, self.axis_texel[1] + y * scale]
     }
 
     /// Writes `[channel, phase, row, col]` of `region`; false if all of it is zero.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
     pub fn fill<T: Real>(&self, region: Region, mut out: ArrayViewMut4<'_, T>) -> bool {
         let m = self.samples;
-        let textures: Vec<_> = self.channels.iter().map(|c| self.scene.texture.index_axis(Axis(0), *c)).collect();
-        let (texel_rows, texel_cols) = textures[0].dim();
+        let (_, rows, cols) = self.texture.dim();
+        let texels = self.texture.as_slice().expect("standard layout");
+        let mut taps = Vec::with_capacity(region.cols);
         let mut lit = false;
-        for i in 0..region.rows {
-            for phase in 0..m * m {
-                let (fy, fx) = ((phase / m) as f64, (phase % m) as f64);
-                let y = (region.row + i.cast_signed()) as f64 + (fy + 0.5) / m as f64 - self.frame.axis_px[1];
-                let start = region.col as f64 + (fx + 0.5) / m as f64 - self.frame.axis_px[0];
-                for j in 0..region.cols {
-                    let texel = self.texel([start + j as f64, y]);
-                    let (c0, c1, tx) = axis(texel[0], texel_cols);
-                    let (r0, r1, ty) = axis(texel[1], texel_rows);
-                    for (c, t) in textures.iter().enumerate() {
-                        let at = |r: usize, c: usize| f64::from(t[[r, c]]);
-                        let (a, b) = (at(r0, c0), at(r1, c0));
-                        let top = a + tx * (at(r0, c1) - a);
-                        let v = top + ty * (b + tx * (at(r1, c1) - b) - top);
-                        lit |= v != 0.0;
-                        out[[c, phase, i, j]] = T::real(v);
-                    }
+        for (i, phase) in (0..region.rows).flat_map(|i| (0..m * m).map(move |phase| (i, phase))) {
+            let (fy, fx) = ((phase / m) as f64, (phase % m) as f64);
+            let y = (region.row + i.cast_signed()) as f64 + (fy + 0.5) / m as f64 - self.frame.axis_px[1];
+            let start = region.col as f64 + (fx + 0.5) / m as f64 - self.frame.axis_px[0];
+            taps.clear();
+            taps.extend((0..region.cols).map(|j| {
+                let texel = self.texel([start + j as f64, y]);
+                let ((c0, c1, tx), (r0, r1, ty)) = (axis(texel[0], cols), axis(texel[1], rows));
+                Tap { first: r0 * cols + c0, across: c1 - c0, down: (r1 - r0) * cols, tx, ty }
+            }));
+            for (c, channel) in self.channels.iter().enumerate() {
+                let plane = &texels[channel * rows * cols..][..rows * cols];
+                for (v, tap) in out.slice_mut(s![c, phase, i, ..]).iter_mut().zip(&taps) {
+                    let light = tap.of(plane);
+                    lit |= light != 0.0;
+                    *v = T::real(light);
                 }
             }
         }
         lit
+    }
+}
+
+/// Four texels and the weights of the second ones.
+struct Tap {
+    first: usize,
+    across: usize,
+    down: usize,
+    tx: f64,
+    ty: f64,
+}
+
+impl Tap {
+    #[inline]
+    fn of(&self, plane: &[f32]) -> f64 {
+        let at = |k: usize| f64::from(plane[k]);
+        let (a, b) = (at(self.first), at(self.first + self.down));
+        let top = a + self.tx * (at(self.first + self.across) - a);
+        let bottom = b + self.tx * (at(self.first + self.down + self.across) - b);
+        top + self.ty * (bottom - top)
     }
 }
 
