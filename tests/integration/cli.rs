@@ -14,10 +14,10 @@ fn read_json(text: &str) -> Value {
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
-    for command in ["inspect", "check", "trace", "psf", "render", "capture", "demo", "design", "export"] {
+    for command in ["inspect", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "export"] {
         assert!(help.contains(command), "{help}");
     }
-    for command in ["inspect", "check", "trace", "psf", "render", "capture"] {
+    for command in ["inspect", "check", "trace", "psf", "render", "capture", "accuracy"] {
         assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
     }
     assert!(place.run("--version").done().starts_with("isoplanat "));
@@ -266,6 +266,65 @@ fn render_writes_the_picture_of_either_method() {
     place.run(&format!("render two_element dead_leaves -o a.tif {frame}")).refused(&["a.tif", "--force"]);
     // A picture of one's own as the scene.
     place.run(&format!("render two_element a.tif -o c.png {frame}")).done();
+}
+
+/// A plan that is explained, a part of a frame that equals the same part of the whole, and values out of range.
+#[test]
+fn render_plans_and_explains() {
+    let place = Workplace::new();
+    let frame = "--columns 64 --rows 48 --pitch-um 40";
+    let asked = format!("render cooke_triplet facades:3 -o a.tif {frame} --min-psnr-db 45 --explain");
+    let text = place.run(&asked).done();
+    for word in ["predicted_psnr_db", "work left", "bound", "PSF nodes", "wavelengths", "apertures"] {
+        assert!(text.contains(word), "{word}: {text}");
+    }
+    let json = read_json(&place.run(&format!("{asked} --json --force")).done());
+    assert!(json["figures"]["predicted_psnr_db"].as_f64().expect("number") >= 45.0, "{json}");
+    let skips = json["figures"]["skips"].as_array().expect("list");
+    assert!(skips.iter().all(|s| s["bound"].as_f64().is_some_and(|b| b < 0.02)), "{json}");
+    place.run(&format!("render cooke_triplet facades:3 -o all.tif {frame} --everything")).done();
+    place.run(&format!("render cooke_triplet facades:3 -o part.tif {frame} --everything --crop 20,10,24,16")).done();
+    let [a, all, part] = ["a.tif", "all.tif", "part.tif"]
+        .map(|f| isoplanat::imaging::files::read_linear(&place.path(f)).expect("reads"));
+    let psnr = isoplanat::imaging::metrics::psnr_linear(a.view(), all.view());
+    assert!(psnr > 45.0, "{psnr:.1} dB");
+    let cut = all.slice(ndarray::s![.., 10..26, 20..44]);
+    let psnr = isoplanat::imaging::metrics::psnr_linear(part.view(), cut);
+    assert!(psnr > 55.0, "{psnr:.1} dB");
+    for (option, words) in [
+        ("--min-psnr-db nan", ["--min-psnr-db", "10 to 80"]),
+        ("--min-psnr-db 500", ["--min-psnr-db", "500"]),
+        ("--crop 0,0,65,48", ["--crop", "64 × 48"]),
+        ("--crop 60,0,5,1", ["--crop", "60,0,5,1"]),
+    ] {
+        place.run(&format!("render cooke_triplet facades:3 -o x.tif {frame} {option}")).refused(&words);
+    }
+    assert_eq!(place.run(&format!("render cooke_triplet facades:3 -o x.tif {frame} --crop 1,2,3")).code, 2);
+    assert_eq!(place.files(), ["a.tif", "all.tif", "part.tif"]);
+}
+
+/// Every row in every form; rays cost what they cost.
+#[test]
+fn accuracy_reports_error_beside_run_time() {
+    let place = Workplace::new();
+    let command = "accuracy cooke_triplet facades:3 --columns 24 --rows 16 --pitch-um 60 --reference-samples 64";
+    let json = read_json(&place.run(&format!("{command} -o page.html --svg plot.svg --csv rows.csv --json")).done());
+    let rows = json["rows"].as_array().expect("list");
+    for row in rows {
+        assert!(row["seconds"].as_f64().is_some_and(|s| s > 0.0), "{row}");
+        assert!(row["relative_l2"].as_f64().is_some() && row["worst_pixel"].as_f64().is_some(), "{row}");
+        for key in ["method", "settings", "psnr_db", "peak_bytes", "pareto"] {
+            assert!(row.get(key).is_some(), "{key}: {row}");
+        }
+    }
+    assert!(rows.iter().any(|r| r["pareto"] == true));
+    let of = |method: &str| rows.iter().filter(|r| r["method"] == method).count();
+    assert!(of("psf-grid") > 20 && of("monte-carlo") == 3 && of("monte-carlo, plain") == 3);
+    assert_eq!(place.files(), ["page.html", "plot.svg", "rows.csv"]);
+    let text = |f: &str| std::fs::read_to_string(place.path(f)).expect("reads");
+    assert_eq!(text("rows.csv").lines().count(), rows.len() + 1);
+    assert!(text("page.html").contains("<svg") && text("plot.svg").starts_with("<svg"));
+    place.run(&format!("{command} -o page.html")).refused(&["page.html", "--force"]);
 }
 
 #[test]

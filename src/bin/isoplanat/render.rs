@@ -88,14 +88,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Placed { lens, frame, max_slope, plane } = args.place.place(&args.lens, &args.scene)?;
     let density = SpectralDensity::new(&Sensor::generic());
     let clock = Instant::now();
-    let bar = Bar::new("render");
-    let progress = |share: f64| bar.set(share, String::new());
     let mut listed = None;
-    let (image, figures): (Array3<f32>, serde_json::Value) = match args.method {
+    let (image, figures, bar): (Array3<f32>, serde_json::Value, Bar) = match args.method {
         Method::PsfGrid => {
             let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), wish, args.explain)?;
             let planned = clock.elapsed().as_secs_f64();
-            let picture = render_picture::<f32>(&plan, &progress);
+            let bar = Bar::new("render");
+            let picture = render_picture::<f32>(&plan, &|share| bar.set(share, String::new()));
             if !plan.holds {
                 let predicted = plan.predicted_db.unwrap_or(f64::NAN);
                 eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
@@ -108,7 +107,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                 figures["skips"] = serde_json::to_value(&plan.skips)?;
                 listed = Some(table(&plan));
             }
-            (picture.image, figures)
+            (picture.image, figures, bar)
         }
         Method::MonteCarlo => {
             let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
@@ -118,9 +117,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                 channels: Channels::All,
                 sampling: Sampling::Bounded,
             };
-            let r = render(&lens, &plane, &density, &frame, whole, how, Some(&progress))?;
+            let bar = Bar::new("render");
+            let r = render(&lens, &plane, &density, &frame, whole, how, Some(&|share| bar.set(share, String::new())))?;
             let figures = serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() });
-            (r.mean, figures)
+            (r.mean, figures, bar)
         }
     };
     bar.done(String::new());

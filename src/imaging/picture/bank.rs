@@ -232,33 +232,42 @@ impl Bank {
         outside
     }
 
-    /// Half-width in pixels of the square window that holds all but `share` of every traced field's light, in every
-    /// channel; two pixels for box and tent added.
+    /// Half-widths in pixels of the square windows that hold all but each of `shares` of every traced field's light, in
+    /// every channel; two pixels for box and tent added.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
-    pub fn half_width_px(&self, share: f64) -> usize {
-        let mut widest = 0.0f64;
+    pub fn half_widths_px(&self, shares: &[f64]) -> Vec<usize> {
+        const FARTHEST: f64 = 1e4;
+        let mut widest = vec![0usize; shares.len()];
         for (slope, maps) in self.table.fields() {
-            let radius = self.distortion.sensor_from_slope(slope.min(self.distortion.max_slope))
-                + (slope - self.distortion.max_slope).max(0.0)
-                    * self.distortion.sensor_from_slope_derivative(self.distortion.max_slope);
-            let mut reach: Vec<(f64, usize, f64)> = Vec::new();
-            for (l, map) in maps.iter().enumerate() {
-                let far = map.x.iter().zip(&map.y).zip(&map.weight);
-                reach.extend(far.map(|((x, y), w)| (x.hypot(y - radius), l, *w)));
-            }
-            reach.sort_by(|a, b| b.0.total_cmp(&a.0));
-            for weight in &self.rule.weight {
-                let total: f64 = reach.iter().map(|(_, l, w)| weight[*l] * w).sum();
-                let mut sum = 0.0;
-                for (r, l, w) in &reach {
-                    sum += weight[*l] * w;
-                    if sum > share * total {
-                        widest = widest.max(r / self.frame.pitch_mm);
-                        break;
+            let edge = self.distortion.max_slope;
+            let radius = self.distortion.sensor_from_slope(slope.min(edge))
+                + (slope - edge).max(0.0) * self.distortion.sensor_from_slope_derivative(edge);
+            // Light by wavelength and whole pixels of distance.
+            let mut light: Vec<Vec<f64>> = vec![Vec::new(); maps.len()];
+            for (map, light) in maps.iter().zip(&mut light) {
+                for ((x, y), w) in map.x.iter().zip(&map.y).zip(&map.weight) {
+                    let (dx, dy) = (*x, *y - radius);
+                    let far = ((dx * dx + dy * dy).sqrt() / self.frame.pitch_mm).min(FARTHEST).ceil() as usize;
+                    if far >= light.len() {
+                        light.resize(far + 1, 0.0);
                     }
+                    light[far] += w;
+                }
+            }
+            let most = light.iter().map(Vec::len).max().unwrap_or(0);
+            for weight in &self.rule.weight {
+                let at = |k: usize| weight.iter().zip(&light).map(|(w, l)| w * l.get(k).unwrap_or(&0.0)).sum::<f64>();
+                let total: f64 = (0..most).map(at).sum();
+                for (share, widest) in shares.iter().zip(&mut widest) {
+                    let mut sum = 0.0;
+                    let passes = |k: &usize| {
+                        sum += at(*k);
+                        sum > share * total
+                    };
+                    *widest = (*widest).max((0..most).rev().find(passes).unwrap_or(0));
                 }
             }
         }
-        widest.min(1e6).ceil() as usize + 2
+        widest.into_iter().map(|w| w + 2).collect()
     }
 }

@@ -111,8 +111,8 @@ pub fn ladders(
         .collect();
     // Kernel windows: those of the shares, each once.
     let mut halves: Vec<(f64, usize)> = Vec::new();
-    for share in Settings::OUTSIDE {
-        let half = probing.bank.half_width_px(share).min(probing.size / 2);
+    for (share, half) in Settings::OUTSIDE.into_iter().zip(probing.bank.half_widths_px(&Settings::OUTSIDE)) {
+        let half = half.min(probing.size / 2);
         if halves.last().is_none_or(|(_, h)| *h < half) {
             halves.push((share, half));
         } else if let Some(last) = halves.last_mut() {

@@ -126,7 +126,8 @@ const FINE_DENSE: usize = 2000;
 const LIGHT: (usize, usize) = (3, 800);
 /// Wavelengths, degree and dense points of the first look, which measures how wide kernels are.
 const LOOK: (usize, usize, usize) = (12, 5, 400);
-/// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel, and from which probes are few.
+/// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
+/// few: what is blurred differs less from place to place.
 const WIDE: (usize, usize) = (65, 301);
 /// Spacing of the nodes where nothing is left out, pixels.
 const FULL_SPACING: usize = 32;
@@ -171,7 +172,7 @@ pub fn plan<'a>(
     let lit = needs.lit.map(|lit| common(lit, whole.grown(base.max_half_width)));
     let near = lit.map_or(field, |lit| radii_mm(frame, lit)).map(|r| r.min(field[1]));
     let look = s.bank(s.rule(LOOK.0, &channels), LOOK.1, LOOK.2, near)?;
-    let widest = look.half_width_px(base.outside).min(base.max_half_width);
+    let widest = look.half_widths_px(&[base.outside])[0].min(base.max_half_width);
     let size = 2 * widest + 1;
     let source = lit.map(|lit| common(lit, whole.grown(widest)));
     let region = source.map(|r| common(r.grown(widest), whole)).filter(|r| r.rows > 0 && r.cols > 0);
@@ -196,7 +197,13 @@ pub fn plan<'a>(
             .map(|m| WarpedScene::new(scene, &s.distortion, frame, m, source_channels.clone(), widest))
             .collect();
         let probing = Probing { bank: &fine, frame, scenes: &scenes, size };
-        let count = if size > WIDE.1 { 8 } else { 24 };
+        let count = if size > WIDE.1 {
+            8
+        } else if size > WIDE.0 {
+            12
+        } else {
+            24
+        };
         let probes = probing.exact(&places(region, count));
         let rules: Vec<(usize, Rule)> = Settings::WAVELENGTHS
             .iter()
