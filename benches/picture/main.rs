@@ -2,7 +2,8 @@
 //!
 //! `cargo bench --bench picture` times single pictures; `-- tables` judges the fast renderer against the reference on lenses
 //! and photographs and writes `benches/results/picture.md` (photographs from `../shared`; about half an hour), `-- tables
-//! quick` does so with one photograph a lens.
+//! quick` does so with one photograph a lens (six for
+//! `--min-psnr-db`); `-- chosen` and `-- chosen quick` print what `--min-psnr-db` holds and costs.
 
 mod cases;
 mod tables;
@@ -31,6 +32,10 @@ fn pictures(c: &mut Criterion) {
 
 fn main() {
     let arguments: Vec<String> = std::env::args().collect();
+    if arguments.iter().any(|a| a == "chosen") {
+        println!("{}", tables::chosen(arguments.iter().any(|a| a == "quick")));
+        return;
+    }
     if arguments.iter().any(|a| a == "tables") {
         tables::write(arguments.iter().any(|a| a == "quick"));
         return;

@@ -1,7 +1,7 @@
 //! The number of wavelengths that holds a requested error.
 //!
 //! The error of a rule is that of the channel's kernels: relative L2 over all channels and pixels against the rule of
-//! [`FINE`] nodes, the worst of the fields. Monochromatic kernels are computed once on an even grid of wavelengths and
+//! 96 nodes, the worst of the fields. Monochromatic kernels are computed once on an even grid of wavelengths and
 //! interpolated between (cubic) to look through the candidates; the one chosen is then computed at its own nodes, and
 //! if it fails there the next is tried, so that the error stated is measured.
 

@@ -3,7 +3,7 @@
 //! The windows `w_n` of a [`NodeGrid`] multiply the *source*, because a PSF belongs to its object point. The scene may be
 //! sampled at `m × m` points a pixel: phase `f = fy m + fx` is the fine sample `(m row + fy, m col + fx)`, a source plane
 //! on the pixel raster with kernels of its own, so no fine image is ever blurred only to be decimated. Three methods give
-//! the same sum ([`Method`]); [`cost::cheapest`] chooses. Kernels and source are asked for when needed, so a frame larger
+//! the same sum ([`Method`]); [`cost::Task::cheapest`] chooses. Kernels and source are asked for when needed, so a frame larger
 //! than memory allows as a whole can be blurred.
 
 pub mod adjoint;

@@ -2,7 +2,7 @@
 //!
 //! Knots start evenly spaced from the first pixel to the last; each axis is halved on its own, by the worst error along the
 //! lines of the other. The error of an interval is the relative L2 distance between the kernel computed in its middle and
-//! the mean of the two at its ends, all channels together, on a raster of about [`CELLS`] cells a side: finer structure of
+//! the mean of the two at its ends, all channels together, on a raster of about 25 cells a side: finer structure of
 //! wide kernels moves too little light to matter, and is the grain of the pupil's points.
 
 use std::collections::HashMap;
