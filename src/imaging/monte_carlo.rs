@@ -196,7 +196,7 @@ impl Prepared {
         settings: Settings,
     ) -> Result<Self> {
         check(scene, region, settings)?;
-        let radii_mm = radii_mm(frame, region);
+        let radii_mm = region.radii_mm(frame, 0.0);
         // The whole frame's view, so that a part of a picture equals the same part of the whole.
         let rear = RearView::new(lens, density, radii_mm[1].max(frame.max_radius_mm()))?;
         let footprints = match settings.sampling {
@@ -263,18 +263,6 @@ fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
         return Err(Error::bad("", "samples per pixel", settings.samples.to_string(), allowed));
     }
     Ok(())
-}
-
-/// Smallest and largest distance from the axis of any point of the region, mm.
-fn radii_mm(frame: &Frame, region: Region) -> [f64; 2] {
-    let ends = |first: isize, count: usize, axis: f64| {
-        let (a, b) = (first as f64 - axis, (first + count.cast_signed()) as f64 - axis);
-        let nearest = if a <= 0.0 && b >= 0.0 { 0.0 } else { a.abs().min(b.abs()) };
-        [nearest, a.abs().max(b.abs())]
-    };
-    let x = ends(region.col, region.cols, frame.axis_px[0]);
-    let y = ends(region.row, region.rows, frame.axis_px[1]);
-    [0, 1].map(|k| x[k].hypot(y[k]) * frame.pitch_mm)
 }
 
 /// The sum over rows; whole numbers, so that the order does not matter.

@@ -26,6 +26,19 @@ pub struct Between {
     pub weight: f64,
 }
 
+impl Between {
+    /// Weight of node `k` here; 0 if its window does not reach.
+    pub fn of(self, k: usize) -> f64 {
+        if self.first == k {
+            1.0 - self.weight
+        } else if self.second == k {
+            self.weight
+        } else {
+            0.0
+        }
+    }
+}
+
 impl NodeGrid {
     /// Nodes every `spacing` pixels over `source`, the first on its first pixel.
     pub fn uniform(source: Region, spacing: usize) -> Self {
@@ -75,16 +88,7 @@ impl NodeGrid {
 
     /// Window of node `n` at the pixel `(row, col)`.
     pub fn window(&self, n: usize, row: isize, col: isize) -> f64 {
-        let along = |knots: &[isize], k: usize, at: isize| {
-            let b = Self::between(knots, at);
-            if b.first == k {
-                1.0 - b.weight
-            } else if b.second == k {
-                b.weight
-            } else {
-                0.0
-            }
-        };
+        let along = |knots: &[isize], k: usize, at: isize| Self::between(knots, at).of(k);
         along(&self.row_knots, n / self.col_knots.len(), row) * along(&self.col_knots, n % self.col_knots.len(), col)
     }
 }

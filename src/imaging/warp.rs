@@ -89,6 +89,20 @@ impl Region {
         }
     }
 
+    /// Smallest and largest distance from the axis, mm, of the region less `inset` pixels on every side: 0 for all of its
+    /// points, ½ for its pixels' centres.
+    #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+    pub fn radii_mm(self, frame: &Frame, inset: f64) -> [f64; 2] {
+        let ends = |first: isize, count: usize, axis: f64| {
+            let (a, b) = (first as f64 + inset - axis, (first + count.cast_signed()) as f64 - inset - axis);
+            let nearest = if a <= 0.0 && b >= 0.0 { 0.0 } else { a.abs().min(b.abs()) };
+            [nearest, a.abs().max(b.abs())]
+        };
+        let x = ends(self.col, self.cols, frame.axis_px[0]);
+        let y = ends(self.row, self.rows, frame.axis_px[1]);
+        [0, 1].map(|k| x[k].hypot(y[k]) * frame.pitch_mm)
+    }
+
     /// Offset `[column, row]` in pixels from the frame's axis of the centre of the region's pixel `(i, j)`.
     #[inline]
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]

@@ -105,19 +105,6 @@ impl Setting<'_> {
     }
 }
 
-/// Sensor radii, mm, of a region's pixels: smallest and largest.
-#[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-fn radii_mm(frame: &Frame, region: Region) -> [f64; 2] {
-    let ends = |first: isize, n: usize, axis: f64| {
-        let (a, b) = (first as f64 + 0.5 - axis, (first + n.cast_signed()) as f64 - 0.5 - axis);
-        let nearest = if a <= 0.0 && b >= 0.0 { 0.0 } else { a.abs().min(b.abs()) };
-        [nearest, a.abs().max(b.abs())]
-    };
-    let x = ends(region.col, region.cols, frame.axis_px[0]);
-    let y = ends(region.row, region.rows, frame.axis_px[1]);
-    [0, 1].map(|k| x[k].hypot(y[k]) * frame.pitch_mm)
-}
-
 /// Wavelengths of the fine rule while probing.
 const FINE_WAVELENGTHS: usize = 9;
 /// Dense points of the fine bank while probing.
@@ -170,7 +157,7 @@ pub fn plan<'a>(
     let field = [0.0, frame.max_radius_mm()];
     // The kernel's window, over the lit field.
     let lit = needs.lit.map(|lit| common(lit, whole.grown(base.max_half_width)));
-    let near = lit.map_or(field, |lit| radii_mm(frame, lit)).map(|r| r.min(field[1]));
+    let near = lit.map_or(field, |lit| lit.radii_mm(frame, 0.5)).map(|r| r.min(field[1]));
     let look = s.bank(s.rule(LOOK.0, &channels), LOOK.1, LOOK.2, near)?;
     let widest = look.half_widths_px(&[base.outside])[0].min(base.max_half_width);
     let size = 2 * widest + 1;
@@ -178,7 +165,7 @@ pub fn plan<'a>(
     let region = source.map(|r| common(r.grown(widest), whole)).filter(|r| r.rows > 0 && r.cols > 0);
     let source = source.filter(|r| r.rows > 0 && r.cols > 0);
     let around = source.unwrap_or(whole);
-    let radii = radii_mm(frame, around);
+    let radii = around.radii_mm(frame, 0.5);
     let light = s.bank(s.rule(LIGHT.0, &channels), 7, LIGHT.1, radii)?;
     let work = Work::of(region.unwrap_or(whole), channels.len(), if needs.grey { 1 } else { channels.len() });
     let (target, probing_wished) = match wish {
@@ -186,7 +173,6 @@ pub fn plan<'a>(
         _ => (1e-6, explain),
     };
     let mut measured: Option<(Choice, Ladders)> = None;
-    let mut nodes = Nodes::coarse(&light, frame, around, size, Settings::NODE_ERRORS[0].min(base.node_error));
     if let (true, Some(region)) = (probing_wished && wish != Wish::Everything, region) {
         let fine = s.bank(s.rule(FINE_WAVELENGTHS, &channels), base.degree, FINE_DENSE, radii)?;
         let source_channels = if needs.grey { vec![0] } else { channels.clone() };
@@ -211,6 +197,7 @@ pub fn plan<'a>(
             .map(|n| (*n, s.rule(*n, &channels)))
             .collect();
         let make = |wavelengths: usize, dense: usize| s.bank(s.rule(wavelengths, &channels), base.degree, dense, radii);
+        let mut nodes = Nodes::coarse(&light, frame, around, size, Settings::NODE_ERRORS[0].min(base.node_error));
         let ladders = ladders(&probing, &probes, &rules, &make, &light, &mut nodes, target)?;
         // The convolution's share depends on nodes, window and sampling alone.
         let known = RefCell::new(HashMap::new());

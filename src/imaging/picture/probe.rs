@@ -267,16 +267,7 @@ impl Patch {
     #[expect(clippy::cast_possible_truncation, reason = "windows in single precision")]
     fn windowed(&self, grid: &NodeGrid, n: usize, grown: Region) -> Self {
         let along = |knots: &[isize], k: usize, first: isize, count: usize| -> Vec<f32> {
-            let weight = |i: usize| {
-                let b = NodeGrid::between(knots, first + i.cast_signed());
-                if b.first == k {
-                    1.0 - b.weight
-                } else if b.second == k {
-                    b.weight
-                } else {
-                    0.0
-                }
-            };
+            let weight = |i: usize| NodeGrid::between(knots, first + i.cast_signed()).of(k);
             (0..count).map(|i| weight(i) as f32).collect()
         };
         let rows = along(&grid.row_knots, n / grid.col_knots.len(), grown.row, grown.rows);

@@ -32,9 +32,6 @@ impl Settings {
         outside: 1e-4,
         max_half_width: 600,
     };
-    /// For a look: about 40 dB on photographs.
-    pub const DRAFT: Self =
-        Self { samples: 1, wavelengths: 5, degree: 7, dense: 500, node_error: 0.2, outside: 5e-3, max_half_width: 300 };
 
     /// Ladder of scene samples a pixel.
     pub const SAMPLES: [usize; 3] = [1, 2, 4];
