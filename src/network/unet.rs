@@ -21,13 +21,21 @@ const INITIAL_SLOPE: f32 = 0.25;
 /// Scale of the last convolution's weights against the others': training starts near the identity.
 const OUTPUT_GAIN: f64 = 0.01;
 
+/// From this scale on the number of channels stays: `16 ×` the finest scale's.
+const WIDEST: usize = 4;
+
+/// Scales of the full generator (paper §4.1): six down- and upsamplings.
+pub const FULL_SCALES: usize = 7;
+
 /// Size of the network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnetConfig {
-    /// Channels of the finest scale; each coarser scale has twice as many (16: 16, 32, 64).
+    /// Channels of the finest scale; each coarser scale has twice as many, up to 16 times as many
+    /// (32: 32, 64, 128, 256, 512, 512, 512).
     pub base_width: usize,
-    /// Number of scales; height and width are multiples of `2^(scales − 1)`.
+    /// Number of scales: 3 for design (fig. 3), 7 for the full generator; height and width are multiples of
+    /// `2^(scales − 1)`.
     pub scales: usize,
 }
 
@@ -43,7 +51,7 @@ impl UnetConfig {
         if !(1..=512).contains(&self.base_width) {
             return Err(Error::bad("", "network.base_width", self.base_width.to_string(), "1 to 512 channels"));
         }
-        if !(1..=7).contains(&self.scales) {
+        if !(1..=FULL_SCALES).contains(&self.scales) {
             return Err(Error::bad("", "network.scales", self.scales.to_string(), "1 to 7 scales"));
         }
         if self.width(self.scales - 1) > 2048 {
@@ -64,7 +72,7 @@ impl UnetConfig {
 
     /// Channels at `scale`.
     pub(super) fn width(&self, scale: usize) -> usize {
-        self.base_width << scale
+        self.base_width << scale.min(WIDEST)
     }
 }
 
@@ -192,5 +200,9 @@ mod tests {
         }
         assert!(UnetConfig::default().validate().is_ok());
         assert_eq!(UnetConfig::default().multiple(), 4);
+        let full = UnetConfig { base_width: 32, scales: 7 };
+        assert!(full.validate().is_ok());
+        let widths: Vec<usize> = (0..7).map(|s| full.width(s)).collect();
+        assert_eq!(widths, [32, 64, 128, 256, 512, 512, 512]);
     }
 }
