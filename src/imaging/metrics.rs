@@ -110,7 +110,7 @@ fn ssim_and_slope(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, slope: bool) -
     }
     let planes: Vec<(f64, Option<Array2<f64>>)> = (0..channels)
         .into_par_iter()
-        .map(|k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), slope))
+        .map(|k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, slope))
         .collect();
     let mut gradient = Array3::zeros(if slope { a.dim() } else { (0, 0, 0) });
     for (k, plane) in planes.iter().enumerate() {
@@ -121,8 +121,22 @@ fn ssim_and_slope(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, slope: bool) -
     Ok((planes.iter().map(|p| p.0).sum::<f64>() / channels as f64, gradient))
 }
 
+/// Which of SSIM's factors count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    /// Luminance, contrast and structure.
+    Whole,
+    /// Contrast and structure.
+    Structure,
+}
+
 /// Mean SSIM of one channel and, where asked for, its gradient in `a`.
-fn ssim_plane(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>, slope: bool) -> (f64, Option<Array2<f64>>) {
+pub(super) fn ssim_plane(
+    a: ArrayView2<'_, f64>,
+    b: ArrayView2<'_, f64>,
+    part: Part,
+    slope: bool,
+) -> (f64, Option<Array2<f64>>) {
     let (mean_a, mean_b) = (windowed(a), windowed(b));
     let (aa, bb, ab) = (windowed((&a * &a).view()), windowed((&b * &b).view()), windowed((&a * &b).view()));
     let n = mean_a.len() as f64;
@@ -132,15 +146,17 @@ fn ssim_plane(a: ArrayView2<'_, f64>, b: ArrayView2<'_, f64>, slope: bool) -> (f
         std::array::from_fn(|_| Array2::zeros(if slope { mean_a.dim() } else { (0, 0) }));
     for ((r, c), &ma) in mean_a.indexed_iter() {
         let mb = mean_b[[r, c]];
-        let (top_1, top_2) = (2.0 * ma * mb + C1, 2.0 * (ab[[r, c]] - ma * mb) + C2);
-        let bottom_1 = ma * ma + mb * mb + C1;
+        let (top_2, whole) = (2.0 * (ab[[r, c]] - ma * mb) + C2, part == Part::Whole);
+        let (top_1, bottom_1) = if whole { (2.0 * ma * mb + C1, ma * ma + mb * mb + C1) } else { (1.0, 1.0) };
         let bottom_2 = aa[[r, c]] - ma * ma + bb[[r, c]] - mb * mb + C2;
         let bottom = bottom_1 * bottom_2;
         let value = top_1 * top_2 / bottom;
         sum += value;
         if slope {
-            slopes[0][[r, c]] =
-                (2.0 * mb * (top_2 - top_1) / bottom - 2.0 * ma * value * (1.0 / bottom_1 - 1.0 / bottom_2)) / n;
+            let luminance = f64::from(u8::from(whole));
+            slopes[0][[r, c]] = (2.0 * mb * (luminance * top_2 - top_1) / bottom
+                - 2.0 * ma * value * (luminance / bottom_1 - 1.0 / bottom_2))
+                / n;
             slopes[1][[r, c]] = -value / bottom_2 / n;
             slopes[2][[r, c]] = 2.0 * top_1 / bottom / n;
         }

@@ -12,8 +12,9 @@ use onnx_rs::ast::{
 };
 
 use super::card::ModelCard;
-use super::checkpoint::write_whole;
-use super::reconstructor::{Parameter, Reconstructor};
+use super::learner::Parameter;
+use super::reconstructor::Reconstructor;
+use crate::atomic::write_bytes;
 use crate::error::{Error, Result};
 
 const OPSET: i64 = 17;
@@ -23,7 +24,7 @@ const IR_VERSION: i64 = 9;
 ///
 /// Refuses weights that are not finite, and a card of another network.
 pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()> {
-    write_whole(path, &encode(model, card)?)
+    write_bytes(path, &encode(model, card)?)
 }
 
 /// The bytes of [`export`]'s file.

@@ -3,21 +3,21 @@
 //! One step is: output = network(input), loss = mean |output − target|, backward through burn's graph, Adam. The
 //! cotangents of input and target leave here as arrays; optics takes over there.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
+use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use ndarray::{Array4, ArrayView4};
 
-use super::adam::{Adam, norm};
 use super::card::receptive_radius_px;
+use super::checkpoint::{self, Checkpoint, Section};
+use super::compute::Compute;
 use super::kernels::Level;
+use super::learner::{Learner, Parameter};
+use super::tiles;
 use super::unet::{CHANNELS, Unet, UnetConfig};
-use super::{checkpoint, tiles};
 use crate::error::{Error, Result};
-
-/// Gradients longer than this (global Euclidean norm) are scaled down to it.
-const CLIP_NORM: f64 = 1.0;
 
 /// Pixels × base width above which the forward pass works in tiles (about 1 GiB of features).
 const TILE_ABOVE: usize = 1 << 26;
@@ -29,11 +29,7 @@ const TILE: usize = 1024;
 #[derive(Debug)]
 pub struct Reconstructor {
     config: UnetConfig,
-    device: Device,
-    network: Unet,
-    /// All parameters in the order of [`Reconstructor::parameters`]; `network` holds the same values.
-    weights: Vec<f32>,
-    adam: Adam,
+    learner: Learner<Unet>,
     level: Level,
 }
 
@@ -67,25 +63,21 @@ pub struct NetworkStep {
     pub updated: bool,
 }
 
-/// One named parameter.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Parameter {
-    /// Stable name, as `encoder.0.conv1.weight`.
-    pub name: String,
-    /// Shape: weights `[out, in, 3, 3]` or (`up`) `[in, out, 2, 2]`, biases and slopes `[channels]`.
-    pub shape: Vec<usize>,
-    /// Values in row-major order.
-    pub values: Vec<f32>,
-}
-
 impl Reconstructor {
     /// A fresh network with weights drawn from `seed`; the same seed gives the same bits.
     pub fn new(config: UnetConfig, seed: u64) -> Result<Self> {
+        Self::on(Compute::Cpu, config, seed)
+    }
+
+    /// [`Reconstructor::new`] on another device.
+    ///
+    /// # Errors
+    /// A size that is no network, or a device this build or machine has not.
+    pub fn on(compute: Compute, config: UnetConfig, seed: u64) -> Result<Self> {
         config.validate()?;
-        let device = Device::flex().autodiff();
-        let network = Unet::new(&config, seed, &device);
-        let weights: Vec<f32> = collect(&network).into_iter().flat_map(|p| p.values).collect();
-        Ok(Self { adam: Adam::new(weights.len()), level: Level::detect(), config, device, network, weights })
+        let device = compute.device()?.autodiff();
+        let learner = Learner::new(Unet::new(&config, seed, &device), device);
+        Ok(Self { config, learner, level: compute.level() })
     }
 
     /// The network's size.
@@ -95,30 +87,17 @@ impl Reconstructor {
 
     /// Training steps taken.
     pub fn steps(&self) -> u64 {
-        self.adam.steps
+        self.learner.adam().steps
     }
 
     /// All parameters by name, in a fixed order.
     pub fn parameters(&self) -> Vec<Parameter> {
-        collect(&self.network)
+        self.learner.parameters()
     }
 
     /// Replaces the values of the parameter `name`; the optimiser's moments stay.
     pub fn set_parameter(&mut self, name: &str, values: &[f32]) -> Result<()> {
-        let mut offset = 0;
-        for parameter in self.parameters() {
-            let n = parameter.values.len();
-            if parameter.name == name {
-                if values.len() != n {
-                    return Err(Error::bad("", name, format!("{} values", values.len()), format!("{n} values")));
-                }
-                self.weights[offset..offset + n].copy_from_slice(values);
-                self.write_weights();
-                return Ok(());
-            }
-            offset += n;
-        }
-        Err(Error::bad("", name, "no such parameter", "a name from the network's list of parameters"))
+        self.learner.set_parameter(name, values)
     }
 
     /// The network's output. Height and width must be multiples of [`UnetConfig::multiple`]; a large picture is done in
@@ -128,8 +107,8 @@ impl Reconstructor {
     /// `[batch, 3, row, col]` → the same.
     pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
         self.check(&input)?;
-        let (network, level) = (self.network.valid(), self.level);
-        let device = self.device.clone().inner();
+        let (network, level) = (self.learner.module().valid(), self.level);
+        let device = self.learner.device().clone().inner();
         let run = |window: ArrayView4<f32>| array(network.forward(level, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
         if rows * columns * self.config.base_width <= TILE_ABOVE {
@@ -171,7 +150,10 @@ impl Reconstructor {
             let difference = output - target;
             *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
         });
-        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        let (gradient_norm, updated) = match &gradient {
+            Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
+            None => (0.0, false),
+        };
         Ok(Step { loss, output, input_bar, target_bar, gradient_norm, updated })
     }
 
@@ -183,24 +165,80 @@ impl Reconstructor {
         learning_rate: f64,
     ) -> Result<NetworkStep> {
         let Backward { loss, output, gradient, .. } = self.backward(&input, &target, false, true)?;
-        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        let (gradient_norm, updated) = match &gradient {
+            Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
+            None => (0.0, false),
+        };
         Ok(NetworkStep { loss, output, gradient_norm, updated })
     }
 
     /// Writes weights, optimiser and size to `path` (safetensors), whole or not at all. Refuses weights that are not finite.
     pub fn save(&self, path: &Path) -> Result<()> {
-        checkpoint::save(path, &self.config, &self.parameters(), &self.adam)
+        self.save_with(path, &[], &BTreeMap::new())
+    }
+
+    /// [`Reconstructor::save`] with other learners and facts beside it.
+    pub(super) fn save_with(&self, path: &Path, more: &[Section<'_>], facts: &BTreeMap<String, String>) -> Result<()> {
+        let parameters = self.parameters();
+        let mut sections = vec![Section { prefix: "", parameters: &parameters, adam: self.learner.adam() }];
+        sections.extend(more.iter().map(|s| Section { ..*s }));
+        checkpoint::save(path, &self.config, &sections, facts)
     }
 
     /// Reads what [`Reconstructor::save`] wrote; training goes on with the same bits.
     pub fn load(path: &Path) -> Result<Self> {
-        let config = checkpoint::read_config(path)?;
-        let mut fresh = Self::new(config, 0)?;
-        let (weights, adam) = checkpoint::load(path, &fresh.parameters())?;
-        fresh.weights = weights;
-        fresh.adam = adam;
-        fresh.write_weights();
+        Self::from_checkpoint(&Checkpoint::read(path)?, Compute::Cpu)
+    }
+
+    /// The network of a checkpoint, on a device.
+    pub(super) fn from_checkpoint(file: &Checkpoint, compute: Compute) -> Result<Self> {
+        let mut fresh = Self::on(compute, file.config()?, 0)?;
+        let (weights, adam) = file.learner("", &fresh.parameters())?;
+        fresh.learner.restore(weights, Some(adam));
         Ok(fresh)
+    }
+
+    /// Where it computes, with autodiff.
+    pub(super) fn device(&self) -> &Device {
+        self.learner.device()
+    }
+
+    /// Which code its operations run.
+    pub(super) fn level(&self) -> Level {
+        self.level
+    }
+
+    /// The forward pass with a graph behind it.
+    pub(super) fn forward_tracked(&self, input: Tensor<4>) -> Tensor<4> {
+        self.learner.module().forward(self.level, input)
+    }
+
+    /// A clipped Adam step with the weights' part of `gradients`; see [`Learner::update`].
+    pub(super) fn learn(&mut self, sound: bool, gradients: &mut Gradients, learning_rate: f64) -> (f64, bool) {
+        let gradient = self.learner.gradient(gradients);
+        self.learner.update(sound, &gradient, learning_rate)
+    }
+
+    /// Puts all weights in the order of [`Reconstructor::parameters`]; the optimiser starts anew.
+    ///
+    /// # Panics
+    /// Where there are not as many as the network has.
+    pub(super) fn restart(&mut self, weights: Vec<f32>) {
+        self.learner.restore(weights, None);
+    }
+
+    /// Refuses an input that does not fit the network, and a target of another shape.
+    pub(super) fn check_pair(&self, input: &ArrayView4<f32>, target: &ArrayView4<f32>) -> Result<()> {
+        self.check(input)?;
+        if input.dim() != target.dim() {
+            return Err(Error::bad(
+                "",
+                "training target",
+                format!("shape {:?}", target.dim()),
+                format!("the input's shape, {:?}", input.dim()),
+            ));
+        }
+        Ok(())
     }
 
     /// Forward and backward; the gradients asked for only.
@@ -211,48 +249,21 @@ impl Reconstructor {
         with_input: bool,
         with_weights: bool,
     ) -> Result<Backward> {
-        self.check(input)?;
-        if input.dim() != target.dim() {
-            return Err(Error::bad(
-                "",
-                "training target",
-                format!("shape {:?}", target.dim()),
-                format!("the input's shape, {:?}", input.dim()),
-            ));
-        }
-        let input = tensor(input, &self.device);
+        self.check_pair(input, target)?;
+        let input = tensor(input, self.learner.device());
         let input = if with_input { input.require_grad() } else { input };
-        let frozen = (!with_weights).then(|| self.network.clone().no_grad());
-        let network = frozen.as_ref().unwrap_or(&self.network);
+        let frozen = (!with_weights).then(|| self.learner.frozen());
+        let network = frozen.as_ref().unwrap_or_else(|| self.learner.module());
 
         let output = network.forward(self.level, input.clone());
-        let difference = output.clone() - tensor(target, &self.device);
+        let difference = output.clone() - tensor(target, self.learner.device());
         let mut gradients = difference.abs().mean().backward();
 
         let output = array(output.inner())?;
         let sum: f64 = output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
         let input_bar = if with_input { input.grad_remove(&mut gradients).map(array).transpose()? } else { None };
-        let gradient = with_weights.then(|| collect_gradient(network, &mut gradients, self.weights.len()));
+        let gradient = with_weights.then(|| self.learner.gradient(&mut gradients));
         Ok(Backward { loss: (sum / output.len() as f64) as f32, output, input_bar, gradient })
-    }
-
-    /// Clipped Adam step; leaves everything as it was where loss or gradient is not finite.
-    fn update(&mut self, loss: f32, gradient: Option<&[f32]>, learning_rate: f64) -> (f64, bool) {
-        let Some(gradient) = gradient else { return (0.0, false) };
-        let norm = norm(gradient);
-        if !loss.is_finite() || !norm.is_finite() {
-            return (norm, false);
-        }
-        let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
-        self.adam.step(&mut self.weights, gradient, scale, learning_rate);
-        self.write_weights();
-        (norm, true)
-    }
-
-    /// Puts `self.weights` into the burn module.
-    fn write_weights(&mut self) {
-        let mut writer = Write { values: &self.weights, device: &self.device };
-        self.network = self.network.clone().map(&mut writer);
     }
 
     fn check(&self, input: &ArrayView4<f32>) -> Result<()> {
@@ -279,82 +290,17 @@ struct Backward {
     gradient: Option<Vec<f32>>,
 }
 
-fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
+pub(super) fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
     let (batch, channels, rows, columns) = view.dim();
     let values = view.as_standard_layout().into_owned().into_raw_vec_and_offset().0;
     Tensor::from_data(TensorData::new(values, [batch, channels, rows, columns]), device)
 }
 
-fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
+pub(super) fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
     let shape = tensor.dims();
     let values =
         tensor.into_data().try_into_vec::<f32>().map_err(|e| Error::Internal(format!("tensor data: {e:?}")))?;
     Array4::from_shape_vec(shape, values).map_err(|e| Error::Internal(format!("tensor shape: {e}")))
-}
-
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_into_vec::<f32>().expect("parameters are f32 in the host's memory")
-}
-
-/// All parameters by name, in the module's order.
-fn collect(network: &Unet) -> Vec<Parameter> {
-    #[derive(Default)]
-    struct Collect {
-        path: Vec<String>,
-        found: Vec<Parameter>,
-    }
-    impl ModuleVisitor for Collect {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let tensor = param.val().inner();
-            let shape = tensor.dims().to_vec();
-            self.found.push(Parameter { name: self.path.join("."), shape, values: values(tensor) });
-        }
-        fn enter_module(&mut self, name: &str, _container: &str) {
-            self.path.push(name.to_owned());
-        }
-        fn exit_module(&mut self, _name: &str, _container: &str) {
-            self.path.pop();
-        }
-    }
-    let mut collect = Collect::default();
-    network.visit(&mut collect);
-    collect.found
-}
-
-/// The weights' gradient in the order of [`collect`]; zeros where none arrived.
-fn collect_gradient(network: &Unet, gradients: &mut Gradients, n: usize) -> Vec<f32> {
-    struct Collect<'a> {
-        gradients: &'a mut Gradients,
-        found: Vec<f32>,
-    }
-    impl ModuleVisitor for Collect<'_> {
-        fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-            let tensor = param.val();
-            match tensor.grad_remove(self.gradients) {
-                Some(gradient) => self.found.extend(values(gradient)),
-                None => self.found.extend(std::iter::repeat_n(0.0, tensor.dims().iter().product())),
-            }
-        }
-    }
-    let mut collect = Collect { gradients, found: Vec::with_capacity(n) };
-    network.visit(&mut collect);
-    collect.found
-}
-
-/// Replaces all parameters, in the order of [`collect`], by `values`.
-struct Write<'a> {
-    values: &'a [f32],
-    device: &'a Device,
-}
-
-impl ModuleMapper for Write<'_> {
-    fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let shape = param.val().dims();
-        let (head, rest) = self.values.split_at(shape.iter().product());
-        self.values = rest;
-        let device = self.device;
-        param.map(|_| Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad())
-    }
 }
 
 #[cfg(test)]
@@ -461,8 +407,7 @@ mod tests {
             offset += n;
             let loss = |h: f32| {
                 let mut moved = Reconstructor::new(small(), 3).expect("valid");
-                moved.weights.clone_from(&model.weights);
-                moved.write_weights();
+                moved.learner.restore(model.parameters().into_iter().flat_map(|p| p.values).collect(), None);
                 let values: Vec<f32> = parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
                 moved.set_parameter(&parameter.name, &values).expect("same length");
                 let out = moved.forward(input.view()).expect("fits");
@@ -537,8 +482,8 @@ mod tests {
         let input = picture((1, 3, 84, 92), 2);
         let whole = model.forward(input.view()).expect("fits");
         let margin = receptive_radius_px(3).next_multiple_of(4);
-        let (network, level) = (model.network.valid(), model.level);
-        let device = model.device.clone().inner();
+        let (network, level) = (model.learner.module().valid(), model.level);
+        let device = model.learner.device().clone().inner();
         let run = |w: ArrayView4<f32>| array(network.forward(level, tensor(&w, &device)));
         let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
         let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
