@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-/// What can go wrong. Everything but [`Error::Internal`] and [`Error::Interrupted`] is bad input (exit code 2).
+/// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
@@ -34,6 +34,9 @@ pub enum Error {
     /// A fault of the program.
     #[error("internal error: {0}")]
     Internal(String),
+    /// Long work that cannot go on; what was reached is kept.
+    #[error("{0}")]
+    Stopped(String),
     /// The user pressed Ctrl-C.
     #[error("interrupted")]
     Interrupted,
@@ -83,7 +86,7 @@ impl Error {
     /// The program's exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {
-            Self::Internal(_) => 1,
+            Self::Internal(_) | Self::Stopped(_) => 1,
             Self::Interrupted => 130,
             _ => 2,
         }

@@ -10,7 +10,7 @@ use crate::error::Result;
 use crate::imaging::distortion::Distortion;
 use crate::imaging::frame::Frame;
 use crate::imaging::scene::photos::Photos;
-use crate::imaging::scene::{TRAINING, generate};
+use crate::imaging::scene::{SceneKind, TRAINING, generate};
 use crate::imaging::warp::{Plane, Region, slope_per_mm};
 use crate::network::card::sha256_hex;
 
@@ -34,6 +34,16 @@ impl Textures {
         let names = (0..count)
             .map(|i| format!("built-in {} seed {}", TRAINING[i % TRAINING.len()], seed.wrapping_add(i as u64)))
             .collect();
+        Self { images, names }
+    }
+
+    /// `count` built-in scenes of a kind that training never draws from.
+    pub fn unseen(seed: u64, count: usize, size: usize) -> Self {
+        let images = (0..count)
+            .into_par_iter()
+            .map(|i| generate(SceneKind::Facades, seed.wrapping_add(i as u64), size, size))
+            .collect();
+        let names = (0..count).map(|i| format!("built-in facades seed {}", seed.wrapping_add(i as u64))).collect();
         Self { images, names }
     }
 

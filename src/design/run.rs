@@ -5,21 +5,20 @@
 
 use std::time::{Duration, Instant};
 
-use ndarray::{Array2, Array3, Array4, Axis, s};
+use ndarray::{Array4, Axis};
 
 use super::chain::{Patch, forward};
 use super::constraint::Constraints;
 use super::data::Textures;
 use super::joint::{Joint, Report, l1_and_psnr};
+use super::pairs::{Augmentation, cut, render_pair};
 use crate::error::Result;
 use crate::imaging::field_map::fit_distortion;
 use crate::imaging::frame::Frame;
-use crate::imaging::noise::{Noise, standard_normal};
-use crate::imaging::patches::NodeRaster;
+use crate::imaging::noise::Noise;
 use crate::imaging::plan::{Quality, plan};
-use crate::imaging::render::{Optics, RenderPlan, render_region};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::simulate::{Electronics, simulate};
+use crate::imaging::simulate::Electronics;
 use crate::imaging::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::lens::variables::Variables;
@@ -58,7 +57,7 @@ pub struct Scenery<'a> {
 }
 
 impl Scenery<'_> {
-    fn electronics(&self) -> Electronics {
+    pub(super) fn electronics(&self) -> Electronics {
         Electronics { cfa: self.sensor.cfa, noise: Noise::of(self.sensor), neutral: self.sensor.neutral_response }
     }
 }
@@ -179,13 +178,6 @@ pub struct TrainSettings {
     pub quality: Quality,
 }
 
-/// One rendered training region: irradiance, illumination, truth.
-struct Pair {
-    image: Array3<f32>,
-    illumination: Array3<f32>,
-    truth: Array3<f32>,
-}
-
 /// Trains `network` on the finished lens: pairs rendered once, noise and crops drawn anew every step.
 pub fn network_stage(
     scenery: &Scenery<'_>,
@@ -222,7 +214,7 @@ pub fn network_stage(
             break;
         }
         let pair = &pairs[rng.usize(0..pairs.len())];
-        let (input, target) = crop(&electronics, pair, settings.crop, &mut rng);
+        let (input, target) = cut(&electronics, pair, settings.crop, Augmentation::NONE, &mut rng);
         let rate = settings.rate * schedule((used - begun) / (1.0 - begun));
         let done = network.step_network_only(input.view(), target.view(), rate)?;
         let psnr = |a: &Array4<f32>| l1_and_psnr(a.iter(), target.iter()).1;
@@ -242,24 +234,6 @@ pub fn network_stage(
         progress(used.min(1.0), &entry);
     }
     Ok(history)
-}
-
-fn render_pair(lens: &Lens, plan: &RenderPlan, patch: &Patch) -> Result<Pair> {
-    let raster = NodeRaster::over(patch.region.grown(plan.margin()), plan.spacing);
-    let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
-    let r = render_region::<f32>(&optics, plan, &patch.scene, patch.region);
-    Ok(Pair { image: r.image, illumination: r.illumination, truth: r.truth })
-}
-
-/// A random crop of a pair with fresh noise: the network's input and target, `[1, 3, crop, crop]`.
-fn crop(electronics: &Electronics, pair: &Pair, size: usize, rng: &mut fastrand::Rng) -> (Array4<f32>, Array4<f32>) {
-    let (_, rows, cols) = pair.image.dim();
-    let (h, w) = (size.min(rows), size.min(cols));
-    let (r, c) = (rng.usize(0..=(rows - h) / 4) * 4, rng.usize(0..=(cols - w) / 4) * 4);
-    let part = |a: &Array3<f32>| a.slice(s![.., r..r + h, c..c + w]).to_owned();
-    let eps: Array2<f32> = standard_normal(rng.u64(..), (h, w));
-    let (input, _) = simulate(electronics, part(&pair.image).view(), part(&pair.illumination).view(), eps);
-    (input.insert_axis(Axis(0)), part(&pair.truth).insert_axis(Axis(0)))
 }
 
 /// Mean L1 and PSNR after the network over held-out patches: how a design is judged.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::data::Textures;
 use super::run::Budget;
+use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
 use crate::lens::{Lens, SensorRaster, builtin};
@@ -61,6 +62,9 @@ pub struct Task {
     /// Train the network alone.
     #[serde(default)]
     pub freeze_lens: bool,
+    /// The final network for the finished lens (`isoplanat train`).
+    #[serde(default)]
+    pub train: TrainTask,
 }
 
 /// A raster in a task.
@@ -118,6 +122,7 @@ impl Task {
             lens_rate: default_lens_rate(),
             network_rate: default_network_rate(),
             freeze_lens: false,
+            train: TrainTask::default(),
         }
     }
 
@@ -131,6 +136,7 @@ impl Task {
         for p in [&mut task.photos, &mut task.calibration].into_iter().flatten() {
             *p = folder.join(&*p);
         }
+        task.train.resolve(folder);
         let beside = folder.join(&task.lens);
         if beside.is_file() {
             task.lens = beside.display().to_string();
@@ -139,7 +145,8 @@ impl Task {
         Ok(task)
     }
 
-    fn check(&self, file: &str) -> Result<()> {
+    /// Refuses a task that cannot be run; `file` is named in the error.
+    pub fn check(&self, file: &str) -> Result<()> {
         let bad = |place: &str, found: String, allowed: &str| Err(Error::bad(file, place, found, allowed));
         if self.schema != SCHEMA {
             return bad("schema", self.schema.to_string(), "1");
@@ -153,9 +160,10 @@ impl Task {
         if !(1..=10_000).contains(&self.scenes) {
             return bad("scenes", self.scenes.to_string(), "1 to 10000");
         }
-        if self.steps.is_some() == self.minutes.is_some() {
-            return bad("steps, minutes", "both or neither".into(), "exactly one of steps and minutes");
+        if self.steps.is_some() && self.minutes.is_some() {
+            return bad("steps, minutes", "both".into(), "one of steps and minutes");
         }
+        self.train.check(file)?;
         if let Some(m) = self.minutes
             && !(m > 0.0 && m < 1e6)
         {
@@ -170,11 +178,38 @@ impl Task {
     }
 
     /// The joint stage's budget.
-    pub fn budget(&self) -> Budget {
+    ///
+    /// # Errors
+    /// A task without `steps` and `minutes`: it has no joint stage.
+    pub fn budget(&self) -> Result<Budget> {
         match (self.steps, self.minutes) {
-            (Some(n), _) => Budget::Steps(n),
-            (None, m) => Budget::Time(Duration::from_secs_f64(60.0 * m.unwrap_or(1.0))),
+            (Some(n), _) => Ok(Budget::Steps(n)),
+            (None, Some(m)) => Ok(Budget::Time(Duration::from_secs_f64(60.0 * m))),
+            (None, None) => {
+                Err(Error::bad("", "steps, minutes", "neither", "exactly one of steps and minutes for a joint design"))
+            }
         }
+    }
+
+    /// The task as a file that means the same anywhere: paths in full.
+    ///
+    /// # Errors
+    /// A working folder that cannot be asked for.
+    pub fn to_toml(&self) -> Result<String> {
+        let mut task = self.clone();
+        let full = |p: &mut PathBuf| -> Result<()> {
+            *p = std::path::absolute(&*p).map_err(|e| Error::reading(p, e))?;
+            Ok(())
+        };
+        for p in [&mut task.photos, &mut task.calibration, &mut task.train.start, &mut task.train.vgg] {
+            p.as_mut().map_or(Ok(()), full)?;
+        }
+        if Path::new(&task.lens).is_file() {
+            let mut path = PathBuf::from(&task.lens);
+            full(&mut path)?;
+            task.lens = path.display().to_string();
+        }
+        toml::to_string(&task).map_err(|e| Error::Internal(format!("task: {e}")))
     }
 
     /// The lens, on the task's raster.

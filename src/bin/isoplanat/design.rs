@@ -8,7 +8,7 @@ use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, valid
 use isoplanat::design::task::Task;
 use isoplanat::imaging::plan::{Quality, frame_of};
 use isoplanat::lens::prescription;
-use isoplanat::{Error, Result, atomic};
+use isoplanat::{Result, atomic};
 
 use crate::progress::Bar;
 
@@ -38,6 +38,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
+    let budget = task.budget().map_err(|e| e.in_file(&args.task))?;
     let (lens, sensor) = (task.lens()?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
     let frame = frame_of(&lens)?;
@@ -45,7 +46,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
     let settings = JointSettings {
-        budget: task.budget(),
+        budget,
         patch: task.patch_px,
         batch: task.batch,
         lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
@@ -57,7 +58,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
     })?;
     bar.done(String::new());
-    save(args, &lens, &joint, &history)?;
+    save(args, &task, &lens, &joint, &history)?;
     let judged = match &held_out {
         Some(textures) => {
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
@@ -84,12 +85,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// Writes the run folder.
 fn save(
     args: &Args,
+    task: &Task,
     start: &isoplanat::lens::Lens,
     joint: &isoplanat::design::joint::Joint,
     history: &[isoplanat::design::run::Entry],
 ) -> Result<()> {
     atomic::write_folder(&args.output, MARKER, args.force, |folder| {
-        std::fs::copy(&args.task, folder.join(MARKER)).map_err(|e| Error::writing(&args.output, e))?;
+        atomic::write_bytes(&folder.join(MARKER), task.to_toml()?.as_bytes())?;
         prescription::save(start, &folder.join("lens-start.toml"))?;
         prescription::save(&joint.lens, &folder.join("lens.toml"))?;
         joint.network.save(&folder.join("network.safetensors"))?;

@@ -26,6 +26,8 @@ mod psf;
 mod render;
 mod scene;
 mod trace;
+#[cfg(feature = "train")]
+mod train;
 
 use std::io::{BufWriter, ErrorKind, Write};
 use std::process::ExitCode;
@@ -69,6 +71,12 @@ enum Command {
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
+    /// The final network for a finished lens
+    #[cfg(feature = "train")]
+    Train(train::Args),
+    /// The final network for a finished lens (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Train(missing::Args),
     /// ONNX model and calibration of a run, for the camera
     #[cfg(all(feature = "train", feature = "deploy"))]
     Export(export::Args),
@@ -88,8 +96,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Capture(args) => capture::run(&args, out),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Train(args) => train::run(&args, out),
         #[cfg(not(feature = "train"))]
-        Command::Demo(_) | Command::Design(_) | Command::Export(_) => missing::feature("train"),
+        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),
         #[cfg(all(feature = "train", feature = "deploy"))]

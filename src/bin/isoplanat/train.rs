@@ -1,0 +1,112 @@
+//! `isoplanat train TASK.toml -o RUN/`: the final network for a finished lens.
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use isoplanat::design::task::Task;
+use isoplanat::design::training::Training;
+use isoplanat::network::Compute;
+use isoplanat::{Error, Result};
+
+use crate::progress::Bar;
+
+/// The final network for a finished lens.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Task file (form in models/README.md); with --resume the run's own.
+    #[arg(required_unless_present = "resume", conflicts_with = "resume")]
+    task: Option<PathBuf>,
+    /// Folder of the run: network, log, sample pictures.
+    #[arg(short, long)]
+    output: PathBuf,
+    /// Go on with the run in that folder.
+    #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial"])]
+    resume: bool,
+    /// Length in minutes, in place of the task's.
+    #[arg(long, conflicts_with = "steps")]
+    minutes: Option<f64>,
+    /// Length in steps, in place of the task's.
+    #[arg(long)]
+    steps: Option<u64>,
+    /// Network to start from: a run's folder or a checkpoint; fewer scales are fine.
+    #[arg(long)]
+    start: Option<PathBuf>,
+    /// VGG-19 weights (safetensors) for the content loss.
+    #[arg(long)]
+    vgg: Option<PathBuf>,
+    /// Train against discriminators.
+    #[arg(long)]
+    adversarial: bool,
+    /// Where to compute: cpu, cuda or wgpu.
+    #[arg(long, default_value = "cpu")]
+    device: Compute,
+    /// The result as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Overwrite the run folder.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let mut training = match &args.task {
+        Some(path) => Training::create(task(args, path)?, &args.output, args.force, args.device)?,
+        None => Training::resume(&args.output, args.device)?,
+    };
+    training.describe().iter().for_each(|line| eprintln!("{line}"));
+    if args.resume {
+        eprintln!("resumed at step {}", training.step());
+    }
+    // Ctrl-C asks for an end; the step at hand is finished and kept.
+    let ended = Arc::new(AtomicBool::new(false));
+    let asked = Arc::clone(&ended);
+    ctrlc::set_handler(move || asked.store(true, Ordering::Relaxed))?;
+    let bar = Bar::new("training");
+    let mut last = None;
+    let trained = training.run(&mut |status| {
+        let e = &status.entry;
+        let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
+        bar.set(status.share, format!("step {}{of}  loss {:.4}  {:.2} dB", status.step, e.content, e.psnr_db));
+        last = Some(*status);
+        !ended.load(Ordering::Relaxed)
+    });
+    bar.done(format!("{} steps", training.step()));
+    if matches!(trained, Err(Error::Interrupted)) {
+        let run = args.output.display();
+        eprintln!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
+    }
+    trained?;
+    let (steps, skipped) = (training.step(), training.skipped());
+    if args.json {
+        let entry = last.map(|s| s.entry);
+        writeln!(out, "{}", serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "last": entry }))?;
+    } else {
+        if let Some(s) = last {
+            writeln!(out, "loss {:.5}  PSNR of training patches {:.2} dB", s.entry.content, s.entry.psnr_db)?;
+        }
+        let without =
+            if skipped > 0 { format!(", {skipped} of them without a finite gradient") } else { String::new() };
+        writeln!(out, "{}: network of {steps} steps{without}", args.output.display())?;
+    }
+    Ok(())
+}
+
+/// The task with the command line's changes.
+fn task(args: &Args, path: &PathBuf) -> Result<Task> {
+    let mut task = Task::load(path)?;
+    if args.minutes.is_some() || args.steps.is_some() {
+        (task.train.minutes, task.train.steps) = (args.minutes, args.steps);
+    }
+    if let Some(start) = &args.start {
+        task.train.start = Some(start.clone());
+    }
+    if let Some(vgg) = &args.vgg {
+        task.train.vgg = Some(vgg.clone());
+    }
+    task.train.adversarial |= args.adversarial;
+    task.check(&path.display().to_string())?;
+    Ok(task)
+}

@@ -1,0 +1,320 @@
+//! Training pairs of a finished lens: rendered by the fast path, kept on disk within a budget, cut and varied anew for
+//! every step.
+//!
+//! Pair `i` depends on the seed and `i` alone, and so does a step's cut: a pair that was thrown away is rendered again with the
+//! same bits, and a resumed training sees what an uninterrupted one would have seen.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use ndarray::{Array2, Array3, Array4, Axis, s};
+
+use super::chain::Patch;
+use super::data::Textures;
+use crate::atomic;
+use crate::error::{Error, Result};
+use crate::imaging::distortion::Distortion;
+use crate::imaging::field_map::fit_distortion;
+use crate::imaging::frame::Frame;
+use crate::imaging::haze::add_haze;
+use crate::imaging::noise::{mixed, standard_normal};
+use crate::imaging::patches::NodeRaster;
+use crate::imaging::plan::{Quality, plan};
+use crate::imaging::render::{Optics, RenderPlan, render_region};
+use crate::imaging::simulate::{Electronics, simulate};
+use crate::imaging::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use crate::network::card::sha256_hex;
+
+/// The sensor's image of a region and its ideal picture, `[3, row, col]` each.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Pair {
+    /// Irradiance, relative to white on the axis.
+    pub image: Array3<f32>,
+    /// Relative illumination.
+    pub illumination: Array3<f32>,
+    /// The distorted, unblurred scene.
+    pub truth: Array3<f32>,
+}
+
+/// Renders one pair.
+pub fn render_pair(lens: &Lens, plan: &RenderPlan, patch: &Patch) -> Result<Pair> {
+    let raster = NodeRaster::over(patch.region.grown(plan.margin()), plan.spacing);
+    let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
+    let r = render_region::<f32>(&optics, plan, &patch.scene, patch.region);
+    Ok(Pair { image: r.image, illumination: r.illumination, truth: r.truth })
+}
+
+/// How a step varies a pair.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Augmentation {
+    /// Mirror and transpose at random: the picture at the mirrored place of a rotationally symmetric lens.
+    pub flips: bool,
+    /// Noise deviation over the sensor's own, drawn between these, evenly in the logarithm.
+    pub noise: [f64; 2],
+    /// Largest share of veiling glare, drawn evenly from 0.
+    pub haze: f64,
+}
+
+impl Augmentation {
+    /// None: the sensor's own noise and no haze.
+    pub const NONE: Self = Self { flips: false, noise: [1.0, 1.0], haze: 0.0 };
+}
+
+/// A random crop of a pair, varied, with fresh noise: the network's input and target, `[1, 3, size, size]`.
+///
+/// Rows and columns start at multiples of 4, as the mosaic meets them in the camera.
+pub fn cut(
+    electronics: &Electronics,
+    pair: &Pair,
+    size: usize,
+    augmentation: Augmentation,
+    rng: &mut fastrand::Rng,
+) -> (Array4<f32>, Array4<f32>) {
+    let (_, rows, cols) = pair.image.dim();
+    let (h, w) = (size.min(rows), size.min(cols));
+    let (r, c) = (rng.usize(0..=(rows - h) / 4) * 4, rng.usize(0..=(cols - w) / 4) * 4);
+    let turns: [bool; 3] = std::array::from_fn(|_| augmentation.flips && rng.bool());
+    let part = |a: &Array3<f32>| -> Array3<f32> {
+        let mut view = a.slice(s![.., r..r + h, c..c + w]);
+        if turns[0] {
+            view.invert_axis(Axis(1));
+        }
+        if turns[1] {
+            view.invert_axis(Axis(2));
+        }
+        if turns[2] && h == w {
+            view.swap_axes(1, 2);
+        }
+        view.as_standard_layout().into_owned()
+    };
+    let (mut image, illumination, truth) = (part(&pair.image), part(&pair.illumination), part(&pair.truth));
+    let [low, high] = augmentation.noise;
+    let level = if low < high { (low.ln() + (high / low).ln() * rng.f64()).exp() } else { low };
+    if augmentation.haze > 0.0 {
+        add_haze(&mut image, (augmentation.haze * rng.f64()) as f32);
+    }
+    let mut electronics = electronics.clone();
+    electronics.noise.shot *= level * level;
+    electronics.noise.read *= level;
+    let eps: Array2<f32> = standard_normal(rng.u64(..), (h, w));
+    let (input, _) = simulate(&electronics, image.view(), illumination.view(), eps);
+    (input.insert_axis(Axis(0)), truth.insert_axis(Axis(0)))
+}
+
+/// What pairs show.
+#[derive(Clone, Debug)]
+pub struct PairSettings {
+    /// Seed of every draw.
+    pub seed: u64,
+    /// Side of a pair, pixels; a multiple of 4.
+    pub region_px: usize,
+    /// Different pairs; 0: no two alike.
+    pub count: u64,
+    /// Object distances to draw from, as vergence, 1/mm.
+    pub vergences: Vec<f64>,
+    /// Space for kept pairs, bytes.
+    pub budget: u64,
+}
+
+/// An object distance, as vergence, and how it is rendered.
+#[derive(Debug)]
+struct Depth {
+    vergence: f64,
+    plan: RenderPlan,
+    distortion: Distortion,
+}
+
+/// Pairs by number.
+#[derive(Debug)]
+pub struct Pairs {
+    lens: Lens,
+    frame: Frame,
+    settings: PairSettings,
+    depths: Vec<Depth>,
+    cache: Option<PathBuf>,
+    /// Bytes a kept pair takes.
+    bytes: u64,
+}
+
+impl Pairs {
+    /// Plans the renders.
+    ///
+    /// # Errors
+    /// A lens that cannot be rendered at one of the distances.
+    pub fn new(lens: &Lens, frame: &Frame, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
+        let depths = settings
+            .vergences
+            .iter()
+            .map(|&v| {
+                let plan = plan(lens, v, frame, density, Quality::TRAINING, None)?;
+                let distortion = fit_distortion(lens, v, plan.max_slope)?;
+                Ok(Depth { vergence: v, plan, distortion })
+            })
+            .collect::<Result<Vec<_>>>()?;
+        let bytes = 9 * 4 * (settings.region_px as u64).pow(2);
+        Ok(Self { lens: lens.clone(), frame: frame.clone(), bytes, settings, depths, cache: None })
+    }
+
+    /// Keeps pairs in `folder` from now on, as many as the budget holds. Pairs of another lens, task or program version found
+    /// there are thrown away.
+    ///
+    /// # Errors
+    /// A folder that cannot be written.
+    pub fn keep_in(&mut self, folder: &Path, textures: &Textures) -> Result<()> {
+        if self.kept() == 0 {
+            return Ok(());
+        }
+        let facts = format!(
+            "{} {} {:?} {:?} {}",
+            env!("CARGO_PKG_VERSION"),
+            self.lens.sha256(),
+            self.settings,
+            self.depths,
+            textures.sha256()
+        );
+        let key = sha256_hex(facts.as_bytes());
+        let file = folder.join("key.txt");
+        if fs::read_to_string(&file).ok().as_deref() != Some(key.as_str()) {
+            let failed = |e| Error::writing(folder, e);
+            if folder.exists() {
+                fs::remove_dir_all(folder).map_err(failed)?;
+            }
+            fs::create_dir_all(folder).map_err(failed)?;
+            atomic::write_bytes(&file, key.as_bytes())?;
+        }
+        self.cache = Some(folder.to_owned());
+        Ok(())
+    }
+
+    /// Throws the kept pairs away: they can be rendered again.
+    pub fn discard(&mut self) {
+        if let Some(folder) = self.cache.take() {
+            // What stays behind costs space only.
+            let _ = fs::remove_dir_all(folder);
+        }
+    }
+
+    /// How many pairs the budget keeps.
+    pub fn kept(&self) -> u64 {
+        (self.settings.budget / self.bytes.max(1)).min(self.settings.count)
+    }
+
+    /// How many different pairs there are; `None`: no two alike.
+    pub fn count(&self) -> Option<u64> {
+        (self.settings.count > 0).then_some(self.settings.count)
+    }
+
+    /// A random pair's number.
+    pub fn draw(&self, rng: &mut fastrand::Rng) -> u64 {
+        match self.count() {
+            Some(n) => rng.u64(0..n),
+            None => rng.u64(..),
+        }
+    }
+
+    /// Pair `index`: read, or rendered and kept.
+    pub fn get(&self, textures: &Textures, index: u64) -> Result<Pair> {
+        let place = self.cache.as_ref().filter(|_| index < self.kept()).map(|f| f.join(format!("{index:07}.f32")));
+        if let Some(pair) = place.as_ref().and_then(|p| self.read(p)) {
+            return Ok(pair);
+        }
+        let rng = &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x7061_6972, index));
+        let Depth { vergence, plan, distortion } = &self.depths[rng.usize(0..self.depths.len())];
+        let patch = textures.draw(rng, &self.frame, distortion, self.settings.region_px, *vergence);
+        let pair = render_pair(&self.lens, plan, &patch)?;
+        if let Some(place) = place {
+            let arrays = [&pair.image, &pair.illumination, &pair.truth];
+            let bytes: Vec<u8> = arrays.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+            atomic::write_bytes(&place, &bytes)?;
+        }
+        Ok(pair)
+    }
+
+    /// A kept pair; `None` where there is none, or not of the size a pair has.
+    fn read(&self, place: &Path) -> Option<Pair> {
+        let bytes = fs::read(place).ok().filter(|b| b.len() as u64 == self.bytes)?;
+        let side = self.settings.region_px;
+        let mut arrays = bytes.chunks_exact(bytes.len() / 3).map(|part| {
+            let values = part.chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
+            Array3::from_shape_vec((3, side, side), values).ok()
+        });
+        let mut next = || arrays.next().flatten();
+        Some(Pair { image: next()?, illumination: next()?, truth: next()? })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::cfa::Cfa;
+    use crate::imaging::noise::Noise;
+    use crate::imaging::sensor::Sensor;
+    use crate::lens::builtin;
+
+    fn electronics() -> Electronics {
+        Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 1e-4, read: 1e-3 }, neutral: [0.5, 1.0, 0.7] }
+    }
+
+    #[test]
+    fn kept_pairs_are_those_that_were_rendered() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let frame = Frame::centred(128, 96, 0.12).expect("valid");
+        let density = SpectralDensity::new(&Sensor::generic());
+        let textures = Textures::built_in(3, 2, 300);
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let cache = folder.path().join("cache");
+        let settings =
+            |seed, budget| PairSettings { seed, region_px: 32, count: 5, vergences: vec![1e-3, 1e-3 / 1.5], budget };
+        let open = |seed, budget, at: Option<&Path>| {
+            let mut pairs = Pairs::new(&lens, &frame, &density, settings(seed, budget)).expect("plans");
+            at.map_or(Ok(()), |at| pairs.keep_in(at, &textures)).expect("writable");
+            pairs
+        };
+        let size = 9 * 4 * 32 * 32;
+        let (kept, fresh) = (open(1, 2 * size, Some(cache.as_path())), open(1, 0, None));
+        assert_eq!((kept.kept(), fresh.kept()), (2, 0));
+        let files = || fs::read_dir(&cache).expect("there").count() - 1;
+        for round in 0..2 {
+            for i in 0..4 {
+                assert_eq!(kept.get(&textures, i).expect("renders"), fresh.get(&textures, i).expect("renders"), "{i}");
+            }
+            assert_eq!(files(), 2, "round {round}: no more than the budget");
+        }
+        assert_ne!(fresh.get(&textures, 0).expect("renders"), fresh.get(&textures, 1).expect("renders"));
+        // A damaged file is rendered again; another task's are thrown away.
+        fs::write(cache.join("0000001.f32"), b"short").expect("written");
+        assert_eq!(kept.get(&textures, 1).expect("renders"), fresh.get(&textures, 1).expect("renders"));
+        drop(open(1, 2 * size, Some(cache.as_path())));
+        assert_eq!(files(), 2);
+        drop(open(2, 2 * size, Some(cache.as_path())));
+        assert_eq!(files(), 0);
+    }
+
+    #[test]
+    fn cuts_repeat_and_vary_as_asked() {
+        let ramp =
+            Array3::from_shape_fn((3, 16, 16), |(k, r, c)| 0.1 + 0.02 * r as f32 + 0.001 * c as f32 + 0.1 * k as f32);
+        let pair = Pair { image: ramp.clone(), illumination: Array3::ones((3, 16, 16)), truth: ramp };
+        let run = |seed, augmentation| cut(&electronics(), &pair, 8, augmentation, &mut fastrand::Rng::with_seed(seed));
+        let all = Augmentation { flips: true, noise: [0.5, 2.0], haze: 0.2 };
+        assert_eq!(run(1, all), run(1, all));
+        let mut ways = std::collections::BTreeSet::new();
+        for seed in 0..60 {
+            let (input, target) = run(seed, all);
+            assert_eq!((input.dim(), target.dim()), ((1, 3, 8, 8), (1, 3, 8, 8)));
+            let at = |r: usize, c: usize| target[[0, 0, r, c]];
+            ways.insert((at(0, 0) < at(7, 0), at(0, 0) < at(0, 7), (at(0, 0) - at(7, 0)).abs() > 0.1));
+            let (_, plain) = run(seed, Augmentation::NONE);
+            assert!(plain[[0, 0, 0, 0]] < plain[[0, 0, 7, 7]], "never turned");
+        }
+        assert_eq!(ways.len(), 8, "all eight ways: {ways:?}");
+        // Without noise and haze the capture of a smooth scene is the scene.
+        let mut quiet = electronics();
+        quiet.noise = Noise::NONE;
+        let (input, target) = cut(&quiet, &pair, 16, Augmentation::NONE, &mut fastrand::Rng::with_seed(1));
+        let inner = |a: &Array4<f32>| a.slice(s![0, .., 3..13, 3..13]).to_owned();
+        let worst = (inner(&input) - inner(&target)).iter().fold(0f32, |m, v| m.max(v.abs()));
+        assert!(worst < 1e-3, "{worst}");
+    }
+}

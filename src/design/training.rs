@@ -1,0 +1,472 @@
+//! `isoplanat train`: the final network for a finished lens, in a folder that can be killed and resumed at any point.
+//!
+//! The folder holds the task (paths in full), the lens, `network.safetensors` (the last checkpoint: generator,
+//! discriminators, optimisers, step; readable as a plain network), `log.csv`, sample pictures, and kept pairs while it runs.
+//! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
+//! on the same machine and number of threads.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use ndarray::{Array3, Array4, Axis, s};
+
+use super::data::Textures;
+use super::log::{Entry, Log};
+use super::pairs::{Augmentation, PairSettings, Pairs, cut};
+use super::run::Scenery;
+use super::schedule::Schedule;
+use super::task::Task;
+use crate::atomic;
+use crate::error::{Error, Result};
+use crate::imaging::field_map::fit_distortion;
+use crate::imaging::files::write_png8;
+use crate::imaging::metrics::psnr;
+use crate::imaging::noise::mixed;
+use crate::imaging::plan::{Quality, frame_of, plan};
+use crate::imaging::simulate::Electronics;
+use crate::imaging::spectrum::SpectralDensity;
+use crate::imaging::warp::Region;
+use crate::lens::{Lens, prescription};
+use crate::network::{Compute, Reconstructor, TrainStep, Trainer, UnetConfig};
+
+/// The file that makes a folder a run.
+pub const MARKER: &str = "task.toml";
+
+/// The last checkpoint.
+const NETWORK: &str = "network.safetensors";
+
+/// Steps in a row without a finite loss and gradient after which training stops.
+const MOST_SKIPPED: u64 = 20;
+
+/// Steps of an entry of the log.
+const SMOOTH: u64 = 10;
+
+/// Held-out patches of the sample pictures, by their place from the axis to the farthest corner.
+const SAMPLES: [f64; 4] = [0.1, 0.4, 0.7, 0.9];
+
+/// How a training stands.
+#[derive(Clone, Copy, Debug)]
+pub struct Status {
+    /// Steps done.
+    pub step: u64,
+    /// Steps in all, where that is settled.
+    pub total: Option<u64>,
+    /// Share done, 0 to 1.
+    pub share: f64,
+    /// Seconds so far, those before a resume included.
+    pub seconds: f64,
+    /// The last steps' averages.
+    pub entry: Entry,
+}
+
+/// A training under way.
+#[derive(Debug)]
+pub struct Training {
+    folder: PathBuf,
+    task: Task,
+    trainer: Trainer,
+    textures: Textures,
+    electronics: Electronics,
+    pairs: Pairs,
+    /// Held-out inputs and targets.
+    samples: Vec<(Array4<f32>, Array4<f32>)>,
+    schedule: Schedule,
+    state: State,
+    log: Log,
+    /// Held while the training lives, so that no second one works in the folder.
+    _lock: File,
+}
+
+/// Where a training stands, as a checkpoint keeps it.
+#[derive(Clone, Debug, Default, PartialEq)]
+struct State {
+    step: u64,
+    seconds: f64,
+    /// Steps that moved nothing.
+    skipped: u64,
+    constant: Option<u64>,
+}
+
+impl State {
+    fn facts(&self) -> BTreeMap<String, String> {
+        let mut facts = BTreeMap::from([
+            ("train.step".to_owned(), self.step.to_string()),
+            ("train.seconds".to_owned(), format!("{:.3}", self.seconds)),
+            ("train.skipped".to_owned(), self.skipped.to_string()),
+        ]);
+        if let Some(n) = self.constant {
+            facts.insert("train.constant".to_owned(), n.to_string());
+        }
+        facts
+    }
+
+    fn from_facts(facts: &BTreeMap<String, String>, path: &Path) -> Result<Self> {
+        fn number<T: std::str::FromStr>(facts: &BTreeMap<String, String>, key: &str, path: &Path) -> Result<T> {
+            let text = facts.get(key).map_or("missing", String::as_str);
+            let allowed = "a number, as `isoplanat train` writes it";
+            text.parse().map_err(|_| Error::bad(path.display().to_string(), key, text, allowed))
+        }
+        let constant = facts.contains_key("train.constant").then(|| number(facts, "train.constant", path));
+        Ok(Self {
+            step: number(facts, "train.step", path)?,
+            seconds: number(facts, "train.seconds", path)?,
+            skipped: number(facts, "train.skipped", path)?,
+            constant: constant.transpose()?,
+        })
+    }
+}
+
+/// What lens and task make of themselves before the first step.
+struct Parts {
+    textures: Textures,
+    electronics: Electronics,
+    pairs: Pairs,
+    samples: Vec<(Array4<f32>, Array4<f32>)>,
+}
+
+impl Training {
+    /// A new training in `folder`, which must not be there, or with `replace` may be another run.
+    ///
+    /// # Errors
+    /// A task that cannot be trained; nothing is written then.
+    pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute) -> Result<Self> {
+        atomic::check_folder(folder, MARKER, replace)?;
+        let lens = task.lens()?;
+        let trainer = Trainer::new(start(&task, compute)?, &task.train.objective(), task.seed)?;
+        let parts = Parts::new(&task, &lens)?;
+        let state = State::default();
+        atomic::write_folder(folder, MARKER, replace, |inside| {
+            atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
+            prescription::save(&lens, &inside.join("lens.toml"))?;
+            trainer.save(&inside.join(NETWORK), &state.facts())
+        })?;
+        Self::assemble(folder, task, trainer, parts, state)
+    }
+
+    /// Goes on in a folder that [`Training::create`] made.
+    ///
+    /// # Errors
+    /// A folder that is none, or in which another process trains.
+    pub fn resume(folder: &Path, compute: Compute) -> Result<Self> {
+        let task = Task::load(&folder.join(MARKER))?;
+        let lens = prescription::load(&folder.join("lens.toml"))?;
+        let path = folder.join(NETWORK);
+        let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
+        let state = State::from_facts(&facts, &path)?;
+        let parts = Parts::new(&task, &lens)?;
+        Self::assemble(folder, task, trainer, parts, state)
+    }
+
+    fn assemble(folder: &Path, task: Task, trainer: Trainer, parts: Parts, state: State) -> Result<Self> {
+        let Parts { textures, electronics, mut pairs, samples } = parts;
+        let path = folder.join("lock");
+        let lock = File::create(&path).map_err(|e| Error::writing(&path, e))?;
+        if lock.try_lock().is_err() {
+            let allowed = "one training a folder; wait for the other or end it";
+            return Err(Error::bad(folder.display().to_string(), "lock", "another process trains here", allowed));
+        }
+        pairs.keep_in(&folder.join("cache"), &textures)?;
+        let mut schedule = task.train.schedule();
+        schedule.constant = state.constant;
+        let log = Log::open(&folder.join("log.csv"), state.step)?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            task,
+            trainer,
+            textures,
+            electronics,
+            pairs,
+            samples,
+            schedule,
+            state,
+            log,
+            _lock: lock,
+        })
+    }
+
+    /// What is minimised, and on what, for people.
+    pub fn describe(&self) -> Vec<String> {
+        let config = self.trainer.generator().config();
+        let pairs = match self.pairs.count() {
+            Some(n) => format!("{n} training pairs, {} of them kept on disk once rendered", self.pairs.kept()),
+            None => "no two training pairs alike, all rendered as they are needed".into(),
+        };
+        vec![
+            format!("network: {} scales, {} channels at the finest", config.scales, config.base_width),
+            format!("loss: {}", self.trainer.describe()),
+            format!("{pairs}, from {} scenes", self.textures.len()),
+        ]
+    }
+
+    /// Steps done so far.
+    pub fn step(&self) -> u64 {
+        self.state.step
+    }
+
+    /// Steps that moved nothing because a loss or gradient was not finite.
+    pub fn skipped(&self) -> u64 {
+        self.state.skipped
+    }
+
+    /// Trains to the end. `watch` sees every step; where it returns `false` a checkpoint is written and the training ends with
+    /// [`Error::Interrupted`].
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] where nothing finite comes any more; what the disk says.
+    pub fn run(&mut self, watch: &mut dyn FnMut(&Status) -> bool) -> Result<()> {
+        let (begun, before) = (Instant::now(), self.state.seconds);
+        let mut saved = Instant::now();
+        let mut in_a_row = 0;
+        let mut recent = Vec::new();
+        loop {
+            self.state.seconds = before + begun.elapsed().as_secs_f64();
+            if self.schedule.settle(self.state.step, self.state.seconds) {
+                // From here on the length is fixed: a kill must not settle it anew.
+                self.state.constant = self.schedule.constant;
+                self.checkpoint()?;
+            }
+            let Some(rate) = self.schedule.at(self.state.step, self.state.seconds) else { break };
+            let (step, psnr_db) = self.one_step(rate)?;
+            self.state.step += 1;
+            self.state.skipped += u64::from(!step.updated);
+            in_a_row = if step.updated { 0 } else { in_a_row + 1 };
+            if in_a_row >= MOST_SKIPPED {
+                return Err(Error::Stopped(format!(
+                    "training stopped at step {}: the loss or its gradient was not finite {MOST_SKIPPED} times in a row; {} \
+                     holds the network as it was; lower train.rate or look at the pictures",
+                    self.state.step,
+                    self.folder.join(NETWORK).display()
+                )));
+            }
+            self.state.seconds = before + begun.elapsed().as_secs_f64();
+            recent.push(Entry::of(&step, self.state.step, self.state.seconds, rate, psnr_db));
+            let mut entry = Entry::mean(&recent);
+            if self.state.step.is_multiple_of(SMOOTH) {
+                recent.clear();
+                let every = self.task.train.sample_steps;
+                if every > 0 && self.state.step.is_multiple_of(every.next_multiple_of(SMOOTH)) {
+                    entry.held_out_psnr_db = Some(self.sample()?);
+                }
+                self.log.push(entry);
+            }
+            let go_on = watch(&Status {
+                step: self.state.step,
+                total: self.schedule.total(),
+                share: self.schedule.done(self.state.step, self.state.seconds),
+                seconds: self.state.seconds,
+                entry,
+            });
+            if !go_on {
+                self.checkpoint()?;
+                return Err(Error::Interrupted);
+            }
+            if saved.elapsed().as_secs_f64() >= self.task.train.checkpoint_seconds {
+                self.checkpoint()?;
+                saved = Instant::now();
+            }
+        }
+        self.checkpoint()?;
+        self.pairs.discard();
+        Ok(())
+    }
+
+    /// One step, and the PSNR of what the network made of its batch before it.
+    fn one_step(&mut self, rate: f64) -> Result<(TrainStep, f64)> {
+        let train = &self.task.train;
+        let rng = &mut fastrand::Rng::with_seed(mixed(self.task.seed ^ 0x7374_6570, self.state.step));
+        let mut parts = (Vec::new(), Vec::new());
+        for _ in 0..train.batch {
+            let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
+            let (input, target) = cut(&self.electronics, &pair, train.patch_px, train.augmentation(), rng);
+            parts.0.push(input);
+            parts.1.push(target);
+        }
+        let batch = |parts: &[Array4<f32>]| {
+            let views: Vec<_> = parts.iter().map(|p| p.view()).collect();
+            ndarray::concatenate(Axis(0), &views).expect("patches of one size")
+        };
+        let (input, target) = (batch(&parts.0), batch(&parts.1));
+        let step = self.trainer.step(input.view(), target.view(), rate)?;
+        let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| psnr(a, b).min(120.0));
+        let psnr_db = each.sum::<f64>() / train.batch as f64;
+        Ok((step, psnr_db))
+    }
+
+    /// Log, then network: the log is never behind.
+    fn checkpoint(&self) -> Result<()> {
+        self.log.save()?;
+        self.trainer.save(&self.folder.join(NETWORK), &self.state.facts())
+    }
+
+    /// A sheet of held-out patches (capture, reconstruction, truth) and the mean PSNR of the reconstructions.
+    fn sample(&self) -> Result<f64> {
+        let side = self.task.train.patch_px;
+        let (gap, n) = (4, self.samples.len());
+        let mut sheet = Array3::ones((3, n * (side + gap) - gap, 3 * (side + gap) - gap));
+        let mut sum = 0.0;
+        for (i, (input, target)) in self.samples.iter().enumerate() {
+            let output = self.trainer.generator().forward(input.view())?;
+            let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).to_owned();
+            let (input, output, target) = (first(input), first(&output), first(target));
+            sum += psnr(output.view(), target.view()).min(120.0);
+            for (j, picture) in [input, output, target].iter().enumerate() {
+                let (r, c) = (i * (side + gap), j * (side + gap));
+                sheet.slice_mut(s![.., r..r + side, c..c + side]).assign(picture);
+            }
+        }
+        let folder = self.folder.join("samples");
+        fs::create_dir_all(&folder).map_err(|e| Error::writing(&folder, e))?;
+        write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;
+        Ok(sum / n as f64)
+    }
+}
+
+impl Parts {
+    fn new(task: &Task, lens: &Lens) -> Result<Self> {
+        let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
+        let (train, density) = (&task.train, SpectralDensity::new(&sensor));
+        let textures = task.textures()?;
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
+        let electronics = scenery.electronics();
+        let largest = frame.rows.min(frame.columns);
+        if train.region_px > largest {
+            let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);
+            return Err(Error::bad("task", "train.region_px", found, format!("at most {largest}")));
+        }
+        let vergences = match train.depths_mm.as_slice() {
+            [] => vec![lens.object_vergence],
+            depths => depths.iter().map(|d| 1.0 / d).collect(),
+        };
+        let settings = PairSettings {
+            seed: task.seed,
+            region_px: train.region_px,
+            count: train.pairs,
+            budget: train.cache_mib << 20,
+            vergences,
+        };
+        let pairs = Pairs::new(lens, &frame, &density, settings)?;
+        let samples = if train.sample_steps > 0 { samples(task, lens, &electronics, &density)? } else { vec![] };
+        Ok(Self { textures, electronics, pairs, samples })
+    }
+}
+
+/// Patches of scenes that are never trained on, from the axis outwards.
+fn samples(
+    task: &Task,
+    lens: &Lens,
+    electronics: &Electronics,
+    density: &SpectralDensity,
+) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
+    let (frame, side) = (frame_of(lens)?, task.train.patch_px);
+    let unseen = Textures::unseen(9000, SAMPLES.len(), 2 * side + 200);
+    let v = task.train.depths_mm.first().map_or(lens.object_vergence, |d| 1.0 / d);
+    let render = plan(lens, v, &frame, density, Quality::TRAINING, None)?;
+    let distortion = fit_distortion(lens, v, render.max_slope)?;
+    let corners = [[0.0, 0.0], [frame.columns as f64, frame.rows as f64]];
+    let far = |axis: usize| -> f64 {
+        let ends = [corners[0][axis] - frame.axis_px[axis], corners[1][axis] - frame.axis_px[axis]];
+        if ends[0].abs() > ends[1].abs() { ends[0] } else { ends[1] }
+    };
+    SAMPLES
+        .into_iter()
+        .enumerate()
+        .map(|(i, share)| {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a place on the sensor")]
+            let start = |axis: usize, n: usize| {
+                let centre = frame.axis_px[axis] + share * far(axis);
+                ((centre - side as f64 / 2.0).clamp(0.0, (n - side) as f64) as usize / 4 * 4).cast_signed()
+            };
+            let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
+            let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
+            let patch = unseen.place(rng, &frame, &distortion, region, v);
+            let pair = super::pairs::render_pair(lens, &render, &patch)?;
+            Ok(cut(electronics, &pair, side, Augmentation::NONE, rng))
+        })
+        .collect()
+}
+
+/// The network a task begins with.
+fn start(task: &Task, compute: Compute) -> Result<Reconstructor> {
+    let train = &task.train;
+    let config = |width| UnetConfig { base_width: train.base_width.unwrap_or(width), scales: train.scales };
+    let Some(path) = &train.start else { return Reconstructor::on(compute, config(32), task.seed) };
+    let path = if path.is_dir() { path.join(NETWORK) } else { path.clone() };
+    let first = Reconstructor::load(&path)?;
+    first.deepened(&config(first.config().base_width), task.seed, compute).map_err(|e| e.in_file(&path))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::design::task::TaskSensor;
+
+    /// A task small enough for a test: a coarse sensor behind the two-element lens.
+    fn task() -> Task {
+        let mut task = Task::demo();
+        task.sensor = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
+        task.scenes = 2;
+        let train = &mut task.train;
+        (train.base_width, train.scales, train.patch_px, train.region_px) = (Some(4), 3, 32, 48);
+        (train.pairs, train.steps, train.sample_steps, train.rate) = (3, Some(20), 10, 1e-3);
+        task
+    }
+
+    fn weights(folder: &Path) -> Vec<Vec<f32>> {
+        let network = Reconstructor::load(&folder.join(NETWORK)).expect("reads");
+        network.parameters().into_iter().map(|p| p.values).collect()
+    }
+
+    /// Stopped after every few steps and resumed: the same bits as in one go, a whole log, no second trainer in the folder.
+    #[test]
+    fn a_training_in_pieces_is_the_training_in_one_go() {
+        let place = tempfile::tempdir().expect("temporary folder");
+        let (whole, pieces) = (place.path().join("whole"), place.path().join("pieces"));
+        let mut one = Training::create(task(), &whole, false, Compute::Cpu).expect("new");
+        one.run(&mut |_| true).expect("trains");
+        assert!(!whole.join("cache").exists() && whole.join("samples/step-0000010.png").is_file());
+        let mut training = Training::create(task(), &pieces, false, Compute::Cpu).expect("new");
+        let second = Training::resume(&pieces, Compute::Cpu).expect_err("locked").to_string();
+        assert!(second.contains("another process"), "{second}");
+        for stop in [1, 3, 9, 10, 17] {
+            let ended = training.run(&mut |s| s.step < stop).expect_err("stopped");
+            assert!(matches!(ended, Error::Interrupted));
+            drop(training);
+            training = Training::resume(&pieces, Compute::Cpu).expect("resumes");
+            assert_eq!(training.step(), stop);
+        }
+        training.run(&mut |_| true).expect("trains");
+        assert_eq!(weights(&pieces), weights(&whole));
+        let log = fs::read_to_string(pieces.join("log.csv")).expect("written");
+        assert_eq!(log.lines().skip(1).map(|l| l.split(',').next().unwrap_or("")).collect::<Vec<_>>(), ["10", "20"]);
+        // Resumed once more it has nothing left to do.
+        drop(training);
+        let mut done = Training::resume(&pieces, Compute::Cpu).expect("resumes");
+        done.run(&mut |_| panic!("no step is left")).expect("nothing to do");
+    }
+
+    #[test]
+    fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
+        let place = tempfile::tempdir().expect("temporary folder");
+        let (first, second) = (place.path().join("first"), place.path().join("second"));
+        let create = |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu);
+        create(task(), &first).expect("new").run(&mut |_| true).expect("trains");
+        let mut deeper = task();
+        (deeper.train.start, deeper.train.scales, deeper.train.base_width) = (Some(first.clone()), 4, None);
+        drop(create(deeper.clone(), &second).expect("deepens"));
+        let (a, b) = (weights(&first), weights(&second));
+        assert!(b.len() > a.len() && a.iter().all(|w| b.contains(w)), "every weight moved");
+        let refused = |change: fn(&mut Task), what: &str| {
+            let (mut task, folder) = (deeper.clone(), place.path().join("refused"));
+            change(&mut task);
+            let text = create(task, &folder).expect_err(what).to_string();
+            assert!(text.contains(what) && !folder.exists(), "{text}");
+        };
+        refused(|t| t.train.base_width = Some(6), "starting network");
+        refused(|t| t.train.region_px = 256, "train.region_px");
+        refused(|t| t.train.start = Some("nowhere".into()), "nowhere");
+        refused(|t| t.train.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
+        assert!(matches!(create(task(), &first).expect_err("there already"), Error::Exists(_)));
+    }
+}
