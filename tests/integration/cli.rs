@@ -14,7 +14,9 @@ fn read_json(text: &str) -> Value {
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
-    for command in ["inspect", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "export"] {
+    for command in
+        ["inspect", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "train", "export"]
+    {
         assert!(help.contains(command), "{help}");
     }
     for command in ["inspect", "check", "trace", "psf", "render", "capture", "accuracy"] {

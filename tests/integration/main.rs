@@ -12,3 +12,5 @@ mod renderers;
 mod stiff;
 mod support;
 mod throughput;
+#[cfg(feature = "train")]
+mod training;

@@ -1,0 +1,146 @@
+//! `isoplanat train`, killed and resumed: the folder always holds a training that goes on to the same bits.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::Workplace;
+
+const KILLS: usize = 20;
+
+/// A training of some seconds: tiny network and discriminators, checkpoints all the time.
+const TASK: &str = r#"
+schema = 1
+lens = "two_element"
+sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }
+scenes = 2
+[train]
+base_width = 4
+scales = 3
+patch_px = 32
+region_px = 48
+pairs = 6
+steps = 600
+adversarial = true
+discriminator_width = 2
+checkpoint_seconds = 0.02
+sample_steps = 200
+"#;
+
+fn train(arguments: &[&str], folder: &Path) -> Child {
+    Command::new(env!("CARGO_BIN_EXE_isoplanat"))
+        .arg("train")
+        .args(arguments)
+        .arg("-o")
+        .arg(folder)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("starts")
+}
+
+fn to_the_end(arguments: &[&str], folder: &Path) {
+    let output = train(arguments, folder).wait_with_output().expect("ends");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+}
+
+/// Every tensor of a checkpoint, as bytes: what stands behind the header.
+fn tensors(folder: &Path) -> Vec<u8> {
+    let bytes = std::fs::read(folder.join("network.safetensors")).expect("a checkpoint");
+    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
+    bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
+}
+
+#[test]
+fn a_training_killed_twenty_times_ends_with_the_same_bits() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let task = place.path().join("task.toml");
+    std::fs::write(&task, TASK).expect("writes");
+    let task = task.to_str().expect("UTF-8");
+    let (whole, killed) = (place.path().join("whole"), place.path().join("killed"));
+
+    let clock = Instant::now();
+    to_the_end(&[task], &whole);
+    let whole_time = clock.elapsed();
+    // A finished run that is resumed only starts up.
+    let clock = Instant::now();
+    to_the_end(&["--resume"], &whole);
+    let startup = clock.elapsed();
+    let work = whole_time.saturating_sub(startup);
+
+    let rng = &mut fastrand::Rng::with_seed(20);
+    let (mut kills, mut in_training) = (0, 0);
+    while kills < KILLS {
+        let arguments = if killed.join("task.toml").is_file() { vec!["--resume"] } else { vec![task] };
+        let mut child = train(&arguments, &killed);
+        let life = startup.mul_f64(0.5) + (startup.mul_f64(0.5) + work.mul_f64(2.0 / 30.0)).mul_f64(rng.f64());
+        let end = Instant::now() + life;
+        while Instant::now() < end && child.try_wait().expect("waits").is_none() {
+            std::thread::sleep(Duration::from_millis(1));
+        }
+        if child.try_wait().expect("waits").is_some() {
+            let output = child.wait_with_output().expect("ended");
+            assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+            panic!("ended by itself after {kills} kills: the training is too short for this machine");
+        }
+        child.kill().expect("killed");
+        child.wait().expect("reaped");
+        kills += 1;
+        in_training += usize::from(killed.join("log.csv").is_file());
+    }
+    assert!(in_training > KILLS / 2, "only {in_training} kills met a training under way");
+    to_the_end(&["--resume"], &killed);
+    assert_eq!(tensors(&killed), tensors(&whole));
+    let steps = |folder: &Path| -> Vec<String> {
+        let text = std::fs::read_to_string(folder.join("log.csv")).expect("a log");
+        text.lines().map(|l| l.split(',').next().unwrap_or("").to_owned()).collect()
+    };
+    assert_eq!(steps(&killed), steps(&whole));
+    assert!(!killed.join("cache").exists(), "kept pairs go with the end");
+    eprintln!(
+        "{kills} kills, {in_training} of them during training; {whole_time:.1?} in one go, {startup:.1?} to start"
+    );
+}
+
+#[cfg(unix)]
+#[test]
+fn an_interrupt_writes_a_checkpoint_and_says_how_to_go_on() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let task = place.path().join("task.toml");
+    std::fs::write(&task, TASK.replace("checkpoint_seconds = 0.02", "checkpoint_seconds = 600")).expect("writes");
+    let run = place.path().join("run");
+    let mut child = train(&[task.to_str().expect("UTF-8")], &run);
+    // Kept pairs appear with the first steps.
+    let deadline = Instant::now() + Duration::from_secs(60);
+    while !run.join("cache/0000000.f32").is_file() && Instant::now() < deadline {
+        assert!(child.try_wait().expect("waits").is_none(), "ended early");
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    let signal = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill runs");
+    assert!(signal.success());
+    let output = child.wait_with_output().expect("ends");
+    let text = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert_eq!(output.status.code(), Some(130), "{text}");
+    assert!(text.contains("--resume") && text.contains("interrupted"), "{text}");
+    assert!(run.join("log.csv").is_file(), "the checkpoint's log");
+}
+
+#[test]
+fn bad_trainings_are_refused_with_one_line() {
+    let place = Workplace::new();
+    let refused = |task: &str, arguments: &str, what: &str| {
+        place.write("task.toml", task);
+        place.run(&format!("train {arguments} -o run")).refused(&[what]);
+        assert_eq!(place.files(), ["task.toml"], "nothing is written");
+    };
+    refused(&TASK.replace("patch_px = 32", "patch_px = 33"), "task.toml", "train.patch_px");
+    refused(&TASK.replace("steps = 600", "stepz = 600"), "task.toml", "stepz");
+    refused(TASK, "task.toml --vgg nowhere.safetensors", "nowhere.safetensors");
+    refused(TASK, "task.toml --start nowhere", "nowhere");
+    refused(TASK, "--resume", "task.toml");
+    if !cfg!(feature = "cuda") {
+        refused(TASK, "task.toml --device cuda", "--features cuda");
+    }
+    assert_eq!(place.run("train task.toml -o run --device tpu").code, 2);
+    assert_eq!(place.run("train -o run").code, 2);
+}
