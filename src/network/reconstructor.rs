@@ -11,7 +11,7 @@ use ndarray::{Array4, ArrayView4};
 
 use super::adam::{Adam, norm};
 use super::card::receptive_radius_px;
-use super::kernels::Level;
+use super::kernels::{self, Level};
 use super::unet::{CHANNELS, Unet, UnetConfig};
 use super::{checkpoint, tiles};
 use crate::error::{Error, Result};
@@ -31,8 +31,7 @@ pub struct Reconstructor {
     config: UnetConfig,
     device: Device,
     network: Unet,
-    /// All parameters in the order of [`Reconstructor::parameters`]; `network` holds the same values.
-    weights: Vec<f32>,
+    /// Its moments are in the order of [`Reconstructor::parameters`].
     adam: Adam,
     level: Level,
 }
@@ -84,8 +83,8 @@ impl Reconstructor {
         config.validate()?;
         let device = Device::flex().autodiff();
         let network = Unet::new(&config, seed, &device);
-        let weights: Vec<f32> = collect(&network).into_iter().flat_map(|p| p.values).collect();
-        Ok(Self { adam: Adam::new(weights.len()), level: Level::detect(), config, device, network, weights })
+        let n = network.num_params();
+        Ok(Self { adam: Adam::new(n), level: Level::detect(), config, device, network })
     }
 
     /// The network's size.
@@ -112,8 +111,11 @@ impl Reconstructor {
                 if values.len() != n {
                     return Err(Error::bad("", name, format!("{} values", values.len()), format!("{n} values")));
                 }
-                self.weights[offset..offset + n].copy_from_slice(values);
-                self.write_weights();
+                self.change_parameters(|first, now| {
+                    if first == offset {
+                        now.copy_from_slice(values);
+                    }
+                });
                 return Ok(());
             }
             offset += n;
@@ -171,7 +173,7 @@ impl Reconstructor {
             let difference = output - target;
             *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
         });
-        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        let (gradient_norm, updated) = self.update(loss, gradient, learning_rate);
         Ok(Step { loss, output, input_bar, target_bar, gradient_norm, updated })
     }
 
@@ -183,7 +185,7 @@ impl Reconstructor {
         learning_rate: f64,
     ) -> Result<NetworkStep> {
         let Backward { loss, output, gradient, .. } = self.backward(&input, &target, false, true)?;
-        let (gradient_norm, updated) = self.update(loss, gradient.as_deref(), learning_rate);
+        let (gradient_norm, updated) = self.update(loss, gradient, learning_rate);
         Ok(NetworkStep { loss, output, gradient_norm, updated })
     }
 
@@ -197,9 +199,8 @@ impl Reconstructor {
         let config = checkpoint::read_config(path)?;
         let mut fresh = Self::new(config, 0)?;
         let (weights, adam) = checkpoint::load(path, &fresh.parameters())?;
-        fresh.weights = weights;
         fresh.adam = adam;
-        fresh.write_weights();
+        fresh.change_parameters(|first, now| now.copy_from_slice(&weights[first..first + now.len()]));
         Ok(fresh)
     }
 
@@ -232,27 +233,33 @@ impl Reconstructor {
         let output = array(output.inner())?;
         let sum: f64 = output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
         let input_bar = if with_input { input.grad_remove(&mut gradients).map(array).transpose()? } else { None };
-        let gradient = with_weights.then(|| collect_gradient(network, &mut gradients, self.weights.len()));
+        let gradient = with_weights.then(|| collect_gradient(network, &mut gradients));
         Ok(Backward { loss: (sum / output.len() as f64) as f32, output, input_bar, gradient })
     }
 
     /// Clipped Adam step; leaves everything as it was where loss or gradient is not finite.
-    fn update(&mut self, loss: f32, gradient: Option<&[f32]>, learning_rate: f64) -> (f64, bool) {
+    fn update(&mut self, loss: f32, gradient: Option<Vec<Vec<f32>>>, learning_rate: f64) -> (f64, bool) {
         let Some(gradient) = gradient else { return (0.0, false) };
-        let norm = norm(gradient);
-        if !loss.is_finite() || !norm.is_finite() {
-            return (norm, false);
+        let norm = norm(&gradient);
+        let finite = loss.is_finite() && norm.is_finite();
+        if finite {
+            let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
+            let (rates, mut parts) = (self.adam.begin(scale, learning_rate), gradient.iter());
+            let mut adam = std::mem::replace(&mut self.adam, Adam::new(0));
+            self.change_parameters(|first, now| adam.step(rates, first, now, parts.next().expect("one a parameter")));
+            self.adam = adam;
         }
-        let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
-        self.adam.step(&mut self.weights, gradient, scale, learning_rate);
-        self.write_weights();
-        (norm, true)
+        gradient.into_iter().for_each(kernels::give);
+        (norm, finite)
     }
 
-    /// Puts `self.weights` into the burn module.
-    fn write_weights(&mut self) {
-        let mut writer = Write { values: &self.weights, device: &self.device };
-        self.network = self.network.clone().map(&mut writer);
+    /// Calls `change` with the values of every parameter and the number of the first, in the order of
+    /// [`Reconstructor::parameters`].
+    fn change_parameters(&mut self, change: impl FnMut(usize, &mut [f32])) {
+        // The network is taken out, so that its tensors are held once and their memory is changed in place.
+        let none = Unet::new(&UnetConfig { base_width: 1, scales: 1 }, 0, &self.device);
+        let network = std::mem::replace(&mut self.network, none);
+        self.network = network.map(&mut Change { change, first: 0, device: &self.device });
     }
 
     fn check(&self, input: &ArrayView4<f32>) -> Result<()> {
@@ -276,7 +283,8 @@ struct Backward {
     loss: f32,
     output: Array4<f32>,
     input_bar: Option<Array4<f32>>,
-    gradient: Option<Vec<f32>>,
+    /// By parameter, in the order of [`Reconstructor::parameters`].
+    gradient: Option<Vec<Vec<f32>>>,
 }
 
 fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
@@ -322,38 +330,42 @@ fn collect(network: &Unet) -> Vec<Parameter> {
 }
 
 /// The weights' gradient in the order of [`collect`]; zeros where none arrived.
-fn collect_gradient(network: &Unet, gradients: &mut Gradients, n: usize) -> Vec<f32> {
+fn collect_gradient(network: &Unet, gradients: &mut Gradients) -> Vec<Vec<f32>> {
     struct Collect<'a> {
         gradients: &'a mut Gradients,
-        found: Vec<f32>,
+        found: Vec<Vec<f32>>,
     }
     impl ModuleVisitor for Collect<'_> {
         fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
             let tensor = param.val();
-            match tensor.grad_remove(self.gradients) {
-                Some(gradient) => self.found.extend(values(gradient)),
-                None => self.found.extend(std::iter::repeat_n(0.0, tensor.dims().iter().product())),
-            }
+            self.found.push(match tensor.grad_remove(self.gradients) {
+                Some(gradient) => values(gradient),
+                None => vec![0.0; tensor.dims().iter().product()],
+            });
         }
     }
-    let mut collect = Collect { gradients, found: Vec::with_capacity(n) };
+    let mut collect = Collect { gradients, found: vec![] };
     network.visit(&mut collect);
     collect.found
 }
 
-/// Replaces all parameters, in the order of [`collect`], by `values`.
-struct Write<'a> {
-    values: &'a [f32],
+/// Calls `change` for the parameters one after the other, in the order of [`collect`].
+struct Change<'a, F> {
+    change: F,
+    /// Parameters' values before the next.
+    first: usize,
     device: &'a Device,
 }
 
-impl ModuleMapper for Write<'_> {
+impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Change<'_, F> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let shape = param.val().dims();
-        let (head, rest) = self.values.split_at(shape.iter().product());
-        self.values = rest;
-        let device = self.device;
-        param.map(|_| Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad())
+        param.map(|tensor| {
+            let shape = tensor.dims();
+            let mut now = values(tensor.inner());
+            (self.change)(self.first, &mut now);
+            self.first += now.len();
+            Tensor::from_data(TensorData::new(now, shape), self.device).require_grad()
+        })
     }
 }
 
@@ -448,8 +460,12 @@ mod tests {
     fn weight_gradients_match_central_differences() {
         let model = awake(small(), 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
-        let gradient =
-            model.backward(&input.view(), &target.view(), false, true).expect("fits").gradient.expect("asked for");
+        let gradient = model
+            .backward(&input.view(), &target.view(), false, true)
+            .expect("fits")
+            .gradient
+            .expect("asked for")
+            .concat();
         let mut offset = 0;
         let rng = &mut fastrand::Rng::with_seed(8);
         for parameter in model.parameters() {
@@ -554,9 +570,15 @@ mod tests {
             Level::Avx2 => vec![Level::Avx2],
             Level::Plain => vec![],
         };
-        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))] {
+        for (base_width, scales, shape) in [
+            (4, 3, (1, 3, 32, 24)),
+            (5, 3, (2, 3, 12, 20)),
+            (16, 3, (1, 3, 16, 16)),
+            (8, 3, (1, 3, 72, 100)),
+            (4, 7, (2, 3, 64, 128)),
+        ] {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
-            let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
+            let mut model = awake(UnetConfig { base_width, scales }, 3);
             model.level = Level::Plain;
             let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
@@ -575,8 +597,8 @@ mod tests {
                 let bars = [&found, &expected]
                     .map(|b| b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous"));
                 close(bars[0], bars[1], "input");
-                let weights = [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
-                close(weights[0], weights[1], "weights");
+                let weights = [&found, &expected].map(|b| b.gradient.as_ref().expect("asked for").concat());
+                close(&weights[0], &weights[1], "weights");
             }
         }
     }
