@@ -106,7 +106,7 @@ pub(super) struct Wanted {
 ///
 /// `weight` is `[out, in, 3, 3]`.
 pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
-    let convolve = if small::fits(extent) { small::convolve } else { convolution::convolve };
+    let convolve = if small::convolves(extent) { small::convolve } else { convolution::convolve };
     convolve(level, sources, extent, weight, bias)
 }
 
@@ -119,14 +119,14 @@ pub(super) fn convolve_vjp(
     output_bar: &[f32],
     wanted: Wanted,
 ) -> (Vec<SourceBar>, Vec<f32>, Vec<f32>) {
-    let vjp = if small::fits(extent) { small::convolve_vjp } else { convolution::convolve_vjp };
+    let vjp = if small::convolves(extent) { small::convolve_vjp } else { convolution::convolve_vjp };
     vjp(level, sources, extent, weight, output_bar, wanted)
 }
 
 /// Output `[batch, bias.len(), 2 rows, 2 columns]` of the transposed 2×2 convolution with stride 2; `weight` is
 /// `[in, out, 2, 2]`, `extent` that of the source.
 pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
-    let unpool = if small::fits(extent) { small::unpool } else { unpooling::unpool };
+    let unpool = if small::unpools(extent) { small::unpool } else { unpooling::unpool };
     unpool(level, source, extent, weight, bias)
 }
 
@@ -139,6 +139,6 @@ pub(super) fn unpool_vjp(
     output_bar: &[f32],
     wanted: Wanted,
 ) -> (SourceBar, Vec<f32>, Vec<f32>) {
-    let vjp = if small::fits(extent) { small::unpool_vjp } else { unpooling::unpool_vjp };
+    let vjp = if small::unpools(extent) { small::unpool_vjp } else { unpooling::unpool_vjp };
     vjp(level, source, extent, weight, output_bar, wanted)
 }

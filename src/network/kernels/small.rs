@@ -14,12 +14,20 @@ const TAPS: usize = 9;
 /// Taps of the transposed convolution: row and column of the 2×2 block.
 const CORNERS: usize = 4;
 
-/// Widest plane that is treated here; wider ones fill their vectors row by row.
-const WIDEST: usize = 32;
+/// Widest planes that are convolved here; wider ones fill their vectors row by row.
+const CONVOLVED: usize = 64;
 
-/// Whether planes of this size are treated here.
-pub(super) fn fits(extent: Extent) -> bool {
-    extent.columns <= WIDEST
+/// Widest planes whose transposed convolution is done here.
+const UNPOOLED: usize = 32;
+
+/// Whether planes of this size are convolved here.
+pub(super) fn convolves(extent: Extent) -> bool {
+    extent.columns <= CONVOLVED
+}
+
+/// Whether planes of this size are unpooled here.
+pub(super) fn unpools(extent: Extent) -> bool {
+    extent.columns <= UNPOOLED
 }
 
 /// As [`super::convolve`].
@@ -27,10 +35,8 @@ pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight:
     let lines = Lines::load(level, sources, extent, 3);
     let inputs = lines.channels;
     let pack = |Block { first, size, channels, to }: Block| {
-        for output in 0..size {
-            let from = &weight[((first + output) * inputs + channels.start) * TAPS..][..channels.len() * TAPS];
-            to[output..].iter_mut().step_by(size).zip(from).for_each(|(to, &from)| *to = from);
-        }
+        let n = channels.len() * TAPS;
+        interleave(size, |output| &weight[((first + output) * inputs + channels.start) * TAPS..][..n], to);
     };
     let output = filled(extent.batch * bias.len() * extent.plane(), |to| {
         let targets = [Target { to, channels: bias.len(), source: None }];
@@ -56,10 +62,7 @@ pub(super) fn convolve_vjp(
         // The convolution of the output's cotangent with the weights turned by 180° and transposed.
         let pack = |Block { first, size, channels, to }: Block| {
             for (output, to) in channels.zip(to.chunks_exact_mut(TAPS * size)) {
-                let from = &weight[(output * inputs + first) * TAPS..][..size * TAPS];
-                for (input, from) in from.chunks_exact(TAPS).enumerate() {
-                    to[input..].iter_mut().step_by(size).zip(from.iter().rev()).for_each(|(to, &from)| *to = from);
-                }
+                turn(size, &weight[(output * inputs + first) * TAPS..][..size * TAPS], to);
             }
         };
         pulled(sources, |store| product::<3>(level, &bars, &vec![0.0; inputs], pack, store))
@@ -91,7 +94,8 @@ pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32
     let spread: Vec<f32> = bias.iter().flat_map(|&b| [b; CORNERS]).collect();
     let pack = |Block { first, size, channels, to }: Block| {
         for (channel, to) in channels.zip(to.chunks_exact_mut(size)) {
-            to.copy_from_slice(&weight[channel * products + first..][..size]);
+            let from = &weight[channel * products + first..][..size];
+            to.iter_mut().zip(from).for_each(|(to, &from)| *to = from);
         }
     };
     let output = filled(extent.batch * products * extent.plane(), |to| {
@@ -125,10 +129,8 @@ pub(super) fn unpool_vjp(
     let mut source_bar = SourceBar::default();
     if wanted.inputs {
         let pack = |Block { first, size, channels, to }: Block| {
-            for input in 0..size {
-                let from = &weight[(first + input) * products + channels.start..][..channels.len()];
-                to[input..].iter_mut().step_by(size).zip(from).for_each(|(to, &from)| *to = from);
-            }
+            let n = channels.len();
+            interleave(size, |input| &weight[(first + input) * products + channels.start..][..n], to);
         };
         source_bar = pulled(&[source], |store| product::<1>(level, &bars, &vec![0.0; inputs], pack, store)).remove(0);
     }
@@ -143,6 +145,40 @@ pub(super) fn unpool_vjp(
     }
     bars.release();
     (source_bar, weight_bar, bias_bar)
+}
+
+/// Writes `size` rows as `[value][row]`.
+#[inline(always)]
+fn interleave<'a>(size: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
+    if size == 8 {
+        // The usual block, with its loop over rows unrolled.
+        let rows: [&[f32]; 8] = std::array::from_fn(&row);
+        let n = rows[0].len();
+        let rows = rows.map(|row| &row[..n]);
+        for (k, to) in to.as_chunks_mut::<8>().0[..n].iter_mut().enumerate() {
+            *to = rows.map(|row| row[k]);
+        }
+        return;
+    }
+    for at in 0..size {
+        to[at..].iter_mut().step_by(size).zip(row(at)).for_each(|(to, &from)| *to = from);
+    }
+}
+
+/// Writes `[channel][tap]` as `[tap, last first][channel]` for `size` channels.
+#[inline(always)]
+fn turn(size: usize, from: &[f32], to: &mut [f32]) {
+    if let (8, [from], [to]) = (size, from.as_chunks::<{ 8 * TAPS }>().0, to.as_chunks_mut::<{ 8 * TAPS }>().0) {
+        for tap in 0..TAPS {
+            for channel in 0..8 {
+                to[tap * 8 + channel] = from[channel * TAPS + TAPS - 1 - tap];
+            }
+        }
+        return;
+    }
+    for (channel, from) in from.chunks_exact(TAPS).enumerate() {
+        to[channel..].iter_mut().step_by(size).zip(from.iter().rev()).for_each(|(to, &from)| *to = from);
+    }
 }
 
 /// Cotangents of the sources, whose activated ones `product` computes as outputs of one list.
