@@ -1,6 +1,14 @@
-//! Adam (Kingma & Ba 2015) over the flat list of all parameters, with the gradient's global norm clipped.
+//! Adam (Kingma & Ba 2015) over the list of all parameters, with the gradient's global norm clipped.
 //!
-//! Moments are plain vectors in the order of the parameters, so that a checkpoint is exact; one pass over memory a step.
+//! Moments are plain vectors in the order of the parameters, so that a checkpoint is exact; one pass over memory a step,
+//! in chunks of a fixed size on all threads.
+
+use rayon::prelude::*;
+
+use crate::math::wide::{Work, wide};
+
+/// Parameters of one task.
+const CHUNK: usize = 1 << 15;
 
 /// First and second moments, and how many steps have been taken.
 #[derive(Clone, Debug, PartialEq)]
@@ -23,20 +31,56 @@ impl Adam {
         Self { first: vec![0.0; n], second: vec![0.0; n], steps: 0 }
     }
 
-    /// Moves `parameters` against `gradient` (scaled by `scale`) with step size `learning_rate`.
-    ///
-    /// # Panics
-    /// Where the lengths differ from those of the moments.
-    pub(super) fn step(&mut self, parameters: &mut [f32], gradient: &[f32], scale: f32, learning_rate: f64) {
-        assert_eq!(parameters.len(), self.first.len());
-        assert_eq!(gradient.len(), self.first.len());
+    /// Starts a step with step size `learning_rate` on gradients to be scaled by `scale`: what each parameter then needs.
+    pub(super) fn begin(&mut self, scale: f32, learning_rate: f64) -> Rates {
         self.steps += 1;
         let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
+        Rates {
+            scale,
+            rate: (learning_rate / (1.0 - BETA1.powi(steps))) as f32,
+            unbias: (1.0 / (1.0 - BETA2.powi(steps))) as f32,
+        }
+    }
+
+    /// Moves `parameters`, the first of which is number `first`, against `gradient`.
+    ///
+    /// # Panics
+    /// Where the lengths differ, or the moments are fewer.
+    pub(super) fn step(&mut self, rates: Rates, first: usize, parameters: &mut [f32], gradient: &[f32]) {
+        let n = parameters.len();
+        assert_eq!(gradient.len(), n);
+        let moments =
+            self.first[first..][..n].par_chunks_mut(CHUNK).zip(self.second[first..][..n].par_chunks_mut(CHUNK));
+        parameters.par_chunks_mut(CHUNK).zip(gradient.par_chunks(CHUNK)).zip(moments).for_each(
+            |((parameters, gradient), (first, second))| wide(Chunk { rates, parameters, gradient, first, second }),
+        );
+    }
+}
+
+/// Numbers of one step that all parameters share.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rates {
+    scale: f32,
+    rate: f32,
+    unbias: f32,
+}
+
+struct Chunk<'a> {
+    rates: Rates,
+    parameters: &'a mut [f32],
+    gradient: &'a [f32],
+    first: &'a mut [f32],
+    second: &'a mut [f32],
+}
+
+impl Work for Chunk<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Rates { scale, rate, unbias } = self.rates;
         let (b1, b2) = (BETA1 as f32, BETA2 as f32);
-        let rate = (learning_rate / (1.0 - BETA1.powi(steps))) as f32;
-        let unbias = (1.0 / (1.0 - BETA2.powi(steps))) as f32;
-        let moments = self.first.iter_mut().zip(&mut self.second);
-        for ((parameter, &gradient), (first, second)) in parameters.iter_mut().zip(gradient).zip(moments) {
+        let moments = self.first.iter_mut().zip(self.second);
+        for ((parameter, &gradient), (first, second)) in self.parameters.iter_mut().zip(self.gradient).zip(moments) {
             let gradient = gradient * scale;
             *first = b1 * *first + (1.0 - b1) * gradient;
             *second = b2 * *second + (1.0 - b2) * gradient * gradient;
@@ -45,9 +89,28 @@ impl Adam {
     }
 }
 
-/// Euclidean norm over all entries, summed in f64; NaN or infinite where an entry is.
-pub(super) fn norm(gradient: &[f32]) -> f64 {
-    gradient.iter().map(|&g| f64::from(g) * f64::from(g)).sum::<f64>().sqrt()
+/// Euclidean norm over all entries, summed in f64 in a fixed order; NaN or infinite where an entry is.
+pub(super) fn norm(gradient: &[Vec<f32>]) -> f64 {
+    let squares = |part: &Vec<f32>| part.par_chunks(CHUNK).map(|c| wide(Squares(c))).collect::<Vec<_>>();
+    gradient.iter().flat_map(squares).sum::<f64>().sqrt()
+}
+
+struct Squares<'a>(&'a [f32]);
+
+impl Work for Squares<'_> {
+    type Output = f64;
+    #[inline(always)]
+    fn run(self) -> f64 {
+        let mut sums = [0.0f64; 32];
+        let chunks = self.0.chunks_exact(32);
+        let rest: f64 = chunks.remainder().iter().map(|&g| f64::from(g) * f64::from(g)).sum();
+        for chunk in chunks {
+            for (sum, &g) in sums.iter_mut().zip(chunk) {
+                *sum += f64::from(g) * f64::from(g);
+            }
+        }
+        sums.iter().sum::<f64>() + rest
+    }
 }
 
 #[cfg(test)]
@@ -60,7 +123,10 @@ mod tests {
         let (mut m, mut v, mut expected) = ([0.0f64; 2], [0.0f64; 2], [1.0f64, -2.0]);
         for t in 1..=20 {
             let g: [f32; 2] = [(t as f32 * 0.7).sin(), 0.01 * t as f32];
-            adam.step(&mut p, &g, 0.5, 1e-3);
+            let rates = adam.begin(0.5, 1e-3);
+            for j in 0..2 {
+                adam.step(rates, j, &mut p[j..=j], &g[j..=j]);
+            }
             for j in 0..2 {
                 let g = 0.5 * f64::from(g[j]);
                 m[j] = 0.9 * m[j] + 0.1 * g;
@@ -73,6 +139,40 @@ mod tests {
             assert!((f64::from(p[j]) - expected[j]).abs() < 2e-6, "{p:?} {expected:?}");
         }
         assert_eq!(adam.steps, 20);
-        assert!((norm(&[3.0, 4.0]) - 5.0).abs() < 1e-12 && norm(&[1.0, f32::NAN]).is_nan());
+    }
+
+    #[test]
+    fn the_norm_is_that_of_all_parts() {
+        assert_eq!(norm(&[vec![3.0], vec![], vec![4.0]]), 5.0);
+        assert!(norm(&[vec![1.0], vec![2.0, f32::NAN]]).is_nan());
+        let mut rng = fastrand::Rng::with_seed(3);
+        let parts: Vec<Vec<f32>> =
+            [1, 31, 33, CHUNK, 2 * CHUNK + 17].map(|n| (0..n).map(|_| rng.f32()).collect()).into();
+        let expected = parts.iter().flatten().map(|&g| f64::from(g).powi(2)).sum::<f64>().sqrt();
+        assert!((norm(&parts) / expected - 1.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn long_parameters_move_like_short_ones_on_any_number_of_threads() {
+        let mut rng = fastrand::Rng::with_seed(4);
+        let n = 3 * CHUNK + 77;
+        let start: Vec<f32> = (0..n).map(|_| rng.f32()).collect();
+        let gradient: Vec<f32> = (0..n).map(|_| rng.f32() - 0.5).collect();
+        let with = |threads, cut: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            pool.install(|| {
+                let (mut adam, mut p) = (Adam::new(n), start.clone());
+                for _ in 0..3 {
+                    let rates = adam.begin(0.7, 1e-2);
+                    for (i, (p, g)) in p.chunks_mut(cut).zip(gradient.chunks(cut)).enumerate() {
+                        adam.step(rates, i * cut, p, g);
+                    }
+                }
+                (p, adam)
+            })
+        };
+        let whole = with(1, n);
+        assert_eq!(whole, with(3, n));
+        assert_eq!(whole, with(2, 1001));
     }
 }

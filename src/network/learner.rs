@@ -6,6 +6,7 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
 use super::adam::{Adam, norm};
+use super::kernels;
 use crate::error::{Error, Result};
 
 /// Gradients longer than this (global Euclidean norm) are scaled down to it.
@@ -22,31 +23,30 @@ pub struct Parameter {
     pub values: Vec<f32>,
 }
 
-/// A module with its flat weights and its optimiser.
+/// A module and its optimiser.
 #[derive(Debug)]
 pub(super) struct Learner<M> {
-    module: M,
+    /// Taken out only while its parameters change.
+    module: Option<M>,
     device: Device,
-    /// All parameters in the order of [`Learner::parameters`]; `module` holds the same values.
-    weights: Vec<f32>,
+    /// Its moments are in the order of [`Learner::parameters`].
     adam: Adam,
 }
 
 impl<M: Module> Learner<M> {
     /// `module` on `device` (with autodiff), no step taken.
     pub(super) fn new(module: M, device: Device) -> Self {
-        let weights: Vec<f32> = collect(&module).into_iter().flat_map(|p| p.values).collect();
-        Self { adam: Adam::new(weights.len()), module, device, weights }
+        Self { adam: Adam::new(module.num_params()), module: Some(module), device }
     }
 
     /// The module, its parameters tracked.
     pub(super) fn module(&self) -> &M {
-        &self.module
+        self.module.as_ref().expect("put back after every change")
     }
 
     /// The module with parameters that want no gradient; what flows through it still has its own.
     pub(super) fn frozen(&self) -> M {
-        self.module.clone().no_grad()
+        self.module().clone().no_grad()
     }
 
     /// Where it computes, with autodiff.
@@ -61,7 +61,7 @@ impl<M: Module> Learner<M> {
 
     /// All parameters by name, in the module's order.
     pub(super) fn parameters(&self) -> Vec<Parameter> {
-        collect(&self.module)
+        collect(self.module())
     }
 
     /// Replaces the values of the parameter `name`; the optimiser's moments stay.
@@ -73,8 +73,11 @@ impl<M: Module> Learner<M> {
                 if values.len() != n {
                     return Err(Error::bad("", name, format!("{} values", values.len()), format!("{n} values")));
                 }
-                self.weights[offset..offset + n].copy_from_slice(values);
-                self.write_weights();
+                self.change(|first, now| {
+                    if first == offset {
+                        now.copy_from_slice(values);
+                    }
+                });
                 return Ok(());
             }
             offset += n;
@@ -86,38 +89,43 @@ impl<M: Module> Learner<M> {
     ///
     /// # Panics
     /// Where the lengths are not those of the module.
-    pub(super) fn restore(&mut self, weights: Vec<f32>, adam: Option<Adam>) {
-        assert_eq!(weights.len(), self.weights.len());
-        let adam = adam.unwrap_or_else(|| Adam::new(weights.len()));
-        assert!(adam.first.len() == weights.len() && adam.second.len() == weights.len());
-        (self.weights, self.adam) = (weights, adam);
-        self.write_weights();
+    pub(super) fn restore(&mut self, weights: &[f32], adam: Option<Adam>) {
+        let n = self.adam.first.len();
+        let adam = adam.unwrap_or_else(|| Adam::new(n));
+        assert!([weights.len(), adam.first.len(), adam.second.len()] == [n; 3]);
+        self.adam = adam;
+        self.change(|first, now| now.copy_from_slice(&weights[first..first + now.len()]));
     }
 
-    /// The weights' gradient in the order of the parameters, taken out of `gradients`; zeros where none arrived.
-    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Vec<f32> {
-        let mut collect = CollectGradient { gradients, found: Vec::with_capacity(self.weights.len()) };
-        self.module.visit(&mut collect);
+    /// The gradient of every parameter in their order, taken out of `gradients`; zeros where none arrived.
+    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+        let mut collect = CollectGradient { gradients, found: Vec::new() };
+        self.module().visit(&mut collect);
         collect.found
     }
 
     /// Clipped Adam step; leaves everything as it was where the loss (`sound`) or the gradient is not finite. Returns the
     /// gradient's norm before clipping, and whether the weights moved.
-    pub(super) fn update(&mut self, sound: bool, gradient: &[f32], learning_rate: f64) -> (f64, bool) {
-        let norm = norm(gradient);
-        if !sound || !norm.is_finite() {
-            return (norm, false);
+    pub(super) fn update(&mut self, sound: bool, gradient: Vec<Vec<f32>>, learning_rate: f64) -> (f64, bool) {
+        let norm = norm(&gradient);
+        let finite = sound && norm.is_finite();
+        if finite {
+            let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
+            let (rates, mut parts) = (self.adam.begin(scale, learning_rate), gradient.iter());
+            let mut adam = std::mem::replace(&mut self.adam, Adam::new(0));
+            self.change(|first, now| adam.step(rates, first, now, parts.next().expect("one a parameter")));
+            self.adam = adam;
         }
-        let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
-        self.adam.step(&mut self.weights, gradient, scale, learning_rate);
-        self.write_weights();
-        (norm, true)
+        gradient.into_iter().for_each(kernels::give);
+        (norm, finite)
     }
 
-    /// Puts `self.weights` into the module.
-    fn write_weights(&mut self) {
-        let mut writer = Write { values: &self.weights, device: &self.device };
-        self.module = self.module.clone().map(&mut writer);
+    /// Calls `change` with the values of every parameter and the number of the first, in the order of
+    /// [`Learner::parameters`].
+    fn change(&mut self, change: impl FnMut(usize, &mut [f32])) {
+        // The module is taken out, so that its tensors are held once and their memory is changed in place.
+        let module = self.module.take().expect("put back after every change");
+        self.module = Some(module.map(&mut Change { change, first: 0, device: &self.device }));
     }
 }
 
@@ -152,31 +160,35 @@ fn collect<M: Module>(module: &M) -> Vec<Parameter> {
 
 struct CollectGradient<'a> {
     gradients: &'a mut Gradients,
-    found: Vec<f32>,
+    found: Vec<Vec<f32>>,
 }
 
 impl ModuleVisitor for CollectGradient<'_> {
     fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
         let tensor = param.val();
-        match tensor.grad_remove(self.gradients) {
-            Some(gradient) => self.found.extend(values(gradient)),
-            None => self.found.extend(std::iter::repeat_n(0.0, tensor.dims().iter().product())),
-        }
+        self.found.push(match tensor.grad_remove(self.gradients) {
+            Some(gradient) => values(gradient),
+            None => vec![0.0; tensor.dims().iter().product()],
+        });
     }
 }
 
-/// Replaces all parameters, in the order of [`collect`], by `values`.
-struct Write<'a> {
-    values: &'a [f32],
+/// Calls `change` for the parameters one after the other, in the order of [`collect`].
+struct Change<'a, F> {
+    change: F,
+    /// Parameters' values before the next.
+    first: usize,
     device: &'a Device,
 }
 
-impl ModuleMapper for Write<'_> {
+impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Change<'_, F> {
     fn map_float<const D: usize>(&mut self, param: Param<Tensor<D>>) -> Param<Tensor<D>> {
-        let shape = param.val().dims();
-        let (head, rest) = self.values.split_at(shape.iter().product());
-        self.values = rest;
-        let device = self.device;
-        param.map(|_| Tensor::from_data(TensorData::new(head.to_vec(), shape), device).require_grad())
+        param.map(|tensor| {
+            let shape = tensor.dims();
+            let mut now = values(tensor.inner());
+            (self.change)(self.first, &mut now);
+            self.first += now.len();
+            Tensor::from_data(TensorData::new(now, shape), self.device).require_grad()
+        })
     }
 }

@@ -150,7 +150,7 @@ impl Reconstructor {
             let difference = output - target;
             *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
         });
-        let (gradient_norm, updated) = match &gradient {
+        let (gradient_norm, updated) = match gradient {
             Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
             None => (0.0, false),
         };
@@ -165,7 +165,7 @@ impl Reconstructor {
         learning_rate: f64,
     ) -> Result<NetworkStep> {
         let Backward { loss, output, gradient, .. } = self.backward(&input, &target, false, true)?;
-        let (gradient_norm, updated) = match &gradient {
+        let (gradient_norm, updated) = match gradient {
             Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
             None => (0.0, false),
         };
@@ -194,7 +194,7 @@ impl Reconstructor {
     pub(super) fn from_checkpoint(file: &Checkpoint, compute: Compute) -> Result<Self> {
         let mut fresh = Self::on(compute, file.config()?, 0)?;
         let (weights, adam) = file.learner("", &fresh.parameters())?;
-        fresh.learner.restore(weights, Some(adam));
+        fresh.learner.restore(&weights, Some(adam));
         Ok(fresh)
     }
 
@@ -216,7 +216,7 @@ impl Reconstructor {
     /// A clipped Adam step with the weights' part of `gradients`; see [`Learner::update`].
     pub(super) fn learn(&mut self, sound: bool, gradients: &mut Gradients, learning_rate: f64) -> (f64, bool) {
         let gradient = self.learner.gradient(gradients);
-        self.learner.update(sound, &gradient, learning_rate)
+        self.learner.update(sound, gradient, learning_rate)
     }
 
     /// Puts all weights in the order of [`Reconstructor::parameters`]; the optimiser starts anew.
@@ -224,7 +224,7 @@ impl Reconstructor {
     /// # Panics
     /// Where there are not as many as the network has.
     pub(super) fn restart(&mut self, weights: Vec<f32>) {
-        self.learner.restore(weights, None);
+        self.learner.restore(&weights, None);
     }
 
     /// Refuses an input that does not fit the network, and a target of another shape.
@@ -287,7 +287,8 @@ struct Backward {
     loss: f32,
     output: Array4<f32>,
     input_bar: Option<Array4<f32>>,
-    gradient: Option<Vec<f32>>,
+    /// By parameter, in the order of [`Reconstructor::parameters`].
+    gradient: Option<Vec<Vec<f32>>>,
 }
 
 pub(super) fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
@@ -394,8 +395,12 @@ mod tests {
     fn weight_gradients_match_central_differences() {
         let model = awake(small(), 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
-        let gradient =
-            model.backward(&input.view(), &target.view(), false, true).expect("fits").gradient.expect("asked for");
+        let gradient = model
+            .backward(&input.view(), &target.view(), false, true)
+            .expect("fits")
+            .gradient
+            .expect("asked for")
+            .concat();
         let mut offset = 0;
         let rng = &mut fastrand::Rng::with_seed(8);
         for parameter in model.parameters() {
@@ -407,7 +412,8 @@ mod tests {
             offset += n;
             let loss = |h: f32| {
                 let mut moved = Reconstructor::new(small(), 3).expect("valid");
-                moved.learner.restore(model.parameters().into_iter().flat_map(|p| p.values).collect(), None);
+                let weights: Vec<f32> = model.parameters().into_iter().flat_map(|p| p.values).collect();
+                moved.learner.restore(&weights, None);
                 let values: Vec<f32> = parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
                 moved.set_parameter(&parameter.name, &values).expect("same length");
                 let out = moved.forward(input.view()).expect("fits");
@@ -499,9 +505,15 @@ mod tests {
             Level::Avx2 => vec![Level::Avx2],
             Level::Plain => vec![],
         };
-        for (base_width, shape) in [(4, (1, 3, 32, 24)), (5, (2, 3, 12, 20)), (16, (1, 3, 16, 16))] {
+        for (base_width, scales, shape) in [
+            (4, 3, (1, 3, 32, 24)),
+            (5, 3, (2, 3, 12, 20)),
+            (16, 3, (1, 3, 16, 16)),
+            (8, 3, (1, 3, 72, 100)),
+            (4, 7, (2, 3, 64, 128)),
+        ] {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
-            let mut model = awake(UnetConfig { base_width, scales: 3 }, 3);
+            let mut model = awake(UnetConfig { base_width, scales }, 3);
             model.level = Level::Plain;
             let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
@@ -520,8 +532,8 @@ mod tests {
                 let bars = [&found, &expected]
                     .map(|b| b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous"));
                 close(bars[0], bars[1], "input");
-                let weights = [&found, &expected].map(|b| b.gradient.as_deref().expect("asked for"));
-                close(weights[0], weights[1], "weights");
+                let weights = [&found, &expected].map(|b| b.gradient.as_ref().expect("asked for").concat());
+                close(&weights[0], &weights[1], "weights");
             }
         }
     }

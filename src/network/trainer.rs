@@ -121,7 +121,7 @@ impl Trainer {
             let value = value(&loss)?;
             critic += value / 2.0;
             let gradient = learner.gradient(&mut loss.backward());
-            learner.update(value.is_finite(), &gradient, learning_rate);
+            learner.update(value.is_finite(), gradient, learning_rate);
         }
 
         let content = self.content.loss(&shown, &truth)?;
@@ -168,7 +168,7 @@ impl Trainer {
                 return Err(Error::bad(path.display().to_string(), place, "missing", allowed));
             }
             let (weights, adam) = file.learner(prefix, &learner.parameters())?;
-            learner.restore(weights, Some(adam));
+            learner.restore(&weights, Some(adam));
         }
         Ok((trainer, file.facts().clone()))
     }

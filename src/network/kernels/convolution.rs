@@ -23,13 +23,7 @@ fn block(level: Level) -> usize {
 /// Output `[batch, bias.len(), rows, columns]` of the convolution of all sources' channels in turn.
 ///
 /// `weight` is `[out, in, 3, 3]`.
-pub(in super::super) fn convolve(
-    level: Level,
-    sources: &[Source],
-    extent: Extent,
-    weight: &[f32],
-    bias: &[f32],
-) -> Vec<f32> {
+pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let inputs: usize = sources.iter().map(|s| s.channels).sum();
     let outputs = bias.len();
     assert_eq!(weight.len(), inputs * outputs * TAPS);
@@ -151,7 +145,7 @@ unsafe fn convolve_strip<S: Simd>(
 }
 
 /// Cotangents of [`convolve`]: of each source, of the weight, of the bias (empty where not wanted).
-pub(in super::super) fn convolve_vjp(
+pub(super) fn convolve_vjp(
     level: Level,
     sources: &[Source],
     extent: Extent,

@@ -4,11 +4,16 @@
 //! scratch buffer with a border of zeros ([`strip`]), small enough for the second-level cache; the register-blocked
 //! loops of [`simd`] then run without any border case. Strips go to rayon's threads. How the picture is cut, and so the
 //! order of every sum, depends on its shape alone: results do not depend on the number of threads.
+//!
+//! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]).
 
 mod convolution;
+mod flat;
 mod pooling;
+mod product;
 mod recycle;
 mod simd;
+mod small;
 mod strip;
 #[cfg(test)]
 mod tests;
@@ -16,10 +21,8 @@ mod unpooling;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-pub(super) use convolution::{convolve, convolve_vjp};
 pub(super) use pooling::{pool, pool_vjp};
 pub(super) use recycle::give;
-pub(super) use unpooling::{unpool, unpool_vjp};
 
 /// Which code runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,4 +100,45 @@ pub(super) struct Wanted {
     pub(super) inputs: bool,
     /// Those of weight and bias.
     pub(super) weights: bool,
+}
+
+/// Output `[batch, bias.len(), rows, columns]` of the 3×3 convolution of all sources' channels in turn, with zero padding.
+///
+/// `weight` is `[out, in, 3, 3]`.
+pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
+    let convolve = if small::convolves(extent) { small::convolve } else { convolution::convolve };
+    convolve(level, sources, extent, weight, bias)
+}
+
+/// Cotangents of [`convolve`]: of each source, of the weight, of the bias (empty where not wanted).
+pub(super) fn convolve_vjp(
+    level: Level,
+    sources: &[Source],
+    extent: Extent,
+    weight: &[f32],
+    output_bar: &[f32],
+    wanted: Wanted,
+) -> (Vec<SourceBar>, Vec<f32>, Vec<f32>) {
+    let vjp = if small::convolves(extent) { small::convolve_vjp } else { convolution::convolve_vjp };
+    vjp(level, sources, extent, weight, output_bar, wanted)
+}
+
+/// Output `[batch, bias.len(), 2 rows, 2 columns]` of the transposed 2×2 convolution with stride 2; `weight` is
+/// `[in, out, 2, 2]`, `extent` that of the source.
+pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
+    let unpool = if small::unpools(extent) { small::unpool } else { unpooling::unpool };
+    unpool(level, source, extent, weight, bias)
+}
+
+/// Cotangents of [`unpool`]: of the source, the weight, the bias (empty where not wanted).
+pub(super) fn unpool_vjp(
+    level: Level,
+    source: Source,
+    extent: Extent,
+    weight: &[f32],
+    output_bar: &[f32],
+    wanted: Wanted,
+) -> (SourceBar, Vec<f32>, Vec<f32>) {
+    let vjp = if small::unpools(extent) { small::unpool_vjp } else { unpooling::unpool_vjp };
+    vjp(level, source, extent, weight, output_bar, wanted)
 }

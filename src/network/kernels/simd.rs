@@ -149,7 +149,8 @@ pub(super) struct Rows {
 
 /// One output row of `n` pixels for `O` output channels: `K × K` taps over all input channels.
 ///
-/// `weights` is `[channel][tap][O]`, `bias` `[O]`, outputs lie `plane` apart.
+/// `weights` is `[channel][tap][O]`, `bias` `[O]`, outputs lie `plane` apart. Where `bias` is null, the products are added
+/// to what the outputs hold.
 ///
 /// # Safety
 /// The scratch rows must be readable up to the next multiple of 6 vectors beyond `n` plus `K`, outputs writable for `n`.
@@ -203,9 +204,12 @@ pub(super) unsafe fn tile<S: Simd, const K: usize, const O: usize, const N: usiz
     unsafe {
         let mut sums = [[S::zero(); N]; O];
         for (o, sums) in sums.iter_mut().enumerate() {
-            let bias = S::splat(*bias.add(o));
-            for sum in sums {
-                *sum = bias;
+            for (v, sum) in sums.iter_mut().enumerate() {
+                *sum = if bias.is_null() {
+                    S::load_first(to.add(o * plane + v * S::LANES), left.saturating_sub(v * S::LANES))
+                } else {
+                    S::splat(*bias.add(o))
+                };
             }
         }
         let mut from = rows.from;
@@ -279,6 +283,32 @@ pub(super) unsafe fn correlate_tile<S: Simd, const O: usize>(
             for (t, &sum) in sums.iter().enumerate() {
                 *to.add(o * stride_o + t * stride_t) += S::sum(sum);
             }
+        }
+    }
+}
+
+/// The transpose of a square of vectors: row `r` is read at `from(r)`, column `c` goes to `to + c·stride`.
+///
+/// # Safety
+/// The processor must have the instruction set of `S`; a vector must be readable at each row, writable at each column.
+#[inline(always)]
+pub(super) unsafe fn transpose<S: Simd>(from: impl Fn(usize) -> *const f32, to: *mut f32, stride: usize) {
+    unsafe {
+        let mut rows = [S::zero(); 16];
+        for (r, row) in rows.iter_mut().enumerate().take(S::LANES) {
+            *row = S::load(from(r));
+        }
+        // Every round of interleaving rows half the square apart turns the pair (row, column) by one bit.
+        let mut rounds = 1;
+        while rounds < S::LANES {
+            let before = rows;
+            for r in 0..S::LANES / 2 {
+                (rows[2 * r], rows[2 * r + 1]) = S::zip(before[r], before[r + S::LANES / 2]);
+            }
+            rounds *= 2;
+        }
+        for (c, row) in rows.iter().enumerate().take(S::LANES) {
+            S::store(to.add(c * stride), *row);
         }
     }
 }

@@ -219,6 +219,16 @@ pub(super) fn with_scratch<R>(work: impl FnOnce(&mut [Scratch; 3]) -> R) -> R {
 #[derive(Clone, Copy)]
 pub(super) struct Shared(pub(super) *mut f32);
 
+impl Shared {
+    /// The value number `n`; a closure that calls this captures all of `self`, which threads may share.
+    ///
+    /// # Safety
+    /// The output must have more than `n` values, or `n` where nothing is written.
+    pub(super) unsafe fn at(self, n: usize) -> *mut f32 {
+        unsafe { self.0.add(n) }
+    }
+}
+
 // SAFETY: strips write disjoint rows; whoever makes one sees to that.
 unsafe impl Send for Shared {}
 // SAFETY: as above.

@@ -93,6 +93,11 @@ fn products(channels: &[usize], outputs: usize, extent: Extent, mut visit: impl 
     }
 }
 
+type Convolve = fn(Level, &[Source], Extent, &[f32], &[f32]) -> Vec<f32>;
+type ConvolveVjp = fn(Level, &[Source], Extent, &[f32], &[f32], Wanted) -> (Vec<SourceBar>, Vec<f32>, Vec<f32>);
+type Unpool = fn(Level, Source, Extent, &[f32], &[f32]) -> Vec<f32>;
+type UnpoolVjp = fn(Level, Source, Extent, &[f32], &[f32], Wanted) -> (SourceBar, Vec<f32>, Vec<f32>);
+
 #[test]
 fn convolution_and_cotangents_match_plain_loops() {
     let rng = &mut fastrand::Rng::with_seed(1);
@@ -104,6 +109,14 @@ fn convolution_and_cotangents_match_plain_loops() {
         (vec![1], 1, 3, 1, 1),
         (vec![4, 4], 9, 1, 2, 130),
         (vec![2], 11, 1, 70, 16),
+        (vec![3], 35, 2, 6, 31),
+        (vec![40, 3], 3, 1, 15, 15),
+        (vec![9], 50, 3, 1, 1),
+        (vec![512], 24, 1, 4, 4),
+        (vec![24], 512, 2, 4, 4),
+        (vec![512, 512], 9, 1, 8, 8),
+        (vec![9], 512, 1, 8, 7),
+        (vec![512], 16, 1, 16, 16),
     ];
     for level in levels() {
         for (channels, outputs, batch, rows, columns) in &cases {
@@ -130,24 +143,28 @@ fn convolution_and_cotangents_match_plain_loops() {
             let mut bias_bar = vec![0.0; *outputs];
             bar.iter().enumerate().for_each(|(i, b)| bias_bar[i / extent.plane() % outputs] += f64::from(*b));
 
-            let what = format!("{level:?} {channels:?} to {outputs}, {extent:?}");
-            soil_scratch();
-            assert_close(&convolve(level, &sources, extent, &weight, &bias), &output, &what);
-            let wanted = Wanted { inputs: true, weights: true };
-            soil_scratch();
-            let (bars, w, b) = convolve_vjp(level, &sources, extent, &weight, &bar, wanted);
-            assert_close(&w, &weight_bar, &format!("{what}: weight"));
-            assert_close(&b, &bias_bar, &format!("{what}: bias"));
-            for (s, found) in bars.iter().enumerate() {
-                let (values, slopes) = plain[s].pull(&activated_bars[s], channels[s], extent);
-                assert_close(&found.values, &values, &format!("{what}: source {s}"));
-                let expected = if s == 0 { slopes } else { vec![] };
-                assert_close(&found.slope, &expected, &format!("{what}: slopes of {s}"));
+            let wide = (convolution::convolve as Convolve, convolution::convolve_vjp as ConvolveVjp, "strips");
+            for (convolve, convolve_vjp, name) in [wide, (small::convolve, small::convolve_vjp, "lines")] {
+                let what = format!("{name} {level:?} {channels:?} to {outputs}, {extent:?}");
+                soil_scratch();
+                assert_close(&convolve(level, &sources, extent, &weight, &bias), &output, &what);
+                let wanted = |inputs, weights| Wanted { inputs, weights };
+                soil_scratch();
+                let vjp = |wanted| convolve_vjp(level, &sources, extent, &weight, &bar, wanted);
+                let (bars, w, b) = vjp(wanted(true, true));
+                assert_close(&w, &weight_bar, &format!("{what}: weight"));
+                assert_close(&b, &bias_bar, &format!("{what}: bias"));
+                for (s, found) in bars.iter().enumerate() {
+                    let (values, slopes) = plain[s].pull(&activated_bars[s], channels[s], extent);
+                    assert_close(&found.values, &values, &format!("{what}: source {s}"));
+                    let expected = if s == 0 { slopes } else { vec![] };
+                    assert_close(&found.slope, &expected, &format!("{what}: slopes of {s}"));
+                }
+                let half = vjp(wanted(false, true));
+                assert_eq!((half.1, half.0[0].values.len()), (w, 0));
+                let half = vjp(wanted(true, false));
+                assert_eq!((&half.0[0].values, half.1.len(), half.2.len()), (&bars[0].values, 0, 0));
             }
-            let half = convolve_vjp(level, &sources, extent, &weight, &bar, Wanted { inputs: false, weights: true });
-            assert_eq!((half.1, half.0[0].values.len()), (w, 0));
-            let half = convolve_vjp(level, &sources, extent, &weight, &bar, Wanted { inputs: true, weights: false });
-            assert_eq!((&half.0[0].values, half.1.len(), half.2.len()), (&bars[0].values, 0, 0));
         }
     }
 }
@@ -156,9 +173,17 @@ fn convolution_and_cotangents_match_plain_loops() {
 fn unpooling_and_cotangents_match_plain_loops() {
     let rng = &mut fastrand::Rng::with_seed(2);
     for level in levels() {
-        for (inputs, outputs, batch, rows, columns) in
-            [(8, 4, 1, 4, 16), (5, 3, 2, 7, 9), (1, 1, 1, 1, 1), (7, 6, 1, 35, 50)]
-        {
+        for (inputs, outputs, batch, rows, columns) in [
+            (8, 4, 1, 4, 16),
+            (5, 3, 2, 7, 9),
+            (1, 1, 1, 1, 1),
+            (7, 6, 1, 35, 50),
+            (3, 13, 2, 3, 31),
+            (512, 10, 1, 4, 4),
+            (11, 512, 2, 1, 1),
+            (100, 40, 1, 8, 8),
+            (50, 9, 1, 16, 17),
+        ] {
             let extent = Extent { batch, rows, columns };
             let values = draw(batch * inputs * extent.plane(), rng);
             let slope = draw(inputs, rng);
@@ -183,17 +208,25 @@ fn unpooling_and_cotangents_match_plain_loops() {
                     activated_bar[from] += f64::from(bar) * f64::from(weight[w]);
                 }
             }
-            let what = format!("{level:?} {inputs} to {outputs}, {extent:?}");
-            soil_scratch();
-            assert_close(&unpool(level, source, extent, &weight, &bias), &output, &what);
-            let wanted = Wanted { inputs: true, weights: true };
-            soil_scratch();
-            let (found, w, b) = unpool_vjp(level, source, extent, &weight, &bar, wanted);
             let (values, slopes) = plain.pull(&activated_bar, inputs, extent);
-            assert_close(&w, &weight_bar, &format!("{what}: weight"));
-            assert_close(&b, &bias_bar, &format!("{what}: bias"));
-            assert_close(&found.values, &values, &format!("{what}: source"));
-            assert_close(&found.slope, &slopes, &format!("{what}: slopes"));
+            let wide = (unpooling::unpool as Unpool, unpooling::unpool_vjp as UnpoolVjp, "strips");
+            for (unpool, unpool_vjp, name) in [wide, (small::unpool, small::unpool_vjp, "lines")] {
+                let what = format!("{name} {level:?} {inputs} to {outputs}, {extent:?}");
+                soil_scratch();
+                assert_close(&unpool(level, source, extent, &weight, &bias), &output, &what);
+                soil_scratch();
+                let vjp =
+                    |inputs, weights| unpool_vjp(level, source, extent, &weight, &bar, Wanted { inputs, weights });
+                let (found, w, b) = vjp(true, true);
+                assert_close(&w, &weight_bar, &format!("{what}: weight"));
+                assert_close(&b, &bias_bar, &format!("{what}: bias"));
+                assert_close(&found.values, &values, &format!("{what}: source"));
+                assert_close(&found.slope, &slopes, &format!("{what}: slopes"));
+                let half = vjp(false, true);
+                assert_eq!((half.1, half.0.values.len()), (w, 0));
+                let half = vjp(true, false);
+                assert_eq!((&half.0.values, half.1.len(), half.2.len()), (&found.values, 0, 0));
+            }
         }
     }
 }
@@ -236,21 +269,90 @@ fn pooling_and_cotangents_match_plain_loops() {
 #[test]
 fn results_do_not_depend_on_the_number_of_threads() {
     let rng = &mut fastrand::Rng::with_seed(4);
-    let extent = Extent { batch: 2, rows: 96, columns: 80 };
-    let values = draw(2 * 8 * extent.plane(), rng);
-    let slope = draw(8, rng);
-    let source = Source { values: &values, channels: 8, slope: Some(&slope) };
-    let (weight, bar) = (draw(16 * 8 * 9, rng), draw(2 * 16 * extent.plane(), rng));
-    let wanted = Wanted { inputs: true, weights: true };
-    for level in levels() {
-        let with = |threads| {
-            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
-            pool.install(|| {
-                let (sources, w, b) = convolve_vjp(level, &[source], extent, &weight, &bar, wanted);
-                (sources[0].values.clone(), sources[0].slope.clone(), w, b)
-            })
+    for (inputs, outputs, rows, columns) in [(8, 16, 96, 80), (100, 70, 9, 8), (40, 70, 32, 32)] {
+        let extent = Extent { batch: 2, rows, columns };
+        let values = draw(2 * inputs * extent.plane(), rng);
+        let slope = draw(inputs, rng);
+        let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
+        let (weight, bias) = (draw(outputs * inputs * 9, rng), draw(outputs, rng));
+        let bar = draw(8 * outputs * extent.plane(), rng);
+        let wanted = Wanted { inputs: true, weights: true };
+        for level in levels() {
+            let with = |threads| {
+                let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+                pool.install(|| {
+                    let ahead = convolve(level, &[source], extent, &weight, &bias);
+                    let up = unpool(level, source, extent, &weight[..4 * inputs * outputs], &bias);
+                    let (sources, w, b) =
+                        convolve_vjp(level, &[source], extent, &weight, &bar[..2 * outputs * extent.plane()], wanted);
+                    let (source, v, c) =
+                        unpool_vjp(level, source, extent, &weight[..4 * inputs * outputs], &bar, wanted);
+                    let bars = [&sources[0], &source].map(|s| (s.values.clone(), s.slope.clone()));
+                    (ahead, up, bars, [w, b, v, c])
+                })
+            };
+            assert_eq!(with(1), with(3), "{level:?}");
+        }
+    }
+}
+
+#[test]
+#[ignore = "a measurement, not a check: one thread's time of both ways to convolve, by width of the plane"]
+fn where_lines_beat_strips() {
+    let rng = &mut fastrand::Rng::with_seed(6);
+    for (inputs, outputs, side) in
+        [(512, 512, 4), (512, 512, 8), (512, 512, 16), (256, 256, 32), (128, 128, 64), (64, 64, 128), (32, 32, 256)]
+    {
+        let extent = Extent { batch: 1, rows: side, columns: side };
+        let (values, bar) = (draw(inputs * side * side, rng), draw(4 * outputs * side * side, rng));
+        let (weight, bias, slope) = (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
+        let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
+        let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a thread");
+        // The thread's own time, nanoseconds: others may use the machine too.
+        let now = || {
+            let text = std::fs::read_to_string("/proc/thread-self/schedstat").expect("Linux");
+            text.split(' ').next().and_then(|ns| ns.parse::<f64>().ok()).expect("a number")
         };
-        assert_eq!(with(1), with(3), "{level:?}");
+        // The system counts in steps of some milliseconds, so that only many runs tell.
+        let best = |run: &(dyn Fn() + Sync)| {
+            let many = || {
+                let start = now();
+                (0..20).for_each(|_| run());
+                1e-6 * (now() - start) / 20.0
+            };
+            alone.install(|| (0..3).map(|_| many()).fold(f64::INFINITY, f64::min))
+        };
+        let level = Level::detect();
+        let wide = (convolution::convolve as Convolve, convolution::convolve_vjp as ConvolveVjp);
+        let wide_up = (unpooling::unpool as Unpool, unpooling::unpool_vjp as UnpoolVjp);
+        let lines = ((small::convolve as Convolve, small::convolve_vjp as ConvolveVjp), "lines");
+        let lines_up = (small::unpool as Unpool, small::unpool_vjp as UnpoolVjp);
+        let giga = (2 * 9 * inputs * outputs * side * side) as f64 * 1e-6;
+        for (((convolve, vjp), name), (unpool, unpool_vjp)) in [((wide, "strips"), wide_up), (lines, lines_up)] {
+            let ahead = best(&|| recycle::give(convolve(level, &[source], extent, &weight, &bias)));
+            let back = |inputs, weights| {
+                let bar = &bar[..outputs * side * side];
+                best(&|| {
+                    let (bars, w, _) = vjp(level, &[source], extent, &weight, bar, Wanted { inputs, weights });
+                    bars.into_iter().for_each(|b| recycle::give(b.values));
+                    recycle::give(w);
+                })
+            };
+            let (by_input, by_weight) = (back(true, false), back(false, true));
+            let weight = &weight[..inputs * outputs * 4];
+            let up = best(&|| recycle::give(unpool(level, source, extent, weight, &bias)));
+            let wanted = Wanted { inputs: true, weights: true };
+            let up_back = best(&|| {
+                let (b, w, _) = unpool_vjp(level, source, extent, weight, &bar, wanted);
+                recycle::give(b.values);
+                recycle::give(w);
+            });
+            let rate = |ms: f64| format!("{ms:.2} ms ({:.0} GFLOP/s)", giga / ms);
+            let (ahead, by_input, by_weight) = (rate(ahead), rate(by_input), rate(by_weight));
+            eprintln!(
+                "{inputs} to {outputs} at {side}, {name}: forward {ahead}, input {by_input}, weight {by_weight}; up {up:.2} ms, back {up_back:.2} ms"
+            );
+        }
     }
 }
 

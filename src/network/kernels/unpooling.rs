@@ -54,7 +54,7 @@ unsafe fn product_row<S: Simd>(
 }
 
 /// Output `[batch, bias.len(), 2 rows, 2 columns]`; `weight` is `[in, out, 2, 2]`, `extent` that of the source.
-pub(in super::super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
+pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let products = bias.len() * TAPS;
     assert_eq!(weight.len(), source.channels * products);
     let packed = pack(products, source.channels, block(level), |m, k| weight[k * products + m]);
@@ -126,7 +126,7 @@ impl Kernel for Forward<'_> {
 }
 
 /// Cotangents of [`unpool`]: of the source, the weight, the bias (empty where not wanted).
-pub(in super::super) fn unpool_vjp(
+pub(super) fn unpool_vjp(
     level: Level,
     source: Source,
     extent: Extent,
