@@ -11,6 +11,8 @@ mod check;
 mod demo;
 #[cfg(feature = "train")]
 mod design;
+#[cfg(feature = "train")]
+mod evaluate;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod export;
 mod input;
@@ -69,6 +71,12 @@ enum Command {
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
+    /// PSNR and SSIM of a run by field and depth
+    #[cfg(feature = "train")]
+    Evaluate(evaluate::Args),
+    /// PSNR and SSIM of a run by field and depth (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Evaluate(missing::Args),
     /// ONNX model and calibration of a run, for the camera
     #[cfg(all(feature = "train", feature = "deploy"))]
     Export(export::Args),
@@ -88,8 +96,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Capture(args) => capture::run(&args, out),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Evaluate(args) => evaluate::run(&args, out),
         #[cfg(not(feature = "train"))]
-        Command::Demo(_) | Command::Design(_) | Command::Export(_) => missing::feature("train"),
+        Command::Demo(_) | Command::Design(_) | Command::Evaluate(_) | Command::Export(_) => missing::feature("train"),
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),
         #[cfg(all(feature = "train", feature = "deploy"))]
