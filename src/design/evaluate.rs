@@ -227,9 +227,18 @@ fn column(by_zone: &[Vec<[f64; 4]>], i: usize, f: usize) -> Vec<f64> {
 }
 
 fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[f64; 4]]) -> Row {
-    let figure = |f: usize| Figure::of(&values.iter().map(|v| v[f]).collect::<Vec<f64>>());
-    let closeness = |f: usize| Closeness { psnr_db: figure(f), ssim: figure(f + 1) };
-    Row { depth_mm, zone, field, patches: values.len(), patch_px, capture: closeness(0), reconstruction: closeness(2) }
+    let figure = |of: &dyn Fn(&[f64; 4]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
+    let closeness = |f: usize| Closeness { psnr_db: figure(&|v| v[f]), ssim: figure(&|v| v[f + 1]) };
+    Row {
+        depth_mm,
+        zone,
+        field,
+        patches: values.len(),
+        patch_px,
+        capture: closeness(0),
+        reconstruction: closeness(2),
+        gain_db: figure(&|v| v[2] - v[0]),
+    }
 }
 
 #[expect(clippy::cast_precision_loss, reason = "zone counts")]

@@ -64,6 +64,8 @@ pub struct Row {
     pub capture: Closeness,
     /// The network's output against the truth.
     pub reconstruction: Closeness,
+    /// PSNR that the network adds, dB; its error is that of the differences, which vary less than the pictures.
+    pub gain_db: Figure,
 }
 
 /// What a run was judged on, and the outcome.
@@ -92,17 +94,17 @@ pub struct Evaluation {
 impl Evaluation {
     /// The rows as a table.
     pub fn table(&self) -> Table {
-        let head = ["depth mm", "field", "patches", "capture dB", "network dB", "gain", "capture SSIM", "network SSIM"];
+        let head =
+            ["depth mm", "field", "patches", "capture dB", "network dB", "gain dB", "capture SSIM", "network SSIM"];
         let mut table = Table::new(head);
         for r in &self.rows {
-            let gain = r.reconstruction.psnr_db.mean - r.capture.psnr_db.mean;
             table.row([
                 significant(r.depth_mm, 6),
                 if r.zone == 0 { "mean".into() } else { format!("{:.2}–{:.2}", r.field[0], r.field[1]) },
                 r.patches.to_string(),
                 r.capture.psnr_db.text(2),
                 r.reconstruction.psnr_db.text(2),
-                if gain.is_nan() { "–".into() } else { format!("{gain:+.2}") },
+                if r.gain_db.mean.is_nan() { "–".into() } else { r.gain_db.text(2) },
                 r.capture.ssim.text(4),
                 r.reconstruction.ssim.text(4),
             ]);
@@ -116,11 +118,12 @@ impl Evaluation {
         for of in ["capture", "reconstruction"] {
             let _ = write!(out, ",{of}_psnr_db,{of}_psnr_db_error,{of}_ssim,{of}_ssim_error");
         }
-        out.push('\n');
+        out.push_str(",gain_db,gain_db_error\n");
         for r in &self.rows {
             let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
             let _ = write!(out, ",{},{}", r.patches, r.patch_px);
-            for f in [r.capture.psnr_db, r.capture.ssim, r.reconstruction.psnr_db, r.reconstruction.ssim] {
+            let (a, b) = (r.capture, r.reconstruction);
+            for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db] {
                 let error = if f.standard_error.is_nan() { String::new() } else { f.standard_error.to_string() };
                 let _ = write!(out, ",{},{error}", f.mean);
             }
@@ -183,6 +186,7 @@ mod tests {
             patch_px: 256,
             capture: closeness(psnr, error),
             reconstruction: closeness(psnr + 2.5, error),
+            gain_db: Figure { mean: 2.5, standard_error: 0.13 },
         };
         Evaluation {
             schema: 1,
@@ -215,15 +219,18 @@ mod tests {
     fn table_csv_and_json_say_the_same() {
         let e = evaluation();
         let table = e.table().to_string();
-        for text in ["25.00 ± 0.25", "27.50 ± 0.25", "+2.50", "0.50–1.00", "mean", "inf"] {
+        for text in ["25.00 ± 0.25", "27.50 ± 0.25", "2.50 ± 0.13", "0.50–1.00", "mean", "inf"] {
             assert!(table.contains(text), "{text}: {table}");
         }
         let csv = e.csv();
         let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
-        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 14), "{csv}");
+        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 16), "{csv}");
         assert_eq!(
             lines[1],
-            ["500", "1", "0", "0.5", "3", "256", "25", "0.25", "0.5", "0.005", "27.5", "0.25", "0.55", "0.005"]
+            [
+                "500", "1", "0", "0.5", "3", "256", "25", "0.25", "0.5", "0.005", "27.5", "0.25", "0.55", "0.005",
+                "2.5", "0.13"
+            ]
         );
         assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));
         let json = e.json();

@@ -430,7 +430,7 @@ fn evaluate_judges_a_run_by_field_and_depth() {
         }
     }
     let csv = std::fs::read_to_string(place.path("a.csv")).expect("written");
-    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(14)), "{csv}");
+    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(16)), "{csv}");
     assert!(std::fs::read_to_string(place.path("a.svg")).expect("written").contains("800 mm"));
     let sheet = place.path("sheets").join("depth-800mm-field-2.png");
     let sheet = isoplanat::imaging::files::read_linear(&sheet).expect("a picture");
