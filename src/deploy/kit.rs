@@ -70,7 +70,7 @@ pub struct ModelEntry {
     pub file: String,
     /// SHA-256 (hex) of that file.
     pub sha256: String,
-    /// Side of a tile, pixels.
+    /// Largest side of a tile, pixels.
     pub tile_px: usize,
     /// Pixels thrown away on each side of a tile; at least the network's receptive radius.
     pub overlap_px: usize,
@@ -103,6 +103,36 @@ struct DistortionTable {
     residual_mm: f64,
 }
 
+/// Smallest tile that is chosen, pixels.
+const SMALLEST_TILE: usize = 320;
+
+/// Memory that a tile's features should stay within, bytes.
+const TILE_BYTES: usize = 1 << 30;
+
+/// Feature maps of the finest scale that ONNX Runtime holds at a time, measured (6.1): a skip, what is lifted beside it, both
+/// side by side, a convolution's output, and the coarser scales.
+const MAPS: usize = 6;
+
+/// A side for the tiles of a network on pictures of `frame`: four overlaps, so that half a side is kept, but at least 320
+/// pixels; down to three overlaps where a tile's features would exceed a GiB.
+pub fn tile_px(card: &ModelCard, frame: &Frame) -> Result<usize> {
+    let overlap = overlap_px(card);
+    let mut tile = (4 * overlap).max(SMALLEST_TILE).next_multiple_of(card.multiple);
+    let bytes = |tile: usize| -> Result<usize> {
+        let [rows, columns] = Tiling::new(tile, overlap, card.multiple)?.shape(frame.rows, frame.columns);
+        Ok(rows * columns * card.base_width * MAPS * size_of::<f32>())
+    };
+    while tile >= 3 * overlap + card.multiple && tile > SMALLEST_TILE && bytes(tile)? > TILE_BYTES {
+        tile -= card.multiple;
+    }
+    Ok(tile)
+}
+
+/// Pixels that tiles of the card's network throw away on each side.
+fn overlap_px(card: &ModelCard) -> usize {
+    card.receptive_radius_px.next_multiple_of(card.multiple)
+}
+
 impl Kit {
     /// Puts a kit together from its parts; `model` is the ONNX file.
     ///
@@ -124,7 +154,7 @@ impl Kit {
             file: "model.onnx".into(),
             sha256: sha256_hex(&model),
             tile_px,
-            overlap_px: card.receptive_radius_px.next_multiple_of(card.multiple),
+            overlap_px: overlap_px(&card),
             multiple: card.multiple,
         };
         let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
@@ -339,6 +369,27 @@ pub(crate) mod tests {
         std::fs::create_dir(&other).expect("creates");
         assert!(matches!(kit.save(&other, true), Err(Error::Exists(_))), "a folder that is no kit stays");
         assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 2, "nothing half-written is left");
+    }
+
+    /// Every network a run can have gets tiles that keep something, on small frames and large ones, within memory.
+    #[test]
+    fn tiles_follow_the_network_and_the_frame() {
+        let tile = |width: usize, scales: usize, columns: usize, rows: usize| {
+            let card = ModelCard::for_unet("x", width, scales);
+            let frame = Frame::centred(columns, rows, 0.006).expect("valid");
+            let tile = tile_px(&card, &frame).expect("fits");
+            let tiling = Tiling::new(tile, overlap_px(&card), card.multiple).expect("keeps something");
+            assert!(tiling.efficiency() >= 0.1 && tile >= 3 * card.receptive_radius_px, "{width} {scales}: {tile}");
+            tile
+        };
+        assert_eq!((tile(16, 3, 6000, 4000), tile(32, 3, 960, 640)), (320, 320));
+        // Four times 448; a large frame of a wide network has to do with less.
+        assert_eq!((tile(32, 7, 4096, 512), tile(16, 7, 6000, 4000)), (1792, 1664));
+        assert_eq!(tile(32, 7, 6000, 4000), 1344);
+        for scales in 1..=7 {
+            tile(128, scales, 6000, 4000);
+            tile(1, scales, 1, 1);
+        }
     }
 
     #[test]

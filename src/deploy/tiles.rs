@@ -1,8 +1,9 @@
-//! A picture through the network in overlapping tiles: fixed memory, and the same result as in one piece.
+//! A picture through the network in overlapping tiles: bounded memory, and the same result as in one piece.
 //!
-//! The picture is mirrored outwards at its border. A tile's outer `overlap` pixels are thrown away, so that each pixel
-//! kept has all it depends on within its tile; tiles start at multiples of the network's pooling step, so that its
-//! coarse rasters lie alike in all of them.
+//! The picture is mirrored outwards at its border, by the overlap but at most [`BORDER`] pixels, and to the network's next
+//! multiple. A tile's outer `overlap` pixels are thrown away where another tile has them, so that each pixel kept has all it
+//! depends on within its tile; all tiles of a picture have one shape and start at multiples of the network's pooling step, so
+//! that its coarse rasters lie alike in all of them. A picture smaller than a tile is one smaller tile.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -12,16 +13,29 @@ use ndarray::{Array3, Array4, ArrayView3, ArrayView4, s};
 
 use crate::error::{Error, Result};
 
+/// Most pixels a picture is mirrored outwards by: beyond, a network sees zeros as it did beyond its training patches.
+pub const BORDER: usize = 64;
+
 /// Size of the tiles, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Tiling {
     tile: usize,
     overlap: usize,
     core: usize,
+    multiple: usize,
+}
+
+/// One tile along one axis, in rows or columns of the continued picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Span {
+    /// Where the tile starts.
+    start: usize,
+    /// What is kept of it: from, to.
+    kept: [usize; 2],
 }
 
 impl Tiling {
-    /// Tiles of `tile × tile` pixels that throw `overlap` pixels away on each side; sizes and starts are multiples of
+    /// Tiles of at most `tile × tile` pixels that throw `overlap` pixels away on each side; sizes and starts are multiples of
     /// `multiple`. The overlap should be the network's receptive radius.
     ///
     /// # Errors
@@ -39,7 +53,7 @@ impl Tiling {
             let found = format!("{overlap} of a tile of {tile}");
             return Err(Error::bad("", "overlap_px", found, "less than half a tile, with a multiple left between"));
         }
-        Ok(Self { tile, overlap, core })
+        Ok(Self { tile, overlap, core, multiple })
     }
 
     /// Side of a tile.
@@ -47,18 +61,53 @@ impl Tiling {
         self.tile
     }
 
+    /// Rows and columns of every tile of a picture of `rows × columns`.
+    pub fn shape(self, rows: usize, columns: usize) -> [usize; 2] {
+        [rows, columns].map(|n| self.continued(n).min(self.tile))
+    }
+
     /// Number of tiles for a picture of `rows × columns`.
     pub fn count(self, rows: usize, columns: usize) -> usize {
-        rows.div_ceil(self.core) * columns.div_ceil(self.core)
+        self.spans(rows).len() * self.spans(columns).len()
     }
 
     /// Share of the network's work that is kept, for a large picture.
     pub fn efficiency(self) -> f64 {
         (self.core as f64 / self.tile as f64).powi(2)
     }
+
+    /// Pixels the picture is mirrored by before its first row and column.
+    fn border(self) -> usize {
+        self.overlap.min(BORDER.next_multiple_of(self.multiple))
+    }
+
+    /// Length of the continued picture along an axis of `n` pixels.
+    fn continued(self, n: usize) -> usize {
+        (n + 2 * self.border()).next_multiple_of(self.multiple)
+    }
+
+    /// The tiles along an axis of `n` pixels; what they keep covers the picture once.
+    fn spans(self, n: usize) -> Vec<Span> {
+        let (all, first) = (self.continued(n), self.border());
+        let side = all.min(self.tile);
+        let (mut spans, mut from) = (Vec::new(), first);
+        for start in (0..).step_by(self.core).map(|s| s.min(all - side)) {
+            let last = start + side == all;
+            let to = if last { first + n } else { (start + side - self.overlap).min(first + n) };
+            if to > from {
+                spans.push(Span { start, kept: [from, to] });
+                from = to;
+            }
+            if last || from == first + n {
+                break;
+            }
+        }
+        spans
+    }
 }
 
-/// Runs `image` (`[3, row, col]`) through `network`, which maps `[1, 3, tile, tile]` to the same shape.
+/// Runs `image` (`[3, row, col]`) through `network`, which maps `[1, 3, rows, columns]` of [`Tiling::shape`] to the same
+/// shape.
 ///
 /// At most `parallel` tiles are in work at a time. `progress(done, all)` is called after each.
 ///
@@ -71,23 +120,25 @@ pub fn run(
     network: &(dyn Fn(ArrayView4<'_, f32>) -> Result<Array4<f32>> + Sync),
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Array3<f32>> {
-    let (channels, rows, columns) = image.dim();
-    let starts = |n: usize| (0..n).step_by(tiling.core);
-    let places: Vec<(usize, usize)> = starts(rows).flat_map(|r| starts(columns).map(move |c| (r, c))).collect();
-    let out = Mutex::new(Array3::zeros((channels, rows, columns)));
+    let (_, rows, columns) = image.dim();
+    let across = tiling.spans(columns);
+    let places: Vec<(Span, Span)> =
+        tiling.spans(rows).into_iter().flat_map(|r| across.iter().map(move |c| (r, *c))).collect();
+    let border = tiling.border();
+    let out = Mutex::new(Array3::zeros(image.raw_dim()));
     let done = AtomicUsize::new(0);
-    let one = |&(row, column): &(usize, usize)| -> Result<()> {
-        let input = cut(image, tiling, row, column);
+    let one = |&(row, column): &(Span, Span)| -> Result<()> {
+        let input = cut(image, tiling, row.start, column.start);
         let output = network(input.view())?;
         if output.dim() != input.dim() {
             let found = format!("an output of {:?} for an input of {:?}", output.dim(), input.dim());
             return Err(Error::bad("", "network", found, "the same shape"));
         }
-        let (height, width) = ((rows - row).min(tiling.core), (columns - column).min(tiling.core));
-        let kept =
-            output.slice(s![0, .., tiling.overlap..tiling.overlap + height, tiling.overlap..tiling.overlap + width]);
+        let within = |span: Span| span.kept[0] - span.start..span.kept[1] - span.start;
+        let target = |span: Span| span.kept[0] - border..span.kept[1] - border;
+        let kept = output.slice(s![0, .., within(row), within(column)]);
         let mut out = out.lock().map_err(|_| Error::Internal("a tile's worker failed".into()))?;
-        out.slice_mut(s![.., row..row + height, column..column + width]).assign(&kept);
+        out.slice_mut(s![.., target(row), target(column)]).assign(&kept);
         drop(out);
         progress(done.fetch_add(1, Ordering::Relaxed) + 1, places.len());
         Ok(())
@@ -102,16 +153,18 @@ pub fn run(
     out.into_inner().map_err(|_| Error::Internal("a tile's worker failed".into()))
 }
 
-/// The tile whose kept part starts at `row`, `column`, mirrored where it leaves the picture.
+/// The tile that starts at `row`, `column` of the continued picture.
 fn cut(image: ArrayView3<'_, f32>, tiling: Tiling, row: usize, column: usize) -> Array4<f32> {
     let (channels, rows, columns) = image.dim();
-    let sources = |start: usize, n: usize| -> Vec<usize> {
-        (0..tiling.tile).map(|k| mirrored(start as i64 + k as i64 - tiling.overlap as i64, n)).collect()
+    let [height, width] = tiling.shape(rows, columns);
+    let border = tiling.border() as i64;
+    let sources = |start: usize, side: usize, n: usize| -> Vec<usize> {
+        (0..side).map(|k| mirrored((start + k) as i64 - border, n)).collect()
     };
-    let (across, down) = (sources(column, columns), sources(row, rows));
+    let (across, down) = (sources(column, width, columns), sources(row, height, rows));
     // Most tiles lie within the picture's columns: their rows are copied as they are.
-    let straight = across.windows(2).all(|w| w[1] == w[0] + 1).then(|| across[0]..across[0] + tiling.tile);
-    let mut tile = Array4::zeros((1, channels, tiling.tile, tiling.tile));
+    let straight = across.windows(2).all(|w| w[1] == w[0] + 1).then(|| across[0]..across[0] + width);
+    let mut tile = Array4::zeros((1, channels, height, width));
     for c in 0..channels {
         for (i, &r) in down.iter().enumerate() {
             let line = image.slice(s![c, r, ..]);
@@ -199,6 +252,34 @@ mod tests {
         };
         let worst = (&through(96) - &through(192)).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
         assert!(worst <= 1e-6, "{worst}");
+    }
+
+    /// Along an axis: one shape, starts at multiples, kept parts that cover the picture once and stand clear of every edge
+    /// that is not the continued picture's own.
+    #[test]
+    fn spans_cover_the_picture_once_and_stand_clear_of_the_edges() {
+        for (tile, overlap, multiple) in
+            [(32, 4, 4), (96, 24, 4), (1344, 448, 64), (960, 448, 64), (64, 31, 2), (8, 2, 1)]
+        {
+            let tiling = Tiling::new(tile, overlap, multiple).expect("valid");
+            for n in [1, 2, 5, 63, 64, 65, 447, 512, 1279, 1280, 1281, 3000] {
+                let (all, border, spans) = (tiling.continued(n), tiling.border(), tiling.spans(n));
+                let side = all.min(tile);
+                assert!(all.is_multiple_of(multiple) && all >= n + 2 * border && border <= overlap);
+                let mut from = border;
+                for span in &spans {
+                    let [a, b] = span.kept;
+                    assert!(a == from && b > a && span.start.is_multiple_of(multiple), "{tiling:?} {n} {span:?}");
+                    assert!(span.start == 0 || a >= span.start + overlap, "{tiling:?} {n} {span:?}");
+                    let end = span.start + side;
+                    assert!(end == all || b + overlap <= end, "{tiling:?} {n} {span:?}");
+                    from = b;
+                }
+                assert_eq!(from, border + n, "{tiling:?} {n}");
+                let fewest = if all <= tile { 1 } else { (all - 2 * overlap).div_ceil(tiling.core) };
+                assert!(spans.len() <= fewest, "{tiling:?} {n}: {} tiles", spans.len());
+            }
+        }
     }
 
     #[test]

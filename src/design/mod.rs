@@ -5,10 +5,12 @@
 //! [`run`] is the loop with its folder; [`task`] is the file that asks for one. The final network for a finished lens:
 //! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop that can be killed and resumed,
 //! [`train_task`] its part of the file.
+//! [`evaluate`] judges what came out.
 
 pub mod chain;
 pub mod constraint;
 pub mod data;
+pub mod evaluate;
 pub mod joint;
 pub mod log;
 pub mod pairs;

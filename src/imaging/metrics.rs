@@ -250,6 +250,54 @@ mod tests {
         assert_abs(psnr_inside(fa.view(), fb.view(), 8).expect("fits"), 24.986_739_680_381_977, 1e-5, "inside");
     }
 
+    /// Photographs against damaged versions of themselves: the numbers of `tests/peers/ssim_skimage.py`, scikit-image's on the
+    /// same 8-bit values.
+    #[test]
+    fn scikit_image_gives_the_same_numbers_on_photographs() {
+        type Damage = fn(&Array3<i64>) -> Array3<i64>;
+        let blurred: Damage = |v| {
+            let (_, rows, cols) = v.dim();
+            Array3::from_shape_fn(v.dim(), |(k, r, c)| {
+                let at = |i: usize, j: usize| {
+                    v[[k, (r + i).saturating_sub(1).min(rows - 1), (c + j).saturating_sub(1).min(cols - 1)]]
+                };
+                ((0..9).map(|n| at(n / 3, n % 3)).sum::<i64>() + 4) / 9
+            })
+        };
+        let noisy: Damage = |v| {
+            Array3::from_shape_fn(v.dim(), |(k, r, c)| {
+                let place = (r * 7919 + c * 104_729 + k * 1_299_709 + 1) as u32;
+                let hashed = i64::from(place.wrapping_mul(2_654_435_761) >> 16);
+                (v[[k, r, c]] + hashed % 31 - 15).clamp(0, 255)
+            })
+        };
+        let coarse: Damage = |v| v.mapv(|v| v / 32 * 32 + 16);
+        let record: serde_json::Value =
+            serde_json::from_str(include_str!("../../tests/peers/ssim_skimage.json")).expect("JSON");
+        let pairs = record["pairs"].as_array().expect("pairs");
+        assert!(pairs.len() >= 5);
+        for pair in pairs {
+            let name = pair["photo"].as_str().expect("name");
+            let Some(path) = crate::testing::shared(&format!("data/photos/eval/{name}")) else { return };
+            let linear = crate::imaging::files::read_linear(&path).expect("reads");
+            let a = linear.mapv(|v| (255.0 * srgb_from_linear(f64::from(v))).round() as i64);
+            let b = match pair["damage"].as_str().expect("damage") {
+                "blurred" => blurred(&a),
+                "noisy" => noisy(&a),
+                other => {
+                    assert_eq!(other, "coarse");
+                    coarse(&a)
+                }
+            };
+            let [a, b] = [a, b].map(|v| v.mapv(|v| v as f64 / 255.0));
+            let number = |key: &str| pair[key].as_f64().expect("number");
+            assert_abs(ssim_values(a.view(), b.view()).expect("large enough"), number("ssim"), 1e-12, name);
+            let [a, b] = [a, b].map(|v| v.mapv(|v| crate::imaging::color::linear_from_srgb(v) as f32));
+            assert_abs(ssim(a.view(), b.view()).expect("large enough"), number("ssim"), 1e-6, name);
+            assert_abs(psnr(a.view(), b.view()), number("psnr_db"), 1e-5, name);
+        }
+    }
+
     #[test]
     fn equal_small_and_out_of_range_pictures() {
         let a = Array3::<f32>::from_elem((3, 11, 11), 0.4);

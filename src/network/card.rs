@@ -22,6 +22,27 @@ pub const INPUT_CONVENTION: &str = "[batch, 3, row, col] f32 linear camera RGB, 
 
 const PREFIX: &str = "isoplanat.";
 
+/// How a file stores the network's weights; the computation is in f32 either way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Weights {
+    /// 32 bits, as trained.
+    #[default]
+    F32,
+    /// 16 bits (IEEE 754 binary16), half the file; each weight is rounded to 11 significant bits.
+    F16,
+}
+
+impl Weights {
+    /// The name in a card: `f32`, `f16`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::F16 => "f16",
+        }
+    }
+}
+
 /// What a network expects and what it was trained for.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -52,6 +73,9 @@ pub struct ModelCard {
     pub input: String,
     /// No input pixel further away than this (in rows or columns) changes an output pixel: the overlap of tiles, pixels.
     pub receptive_radius_px: usize,
+    /// How the file stores the weights; a card that does not say means f32.
+    #[serde(default)]
+    pub weights: Weights,
 }
 
 impl ModelCard {
@@ -71,6 +95,7 @@ impl ModelCard {
             demosaic: DEMOSAIC.into(),
             input: INPUT_CONVENTION.into(),
             receptive_radius_px: receptive_radius_px(scales),
+            weights: Weights::F32,
         }
     }
 
@@ -90,6 +115,7 @@ impl ModelCard {
             ("demosaic", self.demosaic.clone()),
             ("input", self.input.clone()),
             ("receptive_radius_px", self.receptive_radius_px.to_string()),
+            ("weights", self.weights.name().to_owned()),
         ];
         entries.into_iter().map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
     }
@@ -121,6 +147,7 @@ impl ModelCard {
             demosaic: text(metadata, "demosaic")?,
             input: text(metadata, "input")?,
             receptive_radius_px: number(metadata, "receptive_radius_px")?,
+            weights: weights(metadata)?,
         };
         card.validate()?;
         Ok(card)
@@ -175,6 +202,16 @@ fn text(metadata: &BTreeMap<String, String>, key: &str) -> Result<String> {
     })
 }
 
+/// The only entry that may be missing: files written before it have f32.
+fn weights(metadata: &BTreeMap<String, String>) -> Result<Weights> {
+    let key = format!("{PREFIX}weights");
+    match metadata.get(&key).map(String::as_str) {
+        None | Some("f32") => Ok(Weights::F32),
+        Some("f16") => Ok(Weights::F16),
+        Some(other) => Err(Error::bad("", format!("metadata {key}"), other, "f32 or f16")),
+    }
+}
+
 fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<usize> {
     let value = text(metadata, key)?;
     value.parse().map_err(|_| Error::bad("", format!("metadata {PREFIX}{key}"), value, "a whole number"))
@@ -191,6 +228,21 @@ mod tests {
         card.lens_sha256 = sha256_hex(b"lens");
         assert_eq!(ModelCard::from_metadata(&card.to_metadata()).expect("own card"), card);
         assert_eq!((card.multiple, card.receptive_radius_px), (4, 24));
+        let full = ModelCard::for_unet("full", 32, 7);
+        assert_eq!((full.multiple, full.receptive_radius_px), (64, 444));
+    }
+
+    #[test]
+    fn a_card_that_does_not_speak_of_its_weights_means_f32() {
+        let mut card = ModelCard::for_unet("x", 16, 3);
+        card.weights = Weights::F16;
+        let mut metadata = card.to_metadata();
+        assert_eq!(ModelCard::from_metadata(&metadata).expect("own card").weights, Weights::F16);
+        metadata.insert("isoplanat.weights".into(), "int8".into());
+        let message = ModelCard::from_metadata(&metadata).expect_err("unknown").to_string();
+        assert!(message.contains("weights") && message.contains("int8"), "{message}");
+        metadata.remove("isoplanat.weights");
+        assert_eq!(ModelCard::from_metadata(&metadata).expect("an older card").weights, Weights::F32);
     }
 
     #[test]

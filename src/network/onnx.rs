@@ -2,7 +2,9 @@
 //! metadata.
 //!
 //! Opset 17, IR 9. Input `input` and output `output` are `[batch, 3, height, width]` f32; height and width must be multiples
-//! of the card's `multiple`. Initialisers carry the parameters' names.
+//! of the card's `multiple`. Initialisers carry the parameters' names. Where the card asks for f16 weights, initialisers are
+//! stored so, and a `Cast` behind each (`NAME.f32`) brings it back: a runtime folds them when it loads the file, and computes in
+//! f32 as before.
 
 use std::path::Path;
 
@@ -11,7 +13,9 @@ use onnx_rs::ast::{
     TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue, ValueInfo,
 };
 
-use super::card::ModelCard;
+use half::f16;
+
+use super::card::{ModelCard, Weights};
 use super::learner::Parameter;
 use super::reconstructor::Reconstructor;
 use crate::atomic::write_bytes;
@@ -22,7 +26,7 @@ const IR_VERSION: i64 = 9;
 
 /// Writes `model` with `card` in its metadata to `path`, whole or not at all.
 ///
-/// Refuses weights that are not finite, and a card of another network.
+/// Refuses weights that are not finite or, stored as f16, beyond its range; and a card of another network.
 pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()> {
     write_bytes(path, &encode(model, card)?)
 }
@@ -42,7 +46,18 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     if let Some(bad) = parameters.iter().find(|p| p.values.iter().any(|v| !v.is_finite())) {
         return Err(Error::Internal(format!("parameter {} is not finite; nothing was exported", bad.name)));
     }
-    let steps = steps(config.scales);
+    let halves = match card.weights {
+        Weights::F32 => None,
+        Weights::F16 => Some(parameters.iter().map(half_bytes).collect::<Result<Vec<_>>>()?),
+    };
+    let mut initializers: Vec<TensorProto<'_>> = parameters.iter().map(initializer).collect();
+    let mut steps = steps(config.scales);
+    if let Some(halves) = &halves {
+        for (tensor, bytes) in initializers.iter_mut().zip(halves) {
+            *tensor = TensorProto::from_raw(tensor.name(), tensor.dims().to_vec(), DataType::Float16, bytes);
+        }
+        steps = with_casts(steps, &parameters);
+    }
     let metadata = card.to_metadata();
     let encoded = Model {
         ir_version: IR_VERSION,
@@ -53,7 +68,7 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         graph: Some(Graph {
             name: "reconstruction",
             node: steps.iter().map(Operation::node).collect(),
-            initializer: parameters.iter().map(initializer).collect(),
+            initializer: initializers,
             input: vec![image("input")],
             output: vec![image("output")],
             ..Default::default()
@@ -72,6 +87,7 @@ struct Operation {
 
 #[derive(Clone, Copy)]
 enum Kind {
+    Cast,
     Convolution,
     Activation,
     Pool,
@@ -122,14 +138,12 @@ fn steps(scales: usize) -> Vec<Operation> {
 impl Operation {
     fn node(&self) -> Node<'_> {
         let (op_type, attribute) = match self.kind {
+            Kind::Cast => (OpType::Cast, vec![int("to", DataType::Float as i64)]),
             Kind::Convolution => (OpType::Conv, vec![ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])]),
             Kind::Activation => (OpType::PRelu, vec![]),
             Kind::Pool => (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
             Kind::Unpool => (OpType::ConvTranspose, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
-            Kind::Concatenation => (
-                OpType::Concat,
-                vec![Attribute { name: "axis", r#type: AttributeType::Int, i: 1, ..Default::default() }],
-            ),
+            Kind::Concatenation => (OpType::Concat, vec![int("axis", 1)]),
             Kind::Addition => (OpType::Add, vec![]),
         };
         Node {
@@ -141,6 +155,33 @@ impl Operation {
             ..Default::default()
         }
     }
+}
+
+/// A cast behind every parameter, first in the file, and `steps` that read the casts' outputs.
+fn with_casts(steps: Vec<Operation>, parameters: &[Parameter]) -> Vec<Operation> {
+    let wide = |name: &str| format!("{name}.f32");
+    let cast = |p: &Parameter| Operation { kind: Kind::Cast, name: wide(&p.name), inputs: vec![p.name.clone()] };
+    let read = |input: String| if parameters.iter().any(|p| p.name == input) { wide(&input) } else { input };
+    let steps = steps.into_iter().map(|s| Operation { inputs: s.inputs.into_iter().map(read).collect(), ..s });
+    parameters.iter().map(cast).chain(steps).collect()
+}
+
+/// A parameter's values as little-endian binary16, rounded to the nearest.
+fn half_bytes(parameter: &Parameter) -> Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(2 * parameter.values.len());
+    for value in &parameter.values {
+        let rounded = f16::from_f32(*value);
+        if !rounded.is_finite() {
+            let allowed = format!("magnitudes up to {}, the range of f16; f32 weights have no such limit", f16::MAX);
+            return Err(Error::bad("", format!("weights as f16: {}", parameter.name), value.to_string(), allowed));
+        }
+        bytes.extend(rounded.to_le_bytes());
+    }
+    Ok(bytes)
+}
+
+fn int<'a>(name: &'a str, value: i64) -> Attribute<'a> {
+    Attribute { name, r#type: AttributeType::Int, i: value, ..Default::default() }
 }
 
 fn ints<'a>(name: &'a str, values: &[i64]) -> Attribute<'a> {
@@ -231,23 +272,42 @@ mod tests {
         }
     }
 
-    /// Writes `model.onnx`, `input.bin` and `output.bin` (little-endian f32) into the folder `ISOPLANAT_ONNX_CHECK`, for
-    /// a comparison with ONNX Runtime.
+    /// The stored halves are the nearest to the weights, by arithmetic on their exponents; every operation reads the casts.
     #[test]
-    #[ignore = "writes files for an external check"]
-    fn files_for_an_external_check() {
-        let Some(folder) = std::env::var_os("ISOPLANAT_ONNX_CHECK").map(std::path::PathBuf::from) else {
-            return;
-        };
-        let (model, card) = model();
-        export(&model, &card, &folder.join("model.onnx")).expect("written");
-        let rng = &mut fastrand::Rng::with_seed(3);
-        let input = Array4::from_shape_simple_fn((2, 3, 52, 76), || rng.f32());
-        let output = model.forward(input.view()).expect("fits");
-        for (name, array) in [("input.bin", &input), ("output.bin", &output)] {
-            let bytes: Vec<u8> = array.iter().flat_map(|v| v.to_le_bytes()).collect();
-            std::fs::write(folder.join(name), bytes).expect("written");
+    fn f16_files_hold_the_nearest_halves_behind_casts() {
+        let (model, mut card) = model();
+        let whole = encode(&model, &card).expect("finite").len();
+        card.weights = Weights::F16;
+        let bytes = encode(&model, &card).expect("in range");
+        assert!(2 * bytes.len() < whole + 20_000, "{} of {whole}", bytes.len());
+        let graph = onnx_rs::parse(&bytes).expect("own file").graph.expect("there");
+        for parameter in model.parameters() {
+            let stored = graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
+            let raw = stored.as_raw().expect("raw");
+            assert_eq!((stored.data_type(), raw.len()), (DataType::Float16, 2 * parameter.values.len()));
+            for (pair, v) in raw.chunks(2).zip(&parameter.values) {
+                // 2^(e − 10) is the spacing of halves from 2^e on, 2^−24 below 2^−14.
+                let spacing = 2f64.powi((f64::from(v.abs()).log2().floor() as i32).max(-14) - 10);
+                let nearest = (f64::from(*v) / spacing).round_ties_even() * spacing;
+                let bits = u16::from_le_bytes([pair[0], pair[1]]);
+                assert_eq!(f64::from(f16::from_bits(bits)), nearest, "{v}");
+            }
+            let reads = |name: &str| graph.node.iter().filter(|n| n.input.contains(&name)).count();
+            assert_eq!(reads(&parameter.name), 1, "the cast alone");
+            assert_eq!(reads(&format!("{}.f32", parameter.name)), 1);
         }
-        model.save(&folder.join("network.safetensors")).expect("written");
+    }
+
+    #[test]
+    fn weights_beyond_f16_are_refused_by_name() {
+        let (mut model, mut card) = model();
+        model.set_parameter("output.bias", &[0.0, -65_519.0, 0.0]).expect("three");
+        card.weights = Weights::F16;
+        encode(&model, &card).expect("rounds to the largest half");
+        model.set_parameter("output.bias", &[0.0, -65_520.0, 0.0]).expect("three");
+        let message = encode(&model, &card).expect_err("too large").to_string();
+        assert!(message.contains("output.bias") && message.contains("-65520"), "{message}");
+        card.weights = Weights::F32;
+        encode(&model, &card).expect("no limit");
     }
 }

@@ -9,6 +9,7 @@ pub mod accuracy;
 pub mod atlas;
 pub mod demo;
 pub mod drawing;
+pub mod evaluation;
 pub mod field;
 pub mod health;
 pub mod html;

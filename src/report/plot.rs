@@ -23,6 +23,24 @@ pub enum Mark {
     Dots,
     /// Connected dots.
     Both,
+    /// Connected by dashes, in the colour of the series before.
+    Dashed,
+}
+
+impl Mark {
+    /// Attributes of the line, if there is one.
+    fn dashes(self) -> Option<&'static str> {
+        match self {
+            Self::Dots => None,
+            Self::Line | Self::Both => Some(""),
+            Self::Dashed => Some(" stroke-dasharray=\"5 4\""),
+        }
+    }
+
+    /// Whether points are dots.
+    fn dotted(self) -> bool {
+        matches!(self, Self::Dots | Self::Both)
+    }
 }
 
 /// Named points.
@@ -94,13 +112,12 @@ impl Plot {
         if shown.iter().all(Vec::is_empty) {
             svg.text([0.5 * (left + right), 0.5 * (top + bottom)], Anchor::Middle, 13.0, "no data");
         }
-        for (i, (series, points)) in self.series.iter().zip(&shown).enumerate() {
-            let hue = HUES[i % HUES.len()];
+        for ((series, points), hue) in self.series.iter().zip(&shown).zip(self.hues()) {
             let placed: Vec<[f64; 2]> = points.iter().map(|p| at(*p)).collect();
-            if series.mark != Mark::Dots && placed.len() > 1 {
-                svg.polyline(&placed, &format!("stroke=\"{hue}\" stroke-width=\"1.8\""));
+            if let Some(dashes) = series.mark.dashes().filter(|_| placed.len() > 1) {
+                svg.polyline(&placed, &format!("stroke=\"{hue}\" stroke-width=\"1.8\"{dashes}"));
             }
-            if series.mark != Mark::Line || placed.len() == 1 {
+            if series.mark.dotted() || placed.len() == 1 {
                 placed.iter().for_each(|p| svg.dot(*p, 3.6, hue));
             }
         }
@@ -111,21 +128,31 @@ impl Plot {
     /// Names above the area, as many as fit.
     fn legend(&self, svg: &mut Svg) {
         let mut x = FRAME[0];
-        for (i, series) in self.series.iter().enumerate().filter(|(_, s)| !s.name.is_empty()) {
+        for (series, hue) in self.series.iter().zip(self.hues()).filter(|(s, _)| !s.name.is_empty()) {
             let width = 34.0 + text_width(&series.name, 12.0);
             if x + width > WIDTH + 14.0 {
                 break;
             }
-            let (y, hue) = (40.0, HUES[i % HUES.len()]);
-            if series.mark != Mark::Dots {
-                svg.line([x, y], [x + 16.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\""));
+            let y = 40.0;
+            if let Some(dashes) = series.mark.dashes() {
+                svg.line([x, y], [x + 16.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\"{dashes}"));
             }
-            if series.mark != Mark::Line {
+            if series.mark.dotted() {
                 svg.dot([x + 8.0, y], 3.6, hue);
             }
             svg.text([x + 21.0, y + 4.0], Anchor::Start, 12.0, &series.name);
             x += width;
         }
+    }
+
+    /// Colour of each series: in order, dashed ones as the one before.
+    fn hues(&self) -> Vec<&'static str> {
+        let mut next = 0;
+        let hue = |s: &Series| {
+            next += usize::from(s.mark != Mark::Dashed || next == 0);
+            HUES[(next - 1) % HUES.len()]
+        };
+        self.series.iter().map(hue).collect()
     }
 
     /// The points that stand on both axes.
@@ -250,6 +277,15 @@ mod tests {
             }
         }
         assert!(plot(Scale::Log, Scale::Log, vec![[-1.0, 1.0]]).to_svg().contains("no data"));
+    }
+
+    #[test]
+    fn dashed_series_share_the_colour_of_the_one_before() {
+        let mut plot = plot(Scale::Linear, Scale::Linear, vec![[0.0, 1.0], [1.0, 2.0]]);
+        let mark = |mark| Series { mark, ..plot.series[0].clone() };
+        plot.series = [Mark::Dashed, Mark::Both, Mark::Dashed, Mark::Line].map(mark).to_vec();
+        assert_eq!(plot.hues(), [HUES[0], HUES[1], HUES[1], HUES[2]]);
+        assert_eq!(plot.to_svg().matches("stroke-dasharray").count(), 4, "two lines and their legends");
     }
 
     #[test]

@@ -14,9 +14,10 @@ fn read_json(text: &str) -> Value {
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
-    for command in
-        ["inspect", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "train", "export"]
-    {
+    for command in [
+        "inspect", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "train", "evaluate",
+        "export",
+    ] {
         assert!(help.contains(command), "{help}");
     }
     for command in ["inspect", "check", "trace", "psf", "render", "capture", "accuracy"] {
@@ -379,13 +380,73 @@ fn design_and_export_make_a_run_and_a_kit() {
     for file in ["kit/kit.toml", "kit/model.onnx", "run/lens.toml", "run/network.safetensors", "run/log.csv"] {
         assert!(place.path(file).is_file(), "{file}");
     }
+    // Half the bytes, and what that costs; a tile that keeps nothing is refused.
+    let said = place.run("export run -o half --f16").done();
+    assert!(said.contains("weights as f16") && said.contains("rms") && said.contains(" dB"), "{said}");
+    let size = |file: &str| std::fs::metadata(place.path(file)).expect("there").len();
+    assert!(size("half/model.onnx") < size("kit/model.onnx") * 3 / 4);
+    place.run("export run -o none --tile 48").refused(&["overlap_px", "48"]);
+    assert!(!place.path("none").exists());
+}
+
+/// A run of two steps, judged on built-in scenes and on photographs; what is refused before any work, and what stays.
+#[cfg(feature = "train")]
+#[test]
+fn evaluate_judges_a_run_by_field_and_depth() {
+    let place = Workplace::new();
+    let task = "schema = 1\nlens = \"two_element\"\nscenes = 1\nsteps = 2\npatch_px = 32\nbatch = 1\nbase_width = 4\n\
+                sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
+    place.write("task.toml", task).write("old.csv", "kept").write("old.svg", "kept");
+    std::fs::create_dir(place.path("empty")).expect("made");
+    std::fs::create_dir(place.path("photos")).expect("made");
+    place.run("design task.toml -o run").done();
+    place.run("evaluate nothing").refused(&["nothing", "task.toml"]);
+    place.run("evaluate run --photos nowhere").refused(&["nowhere"]);
+    place.run("evaluate run --photos empty").refused(&["empty", "no pictures"]);
+    place.run("evaluate run --csv old.csv").refused(&["old.csv", "--force"]);
+    place.run("evaluate run --plot old.svg").refused(&["old.svg", "--force"]);
+    place.run("evaluate run --pictures photos").refused(&["photos", "--force"]);
+    place.run("evaluate run --pictures photos --force").refused(&["photos"]);
+    place.run("evaluate run --csv none/a.csv").refused(&["none/a.csv"]);
+    for (bad, said) in [("--fields 0", "zones"), ("--patch 30", "patch"), ("--depths-mm 500,-1", "depth")] {
+        let ran = place.run(&format!("evaluate run {bad}"));
+        assert!(ran.code == 2 && ran.out.is_empty() && ran.err.contains(said), "{bad}: {ran:?}");
+    }
+    assert_eq!(std::fs::read(place.path("old.csv")).expect("there"), b"kept");
+
+    let photo = ndarray::Array3::from_shape_fn((3, 90, 120), |(k, r, c)| ((7 * k + r * c) % 23) as f32 / 23.0);
+    for name in ["a.png", "b.png"] {
+        isoplanat::imaging::files::write_png8(&place.path("photos").join(name), &photo).expect("written");
+    }
+    let command = "evaluate run --photos photos --fields 2 --depths-mm 800,1000 --patch 32 --json";
+    let ran = place.run(&format!("{command} --csv a.csv --plot a.svg --pictures sheets"));
+    let json = read_json(&ran.done());
+    let rows = json["rows"].as_array().expect("list");
+    assert_eq!((rows.len(), &json["count"], &json["context_px"]), (6, &json!(2), &json!(24)));
+    for row in rows {
+        for of in ["capture", "reconstruction"] {
+            let db = row[of]["psnr_db"]["mean"].as_f64().expect("number");
+            let ssim = row[of]["ssim"]["mean"].as_f64().expect("number");
+            assert!((5.0..60.0).contains(&db) && (-0.1..=1.0).contains(&ssim), "{row}");
+        }
+    }
+    let csv = std::fs::read_to_string(place.path("a.csv")).expect("written");
+    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(16)), "{csv}");
+    assert!(std::fs::read_to_string(place.path("a.svg")).expect("written").contains("800 mm"));
+    let sheet = place.path("sheets").join("depth-800mm-field-2.png");
+    let sheet = isoplanat::imaging::files::read_linear(&sheet).expect("a picture");
+    assert_eq!(sheet.dim(), (3, 2 * 32 + 8, 3 * 32 + 16));
+    // The same numbers again; built-in scenes say so.
+    assert_eq!(read_json(&place.run(command).done()), json);
+    let ran = place.run("evaluate run --fields 1 --patch 32");
+    assert!(ran.err.contains("street scenes") && ran.out.contains("mean") && ran.code == 0, "{ran:?}");
 }
 
 #[cfg(not(feature = "train"))]
 #[test]
 fn commands_of_a_missing_feature_say_how_to_get_it() {
     let place = Workplace::new();
-    for command in ["demo --quick", "design task.toml -o run", "export run -o kit"] {
+    for command in ["demo --quick", "design task.toml -o run", "evaluate run", "export run -o kit"] {
         place.run(command).refused(&["this build lacks the feature `train`; build with --features train"]);
     }
 }

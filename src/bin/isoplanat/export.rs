@@ -1,15 +1,20 @@
 //! `isoplanat export RUN/ -o KIT/`: ONNX model and calibration of a run.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-use isoplanat::atomic;
-use isoplanat::deploy::kit::FILE;
+use isoplanat::deploy::kit::{FILE, tile_px};
+use isoplanat::deploy::session::{Options, Session};
 use isoplanat::design::task::Task;
+use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::plan::{Quality, frame_of, plan};
+use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
-use isoplanat::network::Reconstructor;
+use isoplanat::network::card::{ModelCard, Weights};
+use isoplanat::network::{Reconstructor, onnx};
+use isoplanat::{Result, atomic};
+use ndarray::{Array4, Axis};
 
 use crate::kit;
 
@@ -21,10 +26,19 @@ pub(crate) struct Args {
     /// Kit folder to write.
     #[arg(short, long)]
     output: PathBuf,
+    /// Store the weights with 16 bits: half the file; says what that costs.
+    #[arg(long)]
+    f16: bool,
+    /// Largest side of the camera's tiles, pixels; chosen by the network's size where left out.
+    #[arg(long, value_name = "PX")]
+    tile: Option<usize>,
     /// Overwrite the kit.
     #[arg(long)]
     force: bool,
 }
+
+/// Side of the built-in scene that f16 weights are judged on, pixels; a multiple of every network's.
+const JUDGED: usize = 384;
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
@@ -33,12 +47,49 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = prescription::load(&args.run.join("lens.toml"))?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
+    let name = format!("kit for {}", lens.name);
+    let mut card = kit::card(&name, &lens, &network, &sensor, task.textures()?.sha256());
+    let tile = args.tile.map_or_else(|| tile_px(&card, &frame), Ok)?;
+    let mut model = onnx::encode(&network, &card)?;
+    let cost = if args.f16 {
+        let whole = model;
+        card.weights = Weights::F16;
+        model = onnx::encode(&network, &card).map_err(|e| e.in_file(&args.run.join("network.safetensors")))?;
+        Some(cost_of_halves(&whole, &model, &card)?)
+    } else {
+        None
+    };
     let density = SpectralDensity::new(&sensor);
     let render = plan(&lens, lens.object_vergence, &frame, &density, Quality::TRAINING, None)?;
     let optics = kit::whole_frame(&lens, &render, 64)?;
-    let name = format!("kit for {}", lens.name);
-    let kit = kit::build(&name, &lens, &network, &sensor, &frame, &optics, task.textures()?.sha256(), 320)?;
+    let kit = kit::around(model, &card, &lens, &sensor, &frame, &optics, tile)?;
     kit.save(&args.output, args.force)?;
     writeln!(out, "{}: model for lens {}", args.output.display(), &lens.sha256()[..12])?;
+    if let Some(cost) = cost {
+        writeln!(out, "{cost}")?;
+    }
     Ok(())
+}
+
+/// Sizes of the two files, and how far their outputs differ on a built-in scene, both as the camera would run them.
+fn cost_of_halves(whole: &[u8], halves: &[u8], card: &ModelCard) -> Result<String> {
+    let picture = generate(SceneKind::Facades, 16, JUDGED, JUDGED).insert_axis(Axis(0));
+    let output = |model: &[u8]| -> Result<Array4<f32>> {
+        Session::open(model, Path::new("model.onnx"), &Options::default())?.run(picture.view())
+    };
+    let difference = output(halves)? - output(whole)?;
+    let largest = difference.iter().fold(0f32, |m, v| m.max(v.abs()));
+    #[expect(clippy::cast_precision_loss, reason = "a mean")]
+    let mean_square = difference.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / difference.len() as f64;
+    #[expect(clippy::cast_precision_loss, reason = "bytes for a reader")]
+    let kib = |bytes: &[u8]| bytes.len() as f64 / 1024.0;
+    Ok(format!(
+        "weights as {}: {:.1} KiB instead of {:.1}; on a built-in scene the output differs from f32 weights' by {:.1e} rms and \
+         {largest:.1e} at most (white is 1): {:.1} dB",
+        card.weights.name(),
+        kib(halves),
+        kib(whole),
+        mean_square.sqrt(),
+        decibel(mean_square)
+    ))
 }

@@ -11,6 +11,8 @@ mod check;
 mod demo;
 #[cfg(feature = "train")]
 mod design;
+#[cfg(feature = "train")]
+mod evaluate;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod export;
 mod input;
@@ -77,6 +79,12 @@ enum Command {
     /// The final network for a finished lens (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Train(missing::Args),
+    /// PSNR and SSIM of a run by field and depth
+    #[cfg(feature = "train")]
+    Evaluate(evaluate::Args),
+    /// PSNR and SSIM of a run by field and depth (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Evaluate(missing::Args),
     /// ONNX model and calibration of a run, for the camera
     #[cfg(all(feature = "train", feature = "deploy"))]
     Export(export::Args),
@@ -98,8 +106,12 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Design(args) => design::run(&args, out),
         #[cfg(feature = "train")]
         Command::Train(args) => train::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Evaluate(args) => evaluate::run(&args, out),
         #[cfg(not(feature = "train"))]
-        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Export(_) => missing::feature("train"),
+        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Evaluate(_) | Command::Export(_) => {
+            missing::feature("train")
+        }
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),
         #[cfg(all(feature = "train", feature = "deploy"))]

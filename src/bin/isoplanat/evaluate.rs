@@ -1,0 +1,140 @@
+//! `isoplanat evaluate RUN/`: PSNR and SSIM of a run over field and depth.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use isoplanat::design::evaluate::{Pictures, QUALITY, Settings, Sheet, evaluate};
+use isoplanat::design::task::Task;
+use isoplanat::imaging::files::write_png8;
+use isoplanat::imaging::scene::photos::Photos;
+use isoplanat::lens::prescription;
+use isoplanat::network::Reconstructor;
+use isoplanat::report::table::significant;
+use isoplanat::{Error, Result, atomic};
+
+use crate::output;
+use crate::progress::Bar;
+
+/// Built-in scenes without `--photos`.
+const SCENES: usize = 8;
+
+/// The file that makes a folder one of sheets.
+const MARKER: &str = "sheets.txt";
+
+/// PSNR and SSIM of capture and reconstruction by field and depth, on pictures the run was not trained on.
+///
+/// Both are compared with the ideal picture as seen: sRGB-encoded, range 1. A margin of the network's receptive radius (at most
+/// 64 pixels) around each patch is captured and restored with it and then cut off, so that no patch has a border.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Run folder: task.toml, lens.toml, network.safetensors.
+    run: PathBuf,
+    /// Folder of photographs; built-in street scenes where left out.
+    #[arg(long, value_name = "DIR")]
+    photos: Option<PathBuf>,
+    /// Zones of equal width in image height, axis to corner.
+    #[arg(long, default_value_t = 5)]
+    fields: usize,
+    /// Distances of the scene, comma-separated (`inf` allowed); the lens's own where left out.
+    #[arg(long, value_delimiter = ',', value_name = "MM,…")]
+    depths_mm: Vec<f64>,
+    /// Side of a patch, pixels; a zone too narrow gets half of it.
+    #[arg(long, default_value_t = 256, value_name = "PX")]
+    patch: usize,
+    /// Seed of places and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Rows to write as comma-separated values.
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    /// Results as JSON.
+    #[arg(long)]
+    json: bool,
+    /// Plot to write: PSNR over the field.
+    #[arg(long, value_name = "OUT.svg")]
+    plot: Option<PathBuf>,
+    /// Folder for sheets, one a zone and depth: truth, capture and reconstruction of the first four pictures.
+    #[arg(long, value_name = "DIR")]
+    pictures: Option<PathBuf>,
+    /// Overwrite files, and a folder of sheets.
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    for path in [&args.csv, &args.plot].into_iter().flatten() {
+        output::check_writable(path, args.force)?;
+    }
+    if let Some(folder) = &args.pictures {
+        atomic::check_folder(folder, MARKER, args.force)?;
+    }
+    let task = Task::load(&args.run.join("task.toml"))?;
+    let lens = prescription::load(&args.run.join("lens.toml"))?;
+    let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
+    let pictures = match &args.photos {
+        Some(folder) => Pictures::Photos(Photos::open(folder)?),
+        None => Pictures::BuiltIn(SCENES),
+    };
+    let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
+    let settings = Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, quality: QUALITY };
+    if args.photos.is_none() {
+        eprintln!("no --photos: {SCENES} built-in street scenes, a family that no training uses");
+    }
+    let bar = Bar::new("captures and reconstructions");
+    let sheets = args.pictures.is_some();
+    let (result, sheets) = evaluate(&lens, &network, &task.sensor()?, &pictures, &settings, sheets, &mut |share| {
+        bar.set(share, String::new());
+    })?;
+    bar.done(String::new());
+    if let Some(path) = &args.csv {
+        output::put(&result.csv(), Some(path), out)?;
+    }
+    if let Some(path) = &args.plot {
+        output::put(&result.svg(), Some(path), out)?;
+    }
+    if let Some(folder) = &args.pictures {
+        save(folder, args.force, &sheets, &settings, &pictures)?;
+    }
+    if args.json {
+        writeln!(out, "{}", result.json())?;
+        return Ok(());
+    }
+    writeln!(out, "{}, {} {}", result.lens, result.count, result.pictures)?;
+    writeln!(out, "{}", result.table())?;
+    if let Some(smallest) = result.rows.iter().map(|r| r.patch_px).min().filter(|p| *p < args.patch) {
+        writeln!(out, "zones too narrow for patches of {} pixels have smaller ones, down to {smallest}", args.patch)?;
+    }
+    if !result.empty_zones.is_empty() {
+        let list: Vec<String> = result.empty_zones.iter().map(usize::to_string).collect();
+        writeln!(out, "no patch of the frame stands in zone {}", list.join(", "))?;
+    }
+    Ok(())
+}
+
+/// Writes the folder of sheets.
+fn save(folder: &Path, force: bool, sheets: &[Sheet], settings: &Settings, pictures: &Pictures) -> Result<()> {
+    atomic::write_folder(folder, MARKER, force, |folder| {
+        let mut text = String::from("Columns: truth, capture, reconstruction. Rows:");
+        for index in 0..pictures.len().min(4) {
+            text += &format!(" {}", pictures.name(index));
+        }
+        text.push('\n');
+        for sheet in sheets {
+            let depth = settings.depths_mm.get(sheet.depth).copied().unwrap_or(f64::NAN);
+            let name = match settings.depths_mm.len() {
+                1 => format!("field-{}.png", sheet.zone),
+                _ => format!("depth-{}mm-field-{}.png", significant(depth, 6), sheet.zone),
+            };
+            write_png8(&folder.join(&name), &sheet.image)?;
+            #[expect(clippy::cast_precision_loss, reason = "zone counts")]
+            let heights = [sheet.zone - 1, sheet.zone].map(|z| z as f64 / settings.fields as f64);
+            text +=
+                &format!("{name}: image height {:.2} to {:.2}, {} mm\n", heights[0], heights[1], significant(depth, 6));
+        }
+        atomic::write_bytes(&folder.join(MARKER), text.as_bytes()).map_err(|e| match e {
+            Error::Io { source, .. } => Error::writing(folder, source),
+            other => other,
+        })
+    })
+}

@@ -1,0 +1,451 @@
+//! How good a finished lens and its network are: PSNR and SSIM over field and depth, on pictures they were not trained on.
+//!
+//! The field is cut into zones of equal width in image height. In each zone every picture is photographed once, at a random
+//! place and at every depth, through the fast renderer, sensor and development; the network restores it; capture and
+//! reconstruction are judged against the ideal picture, both as seen ([`metrics`]). Every zone and depth shows the same part of
+//! a picture at the same scale, so that differences are the lens's.
+//!
+//! The network sees zeros beyond its input. So that a patch is restored as it would be within a whole picture, a margin of the
+//! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
+//! judging; where the margin would leave the frame it is mirrored, as in the camera.
+
+use ndarray::{Array3, Array4, ArrayView3, Axis, s};
+
+use super::chain::{Patch, forward};
+use crate::error::{Error, Result};
+use crate::imaging::distortion::Distortion;
+use crate::imaging::field_map::fit_distortion;
+use crate::imaging::frame::Frame;
+use crate::imaging::metrics::{self, SSIM_WINDOW};
+use crate::imaging::noise::{Noise, mixed};
+use crate::imaging::plan::{Quality, frame_of, plan};
+use crate::imaging::render::RenderPlan;
+use crate::imaging::scene::photos::Photos;
+use crate::imaging::scene::{SceneKind, generate};
+use crate::imaging::sensor::Sensor;
+use crate::imaging::simulate::Electronics;
+use crate::imaging::spectrum::SpectralDensity;
+use crate::imaging::warp::{Plane, Region, slope_per_mm};
+use crate::lens::Lens;
+use crate::network::Reconstructor;
+use crate::network::card::receptive_radius_px;
+use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
+
+/// Most pixels around a patch that the network sees beside it.
+pub const CONTEXT: usize = 64;
+
+/// Texels of a picture that a pixel sees at a patch's centre: enough for detail at the pixel's own limit. A picture too small
+/// for the patch is enlarged.
+const TEXELS_PER_PIXEL: f64 = 1.2;
+
+/// Rows and columns of a patch start at multiples of this, as in training.
+const STEP: usize = 4;
+
+/// About so many places are looked at in a frame.
+const PLACES: usize = 1 << 20;
+
+/// Smallest patch a zone is judged on, pixels.
+const SMALLEST: usize = 32;
+
+/// Pictures of a sheet.
+const SHEET: usize = 4;
+
+/// Gap between the pictures of a sheet, pixels.
+const GAP: usize = 8;
+
+/// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
+pub const QUALITY: Quality =
+    Quality { degree: 7, dense: 2000, wavelengths: 7, spacing: 64, outside: 1e-3, max_half_width: 200 };
+
+/// What is photographed.
+#[derive(Clone, Debug)]
+pub enum Pictures {
+    /// A folder of photographs.
+    Photos(Photos),
+    /// So many built-in street scenes, which no training uses.
+    BuiltIn(usize),
+}
+
+impl Pictures {
+    /// How many.
+    #[expect(clippy::len_without_is_empty, reason = "a folder without pictures is refused")]
+    pub fn len(&self) -> usize {
+        match self {
+            Self::Photos(photos) => photos.len(),
+            Self::BuiltIn(count) => *count,
+        }
+    }
+
+    /// Name of picture `index`.
+    pub fn name(&self, index: usize) -> String {
+        match self {
+            Self::Photos(photos) => {
+                photos.paths()[index].file_name().unwrap_or_default().to_string_lossy().into_owned()
+            }
+            Self::BuiltIn(_) => format!("{} {}", SceneKind::Facades, Self::seed(index)),
+        }
+    }
+
+    fn load(&self, index: usize) -> Result<Array3<f32>> {
+        match self {
+            Self::Photos(photos) => photos.load(index),
+            Self::BuiltIn(_) => Ok(generate(SceneKind::Facades, Self::seed(index), 640, 960)),
+        }
+    }
+
+    fn seed(index: usize) -> u64 {
+        900_000 + index as u64
+    }
+
+    /// In words.
+    fn describe(&self) -> String {
+        match self {
+            Self::Photos(photos) => {
+                let folder = photos.paths()[0].parent().unwrap_or(std::path::Path::new("."));
+                format!("photographs of {}", folder.display())
+            }
+            Self::BuiltIn(_) => format!("built-in {} scenes", SceneKind::Facades),
+        }
+    }
+}
+
+/// How to judge.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// Zones of the field, at least 1.
+    pub fields: usize,
+    /// Distances of the scene before the first vertex, mm; may be infinite.
+    pub depths_mm: Vec<f64>,
+    /// Side of a patch, pixels; a zone too narrow for it, or a smaller frame, gets half, a quarter, … of it.
+    pub patch: usize,
+    /// Seed of places and noise.
+    pub seed: u64,
+    /// How finely captures are rendered.
+    pub quality: Quality,
+}
+
+/// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
+#[derive(Clone, Debug)]
+pub struct Sheet {
+    /// Index of the depth.
+    pub depth: usize,
+    /// The zone, counted from 1.
+    pub zone: usize,
+    /// Linear RGB.
+    pub image: Array3<f32>,
+}
+
+/// Where the patches of a zone may stand: their side and their first pixels.
+#[derive(Clone, Debug)]
+struct Zone {
+    patch: usize,
+    starts: Vec<(usize, usize)>,
+}
+
+/// Judges `network` behind `lens` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
+///
+/// # Errors
+/// Settings out of range, a picture that cannot be read, a lens that cannot image its frame at a depth.
+pub fn evaluate(
+    lens: &Lens,
+    network: &Reconstructor,
+    sensor: &Sensor,
+    pictures: &Pictures,
+    settings: &Settings,
+    sheets: bool,
+    progress: &mut dyn FnMut(f64),
+) -> Result<(Evaluation, Vec<Sheet>)> {
+    let frame = frame_of(lens)?;
+    let zones = zones(&frame, settings)?;
+    let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
+    let optics = at_depths(lens, &frame, sensor, settings)?;
+    let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response };
+    let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
+    // Four figures a picture, by depth and zone.
+    let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; optics.len()];
+    let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; optics.len()];
+    let all = (pictures.len() * optics.len() * used.len()).max(1);
+    let mut done = 0;
+    for index in 0..pictures.len() {
+        let picture = pictures.load(index)?;
+        for (k, (zone, places)) in used.iter().enumerate() {
+            let seed = mixed(mixed(settings.seed, index as u64), *zone as u64);
+            let (row, col) = places.starts[fastrand::Rng::with_seed(seed).usize(0..places.starts.len())];
+            let side = places.patch;
+            let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
+            for (d, depth) in optics.iter().enumerate() {
+                let part = mixed(settings.seed, index as u64);
+                let shot = Shot { region, context, part, noise_seed: mixed(seed, 1 + d as u64) };
+                let [truth, capture, restored] = shot.take(lens, depth, &electronics, network, &picture)?;
+                let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
+                    Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
+                };
+                let ([a, b], [c, e]) = (judged(&capture)?, judged(&restored)?);
+                figures[d][k].push([a, b, c, e]);
+                if sheets && index < SHEET {
+                    strips[d][k].push(side_by_side(&[truth, capture, restored]));
+                }
+                done += 1;
+                #[expect(clippy::cast_precision_loss, reason = "a share")]
+                progress(done as f64 / all as f64);
+            }
+        }
+    }
+    let mut rows = Vec::new();
+    for (depth_mm, by_zone) in settings.depths_mm.iter().zip(&figures) {
+        for ((zone, places), values) in used.iter().zip(by_zone) {
+            let field = [*zone, zone + 1].map(|z| share(z, settings.fields));
+            rows.push(row(*depth_mm, zone + 1, field, places.patch, values));
+        }
+        // One value a picture: its mean over the zones, so that the error is that of the pictures.
+        let mean = |i: usize| std::array::from_fn(|f| Figure::of(&column(by_zone, i, f)).mean);
+        let values: Vec<[f64; 4]> = (0..pictures.len()).map(mean).collect();
+        let patch = used.iter().map(|(_, z)| z.patch).min().unwrap_or(settings.patch);
+        rows.push(Row { patches: values.len() * used.len(), ..row(*depth_mm, 0, [0.0, 1.0], patch, &values) });
+    }
+    let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
+        let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
+        zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: stacked(strips) })
+    });
+    let evaluation = Evaluation {
+        schema: 1,
+        lens: lens.name.clone(),
+        pictures: pictures.describe(),
+        count: pictures.len(),
+        empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
+        frame: [frame.columns, frame.rows],
+        context_px: context,
+        seed: settings.seed,
+        rows,
+    };
+    Ok((evaluation, sheets.collect()))
+}
+
+/// Figure `f` of picture `i` in every zone.
+fn column(by_zone: &[Vec<[f64; 4]>], i: usize, f: usize) -> Vec<f64> {
+    by_zone.iter().map(|values| values[i][f]).collect()
+}
+
+fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[f64; 4]]) -> Row {
+    let figure = |of: &dyn Fn(&[f64; 4]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
+    let closeness = |f: usize| Closeness { psnr_db: figure(&|v| v[f]), ssim: figure(&|v| v[f + 1]) };
+    Row {
+        depth_mm,
+        zone,
+        field,
+        patches: values.len(),
+        patch_px,
+        capture: closeness(0),
+        reconstruction: closeness(2),
+        gain_db: figure(&|v| v[2] - v[0]),
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "zone counts")]
+fn share(zone: usize, fields: usize) -> f64 {
+    zone as f64 / fields as f64
+}
+
+/// What a depth needs: settings of the renderer and the distortion.
+struct AtDepth {
+    vergence: f64,
+    render: RenderPlan,
+    distortion: Distortion,
+}
+
+fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -> Result<Vec<AtDepth>> {
+    let density = SpectralDensity::new(sensor);
+    let depth = |depth_mm: &f64| {
+        if depth_mm.is_nan() || *depth_mm <= 0.0 {
+            return Err(Error::bad("", "depth, mm", depth_mm.to_string(), "a positive distance, or inf"));
+        }
+        let vergence = 1.0 / depth_mm;
+        let render = plan(lens, vergence, frame, &density, settings.quality, None)?;
+        let distortion = fit_distortion(lens, vergence, render.max_slope)?;
+        Ok(AtDepth { vergence, render, distortion })
+    };
+    settings.depths_mm.iter().map(depth).collect()
+}
+
+/// The places of every zone.
+fn zones(frame: &Frame, settings: &Settings) -> Result<Vec<Zone>> {
+    let bad = |place: &str, found: usize, allowed: String| Err(Error::bad("", place, found.to_string(), allowed));
+    if !(1..=100).contains(&settings.fields) {
+        return bad("zones of the field", settings.fields, "1 to 100".into());
+    }
+    if settings.depths_mm.is_empty() {
+        return bad("depths", 0, "at least one".into());
+    }
+    if !settings.patch.is_multiple_of(STEP) || !(SMALLEST..=2048).contains(&settings.patch) {
+        return bad("patch", settings.patch, format!("a multiple of {STEP} from {SMALLEST} to 2048 pixels"));
+    }
+    let smaller = frame.rows.min(frame.columns);
+    if smaller < SSIM_WINDOW.next_multiple_of(STEP) {
+        return bad("frame", smaller, format!("at least {} pixels a side", SSIM_WINDOW.next_multiple_of(STEP)));
+    }
+    let largest = settings.patch.min(smaller / STEP * STEP);
+    let mut zones = vec![Zone { patch: largest, starts: Vec::new() }; settings.fields];
+    let mut patch = largest;
+    while zones.iter().any(|z| z.starts.is_empty()) {
+        let places = places(frame, settings.fields, patch);
+        for (zone, starts) in zones.iter_mut().zip(places).filter(|(z, _)| z.starts.is_empty()) {
+            *zone = Zone { patch, starts };
+        }
+        if patch / 2 < SMALLEST {
+            break;
+        }
+        patch = (patch / 2).next_multiple_of(STEP);
+    }
+    if zones.iter().all(|z| z.starts.is_empty()) {
+        return bad("frame", smaller, "a frame with room for a patch".into());
+    }
+    Ok(zones)
+}
+
+/// First pixels of all patches of `patch × patch` within the frame, evenly spread, by the zone of their centre.
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "raster sizes; a share of the largest radius"
+)]
+fn places(frame: &Frame, fields: usize, patch: usize) -> Vec<Vec<(usize, usize)>> {
+    let (rows, cols) = (frame.rows - patch, frame.columns - patch);
+    let coarse = ((rows / STEP + 1) * (cols / STEP + 1)).div_ceil(PLACES);
+    let step = STEP * (coarse as f64).sqrt().ceil() as usize;
+    let mut places = vec![Vec::new(); fields];
+    let corner = frame.max_radius_mm();
+    let half = patch as f64 / 2.0;
+    for row in (0..=rows).step_by(step) {
+        for col in (0..=cols).step_by(step) {
+            let height = frame.radius_mm(col as f64 + half, row as f64 + half) / corner;
+            places[((height * fields as f64) as usize).min(fields - 1)].push((row, col));
+        }
+    }
+    places
+}
+
+/// One picture at one place.
+struct Shot {
+    /// What is judged.
+    region: Region,
+    /// Pixels around it that the network sees.
+    context: usize,
+    /// Seed of the part of the picture that is shown.
+    part: u64,
+    noise_seed: u64,
+}
+
+impl Shot {
+    /// Truth, capture and reconstruction of the region.
+    fn take(
+        &self,
+        lens: &Lens,
+        depth: &AtDepth,
+        electronics: &Electronics,
+        network: &Reconstructor,
+        picture: &Array3<f32>,
+    ) -> Result<[Array3<f32>; 3]> {
+        let frame = &depth.render.frame;
+        let scene = self.scene(frame, depth, picture);
+        let seen = within(self.region.grown(self.context), frame);
+        let patch = Patch { scene, region: seen, noise_seed: self.noise_seed };
+        let done = forward::<f32>(lens, &depth.render, electronics, &patch)?;
+        let offset = |at: isize, from: isize| (at - from).unsigned_abs();
+        let at = [offset(self.region.row, seen.row), offset(self.region.col, seen.col)];
+        let cut = |a: ArrayView3<'_, f32>| {
+            a.slice(s![.., at[0]..at[0] + self.region.rows, at[1]..at[1] + self.region.cols]).to_owned()
+        };
+        let size = [self.region.rows, self.region.cols];
+        let restored = restored(network, done.developed.view(), at, size, self.context)?;
+        Ok([cut(done.truth.view()), cut(done.developed.view()), restored])
+    }
+
+    /// The picture placed so that the region's centre sees a random part of it: the same for every zone and depth.
+    #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+    fn scene(&self, frame: &Frame, depth: &AtDepth, picture: &Array3<f32>) -> Plane {
+        let mut rng = fastrand::Rng::with_seed(self.part);
+        let (_, rows, cols) = picture.dim();
+        let patch = self.region.rows as f64;
+        let texels = TEXELS_PER_PIXEL.min(rows.min(cols) as f64 / patch);
+        // Margin and context come from the picture as far as it reaches.
+        let reach = 0.5 * patch + (self.context + depth.render.margin()).min(CONTEXT) as f64;
+        let mut middle = |n: usize| {
+            let (n, half) = (n as f64, (texels * reach).min(0.5 * n as f64));
+            half + rng.f64() * (n - 2.0 * half)
+        };
+        let texel = [middle(cols), middle(rows)];
+        let centre = [
+            self.region.col as f64 + 0.5 * self.region.cols as f64 - frame.axis_px[0],
+            self.region.row as f64 + 0.5 * self.region.rows as f64 - frame.axis_px[1],
+        ];
+        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
+        let texels_per_slope = texels / (slope_per_mm(&depth.distortion, radius) * frame.pitch_mm);
+        let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
+        Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: depth.vergence }
+    }
+}
+
+/// The part of `region` inside the frame.
+fn within(region: Region, frame: &Frame) -> Region {
+    let span = |start: isize, count: usize, n: usize| {
+        let (from, to) = (start.max(0), (start + count.cast_signed()).min(n.cast_signed()));
+        (from, (to - from).max(0).unsigned_abs())
+    };
+    let (row, rows) = span(region.row, region.rows, frame.rows);
+    let (col, cols) = span(region.col, region.cols, frame.columns);
+    Region { row, col, rows, cols }
+}
+
+/// The network's output on the `size` pixels at `at` of `capture`, which it sees with `context` pixels around them, mirrored
+/// where the capture ends.
+fn restored(
+    network: &Reconstructor,
+    capture: ArrayView3<'_, f32>,
+    at: [usize; 2],
+    size: [usize; 2],
+    context: usize,
+) -> Result<Array3<f32>> {
+    let (channels, rows, cols) = capture.dim();
+    let input = Array4::from_shape_fn((1, channels, size[0] + 2 * context, size[1] + 2 * context), |(_, c, i, j)| {
+        capture[[c, mirrored(at[0] + i, context, rows), mirrored(at[1] + j, context, cols)]]
+    });
+    let output = network.forward_padded(input.view())?;
+    let inside = s![.., context..context + size[0], context..context + size[1]];
+    Ok(output.index_axis(Axis(0), 0).slice(inside).to_owned())
+}
+
+/// `index − context` folded into `0..n` by mirroring at the first and last, which are not repeated.
+fn mirrored(index: usize, context: usize, n: usize) -> usize {
+    if n <= 1 {
+        return 0;
+    }
+    let folded = index.abs_diff(context) % (2 * (n - 1));
+    folded.min(2 * (n - 1) - folded)
+}
+
+/// Pictures of one size beside each other on white.
+fn side_by_side(pictures: &[Array3<f32>]) -> Array3<f32> {
+    let (channels, rows, cols) = pictures[0].dim();
+    let width = pictures.len() * (cols + GAP) - GAP;
+    let mut out = Array3::ones((channels, rows, width));
+    for (k, picture) in pictures.iter().enumerate() {
+        let start = k * (cols + GAP);
+        out.slice_mut(s![.., .., start..start + cols]).assign(picture);
+    }
+    out
+}
+
+/// Pictures of one size below each other on white.
+fn stacked(pictures: &[Array3<f32>]) -> Array3<f32> {
+    let (channels, rows, cols) = pictures[0].dim();
+    let mut out = Array3::ones((channels, pictures.len() * (rows + GAP) - GAP, cols));
+    for (k, picture) in pictures.iter().enumerate() {
+        let start = k * (rows + GAP);
+        out.slice_mut(s![.., start..start + rows, ..]).assign(picture);
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests;

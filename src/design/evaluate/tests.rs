@@ -1,0 +1,123 @@
+use super::*;
+use crate::design::task::{Task, TaskSensor};
+use crate::network::UnetConfig;
+
+fn settings(fields: usize, patch: usize) -> Settings {
+    Settings { fields, depths_mm: vec![1000.0], patch, seed: 3, quality: Quality::DESIGN }
+}
+
+fn lens() -> Lens {
+    let sensor = Some(TaskSensor { columns: 240, rows: 160, pitch_um: 80.0, axis_px: Some([0.0, 0.0]) });
+    Task { sensor, ..Task::demo() }.lens().expect("valid")
+}
+
+/// A network whose last layer is nought returns its input.
+fn identity(scales: usize) -> Reconstructor {
+    let mut net = Reconstructor::new(UnetConfig { base_width: 2, scales }, 1).expect("valid");
+    net.set_parameter("output.weight", &[0.0; 3 * 2 * 9]).expect("as many");
+    net.set_parameter("output.bias", &[0.0; 3]).expect("as many");
+    net
+}
+
+/// Of frames of all kinds: every patch lies in the frame, its centre in its zone; every place belongs to one zone; a zone has
+/// smaller patches only where it has room for none of the size asked for.
+#[test]
+fn zones_share_the_places_of_the_frame() {
+    for (columns, rows, axis) in
+        [(640, 480, [320.0, 240.0]), (960, 640, [0.0, 0.0]), (4096, 512, [0.0, 512.0]), (480, 320, [0.0, 0.0])]
+    {
+        let frame = Frame::centred(columns, rows, 0.01).and_then(|f| f.with_axis(axis)).expect("valid");
+        let corner =
+            [0.0, 1.0].map(|x| [0.0, 1.0].map(|y| (x * columns as f64 - axis[0]).hypot(y * rows as f64 - axis[1])));
+        let corner = corner.as_flattened().iter().fold(0f64, |m, v| m.max(*v));
+        let zones = zones(&frame, &settings(5, 256)).expect("room");
+        for (z, zone) in zones.iter().enumerate() {
+            assert!(!zone.starts.is_empty(), "{columns} × {rows}: zone {z}");
+            for (row, col) in &zone.starts {
+                assert!(row + zone.patch <= rows && col + zone.patch <= columns && row % 4 == 0 && col % 4 == 0);
+                let half = zone.patch as f64 / 2.0;
+                let height = (*col as f64 + half - axis[0]).hypot(*row as f64 + half - axis[1]) / corner;
+                assert!(height >= z as f64 / 5.0 - 1e-12 && height <= (z + 1) as f64 / 5.0 + 1e-12, "{z}: {height}");
+            }
+        }
+        let whole = places(&frame, 5, 256);
+        let counts: Vec<usize> = whole.iter().map(Vec::len).collect();
+        assert_eq!(counts.iter().sum::<usize>(), ((rows - 256) / 4 + 1) * ((columns - 256) / 4 + 1));
+        for (zone, count) in zones.iter().zip(counts) {
+            assert_eq!(zone.patch == 256, count > 0, "{columns} × {rows}: {zone:?}", zone = zone.patch);
+        }
+    }
+    // A frame smaller than the patch, and one with room for nothing.
+    let tiny = Frame::centred(90, 70, 0.01).expect("valid");
+    assert_eq!(zones(&tiny, &settings(2, 256)).expect("room")[0].patch, 68);
+    assert!(zones(&Frame::centred(90, 8, 0.01).expect("valid"), &settings(2, 256)).is_err());
+    for (fields, patch) in [(0, 256), (101, 256), (5, 0), (5, 30), (5, 4096)] {
+        assert!(zones(&tiny, &settings(fields, patch)).is_err(), "{fields} {patch}");
+    }
+}
+
+/// A network that changes nothing: reconstruction and capture agree to the last bit, on any number of threads, and the mean
+/// over the zones is the zones' mean.
+#[test]
+fn an_identity_restores_nothing() {
+    let (lens, sensor) = (lens(), Sensor::generic());
+    let judge = || {
+        let settings = Settings { depths_mm: vec![1000.0, 700.0], ..settings(3, 64) };
+        evaluate(&lens, &identity(3), &sensor, &Pictures::BuiltIn(2), &settings, true, &mut |_| ()).expect("judges")
+    };
+    let (result, sheets) = judge();
+    let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
+    let again = one.install(judge).0;
+    assert_eq!(result.csv(), again.csv());
+    assert_eq!((result.rows.len(), sheets.len(), result.count), (8, 6, 2));
+    for row in &result.rows {
+        assert_eq!(row.capture, row.reconstruction, "depth {} zone {}", row.depth_mm, row.zone);
+        assert_eq!(row.gain_db, Figure { mean: 0.0, standard_error: 0.0 });
+        let c = row.capture;
+        assert!((10.0..50.0).contains(&c.psnr_db.mean) && (0.05..1.0).contains(&c.ssim.mean), "{c:?}");
+        assert!(c.psnr_db.standard_error.is_finite());
+    }
+    for rows in result.rows.chunks(4) {
+        let mean = rows[..3].iter().map(|r| r.capture.psnr_db.mean).sum::<f64>() / 3.0;
+        assert!(rows[3].zone == 0 && (rows[3].capture.psnr_db.mean - mean).abs() < 1e-12);
+    }
+    // The sensor stands where the axis is sharpest for a metre; further out the field is curved towards nearer scenes.
+    assert!(result.rows[4].capture.psnr_db.mean < result.rows[0].capture.psnr_db.mean);
+    assert_eq!(sheets[0].image.dim(), (3, 2 * 64 + 8, 3 * 64 + 16));
+}
+
+/// Where the margin is the receptive radius a patch is restored as within the whole picture; at the picture's end the margin
+/// is its mirror image.
+#[test]
+fn a_patch_is_restored_as_within_the_picture() {
+    let rng = &mut fastrand::Rng::with_seed(4);
+    let net = Reconstructor::new(UnetConfig { base_width: 4, scales: 3 }, 8).expect("valid");
+    let picture = Array3::from_shape_simple_fn((3, 128, 160), || rng.f32());
+    let whole = net.forward(picture.view().insert_axis(Axis(0))).expect("fits");
+    let part = restored(&net, picture.view(), [40, 64], [32, 48], 24).expect("fits");
+    let expected = whole.slice(s![0, .., 40..72, 64..112]);
+    let worst = part.iter().zip(expected).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+    assert!(worst <= 2e-6, "{worst}");
+    let unlike = restored(&net, picture.view(), [40, 64], [32, 48], 0).expect("fits");
+    let off = unlike.iter().zip(&part).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+    assert!(off > 1e-4, "without a margin the border differs: {off}");
+    let indices: Vec<usize> = (0..12).map(|i| mirrored(i, 3, 5)).collect();
+    assert_eq!(indices, [3, 2, 1, 0, 1, 2, 3, 4, 3, 2, 1, 0]);
+}
+
+/// Truths of one picture in different zones show the same; of another part of the picture they would not.
+#[test]
+fn every_zone_shows_the_same_part_of_a_picture() {
+    let (lens, settings) = (lens(), settings(3, 64));
+    let frame = frame_of(&lens).expect("valid");
+    let depth = &at_depths(&lens, &frame, &Sensor::generic(), &settings).expect("images")[0];
+    let picture = Pictures::BuiltIn(1).load(0).expect("made");
+    let truth = |row: isize, col: isize, part: u64| {
+        let region = Region { row, col, rows: 64, cols: 64 };
+        let scene = Shot { region, context: 24, part, noise_seed: 1 }.scene(&frame, depth, &picture);
+        crate::imaging::warp::warp::<f32>(&scene, &depth.distortion, &frame, region)
+    };
+    let (a, b, other) = (truth(8, 8, 5), truth(80, 160, 5), truth(8, 8, 6));
+    let (same, unlike) = (metrics::psnr(a.view(), b.view()), metrics::psnr(a.view(), other.view()));
+    assert!(same > 20.0 && same > unlike + 6.0, "{same:.1} dB, {unlike:.1} dB");
+}

@@ -1,0 +1,249 @@
+//! PSNR and SSIM of captures and reconstructions over field and depth: rows of `isoplanat evaluate`, as table, CSV, JSON and
+//! plot.
+
+use std::fmt::Write;
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::plot::{Mark, Plot, Series};
+use super::table::{Table, significant};
+
+/// Mean over pictures and how well it is known.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Figure {
+    /// Mean.
+    pub mean: f64,
+    /// Standard error of the mean: sample deviation over √n; NaN for a single picture.
+    pub standard_error: f64,
+}
+
+impl Figure {
+    /// Mean and standard error of `values`, infinite values included; NaN where there are none.
+    #[expect(clippy::cast_precision_loss, reason = "counts of pictures")]
+    pub fn of(values: &[f64]) -> Self {
+        let n = values.len() as f64;
+        let mean = values.iter().sum::<f64>() / n;
+        let square = values.iter().map(|v| (v - mean).powi(2)).sum::<f64>();
+        Self { mean, standard_error: (square / (n - 1.0) / n).sqrt() }
+    }
+
+    /// `27.31 ± 0.42`; the mean alone where the error is not known.
+    fn text(self, places: usize) -> String {
+        if self.standard_error.is_finite() {
+            format!("{:.places$} ± {:.places$}", self.mean, self.standard_error)
+        } else {
+            format!("{:.places$}", self.mean)
+        }
+    }
+}
+
+/// How close one kind of picture is to the truth.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Closeness {
+    /// PSNR as seen (sRGB-encoded, range 1), dB.
+    pub psnr_db: Figure,
+    /// SSIM as seen.
+    pub ssim: Figure,
+}
+
+/// One zone of the field at one depth.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Distance of the scene, mm; infinite is null in JSON.
+    pub depth_mm: f64,
+    /// The zone, counted from 1 at the axis; 0 is the mean over the zones.
+    pub zone: usize,
+    /// Image heights it covers, of the frame's farthest corner's.
+    pub field: [f64; 2],
+    /// Patches judged.
+    pub patches: usize,
+    /// Their side, pixels.
+    pub patch_px: usize,
+    /// The network's input against the truth.
+    pub capture: Closeness,
+    /// The network's output against the truth.
+    pub reconstruction: Closeness,
+    /// PSNR that the network adds, dB; its error is that of the differences, which vary less than the pictures.
+    pub gain_db: Figure,
+}
+
+/// What a run was judged on, and the outcome.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Evaluation {
+    /// Version of this form.
+    pub schema: u32,
+    /// Lens.
+    pub lens: String,
+    /// What was photographed, in words.
+    pub pictures: String,
+    /// How many photographs.
+    pub count: usize,
+    /// Zones of the field that no patch of the frame stands in.
+    pub empty_zones: Vec<usize>,
+    /// Columns and rows of the frame.
+    pub frame: [usize; 2],
+    /// Pixels around a patch that the network saw and that were not judged.
+    pub context_px: usize,
+    /// Seed of places and noise.
+    pub seed: u64,
+    /// By depth, then by zone, the mean over the zones last.
+    pub rows: Vec<Row>,
+}
+
+impl Evaluation {
+    /// The rows as a table.
+    pub fn table(&self) -> Table {
+        let head =
+            ["depth mm", "field", "patches", "capture dB", "network dB", "gain dB", "capture SSIM", "network SSIM"];
+        let mut table = Table::new(head);
+        for r in &self.rows {
+            table.row([
+                significant(r.depth_mm, 6),
+                if r.zone == 0 { "mean".into() } else { format!("{:.2}–{:.2}", r.field[0], r.field[1]) },
+                r.patches.to_string(),
+                r.capture.psnr_db.text(2),
+                r.reconstruction.psnr_db.text(2),
+                if r.gain_db.mean.is_nan() { "–".into() } else { r.gain_db.text(2) },
+                r.capture.ssim.text(4),
+                r.reconstruction.ssim.text(4),
+            ]);
+        }
+        table
+    }
+
+    /// The rows as comma-separated values with a heading; a standard error that is not known stays empty.
+    pub fn csv(&self) -> String {
+        let mut out = String::from("depth_mm,zone,field_from,field_to,patches,patch_px");
+        for of in ["capture", "reconstruction"] {
+            let _ = write!(out, ",{of}_psnr_db,{of}_psnr_db_error,{of}_ssim,{of}_ssim_error");
+        }
+        out.push_str(",gain_db,gain_db_error\n");
+        for r in &self.rows {
+            let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
+            let _ = write!(out, ",{},{}", r.patches, r.patch_px);
+            let (a, b) = (r.capture, r.reconstruction);
+            for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db] {
+                let error = if f.standard_error.is_nan() { String::new() } else { f.standard_error.to_string() };
+                let _ = write!(out, ",{},{error}", f.mean);
+            }
+            out.push('\n');
+        }
+        out
+    }
+
+    /// Everything, for machines. Numbers that are not finite are null.
+    pub fn json(&self) -> Value {
+        serde_json::to_value(self).unwrap_or_else(|e| json!({ "error": e.to_string() }))
+    }
+
+    /// PSNR over the field: of each depth the reconstruction and, dashed in the same colour, the capture.
+    pub fn svg(&self) -> String {
+        let mut depths: Vec<f64> = Vec::new();
+        for r in &self.rows {
+            if !depths.contains(&r.depth_mm) {
+                depths.push(r.depth_mm);
+            }
+        }
+        let several = depths.len() > 1;
+        let mut series = Vec::new();
+        for depth in &depths {
+            let points = |value: fn(&Row) -> f64| -> Vec<[f64; 2]> {
+                let zones = self.rows.iter().filter(|r| r.depth_mm == *depth && r.zone > 0);
+                zones.map(|r| [0.5 * (r.field[0] + r.field[1]), value(r)]).collect()
+            };
+            let name = if several { format!("{} mm", significant(*depth, 4)) } else { "reconstruction".into() };
+            series.push(Series { name, points: points(|r| r.reconstruction.psnr_db.mean), mark: Mark::Both });
+            let name = if several { String::new() } else { "capture".into() };
+            series.push(Series { name, points: points(|r| r.capture.psnr_db.mean), mark: Mark::Dashed });
+        }
+        let title = if several { "PSNR over the field: reconstruction, capture dashed" } else { "PSNR over the field" };
+        Plot {
+            title: title.into(),
+            x_label: "image height, of the frame's corner".into(),
+            y_label: "PSNR as seen, dB".into(),
+            series,
+            ..Plot::default()
+        }
+        .to_svg()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn evaluation() -> Evaluation {
+        let closeness = |psnr: f64, error: f64| Closeness {
+            psnr_db: Figure { mean: psnr, standard_error: error },
+            ssim: Figure { mean: psnr / 50.0, standard_error: error / 50.0 },
+        };
+        let row = |depth_mm: f64, zone: usize, psnr: f64, error: f64| Row {
+            depth_mm,
+            zone,
+            field: if zone == 0 { [0.0, 1.0] } else { [0.5 * (zone - 1) as f64, 0.5 * zone as f64] },
+            patches: 3,
+            patch_px: 256,
+            capture: closeness(psnr, error),
+            reconstruction: closeness(psnr + 2.5, error),
+            gain_db: Figure { mean: 2.5, standard_error: 0.13 },
+        };
+        Evaluation {
+            schema: 1,
+            lens: "l".into(),
+            pictures: "p".into(),
+            count: 3,
+            empty_zones: vec![],
+            frame: [640, 480],
+            context_px: 24,
+            seed: 1,
+            rows: vec![
+                row(500.0, 1, 25.0, 0.25),
+                row(500.0, 2, 20.0, f64::NAN),
+                row(500.0, 0, 22.5, 0.5),
+                row(f64::INFINITY, 1, f64::INFINITY, f64::NAN),
+            ],
+        }
+    }
+
+    /// Deviations 1, 0, −1 from 2: sample variance 1, of the mean 1/3.
+    #[test]
+    fn the_standard_error_is_that_of_the_mean() {
+        let figure = Figure::of(&[1.0, 2.0, 3.0]);
+        assert!((figure.mean - 2.0).abs() < 1e-15 && (figure.standard_error - (1f64 / 3.0).sqrt()).abs() < 1e-15);
+        assert!(Figure::of(&[4.0]).standard_error.is_nan() && Figure::of(&[]).mean.is_nan());
+        assert_eq!(Figure::of(&[f64::INFINITY; 2]).mean, f64::INFINITY);
+    }
+
+    #[test]
+    fn table_csv_and_json_say_the_same() {
+        let e = evaluation();
+        let table = e.table().to_string();
+        for text in ["25.00 ± 0.25", "27.50 ± 0.25", "2.50 ± 0.13", "0.50–1.00", "mean", "inf"] {
+            assert!(table.contains(text), "{text}: {table}");
+        }
+        let csv = e.csv();
+        let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
+        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 16), "{csv}");
+        assert_eq!(
+            lines[1],
+            [
+                "500", "1", "0", "0.5", "3", "256", "25", "0.25", "0.5", "0.005", "27.5", "0.25", "0.55", "0.005",
+                "2.5", "0.13"
+            ]
+        );
+        assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));
+        let json = e.json();
+        assert_eq!(json["rows"][0]["capture"]["psnr_db"]["mean"], json!(25.0));
+        assert_eq!(json["rows"][3]["depth_mm"], Value::Null);
+    }
+
+    #[test]
+    fn the_plot_has_a_pair_of_curves_a_depth() {
+        let svg = evaluation().svg();
+        assert!(svg.contains("500 mm") && svg.contains("stroke-dasharray") && svg.contains("dashed"), "{svg}");
+        let one = Evaluation { rows: evaluation().rows[..3].to_vec(), ..evaluation() };
+        let svg = one.svg();
+        assert!(svg.contains("reconstruction") && svg.contains("capture") && !svg.contains("NaN"), "{svg}");
+    }
+}
