@@ -274,4 +274,31 @@ mod tests {
         assert_ne!(a.lens, lens);
         assert_eq!(a.network.parameters(), b.network.parameters());
     }
+
+    /// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.
+    #[test]
+    fn a_scene_without_light_leaves_the_lens_alone() {
+        let task = task();
+        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
+        let plan = plan(&lens, v, &frame, &SpectralDensity::new(&sensor), QUALITY, None).expect("plans");
+        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::NONE, neutral: sensor.neutral_response };
+        let distortion = fit_distortion(&lens, v, plan.max_slope).expect("fits");
+        let textures = Textures::built_in(3, 1, 400);
+        let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &distortion, 32, v);
+        patch.scene.texture.fill(0.0);
+        let mut constraints = Constraints::of(&lens);
+        // Bounds that the lens meets, so that the scene alone could move it.
+        (constraints.min_centre_mm, constraints.min_edge_mm, constraints.min_gap_mm) = (0.0, -50.0, -50.0);
+        (constraints.min_back_mm, constraints.max_reach) = (0.0, 10.0);
+        let mut joint =
+            Joint::new(lens.clone(), network(4, 1).expect("valid"), Variables::refracting(&lens), constraints);
+        for _ in 0..3 {
+            let report = joint.step(&plan, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");
+            assert!(report.loss.is_finite() && report.penalty < 1e-20, "{report:?}");
+        }
+        let moved = joint.variables.values(&joint.lens).into_iter().zip(joint.variables.values(&lens));
+        assert!(moved.into_iter().all(|(a, b)| (a - b).abs() < 1e-9), "the lens moved without light");
+        assert!(joint.network.parameters().iter().all(|p| p.values.iter().all(|w| w.is_finite())));
+    }
 }

@@ -469,4 +469,32 @@ mod tests {
         refused(|t| t.train.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
         assert!(matches!(create(task(), &first).expect_err("there already"), Error::Exists(_)));
     }
+
+    #[test]
+    fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
+        let place = tempfile::tempdir().expect("temporary folder");
+        let run = place.path().join("run");
+        let mut long = task();
+        (long.train.steps, long.train.checkpoint_seconds) = (Some(100), 0.0);
+        let mut training = Training::create(long, &run, false, Compute::Cpu).expect("new");
+        let ended = training.run(&mut |s| s.step < 5);
+        assert!(matches!(ended, Err(Error::Interrupted)));
+        let before = weights(&run);
+        training.trainer.poison();
+        let ended = training.run(&mut |_| true);
+        // Nothing that is not finite reaches the disk: the first checkpoint is refused, or twenty steps in a row are.
+        let text = ended.expect_err("no finite loss").to_string();
+        assert!(text.contains("not finite"), "{text}");
+        assert_eq!(weights(&run), before);
+        drop(training);
+        let mut again = Training::resume(&run, Compute::Cpu).expect("resumes");
+        assert_eq!(again.step(), 5);
+        again.run(&mut |s| s.step < 8).expect_err("stopped");
+        // With checkpoints far apart it is the steps that end it, with what to do.
+        again.task.train.checkpoint_seconds = 1e4;
+        again.trainer.poison();
+        let ended = again.run(&mut |_| true).expect_err("no finite loss");
+        assert!(matches!(&ended, Error::Stopped(text) if text.contains("20 times in a row")), "{ended}");
+        assert_eq!((ended.exit_code(), again.skipped()), (1, 20));
+    }
 }

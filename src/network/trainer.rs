@@ -97,6 +97,12 @@ impl Trainer {
         &self.generator
     }
 
+    /// Puts a weight that is no number into the generator.
+    #[cfg(test)]
+    pub(crate) fn poison(&mut self) {
+        self.generator.set_parameter("output.bias", &[0.0, f32::NAN, 0.0]).expect("three channels");
+    }
+
     /// The loss, for people.
     pub fn describe(&self) -> String {
         let adversarial = if self.critics.is_empty() { "" } else { " + 0.01 global + 0.01 local RaGAN-LS" };
