@@ -210,8 +210,6 @@ fn image(name: &str) -> ValueInfo<'_> {
 mod tests {
     use std::collections::BTreeMap;
 
-    use ndarray::Array4;
-
     use super::*;
     use crate::network::UnetConfig;
 
@@ -249,7 +247,9 @@ mod tests {
     #[cfg(feature = "deploy")]
     #[test]
     fn tract_computes_the_same() {
+        use ndarray::Array4;
         use tract_onnx::prelude::*;
+
         let (model, card) = model();
         let bytes = encode(&model, &card).expect("finite");
         for (batch, rows, columns) in [(1usize, 32usize, 24usize), (2, 20, 44)] {
