@@ -138,7 +138,7 @@ mod tests {
                 let moved: Vec<f32> = made.iter().zip(&step).map(|(m, d)| m + h * d).collect();
                 content.loss(&tensor(&moved), &tensor(&truth)).expect("a loss").value
             };
-            let h = 1e-3;
+            let h = 1e-4;
             let what = content.describe();
             assert_rel(pulled, (at(h) - at(-h)) / f64::from(2.0 * h), 1e-2, 1e-3, &what);
             let none = content.loss(&tensor(&truth), &tensor(&truth)).expect("a loss");

@@ -22,7 +22,7 @@ mod tests {
 
     #[test]
     fn it_is_srgb_and_its_derivative_is_finite_everywhere() {
-        let values: Vec<f32> = (0..=64).map(|i| (i as f32 - 8.0) / 40.0).chain([0.0, 1e-6, 0.0031308]).collect();
+        let values: Vec<f32> = (0..=64).map(|i| (i as f32 - 8.0) / 40.0).chain([0.0, 1e-6, 0.003]).collect();
         let device = Device::flex().autodiff();
         let x = Tensor::<1>::from_floats(values.as_slice(), &device).reshape([1, 1, 1, values.len()]).require_grad();
         let y = encode(x.clone());

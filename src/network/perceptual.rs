@@ -187,7 +187,7 @@ mod tests {
                 let largest = f64::from(found.iter().fold(0f32, |m, v| m.max(*v)));
                 assert_rel(largest, want["max"].as_f64().expect("a number"), 1e-5, 1e-9, name);
                 for (i, v) in want["first"].as_array().expect("numbers").iter().enumerate() {
-                    assert_rel(f64::from(found[i]), v.as_f64().expect("a number"), 2e-5, 1e-2, name);
+                    assert_rel(f64::from(found[i]), v.as_f64().expect("a number"), 1e-6, largest, name);
                 }
             }
         }
