@@ -155,7 +155,7 @@ impl TrainTask {
         }
         within("haze", self.haze, 0.0, 0.9, "0 to 0.9")?;
         for &d in &self.depths_mm {
-            if !(d > 0.0) {
+            if d.is_nan() || d <= 0.0 {
                 return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");
             }
         }

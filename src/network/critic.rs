@@ -159,6 +159,7 @@ fn relativistic(real: Tensor<4>, made: Tensor<4>, sign: f64) -> Tensor<1> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::learner::Learner;
     use super::*;
     use crate::testing::assert_rel;
 
@@ -232,6 +233,31 @@ mod tests {
             };
             let h = 2e-4;
             assert_rel(pulled, (at(h) - at(-h)) / f64::from(2.0 * h), 2e-2, 1e-3, &format!("{sight:?}"));
+        }
+    }
+
+    /// Either discriminator learns to tell two pictures apart.
+    #[test]
+    fn discriminators_learn() {
+        let device = Device::flex().autodiff();
+        let config = CriticConfig { width: 4, patch_px: 32 };
+        let rng = &mut fastrand::Rng::with_seed(9);
+        let mut draw = |contrast: f32| -> Tensor<4> {
+            let values: Vec<f32> = (0..3 * 32 * 32).map(|_| 0.5 + contrast * (rng.f32() - 0.5)).collect();
+            Tensor::from_data(TensorData::new(values, [1, 3, 32, 32]), &device)
+        };
+        let (real, made) = (draw(0.8), draw(0.4));
+        for sight in [Sight::Local, Sight::Global] {
+            let mut learner = Learner::new(Discriminator::new(&config, sight, 2, &device), device.clone());
+            let mut losses = Vec::new();
+            for _ in 0..80 {
+                let scores = |x: &Tensor<4>| learner.module().forward(x.clone());
+                let loss = critic_loss(scores(&real), scores(&made));
+                losses.push(number(loss.clone().inner()));
+                let gradient = learner.gradient(&mut loss.backward());
+                assert!(learner.update(true, gradient, 3e-3).1);
+            }
+            assert!(losses[79] < 0.1 * losses[0], "{sight:?}: {} {}", losses[0], losses[79]);
         }
     }
 }

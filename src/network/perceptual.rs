@@ -186,8 +186,10 @@ mod tests {
                 assert_rel(sum, want["sum"].as_f64().expect("a number"), 1e-5, 1e-9, name);
                 let largest = f64::from(found.iter().fold(0f32, |m, v| m.max(*v)));
                 assert_rel(largest, want["max"].as_f64().expect("a number"), 1e-5, 1e-9, name);
+                // The first channels at the first pixel.
+                let plane = shape[1] * shape[2];
                 for (i, v) in want["first"].as_array().expect("numbers").iter().enumerate() {
-                    assert_rel(f64::from(found[i]), v.as_f64().expect("a number"), 1e-6, largest, name);
+                    assert_rel(f64::from(found[i * plane]), v.as_f64().expect("a number"), 1e-6, largest, name);
                 }
             }
         }

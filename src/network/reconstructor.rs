@@ -411,9 +411,7 @@ mod tests {
             let pulled: f64 = gradient[offset..offset + n].iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum();
             offset += n;
             let loss = |h: f32| {
-                let mut moved = Reconstructor::new(small(), 3).expect("valid");
-                let weights: Vec<f32> = model.parameters().into_iter().flat_map(|p| p.values).collect();
-                moved.learner.restore(&weights, None);
+                let mut moved = awake(small(), 3);
                 let values: Vec<f32> = parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
                 moved.set_parameter(&parameter.name, &values).expect("same length");
                 let out = moved.forward(input.view()).expect("fits");

@@ -1,7 +1,7 @@
 //! `isoplanat train TASK.toml -o RUN/`: the final network for a finished lens.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -95,7 +95,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 /// The task with the command line's changes.
-fn task(args: &Args, path: &PathBuf) -> Result<Task> {
+fn task(args: &Args, path: &Path) -> Result<Task> {
     let mut task = Task::load(path)?;
     if args.minutes.is_some() || args.steps.is_some() {
         (task.train.minutes, task.train.steps) = (args.minutes, args.steps);

@@ -171,11 +171,11 @@ pub(super) fn convolve_vjp(
     let mut bars: Vec<Vec<f32>> =
         sources.iter().map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 })).collect();
     let to: Vec<Shared> = bars.iter_mut().map(|bar| Shared(bar.as_mut_ptr())).collect();
-    let sums: Vec<Sums> = groups
+    let mut sums: Vec<Sums> = groups
         .par_iter()
         .map(|strips| {
             let mut sums = Sums {
-                weight: vec![0.0; if wanted.weights { weight.len() } else { 0 }],
+                weight: recycle::zeros(if wanted.weights { weight.len() } else { 0 }),
                 bias: vec![0.0; if wanted.weights { outputs } else { 0 }],
                 slope: vec![0.0; inputs],
             };
@@ -205,14 +205,16 @@ pub(super) fn convolve_vjp(
             unsafe { bar.set_len(source.values.len()) };
         }
     }
-    let total = |part: fn(&Sums) -> &Vec<f32>| {
-        let mut total = part(&sums[0]).clone();
-        for more in &sums[1..] {
-            total.iter_mut().zip(part(more)).for_each(|(t, m)| *t += m);
+    let mut total = |part: fn(&mut Sums) -> &mut Vec<f32>| {
+        let mut total = std::mem::take(part(&mut sums[0]));
+        for more in &mut sums[1..] {
+            let more = std::mem::take(part(more));
+            total.iter_mut().zip(&more).for_each(|(t, m)| *t += m);
+            recycle::give(more);
         }
         total
     };
-    let slopes = total(|s| &s.slope);
+    let slopes = total(|s| &mut s.slope);
     let mut channel = 0;
     let source_bars = bars
         .into_iter()
@@ -224,7 +226,7 @@ pub(super) fn convolve_vjp(
             SourceBar { values, slope }
         })
         .collect();
-    (source_bars, total(|s| &s.weight), total(|s| &s.bias))
+    (source_bars, total(|s| &mut s.weight), total(|s| &mut s.bias))
 }
 
 /// Sums over the strips of one group.

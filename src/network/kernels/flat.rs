@@ -87,8 +87,7 @@ impl Lines {
     /// Lines of `channels` that `write` fills: it gets the channel and its line, all zeros.
     pub(super) fn written(line: Line, channels: usize, write: impl Fn(usize, &mut [f32]) + Sync) -> Self {
         let mut lines = Self::empty(line, channels);
-        let mut values = recycle::take(lines.capacity());
-        values.resize(lines.capacity(), 0.0);
+        let mut values = recycle::zeros(lines.capacity());
         values[..channels * lines.stride]
             .par_chunks_mut(lines.stride)
             .enumerate()

@@ -1,7 +1,7 @@
 //! Large buffers kept between operations: asking the system for fresh memory costs a page fault for every 4 KiB, a tenth
 //! of a training step.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
 /// Smaller buffers (values) are left to the allocator.
@@ -10,41 +10,61 @@ const SMALL: usize = 1 << 14;
 /// Most values kept: 512 MiB.
 const MOST: usize = 1 << 27;
 
-/// Buffers by capacity, and the sum of their capacities.
-type Kept = (HashMap<usize, Vec<Vec<f32>>>, usize);
-
-static KEPT: Mutex<Option<Kept>> = Mutex::new(None);
+static KEPT: Mutex<Kept> = Mutex::new(Kept { buffers: BTreeMap::new(), total: 0 });
 
 /// An empty vector with room for `n` values.
 pub(super) fn take(n: usize) -> Vec<f32> {
-    if n >= SMALL {
-        let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((buffers, total)) = kept.as_mut()
-            && let Some(buffer) = buffers.get_mut(&n).and_then(Vec::pop)
-        {
-            *total -= n;
-            return buffer;
-        }
+    if n < SMALL {
+        return Vec::with_capacity(n);
     }
-    Vec::with_capacity(n)
+    let kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner).take(n);
+    kept.unwrap_or_else(|| Vec::with_capacity(n))
+}
+
+/// A vector of `n` zeros.
+pub(super) fn zeros(n: usize) -> Vec<f32> {
+    let mut buffer = take(n);
+    buffer.resize(n, 0.0);
+    buffer
 }
 
 /// Keeps a vector's memory for [`take`]; when too much is kept, all of it is given back to the system.
-pub(in super::super) fn give(mut buffer: Vec<f32>) {
-    let n = buffer.capacity();
-    if n < SMALL {
-        return;
+pub(in super::super) fn give(buffer: Vec<f32>) {
+    if buffer.capacity() >= SMALL {
+        KEPT.lock().unwrap_or_else(PoisonError::into_inner).give(buffer);
     }
-    buffer.clear();
-    let mut kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner);
-    let (buffers, total) = kept.get_or_insert_default();
-    if *total + n > MOST {
-        buffers.clear();
-        *total = 0;
+}
+
+/// Buffers by capacity.
+struct Kept {
+    buffers: BTreeMap<usize, Vec<Vec<f32>>>,
+    /// Sum of their capacities.
+    total: usize,
+}
+
+impl Kept {
+    /// The smallest buffer with room for `n`: what lies idle at one scale of the network serves the others.
+    fn take(&mut self, n: usize) -> Option<Vec<f32>> {
+        let (&capacity, buffers) = self.buffers.range_mut(n..).next()?;
+        let buffer = buffers.pop();
+        if buffers.is_empty() {
+            self.buffers.remove(&capacity);
+        }
+        self.total -= capacity;
+        buffer
     }
-    if n <= MOST {
-        buffers.entry(n).or_default().push(buffer);
-        *total += n;
+
+    fn give(&mut self, mut buffer: Vec<f32>) {
+        let n = buffer.capacity();
+        buffer.clear();
+        if self.total + n > MOST {
+            self.buffers.clear();
+            self.total = 0;
+        }
+        if n <= MOST {
+            self.buffers.entry(n).or_default().push(buffer);
+            self.total += n;
+        }
     }
 }
 
@@ -53,14 +73,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_buffer_comes_back_empty_and_only_at_its_size() {
-        let n = SMALL + 12_345;
-        let mut buffer = Vec::with_capacity(n);
-        buffer.push(1.0);
-        let at = buffer.as_ptr();
-        give(buffer);
-        let (other, again) = (take(n + 1), take(n));
-        assert_ne!(other.as_ptr(), at);
-        assert_eq!((again.as_ptr(), again.len(), again.capacity()), (at, 0, n));
+    fn the_smallest_buffer_that_is_large_enough_comes_back_empty() {
+        let mut kept = Kept { buffers: BTreeMap::new(), total: 0 };
+        let places = [300usize, 100, 200].map(|n| {
+            let mut buffer = Vec::with_capacity(n);
+            buffer.push(1.0);
+            let place = buffer.as_ptr();
+            kept.give(buffer);
+            place
+        });
+        let mut take = |n| kept.take(n).map(|b| (b.as_ptr(), b.len(), b.capacity()));
+        assert_eq!(take(301), None);
+        assert_eq!(take(150), Some((places[2], 0, 200)));
+        assert_eq!(take(150), Some((places[0], 0, 300)));
+        assert_eq!(take(150), None);
+        assert_eq!(take(100), Some((places[1], 0, 100)));
+        assert_eq!((kept.total, kept.buffers.len()), (0, 0));
+    }
+
+    #[test]
+    fn what_is_too_much_is_not_kept() {
+        let mut kept = Kept { buffers: BTreeMap::new(), total: 0 };
+        kept.give(Vec::with_capacity(MOST - 10));
+        kept.give(Vec::with_capacity(10));
+        assert_eq!(kept.total, MOST);
+        kept.give(Vec::with_capacity(20));
+        assert_eq!(kept.total, 20);
+        assert!(kept.take(21).is_none());
     }
 }

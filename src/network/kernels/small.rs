@@ -156,7 +156,9 @@ fn interleave<'a>(size: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32])
         let n = rows[0].len();
         let rows = rows.map(|row| &row[..n]);
         for (k, to) in to.as_chunks_mut::<8>().0[..n].iter_mut().enumerate() {
-            *to = rows.map(|row| row[k]);
+            for (to, row) in to.iter_mut().zip(&rows) {
+                *to = row[k];
+            }
         }
         return;
     }

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use super::convolution::{Strip, correlate_block, strips};
 use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch, load_pairs, store_pairs};
 use super::strip::{Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
-use super::{Extent, Level, Source, SourceBar, Wanted};
+use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
 
 /// Taps: row and column of the 2×2 block.
 const TAPS: usize = 4;
@@ -148,7 +148,8 @@ pub(super) fn unpool_vjp(
             .par_iter()
             .map(|strips| {
                 let n = if wanted.weights { weight.len() } else { 0 };
-                let mut sums = Sums { weight: vec![0.0; n], products: vec![0.0; products], slope: vec![0.0; inputs] };
+                let mut sums =
+                    Sums { weight: recycle::zeros(n), products: vec![0.0; products], slope: vec![0.0; inputs] };
                 for &strip in *strips {
                     with_scratch(|[a, b, _]| {
                         let job = Backward {
@@ -170,17 +171,19 @@ pub(super) fn unpool_vjp(
             })
             .collect();
     });
-    let total = |part: fn(&Sums) -> &Vec<f32>| {
-        let mut total = part(&sums[0]).clone();
-        for more in &sums[1..] {
-            total.iter_mut().zip(part(more)).for_each(|(t, m)| *t += m);
+    let mut total = |part: fn(&mut Sums) -> &mut Vec<f32>| {
+        let mut total = std::mem::take(part(&mut sums[0]));
+        for more in &mut sums[1..] {
+            let more = std::mem::take(part(more));
+            total.iter_mut().zip(&more).for_each(|(t, m)| *t += m);
+            recycle::give(more);
         }
         total
     };
     let bias =
-        if wanted.weights { total(|s| &s.products).chunks(TAPS).map(|c| c.iter().sum()).collect() } else { vec![] };
-    let slope = if source.slope.is_some() { total(|s| &s.slope) } else { vec![] };
-    (SourceBar { values, slope }, total(|s| &s.weight), bias)
+        if wanted.weights { total(|s| &mut s.products).chunks(TAPS).map(|c| c.iter().sum()).collect() } else { vec![] };
+    let slope = if source.slope.is_some() { total(|s| &mut s.slope) } else { vec![] };
+    (SourceBar { values, slope }, total(|s| &mut s.weight), bias)
 }
 
 /// Sums over the strips of one group.
