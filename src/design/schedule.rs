@@ -1,7 +1,7 @@
 //! The learning rate over a training: constant, then linearly to zero.
 //!
-//! A length in time is turned into one in steps once, when the constant part is over: its steps are counted, and the rest gets
-//! as many as its share asks for. From then on everything repeats.
+//! A length in time is turned into one in steps once, when the constant part is over: the rest gets as many steps as its time
+//! holds at the pace of the last ones. From then on everything repeats.
 
 /// Learning rate over the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -12,8 +12,8 @@ pub struct Schedule {
     pub share: f64,
     /// How long.
     pub length: Length,
-    /// Steps of the constant part, once it is over and the length is one in time.
-    pub constant: Option<u64>,
+    /// Steps of the constant part and in all, once it is over and the length is one in time.
+    pub settled: Option<[u64; 2]>,
 }
 
 /// The length of a training.
@@ -26,42 +26,36 @@ pub enum Length {
 }
 
 impl Schedule {
-    /// Ends the constant part of a length in time when its time has come; `true` at that moment.
-    pub fn settle(&mut self, step: u64, seconds: f64) -> bool {
+    /// Ends the constant part of a length in time when its time has come; `true` at that moment. `pace`: seconds a step takes.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "steps are below 1e13")]
+    pub fn settle(&mut self, step: u64, seconds: f64, pace: f64) -> bool {
         let Length::Seconds(all) = self.length else { return false };
-        let over = self.constant.is_none() && seconds >= self.share * all && step > 0;
+        let over = self.settled.is_none() && seconds >= self.share * all && step > 0;
         if over {
-            self.constant = Some(step);
+            let rest = ((all - seconds).max(0.0) / pace.max(1e-6)).round().min(1e12);
+            self.settled = Some([step, step + rest as u64]);
         }
         over
     }
 
     /// Steps at the constant rate, and in all; unknown while the constant part of a length in time runs.
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "steps are below 1e13")]
     fn steps(&self) -> Option<(f64, u64)> {
-        match (self.length, self.constant) {
+        match (self.length, self.settled) {
             (Length::Steps(n), _) => Some((self.share * n as f64, n)),
-            (Length::Seconds(all), Some(constant)) => {
-                // Without a constant part one step stands for its pace.
-                let share = if self.share > 0.0 { self.share } else { 1.0 / all.max(1.0) };
-                Some((constant as f64, (constant as f64 / share).ceil() as u64))
-            }
+            (Length::Seconds(_), Some([constant, all])) => Some((constant as f64, all)),
             (Length::Seconds(_), None) => None,
         }
     }
 
-    /// The rate of step `step` (counted from 0), `seconds` after the beginning; `None` when the training is over.
-    pub fn at(&self, step: u64, seconds: f64) -> Option<f64> {
+    /// The rate of step `step` (counted from 0); `None` when the training is over.
+    pub fn at(&self, step: u64) -> Option<f64> {
         match self.steps() {
             Some((_, all)) if step >= all => None,
             Some((constant, all)) => {
                 let fallen = (step as f64 - constant) / (all as f64 - constant).max(1.0);
                 Some(self.rate * (1.0 - fallen.clamp(0.0, 1.0)))
             }
-            None => {
-                debug_assert!(seconds >= 0.0);
-                Some(self.rate)
-            }
+            None => Some(self.rate),
         }
     }
 
@@ -87,26 +81,30 @@ mod tests {
 
     #[test]
     fn a_length_in_time_becomes_one_in_steps() {
-        let mut s = Schedule { rate: 1.0, share: 1.0 / 3.0, length: Length::Seconds(90.0), constant: None };
-        assert_eq!((s.at(1000, 29.0), s.total()), (Some(1.0), None));
-        assert!(!s.settle(10, 29.0));
+        let mut s = Schedule { rate: 1.0, share: 1.0 / 3.0, length: Length::Seconds(90.0), settled: None };
+        assert_eq!((s.at(1000), s.total()), (Some(1.0), None));
+        assert!(!s.settle(10, 29.0, 2.5));
         assert!((s.done(10, 29.0) - 29.0 / 90.0).abs() < 1e-12);
-        assert!(s.settle(12, 30.5) && !s.settle(13, 33.0));
+        assert!(s.settle(12, 30.0, 2.5) && !s.settle(13, 33.0, 1.0));
         assert_eq!(s.total(), Some(36));
-        assert_eq!(s.at(12, 1e9), Some(1.0));
-        assert_eq!(s.at(24, 0.0), Some(0.5));
-        assert_eq!(s.at(36, 0.0), None);
+        assert_eq!(s.at(12), Some(1.0));
+        assert_eq!(s.at(24), Some(0.5));
+        assert_eq!(s.at(36), None);
         assert!((s.done(18, 0.0) - 0.5).abs() < 1e-12);
+        // A first step longer than everything ends it.
+        let mut s = Schedule { settled: None, ..s };
+        assert!(s.settle(1, 100.0, 100.0));
+        assert_eq!((s.total(), s.at(1)), (Some(1), None));
     }
 
     #[test]
     fn the_rate_falls_to_zero_and_never_below() {
         for share in [0.0, 1.0 / 3.0, 0.9, 1.0] {
-            let s = Schedule { rate: 2.0, share, length: Length::Steps(30), constant: None };
-            let rates: Vec<f64> = (0..30).map(|k| s.at(k, 0.0).expect("not over")).collect();
+            let s = Schedule { rate: 2.0, share, length: Length::Steps(30), settled: None };
+            let rates: Vec<f64> = (0..30).map(|k| s.at(k).expect("not over")).collect();
             assert_eq!(rates[0], 2.0);
             assert!(rates.windows(2).all(|w| w[1] <= w[0]) && rates[29] > 0.0, "{share}: {rates:?}");
-            assert_eq!(s.at(30, 0.0), None);
+            assert_eq!(s.at(30), None);
         }
     }
 }

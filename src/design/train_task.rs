@@ -198,7 +198,7 @@ impl TrainTask {
                 Length::Steps(((self.constant_epochs + self.decay_epochs) * epoch).round().max(1.0) as u64)
             }
         };
-        Schedule { rate: self.rate, share, length, constant: None }
+        Schedule { rate: self.rate, share, length, settled: None }
     }
 }
 
@@ -212,9 +212,9 @@ mod tests {
         task.check("task").expect("valid");
         let schedule = task.schedule();
         assert_eq!(schedule.length, Length::Steps(150 * 400));
-        assert_eq!((schedule.at(0, 0.0), schedule.at(19_999, 0.0)), (Some(1e-4), Some(1e-4)));
-        assert!((schedule.at(40_000, 0.0).expect("not done") - 0.5e-4).abs() < 1e-12);
-        assert_eq!(schedule.at(60_000, 0.0), None);
+        assert_eq!((schedule.at(0), schedule.at(19_999)), (Some(1e-4), Some(1e-4)));
+        assert!((schedule.at(40_000).expect("not done") - 0.5e-4).abs() < 1e-12);
+        assert_eq!(schedule.at(60_000), None);
         assert_eq!(task.objective().content, ContentKind::Structure);
     }
 

@@ -40,6 +40,9 @@ const NETWORK: &str = "network.safetensors";
 /// Steps in a row without a finite loss and gradient after which training stops.
 const MOST_SKIPPED: u64 = 20;
 
+/// Steps whose median time is the pace at which a length in minutes becomes one in steps.
+const PACE: usize = 101;
+
 /// Steps of an entry of the log.
 const SMOOTH: u64 = 10;
 
@@ -86,7 +89,7 @@ struct State {
     seconds: f64,
     /// Steps that moved nothing.
     skipped: u64,
-    constant: Option<u64>,
+    settled: Option<[u64; 2]>,
 }
 
 impl State {
@@ -96,8 +99,9 @@ impl State {
             ("train.seconds".to_owned(), format!("{:.3}", self.seconds)),
             ("train.skipped".to_owned(), self.skipped.to_string()),
         ]);
-        if let Some(n) = self.constant {
-            facts.insert("train.constant".to_owned(), n.to_string());
+        if let Some([constant, all]) = self.settled {
+            facts.insert("train.constant".to_owned(), constant.to_string());
+            facts.insert("train.steps".to_owned(), all.to_string());
         }
         facts
     }
@@ -108,12 +112,14 @@ impl State {
             let allowed = "a number, as `isoplanat train` writes it";
             text.parse().map_err(|_| Error::bad(path.display().to_string(), key, text, allowed))
         }
-        let constant = facts.contains_key("train.constant").then(|| number(facts, "train.constant", path));
+        let settled = facts.contains_key("train.constant").then(|| -> Result<[u64; 2]> {
+            Ok([number(facts, "train.constant", path)?, number(facts, "train.steps", path)?])
+        });
         Ok(Self {
             step: number(facts, "train.step", path)?,
             seconds: number(facts, "train.seconds", path)?,
             skipped: number(facts, "train.skipped", path)?,
-            constant: constant.transpose()?,
+            settled: settled.transpose()?,
         })
     }
 }
@@ -169,7 +175,7 @@ impl Training {
         }
         pairs.keep_in(&folder.join("cache"), &textures)?;
         let mut schedule = task.train.schedule();
-        schedule.constant = state.constant;
+        schedule.settled = state.settled;
         let log = Log::open(&folder.join("log.csv"), state.step)?;
         Ok(Self {
             folder: folder.to_owned(),
@@ -220,15 +226,22 @@ impl Training {
         let mut saved = Instant::now();
         let mut in_a_row = 0;
         let mut recent = Vec::new();
+        // Seconds of the last steps. Their median is no matter of pairs that are rendered for the first time.
+        let mut pace: Vec<f64> = Vec::new();
         loop {
             self.state.seconds = before + begun.elapsed().as_secs_f64();
-            if self.schedule.settle(self.state.step, self.state.seconds) {
+            // After a resume a few steps come first; very long ones do not wait for others.
+            let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 60.0;
+            if known && self.schedule.settle(self.state.step, self.state.seconds, median(&pace)) {
                 // From here on the length is fixed: a kill must not settle it anew.
-                self.state.constant = self.schedule.constant;
+                self.state.settled = self.schedule.settled;
                 self.checkpoint()?;
             }
-            let Some(rate) = self.schedule.at(self.state.step, self.state.seconds) else { break };
+            let Some(rate) = self.schedule.at(self.state.step) else { break };
+            let clock = Instant::now();
             let (step, psnr_db) = self.one_step(rate)?;
+            pace.push(clock.elapsed().as_secs_f64());
+            pace.drain(..pace.len().saturating_sub(PACE));
             self.state.step += 1;
             self.state.skipped += u64::from(!step.updated);
             in_a_row = if step.updated { 0 } else { in_a_row + 1 };
@@ -321,6 +334,12 @@ impl Training {
         write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;
         Ok(sum / n as f64)
     }
+}
+
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    sorted.get(sorted.len() / 2).copied().unwrap_or(f64::INFINITY)
 }
 
 impl Parts {

@@ -118,6 +118,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // The run's files.
     let run = folder.join("run");
     std::fs::create_dir_all(&run).map_err(|e| Error::writing(&run, e))?;
+    atomic::write_bytes(&run.join("task.toml"), task.to_toml()?.as_bytes())?;
     prescription::save(&start, &run.join("lens-start.toml"))?;
     prescription::save(&lens, &run.join("lens.toml"))?;
     net.save(&run.join("network.safetensors"))?;
