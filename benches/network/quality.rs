@@ -102,7 +102,7 @@ fn rounded(network: &Reconstructor) -> Reconstructor {
     for parameter in network.parameters() {
         let round = |v: &f32| {
             if v.abs() < 6.103_515_6e-5 {
-                return (v + 0.5) - 0.5;
+                return v.signum() * ((v.abs() + 0.5) - 0.5);
             }
             let split = v * 8193.0;
             split - (split - v)

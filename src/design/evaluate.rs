@@ -175,7 +175,8 @@ pub fn evaluate(
             let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
             for (d, depth) in optics.iter().enumerate() {
                 let part = mixed(settings.seed, index as u64);
-                let shot = Shot { region, context, part, noise_seed: mixed(seed, 1 + d as u64) };
+                let noise_seed = mixed(seed, 1 + d as u64);
+                let shot = Shot { region, whole: settings.patch, context, part, noise_seed };
                 let [truth, capture, restored] = shot.take(lens, depth, &electronics, network, &picture)?;
                 let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
                     Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
@@ -329,6 +330,8 @@ fn places(frame: &Frame, fields: usize, patch: usize) -> Vec<Vec<(usize, usize)>
 struct Shot {
     /// What is judged.
     region: Region,
+    /// Side of a patch where the zone has room for it, pixels: the scale and the place of the part do not depend on more.
+    whole: usize,
     /// Pixels around it that the network sees.
     context: usize,
     /// Seed of the part of the picture that is shown.
@@ -366,10 +369,10 @@ impl Shot {
     fn scene(&self, frame: &Frame, depth: &AtDepth, picture: &Array3<f32>) -> Plane {
         let mut rng = fastrand::Rng::with_seed(self.part);
         let (_, rows, cols) = picture.dim();
-        let patch = self.region.rows as f64;
-        let texels = TEXELS_PER_PIXEL.min(rows.min(cols) as f64 / patch);
+        let whole = self.whole as f64;
+        let texels = TEXELS_PER_PIXEL.min(rows.min(cols) as f64 / whole);
         // Margin and context come from the picture as far as it reaches.
-        let reach = 0.5 * patch + (self.context + depth.render.margin()).min(CONTEXT) as f64;
+        let reach = 0.5 * whole + CONTEXT as f64;
         let mut middle = |n: usize| {
             let (n, half) = (n as f64, (texels * reach).min(0.5 * n as f64));
             half + rng.f64() * (n - 2.0 * half)

@@ -53,7 +53,7 @@ impl Entry {
         }
     }
 
-    /// The mean of some, at the last one's step.
+    /// The mean of some, at the last one's step; after a resume an entry's first steps may be missing from it.
     ///
     /// # Panics
     /// Without entries.
@@ -66,7 +66,8 @@ impl Entry {
             adversarial: mean(|e| e.adversarial),
             critic: mean(|e| e.critic),
             psnr_db: mean(|e| e.psnr_db),
-            gradient_norm: entries.iter().fold(0.0, |m, e| e.gradient_norm.max(m)),
+            // Not `f64::max`, which passes NaN over.
+            gradient_norm: entries.iter().fold(0.0, |m, e| if e.gradient_norm <= m { m } else { e.gradient_norm }),
             ..last
         }
     }

@@ -114,7 +114,10 @@ impl TrainTask {
             if v >= low && v <= high { Ok(()) } else { bad(key, v.to_string(), allowed) }
         };
         let config = UnetConfig { base_width: self.base_width.unwrap_or(32), scales: self.scales };
-        config.validate().map_err(|e| e.in_file(Path::new(file)))?;
+        if let Err(Error::BadInput { place, found, allowed, .. }) = config.validate() {
+            let place = place.replacen("network", "train", 1);
+            return Err(Error::bad(file, place, found, allowed));
+        }
         let multiple = config.multiple().max(8);
         if !self.patch_px.is_multiple_of(multiple) || !(16..=1024).contains(&self.patch_px) {
             let allowed = format!("a multiple of {multiple} (for {} scales) from 16 to 1024", self.scales);
@@ -125,6 +128,9 @@ impl TrainTask {
         }
         if !(1..=64).contains(&self.batch) {
             return bad("batch", self.batch.to_string(), "1 to 64");
+        }
+        if self.cache_mib > 1 << 30 {
+            return bad("cache_mib", self.cache_mib.to_string(), "at most 1073741824 MiB");
         }
         if self.pairs > 10_000_000 {
             return bad("pairs", self.pairs.to_string(), "at most 10000000; 0 makes no two alike");

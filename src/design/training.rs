@@ -6,7 +6,7 @@
 //! on the same machine and number of threads.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
@@ -143,12 +143,14 @@ impl Training {
         let trainer = Trainer::new(start(&task, compute)?, &task.train.objective(), task.seed)?;
         let parts = Parts::new(&task, &lens)?;
         let state = State::default();
+        // The run that gives way must not be trained elsewhere; its lock goes with it.
+        let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             prescription::save(&lens, &inside.join("lens.toml"))?;
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
-        Self::assemble(folder, task, trainer, parts, state)
+        Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
     }
 
     /// Goes on in a folder that [`Training::create`] made.
@@ -157,22 +159,19 @@ impl Training {
     /// A folder that is none, or in which another process trains.
     pub fn resume(folder: &Path, compute: Compute) -> Result<Self> {
         let task = Task::load(&folder.join(MARKER))?;
+        // Locked before the checkpoint is read, so that nobody writes a newer one.
+        let locked = lock(folder)?;
         let lens = prescription::load(&folder.join("lens.toml"))?;
         let path = folder.join(NETWORK);
         let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         let state = State::from_facts(&facts, &path)?;
         let parts = Parts::new(&task, &lens)?;
-        Self::assemble(folder, task, trainer, parts, state)
+        Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
-    fn assemble(folder: &Path, task: Task, trainer: Trainer, parts: Parts, state: State) -> Result<Self> {
+    fn assemble(folder: &Path, lock: File, task: Task, trainer: Trainer, parts: Parts, state: State) -> Result<Self> {
         let Parts { textures, electronics, mut pairs, samples } = parts;
-        let path = folder.join("lock");
-        let lock = File::create(&path).map_err(|e| Error::writing(&path, e))?;
-        if lock.try_lock().is_err() {
-            let allowed = "one training a folder; wait for the other or end it";
-            return Err(Error::bad(folder.display().to_string(), "lock", "another process trains here", allowed));
-        }
+        sweep(folder)?;
         pairs.keep_in(&folder.join("cache"), &textures)?;
         let mut schedule = task.train.schedule();
         schedule.settled = state.settled;
@@ -231,7 +230,7 @@ impl Training {
         loop {
             self.state.seconds = before + begun.elapsed().as_secs_f64();
             // After a resume a few steps come first; very long ones do not wait for others.
-            let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 60.0;
+            let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 0.1 * self.state.seconds;
             if known && self.schedule.settle(self.state.step, self.state.seconds, median(&pace)) {
                 // From here on the length is fixed: a kill must not settle it anew.
                 self.state.settled = self.schedule.settled;
@@ -302,7 +301,7 @@ impl Training {
         };
         let (input, target) = (batch(&parts.0), batch(&parts.1));
         let step = self.trainer.step(input.view(), target.view(), rate)?;
-        let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| psnr(a, b).min(120.0));
+        let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| bounded(psnr(a, b)));
         let psnr_db = each.sum::<f64>() / train.batch as f64;
         Ok((step, psnr_db))
     }
@@ -323,7 +322,7 @@ impl Training {
             let output = self.trainer.generator().forward(input.view())?;
             let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).to_owned();
             let (input, output, target) = (first(input), first(&output), first(target));
-            sum += psnr(output.view(), target.view()).min(120.0);
+            sum += bounded(psnr(output.view(), target.view()));
             for (j, picture) in [input, output, target].iter().enumerate() {
                 let (r, c) = (i * (side + gap), j * (side + gap));
                 sheet.slice_mut(s![.., r..r + side, c..c + side]).assign(picture);
@@ -334,6 +333,37 @@ impl Training {
         write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;
         Ok(sum / n as f64)
     }
+}
+
+/// Takes a run's lock: one training a folder.
+fn lock(folder: &Path) -> Result<File> {
+    let path = folder.join("lock");
+    let file = File::create(&path).map_err(|e| Error::writing(&path, e))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            let allowed = "one training a folder; wait for the other or end it";
+            Err(Error::bad(folder.display().to_string(), "lock", "another process trains here", allowed))
+        }
+        Err(TryLockError::Error(e)) => Err(Error::writing(&path, e)),
+    }
+}
+
+/// Removes what a kill in the middle of a writing has left; the folder is locked.
+fn sweep(folder: &Path) -> Result<()> {
+    let failed = |e| Error::reading(folder, e);
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.extension().is_some_and(|e| e == "part" || e == "partial") && path.is_file() {
+            fs::remove_file(&path).map_err(|e| Error::writing(&path, e))?;
+        }
+    }
+    Ok(())
+}
+
+/// At most 120 dB; what is no number stays so.
+fn bounded(psnr_db: f64) -> f64 {
+    if psnr_db > 120.0 { 120.0 } else { psnr_db }
 }
 
 fn median(values: &[f64]) -> f64 {
@@ -352,7 +382,7 @@ impl Parts {
         let largest = frame.rows.min(frame.columns);
         if train.region_px > largest {
             let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);
-            return Err(Error::bad("task", "train.region_px", found, format!("at most {largest}")));
+            return Err(Error::bad(MARKER, "train.region_px", found, format!("at most {largest}")));
         }
         let vergences = match train.depths_mm.as_slice() {
             [] => vec![lens.object_vergence],
@@ -448,6 +478,9 @@ mod tests {
         let mut training = Training::create(task(), &pieces, false, Compute::Cpu).expect("new");
         let second = Training::resume(&pieces, Compute::Cpu).expect_err("locked").to_string();
         assert!(second.contains("another process"), "{second}");
+        let replaced = Training::create(task(), &pieces, true, Compute::Cpu).expect_err("locked").to_string();
+        assert!(replaced.contains("another process"), "{replaced}");
+        fs::write(pieces.join("network.safetensors.1.part"), b"half a checkpoint").expect("written");
         for stop in [1, 3, 9, 10, 17] {
             let ended = training.run(&mut |s| s.step < stop).expect_err("stopped");
             assert!(matches!(ended, Error::Interrupted));
@@ -457,6 +490,7 @@ mod tests {
         }
         training.run(&mut |_| true).expect("trains");
         assert_eq!(weights(&pieces), weights(&whole));
+        assert!(!pieces.join("network.safetensors.1.part").exists(), "what a kill has left is swept");
         let log = fs::read_to_string(pieces.join("log.csv")).expect("written");
         assert_eq!(log.lines().skip(1).map(|l| l.split(',').next().unwrap_or("")).collect::<Vec<_>>(), ["10", "20"]);
         // Resumed once more it has nothing left to do.

@@ -39,11 +39,11 @@ impl CriticConfig {
     /// Refuses sizes that are no network.
     pub fn validate(&self) -> Result<()> {
         if !(1..=256).contains(&self.width) {
-            return Err(Error::bad("", "discriminator_width", self.width.to_string(), "1 to 256 channels"));
+            return Err(Error::bad("", "train.discriminator_width", self.width.to_string(), "1 to 256 channels"));
         }
-        if !(32..=1024).contains(&self.patch_px) {
-            let allowed = "32 to 1024 pixels where discriminators train";
-            return Err(Error::bad("", "patch_px", self.patch_px.to_string(), allowed));
+        if !(32..=1024).contains(&self.patch_px) || !self.patch_px.is_power_of_two() {
+            let allowed = "32, 64, 128, 256, 512 or 1024 pixels where discriminators train";
+            return Err(Error::bad("", "train.patch_px", self.patch_px.to_string(), allowed));
         }
         Ok(())
     }
@@ -125,10 +125,8 @@ impl Discriminator {
             }
             x = leaky_relu(x, LEAK);
         }
-        // Over a plane of 4 × 4 the last layer gives one score.
-        let [_, _, rows, columns] = x.dims();
-        let padding = usize::from(!self.flat.is_empty() || rows.min(columns) < 4);
-        self.score.forward(x, 1, padding)
+        // Over the global discriminator's plane of 4 × 4 the last layer gives one score.
+        self.score.forward(x, 1, usize::from(!self.flat.is_empty()))
     }
 }
 
@@ -195,17 +193,15 @@ mod tests {
     #[test]
     fn one_score_a_picture_or_one_a_patch() {
         let device = Device::flex();
-        for patch_px in [32, 64, 96, 256] {
+        for patch_px in [32, 64, 128, 256] {
             let config = CriticConfig { width: 2, patch_px };
             config.validate().expect("valid");
             let x = Tensor::<4>::ones([2, 3, patch_px, patch_px], &device) * 0.5;
             let scores = |sight| Discriminator::new(&config, sight, 1, &device).forward(x.clone()).dims();
-            let [batch, one, rows, cols] = scores(Sight::Global);
-            assert_eq!((batch, one), (2, 1), "{patch_px}");
-            assert!(rows * cols <= 9 && (rows == 1 || !patch_px.is_power_of_two()), "{patch_px}: {rows} x {cols}");
+            assert_eq!(scores(Sight::Global), [2, 1, 1, 1], "{patch_px}");
             assert_eq!(scores(Sight::Local), [2, 1, patch_px / 8 - 2, patch_px / 8 - 2]);
         }
-        for (width, patch_px) in [(0, 64), (257, 64), (16, 16), (16, 2048)] {
+        for (width, patch_px) in [(0, 64), (257, 64), (16, 16), (16, 96), (16, 2048)] {
             assert!(CriticConfig { width, patch_px }.validate().is_err());
         }
     }

@@ -446,7 +446,9 @@ fn evaluate_judges_a_run_by_field_and_depth() {
 #[test]
 fn commands_of_a_missing_feature_say_how_to_get_it() {
     let place = Workplace::new();
-    for command in ["demo --quick", "design task.toml -o run", "evaluate run", "export run -o kit"] {
+    for command in
+        ["demo --quick", "design task.toml -o run", "train task.toml -o run", "evaluate run", "export run -o kit"]
+    {
         place.run(command).refused(&["this build lacks the feature `train`; build with --features train"]);
     }
 }

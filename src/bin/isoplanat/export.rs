@@ -21,7 +21,7 @@ use crate::kit;
 /// ONNX model and calibration of a run, for the camera.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Run folder that `design` wrote.
+    /// Run folder that `design` or `train` wrote.
     run: PathBuf,
     /// Kit folder to write.
     #[arg(short, long)]

@@ -108,7 +108,10 @@ impl Lines {
 
     /// The first pixel of `channel`.
     pub(super) fn pixel(&self, channel: usize) -> *const f32 {
-        self.values[channel * self.stride + self.lead..].as_ptr()
+        let first = channel * self.stride + self.lead;
+        assert!(first < self.values.len());
+        // From the buffer's own pointer: whoever steps back to a tap stays within what it points to.
+        self.values.as_ptr().wrapping_add(first)
     }
 
     /// The line of `channel`.

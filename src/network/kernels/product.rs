@@ -14,8 +14,11 @@ use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch, transpose}
 use super::strip::{Scratch, Shared, filled, with_scratch};
 use super::{Level, recycle};
 
-/// Outputs of one task: its lines and the input channels worked on stay in the second-level cache.
+/// Most outputs of one task: its lines and the input channels worked on stay in the second-level cache.
 const GROUP: usize = 32;
+
+/// Fewest, where there are so few outputs that threads would wait: a block of the inner loop.
+const SMALLEST: usize = 8;
 
 /// Values of the input channels worked on at a time, at most.
 const INPUTS: usize = 72 * 1024;
@@ -58,10 +61,12 @@ pub(super) fn product<const SIDE: usize>(
     pack: impl Fn(Block) + Sync,
     finish: &impl Finish,
 ) {
-    (0..bias.len().div_ceil(GROUP)).into_par_iter().for_each(|group| {
+    // A result does not depend on its group: how outputs are grouped is a matter of speed alone.
+    let size = (bias.len() / 16).next_multiple_of(SMALLEST).clamp(SMALLEST, GROUP);
+    (0..bias.len().div_ceil(size)).into_par_iter().for_each(|group| {
         with_scratch(|[results, weights, _]| {
-            let first = group * GROUP;
-            let count = GROUP.min(bias.len() - first);
+            let first = group * size;
+            let count = size.min(bias.len() - first);
             let scratch = (&raw mut *results, &raw mut *weights);
             dispatch(level, &Group::<SIDE, _, _> { lines, bias, first, count, pack: &pack, finish, scratch });
         });
