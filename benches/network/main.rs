@@ -1,7 +1,7 @@
 //! A training step of the network alone: `cargo bench --bench network` for criterion's figures, `-- tables` for the table
 //! of `benches/results/network.md`, which `tests/peers/unet_torch.py` prints for PyTorch. `-- measure NAME` is one line
 //! of it: every network has a process of its own, so that no other's memory counts. `-- quality [STEPS]` trains networks of
-//! several sizes on one lens and prints PSNR against run time (about half an hour).
+//! several sizes on one lens and prints PSNR against run time (about a quarter of an hour).
 
 mod cases;
 mod quality;
@@ -34,7 +34,7 @@ fn main() {
         return;
     }
     if let Some(at) = arguments.iter().position(|a| a == "quality") {
-        quality::print(arguments.get(at + 1).and_then(|n| n.parse().ok()).unwrap_or(1500));
+        quality::print(arguments.get(at + 1).and_then(|n| n.parse().ok()).unwrap_or(600));
         return;
     }
     let mut criterion = Criterion::default().configure_from_args();
