@@ -65,13 +65,13 @@ pub(crate) fn print(steps: u64) {
             less.reconstruction.psnr_db.mean,
         );
         series.push(Series {
-            name: format!("width {base_width}, {scales} scales"),
+            name: format!("{base_width}, {scales}"),
             points: vec![[forward, full.reconstruction.psnr_db.mean]],
             mark: Mark::Dots,
         });
     }
     let plot = Plot {
-        title: format!("PSNR after {steps} training steps over the time of a reconstruction"),
+        title: format!("PSNR after {steps} steps over run time, by width and scales"),
         x_label: "forward pass, s/Mpixel, two threads".into(),
         y_label: "PSNR of the reconstruction, dB".into(),
         series,
