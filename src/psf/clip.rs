@@ -6,7 +6,7 @@
 //! (four fifths of the rise within one spacing) the error of a cut beam's area is least: a narrower edge counts points, a
 //! wider one blunts the edge. The width is the same wherever the aperture stands and however small the beam is there.
 
-use super::fit::{Fit, Of};
+use super::old_fit::{Fit, Of};
 use super::pupil::PupilSampling;
 
 /// Width of the edge in spacings of the dense points.

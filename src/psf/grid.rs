@@ -12,7 +12,7 @@ use glam::DVec2;
 use ndarray::{Array2, Array4, ArrayView2, ArrayView3, Axis};
 use rayon::prelude::*;
 
-use super::fit::dot;
+use super::old_fit::dot;
 use super::pupil::{PupilMap, PupilSampling};
 use super::splat::{splat, splat_vjp};
 use crate::lens::{Lens, LensGradient};

@@ -14,7 +14,7 @@
 use glam::{DVec2, DVec3};
 
 use super::clip::Clip;
-use super::fit::{Fit, Of};
+use super::old_fit::{Fit, Of};
 use crate::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use crate::trace::launch::{FieldPoint, launch, launch_vjp};
 use crate::trace::sequential::{Hit, HitBar, trace, trace_vjp};

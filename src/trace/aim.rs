@@ -11,6 +11,7 @@ mod aimer;
 mod backward;
 mod newton;
 mod paraxial;
+mod sensor;
 
 use glam::{DVec2, DVec3};
 
@@ -18,6 +19,7 @@ pub use aimer::{Aimed, AimedBar, Aimer, aimed_vjp};
 use backward::Front;
 use newton::{solve, stop_jacobian};
 pub use paraxial::ParaxialPupil;
+pub use sensor::{SceneRay, SceneRayBar, SensorView};
 
 use super::launch::{FieldPoint, launch, launch_vjp};
 use super::object::ObjectPoint;

@@ -144,6 +144,27 @@ impl SystemGradient {
         }
     }
 
+    /// Cotangents of a system from those of its [`System::reversed`], of which they are linear maps; without poses.
+    ///
+    /// # Panics
+    /// If a surface's pose has a cotangent: systems with tilts are not met from the sensor.
+    #[must_use]
+    pub fn reversed(&self) -> Self {
+        assert!(self.motions.iter().all(|m| *m == Motion::ZERO), "no tilted surface is met from the sensor");
+        let flipped = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
+        // The distance before a surface was the one behind it; the first has none.
+        let mut distances = flipped(&self.distances);
+        distances.rotate_right(1);
+        Self {
+            shapes: self.shapes.iter().rev().map(Shape::reversed).collect(),
+            distances,
+            indices: flipped(&self.indices),
+            semi_diameters: flipped(&self.semi_diameters),
+            stop_semi_diameter: self.stop_semi_diameter,
+            motions: self.motions.clone(),
+        }
+    }
+
     /// Adds the cotangents `other` of the same system.
     pub fn add(&mut self, other: &Self) {
         let add = |a: &mut [f64], b: &[f64]| a.iter_mut().zip(b).for_each(|(x, y)| *x += y);

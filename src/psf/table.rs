@@ -1,0 +1,393 @@
+//! What every point of the sensor sees through the lens: rays traced once at a few sensor radii and wavelengths, kept as
+//! polynomials over the stop, interpolated to any radius; one differentiable value.
+//!
+//! A [`Table`] holds, by sensor radius `R` (on +y) and wavelength, over the unit stop `s`: where the ray from the sensor
+//! point through `s` crosses the first vertex plane (`e`) and with what slopes (`g`), its étendue
+//! `W = n'² |∂(L, M)/∂s|`, and `1 − r²/a²` at every clear aperture `a` that it comes near. An object at vergence `v` is met
+//! at the slope `g − v e`, so the table serves every depth. Sensor radii between the knots are interpolated by polynomials
+//! through the nearest six; the axis counts as a point of symmetry. Cotangents add up in a [`TableBar`] and go back to the
+//! lens once, [`Table::vjp`].
+//!
+//! Where rays of the outer stop fail, the largest concentric part of it whose nodes all survive is kept
+//! ([`Row::kept`]). Light ends at the first knot where none does ([`Table::edge_mm`]).
+
+mod beam;
+mod refine;
+
+use std::ops::Range;
+
+use rayon::prelude::*;
+
+use super::fit::{Parity, terms};
+use super::stop::StopNodes;
+use crate::error::{Error, Result};
+use crate::lens::{Lens, LensGradient};
+use crate::trace::aim::SensorView;
+use crate::trace::{Failure, System, SystemGradient};
+use beam::{Beam, Bases, Chief};
+pub use refine::{Tolerance, knots};
+
+/// Knots that one interpolation reads.
+const TAPS: usize = 6;
+
+/// Where a table is traced.
+#[derive(Clone, Debug, PartialEq)]
+pub struct TableSpec {
+    /// Sensor radii, mm, growing, the first 0.
+    pub radii_mm: Vec<f64>,
+    /// Wavelengths, nm.
+    pub wavelength_nm: Vec<f64>,
+    /// Degree of the polynomials over the stop.
+    pub degree: usize,
+}
+
+/// Places of the quantities in a row of coefficients.
+#[derive(Clone, Debug, PartialEq)]
+struct Layout {
+    even: usize,
+    odd: usize,
+    clips: usize,
+}
+
+impl Layout {
+    fn entrance(&self) -> [Range<usize>; 2] {
+        [0..self.odd, self.odd..self.odd + self.even]
+    }
+    fn slope(&self) -> [Range<usize>; 2] {
+        let from = self.odd + self.even;
+        [from..from + self.odd, from + self.odd..2 * from]
+    }
+    fn weight(&self) -> Range<usize> {
+        let from = 2 * (self.odd + self.even);
+        from..from + self.even
+    }
+    fn clip(&self, k: usize) -> Range<usize> {
+        let from = self.weight().end + k * self.even;
+        from..from + self.even
+    }
+    fn len(&self) -> usize {
+        self.clip(self.clips).start
+    }
+
+    /// Sign of every coefficient under `R → −R`, where the sensor point turns by half a circle: scalars are turned with the
+    /// stop, vectors change their sign as well.
+    fn signs(&self, degree: usize) -> Vec<f64> {
+        let of = |parity| terms(degree, parity).into_iter().map(|(p, q)| if (p + q) % 2 == 0 { 1.0 } else { -1.0 });
+        let (even, odd): (Vec<f64>, Vec<f64>) = (of(Parity::Even).collect(), of(Parity::Odd).collect());
+        let mut all = Vec::with_capacity(self.len());
+        for _ in 0..2 {
+            all.extend(odd.iter().chain(&even).map(|s| -s));
+        }
+        for _ in 0..=self.clips {
+            all.extend(&even);
+        }
+        all
+    }
+}
+
+/// Polynomials over the stop at one sensor radius and wavelength.
+#[derive(Clone, Debug)]
+pub struct Row {
+    coefficients: Vec<f64>,
+    /// Part of the unit stop's radius that light comes through.
+    pub kept: f64,
+}
+
+/// One knot of an interpolation.
+#[derive(Clone, Copy, Debug)]
+struct Tap {
+    knot: usize,
+    weight: f64,
+    mirrored: bool,
+}
+
+/// Knots and weights of one sensor radius.
+#[derive(Clone, Debug)]
+pub struct Taps(Vec<Tap>);
+
+/// Traced rays of a lens over sensor radius and wavelength.
+#[derive(Clone, Debug)]
+pub struct Table {
+    /// Where it was traced: knots without light are left out.
+    pub spec: TableSpec,
+    /// Surfaces (from 0) whose clear apertures come near some beam; all others clip nothing and were left out.
+    pub clips: Vec<usize>,
+    /// Beyond this sensor radius no ray comes through, mm; infinite where all knots have light.
+    pub edge_mm: f64,
+    /// Part of the stop's radius that the unit disk stands for: below 1 where rays of the outer stop fail everywhere.
+    pub pupil: f64,
+    /// Largest residual of the slopes' polynomials, relative to their range.
+    pub residual: f64,
+    /// Rays traced.
+    pub rays: usize,
+    layout: Layout,
+    signs: Vec<f64>,
+    bases: Bases,
+    /// `[knot][wavelength]`.
+    beams: Vec<Vec<Beam>>,
+    rows: Vec<Vec<Row>>,
+    chiefs: Vec<Chief>,
+}
+
+/// Cotangents of a [`Table`]: of its coefficients, and of the chief rays' crossings and slopes.
+#[derive(Clone, Debug)]
+pub struct TableBar {
+    /// `[knot][wavelength][coefficient]`.
+    rows: Vec<Vec<Vec<f64>>>,
+    chiefs: Vec<[f64; 2]>,
+}
+
+impl TableBar {
+    /// All zero, in the form of `table`.
+    pub fn zeros(table: &Table) -> Self {
+        let (knots, colours) = (table.rows.len(), table.spec.wavelength_nm.len());
+        Self {
+            rows: vec![vec![vec![0.0; table.layout.len()]; colours]; knots],
+            chiefs: vec![[0.0; 2]; knots],
+        }
+    }
+
+    /// Adds `other`.
+    pub fn add(&mut self, other: &Self) {
+        for (a, b) in self.rows.iter_mut().flatten().zip(other.rows.iter().flatten()) {
+            a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+        }
+        for (a, b) in self.chiefs.iter_mut().zip(&other.chiefs) {
+            a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
+        }
+    }
+}
+
+/// A ray failure as the error a user sees.
+fn failed(lens: &Lens, radius_mm: f64, f: Failure) -> Error {
+    Error::bad(
+        lens.name.clone(),
+        format!("rays from the sensor, {radius_mm:.3} mm from the axis"),
+        format!("no ray gets through: {:?} at surface {} counted from the sensor", f.cause, f.surface),
+        "a lens whose stop the sensor sees",
+    )
+}
+
+impl Table {
+    /// Traces `lens`.
+    ///
+    /// # Errors
+    /// A lens without rotational symmetry; one whose sensor sees no light on the axis.
+    pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
+        lens.require_symmetry("a table of sensor radii")?;
+        let views = views(lens, &spec.wavelength_nm);
+        let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
+        let mut bases = Bases::new(spec.degree);
+        let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
+        let traced: Vec<std::result::Result<(Vec<Beam>, Chief), Failure>> = spec
+            .radii_mm
+            .par_iter()
+            .map(|r| {
+                let mut beams: Vec<Beam> = Vec::with_capacity(views.len());
+                for view in &views {
+                    let beam = Beam::trace(view, &bases, *r, pupil, beams.last())?;
+                    beams.push(beam);
+                }
+                Ok((beams, Chief::trace(&reference, *r)?))
+            })
+            .collect();
+        let mut spec = spec.clone();
+        let (mut beams, mut chiefs, mut edge_mm) = (Vec::new(), Vec::new(), f64::INFINITY);
+        for (k, traced) in traced.into_iter().enumerate() {
+            match traced {
+                Ok((beam, chief)) => {
+                    beams.push(beam);
+                    chiefs.push(chief);
+                }
+                Err(f) if k == 0 => return Err(failed(lens, spec.radii_mm[0], f)),
+                Err(_) => {
+                    edge_mm = spec.radii_mm[k - 1];
+                    spec.radii_mm.truncate(k);
+                    break;
+                }
+            }
+        }
+        let clips = beam::near_apertures(&views, &beams);
+        let [even, odd] = StopNodes::terms(spec.degree);
+        let layout = Layout { even, odd, clips: clips.len() };
+        bases.prepare(beams.iter().flatten().map(|b| b.kept));
+        let rows: Vec<Vec<Row>> = beams
+            .par_iter()
+            .map(|beams| beams.iter().zip(&views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
+            .collect();
+        let residual = beams.par_iter().zip(&rows).map(|(b, r)| beam::residual(&b[0], &r[0], &bases, &layout));
+        Ok(Self {
+            residual: residual.reduce(|| 0.0, f64::max),
+            rays: beams.iter().flatten().map(|b| b.nodes.len()).sum::<usize>() + chiefs.len(),
+            signs: layout.signs(spec.degree),
+            spec,
+            clips,
+            edge_mm,
+            pupil,
+            layout,
+            bases,
+            beams,
+            rows,
+            chiefs,
+        })
+    }
+
+    /// Smallest part of the stop's radius that light comes through at any knot.
+    pub fn kept(&self) -> f64 {
+        self.pupil * self.rows.iter().flatten().map(|r| r.kept).fold(1.0, f64::min)
+    }
+
+    /// Knots and weights at a sensor radius; held beyond the last knot.
+    pub fn taps(&self, radius_mm: f64) -> Taps {
+        Taps(taps(&self.spec.radii_mm, radius_mm))
+    }
+
+    /// The polynomials of wavelength `l` at an interpolated radius.
+    pub fn row(&self, l: usize, taps: &Taps) -> Row {
+        let mut row = Row { coefficients: vec![0.0; self.layout.len()], kept: 0.0 };
+        for t in &taps.0 {
+            let from = &self.rows[t.knot][l];
+            let pairs = row.coefficients.iter_mut().zip(&from.coefficients);
+            if t.mirrored {
+                pairs.zip(&self.signs).for_each(|((a, b), s)| *a += t.weight * s * b);
+            } else {
+                pairs.for_each(|(a, b)| *a += t.weight * b);
+            }
+        }
+        // The part that is kept has corners: between its neighbours, linearly.
+        row.kept = self.kept_between(l, taps);
+        row
+    }
+
+    fn kept_between(&self, l: usize, taps: &Taps) -> f64 {
+        let kept = taps.0.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
+        if kept >= 1.0 { 1.0 } else { kept }
+    }
+
+    /// Adds the cotangent `row_bar` of [`Self::row`] to `bar`.
+    pub fn row_vjp(&self, l: usize, taps: &Taps, row_bar: &[f64], bar: &mut TableBar) {
+        for t in &taps.0 {
+            let pairs = bar.rows[t.knot][l].iter_mut().zip(row_bar);
+            if t.mirrored {
+                pairs.zip(&self.signs).for_each(|((a, b), s)| *a += t.weight * s * b);
+            } else {
+                pairs.for_each(|(a, b)| *a += t.weight * b);
+            }
+        }
+    }
+
+    /// Object slopes of the reference wavelength's chief rays at the knots, for an object at `vergence`.
+    pub fn chief_slopes(&self, vergence: f64) -> Vec<f64> {
+        self.chiefs.iter().map(|c| c.slope - vergence * c.entrance).collect()
+    }
+
+    /// Adds a cotangent on [`Self::chief_slopes`] to `bar`.
+    pub fn chief_slopes_vjp(&self, vergence: f64, slopes_bar: &[f64], bar: &mut TableBar) {
+        for (to, b) in bar.chiefs.iter_mut().zip(slopes_bar) {
+            to[0] -= vergence * b;
+            to[1] += b;
+        }
+    }
+
+    /// Pulls cotangents back to the lens.
+    pub fn vjp(&self, lens: &Lens, bar: &TableBar) -> LensGradient {
+        let views = views(lens, &self.spec.wavelength_nm);
+        let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
+        let colours = views.len();
+        let parts: Vec<LensGradient> = (0..self.beams.len() * (colours + 1))
+            .into_par_iter()
+            .map(|task| {
+                let (k, l) = (task / (colours + 1), task % (colours + 1));
+                let view = views.get(l).unwrap_or(&reference);
+                let mut out = SystemGradient::zeros(&view.system);
+                if l < colours {
+                    let beam = &self.beams[k][l];
+                    beam.row_vjp(view, &self.bases, &self.layout, &self.clips, &bar.rows[k][l], &mut out);
+                } else {
+                    self.chiefs[k].vjp(&reference, bar.chiefs[k], &mut out);
+                }
+                let mut gradient = LensGradient::zeros(lens);
+                out.reversed().add_to(lens, view.system.wavelength_nm, &mut gradient);
+                gradient
+            })
+            .collect();
+        // Summed in the order of knots and wavelengths, whatever the thread count.
+        let mut gradient = LensGradient::zeros(lens);
+        parts.iter().for_each(|g| gradient.add(g));
+        gradient
+    }
+}
+
+fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
+    wavelength_nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect()
+}
+
+/// Knots and Lagrange weights at `radius_mm`; radii are mirrored at the axis, held beyond the last.
+fn taps(radii: &[f64], radius_mm: f64) -> Vec<Tap> {
+    let n = radii.len();
+    let radius = radius_mm.min(radii[n - 1]);
+    // Signed indices: −k is knot k mirrored.
+    let after = radii.partition_point(|r| *r <= radius).cast_signed();
+    let count = TAPS.min(2 * n - 1);
+    let first = (after - (count / 2).cast_signed()).min(n.cast_signed() - count.cast_signed());
+    let at = |i: isize| if i < 0 { -radii[i.unsigned_abs()] } else { radii[i.unsigned_abs()] };
+    (first..first + count.cast_signed())
+        .map(|i| {
+            let others = (first..first + count.cast_signed()).filter(|j| *j != i);
+            let weight = others.map(|j| (radius - at(j)) / (at(i) - at(j))).product();
+            Tap { knot: i.unsigned_abs(), weight, mirrored: i < 0 }
+        })
+        .filter(|t: &Tap| t.weight != 0.0)
+        .collect()
+}
+
+impl Row {
+    /// Coefficients of the object's slope for `vergence`, across the meridian (odd) and along it (even).
+    pub fn slope(&self, table: &Table, vergence: f64) -> [Vec<f64>; 2] {
+        let (e, g) = (table.layout.entrance(), table.layout.slope());
+        [0, 1].map(|k| {
+            let pairs = self.coefficients[g[k].clone()].iter().zip(&self.coefficients[e[k].clone()]);
+            pairs.map(|(g, e)| g - vergence * e).collect()
+        })
+    }
+
+    /// Coefficients of the étendue over the unit stop (even).
+    pub fn weight(&self, table: &Table) -> &[f64] {
+        &self.coefficients[table.layout.weight()]
+    }
+
+    /// Coefficients of `1 − r²/a²` at the table's `k`-th clipping aperture (even).
+    pub fn clip(&self, table: &Table, k: usize) -> &[f64] {
+        &self.coefficients[table.layout.clip(k)]
+    }
+}
+
+/// A cotangent of a [`Row`] under construction.
+#[derive(Clone, Debug)]
+pub struct RowBar(pub(super) Vec<f64>);
+
+impl RowBar {
+    /// Zero, in the form of `table`.
+    pub fn zeros(table: &Table) -> Self {
+        Self(vec![0.0; table.layout.len()])
+    }
+
+    /// Adds a cotangent on [`Row::slope`].
+    pub fn add_slope(&mut self, table: &Table, vergence: f64, bar: [&[f64]; 2]) {
+        let (e, g) = (table.layout.entrance(), table.layout.slope());
+        for k in 0..2 {
+            self.0[g[k].clone()].iter_mut().zip(bar[k]).for_each(|(a, b)| *a += b);
+            self.0[e[k].clone()].iter_mut().zip(bar[k]).for_each(|(a, b)| *a -= vergence * b);
+        }
+    }
+
+    /// The part that belongs to the étendue.
+    pub fn weight(&mut self, table: &Table) -> &mut [f64] {
+        &mut self.0[table.layout.weight()]
+    }
+
+    /// The part that belongs to the `k`-th clipping aperture.
+    pub fn clip(&mut self, table: &Table, k: usize) -> &mut [f64] {
+        &mut self.0[table.layout.clip(k)]
+    }
+}

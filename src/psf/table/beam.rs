@@ -1,0 +1,297 @@
+//! The rays of one sensor point and wavelength through the nodes of the stop, as polynomials, and back.
+
+use std::collections::HashMap;
+
+use glam::DVec2;
+
+use super::super::fit::{Of, apply, apply_transposed};
+use super::super::stop::StopNodes;
+use super::{Layout, Row};
+use crate::trace::aim::{SceneRay, SceneRayBar, SensorView};
+use crate::trace::sequential::Hit;
+use crate::trace::{Failure, SystemGradient};
+
+/// Parts of the unit stop's radius tried in turn where rays fail.
+const PARTS: [f64; 6] = [1.0, 0.93, 0.85, 0.75, 0.6, 0.4];
+/// Parts of the stop's radius tried in turn for the unit stop: a stop may be larger than anything that comes through.
+const PUPILS: [f64; 9] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02];
+/// Apertures that a ray passes nearer to its edge than this part of its radius may clip some other ray.
+const NEAR: f64 = 0.85;
+
+/// Nodes and matrices by the part of the unit stop that they cover.
+#[derive(Clone, Debug)]
+pub(super) struct Bases {
+    degree: usize,
+    of: HashMap<u64, StopNodes>,
+}
+
+impl Bases {
+    pub(super) fn new(degree: usize) -> Self {
+        let mut bases = Self { degree, of: HashMap::new() };
+        bases.prepare(PARTS.into_iter());
+        bases
+    }
+
+    pub(super) fn prepare(&mut self, kept: impl Iterator<Item = f64>) {
+        for part in kept {
+            self.of.entry(part.to_bits()).or_insert_with(|| StopNodes::new(self.degree, part));
+        }
+    }
+
+    pub(super) fn of(&self, kept: f64) -> &StopNodes {
+        &self.of[&kept.to_bits()]
+    }
+}
+
+/// One node's ray.
+#[derive(Clone, Debug)]
+pub(super) struct Node {
+    ray: SceneRay,
+    /// Where it crosses the surfaces of the reversed system.
+    heights: Vec<DVec2>,
+}
+
+/// The rays of one sensor point and wavelength.
+#[derive(Clone, Debug)]
+pub(super) struct Beam {
+    radius_mm: f64,
+    pub(super) kept: f64,
+    /// Radius of the unit stop, mm, over the stop's.
+    pupil: f64,
+    pub(super) nodes: Vec<Node>,
+}
+
+/// Largest part of the stop's radius whose rim the axis sees at every wavelength.
+pub(super) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
+    let mut failure = None;
+    for part in PUPILS {
+        let tried = views.iter().try_for_each(|view| Beam::nodes(view, bases.of(1.0), 0.0, part, None).map(|_| ()));
+        match tried {
+            Ok(()) => return Ok(part),
+            Err(f) => failure = failure.or(Some(f)),
+        }
+    }
+    // A part of the smallest may do.
+    let smallest = PUPILS[PUPILS.len() - 1];
+    match views.iter().try_for_each(|v| Beam::trace(v, bases, 0.0, smallest, None).map(|_| ())) {
+        Ok(()) => Ok(smallest),
+        Err(f) => Err(failure.unwrap_or(f)),
+    }
+}
+
+impl Beam {
+    /// Traces the nodes of the largest part of the stop that gets through. `near` is the beam of a neighbouring wavelength.
+    pub(super) fn trace(
+        view: &SensorView,
+        bases: &Bases,
+        radius_mm: f64,
+        pupil: f64,
+        near: Option<&Self>,
+    ) -> Result<Self, Failure> {
+        let mut failure = None;
+        for kept in PARTS {
+            let near = near.filter(|b| b.kept == kept);
+            match Self::nodes(view, bases.of(kept), radius_mm, pupil, near) {
+                Ok(nodes) => return Ok(Self { radius_mm, kept, pupil, nodes }),
+                Err(f) => failure = failure.or(Some(f)),
+            }
+        }
+        Err(failure.expect("at least one part was tried"))
+    }
+
+    fn nodes(
+        view: &SensorView,
+        basis: &StopNodes,
+        radius_mm: f64,
+        pupil: f64,
+        near: Option<&Self>,
+    ) -> Result<Vec<Node>, Failure> {
+        let at = DVec2::new(0.0, radius_mm);
+        let scale = pupil * view.system.stop_semi_diameter;
+        let mut hits = Vec::with_capacity(view.system.surfaces.len());
+        let mut chief_hits: Vec<Hit> = Vec::new();
+        let chief = match near {
+            Some(_) => DVec2::ZERO,
+            None => view.aim(at, DVec2::ZERO, None, &mut chief_hits)?,
+        };
+        let mut nodes = Vec::with_capacity(basis.nodes.len());
+        for (j, s) in basis.nodes.iter().enumerate() {
+            let target = *s * scale;
+            let start = match near {
+                Some(beam) => beam.nodes[j].ray.cosines,
+                None => view.step(at, chief, &chief_hits, target),
+            };
+            let cosines = view.aim(at, target, Some(start), &mut hits)?;
+            let ray = view.follow(at, cosines, &mut hits)?;
+            nodes.push(Node { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
+        }
+        Ok(nodes)
+    }
+
+    /// Values at the nodes.
+    fn values(&self, f: impl Fn(&Node) -> f64) -> Vec<f64> {
+        self.nodes.iter().map(f).collect()
+    }
+
+    /// The polynomials; `clips` are surfaces of the lens.
+    pub(super) fn row(&self, view: &SensorView, bases: &Bases, layout: &Layout, clips: &[usize]) -> Row {
+        let basis = bases.of(self.kept);
+        let [even, odd] = &basis.coefficients;
+        let mut out = Vec::with_capacity(layout.len());
+        out.extend(apply(odd, &self.values(|n| n.ray.entrance.x)));
+        out.extend(apply(even, &self.values(|n| n.ray.entrance.y)));
+        out.extend(apply(odd, &self.values(|n| n.ray.slope.x)));
+        out.extend(apply(even, &self.values(|n| n.ray.slope.y)));
+        let [[a, b], [c, d]] = self.cosine_slopes(basis);
+        let n2 = view.image_index().powi(2);
+        let etendue: Vec<f64> = (0..a.len()).map(|j| n2 * (a[j] * d[j] - b[j] * c[j])).collect();
+        out.extend(apply(even, &etendue));
+        for surface in clips {
+            let k = view.system.image() - surface;
+            let square = view.system.surfaces[k].semi_diameter.powi(2);
+            out.extend(apply(even, &self.values(|n| 1.0 - n.heights[k].length_squared() / square)));
+        }
+        Row { coefficients: out, kept: self.kept }
+    }
+
+    /// `∂L/∂x, ∂L/∂y` and `∂M/∂x, ∂M/∂y` over the unit stop, at the nodes.
+    fn cosine_slopes(&self, basis: &StopNodes) -> [[Vec<f64>; 2]; 2] {
+        let [even, odd] = &basis.coefficients;
+        let l = apply(odd, &self.values(|n| n.ray.cosines.x));
+        let m = apply(even, &self.values(|n| n.ray.cosines.y));
+        let [at_even, at_odd] = &basis.at_nodes;
+        [[at_odd.at(Of::X, &l), at_odd.at(Of::Y, &l)], [at_even.at(Of::X, &m), at_even.at(Of::Y, &m)]]
+    }
+
+    /// Pulls a cotangent on [`Self::row`]'s coefficients back to the reversed system.
+    pub(super) fn row_vjp(
+        &self,
+        view: &SensorView,
+        bases: &Bases,
+        layout: &Layout,
+        clips: &[usize],
+        bar: &[f64],
+        out: &mut SystemGradient,
+    ) {
+        if bar.iter().all(|b| *b == 0.0) {
+            return;
+        }
+        let basis = bases.of(self.kept);
+        let [even, odd] = &basis.coefficients;
+        let [ex, ey] = layout.entrance();
+        let [gx, gy] = layout.slope();
+        let entrance = [apply_transposed(odd, &bar[ex]), apply_transposed(even, &bar[ey])];
+        let slope = [apply_transposed(odd, &bar[gx]), apply_transposed(even, &bar[gy])];
+        let etendue = apply_transposed(even, &bar[layout.weight()]);
+        let cosines = self.etendue_vjp(view, basis, &etendue, out);
+        let heights: Vec<(usize, f64, Vec<f64>)> = clips
+            .iter()
+            .enumerate()
+            .map(|(c, surface)| {
+                let k = view.system.image() - surface;
+                (k, view.system.surfaces[k].semi_diameter, apply_transposed(even, &bar[layout.clip(c)]))
+            })
+            .collect();
+        let at = DVec2::new(0.0, self.radius_mm);
+        let mut hits = Vec::with_capacity(view.system.surfaces.len());
+        for (j, node) in self.nodes.iter().enumerate() {
+            if view.follow(at, node.ray.cosines, &mut hits).is_err() {
+                continue;
+            }
+            let mut ray = SceneRayBar {
+                cosines: DVec2::new(cosines[0][j], cosines[1][j]),
+                entrance: DVec2::new(entrance[0][j], entrance[1][j]),
+                slope: DVec2::new(slope[0][j], slope[1][j]),
+                heights: Vec::with_capacity(heights.len()),
+            };
+            for (k, radius, bars) in &heights {
+                let height = node.heights[*k];
+                ray.heights.push((*k, -2.0 * bars[j] / radius.powi(2) * height));
+                out.semi_diameters[*k] += 2.0 * bars[j] * height.length_squared() / radius.powi(3);
+            }
+            let target = view.vjp(at, node.ray.cosines, &hits, &ray, out);
+            out.stop_semi_diameter += target.dot(basis.nodes[j]) * self.pupil;
+        }
+    }
+
+    /// Pulls a cotangent on the étendue at the nodes back to the cosines there, and to the index before the sensor.
+    fn etendue_vjp(
+        &self,
+        view: &SensorView,
+        basis: &StopNodes,
+        bar: &[f64],
+        out: &mut SystemGradient,
+    ) -> [Vec<f64>; 2] {
+        let [[a, b], [c, d]] = self.cosine_slopes(basis);
+        let index = view.image_index();
+        let scaled: Vec<f64> = bar.iter().map(|v| v * index * index).collect();
+        let times = |f: &[f64], sign: f64| scaled.iter().zip(f).map(|(s, v)| sign * s * v).collect::<Vec<f64>>();
+        let [at_even, at_odd] = &basis.at_nodes;
+        let [even, odd] = &basis.coefficients;
+        let (mut l, mut m) = (vec![0.0; odd.nrows()], vec![0.0; even.nrows()]);
+        at_odd.pull(Of::X, &times(&d, 1.0), &mut l);
+        at_odd.pull(Of::Y, &times(&c, -1.0), &mut l);
+        at_even.pull(Of::X, &times(&b, -1.0), &mut m);
+        at_even.pull(Of::Y, &times(&a, 1.0), &mut m);
+        let by_index: f64 = (0..a.len()).map(|j| 2.0 * index * bar[j] * (a[j] * d[j] - b[j] * c[j])).sum();
+        out.indices[1] += by_index;
+        [apply_transposed(odd, &l), apply_transposed(even, &m)]
+    }
+}
+
+/// Surfaces of the lens, other than the stop, whose clear apertures some ray comes near.
+pub(super) fn near_apertures(views: &[SensorView], beams: &[Vec<Beam>]) -> Vec<usize> {
+    let Some(view) = views.first() else { return Vec::new() };
+    let image = view.system.image();
+    (0..image)
+        .filter(|surface| {
+            let k = image - surface;
+            let radius = view.system.surfaces[k].semi_diameter;
+            let nearer = |n: &Node| n.heights[k].length() > NEAR * radius;
+            k != view.system.stop && radius.is_finite() && beams.iter().flatten().any(|b| b.nodes.iter().any(nearer))
+        })
+        .collect()
+}
+
+/// Largest distance of the slopes at the nodes from their polynomial, relative to their range.
+pub(super) fn residual(beam: &Beam, row: &Row, bases: &Bases, layout: &Layout) -> f64 {
+    let fitted = bases.of(beam.kept).at_nodes[0].at(Of::Value, &row.coefficients[layout.slope()[1].clone()]);
+    let values = beam.values(|n| n.ray.slope.y);
+    let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
+    let worst = fitted.iter().zip(&values).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    if high > low { worst / (high - low) } else { 0.0 }
+}
+
+/// The chief ray of one sensor point at the reference wavelength.
+#[derive(Clone, Debug)]
+pub(super) struct Chief {
+    radius_mm: f64,
+    cosines: DVec2,
+    /// Where it crosses the first vertex plane, along the meridian, mm.
+    pub(super) entrance: f64,
+    /// Its slope there.
+    pub(super) slope: f64,
+}
+
+impl Chief {
+    pub(super) fn trace(view: &SensorView, radius_mm: f64) -> Result<Self, Failure> {
+        let at = DVec2::new(0.0, radius_mm);
+        let mut hits = Vec::new();
+        let cosines = view.aim(at, DVec2::ZERO, None, &mut hits)?;
+        let ray = view.follow(at, cosines, &mut hits)?;
+        Ok(Self { radius_mm, cosines, entrance: ray.entrance.y, slope: ray.slope.y })
+    }
+
+    pub(super) fn vjp(&self, view: &SensorView, [entrance, slope]: [f64; 2], out: &mut SystemGradient) {
+        let at = DVec2::new(0.0, self.radius_mm);
+        let mut hits = Vec::new();
+        if (entrance, slope) != (0.0, 0.0) && view.follow(at, self.cosines, &mut hits).is_ok() {
+            let bar = SceneRayBar {
+                entrance: DVec2::new(0.0, entrance),
+                slope: DVec2::new(0.0, slope),
+                ..SceneRayBar::default()
+            };
+            view.vjp(at, self.cosines, &hits, &bar, out);
+        }
+    }
+}
