@@ -108,7 +108,7 @@ mod tests {
         for _ in 0..200 {
             let u = [rng.f64() * 12.0 - 6.0, rng.f64() * 12.0 - 6.0];
             let (mut a, mut b) = (vec![0.0; 81], vec![0.0; 81]);
-            let lost = [splat_fine(&mut a, 9, 1, u, 2.0), super::super::splat::splat(&mut b, 9, u, 2.0)];
+            let lost = [splat_fine(&mut a, 9, 1, u, 2.0), super::super::old_splat::splat(&mut b, 9, u, 2.0)];
             assert_abs(lost[0], lost[1], 1e-14, "outside");
             a.iter().zip(&b).for_each(|(a, b)| assert_abs(*a, *b, 1e-14, "kernel"));
         }

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 
 use super::old_fit::dot;
 use super::pupil::{PupilMap, PupilSampling};
-use super::splat::{splat, splat_vjp};
+use super::old_splat::{splat, splat_vjp};
 use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::ParaxialPupil;
 use crate::trace::{Failure, FieldPoint, System, SystemGradient};

@@ -16,8 +16,15 @@ pub mod stop;
 pub mod table;
 pub mod grid;
 pub mod pupil;
+pub mod illumination;
+pub mod kernel;
+pub mod old_splat;
+pub mod optics;
 pub mod splat;
 #[cfg(test)]
 mod tests;
 
 pub use grid::{PsfGrid, PsfPlan};
+pub use kernel::{KernelForm, Place};
+pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};
+pub use sensor_map::SensorMap;

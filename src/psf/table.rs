@@ -95,9 +95,9 @@ pub struct Row {
 
 /// One knot of an interpolation.
 #[derive(Clone, Copy, Debug)]
-struct Tap {
-    knot: usize,
-    weight: f64,
+pub(super) struct Tap {
+    pub(super) knot: usize,
+    pub(super) weight: f64,
     mirrored: bool,
 }
 
@@ -239,7 +239,7 @@ impl Table {
 
     /// Knots and weights at a sensor radius; held beyond the last knot.
     pub fn taps(&self, radius_mm: f64) -> Taps {
-        Taps(taps(&self.spec.radii_mm, radius_mm))
+        Taps(taps(&self.spec.radii_mm, radius_mm, TAPS))
     }
 
     /// The polynomials of wavelength `l` at an interpolated radius.
@@ -323,12 +323,12 @@ fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
 }
 
 /// Knots and Lagrange weights at `radius_mm`; radii are mirrored at the axis, held beyond the last.
-fn taps(radii: &[f64], radius_mm: f64) -> Vec<Tap> {
+pub(super) fn taps(radii: &[f64], radius_mm: f64, most: usize) -> Vec<Tap> {
     let n = radii.len();
     let radius = radius_mm.min(radii[n - 1]);
     // Signed indices: −k is knot k mirrored.
     let after = radii.partition_point(|r| *r <= radius).cast_signed();
-    let count = TAPS.min(2 * n - 1);
+    let count = most.min(2 * n - 1);
     let first = (after - (count / 2).cast_signed()).min(n.cast_signed() - count.cast_signed());
     let at = |i: isize| if i < 0 { -radii[i.unsigned_abs()] } else { radii[i.unsigned_abs()] };
     (first..first + count.cast_signed())

@@ -1,0 +1,292 @@
+//! Irradiance of a white scene over the sensor: the étendue of the open part of the stop, hard edges.
+//!
+//! `E(R) = ∫ W ds` over the part of the unit stop where every clear aperture's `g = 1 − r²/a²` is positive; a Lambertian
+//! scene of radiance 1 at any distance gives this irradiance. Along chords of constant `x` the open intervals end at roots
+//! of polynomials in `y`, and `W` is integrated exactly between them; the chords themselves are spaced so that the whole
+//! disk converges spectrally and a cut one as the square of their number (128: about 1e-5). The adjoint differentiates both: the étendue inside,
+//! and the ends of the intervals by the implicit function theorem.
+
+use std::f64::consts::{FRAC_PI_2, PI};
+
+use rayon::prelude::*;
+
+use super::fit::{Parity, chebyshev, dot, terms};
+use super::table::{Row, RowBar, Table, TableBar, Taps, taps};
+
+/// Chords of the half `x > 0`.
+const CHORDS: u32 = 128;
+/// Samples of a chord between which an aperture's edge is looked for.
+const SAMPLES: u32 = 12;
+/// Points of the rim's half that decide whether an aperture clips at all.
+const RIM: u32 = 64;
+/// Knots that one interpolation over the radius reads.
+const TAPS: usize = 4;
+/// Gauss–Legendre, six points: exact to degree 11.
+const GAUSS: [(f64, f64); 3] = [
+    (0.238_619_186_083_196_9, 0.467_913_934_572_691),
+    (0.661_209_386_466_264_5, 0.360_761_573_048_138_6),
+    (0.932_469_514_203_152, 0.171_324_492_379_170_36),
+];
+
+/// Irradiance over the sensor radius, by wavelength.
+#[derive(Clone, Debug)]
+pub struct Illumination {
+    /// Sensor radii, mm, growing, the first 0.
+    pub radii_mm: Vec<f64>,
+    /// `[wavelength][radius]`, sr (for a sensor in air).
+    pub irradiance: Vec<Vec<f64>>,
+    edge_mm: f64,
+    quadrature: Quadrature,
+}
+
+/// Cotangents on [`Illumination::irradiance`].
+pub type IlluminationBar = Vec<Vec<f64>>;
+
+impl Illumination {
+    /// At `count + 1` even radii from the axis to `radius_mm`.
+    pub fn compute(table: &Table, radius_mm: f64, count: u32) -> Self {
+        let radii_mm: Vec<f64> = (0..=count).map(|i| radius_mm * f64::from(i) / f64::from(count.max(1))).collect();
+        let quadrature = Quadrature::new(table.spec.degree);
+        let at = |l: usize, r: f64| {
+            if r > table.edge_mm { 0.0 } else { quadrature.integrate(table, &table.row(l, &table.taps(r))) }
+        };
+        let irradiance = (0..table.spec.wavelength_nm.len())
+            .into_par_iter()
+            .map(|l| radii_mm.par_iter().map(|r| at(l, *r)).collect())
+            .collect();
+        Self { radii_mm, irradiance, edge_mm: table.edge_mm, quadrature }
+    }
+
+    /// Irradiance at a radius, wavelength `l`; held beyond the last radius, 0 where no light comes.
+    pub fn at(&self, l: usize, radius_mm: f64) -> f64 {
+        if radius_mm > self.edge_mm {
+            return 0.0;
+        }
+        let sum: f64 = self.taps(radius_mm).map(|(k, w)| w * self.irradiance[l][k]).sum();
+        sum.max(0.0)
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::at`].
+    pub fn at_vjp(&self, l: usize, radius_mm: f64, bar: f64, irradiance_bar: &mut IlluminationBar) {
+        if radius_mm <= self.edge_mm && self.at(l, radius_mm) > 0.0 {
+            self.taps(radius_mm).for_each(|(k, w)| irradiance_bar[l][k] += w * bar);
+        }
+    }
+
+    fn taps(&self, radius_mm: f64) -> impl Iterator<Item = (usize, f64)> {
+        taps(&self.radii_mm, radius_mm, TAPS).into_iter().map(|t| (t.knot, t.weight))
+    }
+
+    /// A zero cotangent.
+    pub fn no_bar(&self) -> IlluminationBar {
+        vec![vec![0.0; self.radii_mm.len()]; self.irradiance.len()]
+    }
+
+    /// Pulls cotangents back to the table (added to `bar`).
+    pub fn vjp(&self, table: &Table, irradiance_bar: &IlluminationBar, bar: &mut TableBar) {
+        let places: Vec<(usize, usize)> = (0..irradiance_bar.len())
+            .flat_map(|l| (0..self.radii_mm.len()).map(move |k| (l, k)))
+            .filter(|(l, k)| irradiance_bar[*l][*k] != 0.0 && self.radii_mm[*k] <= self.edge_mm)
+            .collect();
+        let parts: Vec<(Taps, RowBar)> = places
+            .par_iter()
+            .map(|(l, k)| {
+                let taps = table.taps(self.radii_mm[*k]);
+                let mut row_bar = RowBar::zeros(table);
+                self.quadrature.integrate_vjp(table, &table.row(*l, &taps), irradiance_bar[*l][*k], &mut row_bar);
+                (taps, row_bar)
+            })
+            .collect();
+        for ((l, _), (taps, row_bar)) in places.iter().zip(&parts) {
+            table.row_vjp(*l, taps, &row_bar.0, bar);
+        }
+    }
+}
+
+/// The rule over the half disk.
+#[derive(Clone, Debug)]
+struct Quadrature {
+    terms: Vec<(usize, usize)>,
+    degree: usize,
+    /// `∫ T_p T_q` over the whole disk.
+    disk: Vec<f64>,
+    /// Basis at points of the rim, `[point][term]`.
+    rim: Vec<Vec<f64>>,
+}
+
+/// One chord: polynomials in y.
+struct Chord {
+    /// `T_p` at its x.
+    across: Vec<f64>,
+    /// Half its length, and what it stands for (both halves of the disk).
+    half: f64,
+    weight: f64,
+}
+
+/// An open interval, and which aperture ends it below and above.
+struct Open {
+    ends: [f64; 2],
+    by: [Option<usize>; 2],
+}
+
+impl Quadrature {
+    fn new(degree: usize) -> Self {
+        let terms = terms(degree, Parity::Even);
+        let value = |x: f64, y: f64| -> Vec<f64> {
+            let (tx, ty) = (chebyshev(x, degree).0, chebyshev(y, degree).0);
+            terms.iter().map(|(p, q)| tx[*p] * ty[*q]).collect()
+        };
+        let rim = (0..=RIM)
+            .map(|k| {
+                let (x, y) = (PI * f64::from(k) / f64::from(RIM)).sin_cos();
+                value(x, y)
+            })
+            .collect();
+        let mut rule = Self { disk: vec![0.0; terms.len()], degree, rim, terms };
+        for i in 0..CHORDS {
+            let chord = rule.chord(i, 1.0);
+            let whole = Open { ends: [-chord.half, chord.half], by: [None; 2] };
+            for (y, w) in gauss(&whole) {
+                let along = chebyshev(y, degree).0;
+                for (d, (p, q)) in rule.disk.iter_mut().zip(&rule.terms) {
+                    *d += chord.weight * w * chord.across[*p] * along[*q];
+                }
+            }
+        }
+        rule
+    }
+
+    fn chord(&self, i: u32, kept: f64) -> Chord {
+        let step = FRAC_PI_2 / f64::from(CHORDS);
+        let (x, half) = ((f64::from(i) + 0.5) * step).sin_cos();
+        Chord { across: chebyshev(kept * x, self.degree).0, half: kept * half, weight: 2.0 * kept * half * step }
+    }
+
+    /// Coefficients in y along a chord of the even function `c`.
+    fn along(&self, c: &[f64], chord: &Chord) -> Vec<f64> {
+        let mut out = vec![0.0; self.degree + 1];
+        for (c, (p, q)) in c.iter().zip(&self.terms) {
+            out[*q] += c * chord.across[*p];
+        }
+        out
+    }
+
+    /// Whether the whole disk is open.
+    fn open(&self, table: &Table, row: &Row) -> bool {
+        row.kept >= 1.0
+            && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
+    }
+
+    fn integrate(&self, table: &Table, row: &Row) -> f64 {
+        if self.open(table, row) {
+            return dot(&self.disk, row.weight(table));
+        }
+        let sums = (0..CHORDS).map(|i| {
+            let chord = self.chord(i, row.kept);
+            let weight = self.along(row.weight(table), &chord);
+            let open = self.intervals(table, row, &chord);
+            chord.weight * open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>()
+        });
+        sums.sum()
+    }
+
+    fn integrate_vjp(&self, table: &Table, row: &Row, bar: f64, row_bar: &mut RowBar) {
+        if self.open(table, row) {
+            row_bar.weight(table).iter_mut().zip(&self.disk).for_each(|(a, d)| *a += bar * d);
+            return;
+        }
+        for i in 0..CHORDS {
+            let chord = self.chord(i, row.kept);
+            let weight = self.along(row.weight(table), &chord);
+            for open in self.intervals(table, row, &chord) {
+                for (y, w) in gauss(&open) {
+                    self.scatter(&chord, y, bar * chord.weight * w, row_bar.weight(table));
+                }
+                for side in 0..2 {
+                    let Some(k) = open.by[side] else { continue };
+                    // δy = −δg/g_y; the upper end adds W δy, the lower takes it away.
+                    let y = open.ends[side];
+                    let slope = series(&self.along(row.clip(table, k), &chord), y).1;
+                    let sign = if side == 1 { -1.0 } else { 1.0 };
+                    let by = sign * bar * chord.weight * series(&weight, y).0 / slope;
+                    if by.is_finite() {
+                        self.scatter(&chord, y, by, row_bar.clip(table, k));
+                    }
+                }
+            }
+        }
+    }
+
+    /// Adds `bar` times the basis at `(x, y)`.
+    fn scatter(&self, chord: &Chord, y: f64, bar: f64, out: &mut [f64]) {
+        let along = chebyshev(y, self.degree).0;
+        for (o, (p, q)) in out.iter_mut().zip(&self.terms) {
+            *o += bar * chord.across[*p] * along[*q];
+        }
+    }
+
+    /// Parts of a chord where no aperture cuts.
+    fn intervals(&self, table: &Table, row: &Row, chord: &Chord) -> Vec<Open> {
+        let clips: Vec<Vec<f64>> =
+            (0..table.clips.len()).map(|k| self.along(row.clip(table, k), chord)).collect();
+        let mut cuts: Vec<(f64, Option<usize>)> = vec![(-chord.half, None), (chord.half, None)];
+        for (k, clip) in clips.iter().enumerate() {
+            cuts.extend(roots(clip, chord.half).into_iter().map(|y| (y, Some(k))));
+        }
+        cuts.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let open = |pair: &&[(f64, Option<usize>)]| {
+            let middle = 0.5 * (pair[0].0 + pair[1].0);
+            pair[1].0 > pair[0].0 && clips.iter().all(|c| series(c, middle).0 > 0.0)
+        };
+        let parts = cuts.windows(2).filter(open);
+        parts.map(|pair| Open { ends: [pair[0].0, pair[1].0], by: [pair[0].1, pair[1].1] }).collect()
+    }
+}
+
+/// Points and weights over an interval.
+fn gauss(open: &Open) -> impl Iterator<Item = (f64, f64)> + use<> {
+    let [a, b] = open.ends;
+    let (middle, half) = (0.5 * (a + b), 0.5 * (b - a));
+    GAUSS.into_iter().flat_map(move |(x, w)| [(middle - half * x, half * w), (middle + half * x, half * w)])
+}
+
+/// A Chebyshev series and its derivative, by Clenshaw's recurrence.
+fn series(c: &[f64], y: f64) -> (f64, f64) {
+    let (mut b1, mut b2, mut d1, mut d2) = (0.0, 0.0, 0.0, 0.0);
+    for c in c[1..].iter().rev() {
+        (d2, d1) = (d1, 2.0 * b1 + 2.0 * y * d1 - d2);
+        (b2, b1) = (b1, c + 2.0 * y * b1 - b2);
+    }
+    (c[0] + y * b1 - b2, b1 + y * d1 - d2)
+}
+
+/// Sign changes of a series over `−half..half`, seen between [`SAMPLES`] samples.
+fn roots(c: &[f64], half: f64) -> Vec<f64> {
+    let at = |i: u32| half * (2.0 * f64::from(i) / f64::from(SAMPLES) - 1.0);
+    let values: Vec<f64> = (0..=SAMPLES).map(|i| series(c, at(i)).0).collect();
+    let mut out = Vec::new();
+    for (i, pair) in (0..SAMPLES).zip(values.windows(2)) {
+        if (pair[0] > 0.0) == (pair[1] > 0.0) {
+            continue;
+        }
+        let (mut a, mut b) = (at(i), at(i + 1));
+        let mut y = a + (b - a) * pair[0] / (pair[0] - pair[1]);
+        for _ in 0..40 {
+            let (v, slope) = series(c, y);
+            if (v > 0.0) == (pair[0] > 0.0) {
+                a = y;
+            } else {
+                b = y;
+            }
+            let next = y - v / slope;
+            let next = if next > a && next < b { next } else { 0.5 * (a + b) };
+            let done = (next - y).abs() <= 1e-14;
+            y = next;
+            if done {
+                break;
+            }
+        }
+        out.push(y);
+    }
+    out
+}

@@ -1,0 +1,387 @@
+//! The kernels of one sensor point, and their pull-back.
+//!
+//! A kernel belongs to the place on the sensor where light arrives. The ray from there through the stop point `s` meets the
+//! object at the slope `u(s)`; the raster that the scene is warped to shows that at `D(u)` ([`SensorMap`]), so the ray moves
+//! light by `x − D(u)`. Its share is `W · Π share_a`, the étendue times a C² ramp at every clipping aperture, over
+//! their sum; a wavelength's share of a channel is its irradiance there, whose edges are hard ([`super::illumination`]).
+//! So a channel's kernel sums to one, less what falls outside the window, and what varies over the field in brightness is
+//! kept beside it.
+//!
+//! The ramp is `t = g/(|∇g| w)` over `−½ < t < ½`, with `g = 1 − r²/a²` and the edge's width `w` of 1.5 spacings of the
+//! dense points (four fifths of the rise within one spacing), counted in the stop: the error of a cut beam's area is least
+//! there, a narrower edge counts points, a wider one blunts the edge.
+
+use super::fit::{Of, apply, apply_transposed};
+use super::illumination::Illumination;
+use super::sensor_map::SensorMap;
+use super::splat::Raster;
+use super::stop::{StopNodes, StopPoints};
+use super::table::{Row, RowBar, Table, Taps};
+
+/// Width of the edge in spacings of the dense points.
+const WIDTH: f64 = 1.5;
+/// Wavelengths with a smaller share of every channel are left out.
+const NEGLIGIBLE: f64 = 1e-6;
+
+/// A place on the sensor: distance from the axis and the direction in which it grows.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Radius, mm.
+    pub radius_mm: f64,
+    /// Unit vector `(column, row)`.
+    pub outward: [f64; 2],
+}
+
+impl Place {
+    /// The point `[column, row]` mm from the axis.
+    pub fn at(offset_mm: [f64; 2]) -> Self {
+        let length = offset_mm[0].hypot(offset_mm[1]);
+        let outward = if length > 0.0 { offset_mm.map(|v| v / length) } else { [1.0, 0.0] };
+        Self { radius_mm: length, outward }
+    }
+}
+
+/// How kernels are made.
+#[derive(Clone, Debug)]
+pub struct KernelForm {
+    /// Dense points of the stop.
+    pub points: StopPoints,
+    /// Nodes that displacements are fitted at.
+    pub nodes: StopNodes,
+    /// Weight of every wavelength of the table in every channel, `[channel][wavelength]`; each channel sums to one.
+    pub weight: Vec<Vec<f64>>,
+    /// Size and samples a cell.
+    pub raster: Raster,
+    /// Side of a cell, mm: the pixel pitch, or a multiple of it for a coarser image.
+    pub cell_mm: f64,
+}
+
+/// Dense rays of the half `x > 0` of the stop at one place and wavelength.
+#[derive(Clone, Debug, Default)]
+pub struct Rays {
+    /// Displacements across the meridian (of the other half: the negatives), mm.
+    pub x: Vec<f64>,
+    /// Displacements along the meridian, mm.
+    pub y: Vec<f64>,
+    /// Shares; those of both halves sum to one.
+    pub share: Vec<f64>,
+    /// `W · Π share_a` before the division by the sum.
+    light: Vec<f64>,
+    sum: f64,
+    /// By clipping aperture that does clip: its number, `g`, `∂g/∂x`, `∂g/∂y`.
+    edges: Vec<(usize, [Vec<f64>; 3])>,
+}
+
+/// Cotangents of one wavelength's part of a kernel.
+struct RaysBar {
+    x: Vec<f64>,
+    y: Vec<f64>,
+    /// Of the shares, both halves together.
+    share: Vec<f64>,
+}
+
+/// Cotangents that leave [`KernelForm::kernels_vjp`].
+#[derive(Clone, Debug)]
+pub struct KernelBar {
+    /// By wavelength: of the table's polynomials.
+    pub(super) rows: Vec<(usize, RowBar)>,
+    pub(super) taps: Taps,
+    /// By wavelength: of the irradiance.
+    pub(super) irradiance: Vec<f64>,
+    /// Of the sensor map's coefficients.
+    pub(super) map: Vec<f64>,
+}
+
+/// C² ramp from 0 to 1 over `−½..½`, and its derivative.
+fn ramp(t: f64) -> (f64, f64) {
+    if t <= -0.5 {
+        return (0.0, 0.0);
+    }
+    if t >= 0.5 {
+        return (1.0, 0.0);
+    }
+    let s = t + 0.5;
+    (s * s * s * (10.0 + s * (6.0 * s - 15.0)), 30.0 * s * s * (1.0 - s) * (1.0 - s))
+}
+
+/// An aperture's share of a ray and its derivatives with respect to `g`, `∂g/∂x`, `∂g/∂y`.
+fn share(g: f64, gx: f64, gy: f64, width: f64) -> (f64, [f64; 3]) {
+    let size = gx.hypot(gy);
+    let t = g / (size * width);
+    if !t.is_finite() {
+        return (f64::from(u8::from(g > 0.0)), [0.0; 3]);
+    }
+    let (value, slope) = ramp(t);
+    let by_size = -slope * t / (size * size);
+    (value, [slope / (size * width), by_size * gx, by_size * gy])
+}
+
+impl KernelForm {
+    /// Channels.
+    pub fn channels(&self) -> usize {
+        self.weight.len()
+    }
+
+    /// The dense rays of wavelength `l` at `radius_mm`.
+    pub fn rays(&self, table: &Table, map: &SensorMap, l: usize, radius_mm: f64) -> Rays {
+        let row = table.row(l, &table.taps(radius_mm));
+        self.rays_of(table, map, &row, radius_mm)
+    }
+
+    fn rays_of(&self, table: &Table, map: &SensorMap, row: &Row, radius_mm: f64) -> Rays {
+        let [even, odd] = &self.points.at;
+        let [cx, cy] = self.displacement(table, map, row, radius_mm);
+        let mut light: Vec<f64> = even.at(Of::Value, row.weight(table));
+        light.iter_mut().for_each(|w| *w = w.max(0.0));
+        let width = WIDTH * self.points.spacing;
+        if row.kept < 1.0 {
+            let at = |p: &glam::DVec2| ramp((row.kept - p.length()) / width).0;
+            light.iter_mut().zip(&self.points.points).for_each(|(w, p)| *w *= at(p));
+        }
+        let mut edges = Vec::new();
+        for k in 0..table.clips.len() {
+            let c = row.clip(table, k);
+            let g = [Of::Value, Of::X, Of::Y].map(|of| even.at(of, c));
+            let mut clips = false;
+            for (q, w) in light.iter_mut().enumerate() {
+                let s = share(g[0][q], g[1][q], g[2][q], width).0;
+                if s < 1.0 {
+                    clips = true;
+                    *w *= s;
+                }
+            }
+            if clips {
+                edges.push((k, g));
+            }
+        }
+        let sum = 2.0 * light.iter().sum::<f64>();
+        let scale = if sum > 0.0 { sum.recip() } else { 0.0 };
+        let share = light.iter().map(|w| w * scale).collect();
+        Rays { x: odd.at(Of::Value, &cx), y: even.at(Of::Value, &cy), share, light, sum, edges }
+    }
+
+    /// Coefficients of the displacement `x − D(u)`, across the meridian (odd) and along it (even), mm.
+    fn displacement(&self, table: &Table, map: &SensorMap, row: &Row, radius_mm: f64) -> [Vec<f64>; 2] {
+        let [even, odd] = &self.nodes.coefficients;
+        let (mut x, mut y) = self.slopes(table, map, row);
+        for (x, y) in x.iter_mut().zip(&mut y) {
+            let ([px, py], _) = map.point([*x, *y], radius_mm);
+            (*x, *y) = (-px, radius_mm - py);
+        }
+        [apply(odd, &x), apply(even, &y)]
+    }
+
+    /// Object slopes at the nodes.
+    fn slopes(&self, table: &Table, map: &SensorMap, row: &Row) -> (Vec<f64>, Vec<f64>) {
+        let [even, odd] = &self.nodes.at_nodes;
+        let [sx, sy] = row.slope(table, map.vergence);
+        (odd.at(Of::Value, &sx), even.at(Of::Value, &sy))
+    }
+
+    /// Each channel's shares of the wavelengths at a radius, and the channel's irradiance.
+    fn shares(&self, illumination: &Illumination, radius_mm: f64) -> (Vec<Vec<f64>>, Vec<f64>) {
+        let count = self.weight.first().map_or(0, Vec::len);
+        let light: Vec<f64> = (0..count).map(|l| illumination.at(l, radius_mm)).collect();
+        let mut levels = Vec::with_capacity(self.channels());
+        let shares = self
+            .weight
+            .iter()
+            .map(|w| {
+                let parts: Vec<f64> = w.iter().zip(&light).map(|(w, e)| w * e).collect();
+                let level: f64 = parts.iter().sum();
+                levels.push(level);
+                parts.iter().map(|p| if level > 0.0 { p / level } else { 0.0 }).collect()
+            })
+            .collect();
+        (shares, levels)
+    }
+
+    /// Channels that wavelength `l` feeds, with its share of each.
+    fn fed(shares: &[Vec<f64>], l: usize) -> Vec<(usize, f64)> {
+        if shares.iter().all(|s| s[l].abs() < NEGLIGIBLE) {
+            return Vec::new();
+        }
+        shares.iter().enumerate().map(|(c, s)| (c, s[l])).filter(|(_, s)| *s != 0.0).collect()
+    }
+
+    fn moves<'a>(&self, place: Place, rays: &'a Rays) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
+        let [c, r] = place.outward.map(|v| v / self.cell_mm);
+        let one = move |x: f64, y: f64| [y * c - x * r, y * r + x * c];
+        let all = rays.x.iter().zip(&rays.y).zip(&rays.share).filter(|(_, w)| **w != 0.0);
+        all.flat_map(move |((x, y), w)| [(one(*x, *y), *w), (one(-*x, *y), *w)])
+    }
+
+    /// Writes the fine kernels of all channels at `place`, `[channel][row][col]` on the raster; returns the share of each
+    /// channel's light that falls outside the window.
+    pub fn kernels(
+        &self,
+        table: &Table,
+        illumination: &Illumination,
+        map: &SensorMap,
+        place: Place,
+        out: &mut [f64],
+    ) -> Vec<f64> {
+        out.fill(0.0);
+        let taps = table.taps(place.radius_mm);
+        let (shares, _) = self.shares(illumination, place.radius_mm);
+        let mut outside = vec![0.0; self.channels()];
+        for l in 0..table.spec.wavelength_nm.len() {
+            let fed = Self::fed(&shares, l);
+            if fed.is_empty() {
+                continue;
+            }
+            let rays = self.rays_of(table, map, &table.row(l, &taps), place.radius_mm);
+            let missed = self.raster.splat(out, &fed, self.moves(place, &rays));
+            fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
+        }
+        outside
+    }
+
+    /// Pulls cotangents on [`Self::kernels`] back.
+    pub fn kernels_vjp(
+        &self,
+        table: &Table,
+        illumination: &Illumination,
+        map: &SensorMap,
+        place: Place,
+        bar: &[f64],
+    ) -> KernelBar {
+        let taps = table.taps(place.radius_mm);
+        let (shares, levels) = self.shares(illumination, place.radius_mm);
+        let colours = table.spec.wavelength_nm.len();
+        let mut back =
+            KernelBar { rows: Vec::new(), irradiance: vec![0.0; colours], map: vec![0.0; map.coefficients.len()], taps };
+        // Of the shares, [channel][wavelength].
+        let mut shares_bar = vec![vec![0.0; colours]; self.channels()];
+        for l in 0..colours {
+            let fed = Self::fed(&shares, l);
+            if fed.is_empty() {
+                continue;
+            }
+            let row = table.row(l, &back.taps);
+            let rays = self.rays_of(table, map, &row, place.radius_mm);
+            let rays_bar = self.splat_vjp(place, &rays, &fed, bar, l, &mut shares_bar);
+            let mut row_bar = RowBar::zeros(table);
+            self.rays_vjp(table, map, (&row, place.radius_mm), (&rays, &rays_bar), &mut row_bar, &mut back.map);
+            back.rows.push((l, row_bar));
+        }
+        // share = w E / Σ w E.
+        for (c, w) in self.weight.iter().enumerate().filter(|(c, _)| levels[*c] > 0.0) {
+            let mean: f64 = shares[c].iter().zip(&shares_bar[c]).map(|(s, b)| s * b).sum();
+            for l in 0..colours {
+                back.irradiance[l] += w[l] / levels[c] * (shares_bar[c][l] - mean);
+            }
+        }
+        back
+    }
+
+    fn splat_vjp(
+        &self,
+        place: Place,
+        rays: &Rays,
+        fed: &[(usize, f64)],
+        bar: &[f64],
+        l: usize,
+        shares_bar: &mut [Vec<f64>],
+    ) -> RaysBar {
+        let [c, r] = place.outward.map(|v| v / self.cell_mm);
+        let count = rays.x.len();
+        let lit: Vec<usize> = (0..count).filter(|q| rays.share[*q] != 0.0).collect();
+        let mut out = RaysBar { x: vec![0.0; count], y: vec![0.0; count], share: vec![0.0; count] };
+        self.raster.splat_vjp(bar, fed, self.moves(place, rays), |k, u_bar, values| {
+            let (q, sign) = (lit[k / 2], if k % 2 == 0 { 1.0 } else { -1.0 });
+            out.x[q] += sign * (u_bar[1] * c - u_bar[0] * r);
+            out.y[q] += u_bar[0] * c + u_bar[1] * r;
+            for ((channel, scale), value) in fed.iter().zip(values) {
+                out.share[q] += scale * value;
+                shares_bar[*channel][l] += rays.share[q] * value;
+            }
+        });
+        out
+    }
+
+    fn rays_vjp(
+        &self,
+        table: &Table,
+        map: &SensorMap,
+        (row, radius_mm): (&Row, f64),
+        (rays, bar): (&Rays, &RaysBar),
+        row_bar: &mut RowBar,
+        map_bar: &mut [f64],
+    ) {
+        if rays.sum <= 0.0 {
+            return;
+        }
+        let [even, odd] = &self.points.at;
+        // share = light / Σ light, both halves.
+        let mean: f64 = rays.share.iter().zip(&bar.share).map(|(s, b)| s * b).sum();
+        let light_bar: Vec<f64> = bar.share.iter().map(|b| (b - 2.0 * mean) / rays.sum).collect();
+        let width = WIDTH * self.points.spacing;
+        let edges: Vec<Vec<(f64, [f64; 3])>> = rays
+            .edges
+            .iter()
+            .map(|(_, g)| (0..light_bar.len()).map(|q| share(g[0][q], g[1][q], g[2][q], width)).collect())
+            .collect();
+        let whole: Vec<f64> = even.at(Of::Value, row.weight(table)).into_iter().map(|w| w.max(0.0)).collect();
+        let kept: Vec<f64> = self
+            .points
+            .points
+            .iter()
+            .map(|p| if row.kept < 1.0 { ramp((row.kept - p.length()) / width).0 } else { 1.0 })
+            .collect();
+        let shared = |q: usize, but: usize| {
+            let others = edges.iter().enumerate().filter(|(k, _)| *k != but);
+            kept[q] * others.map(|(_, e)| e[q].0).product::<f64>()
+        };
+        let weight_bar: Vec<f64> = light_bar
+            .iter()
+            .enumerate()
+            .map(|(q, b)| if whole[q] > 0.0 { b * shared(q, usize::MAX) } else { 0.0 })
+            .collect();
+        even.pull(Of::Value, &weight_bar, row_bar.weight(table));
+        for (k, (clip, _)) in rays.edges.iter().enumerate() {
+            let mut parts: [Vec<f64>; 3] = std::array::from_fn(|_| vec![0.0; light_bar.len()]);
+            for (q, b) in light_bar.iter().enumerate() {
+                let by = b * whole[q] * shared(q, k);
+                parts.iter_mut().zip(edges[k][q].1).for_each(|(p, d)| p[q] = by * d);
+            }
+            let to = row_bar.clip(table, *clip);
+            for (of, part) in [Of::Value, Of::X, Of::Y].into_iter().zip(&parts) {
+                even.pull(of, part, to);
+            }
+        }
+        // Displacements: to coefficients, to nodes, through the map, to slopes.
+        let [from_even, from_odd] = &self.nodes.coefficients;
+        let mut c_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
+        odd.pull(Of::Value, &bar.x, &mut c_bar[0]);
+        even.pull(Of::Value, &bar.y, &mut c_bar[1]);
+        let (mut x_bar, mut y_bar) = (apply_transposed(from_odd, &c_bar[0]), apply_transposed(from_even, &c_bar[1]));
+        let (ux, uy) = self.slopes(table, map, row);
+        for j in 0..ux.len() {
+            let u = [ux[j], uy[j]];
+            let radius = map.point(u, radius_mm).1;
+            [x_bar[j], y_bar[j]] = map.point_vjp(u, radius, [-x_bar[j], -y_bar[j]], map_bar);
+        }
+        let [at_even, at_odd] = &self.nodes.at_nodes;
+        let mut s_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
+        at_odd.pull(Of::Value, &x_bar, &mut s_bar[0]);
+        at_even.pull(Of::Value, &y_bar, &mut s_bar[1]);
+        row_bar.add_slope(table, map.vergence, [&s_bar[0], &s_bar[1]]);
+    }
+}
+
+impl Rays {
+    /// Adds the light of both halves by whole cells of distance from the centre, times `scale`.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
+    pub fn add_reach(&self, cell_mm: f64, scale: f64, by_distance: &mut Vec<f64>) {
+        /// Farther is not told apart.
+        const FARTHEST: f64 = 1e4;
+        for ((x, y), w) in self.x.iter().zip(&self.y).zip(&self.share) {
+            let far = (x.hypot(*y) / cell_mm).min(FARTHEST).ceil() as usize;
+            if far >= by_distance.len() {
+                by_distance.resize(far + 1, 0.0);
+            }
+            by_distance[far] += 2.0 * scale * w;
+        }
+    }
+}

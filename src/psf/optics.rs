@@ -1,0 +1,239 @@
+//! A lens as image formation sees it: one value, traced once, that distortion, illumination and kernels are read from, and that
+//! their cotangents are added up in before they go back to the lens together.
+//!
+//! ```
+//! use isoplanat::lens::builtin;
+//! use isoplanat::psf::{Optics, OpticsSpec, Place, Quadrature};
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let quadrature = Quadrature { nm: vec![486.1, 587.6, 656.3], weight: vec![vec![0.2, 0.5, 0.3]] };
+//! let optics = Optics::compute(&lens, &OpticsSpec::even(18.0, vec![0.0], quadrature))?;
+//! // Relative illumination 15 mm from the axis, and the slope of the object that is seen there.
+//! assert!((0.5..0.9).contains(&optics.relative_illumination(0, 15.0)));
+//! assert!((0.29..0.31).contains(&optics.maps[0].slope(15.0)));
+//! // A kernel of 21 × 21 pixels of 10 µm.
+//! let form = optics.form(500, 21, 1, 0.010);
+//! let mut kernel = vec![0.0; 21 * 21];
+//! let outside = optics.kernels(&form, 0, Place { radius_mm: 15.0, outward: [1.0, 0.0] }, &mut kernel);
+//! assert!((kernel.iter().sum::<f64>() + outside[0] - 1.0).abs() < 1e-12);
+//! # Ok::<(), isoplanat::error::Error>(())
+//! ```
+
+use super::illumination::{Illumination, IlluminationBar};
+use super::kernel::{KernelBar, KernelForm, Place};
+use super::sensor_map::SensorMap;
+use super::splat::Raster;
+use super::stop::{StopNodes, StopPoints};
+use super::table::{Table, TableBar, TableSpec};
+use crate::error::{Error, Result};
+use crate::lens::{Lens, LensGradient};
+
+/// A quadrature over wavelength: nodes and, by channel, weights that sum to one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quadrature {
+    /// Wavelengths, nm.
+    pub nm: Vec<f64>,
+    /// Weight of each wavelength in each channel.
+    pub weight: Vec<Vec<f64>>,
+}
+
+/// What is computed of a lens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpticsSpec {
+    /// Sensor radii at which rays are traced, mm, growing, the first 0.
+    pub radii_mm: Vec<f64>,
+    /// Object distances, as vergence, 1/mm.
+    pub vergences: Vec<f64>,
+    /// Wavelengths and channels.
+    pub quadrature: Quadrature,
+    /// Degree of the polynomials over the stop.
+    pub degree: usize,
+    /// Radii of the illumination, less one.
+    pub illuminations: u32,
+}
+
+impl OpticsSpec {
+    /// Sixteen even intervals to `radius_mm`, degree 9.
+    pub fn even(radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
+        let radii_mm = (0..=16).map(|i| radius_mm * f64::from(i) / 16.0).collect();
+        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256 }
+    }
+}
+
+/// A lens over sensor radius, wavelength and object distance.
+#[derive(Clone, Debug)]
+pub struct Optics {
+    /// What was asked for.
+    pub spec: OpticsSpec,
+    /// The rays.
+    pub table: Table,
+    /// Irradiance of white.
+    pub illumination: Illumination,
+    /// Sensor radius ⇄ object slope, by object distance.
+    pub maps: Vec<SensorMap>,
+}
+
+/// Cotangents on what is read from an [`Optics`].
+#[derive(Clone, Debug)]
+pub struct OpticsBar {
+    /// Of the table's polynomials.
+    pub table: TableBar,
+    /// Of the irradiance.
+    pub illumination: IlluminationBar,
+    /// Of the maps' coefficients, by object distance.
+    pub maps: Vec<Vec<f64>>,
+}
+
+impl OpticsBar {
+    /// All zero, in the form of `optics`.
+    pub fn zeros(optics: &Optics) -> Self {
+        Self {
+            table: TableBar::zeros(&optics.table),
+            illumination: optics.illumination.no_bar(),
+            maps: optics.maps.iter().map(|m| vec![0.0; m.coefficients.len()]).collect(),
+        }
+    }
+
+    /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
+    pub fn add_kernel(&mut self, optics: &Optics, depth: usize, radius_mm: f64, back: &KernelBar) {
+        for (l, row) in &back.rows {
+            optics.table.row_vjp(*l, &back.taps, &row.0, &mut self.table);
+        }
+        for (l, bar) in back.irradiance.iter().enumerate() {
+            optics.illumination.at_vjp(l, radius_mm, *bar, &mut self.illumination);
+        }
+        self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
+    }
+
+    /// Adds `other`.
+    pub fn add(&mut self, other: &Self) {
+        self.table.add(&other.table);
+        let pairs = |a: &mut [Vec<f64>], b: &[Vec<f64>]| {
+            a.iter_mut().flatten().zip(b.iter().flatten()).for_each(|(x, y)| *x += y);
+        };
+        pairs(&mut self.illumination, &other.illumination);
+        pairs(&mut self.maps, &other.maps);
+    }
+}
+
+impl Optics {
+    /// Traces `lens`.
+    ///
+    /// # Errors
+    /// A lens without rotational symmetry, or without light on the axis; an object distance at which the picture folds.
+    pub fn compute(lens: &Lens, spec: &OpticsSpec) -> Result<Self> {
+        if let Some(v) = spec.vergences.iter().find(|v| !v.is_finite()) {
+            return Err(Error::bad("", "object distance", format!("vergence {v} /mm"), "a finite number"));
+        }
+        let Quadrature { nm, .. } = &spec.quadrature;
+        let table_spec =
+            TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
+        let table = Table::compute(lens, &table_spec)?;
+        let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
+        let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);
+        let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
+        Ok(Self { spec: spec.clone(), table, illumination, maps })
+    }
+
+    /// Channels.
+    pub fn channels(&self) -> usize {
+        self.spec.quadrature.weight.len()
+    }
+
+    /// Irradiance of white in a channel, sr for a sensor in air.
+    pub fn irradiance(&self, channel: usize, radius_mm: f64) -> f64 {
+        let weights = self.spec.quadrature.weight[channel].iter().enumerate();
+        weights.map(|(l, w)| w * self.illumination.at(l, radius_mm)).sum()
+    }
+
+    /// Irradiance of white relative to that on the axis; 0 where a channel has none there.
+    pub fn relative_illumination(&self, channel: usize, radius_mm: f64) -> f64 {
+        let axis = self.irradiance(channel, 0.0);
+        if axis > 0.0 { self.irradiance(channel, radius_mm) / axis } else { 0.0 }
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::relative_illumination`] to `bar`.
+    pub fn relative_illumination_vjp(&self, channel: usize, radius_mm: f64, value_bar: f64, bar: &mut OpticsBar) {
+        let (axis, here) = (self.irradiance(channel, 0.0), self.irradiance(channel, radius_mm));
+        if axis <= 0.0 || value_bar == 0.0 {
+            return;
+        }
+        for (l, w) in self.spec.quadrature.weight[channel].iter().enumerate() {
+            self.illumination.at_vjp(l, radius_mm, value_bar * w / axis, &mut bar.illumination);
+            self.illumination.at_vjp(l, 0.0, -value_bar * w * here / (axis * axis), &mut bar.illumination);
+        }
+    }
+
+    /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.
+    pub fn form(&self, dense: usize, size: usize, samples: usize, cell_mm: f64) -> KernelForm {
+        KernelForm {
+            points: StopPoints::new(self.spec.degree, dense),
+            nodes: StopNodes::new(self.spec.degree, 1.0),
+            weight: self.spec.quadrature.weight.clone(),
+            raster: Raster { size, samples },
+            cell_mm,
+        }
+    }
+
+    /// The kernels of all channels at `place` for object distance `depth`; see [`KernelForm::kernels`].
+    pub fn kernels(&self, form: &KernelForm, depth: usize, place: Place, out: &mut [f64]) -> Vec<f64> {
+        form.kernels(&self.table, &self.illumination, &self.maps[depth], place, out)
+    }
+
+    /// Pulls cotangents on [`Self::kernels`] back; [`OpticsBar::add_kernel`] takes what comes.
+    pub fn kernels_vjp(&self, form: &KernelForm, depth: usize, place: Place, bar: &[f64]) -> KernelBar {
+        form.kernels_vjp(&self.table, &self.illumination, &self.maps[depth], place, bar)
+    }
+
+    /// Half-widths in pixels of the square windows that hold all but each of `shares` of the light of every channel at
+    /// every traced radius, for object distance `depth`; two pixels for box and tent added.
+    pub fn half_widths(&self, form: &KernelForm, depth: usize, shares: &[f64], radii_mm: [f64; 2]) -> Vec<usize> {
+        use rayon::prelude::*;
+        let [low, high] = radii_mm;
+        let edge = self.table.edge_mm;
+        let inner = self.spec.radii_mm.iter().copied().filter(|r| *r > low && *r < high);
+        let radii: Vec<f64> = [low, high].into_iter().chain(inner).filter(|r| *r <= edge).collect();
+        let each: Vec<Vec<usize>> = radii
+            .par_iter()
+            .map(|r| {
+                let mut widest = vec![0; shares.len()];
+                let rays: Vec<_> = (0..self.spec.quadrature.nm.len())
+                    .map(|l| form.rays(&self.table, &self.maps[depth], l, *r))
+                    .collect();
+                for channel in 0..self.channels() {
+                    let total = self.irradiance(channel, *r);
+                    let mut light = Vec::new();
+                    for (l, rays) in rays.iter().enumerate() {
+                        let scale = self.spec.quadrature.weight[channel][l] * self.illumination.at(l, *r) / total;
+                        if scale.is_finite() {
+                            rays.add_reach(form.cell_mm, scale, &mut light);
+                        }
+                    }
+                    for (share, widest) in shares.iter().zip(&mut widest) {
+                        let mut sum = 0.0;
+                        let passes = |k: &usize| {
+                            sum += light[*k];
+                            sum > *share
+                        };
+                        *widest = (*widest).max((0..light.len()).rev().find(passes).unwrap_or(0));
+                    }
+                }
+                widest
+            })
+            .collect();
+        (0..shares.len()).map(|k| each.iter().map(|w| w[k]).max().unwrap_or(0) + 2).collect()
+    }
+
+    /// Pulls cotangents back to the lens.
+    pub fn vjp(&self, lens: &Lens, bar: &OpticsBar) -> LensGradient {
+        let mut table = bar.table.clone();
+        self.illumination.vjp(&self.table, &bar.illumination, &mut table);
+        for (map, map_bar) in self.maps.iter().zip(&bar.maps) {
+            map.fit_vjp(&self.table, map_bar, &mut table);
+        }
+        self.table.vjp(lens, &table)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,142 @@
+use super::*;
+use crate::lens::{builtin, variables::Variables};
+use crate::testing::{assert_abs, assert_rel, between, central_difference};
+use crate::trace::aim::{ParaxialPupil, aim};
+use crate::trace::launch::{FieldPoint, launch};
+use crate::trace::{System, sequential::trace};
+use glam::DVec2;
+
+fn rgb() -> Quadrature {
+    Quadrature {
+        nm: vec![470.0, 540.0, 610.0],
+        weight: vec![vec![0.1, 0.3, 0.6], vec![0.2, 0.7, 0.1], vec![0.8, 0.2, 0.0]],
+    }
+}
+
+fn spec(radius_mm: f64, vergences: Vec<f64>) -> OpticsSpec {
+    let radii_mm = (0..=10).map(|i| radius_mm * f64::from(i) / 10.0).collect();
+    OpticsSpec { radii_mm, vergences, quadrature: rgb(), degree: 7, illuminations: 24 }
+}
+
+/// Kernels, illumination and maps at two depths at once, against differences of every number of the lens: 1e-6.
+#[test]
+fn the_pull_back_agrees_with_differences() {
+    for (name, radius, place) in [("two_element", 22.0, 19.0), ("cooke_triplet", 18.0, 16.3), ("phone", 3.3, 2.9)] {
+        let lens = builtin::lens(name).expect("shipped");
+        let vergences = vec![lens.object_vergence, lens.object_vergence + 2e-4];
+        let rng = &mut fastrand::Rng::with_seed(9);
+        let size = 31;
+        let cell = if name == "phone" { 0.004 } else { 0.02 };
+        let bars: Vec<Vec<f64>> = (0..2).map(|_| (0..3 * size * size).map(|_| rng.f64() - 0.5).collect()).collect();
+        let light_bar = [0.7, -0.4, 0.9];
+        let places = [Place { radius_mm: place, outward: [0.6, 0.8] }, Place { radius_mm: 0.3 * place, outward: [0.0, -1.0] }];
+        let value = |lens: &Lens| {
+            let o = Optics::compute(lens, &spec(radius, vergences.clone())).expect("traces");
+            let form = o.form(120, size, 1, cell);
+            let mut sum = 0.0;
+            for (depth, (place, bar)) in places.iter().zip(&bars).enumerate() {
+                let mut k = vec![0.0; 3 * size * size];
+                o.kernels(&form, depth, *place, &mut k);
+                sum += k.iter().zip(bar).map(|(a, b)| a * b).sum::<f64>();
+            }
+            sum + light_bar.iter().enumerate().map(|(c, b)| b * o.relative_illumination(c, 0.93 * radius)).sum::<f64>()
+                + 3.0 * o.maps[1].slope(0.8 * radius)
+        };
+        let o = Optics::compute(&lens, &spec(radius, vergences.clone())).expect("traces");
+        let form = o.form(120, size, 1, cell);
+        let mut bar = OpticsBar::zeros(&o);
+        for (depth, (place, b)) in places.iter().zip(&bars).enumerate() {
+            let back = o.kernels_vjp(&form, depth, *place, b);
+            bar.add_kernel(&o, depth, place.radius_mm, &back);
+        }
+        for (c, b) in light_bar.iter().enumerate() {
+            o.relative_illumination_vjp(c, 0.93 * radius, *b, &mut bar);
+        }
+        o.maps[1].slope_vjp(0.8 * radius, 3.0, &mut bar.maps[1]);
+        let gradient = o.vjp(&lens, &bar);
+        let variables = Variables::all(&lens);
+        let (x, pulled) = (variables.values(&lens), variables.gradient(&gradient));
+        for seed in 0..4 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
+            let f = |h: f64| {
+                let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                value(&variables.lens(&lens, &moved))
+            };
+            let found: f64 = pulled.iter().zip(&dx).map(|(a, b)| a * b).sum();
+            assert_rel(found, central_difference(f, 1e-6), 1e-6, 1e-2, &format!("{name} seed {seed}"));
+        }
+    }
+}
+
+/// Displacements against rays aimed from the scene: the ray of the object seen at `u` lands where the kernel's displacement
+/// says, for another depth than the lens's own too.
+#[test]
+fn displacements_are_those_of_traced_rays() {
+    for (name, radius, tolerance) in [("two_element", 20.0, 2e-4), ("cooke_triplet", 17.0, 1e-4), ("phone", 3.2, 1e-4)] {
+        let lens = builtin::lens(name).expect("shipped");
+        for vergence in [lens.object_vergence, lens.object_vergence + 5e-4] {
+            let mut spec = OpticsSpec::even(radius, vec![vergence], rgb());
+            spec.radii_mm = (0..=24).map(|i| radius * f64::from(i) / 24.0).collect();
+            let o = Optics::compute(&lens, &spec).expect("traces");
+            let form = o.form(60, 3, 1, 0.01);
+            let system = System::new(&lens, 540.0);
+            let mut worst = 0.0f64;
+            for at in [0.0, 0.31 * radius, 0.83 * radius] {
+                let rays = form.rays(&o.table, &o.maps[0], 1, at);
+                for (q, s) in form.points.points.iter().enumerate() {
+                    // The raster's point that the ray shows, and that object's slope.
+                    let d = [-rays.x[q], at - rays.y[q]];
+                    let ratio = o.maps[0].ratio(d[0].hypot(d[1]));
+                    let field = FieldPoint { slope: DVec2::new(d[0], d[1]) * ratio, vergence };
+                    let target = *s * o.table.pupil * system.stop_semi_diameter;
+                    let mut hits = Vec::new();
+                    let e = aim(&system, ParaxialPupil::new(&lens), field, target, None, &mut hits).expect("aims");
+                    let hit = trace(&system, launch(field, e), system.image(), &mut hits).expect("lands");
+                    worst = worst.max((hit.at.point.truncate() - DVec2::new(0.0, at)).length());
+                }
+            }
+            eprintln!("{name} at {vergence}: {worst:e} mm");
+            assert!(worst < tolerance * radius / 20.0 * 2.0, "{name} {vergence}: {worst:e} mm");
+        }
+    }
+}
+
+/// On the axis the étendue is the closed form of the cone of light.
+#[test]
+fn white_on_the_axis_is_the_cone_of_light() {
+    for (name, radius) in [("two_element", 20.0), ("cooke_triplet", 17.0), ("double_gauss", 20.0), ("phone", 3.2)] {
+        let lens = builtin::lens(name).expect("shipped");
+        let o = Optics::compute(&lens, &OpticsSpec::even(radius, vec![lens.object_vergence], rgb())).expect("traces");
+        for (l, nm) in rgb().nm.iter().enumerate() {
+            let exact = crate::imaging::white::on_axis(&lens, *nm);
+            let found = o.illumination.irradiance[l][0];
+            eprintln!("{name} {nm}: {:e}", found / exact - 1.0);
+            assert_rel(found, exact, 2e-5, 0.0, name);
+        }
+    }
+}
+
+/// Kernels sum to one less what falls outside, and turn with the field by exact quarter turns.
+#[test]
+fn kernels_sum_to_one_and_turn_with_the_field() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let o = Optics::compute(&lens, &spec(20.0, vec![1e-3])).expect("traces");
+    for (size, samples) in [(61, 1), (31, 2), (61, 4)] {
+        let form = o.form(400, size, samples, 0.02);
+        let side = size * samples;
+        let mut kernels: Vec<Vec<f64>> = Vec::new();
+        for outward in [[1.0, 0.0], [0.0, 1.0]] {
+            let mut k = vec![0.0; 3 * side * side];
+            let outside = o.kernels(&form, 0, Place { radius_mm: 14.9, outward }, &mut k);
+            for (c, plane) in k.chunks_exact(side * side).enumerate() {
+                assert_abs(plane.iter().sum::<f64>() + outside[c], 1.0, 1e-12, "energy");
+            }
+            kernels.push(k);
+        }
+        for (i, j) in (0..side).flat_map(|i| (0..side).map(move |j| (i, j))) {
+            // From along +column to along +row: (row, col) → (col, −row).
+            assert_abs(kernels[1][j * side + side - 1 - i], kernels[0][i * side + j], 1e-12, "turned");
+        }
+    }
+}
