@@ -54,6 +54,20 @@ impl NodeGrid {
         Self { row_knots: vec![row], col_knots: vec![col] }
     }
 
+    /// The nodes whose windows reach `region`.
+    #[must_use]
+    pub fn part(&self, region: Region) -> Self {
+        let around = |knots: &[isize], first: isize, count: usize| {
+            let last = first + count.max(1).cast_signed() - 1;
+            let (a, b) = (Self::between(knots, first), Self::between(knots, last));
+            knots[a.first..=b.second].to_vec()
+        };
+        Self {
+            row_knots: around(&self.row_knots, region.row, region.rows),
+            col_knots: around(&self.col_knots, region.col, region.cols),
+        }
+    }
+
     /// Number of nodes.
     pub fn len(&self) -> usize {
         self.row_knots.len() * self.col_knots.len()

@@ -28,6 +28,8 @@ pub struct SensorMap {
     pub vergence: f64,
     /// Largest distance of a chief ray from the map, mm on the sensor.
     pub residual_mm: f64,
+    /// `1/R_m²`.
+    inverse_square: f64,
     /// Slope at `R_m`, and its derivative there.
     edge: [f64; 2],
 }
@@ -44,8 +46,9 @@ impl SensorMap {
         let rows = operator(radii);
         let coefficients: Vec<f64> =
             rows.rows().into_iter().map(|row| row.iter().zip(&slopes).map(|(a, s)| a * s).sum()).collect();
-        let mut map = Self { coefficients, radius_mm, vergence, residual_mm: 0.0, edge: [0.0; 2] };
-        map.edge = [map.inside(radius_mm), map.inside_derivative(radius_mm)];
+        let inverse_square = (radius_mm * radius_mm).recip();
+        let mut map = Self { coefficients, radius_mm, vergence, residual_mm: 0.0, inverse_square, edge: [0.0; 2] };
+        map.find_edge();
         for i in 0..=256 {
             let radius = radius_mm * f64::from(i) / 256.0;
             let slope = map.inside_derivative(radius);
@@ -63,6 +66,19 @@ impl SensorMap {
         Ok(map)
     }
 
+    fn find_edge(&mut self) {
+        self.edge = [self.inside(self.radius_mm), self.inside_derivative(self.radius_mm)];
+    }
+
+    /// The map with coefficient `k` changed by `h`, for tests.
+    #[cfg(test)]
+    pub(crate) fn changed(&self, k: usize, h: f64) -> Self {
+        let mut map = self.clone();
+        map.coefficients[k] += h;
+        map.find_edge();
+        map
+    }
+
     /// Adds the pull-back of a cotangent on the coefficients to `bar`.
     pub fn fit_vjp(&self, table: &Table, coefficients_bar: &[f64], bar: &mut TableBar) {
         let rows = operator(&table.spec.radii_mm);
@@ -71,11 +87,10 @@ impl SensorMap {
         table.chief_slopes_vjp(self.vergence, &slopes_bar, bar);
     }
 
-    /// `P` and `dP/dt` at `t = 2 (R/R_m)² − 1`, by Clenshaw's recurrence.
+    /// `P` and `dP/dt` at `t = 2 x² − 1`, `x = R/R_m`, by Clenshaw's recurrence.
     #[inline]
-    fn series(&self, radius_mm: f64) -> (f64, f64) {
-        let x = radius_mm / self.radius_mm;
-        let t = 2.0 * x * x - 1.0;
+    fn series(&self, x2: f64) -> (f64, f64) {
+        let t = 2.0 * x2 - 1.0;
         let (mut b1, mut b2, mut d1, mut d2) = (0.0, 0.0, 0.0, 0.0);
         for c in self.coefficients[1..].iter().rev() {
             (d2, d1) = (d1, 2.0 * b1 + 2.0 * t * d1 - d2);
@@ -84,13 +99,20 @@ impl SensorMap {
         (self.coefficients[0] + t * b1 - b2, b1 + t * d1 - d2)
     }
 
+    /// `(R/R_m)²`.
+    #[inline]
+    fn share(&self, radius_mm: f64) -> f64 {
+        radius_mm * radius_mm * self.inverse_square
+    }
+
     fn inside(&self, radius_mm: f64) -> f64 {
-        radius_mm * self.series(radius_mm).0
+        radius_mm * self.series(self.share(radius_mm)).0
     }
 
     fn inside_derivative(&self, radius_mm: f64) -> f64 {
-        let (p, dp) = self.series(radius_mm);
-        p + 4.0 * (radius_mm / self.radius_mm).powi(2) * dp
+        let x2 = self.share(radius_mm);
+        let (p, dp) = self.series(x2);
+        p + 4.0 * x2 * dp
     }
 
     /// Object slope of the sensor radius (≥ 0).
@@ -106,7 +128,14 @@ impl SensorMap {
     /// Object slope over sensor radius, 1/mm; finite on the axis.
     #[inline]
     pub fn ratio(&self, radius_mm: f64) -> f64 {
-        if radius_mm <= self.radius_mm { self.series(radius_mm).0 } else { self.slope(radius_mm) / radius_mm }
+        if radius_mm <= self.radius_mm { self.series(self.share(radius_mm)).0 } else { self.slope(radius_mm) / radius_mm }
+    }
+
+    /// [`Self::ratio`] at the squared sensor radius, mm².
+    #[inline]
+    pub fn ratio_at(&self, square_mm2: f64) -> f64 {
+        let x2 = square_mm2 * self.inverse_square;
+        if x2 <= 1.0 { self.series(x2).0 } else { self.ratio(square_mm2.sqrt()) }
     }
 
     /// `∂slope/∂R`, 1/mm.
@@ -238,10 +267,7 @@ mod tests {
             }
             for (j, found) in c_bar.into_iter().enumerate() {
                 let f = |h: f64| {
-                    let mut m = map.clone();
-                    m.coefficients[j] += h;
-                    m.edge = [m.inside(m.radius_mm), m.inside_derivative(m.radius_mm)];
-                    value(&m, u)
+                    value(&map.changed(j, h), u)
                 };
                 assert_rel(found, central_difference(f, 1e-7), 1e-6, 1e-2, "coefficients");
             }

@@ -1,0 +1,16 @@
+//! Pictures through a lens.
+//!
+//! `y(p) = a(p) Σ_n w_n(p) [k_n * s](p)`: the scene `s`, warped by the lens's distortion ([`source`]), is blurred by the kernels of
+//! the nodes around every pixel ([`super::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
+//! distortion and illumination are read from one value, [`crate::psf::Optics`]; a [`plan`] says how finely, [`renderer`] does
+//! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
+
+pub mod coarse;
+pub mod light;
+pub mod nodes;
+pub mod plan;
+pub mod renderer;
+pub mod source;
+
+pub use plan::{RenderPlan, Settings};
+pub use renderer::{Channels, Rendered, Renderer, Seen};

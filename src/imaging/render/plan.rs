@@ -1,0 +1,234 @@
+//! How a lens is rendered: what is traced, how wide and how fine kernels are, where they stand.
+//!
+//! A [`RenderPlan`] belongs to a lens, a frame and object distances, and serves any number of scenes, whole pictures and
+//! patches. It is held while a design moves the lens, and made anew now and then ([`RenderPlan::new`]).
+
+use serde::Serialize;
+
+use super::coarse::raster;
+use super::nodes::Nodes;
+use crate::error::Result;
+use crate::imaging::frame::Frame;
+use crate::imaging::node_grid::NodeGrid;
+use crate::imaging::spectrum::SpectralDensity;
+use crate::imaging::warp::Region;
+use crate::lens::Lens;
+use crate::psf::table::{Tolerance, knots};
+use crate::psf::{Optics, OpticsSpec, Quadrature};
+
+/// Largest error of rays between the table's radii, pixels.
+const LANDING_ERROR_PX: f64 = 0.02;
+/// Largest error of their étendue between the table's radii, relative.
+const WEIGHT_ERROR: f64 = 1e-4;
+/// Radii of the illumination, less one.
+const ILLUMINATIONS: u32 = 192;
+/// Dense points of the first look, which measures how wide kernels are.
+const LOOK: usize = 300;
+/// Coarsest cells, pixels.
+const COARSEST: usize = 64;
+
+/// How finely each approximation is made.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Settings {
+    /// Scene samples a pixel along each axis: 1, 2 or 4; one where cells are larger than pixels.
+    pub samples: usize,
+    /// Wavelengths over the sensor's response.
+    pub wavelengths: usize,
+    /// Degree of the polynomials over the stop.
+    pub degree: usize,
+    /// Dense points of the stop a wavelength.
+    pub dense: usize,
+    /// Relative L2 error of a kernel interpolated between nodes.
+    pub node_error: f64,
+    /// Share of the light that may fall outside the kernel's half-width.
+    pub outside: f64,
+    /// Largest half-width of a kernel in cells: wider ones are computed on cells of 2, 4, … pixels.
+    pub cells: usize,
+}
+
+impl Settings {
+    /// Fine in every respect: what the others are measured against.
+    pub const FINE: Self =
+        Self { samples: 4, wavelengths: 12, degree: 9, dense: 3000, node_error: 0.02, outside: 1e-4, cells: 160 };
+    /// For training pairs of a fixed lens.
+    pub const TRAINING: Self =
+        Self { samples: 1, wavelengths: 7, degree: 7, dense: 1200, node_error: 0.1, outside: 2e-3, cells: 48 };
+    /// For the steps of a design.
+    pub const DESIGN: Self =
+        Self { samples: 1, wavelengths: 5, degree: 7, dense: 500, node_error: 0.25, outside: 5e-3, cells: 32 };
+
+    /// Ladder of scene samples a pixel.
+    pub const SAMPLES: [usize; 3] = [1, 2, 4];
+    /// Ladder of wavelengths.
+    pub const WAVELENGTHS: [usize; 6] = [3, 4, 5, 7, 9, 12];
+    /// Ladder of dense points.
+    pub const DENSE: [usize; 4] = [200, 500, 1200, 3000];
+    /// Ladder of node errors.
+    pub const NODE_ERRORS: [f64; 5] = [0.4, 0.2, 0.1, 0.05, 0.02];
+    /// Ladder of light outside.
+    pub const OUTSIDE: [f64; 5] = [2e-2, 5e-3, 2e-3, 5e-4, 1e-4];
+}
+
+/// One object distance.
+#[derive(Clone, Debug, PartialEq)]
+pub struct DepthPlan {
+    /// 1/distance before the first vertex, 1/mm.
+    pub vergence: f64,
+    /// Pixels along a cell's side: 1, or more where kernels are wide.
+    pub bin: usize,
+    /// Scene samples a cell along each axis.
+    pub samples: usize,
+    /// Kernel half-width, cells.
+    pub half_width: usize,
+    /// The frame in cells.
+    pub raster: Frame,
+    /// Where kernels stand, in cells.
+    pub grid: NodeGrid,
+    /// Interpolation error between them that was seen, relative L2.
+    pub node_error: f64,
+}
+
+impl DepthPlan {
+    /// Kernel size, cells.
+    pub fn size(&self) -> usize {
+        2 * self.half_width + 1
+    }
+
+    /// Light of a pixel comes from at most so many pixels away.
+    pub fn reach_px(&self) -> usize {
+        self.bin * (self.half_width + if self.bin > 1 { 3 } else { 0 })
+    }
+}
+
+/// How a lens is rendered on a frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RenderPlan {
+    /// The sensor's frame.
+    pub frame: Frame,
+    /// How finely.
+    pub settings: Settings,
+    /// What is traced.
+    pub spec: OpticsSpec,
+    /// Errors of the table between its knots, as seen.
+    pub table_error: Tolerance,
+    /// Object distances.
+    pub depths: Vec<DepthPlan>,
+}
+
+/// The quadrature of `n` wavelengths over `channels` of the sensor.
+pub fn quadrature(density: &SpectralDensity, n: usize, channels: &[usize]) -> Quadrature {
+    let spectrum = density.quadrature(n);
+    let weight = channels.iter().map(|c| spectrum.weight[*c].clone()).collect();
+    Quadrature { nm: spectrum.wavelength_nm, weight }
+}
+
+/// The frame a lens file states.
+///
+/// # Errors
+/// A raster that is none.
+pub fn frame_of(lens: &Lens) -> Result<Frame> {
+    Frame::centred(lens.sensor.columns, lens.sensor.rows, lens.sensor.pitch_mm())?.with_axis(lens.sensor.axis_px)
+}
+
+/// What is traced of `lens` for `frame` and objects at `vergences`: knots that hold the table's tolerance.
+///
+/// # Errors
+/// As [`Optics::compute`].
+pub fn spec(
+    lens: &Lens,
+    frame: &Frame,
+    vergences: &[f64],
+    quadrature: Quadrature,
+    degree: usize,
+) -> Result<(OpticsSpec, Tolerance)> {
+    let radius_mm = frame.max_radius_mm();
+    let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * frame.pitch_mm, weight: WEIGHT_ERROR };
+    let nearest = vergences.iter().copied().fold(0.0, f64::max);
+    let (radii_mm, seen) = knots(lens, nearest, &quadrature.nm, degree, radius_mm, tolerance)?;
+    let spec = OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations: ILLUMINATIONS };
+    Ok((spec, seen))
+}
+
+impl RenderPlan {
+    /// A plan for three channels and the whole of `frame`.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn new(
+        lens: &Lens,
+        frame: &Frame,
+        density: &SpectralDensity,
+        vergences: &[f64],
+        settings: Settings,
+    ) -> Result<Self> {
+        let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
+        let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
+        let mut plan = Self { frame: frame.clone(), settings, spec, table_error, depths: Vec::new() };
+        plan.refresh(lens)?;
+        Ok(plan)
+    }
+
+    /// Widths and nodes anew, for a lens that has moved; what is traced stays.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn refresh(&mut self, lens: &Lens) -> Result<()> {
+        let optics = Optics::compute(lens, &self.spec)?;
+        let whole = Region { row: 0, col: 0, rows: self.frame.rows, cols: self.frame.columns };
+        self.depths = (0..self.spec.vergences.len())
+            .map(|depth| depth_plan(&optics, &self.frame, depth, whole, self.settings))
+            .collect::<Result<_>>()?;
+        Ok(())
+    }
+
+    /// The plan's entry for objects at `vergence`.
+    ///
+    /// # Errors
+    /// A distance that the plan was not made for.
+    pub fn depth(&self, vergence: f64) -> Result<usize> {
+        let near = |v: &f64| (v - vergence).abs() <= 1e-12 * v.abs().max(vergence.abs());
+        self.spec.vergences.iter().position(near).ok_or_else(|| {
+            let found = format!("{} mm", vergence.recip());
+            let known: Vec<String> = self.spec.vergences.iter().map(|v| format!("{} mm", v.recip())).collect();
+            crate::error::Error::bad("", "object distance", found, format!("one the plan was made for: {}", known.join(", ")))
+        })
+    }
+}
+
+/// Pixels along the side of cells in which a half-width of `half` pixels is at most `cells`.
+pub fn bin_of(half: usize, cells: usize) -> usize {
+    let mut bin = 1;
+    while half.div_ceil(bin) > cells && bin < COARSEST {
+        bin *= 2;
+    }
+    bin
+}
+
+/// Width and nodes for one object distance, over the part `region` of the frame.
+///
+/// # Errors
+/// None for a valid frame.
+pub fn depth_plan(
+    optics: &Optics,
+    frame: &Frame,
+    depth: usize,
+    region: Region,
+    settings: Settings,
+) -> Result<DepthPlan> {
+    let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
+    let radii = region.radii_mm(frame, 0.0);
+    let half = optics.half_widths(&look, depth, &[settings.outside], radii)[0];
+    let bin = bin_of(half, settings.cells);
+    let cells = raster(frame, bin)?;
+    // On cells box and tent are wider, and the interpolation reads on.
+    let half_width = if bin == 1 { half } else { half.div_ceil(bin) + 1 };
+    let (grid, node_error) = {
+        let around = super::coarse::cells(region, bin);
+        let mut nodes =
+            Nodes::coarse(optics, depth, &cells, around, 2 * half_width + 1, settings.node_error, settings.dense.min(800));
+        nodes.refine(settings.node_error);
+        (nodes.grid.clone(), nodes.error)
+    };
+    let samples = if bin == 1 { settings.samples } else { 1 };
+    Ok(DepthPlan { vergence: optics.spec.vergences[depth], bin, samples, half_width, raster: cells, grid, node_error })
+}

@@ -1,0 +1,315 @@
+//! The renderer: scene → warped source → varying blur → illumination, and the adjoint back to the optics.
+//!
+//! One way for whole pictures and patches: [`Renderer::picture`] asks for kernels and source as it needs them and keeps
+//! nothing; [`Renderer::record`] keeps what [`Renderer::vjp`] needs. f64 from lens to kernels; the cast to the image's
+//! precision happens where kernels are filled in.
+
+use std::sync::Mutex;
+
+use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, s};
+use rayon::prelude::*;
+
+use super::coarse::{cells, to_pixels, to_pixels_vjp};
+use super::light::Light;
+use super::nodes::place;
+use super::plan::{DepthPlan, RenderPlan};
+use super::source::{WarpedScene, warp, warp_vjp};
+use crate::error::Result;
+use crate::imaging::blur::cost::Task;
+use crate::imaging::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
+use crate::imaging::cfa::Real;
+use crate::imaging::node_grid::NodeGrid;
+use crate::imaging::warp::{Plane, Region};
+use crate::lens::{Lens, LensGradient};
+use crate::psf::splat::{phase_of, phase_of_vjp};
+use crate::psf::{KernelForm, Optics, OpticsBar};
+
+/// A lens on a frame, ready for scenes.
+pub struct Renderer {
+    /// How it is rendered.
+    pub plan: RenderPlan,
+    /// The lens.
+    pub optics: Optics,
+    /// Relative illumination of the frame.
+    pub light: Light,
+    forms: Vec<KernelForm>,
+}
+
+/// What of a scene is rendered.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channels {
+    /// Channels of the image with light.
+    pub lit: Vec<usize>,
+    /// The texture's channels that they are rendered from: one for all where the scene is grey.
+    pub texture: Vec<usize>,
+}
+
+impl Channels {
+    /// Of `scene`: those with light; one source for all of them if they are the same.
+    pub fn of(scene: &Plane) -> Self {
+        let last = scene.texture.len_of(Axis(0)) - 1;
+        let of = |c: usize| scene.texture.index_axis(Axis(0), c.min(last));
+        let lit: Vec<usize> = (0..3).filter(|c| of(*c).iter().any(|v| *v != 0.0)).collect();
+        let grey = lit.iter().all(|c| (*c).min(last) == lit[0].min(last) || of(*c) == of(lit[0]));
+        let texture = if grey { lit.iter().take(1).map(|c| (*c).min(last)).collect() } else { lit.clone() };
+        Self { lit, texture }
+    }
+
+    /// All three.
+    pub fn all(scene: &Plane) -> Self {
+        let last = scene.texture.len_of(Axis(0)) - 1;
+        Self { lit: vec![0, 1, 2], texture: (0..3).map(|c: usize| c.min(last)).collect() }
+    }
+}
+
+/// A rendered region and what its adjoint needs.
+pub struct Rendered<T: Real> {
+    /// Irradiance `[3, row, col]`, 1 = white on the axis.
+    pub image: Array3<T>,
+    /// The ideal picture: the warped scene at pixel centres.
+    pub truth: Array3<T>,
+    /// Relative illumination over the region.
+    pub illumination: Array3<T>,
+    region: Region,
+    depth: usize,
+    channels: Channels,
+    /// The image before the illumination, channels with light.
+    blurred: Array3<T>,
+    grid: NodeGrid,
+    record: Option<BlurRecord<T>>,
+}
+
+/// What was seen while a picture was rendered.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Seen {
+    /// Kernels computed.
+    pub kernels: usize,
+    /// Largest share of a node's light outside its kernel.
+    pub outside: f64,
+}
+
+/// Kernels of the nodes of one grid.
+struct NodeKernels<'a> {
+    renderer: &'a Renderer,
+    depth: usize,
+    grid: &'a NodeGrid,
+    lit: &'a [usize],
+    seen: Mutex<Seen>,
+}
+
+impl<T: Real> Kernels<T> for NodeKernels<'_> {
+    fn channels(&self) -> usize {
+        self.lit.len()
+    }
+    fn size(&self) -> usize {
+        self.renderer.forms[self.depth].raster.size
+    }
+    fn phases(&self) -> usize {
+        self.renderer.forms[self.depth].raster.samples.pow(2)
+    }
+    fn fill(&self, node: usize, mut out: ArrayViewMut4<'_, T>) {
+        let form = &self.renderer.forms[self.depth];
+        let raster = form.raster;
+        let mut fine = vec![0.0; form.channels() * raster.len()];
+        let at = self.renderer.node_place(self.depth, self.grid, node);
+        let outside = self.renderer.optics.kernels(form, self.depth, at, &mut fine);
+        for (k, channel) in self.lit.iter().enumerate() {
+            let plane = &fine[channel * raster.len()..][..raster.len()];
+            for phase in 0..raster.samples.pow(2) {
+                let view = out.slice_mut(s![k, phase, .., ..]);
+                phase_of(plane, raster, [phase / raster.samples, phase % raster.samples], view, T::real);
+            }
+        }
+        if let Ok(mut seen) = self.seen.lock() {
+            seen.kernels += 1;
+            seen.outside = outside.into_iter().fold(seen.outside, f64::max);
+        }
+    }
+}
+
+impl Renderer {
+    /// Traces `lens` for `plan`.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn new(lens: &Lens, plan: &RenderPlan) -> Result<Self> {
+        let optics = Optics::compute(lens, &plan.spec)?;
+        Ok(Self::with(optics, plan.clone()))
+    }
+
+    /// From optics that were traced for `plan`.
+    pub fn with(optics: Optics, plan: RenderPlan) -> Self {
+        let light = Light::new(&optics, &plan.frame);
+        let form = |d: &DepthPlan| optics.form(plan.settings.dense, d.size(), d.samples, d.raster.pitch_mm);
+        let forms = plan.depths.iter().map(form).collect();
+        Self { optics, light, forms, plan }
+    }
+
+    /// The place of a node of a grid in cells.
+    fn node_place(&self, depth: usize, grid: &NodeGrid, node: usize) -> crate::psf::Place {
+        let (row, col) = grid.pixel(node);
+        place(&self.plan.depths[depth].raster, row, col)
+    }
+
+    /// How `region` is convolved.
+    pub fn method(&self, depth: usize, channels: &Channels, grid: &NodeGrid, region: Region) -> Method {
+        let d = &self.plan.depths[depth];
+        let task = Task {
+            grid,
+            region,
+            size: d.size(),
+            channels: channels.lit.len(),
+            source_channels: channels.texture.len(),
+            phases: d.samples * d.samples,
+        };
+        task.cheapest()
+    }
+
+    fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
+        let d = &self.plan.depths[depth];
+        WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.texture.clone())
+    }
+
+    /// The ideal picture of `region`: the scene as this lens's distortion shows it, without blur.
+    pub fn truth<T: Real>(&self, scene: &Plane, depth: usize, region: Region) -> Array3<T> {
+        warp(scene, &self.optics.maps[depth], &self.plan.frame, region)
+    }
+
+    /// The picture of `region`, `[3, row, col]`, 1 = white on the axis. `progress` hears the share done.
+    ///
+    /// Memory: three planes of the region, and what [`blur`] takes.
+    pub fn picture<T: Real>(
+        &self,
+        scene: &Plane,
+        depth: usize,
+        region: Region,
+        channels: &Channels,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> (Array3<T>, Seen) {
+        let mut image = Array3::from_elem((3, region.rows, region.cols), T::zero());
+        if channels.lit.is_empty() || region.rows == 0 || region.cols == 0 {
+            return (image, Seen::default());
+        }
+        let d = &self.plan.depths[depth];
+        let around = cells(region, d.bin);
+        let grid = d.grid.part(around);
+        let kernels =
+            NodeKernels { renderer: self, depth, grid: &grid, lit: &channels.lit, seen: Mutex::new(Seen::default()) };
+        let source = self.source(scene, depth, channels);
+        let method = self.method(depth, channels, &grid, around);
+        let blurred = blur::<T>(&grid, &kernels, &source, around, method, progress);
+        let mut blurred = to_pixels(blurred, region, d.bin);
+        self.light.multiply(&self.plan.frame, region, &channels.lit, &mut blurred);
+        for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {
+            image.index_axis_mut(Axis(0), *channel).assign(&plane);
+        }
+        (image, kernels.seen.into_inner().unwrap_or_default())
+    }
+
+    /// Renders `region` with all that [`Self::vjp`] needs: the spectra of its source and kernels stay in memory.
+    pub fn record<T: Real>(&self, scene: &Plane, depth: usize, region: Region) -> Rendered<T> {
+        let channels = Channels::of(scene);
+        let d = &self.plan.depths[depth];
+        let around = cells(region, d.bin);
+        let grid = d.grid.part(around);
+        let frame = &self.plan.frame;
+        let illumination: Array3<T> = self.light.over(frame, region, &[0, 1, 2]);
+        let truth = self.truth(scene, depth, region);
+        let mut image = Array3::from_elem((3, region.rows, region.cols), T::zero());
+        let mut blurred = Array3::from_elem((0, region.rows, region.cols), T::zero());
+        let mut record = None;
+        if !channels.lit.is_empty() {
+            let kernels =
+                NodeKernels { renderer: self, depth, grid: &grid, lit: &channels.lit, seen: Mutex::new(Seen::default()) };
+            let source = self.source(scene, depth, &channels);
+            let block = match self.method(depth, &channels, &grid, around) {
+                Method::Cells { block } => block,
+                Method::Direct => around.rows.max(around.cols),
+            };
+            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block, Wanted::Both);
+            record = Some(kept);
+            blurred = to_pixels(cells, region, d.bin);
+            for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {
+                let mut to = image.index_axis_mut(Axis(0), *channel);
+                to.assign(&plane);
+                to.zip_mut_with(&illumination.index_axis(Axis(0), *channel), |a, b| *a *= *b);
+            }
+        }
+        Rendered { image, truth, illumination, region, depth, channels, blurred, grid, record }
+    }
+
+    /// Pulls cotangents on image, truth and illumination of a recorded region back to the optics.
+    pub fn vjp<T: Real>(
+        &self,
+        scene: &Plane,
+        rendered: &Rendered<T>,
+        image_bar: ArrayView3<'_, T>,
+        truth_bar: ArrayView3<'_, T>,
+        illumination_bar: ArrayView3<'_, T>,
+    ) -> OpticsBar {
+        let Rendered { region, depth, channels, .. } = rendered;
+        let (region, depth) = (*region, *depth);
+        let d = &self.plan.depths[depth];
+        let frame = &self.plan.frame;
+        let mut bar = OpticsBar::zeros(&self.optics);
+        warp_vjp(scene, &self.optics.maps[depth], frame, region, truth_bar, &mut bar.maps[depth]);
+        // image = blurred · illumination.
+        let mut light_bar = illumination_bar.to_owned();
+        let mut blurred_bar = Array3::from_elem(rendered.blurred.dim(), T::zero());
+        for (k, channel) in channels.lit.iter().enumerate() {
+            let from = image_bar.index_axis(Axis(0), *channel);
+            let (mut light, mut blurred) =
+                (light_bar.index_axis_mut(Axis(0), *channel), blurred_bar.index_axis_mut(Axis(0), k));
+            ndarray::Zip::from(&mut light)
+                .and(&from)
+                .and(rendered.blurred.index_axis(Axis(0), k))
+                .for_each(|l, b, v| *l += *b * *v);
+            let light = rendered.illumination.index_axis(Axis(0), *channel);
+            ndarray::Zip::from(&mut blurred).and(&from).and(&light).for_each(|o, b, v| *o = *b * *v);
+        }
+        self.light.over_vjp(&self.optics, frame, region, light_bar.view(), &mut bar);
+        if let Some(record) = &rendered.record {
+            let back = blur_vjp(record, to_pixels_vjp(blurred_bar.view(), region, d.bin).view());
+            let around = cells(region, d.bin).grown(d.half_width);
+            self.source(scene, depth, channels).fill_vjp(around, back.source.view(), &mut bar.maps[depth]);
+            self.kernels_vjp(rendered, back.kernels.outer_iter(), &mut bar);
+        }
+        bar
+    }
+
+    fn kernels_vjp<'b, T: Real>(
+        &self,
+        rendered: &Rendered<T>,
+        bars: impl Iterator<Item = ArrayView4<'b, T>>,
+        bar: &mut OpticsBar,
+    ) {
+        let depth = rendered.depth;
+        let form = &self.forms[depth];
+        let (raster, m) = (form.raster, form.raster.samples);
+        let bars: Vec<_> = bars.collect();
+        let parts: Vec<_> = bars
+            .par_iter()
+            .enumerate()
+            .filter(|(_, b)| b.iter().any(|v| *v != T::zero()))
+            .map(|(node, b)| {
+                let mut fine = vec![0.0; form.channels() * raster.len()];
+                for (k, channel) in rendered.channels.lit.iter().enumerate() {
+                    let plane = &mut fine[channel * raster.len()..][..raster.len()];
+                    for phase in 0..m * m {
+                        phase_of_vjp(b.slice(s![k, phase, .., ..]), raster, [phase / m, phase % m], plane, T::to_double);
+                    }
+                }
+                let at = self.node_place(depth, &rendered.grid, node);
+                (at.radius_mm, self.optics.kernels_vjp(form, depth, at, &fine))
+            })
+            .collect();
+        for (radius_mm, back) in &parts {
+            bar.add_kernel(&self.optics, depth, *radius_mm, back);
+        }
+    }
+
+    /// Pulls cotangents on the optics back to the lens that they were traced from.
+    pub fn lens_gradient(&self, lens: &Lens, bar: &OpticsBar) -> LensGradient {
+        self.optics.vjp(lens, bar)
+    }
+}
