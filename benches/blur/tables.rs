@@ -4,8 +4,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use isoplanat::imaging::blur::cost::Task;
-use isoplanat::imaging::blur::eigen::EigenKernels;
-use isoplanat::imaging::blur::{Method, blur, blur_kernels_vjp, blur_low_rank};
+use isoplanat::imaging::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded};
 
 use crate::cases::{Case, pool};
 
@@ -21,7 +20,7 @@ fn best(runs: u32, mut work: impl FnMut()) -> f64 {
 }
 
 fn forward(case: &Case, method: Method) -> f64 {
-    best(5, || {
+    best(8, || {
         let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
         assert!(y[[0, 5, 5]].is_finite());
     })
@@ -43,47 +42,29 @@ fn frame(text: &mut String) {
     let case = Case::new(1024, 128, 65);
     let bar = case.bar();
     let line = "1024 × 1024 RGB, 9 × 9 nodes 128 pixels apart, 65 × 65 kernels, f32, two threads:\n\n\
-                | block | forward, ms | Mpixel/s | forward + kernel gradient, ms | Mpixel/s | ratio |\n\
-                |---|---|---|---|---|---|";
+                | block | forward, ms | Mpixel/s | forward + kernel gradient, ms | Mpixel/s | ratio | record, MB |\n\
+                |---|---|---|---|---|---|---|";
     writeln!(text, "{line}").expect("a string");
     for block in [32, 64, 96, 128] {
         let ahead = forward(&case, Method::Cells { block });
-        let both = ahead
-            + best(3, || {
-                let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, block, bar.view());
-                assert!(k[[0, 0, 0, 1, 1]].is_finite());
-            });
+        let mut bytes = 0;
+        let both = best(8, || {
+            let wanted = Wanted::Kernels;
+            let (_, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block, wanted);
+            let k = blur_kernels_vjp(&record, bar.view());
+            assert!(k[[0, 0, 0, 1, 1]].is_finite());
+            bytes = record.bytes();
+        });
         let rate = |s: f64| case.megapixels() / s;
-        let (ms, ms_both) = (ahead * 1e3, both * 1e3);
+        let (ms, ms_both, megabytes) = (ahead * 1e3, both * 1e3, bytes as f64 * 1e-6);
         writeln!(
             text,
-            "| {block} | {ms:.0} | {:.1} | {ms_both:.0} | {:.1} | {:.2} |",
+            "| {block} | {ms:.1} | {:.1} | {ms_both:.1} | {:.1} | {:.2} | {megabytes:.0} |",
             rate(ahead),
             rate(both),
             both / ahead
         )
         .expect("a string");
-    }
-    writeln!(text, "\nEigen-PSFs on the same frame:\n\n| tolerance | components | largest error | decomposition, ms | block | blur, ms |\n|---|---|---|---|---|---|")
-        .expect("a string");
-    for tolerance in [1e-2, 1e-3] {
-        let start = Instant::now();
-        let eigen = EigenKernels::new(&case.grid, &case.kernels(), usize::MAX, tolerance);
-        let made = start.elapsed().as_secs_f64() * 1e3;
-        for block in [192, 320] {
-            let ms = 1e3
-                * best(3, || {
-                    let y = blur_low_rank(&case.grid, &eigen, &case.source(), case.region, block, &|_| {});
-                    assert!(y[[0, 5, 5]].is_finite());
-                });
-            writeln!(
-                text,
-                "| {tolerance:.0e} | {:?} | {:.1e} | {made:.0} | {block} | {ms:.0} |",
-                eigen.ranks(),
-                eigen.error
-            )
-            .expect("a string");
-        }
     }
 }
 
@@ -94,7 +75,7 @@ fn choice(text: &mut String) {
     for (size, spacing) in [(5, 64), (9, 64), (15, 64), (31, 64), (65, 64), (65, 256), (129, 128), (257, 128)] {
         let case = Case::new(512, spacing, size);
         let task = Task { grid: &case.grid, region: case.region, size, channels: 3, source_channels: 3, phases: 1 };
-        let chosen = task.cheapest(None);
+        let chosen = task.cheapest();
         let run = |method: Method| {
             best(3, || {
                 let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
@@ -109,7 +90,7 @@ fn choice(text: &mut String) {
         }
         let (fastest, seconds) =
             all.into_iter().map(|m| (m, run(m))).min_by(|a, b| a.1.total_cmp(&b.1)).expect("methods");
-        let estimate = task.cost(chosen, 0) * 1e-6;
+        let estimate = task.cost(chosen) * 1e-6;
         writeln!(
             text,
             "| {size} | {spacing} | {chosen:?} | {:.1} | {fastest:?} | {:.1} | {estimate:.1} |",
@@ -124,9 +105,10 @@ fn choice(text: &mut String) {
 pub(crate) fn export(folder: &str) {
     let case = Case::new(1024, 128, 65);
     let write = |name: &str| format!("{folder}/{name}.npy");
-    let y = blur(&case.grid, &case.kernels(), &case.source(), case.region, Method::Cells { block: 64 }, &|_| {});
+    let wanted = Wanted::Kernels;
+    let (y, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, 128, wanted);
     let bar = case.bar();
-    let k = blur_kernels_vjp(&case.grid, (65, 1), &case.source(), case.region, 64, bar.view());
+    let k = blur_kernels_vjp(&record, bar.view());
     ndarray_npy::write_npy(write("kernels"), &case.kernels).expect("writable");
     ndarray_npy::write_npy(write("source"), &case.planes).expect("writable");
     ndarray_npy::write_npy(write("image"), &y).expect("writable");

@@ -96,6 +96,29 @@ pub fn good_size(n: usize) -> usize {
     (n.max(2)..).find(|m| m % 2 == 0 && smooth(*m)).expect("powers of two have no end")
 }
 
+/// The smallest size ≥ `n` that rustfft's vector code is fast at: a multiple of four whose other factors are 2, 3 and at
+/// most one 5.
+///
+/// Measured in f32 (ns a line): 100 takes 187 and 108 takes 88, 150 takes 250 and 160 takes 118, 200 takes 215 and 216
+/// takes 157, 192 takes 125 and 256 takes 144.
+pub fn fast_size(n: usize) -> usize {
+    let fast = |mut m: usize| {
+        if !m.is_multiple_of(4) {
+            return false;
+        }
+        if m.is_multiple_of(5) {
+            m /= 5;
+        }
+        for p in [2, 3] {
+            while m.is_multiple_of(p) {
+                m /= p;
+            }
+        }
+        m == 1
+    };
+    (n.max(1)..).find(|m| fast(*m)).expect("powers of two have no end")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -109,5 +132,10 @@ mod tests {
             let y = plan.inverse(plan.forward(x.view()), 0, rows);
             assert!(x.iter().zip(&y).all(|(a, b)| (a - b).abs() < 1e-14));
         }
+    }
+
+    #[test]
+    fn fast_sizes_have_at_most_one_five() {
+        assert_eq!([0, 1, 5, 98, 129, 150, 193, 241].map(fast_size), [4, 4, 8, 108, 144, 160, 216, 256]);
     }
 }

@@ -2,5 +2,4 @@
 
 pub mod fft;
 pub mod least_squares;
-pub mod panel_fft;
 pub mod wide;

@@ -1,15 +1,19 @@
 //! The sum itself, for small kernels.
 //!
-//! For each row of the image and each kernel row, the kernels of the two rows of nodes around the source row are
-//! interpolated (that is the row window), and the source, times one column window at a time, is convolved with them: two
-//! multiply-adds a kernel entry and pixel. Sums stay in registers over a chunk of pixels; their order is fixed.
+//! For each row of the image the kernels of the two rows of nodes around it are interpolated (that is the row window).
+//! A chunk of pixels is convolved with those of the column of nodes before and behind it, the source loaded once for
+//! both, and the column windows join the two sums. Sums stay in registers; their order is fixed. Memory: all kernels in
+//! use, and the source of a band of rows a thread.
 
-use ndarray::{Array3, Array4, Axis, s};
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use ndarray::{Array3, Array4, ArrayViewMut3, Axis, s};
 use rayon::prelude::*;
 
 use super::super::cfa::Real;
 use super::super::node_grid::NodeGrid;
 use super::super::warp::Region;
+use super::frame::Shape;
 use super::segments::{Segment, segments, used};
 use super::{Kernels, Source};
 use crate::math::wide::{Work, wide};
@@ -26,149 +30,155 @@ pub(super) fn blur_direct<T: Real>(
     region: Region,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Array3<T> {
-    let (size, channels, phases) = (kernels.size(), kernels.channels(), kernels.phases());
-    assert!(!grid.is_empty(), "a grid has nodes");
-    assert!(size % 2 == 1, "kernel size {size} is odd");
-    assert!(source.channels() == 1 || source.channels() == channels, "source and kernels differ in channels");
-    let mut out = Array3::from_elem((channels, region.rows, region.cols), T::zero());
+    let shape = Shape::of(kernels, source);
+    shape.check(grid);
+    let mut out = Array3::from_elem((shape.channels, region.rows, region.cols), T::zero());
     if out.is_empty() {
         return out;
     }
-    let grown = region.grown(size / 2);
-    let end = grown.row + grown.rows.cast_signed();
-    let rows = segments::<T>(&grid.row_knots, usize::MAX, grown.row, end);
-    let cols = segments::<T>(&grid.col_knots, usize::MAX, grown.col, grown.col + grown.cols.cast_signed());
+    let rows = segments::<T>(&grid.row_knots, usize::MAX, region.row, region.row + region.rows.cast_signed());
+    let cols = segments::<T>(&grid.col_knots, usize::MAX, region.col, region.col + region.cols.cast_signed());
+    let row_windows = rows
+        .iter()
+        .flat_map(|s| (0..s.len).map(|i| s.windows.iter().map(|w| (w.0, w.1[i])).collect::<Vec<_>>()))
+        .collect();
     let (row_nodes, col_nodes) = (used(&rows), used(&cols));
     let nodes: Vec<usize> =
         row_nodes.iter().flat_map(|r| col_nodes.iter().map(move |c| r * grid.col_knots.len() + c)).collect();
-    let mut values: Vec<Option<Array4<T>>> = vec![None; grid.len()];
-    let filled: Vec<(usize, Array4<T>)> = nodes
-        .par_iter()
-        .map(|&n| {
-            let mut k = Array4::from_elem((channels, phases, size, size), T::zero());
-            kernels.fill(n, k.view_mut());
-            (n, k)
-        })
-        .collect();
+    let mut values = vec![None; grid.len()];
+    let filled: Vec<_> = nodes.par_iter().map(|n| (*n, reversed(kernels, shape, *n))).collect();
     filled.into_iter().for_each(|(n, k)| values[n] = Some(k));
-    // Rows of the windows, for every source row.
-    let row_windows: Vec<Vec<(usize, T)>> =
-        rows.iter().flat_map(|s| (0..s.len).map(|i| s.windows.iter().map(|w| (w.0, w.1[i])).collect())).collect();
-    let direct = Direct { grid, kernels: &values, cols: &cols, size, phases, row_windows: &row_windows };
+    let direct = Direct { grid, shape, region, kernels: values, cols, row_windows };
     let bands: Vec<_> = out.axis_chunks_iter_mut(Axis(1), BAND).enumerate().collect();
-    let (count, done) = (bands.len(), std::sync::atomic::AtomicUsize::new(0));
-    bands.into_par_iter().for_each(|(band, mut out)| {
-        let first = band * BAND;
-        let part = Region {
-            row: grown.row + first.cast_signed(),
-            col: grown.col,
-            rows: out.len_of(Axis(1)) + size - 1,
-            cols: grown.cols,
-        };
-        let mut planes = Array4::from_elem((source.channels(), phases, part.rows, part.cols), T::zero());
-        if source.fill(part, planes.view_mut()) {
-            let mut buffers = (Vec::new(), Vec::new(), vec![T::zero(); size]);
-            for (channel, mut image) in out.outer_iter_mut().enumerate() {
-                let planes = planes.index_axis(Axis(0), if source.channels() == 1 { 0 } else { channel });
-                for (i, mut line) in image.outer_iter_mut().enumerate() {
-                    for phase in 0..phases {
-                        let source = planes.slice(s![phase, i..i + size, ..]);
-                        let source = source.as_slice().expect("rows of a plane in memory");
-                        let at = (channel, phase, first + i);
-                        direct.row(source, at, line.as_slice_mut().expect("standard layout"), &mut buffers);
-                    }
-                }
-            }
-        }
-        let done = done.fetch_add(1, std::sync::atomic::Ordering::Relaxed) + 1;
+    let (count, done) = (bands.len(), AtomicUsize::new(0));
+    bands.into_par_iter().for_each(|(band, out)| {
+        direct.band(source, band * BAND, out);
+        let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         progress(done as f64 / count as f64);
     });
     out
 }
 
+/// Kernels of a node, turned by half a circle, so that the taps run with the source.
+fn reversed<T: Real>(kernels: &dyn Kernels<T>, shape: Shape, node: usize) -> Array4<T> {
+    let mut k = Array4::from_elem((shape.channels, shape.phases, shape.size, shape.size), T::zero());
+    kernels.fill(node, k.view_mut());
+    k.slice(s![.., .., ..;-1, ..;-1]).as_standard_layout().into_owned()
+}
+
 struct Direct<'a, T> {
     grid: &'a NodeGrid,
-    kernels: &'a [Option<Array4<T>>],
-    cols: &'a [Segment<T>],
-    size: usize,
-    phases: usize,
-    row_windows: &'a [Vec<(usize, T)>],
+    shape: Shape,
+    region: Region,
+    /// `[channel, phase, row, col]`, turned, of the nodes in use.
+    kernels: Vec<Option<Array4<T>>>,
+    cols: Vec<Segment<T>>,
+    /// For every row of the image.
+    row_windows: Vec<Vec<(usize, T)>>,
 }
 
 impl<T: Real> Direct<'_, T> {
-    /// Adds one row of the image: `source` holds the `size` source rows that reach it, `at` is channel, phase and row.
-    fn row(
-        &self,
-        source: &[T],
-        (channel, phase, row): (usize, usize, usize),
-        line: &mut [T],
-        (padded, sums, taps): &mut (Vec<T>, Vec<T>, Vec<T>),
-    ) {
-        debug_assert!(phase < self.phases);
-        let margin = self.size - 1;
-        let width = line.len() + margin;
-        let mut from = 0;
-        for col in self.cols {
-            // The light of the source columns from..from + len reaches image columns from − margin.. (image columns
-            // count from the region's first; the source's from half a kernel before it).
-            let reach = col.len + margin;
-            let whole = reach.next_multiple_of(CHUNK);
-            sums.clear();
-            sums.resize(whole, T::zero());
-            for a in 0..self.size {
-                // Kernel row a moves light by a − half: it takes source row size − 1 − a.
-                let i = margin - a;
-                let pixels = &source[i * width + from..][..col.len];
-                for (col_knot, window) in &col.windows {
-                    padded.clear();
-                    padded.resize(whole + margin, T::zero());
-                    for (p, (v, w)) in padded[margin..].iter_mut().zip(pixels.iter().zip(window)) {
-                        *p = *v * *w;
+    /// The rows of `out`, from `first` on.
+    fn band(&self, source: &dyn Source<T>, first: usize, mut out: ArrayViewMut3<'_, T>) {
+        let Shape { size, phases, source_channels, .. } = self.shape;
+        let grown = self.region.grown(size / 2);
+        let rows = out.len_of(Axis(1)) + size - 1;
+        let part = Region { row: grown.row + first.cast_signed(), rows, ..grown };
+        // A chunk may read beyond the last pixel.
+        let width = part.cols + CHUNK;
+        let mut planes = Array4::from_elem((source_channels, phases, rows, width), T::zero());
+        if !source.fill(part, planes.slice_mut(s![.., .., .., ..part.cols])) {
+            return;
+        }
+        let mut taps = [Vec::new(), Vec::new()];
+        for (channel, mut image) in out.outer_iter_mut().enumerate() {
+            let planes = planes.index_axis(Axis(0), if source_channels == 1 { 0 } else { channel });
+            let planes = planes.as_slice().expect("standard layout");
+            for (i, mut line) in image.outer_iter_mut().enumerate() {
+                let line = line.as_slice_mut().expect("rows of an image in memory");
+                let mut from = 0;
+                for col in &self.cols {
+                    for ((knot, _), taps) in col.windows.iter().zip(&mut taps) {
+                        self.mix(channel, first + i, *knot, taps);
                     }
-                    taps.fill(T::zero());
-                    for (row_knot, w) in &self.row_windows[row + i] {
-                        let node = row_knot * self.grid.col_knots.len() + col_knot;
-                        let Some(kernel) = &self.kernels[node] else { continue };
-                        // Reversed, so that the taps run with the source.
-                        let kernel = kernel.slice(s![channel, phase, a, ..;-1]);
-                        taps.iter_mut().zip(kernel).for_each(|(t, k)| *t += *w * *k);
-                    }
-                    wide(Taps { sums, padded, taps });
+                    let source = &planes[i * width + from..];
+                    let sum = Sum { source, width, plane: rows * width, size, taps: &taps, col };
+                    sum.segment(&mut line[from..from + col.len]);
+                    from += col.len;
                 }
             }
-            // Sum j stands at image column from + j − margin.
-            let skip = margin.saturating_sub(from);
-            let start = (from + skip) - margin;
-            let n = (reach - skip.min(reach)).min(line.len() - start.min(line.len()));
-            if n > 0 {
-                line[start..start + n].iter_mut().zip(&sums[skip..skip + n]).for_each(|(o, s)| *o += *s);
-            }
-            from += col.len;
+        }
+    }
+
+    /// Kernels of one column of nodes between its rows, `[phase][row][col]`.
+    fn mix(&self, channel: usize, row: usize, col_knot: usize, taps: &mut Vec<T>) {
+        taps.clear();
+        taps.resize(self.shape.phases * self.shape.size * self.shape.size, T::zero());
+        for (row_knot, w) in &self.row_windows[row] {
+            let node = row_knot * self.grid.col_knots.len() + col_knot;
+            let Some(kernel) = &self.kernels[node] else { continue };
+            taps.iter_mut().zip(kernel.index_axis(Axis(0), channel)).for_each(|(t, k)| *t += *w * *k);
         }
     }
 }
 
-/// `sums[j] += Σ_b taps[b] padded[j + b]`.
-struct Taps<'a, T> {
-    sums: &'a mut [T],
-    padded: &'a [T],
-    taps: &'a [T],
+/// One row of the image between two columns of nodes.
+struct Sum<'a, T> {
+    /// From the first pixel that the first pixel of the segment sees.
+    source: &'a [T],
+    /// Numbers a row of the source, and a phase.
+    width: usize,
+    plane: usize,
+    size: usize,
+    taps: &'a [Vec<T>; 2],
+    col: &'a Segment<T>,
 }
 
-impl<T: Real> Work for Taps<'_, T> {
+impl<T: Real> Sum<'_, T> {
+    fn segment(&self, line: &mut [T]) {
+        for (j, line) in line.chunks_mut(CHUNK).enumerate() {
+            let at = j * CHUNK;
+            let mut sums = [[T::zero(); CHUNK]; 2];
+            if self.col.windows.len() == 2 {
+                wide(Taps::<T, 2> { sum: self, at, sums: &mut sums });
+                let (a, b) = (&self.col.windows[0].1[at..], &self.col.windows[1].1[at..]);
+                for (l, o) in line.iter_mut().enumerate() {
+                    *o = a[l] * sums[0][l] + b[l] * sums[1][l];
+                }
+            } else {
+                wide(Taps::<T, 1> { sum: self, at, sums: &mut sums });
+                line.copy_from_slice(&sums[0][..line.len()]);
+            }
+        }
+    }
+}
+
+/// `sums[n][l] = Σ taps[n] source[l + …]` for the first `N` columns of nodes.
+struct Taps<'a, 'b, T, const N: usize> {
+    sum: &'a Sum<'b, T>,
+    at: usize,
+    sums: &'a mut [[T; CHUNK]; 2],
+}
+
+impl<T: Real, const N: usize> Work for Taps<'_, '_, T, N> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        for (j, sums) in self.sums.chunks_exact_mut(CHUNK).enumerate() {
-            let mut sum = [T::zero(); CHUNK];
-            sum.copy_from_slice(sums);
-            let from = &self.padded[j * CHUNK..][..CHUNK + self.taps.len() - 1];
-            for (tap, x) in self.taps.iter().zip(from.windows(CHUNK)) {
-                for (s, x) in sum.iter_mut().zip(x) {
-                    *s += *tap * *x;
+        let Sum { source, width, plane, size, taps, .. } = *self.sum;
+        let mut sums = [[T::zero(); CHUNK]; N];
+        for (line, from) in (0..taps[0].len() / size).zip((0..).step_by(size)) {
+            let row = &source[line / size * plane + line % size * width + self.at..][..CHUNK + size - 1];
+            for (b, x) in row.windows(CHUNK).enumerate() {
+                for n in 0..N {
+                    let tap = taps[n][from + b];
+                    for l in 0..CHUNK {
+                        sums[n][l] += tap * x[l];
+                    }
                 }
             }
-            sums.copy_from_slice(&sum);
+        }
+        for n in 0..N {
+            self.sums[n] = sums[n];
         }
     }
 }

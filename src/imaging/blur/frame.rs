@@ -1,20 +1,18 @@
-//! What the passes over a frame share: sizes, blocks, strips of bounded memory, and the spectra of the nodes in use.
+//! What the passes over a frame share: sizes, blocks of the image, strips of bounded memory.
 
-use std::collections::BTreeMap;
 use std::ops::Range;
 
-use ndarray::{Array4, ArrayViewMut4};
-use rayon::prelude::*;
+use ndarray::{ArrayViewMut3, Axis};
+use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
 use super::super::node_grid::NodeGrid;
 use super::super::warp::Region;
-use super::plane::{Plane, Pool, Scratch, zero_line};
+use super::plane::{Plane, Pool};
 use super::segments::{Segment, segments, used};
 use super::{Kernels, Source};
-use crate::math::panel_fft::Line;
 
-/// Bytes that the spectra and tiles of one strip may take, unless a single block takes more.
+/// Bytes that the spectra and the source of one strip may take, unless a single block takes more.
 const STRIP_BYTES: usize = 1 << 30;
 
 /// Numbers that describe the kernels and the source.
@@ -31,6 +29,25 @@ pub(super) struct Shape {
 }
 
 impl Shape {
+    pub(super) fn of<T>(kernels: &dyn Kernels<T>, source: &dyn Source<T>) -> Self {
+        Self {
+            size: kernels.size(),
+            channels: kernels.channels(),
+            source_channels: source.channels(),
+            phases: kernels.phases(),
+        }
+    }
+
+    /// # Panics
+    /// If the size is even, or source and kernels differ in channels.
+    pub(super) fn check(&self, grid: &NodeGrid) {
+        let Self { size, channels, source_channels, .. } = *self;
+        assert!(!grid.is_empty(), "a grid has nodes");
+        assert!(size % 2 == 1, "kernel size {size} is odd");
+        let fits = source_channels == 1 || source_channels == channels;
+        assert!(fits, "{source_channels} source channels for {channels} channels");
+    }
+
     /// Image channels that share a channel of the source, by source channel.
     pub(super) fn groups(&self) -> Vec<Range<usize>> {
         if self.source_channels == 1 {
@@ -40,9 +57,9 @@ impl Shape {
     }
 }
 
-/// A region cut into blocks.
-pub(super) struct Frame<'a, T: Real> {
-    pub grid: &'a NodeGrid,
+/// A region of the image cut into blocks that straddle no knot.
+pub(super) struct Frame<T: Real> {
+    pub grid: NodeGrid,
     pub shape: Shape,
     pub region: Region,
     pub rows: Vec<Segment<T>>,
@@ -51,90 +68,100 @@ pub(super) struct Frame<'a, T: Real> {
     pub pool: Pool<T>,
 }
 
-/// The source of one block, `[channel, phase, row, col]`.
-#[derive(Default)]
-pub(super) struct Block<T> {
-    data: Vec<T>,
-    /// Whether any of it may differ from zero.
-    pub full: bool,
+/// A block of the image: its rows and its columns.
+#[derive(Clone, Copy)]
+pub(super) struct Place<'a, T> {
+    pub row: &'a Segment<T>,
+    pub col: &'a Segment<T>,
 }
 
-impl<T: Real> Block<T> {
-    /// The source of one channel and phase, row by row.
-    pub(super) fn plane(
-        &self,
-        frame: &Frame<'_, T>,
-        row: &Segment<T>,
-        col: &Segment<T>,
-        channel: usize,
-        phase: usize,
-    ) -> &[T] {
-        let len = row.len * col.len;
-        &self.data[(channel * frame.shape.phases + phase) * len..][..len]
+/// Which real rows the lines of a block hold: the same row under both column windows, or, where there is one window,
+/// two rows.
+#[derive(Clone, Copy)]
+pub(super) struct Pairing {
+    /// Complex lines.
+    pub lines: usize,
+    /// The second row of line `l` is row `l + shift`.
+    pub shift: usize,
+    /// Lines with a second row.
+    pub second: usize,
+}
+
+impl<T> Place<'_, T> {
+    pub(super) fn pairing(&self) -> Pairing {
+        let rows = self.row.len;
+        if self.col.windows.len() == 2 {
+            return Pairing { lines: rows, shift: 0, second: rows };
+        }
+        let lines = rows.div_ceil(2);
+        Pairing { lines, shift: lines, second: rows - lines }
+    }
+
+    /// Column windows of the first and second rows of lines.
+    pub(super) fn windows(&self) -> [&[T]; 2] {
+        let first = &self.col.windows[0].1;
+        [first, self.col.windows.get(1).map_or(first, |w| &w.1)]
     }
 }
 
-impl<'a, T: Real> Frame<'a, T> {
-    pub(super) fn new(grid: &'a NodeGrid, shape: Shape, region: Region, block: usize) -> Self {
-        assert!(!grid.is_empty(), "a grid has nodes");
-        assert!(shape.size % 2 == 1, "kernel size {} is odd", shape.size);
-        assert!(
-            shape.source_channels == 1 || shape.source_channels == shape.channels,
-            "{} source channels for {} channels",
-            shape.source_channels,
-            shape.channels
-        );
-        let grown = region.grown(shape.size / 2);
-        let cut = |knots: &[isize], start: isize, len: usize, wanted: usize| {
-            let to = if wanted == 0 { start } else { start + len.cast_signed() };
-            segments::<T>(knots, block, start, to)
+impl<T: Real> Frame<T> {
+    pub(super) fn new(grid: &NodeGrid, shape: Shape, region: Region, block: usize) -> Self {
+        shape.check(grid);
+        let cut = |knots: &[isize], start: isize, len: usize| {
+            segments::<T>(knots, block, start, start.saturating_add(len.cast_signed()))
         };
-        let rows = cut(&grid.row_knots, grown.row, grown.rows, region.rows);
-        let cols = cut(&grid.col_knots, grown.col, grown.cols, region.cols);
+        let rows = cut(&grid.row_knots, region.row, region.rows);
+        let cols = cut(&grid.col_knots, region.col, region.cols);
         let longest = |all: &[Segment<T>]| all.iter().map(|s| s.len).max().unwrap_or(1);
         let plane = Plane::new(longest(&rows) + shape.size - 1, longest(&cols) + shape.size - 1);
-        Self { grid, shape, region, rows, cols, plane, pool: Pool::new() }
+        Self { grid: grid.clone(), shape, region, rows, cols, plane, pool: Pool::new() }
     }
 
-    /// The region of the block, and of the pixels its light reaches.
-    pub(super) fn block(row: &Segment<T>, col: &Segment<T>) -> Region {
-        Region { row: row.start, col: col.start, rows: row.len, cols: col.len }
+    /// The node where a row window and a column window meet.
+    pub(super) fn node(&self, row: usize, col: usize) -> usize {
+        row * self.grid.col_knots.len() + col
     }
 
-    /// Rows of the region that light from the rows of a segment reaches: first (in the region), and the first row of the
-    /// block's tile that it is, count.
-    pub(super) fn reach(&self, segment: &Segment<T>) -> (usize, usize, usize) {
-        super::common(
-            self.region.row,
-            self.region.rows,
-            segment.start - (self.shape.size / 2).cast_signed(),
-            segment.len + self.shape.size - 1,
-        )
+    /// The nodes that the blocks of a row of blocks use.
+    pub(super) fn nodes(&self, row: &Segment<T>, cols: &[Segment<T>]) -> Vec<usize> {
+        let across = used(cols);
+        row.windows.iter().flat_map(|w| across.iter().map(|c| self.node(w.0, *c))).collect()
     }
 
-    /// Like [`Self::reach`], columns.
-    pub(super) fn reach_cols(&self, segment: &Segment<T>) -> (usize, usize, usize) {
-        super::common(
-            self.region.col,
-            self.region.cols,
-            segment.start - (self.shape.size / 2).cast_signed(),
-            segment.len + self.shape.size - 1,
-        )
+    /// The nodes of a block, column window by column window, row windows within.
+    pub(super) fn corners(&self, place: Place<'_, T>) -> Vec<usize> {
+        let rows = &place.row.windows;
+        place.col.windows.iter().flat_map(|c| rows.iter().map(|r| self.node(r.0, c.0))).collect()
     }
 
-    /// Values of the longest tile a channel.
-    pub(super) fn tile_len(&self) -> usize {
-        let rows = self.rows.iter().map(|r| self.reach(r).2).max().unwrap_or(0);
-        rows * self.plane.cols
+    /// The source that a block sees.
+    pub(super) fn seen(&self, place: Place<'_, T>) -> Region {
+        let half = (self.shape.size / 2).cast_signed();
+        Region {
+            row: place.row.start - half,
+            col: place.col.start - half,
+            rows: place.row.len + self.shape.size - 1,
+            cols: place.col.len + self.shape.size - 1,
+        }
     }
 
-    /// Ranges of column segments whose node spectra and tiles stay within the strip's memory.
+    /// Rows of the source that the longest row of blocks sees.
+    pub(super) fn band_rows(&self) -> usize {
+        self.rows.iter().map(|r| r.len).max().unwrap_or(0) + self.shape.size - 1
+    }
+
+    /// Ranges of column segments whose node spectra and source stay within `bytes`.
     pub(super) fn strips(&self, bytes: usize) -> Vec<Range<usize>> {
-        let per_node = self.shape.channels * self.shape.phases * self.plane.spectrum_len() * size_of::<Line<T>>();
-        let per_block = self.shape.channels * self.tile_len() * size_of::<T>();
+        let Shape { size, channels, source_channels, phases } = self.shape;
+        let per_node = channels * phases * self.plane.spectrum_len() * size_of::<Complex<T>>();
+        let per_column = source_channels * phases * self.band_rows() * size_of::<T>();
         let (mut all, mut from) = (Vec::new(), 0);
         for to in 1..=self.cols.len() {
-            let cost = |to: usize| 2 * used(&self.cols[from..to]).len() * per_node + (to - from) * per_block;
+            let cost = |to: usize| {
+                let cols = &self.cols[from..to];
+                let width = cols.iter().map(|c| c.len).sum::<usize>() + size - 1;
+                2 * used(cols).len() * per_node + width * per_column
+            };
             if to == self.cols.len() || cost(to + 1) > bytes {
                 all.push(from..to);
                 from = to;
@@ -147,113 +174,44 @@ impl<'a, T: Real> Frame<'a, T> {
         self.strips(STRIP_BYTES)
     }
 
-    /// Asks for the source of a row of blocks.
-    pub(super) fn fill(
+    /// Cuts one row of blocks out of the image: for each of `cols`, the channels of each group.
+    pub(super) fn views<'v>(
         &self,
-        source: &dyn Source<T>,
+        image: &'v mut ArrayViewMut3<'_, T>,
         row: &Segment<T>,
         cols: &[Segment<T>],
-        blocks: &mut Vec<Block<T>>,
-    ) {
-        blocks.resize_with(cols.len().max(blocks.len()), || Block { data: Vec::new(), full: false });
-        let planes = (self.shape.source_channels, self.shape.phases);
-        blocks.par_iter_mut().zip(cols).for_each(|(block, col)| {
-            let dim = (planes.0, planes.1, row.len, col.len);
-            let len = dim.0 * dim.1 * dim.2 * dim.3;
-            if block.data.len() < len {
-                block.data.resize(len, T::zero());
-            }
-            let view = ArrayViewMut4::from_shape(dim, &mut block.data[..len]).expect("length of the shape");
-            block.full = source.fill(Self::block(row, col), view);
-        });
-    }
-
-    /// Row spectra of the column-windowed source of `channel`, plane `2 phase + window` of the scratch.
-    pub(super) fn load(
-        &self,
-        scratch: &mut Scratch<T>,
-        block: &Block<T>,
-        channel: usize,
-        row: &Segment<T>,
-        col: &Segment<T>,
-    ) {
-        for phase in 0..self.shape.phases {
-            let plane = block.plane(self, row, col, channel, phase);
-            for (b, (_, window)) in col.windows.iter().enumerate() {
-                self.plane.rows_forward(scratch, 2 * phase + b, row.len, |i, line| {
-                    let from = &plane[i * col.len..][..col.len];
-                    for ((line, from), w) in line.iter_mut().zip(from).zip(window) {
-                        *line = *from * *w;
-                    }
-                    true
-                });
+    ) -> Vec<ArrayViewMut3<'v, T>> {
+        let offset = |at: isize, from: isize| (at - from).unsigned_abs();
+        let (top, left) = (offset(row.start, self.region.row), offset(cols[0].start, self.region.col));
+        let band = image.view_mut().split_at(Axis(1), top).1.split_at(Axis(1), row.len).0;
+        let mut rest = band.split_at(Axis(2), left).1;
+        let mut all = Vec::new();
+        for col in cols {
+            let (mut block, behind) = rest.split_at(Axis(2), col.len);
+            rest = behind;
+            for group in self.shape.groups() {
+                let (part, others) = block.split_at(Axis(0), group.len());
+                all.push(part);
+                block = others;
             }
         }
-    }
-
-    /// One panel of the windowed source's spectrum into `scratch.panel`.
-    #[inline]
-    pub(super) fn panel(&self, scratch: &mut Scratch<T>, phase: usize, b: usize, p: usize, window: &[T]) {
-        let count = window.len();
-        let from = &scratch.rows[((2 * phase + b) * self.plane.panels + p) * count..][..count];
-        self.plane.columns_forward(from, Some(window), &mut scratch.panel);
-    }
-
-    /// The node where a row window and a column window meet.
-    pub(super) fn node(&self, row: usize, col: usize) -> usize {
-        row * self.grid.col_knots.len() + col
+        all
     }
 }
 
-/// Spectra of the kernels of the nodes in use, `[channel][phase][panel][line]`.
-pub(super) struct NodeSpectra<T> {
-    of: BTreeMap<usize, Vec<Line<T>>>,
-    free: Vec<Vec<Line<T>>>,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl<T: Real> NodeSpectra<T> {
-    pub(super) fn new() -> Self {
-        Self { of: BTreeMap::new(), free: Vec::new() }
-    }
-
-    /// Keeps the spectra of `nodes`, computes those that are missing and drops the others.
-    pub(super) fn advance(&mut self, frame: &Frame<'_, T>, kernels: &dyn Kernels<T>, nodes: &[usize]) {
-        let gone: Vec<usize> = self.of.keys().copied().filter(|n| !nodes.contains(n)).collect();
-        self.free.extend(gone.iter().filter_map(|n| self.of.remove(n)));
-        let Shape { size, channels, phases, .. } = frame.shape;
-        let len = frame.plane.spectrum_len();
-        let mut new: Vec<(usize, Vec<Line<T>>)> = Vec::new();
-        for &n in nodes.iter().filter(|n| !self.of.contains_key(*n)) {
-            new.push((n, self.free.pop().unwrap_or_else(|| vec![zero_line(); channels * phases * len])));
+    #[test]
+    fn strips_cover_all_blocks_whatever_the_memory() {
+        let grid = NodeGrid { row_knots: vec![0, 40], col_knots: vec![0, 10, 33, 60] };
+        let shape = Shape { size: 7, channels: 2, source_channels: 1, phases: 1 };
+        let frame = Frame::<f32>::new(&grid, shape, Region { row: -3, col: -8, rows: 50, cols: 90 }, 8);
+        for (bytes, count) in [(0, frame.cols.len()), (usize::MAX, 1)] {
+            let strips = frame.strips(bytes);
+            assert_eq!(strips.len(), count);
+            assert_eq!(strips.iter().cloned().flatten().collect::<Vec<_>>(), (0..frame.cols.len()).collect::<Vec<_>>());
         }
-        new.par_iter_mut().for_each(|(node, spectra)| {
-            let mut values = Array4::from_elem((channels, phases, size, size), T::zero());
-            kernels.fill(*node, values.view_mut());
-            frame.pool.with(&frame.plane, |scratch| {
-                let planes = values.as_slice().expect("standard layout").chunks_exact(size * size);
-                for (plane, out) in planes.zip(spectra.chunks_exact_mut(len)) {
-                    frame.plane.rows_forward(scratch, 0, size, |i, line| {
-                        line[..size].copy_from_slice(&plane[i * size..][..size]);
-                        true
-                    });
-                    frame.plane.spectrum(scratch, size, out);
-                }
-            });
-        });
-        self.of.extend(new);
-    }
-
-    /// One panel of the spectrum of a node's kernel.
-    #[inline]
-    pub(super) fn panel(
-        &self,
-        frame: &Frame<'_, T>,
-        node: usize,
-        channel: usize,
-        phase: usize,
-        p: usize,
-    ) -> &[Line<T>] {
-        let at = (channel * frame.shape.phases + phase) * frame.plane.panels + p;
-        &self.of[&node][at * frame.plane.rows..][..frame.plane.rows]
     }
 }

@@ -1,23 +1,30 @@
-//! Frame-sized varying blur: `y_c(p) = Σ_n Σ_f [k_{n,c,f} * (w_n s_{c,f})](p)`, and its exact transposes.
+//! Frame-sized varying blur: `y_c(p) = Σ_n w_n(p) Σ_f [k_{n,c,f} * s_{c,f}](p)`, and its exact transposes.
 //!
-//! The windows `w_n` of a [`NodeGrid`] multiply the *source*, because a PSF belongs to its object point. The scene may be
-//! sampled at `m × m` points a pixel: phase `f = fy m + fx` is the fine sample `(m row + fy, m col + fx)`, a source plane
-//! on the pixel raster with kernels of its own, so no fine image is ever blurred only to be decimated. Three methods give
-//! the same sum ([`Method`]); [`cost::Task::cheapest`] chooses. Kernels and source are asked for when needed, so a frame larger
-//! than memory allows as a whole can be blurred.
+//! The windows `w_n` of a [`NodeGrid`] multiply the *image*: a kernel belongs to the place on the sensor where its light
+//! arrives. The windows sum to one, so a white scene stays white whatever the nodes (kernels that sum to one), the error
+//! between nodes is second order in their distance, no kernel is needed outside the image, and each source plane is
+//! transformed once a block. The scene may be sampled at `m × m` points a pixel: phase `f = fy m + fx` is the fine sample
+//! `(m row + fy, m col + fx)`, a source plane on the pixel raster with kernels of its own, so no fine image is ever blurred
+//! only to be decimated. Two methods give the same sum ([`Method`]); [`cost::Task::cheapest`] chooses. Kernels and source
+//! are asked for when needed, so a frame larger than memory allows as a whole can be blurred; [`blur_recorded`] keeps
+//! their spectra for the cotangents.
 
 pub mod adjoint;
+mod band;
 mod cells;
+mod correlate;
 pub mod cost;
 mod direct;
-pub mod eigen;
 mod frame;
-mod low_rank;
-mod overlap;
+mod lines;
+mod node_sums;
+mod pack;
 #[cfg(test)]
 mod plain;
 mod plane;
+mod record;
 mod segments;
+mod spectra;
 
 use ndarray::{Array3, ArrayView4, ArrayView5, ArrayViewMut4, Axis, s};
 
@@ -26,7 +33,7 @@ use super::node_grid::NodeGrid;
 use super::warp::Region;
 
 pub use adjoint::{BlurBar, blur_kernels_vjp, blur_source_vjp, blur_vjp};
-pub use low_rank::blur_low_rank;
+pub use record::{BlurRecord, Wanted, blur_recorded};
 
 /// Kernels of the nodes, asked for when needed.
 pub trait Kernels<T>: Sync {
@@ -52,31 +59,23 @@ pub trait Source<T>: Sync {
     fn fill(&self, region: Region, out: ArrayViewMut4<'_, T>) -> bool;
 }
 
-/// How to compute the sum. The results agree to rounding ([`Method::LowRank`]: and to its truncation).
-#[derive(Clone, Copy, Debug, PartialEq)]
+/// How to compute the sum. The results agree to rounding.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Method {
-    /// Overlap-add over blocks of at most `block` pixels a side that never straddle a knot: four nodes, one inverse.
+    /// FFTs over blocks of the image of at most `block` pixels a side that never straddle a knot: at most four nodes.
     Cells {
         /// Largest side of a block, pixels.
         block: usize,
     },
     /// The plain sum, for small kernels.
     Direct,
-    /// Kernels as combinations of a few ([`eigen::EigenKernels`]), by channel; blocks may straddle knots.
-    LowRank {
-        /// Side of a block, pixels.
-        block: usize,
-        /// Most components.
-        rank: usize,
-        /// Stop once no node's kernels miss more than this part of their L2 norm.
-        tolerance: f64,
-    },
 }
 
 /// Blurs `source` over `region`: `[channel, row, col]`.
 ///
-/// `progress` is told the part done, 0 to 1. Cut into blocks from the knots on, the sum of a pixel has the same order for
-/// every number of threads and (up to the FFT's rounding in blocks that the region clips) every region.
+/// `progress` is told the part done, 0 to 1. Each place of the source is asked for once ([`Method::Direct`] and regions too
+/// wide for memory: a few times near the cuts). The image is the same to the bit for every number of threads; blocks
+/// are cut from the knots on, so that a part of a region differs from the whole by the FFT's rounding alone.
 ///
 /// # Panics
 /// If the grid is empty, the kernels' size is even, or source and kernels differ in channels.
@@ -88,13 +87,14 @@ pub fn blur<T: Real>(
     method: Method,
     progress: &(dyn Fn(f64) + Sync),
 ) -> Array3<T> {
+    let shape = frame::Shape::of(kernels, source);
     match method {
-        Method::Cells { block } => cells::blur_cells(grid, kernels, source, region, block, progress),
-        Method::Direct => direct::blur_direct(grid, kernels, source, region, progress),
-        Method::LowRank { block, rank, tolerance } => {
-            let eigen = eigen::EigenKernels::new(grid, kernels, rank, tolerance);
-            low_rank::blur_low_rank(grid, &eigen, source, region, block, progress)
+        Method::Cells { block } => {
+            let frame = frame::Frame::new(grid, shape, region, block);
+            let (spectra, keep) = (&mut spectra::NodeSpectra::new(), record::Keep::NOTHING);
+            cells::blur_cells(&frame, kernels, source, spectra, keep, progress).0
         }
+        Method::Direct => direct::blur_direct(grid, kernels, source, region, progress),
     }
 }
 

@@ -1,6 +1,6 @@
 //! The definition as a plain sum, slow, and random cases for the tests of this folder.
 
-use ndarray::{Array3, Array4, Array5};
+use ndarray::{Array, Array3, Array4, Array5, Dimension};
 
 use super::super::cfa::Real;
 use super::super::node_grid::NodeGrid;
@@ -39,10 +39,9 @@ impl<T: Real> Case<T> {
         }
     }
 
-    /// `y_c(p) = Σ_n Σ_f Σ_q k_{n,c,f}(p − q) w_n(q) s_{c,f}(q)`, in f64.
+    /// `y_c(p) = Σ_n w_n(p) Σ_f Σ_t k_{n,c,f}(t) s_{c,f}(p − t)`, in f64.
     pub(super) fn plain(&self) -> Array3<f64> {
         let (nodes, channels, phases, size, _) = self.kernels.dim();
-        let grown = self.grown();
         let single = self.planes.dim().0 == 1;
         Array3::from_shape_fn((channels, self.region.rows, self.region.cols), |(c, i, j)| {
             let mut sum = 0.0;
@@ -50,7 +49,7 @@ impl<T: Real> Case<T> {
                 // Entry (a, b) moves light by (a − h, b − h); the grown source starts h before the region.
                 let (si, sj) = (i + size - 1 - a, j + size - 1 - b);
                 for n in 0..nodes {
-                    let w = self.grid.window(n, grown.row + si.cast_signed(), grown.col + sj.cast_signed());
+                    let w = self.grid.window(n, self.region.row + i.cast_signed(), self.region.col + j.cast_signed());
                     for f in 0..phases {
                         let s = self.planes[[if single { 0 } else { c }, f, si, sj]];
                         sum += self.kernels[[n, c, f, a, b]].to_double() * w * s.to_double();
@@ -59,6 +58,29 @@ impl<T: Real> Case<T> {
             }
             sum
         })
+    }
+
+    /// Cotangents of kernels and source, term by term of [`Self::plain`], in f64.
+    pub(super) fn plain_vjp(&self, bar: &Array3<f64>) -> (Array5<f64>, Array4<f64>) {
+        let (nodes, channels, phases, size, _) = self.kernels.dim();
+        let single = self.planes.dim().0 == 1;
+        let mut kernels = Array5::zeros(self.kernels.dim());
+        let mut source = Array4::zeros(self.planes.dim());
+        for ((c, i, j), bar) in bar.indexed_iter() {
+            assert!(c < channels);
+            for n in 0..nodes {
+                let w = self.grid.window(n, self.region.row + i.cast_signed(), self.region.col + j.cast_signed());
+                if w == 0.0 {
+                    continue;
+                }
+                for (f, (a, b)) in (0..phases).flat_map(|f| (0..size * size).map(move |t| (f, (t / size, t % size)))) {
+                    let at = [if single { 0 } else { c }, f, i + size - 1 - a, j + size - 1 - b];
+                    kernels[[n, c, f, a, b]] += bar * w * self.planes[at].to_double();
+                    source[at] += bar * w * self.kernels[[n, c, f, a, b]].to_double();
+                }
+            }
+        }
+        (kernels, source)
     }
 }
 
@@ -88,6 +110,7 @@ pub(super) fn cases() -> Vec<Case<f64>> {
         ("one node", one(), region(-2, -1, 10, 14), 5, (3, 1), 1, 4),
         ("four phases, grey", free(), region(0, 0, 17, 16), 5, (3, 1), 4, 8),
         ("four phases, colour", free(), region(0, 1, 9, 20), 5, (3, 3), 4, 16),
+        ("sixteen phases, grey", free(), region(-2, 7, 12, 9), 3, (2, 1), 16, 6),
         ("dense knots", (vec![0, 1, 2, 3], vec![1, 2]), region(-2, -2, 8, 7), 3, (1, 1), 1, 8),
         ("kernel of one pixel", free(), region(0, 0, 8, 9), 1, (1, 1), 1, 4),
         ("nothing", free(), region(0, 0, 0, 9), 5, (2, 2), 1, 4),
@@ -124,8 +147,8 @@ fn random(s: Sizes, rng: &mut fastrand::Rng) -> Case<f64> {
 }
 
 /// Largest difference relative to the largest value.
-pub(super) fn difference<T: Real>(a: &Array3<T>, b: &Array3<f64>) -> f64 {
-    assert_eq!(a.dim(), b.dim());
+pub(super) fn difference<T: Real, D: Dimension>(a: &Array<T, D>, b: &Array<f64, D>) -> f64 {
+    assert_eq!(a.shape(), b.shape());
     let scale = b.iter().fold(0.0f64, |m, v| m.max(v.abs())).max(f64::MIN_POSITIVE);
     a.iter().zip(b).map(|(a, b)| (a.to_double() - b).abs()).fold(0.0, f64::max) / scale
 }

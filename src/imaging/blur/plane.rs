@@ -1,17 +1,18 @@
-//! FFTs of one block: real lines by realfft, columns panel by panel.
+//! FFTs of one block: a half spectrum from real rows and back, by rustfft along both axes.
 //!
-//! A half spectrum lies in panels of [`LANES`] column frequencies: `[panel][line]`. While a block is convolved only one
-//! panel of each spectrum is alive, so everything but the kernels stays in cache.
+//! Two real rows are one complex line, `row a + i row b`, and the lines are cut into columns where the two are told
+//! apart. A half spectrum lies column by column, `[column frequency][row frequency]`, so that the transforms down the
+//! columns run over contiguous numbers.
 
 use std::sync::{Arc, Mutex};
 
-use realfft::{ComplexToReal, RealFftPlanner, RealToComplex};
 use rustfft::num_complex::Complex;
+use rustfft::{Fft, FftPlanner};
 
 use super::super::cfa::Real;
-use crate::math::fft::good_size;
-use crate::math::panel_fft::{LANES, Line, PanelFft};
-use crate::math::wide::{Work, wide};
+use super::lines::{TILE, part, twine, unpack};
+use super::pack::{Columns, pack};
+use crate::math::fft::fast_size;
 
 /// Plans for one size of block.
 pub(super) struct Plane<T: Real> {
@@ -19,26 +20,33 @@ pub(super) struct Plane<T: Real> {
     pub rows: usize,
     /// Columns of the transform.
     pub cols: usize,
-    /// Panels of a half spectrum.
-    pub panels: usize,
-    forward: Arc<dyn RealToComplex<T>>,
-    inverse: Arc<dyn ComplexToReal<T>>,
-    columns: PanelFft<T>,
+    /// Column frequencies of a half spectrum.
+    pub half: usize,
+    row_forward: Arc<dyn Fft<T>>,
+    row_inverse: Arc<dyn Fft<T>>,
+    column_forward: Arc<dyn Fft<T>>,
+    column_inverse: Arc<dyn Fft<T>>,
 }
 
-/// Buffers of one thread.
-pub(super) struct Scratch<T: Real> {
-    line: Vec<T>,
-    freq: Vec<Complex<T>>,
-    real: Vec<Complex<T>>,
-    /// Row spectra, as many planes as asked for.
-    pub rows: Vec<Line<T>>,
-    /// One panel of one spectrum.
-    pub panel: Vec<Line<T>>,
-    /// One panel of sums, one a channel.
-    pub sums: Vec<Line<T>>,
-    /// Row spectra on the way back.
-    pub back: Vec<Line<T>>,
+/// What rustfft asks for, and a few lines before they become columns.
+pub(super) struct Buffers<T> {
+    work: Vec<Complex<T>>,
+    /// [`TILE`] lines.
+    pub lines: Vec<Complex<T>>,
+}
+
+/// Buffers of one thread; all but the first grow with use.
+pub(super) struct Scratch<T> {
+    /// For the transforms.
+    pub buffers: Buffers<T>,
+    /// A half spectrum a phase.
+    pub spectra: Vec<Complex<T>>,
+    /// A few columns of the products with up to four nodes.
+    pub columns: Vec<Complex<T>>,
+    /// The same, weighed by the row windows; or the columns of up to two planes.
+    pub mixed: Vec<Complex<T>>,
+    /// Complex lines on the way back.
+    pub lines: Vec<Complex<T>>,
 }
 
 /// Scratch buffers, taken and given back, so that none is allocated twice.
@@ -61,269 +69,177 @@ impl<T: Real> Pool<T> {
     }
 }
 
-pub(super) fn zero_line<T: Real>() -> Line<T> {
-    [[T::zero(); LANES]; 2]
+pub(super) fn zero<T: Real>() -> Complex<T> {
+    Complex::new(T::zero(), T::zero())
 }
 
-/// Makes `buffer` at least `len` lines long.
-pub(super) fn reserve<T: Real>(buffer: &mut Vec<Line<T>>, len: usize) {
+/// Makes `buffer` at least `len` long.
+pub(super) fn reserve<T: Real>(buffer: &mut Vec<Complex<T>>, len: usize) {
     if buffer.len() < len {
-        buffer.resize(len, zero_line());
+        buffer.resize(len, zero());
     }
 }
 
 impl<T: Real> Plane<T> {
     /// The fastest size of at least `rows × cols`.
     pub(super) fn new(rows: usize, cols: usize) -> Self {
-        let (rows, cols) = (good_size(rows), good_size(cols));
-        let mut planner = RealFftPlanner::new();
+        let (rows, cols) = (fast_size(rows), fast_size(cols));
+        let mut planner = FftPlanner::new();
         Self {
             rows,
             cols,
-            panels: (cols / 2 + 1).div_ceil(LANES),
-            forward: planner.plan_fft_forward(cols),
-            inverse: planner.plan_fft_inverse(cols),
-            columns: PanelFft::new(rows).expect("good sizes have the factors 2, 3 and 5"),
+            half: cols / 2 + 1,
+            row_forward: planner.plan_fft_forward(cols),
+            row_inverse: planner.plan_fft_inverse(cols),
+            column_forward: planner.plan_fft_forward(rows),
+            column_inverse: planner.plan_fft_inverse(rows),
         }
     }
 
-    /// Lines of a spectrum.
+    /// Numbers of a half spectrum.
     pub(super) fn spectrum_len(&self) -> usize {
-        self.panels * self.rows
+        self.half * self.rows
+    }
+
+    /// What undoes the growth of a transform there and back.
+    pub(super) fn scale(&self) -> T {
+        T::real(1.0 / (self.rows * self.cols) as f64)
     }
 
     fn scratch(&self) -> Scratch<T> {
-        let zero = Complex::new(T::zero(), T::zero());
-        let real = self.forward.get_scratch_len().max(self.inverse.get_scratch_len());
-        Scratch {
-            line: self.forward.make_input_vec(),
-            freq: self.forward.make_output_vec(),
-            real: vec![zero; real],
-            rows: Vec::new(),
-            panel: vec![zero_line(); self.rows],
-            sums: Vec::new(),
-            back: Vec::new(),
-        }
+        let plans = [&self.row_forward, &self.row_inverse, &self.column_forward, &self.column_inverse];
+        let work = plans.iter().map(|p| p.get_inplace_scratch_len()).max().unwrap_or(0);
+        let buffers = Buffers { work: vec![zero(); work], lines: vec![zero(); TILE * self.cols] };
+        Scratch { buffers, spectra: Vec::new(), columns: Vec::new(), mixed: Vec::new(), lines: Vec::new() }
     }
 
-    /// Row spectra of `count` rows into plane `at` of `scratch.rows`.
+    /// Transforms lines of `cols` numbers, forth.
+    pub(super) fn rows_forward(&self, work: &mut [Complex<T>], lines: &mut [Complex<T>]) {
+        self.row_forward.process_with_scratch(lines, work);
+    }
+
+    /// Transforms columns of `rows` numbers, forth.
+    pub(super) fn columns_forward(&self, buffers: &mut Buffers<T>, columns: &mut [Complex<T>]) {
+        self.column_forward.process_with_scratch(columns, &mut buffers.work);
+    }
+
+    /// Transforms columns back, unscaled.
+    pub(super) fn columns_inverse(&self, buffers: &mut Buffers<T>, columns: &mut [Complex<T>]) {
+        self.column_inverse.process_with_scratch(columns, &mut buffers.work);
+    }
+
+    /// Transforms lines back, unscaled.
+    pub(super) fn rows_inverse(&self, buffers: &mut Buffers<T>, lines: &mut [Complex<T>]) {
+        self.row_inverse.process_with_scratch(lines, &mut buffers.work);
+    }
+
+    /// Half spectrum of the real rows `row(0..count)`, each at most `cols` long, zero behind and below.
+    pub(super) fn spectrum<'a>(
+        &self,
+        buffers: &mut Buffers<T>,
+        count: usize,
+        row: impl Fn(usize) -> &'a [T],
+        out: &mut [Complex<T>],
+    ) where
+        T: 'a,
+    {
+        for from in (0..count).step_by(2 * TILE) {
+            let rows = (count - from).min(2 * TILE);
+            // Row l and row l + lines of the tile share a line.
+            let lines = rows.min(TILE);
+            for (l, line) in buffers.lines.chunks_exact_mut(self.cols).enumerate().take(lines) {
+                let second = if l + lines < rows { row(from + lines + l) } else { &[] };
+                twine(row(from + l), second, line);
+            }
+            self.rows_forward(&mut buffers.work, &mut buffers.lines[..lines * self.cols]);
+            let to = [(from, lines), (from + lines, rows - lines)];
+            unpack(&buffers.lines, self.cols, out, self.rows, to);
+        }
+        for column in out.chunks_exact_mut(self.rows) {
+            column[count..].fill(zero());
+        }
+        self.columns_forward(buffers, out);
+    }
+
+    /// Planes of columns from lines that hold two real rows each, before the columns are transformed.
     ///
-    /// `fill` writes the head of a zero line, and says whether it is not zero all over.
-    pub(super) fn rows_forward(
+    /// `fill(l, line)` writes all of line `l` of `lines`; its parts go to row `l` of the two planes of `out`, which hold
+    /// `stride` rows a column and begin at the two offsets, each with a count of rows.
+    pub(super) fn turn(
         &self,
-        scratch: &mut Scratch<T>,
-        at: usize,
-        count: usize,
-        mut fill: impl FnMut(usize, &mut [T]) -> bool,
+        buffers: &mut Buffers<T>,
+        lines: usize,
+        fill: impl Fn(usize, &mut [Complex<T>]),
+        out: &mut [Complex<T>],
+        stride: usize,
+        planes: [(usize, usize); 2],
     ) {
-        let Scratch { line, freq, real, rows, .. } = scratch;
-        reserve(rows, (at + 1) * self.panels * count);
-        let plane = &mut rows[at * self.panels * count..][..self.panels * count];
-        for i in 0..count {
-            line.fill(T::zero());
-            if fill(i, line) {
-                self.forward.process_with_scratch(line, freq, real).expect("planned lengths");
-            } else {
-                freq.fill(Complex::new(T::zero(), T::zero()));
+        for from in (0..lines).step_by(TILE) {
+            let n = (lines - from).min(TILE);
+            for (l, line) in buffers.lines.chunks_exact_mut(self.cols).enumerate().take(n) {
+                fill(from + l, line);
             }
-            wide(Split { freq, lines: plane, stride: count, at: i });
+            self.rows_forward(&mut buffers.work, &mut buffers.lines[..n * self.cols]);
+            let to = planes.map(|(at, count)| (at + from, count.saturating_sub(from).min(n)));
+            unpack(&buffers.lines, self.cols, out, stride, to);
         }
     }
 
-    /// Rows from plane `at` of the row spectra in `scratch.back`, `[plane][panel][count]`; `take` gets each scaled row.
-    pub(super) fn rows_inverse(
+    /// Real rows `0..count` of a half spectrum (spoilt), their first `width` numbers, scaled, into `out` row by row.
+    pub(super) fn image(
         &self,
-        scratch: &mut Scratch<T>,
-        at: usize,
-        count: usize,
-        mut take: impl FnMut(usize, &[T]),
+        buffers: &mut Buffers<T>,
+        lines: &mut Vec<Complex<T>>,
+        spectrum: &mut [Complex<T>],
+        (count, width): (usize, usize),
+        out: &mut [T],
     ) {
-        let Scratch { line, freq, real, back, .. } = scratch;
-        let back = &back[at * self.panels * count..][..self.panels * count];
-        let scale = T::real(1.0 / (self.rows * self.cols) as f64);
-        for i in 0..count {
-            wide(Join { freq, lines: back, stride: count, at: i, scale });
-            // The imaginary parts of the two real lines are rounding; realfft refuses them otherwise.
-            freq[0].im = T::zero();
-            if self.cols.is_multiple_of(2) {
-                let last = freq.len() - 1;
-                freq[last].im = T::zero();
+        self.columns_inverse(buffers, spectrum);
+        let n = count.div_ceil(2);
+        reserve(lines, n * self.cols);
+        let lines = &mut lines[..n * self.cols];
+        let planes = [(0, n), (n, count - n)];
+        for from in (0..self.half).step_by(TILE) {
+            let columns = Columns { from, count: (self.half - from).min(TILE), stride: self.rows, planes };
+            pack(&spectrum[from * self.rows..], columns, lines, self.cols);
+        }
+        self.rows_inverse(buffers, lines);
+        let scale = self.scale();
+        for (l, line) in lines.chunks_exact(self.cols).enumerate() {
+            part::<T, 0>(&line[..width], scale, &mut out[l * width..][..width]);
+            if n + l < count {
+                part::<T, 1>(&line[..width], scale, &mut out[(n + l) * width..][..width]);
             }
-            self.inverse.process_with_scratch(freq, line, real).expect("planned lengths");
-            take(i, line);
-        }
-    }
-
-    /// The columns of one panel: `from` (times the row's window, if any), then zeros, transformed into `panel`.
-    #[inline]
-    pub(super) fn columns_forward(&self, from: &[Line<T>], window: Option<&[T]>, panel: &mut [Line<T>]) {
-        wide(Forward { columns: &self.columns, from, window, panel });
-    }
-
-    /// The columns of one panel, in place, unscaled.
-    #[inline]
-    pub(super) fn columns_inverse(&self, panel: &mut [Line<T>]) {
-        wide(Inverse { columns: &self.columns, panel });
-    }
-
-    /// Spectrum of plane 0 of `scratch.rows` with `count` rows.
-    pub(super) fn spectrum(&self, scratch: &Scratch<T>, count: usize, out: &mut [Line<T>]) {
-        for (p, panel) in out.chunks_exact_mut(self.rows).enumerate() {
-            self.columns_forward(&scratch.rows[p * count..][..count], None, panel);
         }
     }
 }
 
-/// `sums += x · k`, line by line.
-#[inline]
-pub(super) fn add_product<T: Real>(sums: &mut [Line<T>], x: &[Line<T>], k: &[Line<T>]) {
-    wide(Product::<T, false> { sums, x, k });
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-/// `sums += conj(x) · k`.
-#[inline]
-pub(super) fn add_correlation<T: Real>(sums: &mut [Line<T>], x: &[Line<T>], k: &[Line<T>]) {
-    wide(Product::<T, true> { sums, x, k });
-}
-
-/// `sums += weight · x`, line by line with a weight each.
-#[inline]
-pub(super) fn add_weighted<T: Real>(sums: &mut [Line<T>], x: &[Line<T>], weights: &[T]) {
-    wide(Weighted { sums, x, weights });
-}
-
-struct Split<'a, T> {
-    freq: &'a [Complex<T>],
-    lines: &'a mut [Line<T>],
-    stride: usize,
-    at: usize,
-}
-
-impl<T: Real> Work for Split<'_, T> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        for (p, part) in self.freq.chunks(LANES).enumerate() {
-            let line = &mut self.lines[p * self.stride + self.at];
-            if let Ok(part) = <&[Complex<T>; LANES]>::try_from(part) {
-                for l in 0..LANES {
-                    line[0][l] = part[l].re;
-                    line[1][l] = part[l].im;
+    /// Spectra are the plain sum, and the image comes back, for odd counts of rows and sizes off the tiles.
+    #[test]
+    fn spectra_are_the_plain_sum_and_come_back() {
+        let rng = &mut fastrand::Rng::with_seed(2);
+        for (rows, cols) in [(1, 1), (5, 9), (16, 12), (17, 20), (33, 7), (40, 31)] {
+            let plane = Plane::<f64>::new(rows, cols);
+            let mut scratch = plane.scratch();
+            let x: Vec<f64> = (0..rows * cols).map(|_| rng.f64() - 0.5).collect();
+            let mut spectrum = vec![zero(); plane.spectrum_len()];
+            plane.spectrum(&mut scratch.buffers, rows, |i| &x[i * cols..][..cols], &mut spectrum);
+            for _ in 0..20 {
+                let (u, v) = (rng.usize(..plane.rows), rng.usize(..plane.half));
+                let mut sum = Complex::new(0.0, 0.0);
+                for (i, j) in (0..rows).flat_map(|i| (0..cols).map(move |j| (i, j))) {
+                    let turn = (i * u) as f64 / plane.rows as f64 + (j * v) as f64 / plane.cols as f64;
+                    sum += Complex::from_polar(x[i * cols + j], -std::f64::consts::TAU * turn);
                 }
-            } else {
-                *line = [[T::zero(); LANES]; 2];
-                for (l, f) in part.iter().enumerate() {
-                    line[0][l] = f.re;
-                    line[1][l] = f.im;
-                }
+                assert!((spectrum[v * plane.rows + u] - sum).norm() < 1e-12);
             }
-        }
-    }
-}
-
-struct Join<'a, T> {
-    freq: &'a mut [Complex<T>],
-    lines: &'a [Line<T>],
-    stride: usize,
-    at: usize,
-    scale: T,
-}
-
-impl<T: Real> Work for Join<'_, T> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        for (p, part) in self.freq.chunks_mut(LANES).enumerate() {
-            let [re, im] = &self.lines[p * self.stride + self.at];
-            for (f, (re, im)) in part.iter_mut().zip(re.iter().zip(im)) {
-                *f = Complex::new(*re * self.scale, *im * self.scale);
-            }
-        }
-    }
-}
-
-struct Forward<'a, T> {
-    columns: &'a PanelFft<T>,
-    from: &'a [Line<T>],
-    window: Option<&'a [T]>,
-    panel: &'a mut [Line<T>],
-}
-
-impl<T: Real> Work for Forward<'_, T> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        let (head, tail) = self.panel.split_at_mut(self.from.len());
-        match self.window {
-            Some(window) => {
-                for ((line, from), w) in head.iter_mut().zip(self.from).zip(window) {
-                    for l in 0..LANES {
-                        line[0][l] = from[0][l] * *w;
-                        line[1][l] = from[1][l] * *w;
-                    }
-                }
-            }
-            None => head.copy_from_slice(self.from),
-        }
-        tail.fill([[T::zero(); LANES]; 2]);
-        self.columns.forward(self.panel);
-    }
-}
-
-struct Inverse<'a, T> {
-    columns: &'a PanelFft<T>,
-    panel: &'a mut [Line<T>],
-}
-
-impl<T: Real> Work for Inverse<'_, T> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        self.columns.inverse(self.panel);
-    }
-}
-
-struct Product<'a, T, const CONJUGATE: bool> {
-    sums: &'a mut [Line<T>],
-    x: &'a [Line<T>],
-    k: &'a [Line<T>],
-}
-
-impl<T: Real, const CONJUGATE: bool> Work for Product<'_, T, CONJUGATE> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        for (s, (x, k)) in self.sums.iter_mut().zip(self.x.iter().zip(self.k)) {
-            for l in 0..LANES {
-                let (xr, xi, kr, ki) = (x[0][l], x[1][l], k[0][l], k[1][l]);
-                if CONJUGATE {
-                    s[0][l] += xr * kr + xi * ki;
-                    s[1][l] += xr * ki - xi * kr;
-                } else {
-                    s[0][l] += xr * kr - xi * ki;
-                    s[1][l] += xr * ki + xi * kr;
-                }
-            }
-        }
-    }
-}
-
-struct Weighted<'a, T> {
-    sums: &'a mut [Line<T>],
-    x: &'a [Line<T>],
-    weights: &'a [T],
-}
-
-impl<T: Real> Work for Weighted<'_, T> {
-    type Output = ();
-    #[inline(always)]
-    fn run(self) {
-        for ((s, x), w) in self.sums.iter_mut().zip(self.x).zip(self.weights) {
-            for i in 0..2 {
-                for l in 0..LANES {
-                    s[i][l] += x[i][l] * *w;
-                }
-            }
+            let mut back = vec![0.0; x.len()];
+            plane.image(&mut scratch.buffers, &mut scratch.lines, &mut spectrum, (rows, cols), &mut back);
+            assert!(x.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-14));
         }
     }
 }

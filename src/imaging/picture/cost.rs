@@ -37,8 +37,7 @@ impl Work {
     }
 }
 
-/// The convolution's task and its cheapest method: eigen-PSFs are left to those who ask for them, for their rank is not
-/// known before the kernels are.
+/// The convolution as a task.
 fn task<'a>(work: &Work, settings: &Settings, half_width: usize, grid: &'a NodeGrid) -> Task<'a> {
     Task {
         grid,
@@ -52,13 +51,13 @@ fn task<'a>(work: &Work, settings: &Settings, half_width: usize, grid: &'a NodeG
 
 /// The method of convolution.
 pub fn pick(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> Method {
-    task(work, settings, half_width, grid).cheapest(None)
+    task(work, settings, half_width, grid).cheapest()
 }
 
 /// Seconds of one thread for the convolution.
 pub fn convolution(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
     let task = task(work, settings, half_width, grid);
-    1e-9 * task.cost(task.cheapest(None), 0)
+    1e-9 * task.cost(task.cheapest())
 }
 
 /// Seconds of one thread for all else: table, kernels, sampling of the scene.
