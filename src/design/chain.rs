@@ -1,18 +1,18 @@
 //! One patch: scene → distortion, PSFs, blur, illumination, mosaic, noise → developed picture and its truth; and back.
 //!
 //! Everything that depends on the lens is inside, the refitted distortion and the re-warped truth included, so the
-//! gradient is that of the deterministic loss a step sees.
+//! gradient is that of the deterministic loss a step sees. The lens is traced once for all patches of a step; what comes back
+//! from them adds up in the optics' cotangent.
 
 use ndarray::{Array3, ArrayView3};
 
 use crate::error::Result;
 use crate::imaging::cfa::Real;
 use crate::imaging::noise::standard_normal;
-use crate::imaging::patches::NodeRaster;
-use crate::imaging::render::{Optics, RenderPlan, Rendered, render_region, render_region_vjp};
+use crate::imaging::render::{Rendered, Renderer};
 use crate::imaging::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
 use crate::imaging::warp::{Plane, Region};
-use crate::lens::{Lens, LensGradient};
+use crate::psf::OpticsBar;
 
 /// One patch of one scene.
 #[derive(Clone, Debug)]
@@ -31,8 +31,6 @@ pub struct PatchForward<T: Real> {
     pub developed: Array3<T>,
     /// The ideal picture: the network's target.
     pub truth: Array3<T>,
-    /// Traced optics of the patch.
-    pub optics: Optics,
     rendered: Rendered<T>,
     simulated: SimulateRecord<T>,
 }
@@ -43,60 +41,44 @@ fn electronics_at(electronics: &Electronics, region: Region) -> Electronics {
     Electronics { cfa: electronics.cfa.shifted(parity(region.row), parity(region.col)), ..electronics.clone() }
 }
 
-/// Scene → developed picture.
-pub fn forward<T: Real>(
-    lens: &Lens,
-    plan: &RenderPlan,
-    electronics: &Electronics,
-    patch: &Patch,
-) -> Result<PatchForward<T>> {
-    let raster = NodeRaster::over(patch.region.grown(plan.margin()), plan.spacing);
-    let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
-    let rendered = render_region(&optics, plan, &patch.scene, patch.region);
+/// Scene → developed picture, through the lens that `renderer` holds.
+///
+/// # Errors
+/// An object distance that the renderer was not made for.
+pub fn forward<T: Real>(renderer: &Renderer, electronics: &Electronics, patch: &Patch) -> Result<PatchForward<T>> {
+    let depth = renderer.plan.depth(patch.scene.vergence)?;
+    let rendered = renderer.record(&patch.scene, depth, patch.region);
     let eps = standard_normal(patch.noise_seed, (patch.region.rows, patch.region.cols));
     let (developed, simulated) =
         simulate(&electronics_at(electronics, patch.region), rendered.image.view(), rendered.illumination.view(), eps);
     let truth = rendered.truth.clone();
-    Ok(PatchForward { developed, truth, optics, rendered, simulated })
+    Ok(PatchForward { developed, truth, rendered, simulated })
 }
 
-/// Pulls cotangents on the developed picture and on the truth back to the lens.
+/// Pulls cotangents on the developed picture and on the truth back to the optics.
 pub fn forward_vjp<T: Real>(
-    lens: &Lens,
-    plan: &RenderPlan,
+    renderer: &Renderer,
     electronics: &Electronics,
     patch: &Patch,
     done: &PatchForward<T>,
     developed_bar: ArrayView3<'_, T>,
     truth_bar: ArrayView3<'_, T>,
-) -> Result<LensGradient> {
+) -> OpticsBar {
     let (image_bar, illumination_bar) =
         simulate_vjp(&electronics_at(electronics, patch.region), &done.simulated, developed_bar);
-    let optics_bar = render_region_vjp(
-        &done.optics,
-        plan,
-        &patch.scene,
-        patch.region,
-        &done.rendered,
-        image_bar.view(),
-        truth_bar,
-        illumination_bar.view(),
-    );
-    done.optics.vjp(lens, plan, &optics_bar)
+    renderer.vjp(&patch.scene, &done.rendered, image_bar.view(), truth_bar, illumination_bar.view())
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::imaging::cfa::Cfa;
-    use crate::imaging::field_map::slope_at_height;
     use crate::imaging::frame::Frame;
     use crate::imaging::noise::Noise;
+    use crate::imaging::render::{RenderPlan, Settings};
     use crate::imaging::sensor::Sensor;
-    use crate::imaging::spectrum::Spectrum;
-    use crate::lens::{builtin, variables::Variables};
-    use crate::psf::grid::PsfPlan;
-    use crate::psf::pupil::PupilSampling;
+    use crate::imaging::spectrum::SpectralDensity;
+    use crate::lens::{Lens, builtin, variables::Variables};
     use crate::testing::assert_rel;
 
     fn smooth_scene() -> Plane {
@@ -118,33 +100,25 @@ mod tests {
     fn the_chain_agrees_with_central_differences() {
         let lens = builtin::lens("two_element").expect("shipped");
         let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
-        let spectrum = Spectrum::quadrature(&Sensor::generic(), 3);
-        let plan = RenderPlan {
-            psf: PsfPlan {
-                sampling: PupilSampling::new(7, 100),
-                size: 31,
-                pitch_mm: 0.02,
-                wavelength_nm: spectrum.wavelength_nm,
-                weight: spectrum.weight.to_vec(),
-            },
-            spacing: 24,
-            max_slope: slope_at_height(&lens, 1e-3, 1.1 * frame.max_radius_mm()).expect("inside"),
-            frame,
-            white: vec![0.98, 1.01, 1.03],
-        };
+        let settings =
+            Settings { dense: 100, wavelengths: 3, node_error: 0.2, outside: 5e-2, cells: 40, ..Settings::DESIGN };
+        let density = SpectralDensity::new(&Sensor::generic());
+        let plan = RenderPlan::new(&lens, &frame, &density, &[1e-3], settings).expect("plans");
         let electronics =
             Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 2e-4, read: 1e-3 }, neutral: [0.55, 1.0, 0.7] };
         let patch =
             Patch { scene: smooth_scene(), region: Region { row: 141, col: 210, rows: 32, cols: 40 }, noise_seed: 11 };
         // Squared error is smooth; the developed picture and the truth both move with the lens.
         let loss = |lens: &Lens| {
-            let f = forward::<f64>(lens, &plan, &electronics, &patch).expect("renders");
+            let renderer = Renderer::new(lens, &plan).expect("traces");
+            let f = forward::<f64>(&renderer, &electronics, &patch).expect("renders");
             (&f.developed - &f.truth).mapv(|d| d * d).sum()
         };
-        let done = forward::<f64>(&lens, &plan, &electronics, &patch).expect("renders");
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        let done = forward::<f64>(&renderer, &electronics, &patch).expect("renders");
         let residual = (&done.developed - &done.truth) * 2.0;
-        let g = forward_vjp(&lens, &plan, &electronics, &patch, &done, residual.view(), (-&residual).view())
-            .expect("pulls back");
+        let bar = forward_vjp(&renderer, &electronics, &patch, &done, residual.view(), (-&residual).view());
+        let g = renderer.lens_gradient(&lens, &bar);
         let vars = Variables::all(&lens);
         let x = vars.values(&lens);
         let gradient = vars.gradient(&g);

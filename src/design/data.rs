@@ -7,12 +7,12 @@ use rayon::prelude::*;
 
 use super::chain::Patch;
 use crate::error::Result;
-use crate::imaging::distortion::Distortion;
 use crate::imaging::frame::Frame;
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, TRAINING, generate};
-use crate::imaging::warp::{Plane, Region, slope_per_mm};
+use crate::imaging::warp::{Plane, Region};
 use crate::network::card::sha256_hex;
+use crate::psf::SensorMap;
 
 /// Largest side of a kept texture, pixels; larger photographs are cut to their middle.
 const LARGEST: usize = 1024;
@@ -85,9 +85,8 @@ impl Textures {
         &self,
         rng: &mut fastrand::Rng,
         frame: &Frame,
-        distortion: &Distortion,
+        map: &SensorMap,
         size: usize,
-        vergence: f64,
     ) -> Patch {
         let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
         let region = Region {
@@ -96,7 +95,7 @@ impl Textures {
             rows: size,
             cols: size,
         };
-        self.place(rng, frame, distortion, region, vergence)
+        self.place(rng, frame, map, region)
     }
 
     /// A random texture placed so that `region` shows a random part of it.
@@ -104,9 +103,8 @@ impl Textures {
         &self,
         rng: &mut fastrand::Rng,
         frame: &Frame,
-        distortion: &Distortion,
+        map: &SensorMap,
         region: Region,
-        vergence: f64,
     ) -> Patch {
         let mut texture = self.images[rng.usize(0..self.images.len())].view();
         if rng.bool() {
@@ -119,10 +117,10 @@ impl Textures {
             texture.swap_axes(1, 2);
         }
         let zoom = 1.0 + 0.35 * rng.f64();
-        let texels_per_slope = zoom / (slope_per_mm(distortion, 0.0) * frame.pitch_mm);
+        let texels_per_slope = zoom / (map.ratio(0.0) * frame.pitch_mm);
         let centre = region.offset(frame, region.rows / 2, region.cols / 2);
         let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let scale = slope_per_mm(distortion, radius) * frame.pitch_mm * texels_per_slope;
+        let scale = map.ratio(radius) * frame.pitch_mm * texels_per_slope;
         // The part of the texture that the region and a margin need, cut out so that a patch stays small.
         let (_, rows, cols) = texture.dim();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a patch's size")]
@@ -136,6 +134,7 @@ impl Textures {
         let texture = texture.slice(s![.., r0..r0 + h, c0..c0 + w]).to_owned();
         let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
         let texture = texture.as_standard_layout().to_owned();
-        Patch { scene: Plane { texture, texels_per_slope, axis_texel, vergence }, region, noise_seed: rng.u64(..) }
+        let scene = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
+        Patch { scene, region, noise_seed: rng.u64(..) }
     }
 }

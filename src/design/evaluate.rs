@@ -13,20 +13,18 @@ use ndarray::{Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward};
 use crate::error::{Error, Result};
-use crate::imaging::distortion::Distortion;
-use crate::imaging::field_map::fit_distortion;
 use crate::imaging::frame::Frame;
 use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::noise::{Noise, mixed};
-use crate::imaging::plan::{Quality, frame_of, plan};
-use crate::imaging::render::RenderPlan;
+use crate::imaging::render::{RenderPlan, Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::simulate::Electronics;
 use crate::imaging::spectrum::SpectralDensity;
-use crate::imaging::warp::{Plane, Region, slope_per_mm};
+use crate::imaging::warp::{Plane, Region};
 use crate::lens::Lens;
+use crate::psf::SensorMap;
 use crate::network::Reconstructor;
 use crate::network::card::receptive_radius_px;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
@@ -54,8 +52,8 @@ const SHEET: usize = 4;
 const GAP: usize = 8;
 
 /// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
-pub const QUALITY: Quality =
-    Quality { degree: 7, dense: 2000, wavelengths: 7, spacing: 64, outside: 1e-3, max_half_width: 200 };
+pub const FINENESS: Fineness =
+    Fineness { samples: 1, degree: 7, dense: 2000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 64 };
 
 /// What is photographed.
 #[derive(Clone, Debug)]
@@ -121,7 +119,7 @@ pub struct Settings {
     /// Seed of places and noise.
     pub seed: u64,
     /// How finely captures are rendered.
-    pub quality: Quality,
+    pub fineness: Fineness,
 }
 
 /// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
@@ -158,13 +156,14 @@ pub fn evaluate(
     let frame = frame_of(lens)?;
     let zones = zones(&frame, settings)?;
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
-    let optics = at_depths(lens, &frame, sensor, settings)?;
+    let renderer = at_depths(lens, &frame, sensor, settings)?;
+    let maps = &renderer.optics.maps;
     let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response };
     let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
     // Four figures a picture, by depth and zone.
-    let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; optics.len()];
-    let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; optics.len()];
-    let all = (pictures.len() * optics.len() * used.len()).max(1);
+    let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];
+    let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
+    let all = (pictures.len() * maps.len() * used.len()).max(1);
     let mut done = 0;
     for index in 0..pictures.len() {
         let picture = pictures.load(index)?;
@@ -173,11 +172,11 @@ pub fn evaluate(
             let (row, col) = places.starts[fastrand::Rng::with_seed(seed).usize(0..places.starts.len())];
             let side = places.patch;
             let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
-            for (d, depth) in optics.iter().enumerate() {
+            for (d, map) in maps.iter().enumerate() {
                 let part = mixed(settings.seed, index as u64);
                 let noise_seed = mixed(seed, 1 + d as u64);
                 let shot = Shot { region, whole: settings.patch, context, part, noise_seed };
-                let [truth, capture, restored] = shot.take(lens, depth, &electronics, network, &picture)?;
+                let [truth, capture, restored] = shot.take(&renderer, map, &electronics, network, &picture)?;
                 let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
                     Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
                 };
@@ -247,25 +246,17 @@ fn share(zone: usize, fields: usize) -> f64 {
     zone as f64 / fields as f64
 }
 
-/// What a depth needs: settings of the renderer and the distortion.
-struct AtDepth {
-    vergence: f64,
-    render: RenderPlan,
-    distortion: Distortion,
-}
-
-fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -> Result<Vec<AtDepth>> {
-    let density = SpectralDensity::new(sensor);
-    let depth = |depth_mm: &f64| {
+/// The lens at all distances.
+fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -> Result<Renderer> {
+    let vergence = |depth_mm: &f64| {
         if depth_mm.is_nan() || *depth_mm <= 0.0 {
             return Err(Error::bad("", "depth, mm", depth_mm.to_string(), "a positive distance, or inf"));
         }
-        let vergence = 1.0 / depth_mm;
-        let render = plan(lens, vergence, frame, &density, settings.quality, None)?;
-        let distortion = fit_distortion(lens, vergence, render.max_slope)?;
-        Ok(AtDepth { vergence, render, distortion })
+        Ok(1.0 / depth_mm)
     };
-    settings.depths_mm.iter().map(depth).collect()
+    let vergences = settings.depths_mm.iter().map(vergence).collect::<Result<Vec<f64>>>()?;
+    let plan = RenderPlan::new(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)?;
+    Renderer::new(lens, &plan)
 }
 
 /// The places of every zone.
@@ -343,17 +334,17 @@ impl Shot {
     /// Truth, capture and reconstruction of the region.
     fn take(
         &self,
-        lens: &Lens,
-        depth: &AtDepth,
+        renderer: &Renderer,
+        map: &SensorMap,
         electronics: &Electronics,
         network: &Reconstructor,
         picture: &Array3<f32>,
     ) -> Result<[Array3<f32>; 3]> {
-        let frame = &depth.render.frame;
-        let scene = self.scene(frame, depth, picture);
+        let frame = &renderer.plan.frame;
+        let scene = self.scene(frame, map, picture);
         let seen = within(self.region.grown(self.context), frame);
         let patch = Patch { scene, region: seen, noise_seed: self.noise_seed };
-        let done = forward::<f32>(lens, &depth.render, electronics, &patch)?;
+        let done = forward::<f32>(renderer, electronics, &patch)?;
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
         let at = [offset(self.region.row, seen.row), offset(self.region.col, seen.col)];
         let cut = |a: ArrayView3<'_, f32>| {
@@ -366,7 +357,7 @@ impl Shot {
 
     /// The picture placed so that the region's centre sees a random part of it: the same for every zone and depth.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-    fn scene(&self, frame: &Frame, depth: &AtDepth, picture: &Array3<f32>) -> Plane {
+    fn scene(&self, frame: &Frame, map: &SensorMap, picture: &Array3<f32>) -> Plane {
         let mut rng = fastrand::Rng::with_seed(self.part);
         let (_, rows, cols) = picture.dim();
         let whole = self.whole as f64;
@@ -383,9 +374,9 @@ impl Shot {
             self.region.row as f64 + 0.5 * self.region.rows as f64 - frame.axis_px[1],
         ];
         let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let texels_per_slope = texels / (slope_per_mm(&depth.distortion, radius) * frame.pitch_mm);
+        let texels_per_slope = texels / (map.ratio(radius) * frame.pitch_mm);
         let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
-        Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: depth.vergence }
+        Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
     }
 }
 

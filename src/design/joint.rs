@@ -5,15 +5,17 @@
 //! last good numbers and its step is halved.
 
 use ndarray::{Array4, Axis};
+use rayon::prelude::*;
 
-use super::chain::{Patch, forward, forward_vjp};
+use super::chain::{Patch, PatchForward, forward, forward_vjp};
 use super::constraint::Constraints;
 use crate::error::Result;
 use crate::imaging::metrics::decibel;
-use crate::imaging::render::RenderPlan;
+use crate::imaging::render::{RenderPlan, Renderer};
 use crate::imaging::simulate::Electronics;
 use crate::lens::variables::Variables;
-use crate::lens::{Lens, LensGradient, prescription};
+use crate::lens::{Lens, prescription};
+use crate::psf::OpticsBar;
 use crate::network::Reconstructor;
 
 /// Adam on the lens's scaled variables (f64).
@@ -98,28 +100,37 @@ impl Joint {
         Self { lens, network, variables, constraints, rejected: 0, good: values.clone(), values, adam, damping: 1.0 }
     }
 
-    /// One step on `patches` (equal sizes). `lens_rate` 0 holds the lens.
+    /// The lens now, traced for `plan`; a lens that fails is taken back to its last good numbers.
+    ///
+    /// # Errors
+    /// A lens that fails and is the last good one.
+    pub fn renderer(&mut self, plan: &RenderPlan) -> Result<Renderer> {
+        match Renderer::new(&self.lens, plan) {
+            Err(_) if self.values != self.good => {
+                self.take_back();
+                Renderer::new(&self.lens, plan)
+            }
+            other => other,
+        }
+    }
+
+    /// One step on `patches` (equal sizes) through `renderer`, which holds the lens now. `lens_rate` 0 holds the lens.
+    ///
+    /// # Errors
+    /// A patch at a distance that the renderer was not made for; a network that fails.
     pub fn step(
         &mut self,
-        plan: &RenderPlan,
+        renderer: &Renderer,
         electronics: &Electronics,
         patches: &[Patch],
         lens_rate: f64,
         network_rate: f64,
     ) -> Result<Report> {
-        // Forward, patch by patch; a lens that fails is taken back and tried no further in this step.
-        let mut done = Vec::with_capacity(patches.len());
-        for patch in patches {
-            match forward::<f32>(&self.lens, plan, electronics, patch) {
-                Ok(f) => done.push(f),
-                Err(e) if self.values == self.good => return Err(e),
-                Err(_) => {
-                    self.take_back();
-                    return self.step(plan, electronics, patches, 0.0, network_rate);
-                }
-            }
-        }
-        let batch = |pick: fn(&super::chain::PatchForward<f32>) -> &ndarray::Array3<f32>| -> Array4<f32> {
+        let done = patches
+            .par_iter()
+            .map(|patch| forward::<f32>(renderer, electronics, patch))
+            .collect::<Result<Vec<PatchForward<f32>>>>()?;
+        let batch = |pick: fn(&PatchForward<f32>) -> &ndarray::Array3<f32>| -> Array4<f32> {
             let views: Vec<_> = done.iter().map(|f| pick(f).view()).collect();
             ndarray::stack(Axis(0), &views).expect("equal sizes")
         };
@@ -136,12 +147,19 @@ impl Joint {
             });
         }
         let s = self.network.step(input.view(), target.view(), network_rate, true)?;
-        // Back through optics, patch by patch.
-        let mut gradient = LensGradient::zeros(&self.lens);
-        for (i, (patch, f)) in patches.iter().zip(&done).enumerate() {
-            let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), i), s.target_bar.index_axis(Axis(0), i));
-            gradient.add(&forward_vjp(&self.lens, plan, electronics, patch, f, x_bar, t_bar)?);
-        }
+        // Back through imaging, patch by patch, and through the lens once.
+        let bars: Vec<OpticsBar> = patches
+            .par_iter()
+            .zip(&done)
+            .enumerate()
+            .map(|(i, (patch, f))| {
+                let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), i), s.target_bar.index_axis(Axis(0), i));
+                forward_vjp(renderer, electronics, patch, f, x_bar, t_bar)
+            })
+            .collect();
+        let mut bar = OpticsBar::zeros(&renderer.optics);
+        bars.iter().for_each(|b| bar.add(b));
+        let mut gradient = renderer.lens_gradient(&self.lens, &bar);
         let penalty = self.constraints.penalty(&self.lens, &mut gradient);
         let g = self.variables.gradient(&gradient);
         let finite = s.loss.is_finite() && g.iter().all(|v| v.is_finite());
@@ -177,18 +195,16 @@ impl Joint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::design::chain::PatchForward;
     use crate::design::data::Textures;
     use crate::design::run::{Budget, JointSettings, Scenery, joint_stage, network};
     use crate::design::task::Task;
-    use crate::imaging::field_map::fit_distortion;
     use crate::imaging::noise::Noise;
-    use crate::imaging::plan::{Quality, frame_of, plan};
+    use crate::imaging::render::{Settings, frame_of};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::spectrum::SpectralDensity;
 
-    const QUALITY: Quality =
-        Quality { degree: 7, dense: 300, wavelengths: 3, spacing: 40, outside: 1e-2, max_half_width: 16 };
+    const SETTINGS: Settings =
+        Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 
     fn task() -> Task {
         let mut task = Task::demo();
@@ -205,22 +221,23 @@ mod tests {
         let frame = frame_of(&lens).expect("valid");
         let textures = Textures::built_in(3, 5, 400);
         let v = lens.object_vergence;
-        let plan = plan(&lens, v, &frame, &SpectralDensity::new(&sensor), QUALITY, None).expect("plans");
+        let plan = RenderPlan::new(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
         let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
         let mut net = network(8, 5).expect("valid");
-        let distortion = fit_distortion(&lens, v, plan.max_slope).expect("fits");
         let mut rng = fastrand::Rng::with_seed(2);
         // A few steps, so that the network is no identity.
         for _ in 0..30 {
-            let p = textures.draw(&mut rng, &frame, &distortion, 64, v);
-            let f = forward::<f32>(&lens, &plan, &electronics, &p).expect("renders");
+            let p = textures.draw(&mut rng, &frame, &renderer.optics.maps[0], 64);
+            let f = forward::<f32>(&renderer, &electronics, &p).expect("renders");
             net.step_network_only(f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)), 2e-3)
                 .expect("trains");
         }
-        let patch = textures.draw(&mut rng, &frame, &distortion, 64, v);
+        let patch = textures.draw(&mut rng, &frame, &renderer.optics.maps[0], 64);
         // The loss in f64 from the f32 pictures, so that its own rounding stays below the differences.
         let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, crate::network::Step) {
-            let f = forward::<f32>(lens, &plan, &electronics, &patch).expect("renders");
+            let renderer = Renderer::new(lens, &plan).expect("traces");
+            let f = forward::<f32>(&renderer, &electronics, &patch).expect("renders");
             let (x, t) = (f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)));
             let s = net.step(x, t, 0.0, false).expect("runs");
             let l1 = s.output.iter().zip(&f.truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
@@ -228,7 +245,7 @@ mod tests {
         };
         let (_, f, s) = loss(&lens);
         let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), 0), s.target_bar.index_axis(Axis(0), 0));
-        let g = forward_vjp(&lens, &plan, &electronics, &patch, &f, x_bar, t_bar).expect("pulls back");
+        let g = renderer.lens_gradient(&lens, &forward_vjp(&renderer, &electronics, &patch, &f, x_bar, t_bar));
         let vars = Variables::refracting(&lens);
         let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
         let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -263,7 +280,7 @@ mod tests {
             batch: 1,
             lens_rate: 0.01,
             network_rate: 1e-3,
-            quality: QUALITY,
+            settings: SETTINGS,
         };
         let run = || {
             let net = network(4, 1).expect("valid");
@@ -281,11 +298,11 @@ mod tests {
         let task = task();
         let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
         let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
-        let plan = plan(&lens, v, &frame, &SpectralDensity::new(&sensor), QUALITY, None).expect("plans");
+        let plan = RenderPlan::new(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
         let electronics = Electronics { cfa: sensor.cfa, noise: Noise::NONE, neutral: sensor.neutral_response };
-        let distortion = fit_distortion(&lens, v, plan.max_slope).expect("fits");
         let textures = Textures::built_in(3, 1, 400);
-        let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &distortion, 32, v);
+        let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
         patch.scene.texture.fill(0.0);
         let mut constraints = Constraints::of(&lens);
         // Bounds that the lens meets, so that the scene alone could move it.
@@ -294,7 +311,8 @@ mod tests {
         let mut joint =
             Joint::new(lens.clone(), network(4, 1).expect("valid"), Variables::refracting(&lens), constraints);
         for _ in 0..3 {
-            let report = joint.step(&plan, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");
+            let renderer = joint.renderer(&plan).expect("traces");
+            let report = joint.step(&renderer, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");
             assert!(report.loss.is_finite() && report.penalty < 1e-20, "{report:?}");
         }
         let moved = joint.variables.values(&joint.lens).into_iter().zip(joint.variables.values(&lens));

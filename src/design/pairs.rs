@@ -13,14 +13,10 @@ use super::chain::Patch;
 use super::data::Textures;
 use crate::atomic;
 use crate::error::{Error, Result};
-use crate::imaging::distortion::Distortion;
-use crate::imaging::field_map::fit_distortion;
 use crate::imaging::frame::Frame;
 use crate::imaging::haze::add_haze;
 use crate::imaging::noise::{mixed, standard_normal};
-use crate::imaging::patches::NodeRaster;
-use crate::imaging::plan::{Quality, plan};
-use crate::imaging::render::{Optics, RenderPlan, render_region};
+use crate::imaging::render::{Channels, RenderPlan, Renderer, Settings};
 use crate::imaging::simulate::{Electronics, simulate};
 use crate::imaging::spectrum::SpectralDensity;
 use crate::lens::Lens;
@@ -38,11 +34,15 @@ pub struct Pair {
 }
 
 /// Renders one pair.
-pub fn render_pair(lens: &Lens, plan: &RenderPlan, patch: &Patch) -> Result<Pair> {
-    let raster = NodeRaster::over(patch.region.grown(plan.margin()), plan.spacing);
-    let optics = Optics::compute(lens, patch.scene.vergence, plan, raster)?;
-    let r = render_region::<f32>(&optics, plan, &patch.scene, patch.region);
-    Ok(Pair { image: r.image, illumination: r.illumination, truth: r.truth })
+///
+/// # Errors
+/// An object distance that the renderer was not made for.
+pub fn render_pair(renderer: &Renderer, patch: &Patch) -> Result<Pair> {
+    let depth = renderer.plan.depth(patch.scene.vergence)?;
+    let (frame, region) = (&renderer.plan.frame, patch.region);
+    let (image, _) = renderer.picture(&patch.scene, depth, region, &Channels::of(&patch.scene), &|_| {});
+    let illumination = renderer.light.over(frame, region, &[0, 1, 2]);
+    Ok(Pair { image, illumination, truth: renderer.truth(&patch.scene, depth, region) })
 }
 
 /// How a step varies a pair.
@@ -117,21 +117,14 @@ pub struct PairSettings {
     pub budget: u64,
 }
 
-/// An object distance, as vergence, and how it is rendered.
-#[derive(Debug)]
-struct Depth {
-    vergence: f64,
-    plan: RenderPlan,
-    distortion: Distortion,
-}
-
 /// Pairs by number.
 #[derive(Debug)]
 pub struct Pairs {
     lens: Lens,
     frame: Frame,
     settings: PairSettings,
-    depths: Vec<Depth>,
+    /// The lens at all distances.
+    renderer: Renderer,
     cache: Option<PathBuf>,
     /// Bytes a kept pair takes.
     bytes: u64,
@@ -143,17 +136,10 @@ impl Pairs {
     /// # Errors
     /// A lens that cannot be rendered at one of the distances.
     pub fn new(lens: &Lens, frame: &Frame, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
-        let depths = settings
-            .vergences
-            .iter()
-            .map(|&v| {
-                let plan = plan(lens, v, frame, density, Quality::TRAINING, None)?;
-                let distortion = fit_distortion(lens, v, plan.max_slope)?;
-                Ok(Depth { vergence: v, plan, distortion })
-            })
-            .collect::<Result<Vec<_>>>()?;
+        let plan = RenderPlan::new(lens, frame, density, &settings.vergences, Settings::TRAINING)?;
+        let renderer = Renderer::new(lens, &plan)?;
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2);
-        Ok(Self { lens: lens.clone(), frame: frame.clone(), bytes, settings, depths, cache: None })
+        Ok(Self { lens: lens.clone(), frame: frame.clone(), bytes, settings, renderer, cache: None })
     }
 
     /// Keeps pairs in `folder` from now on, as many as the budget holds. Pairs of another lens, task or program version found
@@ -170,7 +156,7 @@ impl Pairs {
             env!("CARGO_PKG_VERSION"),
             self.lens.sha256(),
             self.settings,
-            self.depths,
+            self.renderer.plan,
             textures.sha256()
         );
         let key = sha256_hex(facts.as_bytes());
@@ -220,9 +206,10 @@ impl Pairs {
             return Ok(pair);
         }
         let rng = &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x7061_6972, index));
-        let Depth { vergence, plan, distortion } = &self.depths[rng.usize(0..self.depths.len())];
-        let patch = textures.draw(rng, &self.frame, distortion, self.settings.region_px, *vergence);
-        let pair = render_pair(&self.lens, plan, &patch)?;
+        let maps = &self.renderer.optics.maps;
+        let map = &maps[rng.usize(0..maps.len())];
+        let patch = textures.draw(rng, &self.frame, map, self.settings.region_px);
+        let pair = render_pair(&self.renderer, &patch)?;
         if let Some(place) = place {
             let arrays = [&pair.image, &pair.illumination, &pair.truth];
             let bytes: Vec<u8> = arrays.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect();

@@ -13,10 +13,9 @@ use super::data::Textures;
 use super::joint::{Joint, Report, l1_and_psnr};
 use super::pairs::{Augmentation, cut, render_pair};
 use crate::error::Result;
-use crate::imaging::field_map::fit_distortion;
 use crate::imaging::frame::Frame;
 use crate::imaging::noise::Noise;
-use crate::imaging::plan::{Quality, plan};
+use crate::imaging::render::{RenderPlan, Renderer, Settings};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::simulate::Electronics;
 use crate::imaging::spectrum::SpectralDensity;
@@ -88,8 +87,8 @@ pub struct JointSettings {
     pub lens_rate: f64,
     /// Largest step of the network.
     pub network_rate: f64,
-    /// Sampling.
-    pub quality: Quality,
+    /// How finely it is rendered.
+    pub settings: Settings,
 }
 
 /// Average over this many steps in a history.
@@ -112,8 +111,7 @@ pub fn joint_stage(
     let density = SpectralDensity::new(scenery.sensor);
     let electronics = scenery.electronics();
     let v = lens.object_vergence;
-    let mut render = plan(lens, v, &scenery.frame, &density, settings.quality, None)?;
-    let field = render.max_slope;
+    let mut plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings.settings)?;
     let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let (mut history, mut recent) = (Vec::new(), Vec::new());
@@ -124,21 +122,21 @@ pub fn joint_stage(
         if used >= 1.0 {
             break;
         }
-        // The kernel follows the PSF as the lens gets better; the fitted field stays.
-        if step % 25 == 0
-            && step > 0
-            && settings.lens_rate > 0.0
-            && let Ok(p) = plan(&joint.lens, v, &scenery.frame, &density, settings.quality, Some(field))
-        {
-            render = p;
+        // Windows and nodes follow the PSF as the lens gets better.
+        if step % 25 == 0 && step > 0 && settings.lens_rate > 0.0 {
+            let mut anew = plan.clone();
+            if anew.refresh(&joint.lens).is_ok() {
+                plan = anew;
+            }
         }
-        let distortion = fit_distortion(&joint.lens, v, field)?;
+        let renderer = joint.renderer(&plan)?;
+        let map = &renderer.optics.maps[0];
         let patches: Vec<Patch> = (0..settings.batch)
-            .map(|_| scenery.textures.draw(&mut rng, &scenery.frame, &distortion, settings.patch, v))
+            .map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch))
             .collect();
         let rate = schedule(used);
         let lens_rate = settings.lens_rate * rate;
-        let report = joint.step(&render, &electronics, &patches, lens_rate, settings.network_rate * rate)?;
+        let report = joint.step(&renderer, &electronics, &patches, lens_rate, settings.network_rate * rate)?;
         step += 1;
         recent.push(report);
         let entry = average(&recent, started);
@@ -174,8 +172,8 @@ pub struct TrainSettings {
     pub crop: usize,
     /// Largest step.
     pub rate: f64,
-    /// Sampling.
-    pub quality: Quality,
+    /// How finely it is rendered.
+    pub settings: Settings,
 }
 
 /// Trains `network` on the finished lens: pairs rendered once, noise and crops drawn anew every step.
@@ -190,9 +188,9 @@ pub fn network_stage(
     let electronics = scenery.electronics();
     let v = lens.object_vergence;
     let started = Instant::now();
-    let render = plan(lens, v, &scenery.frame, &density, settings.quality, None)?;
+    let plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings.settings)?;
+    let renderer = Renderer::new(lens, &plan)?;
     let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x7261_6e64);
-    let distortion = fit_distortion(lens, v, render.max_slope)?;
     let empty = Entry { seconds: 0.0, loss: f64::NAN, input_psnr_db: f64::NAN, output_psnr_db: f64::NAN };
     let mut pairs = Vec::with_capacity(settings.regions);
     for _ in 0..settings.regions.max(1) {
@@ -201,8 +199,8 @@ pub fn network_stage(
         if used > 0.33 && !pairs.is_empty() {
             break;
         }
-        let patch = scenery.textures.draw(&mut rng, &scenery.frame, &distortion, settings.region, v);
-        pairs.push(render_pair(lens, &render, &patch)?);
+        let patch = scenery.textures.draw(&mut rng, &scenery.frame, &renderer.optics.maps[0], settings.region);
+        pairs.push(render_pair(&renderer, &patch)?);
         progress(used.min(1.0), &empty);
     }
     let (mut history, mut recent) = (Vec::new(), Vec::new());
@@ -243,19 +241,19 @@ pub fn validate(
     network: &Reconstructor,
     patch: usize,
     count: usize,
-    quality: Quality,
+    settings: Settings,
 ) -> Result<Entry> {
     let density = SpectralDensity::new(scenery.sensor);
     let electronics = scenery.electronics();
     let v = lens.object_vergence;
     let started = Instant::now();
-    let render = plan(lens, v, &scenery.frame, &density, quality, None)?;
-    let distortion = fit_distortion(lens, v, render.max_slope)?;
+    let plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings)?;
+    let renderer = Renderer::new(lens, &plan)?;
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let mut reports = Vec::with_capacity(count);
     for _ in 0..count {
-        let p = scenery.textures.draw(&mut rng, &scenery.frame, &distortion, patch, v);
-        let f = forward::<f32>(lens, &render, &electronics, &p)?;
+        let p = scenery.textures.draw(&mut rng, &scenery.frame, &renderer.optics.maps[0], patch);
+        let f = forward::<f32>(&renderer, &electronics, &p)?;
         let output = network.forward(f.developed.view().insert_axis(Axis(0)))?;
         let error = |a: ndarray::ArrayView3<'_, f32>| l1_and_psnr(a.iter(), f.truth.iter());
         let (input, out) = (error(f.developed.view()), error(output.index_axis(Axis(0), 0)));

@@ -20,11 +20,10 @@ use super::schedule::Schedule;
 use super::task::Task;
 use crate::atomic;
 use crate::error::{Error, Result};
-use crate::imaging::field_map::fit_distortion;
 use crate::imaging::files::write_png8;
 use crate::imaging::metrics::psnr;
 use crate::imaging::noise::mixed;
-use crate::imaging::plan::{Quality, frame_of, plan};
+use crate::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
 use crate::imaging::simulate::Electronics;
 use crate::imaging::spectrum::SpectralDensity;
 use crate::imaging::warp::Region;
@@ -411,8 +410,8 @@ fn samples(
     let (frame, side) = (frame_of(lens)?, task.train.patch_px);
     let unseen = Textures::unseen(9000, SAMPLES.len(), 2 * side + 200);
     let v = task.train.depths_mm.first().map_or(lens.object_vergence, |d| 1.0 / d);
-    let render = plan(lens, v, &frame, density, Quality::TRAINING, None)?;
-    let distortion = fit_distortion(lens, v, render.max_slope)?;
+    let plan = RenderPlan::new(lens, &frame, density, &[v], Settings::TRAINING)?;
+    let renderer = Renderer::new(lens, &plan)?;
     let corners = [[0.0, 0.0], [frame.columns as f64, frame.rows as f64]];
     let far = |axis: usize| -> f64 {
         let ends = [corners[0][axis] - frame.axis_px[axis], corners[1][axis] - frame.axis_px[axis]];
@@ -429,8 +428,8 @@ fn samples(
             };
             let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
-            let patch = unseen.place(rng, &frame, &distortion, region, v);
-            let pair = super::pairs::render_pair(lens, &render, &patch)?;
+            let patch = unseen.place(rng, &frame, &renderer.optics.maps[0], region);
+            let pair = super::pairs::render_pair(&renderer, &patch)?;
             Ok(cut(electronics, &pair, side, Augmentation::NONE, rng))
         })
         .collect()

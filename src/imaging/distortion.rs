@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 use crate::math::least_squares::fit_operator;
+use crate::psf::SensorMap;
 
 /// A fitted radial model: `r_d = x·(b₀ + b₁ x² + b₂ x⁴ + b₃ x⁶)` with `x = r / r_max`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -65,38 +66,30 @@ impl Distortion {
         }
         r
     }
+}
 
-    /// `∂(∂r_d/∂r)/∂r`, mm.
-    pub fn sensor_from_slope_second_derivative(&self, r: f64) -> f64 {
-        let x = r / self.max_slope;
-        let x2 = x * x;
-        let [_, b1, b2, b3] = self.coefficients_mm;
-        x * (6.0 * b1 + x2 * (20.0 * b2 + x2 * 42.0 * b3)) / (self.max_slope * self.max_slope)
+/// Samples of the fit (paper §3.1.3).
+const SAMPLES: u32 = 16;
+
+impl Distortion {
+    /// The paper's polynomial for a kit: fitted to 16 points of `map` from the axis to `radius_mm` on the sensor.
+    ///
+    /// # Errors
+    /// A polynomial that is not monotonic over the field.
+    pub fn of_map(map: &SensorMap, radius_mm: f64) -> Result<Self> {
+        let radii: Vec<f64> = (0..SAMPLES).map(|i| radius_mm * f64::from(i) / f64::from(SAMPLES - 1)).collect();
+        let slopes: Vec<f64> = radii.iter().map(|r| map.slope(*r)).collect();
+        fit(&slopes, &radii)
     }
 
-    /// `∂r_d/∂b` at slope `r`.
-    fn basis(&self, r: f64) -> [f64; 4] {
-        let x = r / self.max_slope;
-        let x2 = x * x;
-        [x, x * x2, x * x2 * x2, x * x2 * x2 * x2]
-    }
-
-    /// `∂(∂r_d/∂r)/∂b` at slope `r`.
-    pub fn derivative_basis(&self, r: f64) -> [f64; 4] {
-        let x2 = (r / self.max_slope).powi(2);
-        [1.0, 3.0 * x2, 5.0 * x2 * x2, 7.0 * x2 * x2 * x2].map(|v| v / self.max_slope)
-    }
-
-    /// Pulls a cotangent on [`Self::slope_from_sensor`] at `r_d` back to the coefficients:
-    /// `δr = −(∂r_d/∂b δb)/(∂r_d/∂r)`.
-    pub fn slope_from_sensor_vjp(&self, r_d: f64, slope_bar: f64) -> [f64; 4] {
-        let edge = self.sensor_from_slope(self.max_slope);
-        let inside = r_d < edge;
-        let r = if inside { self.slope_from_sensor(r_d) } else { self.max_slope };
-        let derivative = self.sensor_from_slope_derivative(r);
-        let beyond = if inside { 0.0 } else { (r_d - edge) / (derivative * derivative) };
-        let (at, change) = (self.basis(r), self.derivative_basis(r));
-        std::array::from_fn(|j| -slope_bar * (at[j] / derivative + beyond * change[j]))
+    /// The same for the chief rays of `lens` over `radius_mm`, object at `vergence`.
+    ///
+    /// # Errors
+    /// As [`Self::of_map`]; a lens whose sensor sees no light there.
+    pub fn of_lens(lens: &crate::lens::Lens, vergence: f64, radius_mm: f64) -> Result<Self> {
+        let radii: Vec<f64> = (0..SAMPLES).map(|i| radius_mm * f64::from(i) / f64::from(SAMPLES - 1)).collect();
+        let slopes = crate::psf::table::chief_slopes(lens, vergence, &radii)?;
+        fit(&slopes, &radii[..slopes.len()])
     }
 }
 
@@ -124,12 +117,6 @@ pub fn fit(slopes: &[f64], sensor_mm: &[f64]) -> Result<Distortion> {
         }
     }
     Ok(model)
-}
-
-/// Pulls a cotangent on the coefficients back to the sampled sensor radii.
-pub fn fit_vjp(slopes: &[f64], max_slope: f64, coefficients_bar: [f64; 4]) -> Vec<f64> {
-    let rows = operator(slopes, max_slope);
-    (0..slopes.len()).map(|i| (0..4).map(|j| coefficients_bar[j] * rows[[j, i]]).sum()).collect()
 }
 
 /// From sampled sensor radii to the four coefficients, `[4, n]`.
@@ -162,19 +149,6 @@ mod tests {
             let r = 0.5 * f64::from(i) / 100.0;
             assert!((model.slope_from_sensor(model.sensor_from_slope(r)) - r).abs() < 1e-14);
         }
-    }
-
-    #[test]
-    fn the_fit_vjp_is_its_transpose() {
-        let (r, s) = samples([25.0, -2.5, 0.3, -0.1]);
-        let rng = &mut fastrand::Rng::with_seed(3);
-        let bar: [f64; 4] = std::array::from_fn(|_| rng.f64() - 0.5);
-        let ds: Vec<f64> = s.iter().map(|_| rng.f64() - 0.5).collect();
-        let moved: Vec<f64> = s.iter().zip(&ds).map(|(a, d)| a + 1e-3 * d).collect();
-        let (a, b) = (fit(&r, &s).expect("fits"), fit(&r, &moved).expect("fits"));
-        let pushed: f64 = (0..4).map(|j| bar[j] * (b.coefficients_mm[j] - a.coefficients_mm[j]) / 1e-3).sum();
-        let pulled: f64 = fit_vjp(&r, 0.5, bar).iter().zip(&ds).map(|(a, b)| a * b).sum();
-        assert!((pushed - pulled).abs() < 1e-9 * pushed.abs().max(1.0), "{pushed} {pulled}");
     }
 
     #[test]

@@ -237,13 +237,12 @@ mod tests {
     /// Both maps' tables against the polynomial and its root, and there and back: 1e-6 pixel over every shipped lens.
     #[test]
     fn maps_and_their_inverses_hold_a_millionth_of_a_pixel() {
-        use crate::imaging::field_map::fit_distortion;
-        use crate::imaging::plan::{field_slope, frame_of};
+        use crate::imaging::render::frame_of;
         for (name, _) in crate::lens::builtin::LENSES {
             let lens = crate::lens::builtin::lens(name).expect("shipped");
             let frame = frame_of(&lens).expect("valid");
             let v = lens.object_vergence;
-            let d = fit_distortion(&lens, v, field_slope(&lens, v, &frame).expect("reaches")).expect("fits");
+            let d = Distortion::of_lens(&lens, v, 1.02 * frame.max_radius_mm()).expect("fits");
             let focal = d.sensor_from_slope_derivative(0.0);
             let (most, pitch) = (frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm);
             let captured = |rho: f64| captured_radius(&d, rho);

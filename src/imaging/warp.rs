@@ -1,14 +1,10 @@
-//! A planar scene and its distorted image on the sensor's raster.
+//! A planar scene, and parts of a frame.
 //!
 //! A scene is continuous: its texels carry a bilinear reconstruction, in every renderer alike; beyond its border the
-//! nearest texel continues. The pixel at offset `δ` (pixels) from the axis sees the object slope
-//! `r = D⁻¹(|δ| p)` in the direction of `δ`: [`warp`]; its pull-back goes to the distortion's coefficients.
+//! nearest texel continues.
 
-use ndarray::{Array3, ArrayView3, Axis};
-use rayon::prelude::*;
+use ndarray::{Array3, Axis};
 
-use super::cfa::Real;
-use super::distortion::Distortion;
 use super::frame::Frame;
 
 /// A flat, self-luminous texture facing the lens.
@@ -111,111 +107,5 @@ impl Region {
             (self.col + j.cast_signed()) as f64 + 0.5 - frame.axis_px[0],
             (self.row + i.cast_signed()) as f64 + 0.5 - frame.axis_px[1],
         ]
-    }
-}
-
-/// Object slope per mm of sensor radius at `radius_mm`, finite on the axis.
-#[inline]
-pub fn slope_per_mm(distortion: &Distortion, radius_mm: f64) -> f64 {
-    if radius_mm < 1e-9 {
-        distortion.sensor_from_slope_derivative(0.0).recip()
-    } else {
-        distortion.slope_from_sensor(radius_mm) / radius_mm
-    }
-}
-
-/// The scene as an ideal lens with this distortion would image it: sampled at pixel centres, `[channel, row, col]`.
-pub fn warp<T: Real>(scene: &Plane, distortion: &Distortion, frame: &Frame, region: Region) -> Array3<T> {
-    let channels = scene.texture.len_of(Axis(0));
-    let mut out = Array3::from_elem((channels, region.rows, region.cols), T::zero());
-    out.axis_iter_mut(Axis(1)).into_par_iter().enumerate().for_each(|(i, mut row)| {
-        for j in 0..region.cols {
-            let texel = texel_at(scene, distortion, frame, region, i, j).0;
-            for c in 0..channels {
-                row[[c, j]] = T::from(scene.sample(c, texel).0).unwrap_or_else(T::zero);
-            }
-        }
-    });
-    out
-}
-
-#[inline]
-fn texel_at(
-    scene: &Plane,
-    distortion: &Distortion,
-    frame: &Frame,
-    region: Region,
-    i: usize,
-    j: usize,
-) -> ([f64; 2], [f64; 2], f64) {
-    let d = region.offset(frame, i, j);
-    let radius = d[0].hypot(d[1]) * frame.pitch_mm;
-    let scale = slope_per_mm(distortion, radius) * frame.pitch_mm * scene.texels_per_slope;
-    ([scene.axis_texel[0] + d[0] * scale, scene.axis_texel[1] + d[1] * scale], d, radius)
-}
-
-/// Pulls a cotangent on [`warp`] back to the distortion's coefficients.
-pub fn warp_vjp<T: Real>(
-    scene: &Plane,
-    distortion: &Distortion,
-    frame: &Frame,
-    region: Region,
-    bar: ArrayView3<'_, T>,
-) -> [f64; 4] {
-    let rows: Vec<[f64; 4]> = (0..region.rows)
-        .into_par_iter()
-        .map(|i| {
-            let mut sum = [0.0; 4];
-            for j in 0..region.cols {
-                let (texel, d, radius) = texel_at(scene, distortion, frame, region, i, j);
-                if radius < 1e-9 {
-                    continue;
-                }
-                let mut slope_bar = 0.0;
-                for c in 0..bar.len_of(Axis(0)) {
-                    let g = scene.sample(c, texel).1;
-                    let along = (g[0] * d[0] + g[1] * d[1]) * frame.pitch_mm / radius * scene.texels_per_slope;
-                    slope_bar += bar[[c, i, j]].to_f64().unwrap_or(0.0) * along;
-                }
-                let b = distortion.slope_from_sensor_vjp(radius, slope_bar);
-                sum.iter_mut().zip(b).for_each(|(s, v)| *s += v);
-            }
-            sum
-        })
-        .collect();
-    rows.iter().fold([0.0; 4], |mut s, r| {
-        s.iter_mut().zip(r).for_each(|(a, b)| *a += b);
-        s
-    })
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::testing::{assert_rel, central_difference};
-
-    #[test]
-    fn warp_vjp_agrees_with_differences() {
-        let rng = &mut fastrand::Rng::with_seed(4);
-        let scene = Plane {
-            texture: Array3::from_shape_fn((3, 60, 80), |_| rng.f32()),
-            texels_per_slope: 100.0,
-            axis_texel: [3.0, 5.0],
-            vergence: 1e-3,
-        };
-        let frame = Frame::centred(40, 30, 0.5).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
-        let region = Region { row: 2, col: 1, rows: 20, cols: 37 };
-        let model = Distortion { max_slope: 0.4, coefficients_mm: [18.0, -1.5, 0.2, -0.1], residual_mm: 0.0 };
-        let bar = Array3::from_shape_fn((3, 20, 37), |_| rng.f64() - 0.5);
-        let pulled = warp_vjp(&scene, &model, &frame, region, bar.view());
-        for (k, pulled) in pulled.into_iter().enumerate() {
-            let f = |h: f64| {
-                let mut m = model.clone();
-                m.coefficients_mm[k] += h;
-                (&warp::<f64>(&scene, &m, &frame, region) * &bar).sum()
-            };
-            // The last columns lie beyond the fitted range and use the linear continuation.
-            assert_rel(pulled, central_difference(f, 1e-6), 1e-6, 1e-3, &format!("b{k}"));
-        }
     }
 }

@@ -30,30 +30,30 @@ pub enum Of {
 }
 
 /// Exponents `(p, q)` of the terms of one parity.
-pub fn terms(degree: usize, parity: Parity) -> Vec<(usize, usize)> {
+pub(super) fn terms(degree: usize, parity: Parity) -> Vec<(usize, usize)> {
     (parity as usize..=degree).step_by(2).flat_map(|p| (0..=degree - p).map(move |q| (p, q))).collect()
 }
 
 /// From values at nodes to the coefficients that fit them best, `[term, node]`; the transpose is the adjoint.
-pub fn from_nodes(nodes: &[DVec2], degree: usize, parity: Parity) -> Array2<f64> {
+pub(super) fn from_nodes(nodes: &[DVec2], degree: usize, parity: Parity) -> Array2<f64> {
     let [at_nodes, ..] = basis(nodes, degree, parity);
     fit_operator(&at_nodes.t().to_owned())
 }
 
 /// `M v`.
-pub fn apply(matrix: &Array2<f64>, v: &[f64]) -> Vec<f64> {
+pub(super) fn apply(matrix: &Array2<f64>, v: &[f64]) -> Vec<f64> {
     matrix.rows().into_iter().map(|row| dot(row.as_slice().unwrap_or_default(), v)).collect()
 }
 
 /// `Mᵀ v`.
-pub fn apply_transposed(matrix: &Array2<f64>, v: &[f64]) -> Vec<f64> {
+pub(super) fn apply_transposed(matrix: &Array2<f64>, v: &[f64]) -> Vec<f64> {
     let mut out = vec![0.0; matrix.ncols()];
     add_transposed(matrix, v, &mut out);
     out
 }
 
 /// Adds `Mᵀ v`, four rows at a time, so that the sums are loaded and stored a quarter as often.
-pub fn add_transposed(matrix: &Array2<f64>, v: &[f64], out: &mut [f64]) {
+pub(super) fn add_transposed(matrix: &Array2<f64>, v: &[f64], out: &mut [f64]) {
     let count = out.len();
     let all = matrix.as_slice().unwrap_or_default();
     for (rows, c) in all.chunks(4 * count.max(1)).zip(v.chunks(4)) {
@@ -106,7 +106,7 @@ impl Evaluation {
 }
 
 /// `Σ a b`, eight partial sums in a fixed order.
-pub fn dot(a: &[f64], b: &[f64]) -> f64 {
+pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
     let mut sums = [0.0; 8];
     let (mut a, mut b) = (a.chunks_exact(8), b.chunks_exact(8));
     for (x, y) in a.by_ref().zip(b.by_ref()) {
@@ -136,7 +136,7 @@ fn basis(points: &[DVec2], degree: usize, parity: Parity) -> [Array2<f64>; 3] {
 }
 
 /// `T_0..T_degree` at `x` and their derivatives.
-pub fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
+pub(super) fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
     let (mut t, mut d) = (vec![1.0, x], vec![0.0, 1.0]);
     for n in 1..degree.max(1) {
         t.push(2.0 * x * t[n] - t[n - 1]);

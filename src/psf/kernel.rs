@@ -65,8 +65,7 @@ pub struct Rays {
     pub y: Vec<f64>,
     /// Shares; those of both halves sum to one.
     pub share: Vec<f64>,
-    /// `W · Π share_a` before the division by the sum.
-    light: Vec<f64>,
+    /// `Σ W · Π share_a` of both halves.
     sum: f64,
     /// By clipping aperture that does clip: its number, `g`, `∂g/∂x`, `∂g/∂y`.
     edges: Vec<(usize, [Vec<f64>; 3])>,
@@ -157,7 +156,7 @@ impl KernelForm {
         let sum = 2.0 * light.iter().sum::<f64>();
         let scale = if sum > 0.0 { sum.recip() } else { 0.0 };
         let share = light.iter().map(|w| w * scale).collect();
-        Rays { x: odd.at(Of::Value, &cx), y: even.at(Of::Value, &cy), share, light, sum, edges }
+        Rays { x: odd.at(Of::Value, &cx), y: even.at(Of::Value, &cy), share, sum, edges }
     }
 
     /// Coefficients of the displacement `x − D(u)`, across the meridian (odd) and along it (even), mm.

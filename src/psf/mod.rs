@@ -1,30 +1,19 @@
-//! From rays to point spread functions.
+//! What a lens does to light, as image formation reads it.
 //!
-//! A PSF belongs to an object point. [`pupil`] traces a few rays aimed at the real stop and continues them to a
-//! dense set by a polynomial over the stop; [`splat`] turns landings into a kernel at the sensor's pitch;
-//! [`grid`] does so over field, depth and wavelength, with the adjoint of all of it; [`chief`] gives the chief-ray
-//! landings that the distortion fit stands on.
+//! Rays are traced from the sensor: [`table`] aims them from a few sensor radii through nodes of the real stop and keeps
+//! where they come from as polynomials over the stop, for every radius and object distance. [`illumination`], [`sensor_map`]
+//! (distortion) and [`kernel`] (point spread functions) are read from it; [`optics`] holds all of them as one value, in
+//! which their cotangents add up before they go back to the lens.
 
-pub mod chief;
-mod clip;
-pub mod field_table;
-pub mod fine;
 mod fit;
-mod old_fit;
-pub mod sensor_map;
-pub mod stop;
-pub mod table;
-pub mod grid;
-pub mod pupil;
 pub mod illumination;
 pub mod kernel;
-pub mod old_splat;
 pub mod optics;
+pub mod sensor_map;
 pub mod splat;
-#[cfg(test)]
-mod tests;
+pub mod stop;
+pub mod table;
 
-pub use grid::{PsfGrid, PsfPlan};
 pub use kernel::{KernelForm, Place};
 pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};
 pub use sensor_map::SensorMap;

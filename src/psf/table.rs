@@ -318,6 +318,25 @@ impl Table {
     }
 }
 
+/// Object slopes of the chief rays that land at `radii_mm` on the sensor, reference wavelength, object at `vergence`, as far out as
+/// the sensor sees light: the list may be shorter.
+///
+/// # Errors
+/// A lens without rotational symmetry, or without light at the first radius.
+pub fn chief_slopes(lens: &Lens, vergence: f64, radii_mm: &[f64]) -> Result<Vec<f64>> {
+    lens.require_symmetry("chief rays from the sensor")?;
+    let view = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
+    let mut slopes = Vec::with_capacity(radii_mm.len());
+    for radius in radii_mm {
+        match Chief::trace(&view, *radius) {
+            Ok(c) => slopes.push(c.slope - vergence * c.entrance),
+            Err(f) if slopes.is_empty() => return Err(failed(lens, *radius, f)),
+            Err(_) => break,
+        }
+    }
+    Ok(slopes)
+}
+
 fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
     wavelength_nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect()
 }

@@ -5,23 +5,24 @@
 
 use ndarray::{Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
 
-use super::field::{FieldLine, untraceable};
+use super::field::FieldLine;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::spectrum::Spectrum;
 use crate::lens::Lens;
-use crate::psf::grid::PsfNode;
-use crate::psf::pupil::PupilSampling;
-use crate::psf::{PsfGrid, PsfPlan};
+use rayon::prelude::*;
 
-/// Degree of the pupil polynomials.
-const DEGREE: usize = 9;
+use crate::psf::table::{Tolerance, knots};
+use crate::psf::{Optics, OpticsSpec, Place, Quadrature};
+
 /// Wavelengths of a picture in colour.
 const COLOUR_NODES: usize = 7;
 /// Share of the light that an automatic window may lose.
 const LOST: f64 = 1e-3;
 /// Largest automatic window, pixels.
 const LARGEST: usize = 1023;
+/// Largest error of rays between traced radii, pixels.
+const LANDING_ERROR_PX: f64 = 0.02;
 
 /// What to compute.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,8 +48,8 @@ pub struct KernelSet {
     pub request: KernelRequest,
     /// `[depth, field, wavelength, row, col]`; each sums to one less what fell outside.
     pub kernels: Array5<f32>,
-    /// Étendue per unit object slope squared, `[depth, field, wavelength]`, mm².
-    pub throughput: Array3<f64>,
+    /// Irradiance of white relative to that on the axis, `[depth, field, wavelength]` (the same at every depth).
+    pub relative_illumination: Array3<f64>,
     /// Share of the light outside the window, `[depth, field, wavelength]`.
     pub outside: Array3<f64>,
     /// Kernel centres: distance from the axis on the sensor, `[depth, field]`, mm.
@@ -63,36 +64,35 @@ impl KernelSet {
     /// Traces everything `request` asks for.
     ///
     /// # Errors
-    /// A lens that loses rays the fields need, or a distortion that folds (file left empty); a window that would be
-    /// larger than 1023 pixels.
+    /// A sensor without light on the axis, or a distortion that folds; a window that would be larger than 1023 pixels.
     pub fn compute(lens: &Lens, request: &KernelRequest) -> Result<Self> {
-        lens.require_symmetry("the PSF grid")?;
         let channels = request.wavelength_nm.len();
         // One channel a wavelength.
         let weight = (0..channels).map(|c| (0..channels).map(|l| f64::from(u8::from(c == l))).collect()).collect();
-        let grids = grids(lens, request, &request.wavelength_nm, weight)?;
-        let size = grids[0].1.kernels.len_of(Axis(2));
-        let (depths, fields) = (request.depth_mm.len(), request.fields);
+        let tiles = tiles(lens, request, Quadrature { nm: request.wavelength_nm.clone(), weight })?;
+        let (depths, fields) = (request.depth_mm.len(), tiles.lines[0].radius_mm.len());
+        let size = tiles.size;
         let mut set = Self {
-            request: request.clone(),
+            request: KernelRequest { fields, ..request.clone() },
             kernels: Array5::zeros((depths, fields, channels, size, size)),
-            throughput: Array3::zeros((depths, fields, channels)),
+            relative_illumination: Array3::zeros((depths, fields, channels)),
             outside: Array3::zeros((depths, fields, channels)),
             radius_mm: Array2::zeros((depths, fields)),
             slope: Array2::zeros((depths, fields)),
             angle_deg: Array2::zeros((depths, fields)),
         };
-        for (d, (line, grid)) in grids.iter().enumerate() {
-            #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
-            set.kernels.index_axis_mut(Axis(0), d).assign(&grid.kernels.mapv(|v| v as f32));
-            set.throughput.index_axis_mut(Axis(0), d).assign(&grid.throughput);
-            set.outside.index_axis_mut(Axis(0), d).assign(&grid.outside);
+        for (d, line) in tiles.lines.iter().enumerate() {
             for f in 0..fields {
+                for c in 0..channels {
+                    set.relative_illumination[[d, f, c]] = tiles.optics.relative_illumination(c, line.radius_mm[f]);
+                    set.outside[[d, f, c]] = tiles.outside[d * fields + f][c];
+                }
                 set.radius_mm[[d, f]] = line.radius_mm[f];
                 set.slope[[d, f]] = line.slope[f];
                 set.angle_deg[[d, f]] = line.angle_deg[f];
             }
         }
+        set.kernels.iter_mut().zip(&tiles.kernels).for_each(|(a, b)| *a = *b);
         Ok(set)
     }
 }
@@ -100,48 +100,67 @@ impl KernelSet {
 /// Kernels in the colours of the generic sensor, `[tile, channel, row, col]`, depth by depth and field by field; the
 /// request's own wavelengths are not used.
 pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<Array4<f32>> {
-    lens.require_symmetry("the PSF grid")?;
     let spectrum = Spectrum::quadrature(&Sensor::generic(), COLOUR_NODES);
-    let grids = grids(lens, request, &spectrum.wavelength_nm, spectrum.weight.to_vec())?;
-    let views: Vec<_> = grids.iter().map(|(_, g)| g.kernels.view()).collect();
-    let all = ndarray::concatenate(Axis(0), &views).map_err(|e| Error::Internal(e.to_string()))?;
-    #[expect(clippy::cast_possible_truncation, reason = "a picture")]
-    Ok(all.mapv(|v| v as f32))
+    let tiles = tiles(lens, request, Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() })?;
+    let shape = (tiles.outside.len(), 3, tiles.size, tiles.size);
+    Array4::from_shape_vec(shape, tiles.kernels).map_err(|e| Error::Internal(e.to_string()))
 }
 
-/// One grid a depth, all with the same window.
-fn grids(
-    lens: &Lens,
-    request: &KernelRequest,
-    wavelength_nm: &[f64],
-    weight: Vec<Vec<f64>>,
-) -> Result<Vec<(FieldLine, PsfGrid)>> {
-    let mut plan = PsfPlan {
-        sampling: PupilSampling::new(DEGREE, request.rays),
-        size: request.size.unwrap_or(1),
-        pitch_mm: request.pitch_mm,
-        wavelength_nm: wavelength_nm.to_vec(),
-        weight,
-    };
-    let nodes: Vec<PsfNode> = (0..request.fields).map(|radius| PsfNode { radius, outward: [0.0, -1.0] }).collect();
-    let lines = request.depth_mm.iter().map(|d| FieldLine::new(lens, 1.0 / d, request.fields));
-    let lines = lines.collect::<Result<Vec<_>>>()?;
-    let compute = |plan: &PsfPlan, depth: f64, line: &FieldLine| {
-        PsfGrid::compute(lens, 1.0 / depth, plan, &line.slope, &line.radius_mm, &nodes).map_err(untraceable)
-    };
-    if request.size.is_none() {
-        let mut half = 1;
-        for (depth, line) in request.depth_mm.iter().zip(&lines) {
-            half = half.max(compute(&plan, *depth, line)?.half_width_px(&plan, &line.radius_mm, LOST));
+/// Kernels of every depth and field.
+struct Tiles {
+    optics: Optics,
+    /// Places, by depth; as many for each.
+    lines: Vec<FieldLine>,
+    size: usize,
+    /// `[depth, field, channel, row, col]`.
+    kernels: Vec<f32>,
+    /// By depth and field, share of each channel's light outside.
+    outside: Vec<Vec<f64>>,
+}
+
+fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result<Tiles> {
+    let vergences: Vec<f64> = request.depth_mm.iter().map(|d| 1.0 / d).collect();
+    let mut lines =
+        vergences.iter().map(|v| FieldLine::new(lens, *v, request.fields)).collect::<Result<Vec<FieldLine>>>()?;
+    // Where light ends before the field does, all depths keep the places of the shortest.
+    let fields = lines.iter().map(|l| l.radius_mm.len()).min().unwrap_or(0);
+    lines.iter_mut().for_each(|l| l.radius_mm.truncate(fields));
+    let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
+    let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
+    let nearest = vergences.iter().copied().fold(0.0, f64::max);
+    let mut spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
+    spec.radii_mm = knots(lens, nearest, &spec.quadrature.nm, spec.degree, far.max(1e-3), tolerance)?.0;
+    let optics = Optics::compute(lens, &spec)?;
+    let size = match request.size {
+        Some(size) => size,
+        None => {
+            let look = optics.form(request.rays.min(4000), 1, 1, request.pitch_mm);
+            let half = (0..lines.len()).map(|d| optics.half_widths(&look, d, &[LOST], [0.0, far])[0]).max().unwrap_or(1);
+            if 2 * half + 1 > LARGEST {
+                let found = format!("{} pixels to hold 99.9 % of the light", 2 * half + 1);
+                return Err(Error::bad("", "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
+            }
+            2 * half + 1
         }
-        if 2 * half + 1 > LARGEST {
-            let found = format!("{} pixels to hold 99.9 % of the light", 2 * half + 1);
-            return Err(Error::bad("", "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
-        }
-        plan.size = 2 * half + 1;
-    }
-    let pairs = request.depth_mm.iter().zip(lines);
-    pairs.map(|(depth, line)| compute(&plan, *depth, &line).map(|grid| (line, grid))).collect()
+    };
+    let form = optics.form(request.rays, size, 1, request.pitch_mm);
+    let places: Vec<(usize, Place)> = lines
+        .iter()
+        .enumerate()
+        .flat_map(|(d, l)| l.radius_mm.iter().map(move |r| (d, Place { radius_mm: *r, outward: [0.0, -1.0] })))
+        .collect();
+    let made: Vec<(Vec<f32>, Vec<f64>)> = places
+        .par_iter()
+        .map(|(depth, place)| {
+            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
+            let outside = optics.kernels(&form, *depth, *place, &mut kernel);
+            #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
+            let kernel = kernel.into_iter().map(|v| v as f32).collect();
+            (kernel, outside)
+        })
+        .collect();
+    let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) = made.into_iter().unzip();
+    Ok(Tiles { optics, lines, size, kernels: kernels.concat(), outside })
 }
 
 /// How kernels are shown.

@@ -6,9 +6,7 @@ use std::time::Instant;
 
 use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
 use isoplanat::imaging::monte_carlo::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
-use isoplanat::imaging::picture::plan::{Wish, plan};
-use isoplanat::imaging::picture::render::render as render_picture;
-use isoplanat::imaging::picture::settings::Settings;
+use isoplanat::imaging::render::{Request, Settings, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::Region;
@@ -52,9 +50,9 @@ pub(crate) struct Args {
 /// One way to make the picture.
 enum Way {
     /// PSF grid, single precision.
-    Grid(Wish),
+    Grid(Request),
     /// PSF grid, double precision.
-    Double(Wish),
+    Double(Request),
     /// Rays from the sensor.
     Rays(usize, Sampling),
 }
@@ -65,10 +63,10 @@ const LARGE: usize = 1 << 19;
 /// Every row: ladder, settings in words, way.
 fn ways() -> Vec<(&'static str, String, Way)> {
     let fine = Settings::FINE;
-    let grid = |s: Settings| Way::Grid(Wish::Settings(s));
+    let grid = |s: Settings| Way::Grid(Request::Settings(s));
     let mut ways = vec![
-        ("nothing left out", "finest, everywhere".into(), Way::Grid(Wish::Everything)),
-        ("precision", "finest, f64".into(), Way::Double(Wish::Settings(fine))),
+        ("nothing left out", "finest, everywhere".into(), Way::Grid(Request::Everything)),
+        ("precision", "finest, f64".into(), Way::Double(Request::Settings(fine))),
         ("precision", "finest, f32".into(), grid(fine)),
     ];
     for m in Settings::SAMPLES {
@@ -87,7 +85,7 @@ fn ways() -> Vec<(&'static str, String, Way)> {
         ways.push(("kernel size", format!("{o:e} outside"), grid(Settings { outside: o, ..fine })));
     }
     for db in [35.0, 40.0, 45.0, 50.0, 55.0] {
-        ways.push(("chosen", format!("--min-psnr-db {db}"), Way::Grid(Wish::Psnr(db))));
+        ways.push(("chosen", format!("--min-psnr-db {db}"), Way::Grid(Request::Psnr(db))));
     }
     for n in [4, 16, 64] {
         ways.push(("rays", format!("{n} a pixel"), Way::Rays(n, Sampling::Bounded)));
@@ -103,7 +101,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for path in [&args.output, &args.svg, &args.csv].into_iter().flatten() {
         output::check_writable(path, args.force)?;
     }
-    let Placed { lens, frame, max_slope, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
+    let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     let density = SpectralDensity::new(&Sensor::generic());
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
     let rays =
@@ -131,26 +129,26 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let clock = Instant::now();
         let make = || -> anyhow::Result<(Array3<f32>, &str, String)> {
             Ok(match way {
-                Way::Grid(wish) => {
-                    let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), *wish, false)?;
-                    let s = plan.settings;
-                    let told = match wish {
-                        Wish::Psnr(_) => format!(
+                Way::Grid(request) => {
+                    let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
+                    let (s, depth) = (plan.renderer.plan.settings, &plan.renderer.plan.depths[0]);
+                    let told = match request {
+                        Request::Psnr(_) => format!(
                             "{words}: {0} × {0} samples, {1} wavelengths, {2} points, {3} nodes, {4}² kernels",
-                            s.samples,
+                            depth.samples,
                             s.wavelengths,
                             s.dense,
-                            plan.grid.len(),
-                            2 * plan.half_width + 1
+                            depth.grid.len(),
+                            depth.size()
                         ),
                         _ => words.clone(),
                     };
-                    (render_picture::<f32>(&plan, &|_| ()).image, "psf-grid", told)
+                    (plan.picture::<f32>(&plane, &|_| ())?.0, "psf-grid", told)
                 }
-                Way::Double(wish) => {
-                    let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), *wish, false)?;
+                Way::Double(request) => {
+                    let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
                     #[expect(clippy::cast_possible_truncation, reason = "compared in single precision")]
-                    let image = render_picture::<f64>(&plan, &|_| ()).image.mapv(|v| v as f32);
+                    let image = plan.picture::<f64>(&plane, &|_| ())?.0.mapv(|v| v as f32);
                     (image, "psf-grid", words.clone())
                 }
                 Way::Rays(n, sampling) => {

@@ -43,7 +43,7 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
-    let Placed { lens, frame, plane, .. } = args.place.place(&args.lens, &args.scene)?;
+    let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
     let bar = Bar::new("capture");
     let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };

@@ -10,8 +10,7 @@ use std::time::Instant;
 use isoplanat::deploy::session::Options;
 use isoplanat::design::run::{Entry, Scenery, joint_stage, network, network_stage};
 use isoplanat::imaging::files::write_png8;
-use isoplanat::imaging::plan::{frame_of, plan};
-use isoplanat::imaging::render::Optics;
+use isoplanat::imaging::render::{RenderPlan, Renderer, frame_of};
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
@@ -125,9 +124,11 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
-    let render = plan(&lens, lens.object_vergence, &frame, &density, settings.fine, None)?;
-    let optics = kit::whole_frame(&lens, &render, settings.wiener_spacing)?;
-    let kit = kit::build("isoplanat demo", &lens, &net, &sensor, &frame, &optics, textures.sha256(), settings.tile)?;
+    let plan = RenderPlan::new(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
+    let renderer = Renderer::new(&lens, &plan)?;
+    let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
+    let training = textures.sha256();
+    let kit = kit::build("isoplanat demo", &lens, &net, &sensor, &frame, &calibration, training, settings.tile)?;
     kit.save(&folder.join("kit"), false)?;
     stage("Kit: ONNX model and calibration", clock, &mut report);
 
@@ -136,7 +137,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let clock = Instant::now();
     for unseen in settings.unseen() {
         let result =
-            capture::photograph(folder, &settings, &lens, &kit, &optics, &options, unseen, &mut report.runtime)?;
+            capture::photograph(folder, &settings, &lens, &kit, &renderer, &options, unseen, &mut report.runtime)?;
         write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
         report.scenes.push(result);
     }
@@ -144,15 +145,15 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
 
     // The fast renderer against the reference.
     let clock = Instant::now();
-    capture::compare(&settings, &lens, &render, &density, &mut report)?;
+    capture::compare(&settings, &lens, &renderer, &density, &mut report)?;
     stage("Fast renderer against the reference", clock, &mut report);
 
     let depth = 1.0 / lens.object_vergence;
     report.before = Some(LensView::new(&start, depth, settings.atlas)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
     report.loss = vec![curve("lens and network", &joint_history), curve("network for the finished lens", &history)];
-    report.settings = settings.describe(&sensor, &render);
-    report.left_out.extend(left_out(&lens, &optics, &render));
+    report.settings = settings.describe(&sensor, &plan);
+    report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
         "A coarse two-element lens and a small network are designed together; the network is then trained for \
                       the finished lens, exported to ONNX, and used on RAW captures of scenes that neither has seen, \
@@ -180,44 +181,44 @@ fn curve(name: &str, history: &[Entry]) -> LossCurve {
 }
 
 /// What this lens and scene did not need.
-fn left_out(
-    lens: &isoplanat::lens::Lens,
-    optics: &Optics,
-    render: &isoplanat::imaging::render::RenderPlan,
-) -> Vec<String> {
+fn left_out(lens: &isoplanat::lens::Lens, renderer: &Renderer) -> Vec<String> {
+    let (plan, table) = (&renderer.plan, &renderer.optics.table);
+    let depth = &plan.depths[0];
     let apertures: Vec<String> = (0..lens.surfaces.len())
-        .filter(|i| *i != lens.stop && !optics.grid.clipping.contains(i))
+        .filter(|i| *i != lens.stop && !table.clips.contains(i))
         .map(|i| i.to_string())
         .collect();
-    let radii = optics.illumination.len_of(ndarray::Axis(0));
-    let nodes = optics.raster.len();
-    let worst = optics.grid.outside.iter().copied().fold(0.0, f64::max);
+    let (radii, nodes, size) = (table.spec.radii_mm.len(), depth.grid.len(), depth.size());
+    let traced = table.rays / (radii * table.spec.wavelength_nm.len()).max(1);
     vec![
         format!(
             "Other depths: the scenes are flat, at {:.0} mm; one depth of the PSF grid serves. Exact.",
             1.0 / lens.object_vergence
         ),
         format!(
-            "Half of every pupil: the lens is symmetric about its axis, so {} of {} node rays are traced. Exact.",
-            render.psf.sampling.traced_rays(),
-            2 * render.psf.sampling.traced_rays()
+            "Half of every pupil: the lens is symmetric about its axis, so {traced} of {} node rays are traced. Exact.",
+            2 * traced
         ),
-        format!("Repeated radii: {nodes} PSF nodes share {radii} traced field radii; landings are turned. Exact."),
+        format!(
+            "Fields off the meridian: {radii} sensor radii serve {nodes} PSF nodes and every pixel's illumination; rays \
+             between them are within {:.1e} pixel.",
+            plan.table_error.landing_mm / plan.frame.pitch_mm
+        ),
         if apertures.is_empty() {
             "No clear aperture could be left out.".into()
         } else {
             format!("Clear apertures of surfaces {}: no ray of any field comes near them. Exact.", apertures.join(", "))
         },
         format!(
-            "Kernels beyond {} × {} pixels: at most {:.2e} of a PSF's energy falls outside.",
-            render.psf.size, render.psf.size, worst
+            "Kernels beyond {size} × {size} cells of {0} × {0} pixels: at most {1:.1e} of a PSF's energy falls outside.",
+            depth.bin, plan.settings.outside
         ),
         format!(
-            "Dense ray tracing: each PSF continues {} traced rays to {} by a polynomial; its residual is at most \
-             {:.1e} mm.",
-            2 * render.psf.sampling.traced_rays(),
-            render.psf.sampling.points.len(),
-            optics.grid.residual_mm
+            "Dense ray tracing: each PSF continues {} traced rays to {} by a polynomial; its residual is at most {:.1e} of the \
+             beam.",
+            2 * traced,
+            plan.settings.dense,
+            table.residual
         ),
     ]
 }

@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use isoplanat::design::data::Textures;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, validate};
 use isoplanat::design::task::Task;
-use isoplanat::imaging::plan::{Quality, frame_of};
+use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::prescription;
 use isoplanat::{Result, atomic};
 
@@ -51,7 +51,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         batch: task.batch,
         lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
         network_rate: task.network_rate,
-        quality: Quality::DESIGN,
+        settings: Settings::DESIGN,
     };
     let start = network(task.base_width, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
@@ -62,7 +62,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let judged = match &held_out {
         Some(textures) => {
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
-            Some(validate(&scenery, &joint.lens, &joint.network, task.patch_px, 48, Quality::TRAINING)?)
+            Some(validate(&scenery, &joint.lens, &joint.network, task.patch_px, 48, Settings::TRAINING)?)
         }
         None => None,
     };

@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::design::evaluate::{Pictures, QUALITY, Settings, Sheet, evaluate};
+use isoplanat::design::evaluate::{Pictures, FINENESS, Settings, Sheet, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;
@@ -77,7 +77,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => Pictures::BuiltIn(SCENES),
     };
     let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
-    let settings = Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, quality: QUALITY };
+    let settings = Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, fineness: FINENESS };
     if args.photos.is_none() {
         eprintln!("no --photos: {SCENES} built-in street scenes, a family that no training uses");
     }

@@ -7,9 +7,8 @@ use isoplanat::deploy::kit::{FILE, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::design::task::Task;
 use isoplanat::imaging::metrics::decibel;
-use isoplanat::imaging::plan::{Quality, frame_of, plan};
+use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::network::card::{ModelCard, Weights};
 use isoplanat::network::{Reconstructor, onnx};
@@ -59,12 +58,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     } else {
         None
     };
-    let density = SpectralDensity::new(&sensor);
-    let render = plan(&lens, lens.object_vergence, &frame, &density, Quality::TRAINING, None)?;
-    let optics = kit::whole_frame(&lens, &render, 64)?;
-    let kit = kit::around(model, &card, &lens, &sensor, &frame, &optics, tile)?;
+    let calibration = kit::Calibration::of(&lens, &sensor, &frame)?;
+    let kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, tile)?;
     kit.save(&args.output, args.force)?;
-    writeln!(out, "{}: model for lens {}", args.output.display(), &lens.sha256()[..12])?;
+    let residual = calibration.distortion.residual_mm / frame.pitch_mm;
+    writeln!(
+        out,
+        "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays",
+        args.output.display(),
+        &lens.sha256()[..12]
+    )?;
     if let Some(cost) = cost {
         writeln!(out, "{cost}")?;
     }

@@ -3,19 +3,42 @@
 use isoplanat::Result;
 use isoplanat::deploy::kit::{Kit, LensEntry};
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::patches::NodeRaster;
-use isoplanat::imaging::render::{Optics, RenderPlan};
+use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::render::light::Light;
+use isoplanat::imaging::render::plan::{quadrature, spec};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::warp::Region;
+use isoplanat::imaging::shading::Shading;
+use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::card::{ModelCard, sha256_hex};
 use isoplanat::network::{Reconstructor, onnx};
+use isoplanat::psf::Optics;
 
-/// Traces the whole frame at nodes `spacing` pixels apart.
-pub(crate) fn whole_frame(lens: &Lens, render: &RenderPlan, spacing: usize) -> Result<Optics> {
-    let frame = &render.frame;
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-    Optics::compute(lens, lens.object_vergence, render, NodeRaster::over(whole.grown(render.margin()), spacing))
+/// Wavelengths that a kit's flat field is averaged over, and the degree of the polynomials over the stop.
+const WAVELENGTHS: usize = 7;
+const DEGREE: usize = 9;
+
+/// What a kit says of a lens: where things are seen, and how bright.
+pub(crate) struct Calibration {
+    /// The paper's polynomial.
+    pub(crate) distortion: Distortion,
+    /// Flat field.
+    pub(crate) shading: Shading,
+}
+
+impl Calibration {
+    /// Of `lens` on `sensor` over `frame`, for objects at the lens's own distance; no kernel is made for it.
+    pub(crate) fn of(lens: &Lens, sensor: &Sensor, frame: &Frame) -> Result<Self> {
+        let rule = quadrature(&SpectralDensity::new(sensor), WAVELENGTHS, &[0, 1, 2]);
+        let optics = Optics::compute(lens, &spec(lens, frame, &[lens.object_vergence], rule, DEGREE)?.0)?;
+        Self::read(&optics, frame)
+    }
+
+    /// From optics that were traced already, at their first distance.
+    pub(crate) fn read(optics: &Optics, frame: &Frame) -> Result<Self> {
+        let distortion = Distortion::of_map(&optics.maps[0], frame.max_radius_mm())?;
+        Ok(Self { distortion, shading: Light::new(optics, frame).shading()? })
+    }
 }
 
 /// What the file of `network`, trained for `lens`, says of itself.
@@ -35,14 +58,14 @@ pub(crate) fn card(
     card
 }
 
-/// The kit around `model`, an ONNX file with a card for `lens`; `optics` gives distortion and illumination.
+/// The kit around `model`, an ONNX file with a card for `lens`; `calibration` gives distortion and illumination.
 pub(crate) fn around(
     model: Vec<u8>,
     card: &ModelCard,
     lens: &Lens,
     sensor: &Sensor,
     frame: &Frame,
-    optics: &Optics,
+    calibration: &Calibration,
     tile: usize,
 ) -> Result<Kit> {
     Kit::new(
@@ -52,8 +75,8 @@ pub(crate) fn around(
         tile,
         sensor.clone(),
         frame.clone(),
-        optics.distortion.clone(),
-        optics.shading()?,
+        calibration.distortion.clone(),
+        calibration.shading.clone(),
     )
 }
 
@@ -65,10 +88,10 @@ pub(crate) fn build(
     network: &Reconstructor,
     sensor: &Sensor,
     frame: &Frame,
-    optics: &Optics,
+    calibration: &Calibration,
     training_sha256: String,
     tile: usize,
 ) -> Result<Kit> {
     let card = card(name, lens, network, sensor, training_sha256);
-    around(onnx::encode(network, &card)?, &card, lens, sensor, frame, optics, tile)
+    around(onnx::encode(network, &card)?, &card, lens, sensor, frame, calibration, tile)
 }

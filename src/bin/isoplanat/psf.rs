@@ -56,19 +56,19 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
     save(&kernels, &args.output)?;
     if let Some(path) = &args.png {
-        let columns = request.fields;
+        let columns = kernels.request.fields;
         let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?;
         write_png8(path, &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let mut table = Table::new(["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%"]);
     for (d, depth) in request.depth_mm.iter().enumerate() {
-        for f in 0..request.fields {
+        for f in 0..kernels.request.fields {
             let lost = kernels.outside.slice(ndarray::s![d, f, ..]).fold(0.0, |m: f64, x| m.max(*x));
             table.row([
                 significant(*depth, 6),
                 format!("{:.3}", kernels.angle_deg[[d, f]]),
                 format!("{:.4}", kernels.radius_mm[[d, f]]),
-                format!("{:.4}", kernels.throughput[[d, f, 0]] / kernels.throughput[[d, 0, 0]]),
+                format!("{:.4}", kernels.relative_illumination[[d, f, 0]]),
                 format!("{:.3}", 100.0 * lost),
             ]);
         }
@@ -114,7 +114,7 @@ fn save(set: &atlas::KernelSet, path: &Path) -> Result<()> {
     write_atomic(path, |file| {
         let mut npz = NpzWriter::new(file);
         npz.add_array("kernels", &set.kernels).map_err(failed)?;
-        for (name, array) in [("throughput_mm2", &set.throughput), ("outside", &set.outside)] {
+        for (name, array) in [("relative_illumination", &set.relative_illumination), ("outside", &set.outside)] {
             npz.add_array(name, array).map_err(failed)?;
         }
         let places =

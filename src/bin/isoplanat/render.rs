@@ -1,24 +1,22 @@
-//! `isoplanat render LENS SCENE -o OUT`: the picture on the sensor, by PSF grid or by rays from the sensor.
+//! `isoplanat render LENS SCENE… -o OUT`: pictures on the sensor, by PSF grid or by rays from the sensor.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::imaging::files::{Encoding, write_picture};
-use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings, render};
-use isoplanat::imaging::picture::plan::{PicturePlan, Wish, plan};
-use isoplanat::imaging::picture::render::render as render_picture;
-use isoplanat::imaging::picture::settings::Settings as Fineness;
+use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render};
+use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::Region;
 use isoplanat::report::table::{Table, significant};
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
 
 use crate::output;
 use crate::progress::Bar;
-use crate::scene::{Placed, SceneArgs};
+use crate::scene::{SceneArgs, Stage};
 
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -34,9 +32,11 @@ enum Method {
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
     lens: String,
-    /// Picture file, or a built-in scene: dead_leaves, text, fine_texture, slanted_edges, mixed, facades (with :SEED).
-    scene: String,
-    /// Picture to write: .png, .tif, .jpg.
+    /// Picture files, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades (with :SEED). Several
+    /// share one plan.
+    #[arg(required = true)]
+    scenes: Vec<String>,
+    /// Picture to write: .png, .tif, .jpg; for several scenes the folder to put them in, as .png.
     #[arg(short, long)]
     output: PathBuf,
     /// Renderer.
@@ -68,102 +68,195 @@ pub(crate) struct Args {
 }
 
 impl Args {
-    fn wish(&self) -> Result<Wish> {
+    fn request(&self) -> Result<Request> {
         match self.min_psnr_db {
-            None if self.everything => Ok(Wish::Everything),
-            None => Ok(Wish::Psnr(DEFAULT_DB)),
-            Some(db) if db.is_finite() && (10.0..=80.0).contains(&db) => Ok(Wish::Psnr(db)),
+            None if self.everything => Ok(Request::Everything),
+            None => Ok(Request::Psnr(DEFAULT_DB)),
+            Some(db) if db.is_finite() && (10.0..=80.0).contains(&db) => Ok(Request::Psnr(db)),
             Some(db) => Err(Error::bad("--min-psnr-db", "value", db.to_string(), "10 to 80 dB")),
         }
+    }
+
+    /// Names of the pictures of several scenes: the scenes' own, numbered where they repeat.
+    fn names(&self) -> Vec<String> {
+        let stem = |scene: &String| match Path::new(scene).file_stem() {
+            Some(stem) if Path::new(scene).exists() => stem.to_string_lossy().into_owned(),
+            _ => scene.replace(':', "-"),
+        };
+        let stems: Vec<String> = self.scenes.iter().map(stem).collect();
+        let repeated = |k: usize| stems.iter().filter(|s| **s == stems[k]).count() > 1;
+        let name = |(k, s): (usize, &String)| if repeated(k) { format!("{:03}-{s}.png", k + 1) } else { format!("{s}.png") };
+        stems.iter().enumerate().map(name).collect()
     }
 }
 
 /// PSNR that is held where none is asked for.
 const DEFAULT_DB: f64 = 50.0;
 
+/// The file that makes a folder one of pictures.
+const MARKER: &str = "pictures.json";
+
+/// One rendered picture and its numbers.
+struct Made {
+    image: Array3<f32>,
+    figures: serde_json::Value,
+}
+
+/// What renders scene after scene.
+enum Way {
+    Grid(Box<ScenePlan>, f64),
+    Rays(Rays, SpectralDensity),
+}
+
+impl Way {
+    fn of(args: &Args, stage: &Stage, density: SpectralDensity) -> Result<Self> {
+        if args.method == Method::MonteCarlo {
+            let rays =
+                Rays { samples: args.samples, seed: args.seed, channels: Channels::All, sampling: Sampling::Bounded };
+            return Ok(Self::Rays(rays, density));
+        }
+        let clock = Instant::now();
+        // Probes are spread over the first few scenes.
+        let scenes = args.scenes.iter().take(PLANNED).map(|s| stage.plane(s)).collect::<Result<Vec<_>>>()?;
+        let plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
+        if !plan.holds {
+            let predicted = plan.predicted_db.unwrap_or(f64::NAN);
+            eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
+        }
+        Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
+    }
+
+    fn make(&self, stage: &Stage, scene: &str, progress: &(dyn Fn(f64) + Sync)) -> Result<Made> {
+        let plane = stage.plane(scene)?;
+        match self {
+            Self::Grid(plan, planning) => {
+                let (image, seen) = plan.picture::<f32>(&plane, progress)?;
+                let mut figures = figures(plan);
+                figures["planning_seconds"] = (*planning).into();
+                figures["kernels"] = seen.kernels.into();
+                figures["largest_energy_outside"] = seen.outside.into();
+                Ok(Made { image, figures })
+            }
+            Self::Rays(how, density) => {
+                let frame = &stage.frame;
+                let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+                let r = render(&stage.lens, &plane, density, frame, whole, *how, Some(progress))?;
+                Ok(Made { figures: serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() }), image: r.mean })
+            }
+        }
+    }
+}
+
+/// Scenes that a plan is made with, at most.
+const PLANNED: usize = 8;
+
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    output::check_writable(&args.output, args.force)?;
-    let wish = args.wish()?;
-    let Placed { lens, frame, max_slope, plane } = args.place.place(&args.lens, &args.scene)?;
-    let density = SpectralDensity::new(&Sensor::generic());
-    let clock = Instant::now();
-    let mut listed = None;
-    let (image, figures, bar): (Array3<f32>, serde_json::Value, Bar) = match args.method {
-        Method::PsfGrid => {
-            let plan = plan(&lens, &plane, &frame, &density, Some(max_slope), wish, args.explain)?;
-            let planned = clock.elapsed().as_secs_f64();
-            let bar = Bar::new("render");
-            let picture = render_picture::<f32>(&plan, &|share| bar.set(share, String::new()));
-            if !plan.holds {
-                let predicted = plan.predicted_db.unwrap_or(f64::NAN);
-                eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
-            }
-            let mut figures = figures(&plan);
-            figures["planning_seconds"] = planned.into();
-            figures["kernels"] = picture.kernels.into();
-            figures["largest_energy_outside"] = picture.outside.into();
-            if args.explain {
-                figures["skips"] = serde_json::to_value(&plan.skips)?;
-                listed = Some(table(&plan));
-            }
-            (picture.image, figures, bar)
-        }
-        Method::MonteCarlo => {
-            let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-            let how = Settings {
-                samples: args.samples,
-                seed: args.seed,
-                channels: Channels::All,
-                sampling: Sampling::Bounded,
-            };
-            let bar = Bar::new("render");
-            let r = render(&lens, &plane, &density, &frame, whole, how, Some(&|share| bar.set(share, String::new())))?;
-            let figures = serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() });
-            (r.mean, figures, bar)
-        }
-    };
-    bar.done(String::new());
-    write_picture(&args.output, &image, Encoding::Srgb)?;
-    let seconds = clock.elapsed().as_secs_f64();
-    if args.json {
-        writeln!(out, "{}", serde_json::json!({ "schema": 1, "seconds": seconds, "figures": figures }))?;
+    let many = args.scenes.len() > 1 || args.output.is_dir();
+    if many {
+        atomic::check_folder(&args.output, MARKER, args.force)?;
     } else {
-        writeln!(out, "{}: {} × {} pixels in {seconds:.2} s", args.output.display(), frame.columns, frame.rows)?;
-        for (key, value) in figures.as_object().into_iter().flatten().filter(|(key, _)| *key != "skips") {
-            writeln!(out, "  {key}: {value}")?;
+        output::check_writable(&args.output, args.force)?;
+    }
+    args.request()?;
+    let stage = args.place.stage(&args.lens)?;
+    let clock = Instant::now();
+    let way = Way::of(args, &stage, SpectralDensity::new(&Sensor::generic()))?;
+    let bar = Bar::new("render");
+    let count = args.scenes.len();
+    #[expect(clippy::cast_precision_loss, reason = "a share")]
+    let one = |k: usize, scene: &str| {
+        let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_owned());
+        way.make(&stage, scene, &progress)
+    };
+    let mut all = Vec::with_capacity(count);
+    if many {
+        let names = args.names();
+        atomic::write_folder(&args.output, MARKER, args.force, |folder| {
+            for (k, (scene, name)) in args.scenes.iter().zip(&names).enumerate() {
+                let made = one(k, scene)?;
+                write_picture(&folder.join(name), &made.image, Encoding::Srgb)?;
+                all.push((name.clone(), made.figures));
+            }
+            let listed: Vec<_> = all.iter().map(|(n, f)| serde_json::json!({ "picture": n, "figures": f })).collect();
+            let text = format!("{:#}\n", serde_json::json!({ "schema": 1, "pictures": listed }));
+            atomic::write_bytes(&folder.join(MARKER), text.as_bytes())
+        })?;
+    } else {
+        let made = one(0, &args.scenes[0])?;
+        write_picture(&args.output, &made.image, Encoding::Srgb)?;
+        all.push((args.output.display().to_string(), made.figures));
+    }
+    bar.done(String::new());
+    let seconds = clock.elapsed().as_secs_f64();
+    tell(args, &way, &stage, &mut all, seconds, out)
+}
+
+/// Prints what was made.
+fn tell(
+    args: &Args,
+    way: &Way,
+    stage: &Stage,
+    all: &mut [(String, serde_json::Value)],
+    seconds: f64,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
+    let skips = match way {
+        Way::Grid(plan, _) if args.explain => Some(plan),
+        _ => None,
+    };
+    let frame = &stage.frame;
+    if args.json {
+        if let Some(plan) = skips {
+            all[0].1["skips"] = serde_json::to_value(&plan.skips)?;
         }
-        if let Some(table) = listed {
-            writeln!(out, "\nleft out, or made coarser than the full computation:\n{table}")?;
-        }
+        let value = if let [(_, figures)] = all {
+            serde_json::json!({ "schema": 1, "seconds": seconds, "figures": figures })
+        } else {
+            let listed: Vec<_> = all.iter().map(|(n, f)| serde_json::json!({ "picture": n, "figures": f })).collect();
+            serde_json::json!({ "schema": 1, "seconds": seconds, "pictures": listed })
+        };
+        writeln!(out, "{value}")?;
+        return Ok(());
+    }
+    let what = if let [(name, _)] = all { name.clone() } else { format!("{} pictures", all.len()) };
+    writeln!(out, "{what}: {} × {} pixels in {seconds:.2} s", frame.columns, frame.rows)?;
+    for (key, value) in all[0].1.as_object().into_iter().flatten() {
+        writeln!(out, "  {key}: {value}")?;
+    }
+    if let Some(plan) = skips {
+        writeln!(out, "\nleft out, or made coarser than the full computation:\n{}", table(plan))?;
     }
     Ok(())
 }
 
 /// The plan in numbers.
-fn figures(plan: &PicturePlan<'_>) -> serde_json::Value {
-    let Fineness { samples, wavelengths, degree, dense, .. } = plan.settings;
+fn figures(plan: &ScenePlan) -> serde_json::Value {
+    let (render, optics) = (&plan.renderer.plan, &plan.renderer.optics);
+    let Fineness { wavelengths, degree, dense, .. } = render.settings;
+    let depth = &render.depths[0];
     serde_json::json!({
         "predicted_psnr_db": plan.predicted_db,
         "holds": plan.holds,
-        "scene_samples_per_px": samples,
+        "scene_samples_per_px": depth.samples,
+        "pixels_per_cell": depth.bin,
         "wavelengths": wavelengths,
         "pupil_degree": degree,
         "pupil_points": dense,
-        "kernel_px": 2 * plan.half_width + 1,
-        "psf_nodes": plan.grid.len(),
-        "node_error": plan.node_error,
-        "fields_traced": plan.bank.table.slopes.len(),
-        "rays_traced": plan.bank.table.rays,
+        "kernel_cells": depth.size(),
+        "psf_nodes": depth.grid.len(),
+        "node_error": depth.node_error,
+        "radii_traced": optics.table.spec.radii_mm.len(),
+        "rays_traced": optics.table.rays,
         "method": format!("{:?}", plan.method),
-        "pupil_residual_mm": plan.bank.table.residual_mm,
-        "traced_pupil_fraction": plan.bank.table.kept,
-        "distortion_residual_px": plan.distortion.residual_mm / plan.frame.pitch_mm,
+        "pupil_residual": optics.table.residual,
+        "traced_pupil_fraction": optics.table.kept(),
+        "chief_ray_residual_px": optics.maps[0].residual_mm / render.frame.pitch_mm,
     })
 }
 
 /// What was left out.
-fn table(plan: &PicturePlan<'_>) -> Table {
+fn table(plan: &ScenePlan) -> Table {
     let mut table = Table::new(["what", "work left", "bound (rms)", "reason"]);
     for skip in &plan.skips {
         let bound = if skip.bound == 0.0 { "none".into() } else { significant(skip.bound, 2) };

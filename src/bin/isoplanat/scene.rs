@@ -2,14 +2,13 @@
 
 use std::path::Path;
 
-use isoplanat::imaging::distortion::Distortion;
-use isoplanat::imaging::field_map::fit_distortion;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::plan::{field_slope, frame_of};
+use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::imaging::warp::{Plane, slope_per_mm};
+use isoplanat::imaging::warp::Plane;
 use isoplanat::lens::{Lens, SensorRaster};
+use isoplanat::psf::table::chief_slopes;
 use isoplanat::{Error, Result};
 
 use crate::input;
@@ -62,32 +61,50 @@ fn cut(frame: &Frame, [col, row, columns, rows]: [usize; 4]) -> Result<Frame> {
     Frame::centred(columns, rows, frame.pitch_mm)?.with_axis(axis_px)
 }
 
+/// A lens and its frame, ready for scenes.
+pub(crate) struct Stage {
+    /// The lens, with the command line's raster and depth.
+    pub(crate) lens: Lens,
+    /// The frame that is looked at.
+    pub(crate) frame: Frame,
+    /// The whole frame, which scenes fill.
+    whole: Frame,
+    /// Object slope per pixel on the axis.
+    per_pixel: f64,
+    texels_per_pixel: Option<f64>,
+}
+
 /// A scene in front of a lens.
 pub(crate) struct Placed {
     /// The lens, with the command line's raster and depth.
     pub(crate) lens: Lens,
     /// Its frame.
     pub(crate) frame: Frame,
-    /// Object slope up to which its distortion is fitted.
-    pub(crate) max_slope: f64,
     /// The scene.
     pub(crate) plane: Plane,
 }
 
 impl SceneArgs {
-    /// The lens and the scene of the command line, on its raster and at its depth.
-    pub(crate) fn place(&self, lens: &str, scene: &str) -> Result<Placed> {
+    /// The lens of the command line, on its raster and at its depth.
+    pub(crate) fn stage(&self, lens: &str) -> Result<Stage> {
         let mut lens = input::lens(lens)?;
         self.apply(&mut lens)?;
-        let frame = frame_of(&lens)?;
-        let max_slope = field_slope(&lens, lens.object_vergence, &frame)?;
-        let distortion = fit_distortion(&lens, lens.object_vergence, max_slope)?;
-        let plane = self.plane(scene, &lens, &frame, &distortion)?;
+        let whole = frame_of(&lens)?;
         let frame = match self.crop {
-            Some(part) => cut(&frame, part)?,
-            None => frame,
+            Some(part) => cut(&whole, part)?,
+            None => whole.clone(),
         };
-        Ok(Placed { lens, frame, max_slope, plane })
+        // The chief ray next to the axis.
+        let near = 1e-3 * whole.max_radius_mm();
+        let per_pixel = chief_slopes(&lens, lens.object_vergence, &[near])?[0] / near * whole.pitch_mm;
+        Ok(Stage { lens, frame, whole, per_pixel, texels_per_pixel: self.texels_per_pixel })
+    }
+
+    /// The lens and the scene of the command line.
+    pub(crate) fn place(&self, lens: &str, scene: &str) -> Result<Placed> {
+        let stage = self.stage(lens)?;
+        let plane = stage.plane(scene)?;
+        Ok(Placed { lens: stage.lens, frame: stage.frame, plane })
     }
 
     /// As [`Self::place`]; a frame of more than `most` pixels that no `--crop` has cut is cut to 768 × 512 pixels half way
@@ -141,11 +158,12 @@ impl SceneArgs {
         *raster = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(raster.pitch_um), axis_px };
         Ok(())
     }
+}
 
+impl Stage {
     /// The scene named `name`, placed in front of `lens` so that the axis meets the same relative place of both.
-    fn plane(&self, name: &str, lens: &Lens, frame: &Frame, distortion: &Distortion) -> Result<Plane> {
-        // What a lens without distortion would need to fill the frame, and a margin for distortion.
-        let per_pixel = slope_per_mm(distortion, 0.0) * frame.pitch_mm;
+    pub(crate) fn plane(&self, name: &str) -> Result<Plane> {
+        let frame = &self.whole;
         let path = Path::new(name);
         let (texture, zoom) = if path.exists() {
             let texture = read_linear(path)?;
@@ -174,8 +192,8 @@ impl SceneArgs {
         Ok(Plane {
             axis_texel: [relative(frame.axis_px[0], frame.columns, cols), relative(frame.axis_px[1], frame.rows, rows)],
             texture,
-            texels_per_slope: zoom / per_pixel,
-            vergence: lens.object_vergence,
+            texels_per_slope: zoom / self.per_pixel,
+            vergence: self.lens.object_vergence,
         })
     }
 }

@@ -3,7 +3,7 @@ use crate::design::task::{Task, TaskSensor};
 use crate::network::UnetConfig;
 
 fn settings(fields: usize, patch: usize) -> Settings {
-    Settings { fields, depths_mm: vec![1000.0], patch, seed: 3, quality: Quality::DESIGN }
+    Settings { fields, depths_mm: vec![1000.0], patch, seed: 3, fineness: Fineness::DESIGN }
 }
 
 fn lens() -> Lens {
@@ -63,8 +63,8 @@ fn an_identity_restores_nothing() {
     let (lens, sensor) = (lens(), Sensor::generic());
     let judge = || {
         // Nodes near enough to tell the axis from the field, on pixels of 80 µm.
-        let quality = Quality { spacing: 32, ..Quality::DESIGN };
-        let settings = Settings { depths_mm: vec![1000.0, 700.0], quality, ..settings(3, 64) };
+        let fineness = Fineness { node_error: 0.05, ..Fineness::DESIGN };
+        let settings = Settings { depths_mm: vec![1000.0, 700.0], fineness, ..settings(3, 64) };
         evaluate(&lens, &identity(3), &sensor, &Pictures::BuiltIn(2), &settings, true, &mut |_| ()).expect("judges")
     };
     let (result, sheets) = judge();
@@ -112,13 +112,13 @@ fn a_patch_is_restored_as_within_the_picture() {
 fn every_zone_shows_the_same_part_of_a_picture() {
     let (lens, settings) = (lens(), Settings { depths_mm: vec![1000.0, 700.0], ..settings(3, 64) });
     let frame = frame_of(&lens).expect("valid");
-    let depths = at_depths(&lens, &frame, &Sensor::generic(), &settings).expect("images");
+    let depths = at_depths(&lens, &frame, &Sensor::generic(), &settings).expect("images").optics.maps;
     let picture = Pictures::BuiltIn(1).load(0).expect("made");
     // The middle of the truth, whatever place, patch, context and depth.
-    let truth = |row: isize, col: isize, part: u64, side: usize, context: usize, depth: &AtDepth| {
+    let truth = |row: isize, col: isize, part: u64, side: usize, context: usize, depth: &SensorMap| {
         let region = Region { row, col, rows: side, cols: side };
         let scene = Shot { region, whole: 64, context, part, noise_seed: 1 }.scene(&frame, depth, &picture);
-        let truth = crate::imaging::warp::warp::<f32>(&scene, &depth.distortion, &frame, region);
+        let truth = crate::imaging::render::source::warp::<f32>(&scene, depth, &frame, region);
         let from = side / 2 - 16;
         truth.slice(s![.., from..from + 32, from..from + 32]).to_owned()
     };

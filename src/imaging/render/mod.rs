@@ -5,12 +5,19 @@
 //! distortion and illumination are read from one value, [`crate::psf::Optics`]; a [`plan`] says how finely, [`renderer`] does
 //! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
 
+pub mod choose;
 pub mod coarse;
+pub mod cost;
+mod explain;
 pub mod light;
+pub mod needs;
 pub mod nodes;
 pub mod plan;
+pub mod probe;
 pub mod renderer;
+pub mod scene_plan;
 pub mod source;
 
-pub use plan::{RenderPlan, Settings};
+pub use plan::{RenderPlan, Settings, frame_of};
 pub use renderer::{Channels, Rendered, Renderer, Seen};
+pub use scene_plan::{Request, ScenePlan, Skip, plan};

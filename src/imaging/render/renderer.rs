@@ -6,7 +6,7 @@
 
 use std::sync::Mutex;
 
-use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, s};
+use ndarray::{Array3, Array4, ArrayView3, ArrayView4, ArrayViewMut4, Axis, s};
 use rayon::prelude::*;
 
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
@@ -25,6 +25,7 @@ use crate::psf::splat::{phase_of, phase_of_vjp};
 use crate::psf::{KernelForm, Optics, OpticsBar};
 
 /// A lens on a frame, ready for scenes.
+#[derive(Debug)]
 pub struct Renderer {
     /// How it is rendered.
     pub plan: RenderPlan,
@@ -306,6 +307,22 @@ impl Renderer {
         for (radius_mm, back) in &parts {
             bar.add_kernel(&self.optics, depth, *radius_mm, back);
         }
+    }
+
+    /// The kernels of `grid` (in pixels of the frame) at one sample a pixel, `[node, channel, row, col]`; as wide as the
+    /// plan's.
+    pub fn pixel_kernels<T: Real>(&self, depth: usize, grid: &NodeGrid) -> Array4<T> {
+        let d = &self.plan.depths[depth];
+        let size = 2 * d.half_width * d.bin + 1;
+        let form = self.optics.form(self.plan.settings.dense, size, 1, self.plan.frame.pitch_mm);
+        let mut out = Array4::from_elem((grid.len(), form.channels(), size, size), T::zero());
+        out.outer_iter_mut().into_par_iter().enumerate().for_each(|(node, mut to)| {
+            let (row, col) = grid.pixel(node);
+            let mut fine = vec![0.0; to.len()];
+            self.optics.kernels(&form, depth, place(&self.plan.frame, row, col), &mut fine);
+            to.iter_mut().zip(fine).for_each(|(a, b)| *a = T::real(b));
+        });
+        out
     }
 
     /// Pulls cotangents on the optics back to the lens that they were traced from.

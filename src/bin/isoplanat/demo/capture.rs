@@ -14,14 +14,15 @@ use isoplanat::imaging::expose::{CaptureSettings, capture};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
 use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Reference, render_halves};
-use isoplanat::imaging::patches::NodeRaster;
-use isoplanat::imaging::render::{Optics, RenderPlan, render_region};
+use isoplanat::imaging::node_grid::NodeGrid;
+use isoplanat::imaging::render::{Channels as Lit, Renderer};
 use isoplanat::imaging::scene::generate;
 use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::undistort::captured_radius;
-use isoplanat::imaging::warp::{Plane, Region, slope_per_mm, warp};
+use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::imaging::wiener::{LocalPsfs, tune};
 use isoplanat::lens::Lens;
+use isoplanat::psf::SensorMap;
 use isoplanat::report::demo::{Crop, DemoReport, MethodResult, SceneResult};
 use isoplanat::{Error, Result};
 use ndarray::{Array3, s};
@@ -30,10 +31,10 @@ use super::settings::{Settings, Unseen};
 use crate::progress::Bar;
 
 /// An unseen scene that fills the frame at about one texel a pixel.
-fn scene(lens: &Lens, frame: &Frame, distortion: &Distortion, unseen: Unseen) -> Plane {
-    let texels_per_slope = 1.1 / (slope_per_mm(distortion, 0.0) * frame.pitch_mm);
+fn scene(frame: &Frame, map: &SensorMap, unseen: Unseen) -> Plane {
+    let texels_per_slope = 1.1 / (map.ratio(0.0) * frame.pitch_mm);
     let texture = generate(unseen.kind, unseen.seed, frame.rows * 13 / 10, frame.columns * 13 / 10);
-    Plane { texture, texels_per_slope, axis_texel: [0.0, 0.0], vergence: lens.object_vergence }
+    Plane { texture, texels_per_slope, axis_texel: [0.0, 0.0], vergence: map.vergence }
 }
 
 /// Photographs a scene, writes the DNG, and develops it three ways.
@@ -43,13 +44,13 @@ pub(crate) fn photograph(
     settings: &Settings,
     lens: &Lens,
     kit: &Kit,
-    optics: &Optics,
+    renderer: &Renderer,
     options: &Options,
     unseen: Unseen,
     runtime: &mut String,
 ) -> Result<SceneResult> {
     let (frame, sensor) = (&kit.frame, &kit.sensor);
-    let plane = scene(lens, frame, &optics.distortion, unseen);
+    let plane = scene(frame, &renderer.optics.maps[0], unseen);
     // RAW, by rays from the sensor.
     let bar = Bar::new(&format!("capture: {}", unseen.name));
     let how = CaptureSettings { samples: settings.samples, seed: unseen.seed, exposure: 1.0, noise: true };
@@ -80,7 +81,7 @@ pub(crate) fn photograph(
     // The Wiener filter in the network's place, tuned against the truth of this very capture.
     let bar = Bar::new(&format!("Wiener filter: {}", unseen.name));
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-    let ideal: Array3<f32> = warp(&plane, &optics.distortion, frame, whole);
+    let ideal: Array3<f32> = renderer.truth(&plane, 0, whole);
     let development = Development {
         balance: Balance::from_sensor(sensor),
         flat_field: Some((frame, &kit.shading)),
@@ -88,7 +89,7 @@ pub(crate) fn photograph(
         srgb_from_camera: sensor.srgb_from_camera,
     };
     let mosaic = taken.dn.mapv(f32::from);
-    let psfs = local_psfs(optics)?;
+    let psfs = local_psfs(renderer, settings.wiener_spacing)?;
     let mut tuned = String::new();
     let wiener = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
         let best = tune(input.view(), ideal.view(), &psfs)?;
@@ -98,15 +99,9 @@ pub(crate) fn photograph(
     .image;
     bar.done(tuned);
     // Truth: what a lens without distortion or blur would show.
-    let scale = optics.distortion.sensor_from_slope_derivative(0.0);
-    let straight = Distortion {
-        max_slope: optics.distortion.max_slope,
-        coefficients_mm: [scale * optics.distortion.max_slope, 0.0, 0.0, 0.0],
-        residual_mm: 0.0,
-    };
-    let truth: Array3<f32> = warp(&plane, &straight, frame, whole);
+    let truth = straight(&plane, kit.distortion.sensor_from_slope_derivative(0.0), frame);
     // Compared where the undistorted frame has a source, clear of the border by 8 pixels.
-    let (rows, cols) = valid(frame, &optics.distortion);
+    let (rows, cols) = valid(frame, &kit.distortion);
     let cut = |a: &Array3<f32>| a.slice(s![.., 8..rows, 8..cols]).to_owned();
     let crops = [
         Crop { row: rows / 8, column: cols / 8, size: cols / 7 },
@@ -135,36 +130,53 @@ fn valid(frame: &Frame, distortion: &Distortion) -> (usize, usize) {
     (frame.rows / 2, frame.columns / 2)
 }
 
-/// The optics' PSFs for the Wiener filter.
-fn local_psfs(optics: &Optics) -> Result<LocalPsfs> {
-    let r = optics.raster;
+/// The scene at pixel centres through a lens of focal length `focal_mm` without distortion or blur.
+fn straight(plane: &Plane, focal_mm: f64, frame: &Frame) -> Array3<f32> {
+    let per_pixel = frame.pitch_mm / focal_mm * plane.texels_per_slope;
+    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let last = plane.texture.dim().0 - 1;
+    Array3::from_shape_fn((3, frame.rows, frame.columns), |(c, i, j)| {
+        let [x, y] = whole.offset(frame, i, j);
+        let texel = [plane.axis_texel[0] + x * per_pixel, plane.axis_texel[1] + y * per_pixel];
+        #[expect(clippy::cast_possible_truncation, reason = "a picture")]
+        let value = plane.sample(c.min(last), texel).0 as f32;
+        value
+    })
+}
+
+/// The optics' PSFs for the Wiener filter, `spacing` pixels apart.
+fn local_psfs(renderer: &Renderer, spacing: usize) -> Result<LocalPsfs> {
+    let frame = &renderer.plan.frame;
+    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let grid = NodeGrid::uniform(whole, spacing);
     #[expect(clippy::cast_precision_loss, reason = "pixel positions")]
-    let line = |n: usize, first: isize| (0..n).map(|i| (first + (i * r.spacing).cast_signed()) as f64).collect();
-    LocalPsfs::new(line(r.rows, r.row), line(r.cols, r.col), optics.kernels())
+    let line = |knots: &[isize]| knots.iter().map(|k| *k as f64).collect();
+    LocalPsfs::new(line(&grid.row_knots), line(&grid.col_knots), renderer.pixel_kernels(0, &grid))
 }
 
 /// Renders parts of the street scene by both renderers and puts error and run time into the report.
 pub(crate) fn compare(
     settings: &Settings,
     lens: &Lens,
-    render: &RenderPlan,
+    renderer: &Renderer,
     density: &SpectralDensity,
     report: &mut DemoReport,
 ) -> Result<()> {
     let bar = Bar::new("fast against reference");
-    let frame = &render.frame;
-    let distortion = isoplanat::imaging::field_map::fit_distortion(lens, lens.object_vergence, render.max_slope)?;
-    let plane = scene(lens, frame, &distortion, settings.unseen()[1]);
+    let frame = &renderer.plan.frame;
+    let plane = scene(frame, &renderer.optics.maps[0], settings.unseen()[1]);
     let side = settings.compared;
     let places = [(8, 8), (frame.rows / 2, frame.columns / 2), (frame.rows - side - 8, frame.columns - side - 8)];
-    let (mut mse, mut square, mut fast_seconds, mut reference_seconds) = (0.0, 0.0, 0.0, 0.0);
+    // The lens is traced once for all places.
+    let clock = Instant::now();
+    let fresh = Renderer::new(lens, &renderer.plan)?;
+    let mut fast_seconds = clock.elapsed().as_secs_f64();
+    let (mut mse, mut square, mut reference_seconds) = (0.0, 0.0, 0.0);
     let (mut fast_energy, mut reference_energy) = (0.0, 0.0);
     for (i, (row, col)) in places.into_iter().enumerate() {
         let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
         let clock = Instant::now();
-        let raster = NodeRaster::over(region.grown(render.margin()), render.spacing);
-        let optics = Optics::compute(lens, lens.object_vergence, render, raster)?;
-        let fast = render_region::<f32>(&optics, render, &plane, region).image;
+        let fast: Array3<f32> = fresh.picture(&plane, 0, region, &Lit::of(&plane), &|_| {}).0;
         fast_seconds += clock.elapsed().as_secs_f64();
         let clock = Instant::now();
         let how = Reference {
@@ -192,7 +204,7 @@ pub(crate) fn compare(
     let energy = fast_energy / reference_energy - 1.0;
     report.methods = vec![
         MethodResult {
-            name: format!("PSF grid, {0} × {0} kernels", render.psf.size),
+            name: format!("PSF grid, {0} × {0} kernels", renderer.plan.depths[0].size()),
             seconds: fast_seconds,
             psnr_db: report.psnr_fast_vs_reference_db,
             relative_l2: (mse.max(0.0) / square).sqrt(),

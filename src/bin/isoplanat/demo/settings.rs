@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use isoplanat::design::run::{Budget, JointSettings, TrainSettings};
 use isoplanat::design::task::{Task, TaskSensor};
-use isoplanat::imaging::plan::Quality;
-use isoplanat::imaging::render::RenderPlan;
+use isoplanat::imaging::render::{RenderPlan, Settings as Fineness};
 use isoplanat::imaging::scene::SceneKind;
 use isoplanat::imaging::sensor::Sensor;
 
@@ -19,7 +18,7 @@ pub(crate) struct Settings {
     /// The final training.
     pub(crate) train: TrainSettings,
     /// Sampling of final renders.
-    pub(crate) fine: Quality,
+    pub(crate) fine: Fineness,
     /// Distance between the Wiener filter's PSFs, pixels.
     pub(crate) wiener_spacing: usize,
     /// Tile of the camera's network, pixels.
@@ -55,7 +54,7 @@ impl Settings {
                 batch: 2,
                 lens_rate: 0.02,
                 network_rate: 2e-3,
-                quality: Quality::DESIGN,
+                settings: Fineness::DESIGN,
             },
             train: TrainSettings {
                 budget: seconds(285),
@@ -63,9 +62,9 @@ impl Settings {
                 region: 256,
                 crop: 192,
                 rate: 2e-3,
-                quality: Quality::TRAINING,
+                settings: Fineness::TRAINING,
             },
-            fine: Quality::FINE,
+            fine: Fineness { samples: 1, wavelengths: 9, ..Fineness::FINE },
             wiener_spacing: 64,
             tile: 320,
             samples: 192,
@@ -88,7 +87,7 @@ impl Settings {
         self.train.regions = 40;
         self.train.region = 160;
         self.train.crop = 128;
-        self.fine = Quality { degree: 7, dense: 1000, wavelengths: 7, spacing: 48, outside: 1e-3, max_half_width: 60 };
+        self.fine = Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
         self.samples = 32;
         self.reference_samples = 128;
         self.compared = 64;
@@ -129,7 +128,7 @@ impl Settings {
             ),
             pair(
                 "Wavelengths",
-                render.psf.wavelength_nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
+                render.spec.quadrature.nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
             ),
             pair("Network", format!("U-Net, three scales, {} channels at the finest", self.task.base_width)),
             pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),

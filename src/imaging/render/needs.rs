@@ -3,6 +3,7 @@
 use ndarray::{Array2, Axis};
 
 use super::source::WarpedScene;
+use crate::psf::SensorMap;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::warp::{Plane, Region};
@@ -50,8 +51,9 @@ pub fn check(scene: &Plane) -> Result<()> {
 }
 
 impl Needs {
-    /// Looks at `scene` through `warped` over the frame and `margin` pixels around it.
-    pub fn of(scene: &Plane, warped: &WarpedScene<'_>, frame: &Frame, margin: usize) -> Self {
+    /// Looks at `scene` through a lens with `map` over the frame and `margin` pixels around it.
+    pub fn of(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
+        let warped = WarpedScene::new(scene, map, frame, (1, 1), vec![0]);
         let channels = scene.texture.len_of(Axis(0));
         let first = scene.texture.index_axis(Axis(0), 0);
         let grey = (1..channels).all(|c| scene.texture.index_axis(Axis(0), c) == first);
@@ -78,7 +80,7 @@ impl Needs {
                     rows: SQUARE.min(source.rows - i * SQUARE),
                     cols: SQUARE.min(source.cols - j * SQUARE),
                 };
-                let light = counts.lit(texel_bounds(warped, frame, part));
+                let light = counts.lit(texel_bounds(&warped, frame, part));
                 let inside = part.row >= 0
                     && part.col >= 0
                     && part.row.unsigned_abs() < frame.rows

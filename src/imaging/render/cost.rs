@@ -1,6 +1,6 @@
 //! What settings cost, in seconds of one thread on the machine the constants were read on; ratios are what counts.
 
-use super::settings::Settings;
+use super::plan::Settings;
 use crate::imaging::blur::Method;
 use crate::imaging::blur::cost::Task;
 use crate::imaging::node_grid::NodeGrid;

@@ -2,13 +2,12 @@
 
 use rayon::prelude::*;
 
-use super::bank::{Bank, Rule, Scratch};
 use super::nodes::Nodes;
-use super::probe::{Probe, Probing, Values, less};
-use super::settings::Settings;
-use crate::error::Result;
+use super::plan::Settings;
+use super::probe::{Cache, Probe, Probing, Values, less};
 use crate::imaging::metrics::decibel;
 use crate::imaging::node_grid::NodeGrid;
+use crate::psf::{Optics, Quadrature};
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
 pub const MARGIN: f64 = 1.5;
@@ -41,6 +40,8 @@ pub struct Ladders {
     pub windows: Vec<Rung<(f64, usize)>>,
     /// Node grids, with the interpolation error they were made for and the one they have.
     pub nodes: Vec<Rung<(f64, f64, NodeGrid)>>,
+    /// What cells larger than pixels make, whatever else is chosen; nothing where cells are pixels.
+    pub cells: Vec<Values>,
 }
 
 /// Mean square over all values of the sum of `parts` (lists by probe), and its standard error over the probes.
@@ -77,41 +78,37 @@ pub struct Choice {
     pub holds: bool,
 }
 
-/// A bank for another number of wavelengths or dense points.
-pub type MakeBank<'a> = dyn Fn(usize, usize) -> Result<Bank> + 'a;
+/// What the ladders are measured with.
+pub struct Measuring<'a, 'b> {
+    /// Probes and the fine lens.
+    pub probing: &'a Probing<'b>,
+    /// Quadratures of [`Settings::WAVELENGTHS`].
+    pub rules: &'a [(usize, Quadrature)],
+    /// A lens of few wavelengths, which places nodes, and its dense points.
+    pub light: (&'a Optics, usize),
+}
 
-/// Measures every ladder on `probes`. `rules` are the quadratures of [`Settings::WAVELENGTHS`]; `bank` makes banks of a
-/// number of wavelengths and dense points; `nodes` has been made coarse and is refined until its error is a small part of
+/// Measures every ladder on `probes`. `nodes` has been made coarse and is refined until its error is a small part of
 /// `budget` (a mean square), or all of [`Settings::NODE_ERRORS`] are done.
-///
-/// # Errors
-/// A field none of whose rays reaches the sensor.
-pub fn ladders(
-    probing: &Probing<'_>,
-    probes: &[Probe],
-    rules: &[(usize, Rule)],
-    make: &MakeBank<'_>,
-    light: &Bank,
-    nodes: &mut Nodes<'_>,
-    budget: f64,
-) -> Result<Ladders> {
-    let each = |f: &(dyn Fn(&Probe, &mut Scratch) -> Values + Sync)| -> Vec<Values> {
-        probes.par_iter().map_init(Scratch::default, |s, p| f(p, s)).collect()
-    };
-    let fine = probing.scenes.len() - 1;
+pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
+    let Measuring { probing, rules, light } = measuring;
+    let each = |f: &(dyn Fn(&Probe) -> Values + Sync)| -> Vec<Values> { probes.par_iter().map(f).collect() };
+    let ladder = &probing.scenes[0];
+    let fine = ladder.len() - 1;
     let mut samples: Vec<Rung<usize>> = (0..fine)
-        .map(|k| Rung { setting: probing.scenes[k].samples(), off: each(&|p, s| probing.samples(p, k, s)) })
+        .map(|k| Rung { setting: ladder[k].samples(), off: each(&|p| probing.samples(p, k)) })
         .collect();
     let nothing: Vec<Values> = probes.iter().map(|p| vec![0.0; p.exact.len()]).collect();
-    samples.push(Rung { setting: probing.scenes[fine].samples(), off: nothing.clone() });
-    let white = probing.bank.white();
-    let wavelengths = rules
-        .iter()
-        .map(|(n, rule)| Rung { setting: *n, off: each(&|p, _| probing.wavelengths(p, rule, white)) })
-        .collect();
+    samples.push(Rung { setting: ladder[fine].samples(), off: nothing.clone() });
+    let wavelengths =
+        rules.iter().map(|(n, rule)| Rung { setting: *n, off: each(&|p| probing.wavelengths(p, rule)) }).collect();
     // Kernel windows: those of the shares, each once.
+    let look = probing.optics.form(probing.dense.min(1000), 1, 1, probing.frame.pitch_mm);
+    let radii = [0.0, probing.optics.table.spec.radii_mm.last().copied().unwrap_or(0.0)];
     let mut halves: Vec<(f64, usize)> = Vec::new();
-    for (share, half) in Settings::OUTSIDE.into_iter().zip(probing.bank.half_widths_px(&Settings::OUTSIDE)) {
+    for (share, half) in
+        Settings::OUTSIDE.into_iter().zip(probing.optics.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii))
+    {
         let half = half.min(probing.size / 2);
         if halves.last().is_none_or(|(_, h)| *h < half) {
             halves.push((share, half));
@@ -126,28 +123,29 @@ pub fn ladders(
         .enumerate()
         .map(|(k, half)| Rung { setting: *half, off: by_probe.iter().map(|v| v[k].clone()).collect() })
         .collect();
-    // Dense points: one wavelength tells.
+    // Dense points: few wavelengths tell.
+    let (optics, light_dense) = *light;
+    let through = |dense: usize| each(&|p| probing.through(p, optics, dense));
     let most = Settings::DENSE[Settings::DENSE.len() - 1];
-    let through = |bank: &Bank| each(&|p, s| probing.through(p, bank, s));
-    let reference = through(&make(1, most)?);
-    let mut dense = Vec::new();
-    for n in Settings::DENSE {
-        let off = if n == most {
-            nothing.clone()
-        } else {
-            through(&make(1, n)?).into_iter().zip(&reference).map(|(a, b)| less(a, b)).collect()
-        };
-        dense.push(Rung { setting: n, off });
-    }
-    let places = through(light);
+    let reference = through(most);
+    let dense = Settings::DENSE
+        .into_iter()
+        .map(|n| {
+            let off = if n == most {
+                nothing.clone()
+            } else {
+                through(n).into_iter().zip(&reference).map(|(a, b)| less(a, b)).collect()
+            };
+            Rung { setting: n, off }
+        })
+        .collect();
+    let places = through(light_dense);
     let mut steps = Vec::new();
+    let mut cache = Cache::new();
     for tolerance in Settings::NODE_ERRORS {
         nodes.refine(tolerance);
-        let around: Vec<usize> = probes.iter().flat_map(|p| nodes.around(p.region.grown(probing.size / 2))).collect();
-        nodes.prepare(around.into_iter());
-        let found: &Nodes<'_> = nodes;
-        let off: Vec<Values> =
-            probes.par_iter().zip(&places).map(|(p, values)| probing.nodes(p, values, found)).collect();
+        probing.prepare(probes, optics, light_dense, &nodes.grid, &mut cache);
+        let off = probes.par_iter().zip(&places).map(|(p, v)| probing.nodes(p, v, &nodes.grid, &cache)).collect();
         let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
         // What halving an interval again would win is small beside the budget, or there is one node for all.
         let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;
@@ -156,7 +154,7 @@ pub fn ladders(
             break;
         }
     }
-    Ok(Ladders { samples, wavelengths, dense, windows, nodes: steps })
+    Ladders { samples, wavelengths, dense, windows, nodes: steps, cells: nothing }
 }
 
 /// The cheapest combination by `cost` (seconds of the settings, half-width and grid) whose mean square error, times
@@ -174,8 +172,8 @@ pub fn cheapest(
             for samples in &ladders.samples {
                 for dense in &ladders.dense {
                     for wavelengths in &ladders.wavelengths {
-                        let parts: [&[Values]; 5] =
-                            [&nodes.off, &windows.off, &samples.off, &dense.off, &wavelengths.off];
+                        let parts: [&[Values]; 6] =
+                            [&nodes.off, &windows.off, &samples.off, &dense.off, &wavelengths.off, &ladders.cells];
                         let settings = Settings {
                             samples: samples.setting,
                             wavelengths: wavelengths.setting,
