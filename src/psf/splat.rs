@@ -49,7 +49,7 @@ fn weights<const M: usize, const N: usize>(u: f64) -> (isize, [f64; N], [f64; N]
 pub struct Raster {
     /// Pixels along a side, odd.
     pub size: usize,
-    /// Samples a pixel along each axis: 1, 2 or 4.
+    /// Samples a pixel along each axis: 1, 2, 4 or 8.
     pub samples: usize,
 }
 
@@ -73,7 +73,7 @@ impl Raster {
     /// planes' factors on it. Returns the weight that fell outside, before the factors.
     ///
     /// # Panics
-    /// For other than 1, 2 or 4 samples.
+    /// For other than 1, 2, 4 or 8 samples.
     pub fn splat(
         self,
         planes: &mut [f64],
@@ -84,6 +84,7 @@ impl Raster {
             1 => self.splat_at::<1, 3>(planes, scales, rays),
             2 => self.splat_at::<2, 4>(planes, scales, rays),
             4 => self.splat_at::<4, 6>(planes, scales, rays),
+            8 => self.splat_at::<8, 10>(planes, scales, rays),
             m => panic!("{m} samples a pixel"),
         }
     }
@@ -128,7 +129,7 @@ impl Raster {
     /// footprint (the cotangent of its weight in each plane, before the factors `scales`).
     ///
     /// # Panics
-    /// For other than 1, 2 or 4 samples.
+    /// For other than 1, 2, 4 or 8 samples.
     pub fn splat_vjp(
         self,
         planes_bar: &[f64],
@@ -140,6 +141,7 @@ impl Raster {
             1 => self.splat_vjp_at::<1, 3>(planes_bar, scales, rays, take),
             2 => self.splat_vjp_at::<2, 4>(planes_bar, scales, rays, take),
             4 => self.splat_vjp_at::<4, 6>(planes_bar, scales, rays, take),
+            8 => self.splat_vjp_at::<8, 10>(planes_bar, scales, rays, take),
             m => panic!("{m} samples a pixel"),
         }
     }
@@ -270,7 +272,7 @@ mod tests {
     #[test]
     fn phases_are_box_on_tent() {
         let rng = &mut fastrand::Rng::with_seed(5);
-        for samples in [1, 2, 4] {
+        for samples in [1, 2, 4, 8] {
             let raster = Raster { size: 9, samples };
             let m = samples as f64;
             for _ in 0..5 {
@@ -304,7 +306,7 @@ mod tests {
     #[test]
     fn splat_vjp_agrees_with_differences() {
         let rng = &mut fastrand::Rng::with_seed(6);
-        for samples in [1, 2, 4] {
+        for samples in [1, 2, 4, 8] {
             let raster = Raster { size: 7, samples };
             let scales = [(0, 0.7), (1, -1.3)];
             let bar: Vec<f64> = (0..2 * raster.len()).map(|_| rng.f64() - 0.5).collect();

@@ -95,11 +95,23 @@ pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Node
     let each = |f: &(dyn Fn(&Probe) -> Values + Sync)| -> Vec<Values> { probes.par_iter().map(f).collect() };
     let ladder = &probing.scenes[0];
     let fine = ladder.len() - 1;
-    let mut samples: Vec<Rung<usize>> = (0..fine)
-        .map(|k| Rung { setting: ladder[k].samples(), off: each(&|p| probing.samples(p, k)) })
-        .collect();
     let nothing: Vec<Values> = probes.iter().map(|p| vec![0.0; p.exact.len()]).collect();
-    samples.push(Rung { setting: ladder[fine].samples(), off: nothing.clone() });
+    let samples = (0..=fine).map(|k| {
+        // The error falls as the square of the samples, and the finest has a part left that the one before it tells.
+        let square = |k: usize| (ladder[k].samples() as f32).powi(-2);
+        let (from, scale) = if k < fine {
+            (k, square(k) / (square(k) - square(fine)))
+        } else {
+            (fine.saturating_sub(1), square(fine) / (square(fine.saturating_sub(1)) - square(fine)))
+        };
+        let off = if fine == 0 {
+            nothing.clone()
+        } else {
+            each(&|p| probing.samples(p, from).into_iter().map(|v| v * scale).collect())
+        };
+        Rung { setting: ladder[k].samples(), off }
+    });
+    let samples = samples.collect();
     let wavelengths =
         rules.iter().map(|(n, rule)| Rung { setting: *n, off: each(&|p| probing.wavelengths(p, rule)) }).collect();
     // Kernel windows: those of the shares, each once.

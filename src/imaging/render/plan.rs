@@ -30,7 +30,7 @@ const COARSEST: usize = 64;
 /// How finely each approximation is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Settings {
-    /// Scene samples a pixel along each axis: 1, 2 or 4; one where cells are larger than pixels.
+    /// Scene samples a pixel along each axis: 1, 2, 4 or 8; one where cells are larger than pixels.
     pub samples: usize,
     /// Wavelengths over the sensor's response.
     pub wavelengths: usize,
@@ -58,7 +58,7 @@ impl Settings {
         Self { samples: 1, wavelengths: 5, degree: 7, dense: 500, node_error: 0.25, outside: 5e-3, cells: 32 };
 
     /// Ladder of scene samples a pixel.
-    pub const SAMPLES: [usize; 3] = [1, 2, 4];
+    pub const SAMPLES: [usize; 4] = [1, 2, 4, 8];
     /// Ladder of wavelengths.
     pub const WAVELENGTHS: [usize; 6] = [3, 4, 5, 7, 9, 12];
     /// Ladder of dense points.

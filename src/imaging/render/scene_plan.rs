@@ -77,6 +77,8 @@ const LIGHT: (usize, usize) = (3, 800);
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
 /// few: what is blurred differs less from place to place.
 const WIDE: (usize, usize) = (65, 201);
+/// Kernel sizes up to which the finest raster has 8 samples a pixel.
+const SHARP: usize = 33;
 /// Spacing of the nodes where nothing is left out, cells.
 const FULL_SPACING: usize = 16;
 /// Scenes that probes are spread over, at most.
@@ -220,12 +222,11 @@ impl Setting<'_> {
         let rule = quadrature(self.density, FINE_WAVELENGTHS, &[0, 1, 2]);
         let fine = Optics::compute(self.lens, &OpticsSpec { quadrature: rule, ..self.light_spec.clone() })?;
         let size = first.size();
-        let most = if first.bin > 1 {
-            1
-        } else if size <= WIDE.0 {
-            4
-        } else {
-            2
+        let most = match size {
+            _ if first.bin > 1 => 1,
+            _ if size <= SHARP => 8,
+            _ if size <= WIDE.0 => 4,
+            _ => 2,
         };
         let ladder = Settings::SAMPLES.into_iter().filter(|m| *m <= most).collect::<Vec<usize>>();
         let sampled: Vec<Vec<WarpedScene<'_>>> = scenes
