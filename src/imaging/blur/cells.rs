@@ -15,8 +15,8 @@ use rustfft::num_complex::Complex;
 use super::super::cfa::Real;
 use super::band::Band;
 use super::frame::{Frame, Place};
-use super::lines::{TILE, part, weigh};
-use super::pack::{Columns, pack, product, window};
+use super::lines::{part, weigh};
+use super::pack::{COLUMNS, Columns, pack, product, window};
 use super::plane::{Scratch, reserve};
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
@@ -138,12 +138,12 @@ fn convolve<T: Real>(
         .iter()
         .flat_map(|n| (0..frame.shape.phases).map(|phase| spectra.plane(frame, *n, channel, phase)))
         .collect();
-    reserve(columns, nodes.len() * TILE * plane.rows);
-    reserve(mixed, 2 * TILE * count);
+    reserve(columns, nodes.len() * COLUMNS * plane.rows);
+    reserve(mixed, 2 * COLUMNS * count);
     reserve(lines, pairing.lines * plane.cols);
     let windows = &place.row.windows;
-    for from in (0..plane.half).step_by(TILE) {
-        let width = (plane.half - from).min(TILE);
+    for from in (0..plane.half).step_by(COLUMNS) {
+        let width = (plane.half - from).min(COLUMNS);
         let span = from * plane.rows..(from + width) * plane.rows;
         let columns = &mut columns[..nodes.len() * width * plane.rows];
         products(plane.spectrum_len(), source, &kernels, frame.shape.phases, span, columns);

@@ -7,20 +7,27 @@ use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
 use super::frame::{Frame, Place};
-use super::lines::{TILE, twine, twine_windows};
-use super::pack::{correlate, window};
+use super::lines::{twine, twine_windows};
+use super::pack::{COLUMNS, correlate, window};
 use super::plane::{Scratch, reserve, zero};
 use super::spectra::NodeSpectra;
 
-/// Spectra that gather the kernels' cotangents of a cell: by channel and node, `[phase][column frequency][row frequency]`.
+/// Spectra that gather the kernels' cotangents of a cell, by channel and node.
 pub(super) struct Sums<T> {
     pub nodes: Vec<usize>,
     pub channels: Range<usize>,
-    pub values: Vec<Vec<Complex<T>>>,
+    pub values: Vec<NodeSum<T>>,
+}
+
+/// `[phase][column frequency][row frequency]`; what `values` holds counts only once something is `added`.
+#[derive(Default)]
+pub(super) struct NodeSum<T> {
+    pub values: Vec<Complex<T>>,
+    pub added: bool,
 }
 
 impl<T> Sums<T> {
-    fn of(&mut self, channel: usize, node: usize) -> Option<&mut Vec<Complex<T>>> {
+    fn of(&mut self, channel: usize, node: usize) -> Option<&mut NodeSum<T>> {
         let at = self.nodes.iter().position(|n| *n == node)?;
         self.values.get_mut((channel - self.channels.start) * self.nodes.len() + at)
     }
@@ -63,9 +70,9 @@ impl<T: Real> Block<'_, T> {
         let nodes = frame.corners(place);
         let rows = &place.row.windows;
         let Scratch { buffers, spectra, columns, mixed, .. } = scratch;
-        reserve(columns, nodes.len() * TILE * plane.rows);
-        for from in (0..plane.half).step_by(TILE) {
-            let width = (plane.half - from).min(TILE);
+        reserve(columns, nodes.len() * COLUMNS * plane.rows);
+        for from in (0..plane.half).step_by(COLUMNS) {
+            let width = (plane.half - from).min(COLUMNS);
             let span = from * plane.rows..(from + width) * plane.rows;
             let columns = &mut columns[..nodes.len() * span.len()];
             for (i, column) in columns.chunks_exact_mut(plane.rows).enumerate() {
@@ -82,13 +89,26 @@ impl<T: Real> Block<'_, T> {
                     let at = phase * plane.spectrum_len();
                     let at = at + span.start..at + span.end;
                     let of_node = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
-                    if let (Some(sums), Some(seen)) = (of_node, self.seen) {
-                        correlate::<T, true>(&mut sums[at.clone()], &seen[at.clone()], column);
+                    if let (Some(sum), Some(seen)) = (of_node, self.seen) {
+                        let (to, seen) = (&mut sum.values[at.clone()], &seen[at.clone()]);
+                        if sum.added { correlate::<T, true>(to, seen, column) } else { correlate::<T, false>(to, seen, column) }
                     }
                     if self.source {
                         let kernel = &self.kernels.plane(frame, *node, channel, phase)[span.clone()];
                         correlate::<T, true>(&mut spectra[at], kernel, column);
                     }
+                }
+            }
+        }
+        self.mark(channel, sums);
+    }
+
+    /// Marks the sums of the block's nodes as added to.
+    fn mark(&self, channel: usize, sums: Option<&mut Sums<T>>) {
+        if let (Some(sums), Some(_)) = (sums, self.seen) {
+            for node in self.frame.corners(self.place) {
+                if let Some(sum) = sums.of(channel, node) {
+                    sum.added = true;
                 }
             }
         }
