@@ -16,11 +16,12 @@ use super::super::cfa::Real;
 use super::band::Band;
 use super::frame::{Frame, Place};
 use super::lines::{part, weigh};
-use super::pack::{COLUMNS, Columns, pack, product, window};
+use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source, record::Keep};
+use crate::math::wide::prefetch;
 
 /// A block's source spectra, `[phase][column frequency][row frequency]`.
 pub(super) type Kept<T> = Vec<Complex<T>>;
@@ -147,6 +148,9 @@ fn convolve<T: Real>(
         let span = from * plane.rows..(from + width) * plane.rows;
         let columns = &mut columns[..nodes.len() * width * plane.rows];
         products(plane.spectrum_len(), source, &kernels, frame.shape.phases, span, columns);
+        // The next columns come while these are transformed.
+        let next = next_columns(plane.rows, plane.half, from);
+        kernels.iter().for_each(|k| prefetch(&k[next.clone()]));
         plane.columns_inverse(buffers, columns);
         for (b, columns) in columns.chunks_exact(windows.len() * width * plane.rows).enumerate() {
             for c in 0..width {

@@ -8,9 +8,13 @@ use rustfft::num_complex::Complex;
 use super::super::cfa::Real;
 use super::frame::{Frame, Place};
 use super::lines::{twine, twine_windows};
-use super::pack::{COLUMNS, correlate, window};
+use super::pack::{COLUMNS, correlate, next_columns, window};
 use super::plane::{Scratch, reserve, zero};
 use super::spectra::NodeSpectra;
+use crate::math::wide::prefetch;
+
+/// Rows of the cotangent that are fetched ahead.
+const AHEAD: usize = 16;
 
 /// Spectra that gather the kernels' cotangents of a cell, by channel and node.
 pub(super) struct Sums<T> {
@@ -83,6 +87,20 @@ impl<T: Real> Block<'_, T> {
                 window::<T, false>(&mut column[first..first + count], x, &rows[a].1);
                 column[first + count..].fill(zero());
             }
+            // The next columns come while these are transformed.
+            let next = next_columns(plane.rows, plane.half, from);
+            for (node, phase) in nodes.iter().flat_map(|n| (0..phases).map(move |f| (n, f))) {
+                let at = phase * plane.spectrum_len() + next.start..phase * plane.spectrum_len() + next.end;
+                if let Some(sum) = sums.as_deref_mut().and_then(|s| s.of(channel, *node)) {
+                    prefetch(&sum.values[at.clone()]);
+                }
+                if self.source {
+                    prefetch(&self.kernels.plane(frame, *node, channel, phase)[next.clone()]);
+                }
+            }
+            if let Some(seen) = self.seen {
+                (0..phases).for_each(|f| prefetch(&seen[f * plane.spectrum_len()..][next.clone()]));
+            }
             plane.columns_forward(buffers, columns);
             for (node, column) in nodes.iter().zip(columns.chunks_exact(span.len())) {
                 for phase in 0..phases {
@@ -91,7 +109,11 @@ impl<T: Real> Block<'_, T> {
                     let of_node = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
                     if let (Some(sum), Some(seen)) = (of_node, self.seen) {
                         let (to, seen) = (&mut sum.values[at.clone()], &seen[at.clone()]);
-                        if sum.added { correlate::<T, true>(to, seen, column) } else { correlate::<T, false>(to, seen, column) }
+                        if sum.added {
+                            correlate::<T, true>(to, seen, column)
+                        } else {
+                            correlate::<T, false>(to, seen, column)
+                        }
                     }
                     if self.source {
                         let kernel = &self.kernels.plane(frame, *node, channel, phase)[span.clone()];
@@ -128,6 +150,10 @@ impl<T: Real> Block<'_, T> {
         let row = |i: usize| bar.row(i).to_slice().expect("standard layout");
         reserve(&mut scratch.mixed, plane.half * stride);
         let fill = |l: usize, line: &mut [Complex<T>]| {
+            // Rows lie far apart in memory: a few are asked for ahead.
+            if l + AHEAD < count {
+                prefetch(row(l + AHEAD));
+            }
             line[..first].fill(zero());
             let line = &mut line[first..];
             if two {

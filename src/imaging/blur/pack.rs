@@ -1,5 +1,7 @@
 //! Columns of two real planes to complex lines, and what is done to single numbers of spectra.
 
+use std::ops::Range;
+
 use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
@@ -8,6 +10,11 @@ use crate::math::wide::{Work, wide};
 
 /// Columns that go through a block's products together, small enough for the first cache.
 pub(super) const COLUMNS: usize = 4;
+
+/// The span of the columns after those from `from` on, in a half spectrum of `half` columns of `rows`.
+pub(super) fn next_columns(rows: usize, half: usize, from: usize) -> Range<usize> {
+    (from + COLUMNS).min(half) * rows..(from + 2 * COLUMNS).min(half) * rows
+}
 
 /// Some columns of half spectra whose rows are back in space.
 #[derive(Clone, Copy)]
@@ -72,7 +79,7 @@ impl<T: Real> Work for Pack<'_, T> {
                     u[i] = Complex { re: a[i].re - b[i].im, im: a[i].im + b[i].re };
                     v[i] = Complex { re: a[i].re + b[i].im, im: b[i].re - a[i].im };
                 }
-                for (line, (u, v)) in lines.by_ref().zip(u.iter().zip(&v)) {
+                for ((u, v), line) in u.iter().zip(&v).zip(lines.by_ref()) {
                     // The mirror first: where both are one frequency, that one is meant.
                     line[mirror] = *v;
                     line[k] = *u;
