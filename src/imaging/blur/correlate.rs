@@ -37,6 +37,17 @@ impl<T> Sums<T> {
     }
 }
 
+impl<T: Real> NodeSum<T> {
+    /// Adds `conj(seen) · column` to a span.
+    fn add(&mut self, at: Range<usize>, seen: &[Complex<T>], column: &[Complex<T>]) {
+        if self.added {
+            correlate::<T, true>(&mut self.values[at], seen, column);
+        } else {
+            correlate::<T, false>(&mut self.values[at], seen, column);
+        }
+    }
+}
+
 /// A block and what its image was made of.
 pub(super) struct Block<'a, T: Real> {
     pub frame: &'a Frame<T>,
@@ -68,61 +79,66 @@ impl<T: Real> Block<'_, T> {
         scratch: &mut Scratch<T>,
     ) {
         self.turn(bar, channel, scratch);
-        let (frame, place) = (self.frame, self.place);
-        let (plane, phases) = (&frame.plane, frame.shape.phases);
-        let (count, first) = (place.row.len, frame.shape.size - 1);
-        let nodes = frame.corners(place);
-        let rows = &place.row.windows;
+        let plane = &self.frame.plane;
+        let nodes = self.frame.corners(self.place);
         let Scratch { buffers, spectra, columns, mixed, .. } = scratch;
         reserve(columns, nodes.len() * COLUMNS * plane.rows);
         for from in (0..plane.half).step_by(COLUMNS) {
             let width = (plane.half - from).min(COLUMNS);
             let span = from * plane.rows..(from + width) * plane.rows;
             let columns = &mut columns[..nodes.len() * span.len()];
-            for (i, column) in columns.chunks_exact_mut(plane.rows).enumerate() {
-                // Column window by column window, row windows within, then the columns.
-                let (b, a, c) = (i / width / rows.len(), i / width % rows.len(), i % width);
-                let x = &mixed[((from + c) * place.col.windows.len() + b) * count..][..count];
-                column[..first].fill(zero());
-                window::<T, false>(&mut column[first..first + count], x, &rows[a].1);
-                column[first + count..].fill(zero());
-            }
+            self.columns(from, width, mixed, columns);
             // The next columns come while these are transformed.
-            let next = next_columns(plane.rows, plane.half, from);
-            for (node, phase) in nodes.iter().flat_map(|n| (0..phases).map(move |f| (n, f))) {
-                let at = phase * plane.spectrum_len() + next.start..phase * plane.spectrum_len() + next.end;
-                if let Some(sum) = sums.as_deref_mut().and_then(|s| s.of(channel, *node)) {
-                    prefetch(&sum.values[at.clone()]);
-                }
-                if self.source {
-                    prefetch(&self.kernels.plane(frame, *node, channel, phase)[next.clone()]);
-                }
-            }
-            if let Some(seen) = self.seen {
-                (0..phases).for_each(|f| prefetch(&seen[f * plane.spectrum_len()..][next.clone()]));
-            }
+            self.fetch(next_columns(plane.rows, plane.half, from), channel, &nodes, sums.as_deref_mut());
             plane.columns_forward(buffers, columns);
             for (node, column) in nodes.iter().zip(columns.chunks_exact(span.len())) {
-                for phase in 0..phases {
+                let mut sum = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
+                for phase in 0..self.frame.shape.phases {
                     let at = phase * plane.spectrum_len();
                     let at = at + span.start..at + span.end;
-                    let of_node = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
-                    if let (Some(sum), Some(seen)) = (of_node, self.seen) {
-                        let (to, seen) = (&mut sum.values[at.clone()], &seen[at.clone()]);
-                        if sum.added {
-                            correlate::<T, true>(to, seen, column)
-                        } else {
-                            correlate::<T, false>(to, seen, column)
-                        }
+                    if let (Some(sum), Some(seen)) = (sum.as_deref_mut(), self.seen) {
+                        sum.add(at.clone(), &seen[at.clone()], column);
                     }
                     if self.source {
-                        let kernel = &self.kernels.plane(frame, *node, channel, phase)[span.clone()];
+                        let kernel = &self.kernels.plane(self.frame, *node, channel, phase)[span.clone()];
                         correlate::<T, true>(&mut spectra[at], kernel, column);
                     }
                 }
             }
         }
         self.mark(channel, sums);
+    }
+
+    /// Columns of the cotangent under the row windows, between zeros: column window by column window, row windows within.
+    fn columns(&self, from: usize, width: usize, mixed: &[Complex<T>], columns: &mut [Complex<T>]) {
+        let (count, first) = (self.place.row.len, self.frame.shape.size - 1);
+        let (rows, across) = (&self.place.row.windows, self.place.col.windows.len());
+        for (i, column) in columns.chunks_exact_mut(self.frame.plane.rows).enumerate() {
+            let (b, a, c) = (i / width / rows.len(), i / width % rows.len(), i % width);
+            let x = &mixed[((from + c) * across + b) * count..][..count];
+            column[..first].fill(zero());
+            window::<T, false>(&mut column[first..first + count], x, &rows[a].1);
+            column[first + count..].fill(zero());
+        }
+    }
+
+    /// Asks for what the columns of `span` will be multiplied with and added to.
+    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], mut sums: Option<&mut Sums<T>>) {
+        for phase in 0..self.frame.shape.phases {
+            let at = phase * self.frame.plane.spectrum_len();
+            let at = at + span.start..at + span.end;
+            for node in nodes {
+                if let Some(sum) = sums.as_deref_mut().and_then(|s| s.of(channel, *node)) {
+                    prefetch(&sum.values[at.clone()]);
+                }
+                if self.source {
+                    prefetch(&self.kernels.plane(self.frame, *node, channel, phase)[span.clone()]);
+                }
+            }
+            if let Some(seen) = self.seen {
+                prefetch(&seen[at]);
+            }
+        }
     }
 
     /// Marks the sums of the block's nodes as added to.
