@@ -179,9 +179,7 @@ impl<T: Real, const N: usize> Work for Taps<'_, '_, T, N> {
                 }
             }
         }
-        for n in 0..N {
-            self.sums[n] = sums[n];
-        }
+        self.sums[..N].copy_from_slice(&sums);
     }
 }
 
