@@ -30,7 +30,7 @@ pub struct BlurBar<T> {
 /// Pulls the cotangent of [`super::blur`] back to the kernels: `[node, channel, phase, row, col]`.
 ///
 /// `bar` `[channel, row, col]` over the region. Kernels of nodes that no lit block uses get zero. Memory: the answer, and
-/// spectra of two rows of nodes.
+/// spectra of three rows of nodes.
 ///
 /// # Panics
 /// If `bar` does not cover the region, or the record was not made for the kernels' cotangent.
@@ -99,19 +99,21 @@ impl<T: Real> Pull<'_, T> {
             let cols = &frame.cols[strip.clone()];
             let mut sums = NodeSums::default();
             for (r, row) in frame.rows.iter().enumerate() {
-                if let Some(out) = kernels.as_deref_mut() {
-                    sums.finish(frame, &frame.nodes(row, cols), out);
-                }
                 for parity in 0..2 {
                     let mut cells = self.cells(r, cols, strip.start, parity, source.is_some());
-                    if kernels.is_some() {
+                    let wanted = source.is_some();
+                    let work = |cells: &mut Vec<Cell<T>>| cells.par_iter_mut().for_each(|c| self.cell(r, c, wanted));
+                    if let Some(out) = kernels.as_deref_mut() {
+                        let mut done = sums.done(&frame.nodes(row, cols));
                         for cell in &mut cells {
                             let nodes = cell_nodes(frame, row, &frame.cols[cell.blocks.clone()]);
                             cell.sums = Some(sums.take(frame, nodes, cell.channels.clone()));
                         }
+                        rayon::join(|| done.finish(frame, out), || work(&mut cells));
+                        sums.reuse(done);
+                    } else {
+                        work(&mut cells);
                     }
-                    let wanted = source.is_some();
-                    cells.par_iter_mut().for_each(|cell| self.cell(r, cell, wanted));
                     for cell in cells {
                         if let Some(out) = source.as_deref_mut() {
                             add_tiles(frame, row, &cell, out);
@@ -123,7 +125,7 @@ impl<T: Real> Pull<'_, T> {
                 }
             }
             if let Some(out) = kernels.as_deref_mut() {
-                sums.finish(frame, &[], out);
+                sums.done(&[]).finish(frame, out);
             }
         }
     }

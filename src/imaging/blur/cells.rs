@@ -15,12 +15,13 @@ use rustfft::num_complex::Complex;
 use super::super::cfa::Real;
 use super::band::Band;
 use super::frame::{Frame, Place};
-use super::lines::{TILE, part, weigh};
-use super::pack::{Columns, pack, product, window};
+use super::lines::{part, weigh};
+use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source, record::Keep};
+use crate::math::wide::prefetch;
 
 /// A block's source spectra, `[phase][column frequency][row frequency]`.
 pub(super) type Kept<T> = Vec<Complex<T>>;
@@ -138,15 +139,18 @@ fn convolve<T: Real>(
         .iter()
         .flat_map(|n| (0..frame.shape.phases).map(|phase| spectra.plane(frame, *n, channel, phase)))
         .collect();
-    reserve(columns, nodes.len() * TILE * plane.rows);
-    reserve(mixed, 2 * TILE * count);
+    reserve(columns, nodes.len() * COLUMNS * plane.rows);
+    reserve(mixed, 2 * COLUMNS * count);
     reserve(lines, pairing.lines * plane.cols);
     let windows = &place.row.windows;
-    for from in (0..plane.half).step_by(TILE) {
-        let width = (plane.half - from).min(TILE);
+    for from in (0..plane.half).step_by(COLUMNS) {
+        let width = (plane.half - from).min(COLUMNS);
         let span = from * plane.rows..(from + width) * plane.rows;
         let columns = &mut columns[..nodes.len() * width * plane.rows];
         products(plane.spectrum_len(), source, &kernels, frame.shape.phases, span, columns);
+        // The next columns come while these are transformed.
+        let next = next_columns(plane.rows, plane.half, from);
+        kernels.iter().for_each(|k| prefetch(&k[next.clone()]));
         plane.columns_inverse(buffers, columns);
         for (b, columns) in columns.chunks_exact(windows.len() * width * plane.rows).enumerate() {
             for c in 0..width {

@@ -7,22 +7,44 @@ use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
 use super::frame::{Frame, Place};
-use super::lines::{TILE, twine, twine_windows};
-use super::pack::{correlate, window};
+use super::lines::{twine, twine_windows};
+use super::pack::{COLUMNS, correlate, next_columns, window};
 use super::plane::{Scratch, reserve, zero};
 use super::spectra::NodeSpectra;
+use crate::math::wide::prefetch;
 
-/// Spectra that gather the kernels' cotangents of a cell: by channel and node, `[phase][column frequency][row frequency]`.
+/// Rows of the cotangent that are fetched ahead.
+const AHEAD: usize = 16;
+
+/// Spectra that gather the kernels' cotangents of a cell, by channel and node.
 pub(super) struct Sums<T> {
     pub nodes: Vec<usize>,
     pub channels: Range<usize>,
-    pub values: Vec<Vec<Complex<T>>>,
+    pub values: Vec<NodeSum<T>>,
+}
+
+/// `[phase][column frequency][row frequency]`; what `values` holds counts only once something is `added`.
+#[derive(Default)]
+pub(super) struct NodeSum<T> {
+    pub values: Vec<Complex<T>>,
+    pub added: bool,
 }
 
 impl<T> Sums<T> {
-    fn of(&mut self, channel: usize, node: usize) -> Option<&mut Vec<Complex<T>>> {
+    fn of(&mut self, channel: usize, node: usize) -> Option<&mut NodeSum<T>> {
         let at = self.nodes.iter().position(|n| *n == node)?;
         self.values.get_mut((channel - self.channels.start) * self.nodes.len() + at)
+    }
+}
+
+impl<T: Real> NodeSum<T> {
+    /// Adds `conj(seen) · column` to a span.
+    fn add(&mut self, at: Range<usize>, seen: &[Complex<T>], column: &[Complex<T>]) {
+        if self.added {
+            correlate::<T, true>(&mut self.values[at], seen, column);
+        } else {
+            correlate::<T, false>(&mut self.values[at], seen, column);
+        }
     }
 }
 
@@ -57,38 +79,74 @@ impl<T: Real> Block<'_, T> {
         scratch: &mut Scratch<T>,
     ) {
         self.turn(bar, channel, scratch);
-        let (frame, place) = (self.frame, self.place);
-        let (plane, phases) = (&frame.plane, frame.shape.phases);
-        let (count, first) = (place.row.len, frame.shape.size - 1);
-        let nodes = frame.corners(place);
-        let rows = &place.row.windows;
+        let plane = &self.frame.plane;
+        let nodes = self.frame.corners(self.place);
         let Scratch { buffers, spectra, columns, mixed, .. } = scratch;
-        reserve(columns, nodes.len() * TILE * plane.rows);
-        for from in (0..plane.half).step_by(TILE) {
-            let width = (plane.half - from).min(TILE);
+        reserve(columns, nodes.len() * COLUMNS * plane.rows);
+        for from in (0..plane.half).step_by(COLUMNS) {
+            let width = (plane.half - from).min(COLUMNS);
             let span = from * plane.rows..(from + width) * plane.rows;
             let columns = &mut columns[..nodes.len() * span.len()];
-            for (i, column) in columns.chunks_exact_mut(plane.rows).enumerate() {
-                // Column window by column window, row windows within, then the columns.
-                let (b, a, c) = (i / width / rows.len(), i / width % rows.len(), i % width);
-                let x = &mixed[((from + c) * place.col.windows.len() + b) * count..][..count];
-                column[..first].fill(zero());
-                window::<T, false>(&mut column[first..first + count], x, &rows[a].1);
-                column[first + count..].fill(zero());
-            }
+            self.columns(from, width, mixed, columns);
+            // The next columns come while these are transformed.
+            self.fetch(next_columns(plane.rows, plane.half, from), channel, &nodes, sums.as_deref_mut());
             plane.columns_forward(buffers, columns);
             for (node, column) in nodes.iter().zip(columns.chunks_exact(span.len())) {
-                for phase in 0..phases {
+                let mut sum = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
+                for phase in 0..self.frame.shape.phases {
                     let at = phase * plane.spectrum_len();
                     let at = at + span.start..at + span.end;
-                    let of_node = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
-                    if let (Some(sums), Some(seen)) = (of_node, self.seen) {
-                        correlate::<T, true>(&mut sums[at.clone()], &seen[at.clone()], column);
+                    if let (Some(sum), Some(seen)) = (sum.as_deref_mut(), self.seen) {
+                        sum.add(at.clone(), &seen[at.clone()], column);
                     }
                     if self.source {
-                        let kernel = &self.kernels.plane(frame, *node, channel, phase)[span.clone()];
+                        let kernel = &self.kernels.plane(self.frame, *node, channel, phase)[span.clone()];
                         correlate::<T, true>(&mut spectra[at], kernel, column);
                     }
+                }
+            }
+        }
+        self.mark(channel, sums);
+    }
+
+    /// Columns of the cotangent under the row windows, between zeros: column window by column window, row windows within.
+    fn columns(&self, from: usize, width: usize, mixed: &[Complex<T>], columns: &mut [Complex<T>]) {
+        let (count, first) = (self.place.row.len, self.frame.shape.size - 1);
+        let (rows, across) = (&self.place.row.windows, self.place.col.windows.len());
+        for (i, column) in columns.chunks_exact_mut(self.frame.plane.rows).enumerate() {
+            let (b, a, c) = (i / width / rows.len(), i / width % rows.len(), i % width);
+            let x = &mixed[((from + c) * across + b) * count..][..count];
+            column[..first].fill(zero());
+            window::<T, false>(&mut column[first..first + count], x, &rows[a].1);
+            column[first + count..].fill(zero());
+        }
+    }
+
+    /// Asks for what the columns of `span` will be multiplied with and added to.
+    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], mut sums: Option<&mut Sums<T>>) {
+        for phase in 0..self.frame.shape.phases {
+            let at = phase * self.frame.plane.spectrum_len();
+            let at = at + span.start..at + span.end;
+            for node in nodes {
+                if let Some(sum) = sums.as_deref_mut().and_then(|s| s.of(channel, *node)) {
+                    prefetch(&sum.values[at.clone()]);
+                }
+                if self.source {
+                    prefetch(&self.kernels.plane(self.frame, *node, channel, phase)[span.clone()]);
+                }
+            }
+            if let Some(seen) = self.seen {
+                prefetch(&seen[at]);
+            }
+        }
+    }
+
+    /// Marks the sums of the block's nodes as added to.
+    fn mark(&self, channel: usize, sums: Option<&mut Sums<T>>) {
+        if let (Some(sums), Some(_)) = (sums, self.seen) {
+            for node in self.frame.corners(self.place) {
+                if let Some(sum) = sums.of(channel, node) {
+                    sum.added = true;
                 }
             }
         }
@@ -108,6 +166,10 @@ impl<T: Real> Block<'_, T> {
         let row = |i: usize| bar.row(i).to_slice().expect("standard layout");
         reserve(&mut scratch.mixed, plane.half * stride);
         let fill = |l: usize, line: &mut [Complex<T>]| {
+            // Rows lie far apart in memory: a few are asked for ahead.
+            if l + AHEAD < count {
+                prefetch(row(l + AHEAD));
+            }
             line[..first].fill(zero());
             let line = &mut line[first..];
             if two {

@@ -10,17 +10,19 @@ use super::segments::{Segment, segments, used};
 use crate::math::fft::fast_size;
 
 /// Transform of a line or a column, per complex point and `log₂`.
-const TRANSFORM: f64 = 0.1;
+const TRANSFORM: f64 = 0.14;
 /// Complex multiply-add of spectra, per point.
-const PRODUCT: f64 = 0.7;
+const PRODUCT: f64 = 0.5;
 /// Turning, windows and copies, per point.
-const MOVE: f64 = 1.0;
-/// Multiply-add of the direct sum.
-const TAP: f64 = 0.05;
-/// A chunk of the direct sum, whatever the kernel.
-const CHUNK: f64 = 20.0;
+const MOVE: f64 = 0.45;
+/// Blocks of more points leave the second cache, and take longer by a factor.
+const SPILL: (f64, f64) = (35e3, 1.4);
 /// A block and channel, whatever its size.
-const BLOCK: f64 = 5e3;
+const BLOCK: f64 = 3e3;
+/// Multiply-add of the direct sum.
+const TAP: f64 = 0.07;
+/// A pixel of the direct sum, whatever the kernel.
+const PIXEL: f64 = 1.0;
 
 /// A frame to be blurred.
 #[derive(Clone, Copy, Debug)]
@@ -90,9 +92,11 @@ impl Task<'_> {
         let pixels = rows.seen - rows.count * (self.size - 1) as f64;
         let forward = rows.seen * cols.count * line + blocks * column;
         let back = corners * column + corners * points * MOVE + pixels * cols.windows * line;
-        sources * phases * forward
+        let spill = if points > SPILL.0 { SPILL.1 } else { 1.0 };
+        let blur = sources * phases * forward
             + channels * (phases * corners * points * PRODUCT + back + blocks * BLOCK)
-            + rows.knots * cols.knots * channels * phases * (self.size as f64 * line + column)
+            + rows.knots * cols.knots * channels * phases * (self.size as f64 * line + column);
+        spill * blur
     }
 
     fn direct(&self) -> f64 {
@@ -104,7 +108,7 @@ impl Task<'_> {
         let windows = cols.windows / cols.count.max(1.0);
         let pixels = self.region.rows as f64 * self.region.cols as f64;
         let mixed = self.region.rows as f64 * cols.windows * rows.windows / rows.count.max(1.0);
-        channels * (pixels * (windows * entries * TAP + CHUNK) + mixed * entries * MOVE)
+        channels * (pixels * (windows * entries * TAP + PIXEL) + mixed * entries * MOVE)
     }
 
     fn planes(&self) -> (f64, f64, f64) {

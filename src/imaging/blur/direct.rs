@@ -168,18 +168,18 @@ impl<T: Real, const N: usize> Work for Taps<'_, '_, T, N> {
         let mut sums = [[T::zero(); CHUNK]; N];
         for (line, from) in (0..taps[0].len() / size).zip((0..).step_by(size)) {
             let row = &source[line / size * plane + line % size * width + self.at..][..CHUNK + size - 1];
-            for (b, x) in row.windows(CHUNK).enumerate() {
+            let taps: [&[T]; N] = std::array::from_fn(|n| &taps[n][from..from + size]);
+            for (b, x) in row.windows(CHUNK).enumerate().take(size) {
+                let Some(x) = x.first_chunk::<CHUNK>() else { continue };
                 for n in 0..N {
-                    let tap = taps[n][from + b];
-                    for l in 0..CHUNK {
-                        sums[n][l] += tap * x[l];
+                    let tap = taps[n][b];
+                    for (s, x) in sums[n].iter_mut().zip(x) {
+                        *s += tap * *x;
                     }
                 }
             }
         }
-        for n in 0..N {
-            self.sums[n] = sums[n];
-        }
+        self.sums[..N].copy_from_slice(&sums);
     }
 }
 

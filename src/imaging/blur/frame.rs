@@ -39,10 +39,11 @@ impl Shape {
     }
 
     /// # Panics
-    /// If the size is even, or source and kernels differ in channels.
+    /// If the grid is empty, there is no phase, the size is even, or source and kernels differ in channels.
     pub(super) fn check(&self, grid: &NodeGrid) {
-        let Self { size, channels, source_channels, .. } = *self;
+        let Self { size, channels, source_channels, phases } = *self;
         assert!(!grid.is_empty(), "a grid has nodes");
+        assert!(phases > 0, "a pixel has samples");
         assert!(size % 2 == 1, "kernel size {size} is odd");
         let fits = source_channels == 1 || source_channels == channels;
         assert!(fits, "{source_channels} source channels for {channels} channels");

@@ -36,17 +36,19 @@ pub(super) fn weigh<T: Real>(line: &[Complex<T>], windows: [&[T]; 2], scale: T, 
     wide(Weigh { line, windows, scale, out });
 }
 
-/// Tells apart the two real rows of up to [`TILE`] transformed lines of `cols` numbers, and turns them.
+/// Tells apart the two real rows of up to [`TILE`] transformed lines of `cols` numbers, and turns them; `turned` is as
+/// long as `lines`.
 ///
 /// Rows go to `out[k * stride + at + l]`, `k` up to `cols / 2`; `to` is `at` and the number of lines for both rows.
 pub(super) fn unpack<T: Real>(
     lines: &[Complex<T>],
-    cols: usize,
+    turned: &mut [Complex<T>],
     out: &mut [Complex<T>],
     stride: usize,
     to: [(usize, usize); 2],
 ) {
-    wide(Unpack { lines, cols, out, stride, to });
+    wide(Turn { lines, turned });
+    wide(Unpack { turned, half: T::real(0.5), out, stride, to });
 }
 
 struct Twine<'a, T> {
@@ -100,9 +102,41 @@ impl<T: Real> Work for Weigh<'_, T> {
     }
 }
 
-struct Unpack<'a, T> {
+/// `turned[k][l] = lines[l][k]`.
+struct Turn<'a, T> {
     lines: &'a [Complex<T>],
-    cols: usize,
+    turned: &'a mut [Complex<T>],
+}
+
+impl<T: Real> Work for Turn<'_, T> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let cols = self.lines.len() / TILE;
+        let lines: [&[Complex<T>]; TILE] = std::array::from_fn(|l| &self.lines[l * cols..(l + 1) * cols]);
+        for (from, turned) in (0..cols).step_by(TILE).zip(self.turned.chunks_mut(TILE * TILE)) {
+            // A square at a time through registers: the compiler would scatter single numbers.
+            let mut square = [[Complex { re: T::zero(), im: T::zero() }; TILE]; TILE];
+            for (line, square) in lines.iter().zip(&mut square) {
+                let line = &line[from..];
+                if let Some(line) = line.first_chunk::<TILE>() {
+                    *square = *line;
+                } else {
+                    square[..line.len()].copy_from_slice(line);
+                }
+            }
+            for (k, turned) in turned.chunks_exact_mut(TILE).enumerate() {
+                for l in 0..TILE {
+                    turned[l] = square[l][k];
+                }
+            }
+        }
+    }
+}
+
+struct Unpack<'a, T> {
+    turned: &'a [Complex<T>],
+    half: T,
     out: &'a mut [Complex<T>],
     stride: usize,
     to: [(usize, usize); 2],
@@ -112,28 +146,19 @@ impl<T: Real> Work for Unpack<'_, T> {
     type Output = ();
     #[inline(always)]
     fn run(self) {
-        let (cols, half) = (self.cols, T::real(0.5));
-        let lines = &self.lines[..TILE * cols];
+        let (cols, half) = (self.turned.len() / TILE, self.half);
+        let [(at_a, count_a), (at_b, count_b)] = self.to;
         for k in 0..cols / 2 + 1 {
             let mirror = if k == 0 { 0 } else { cols - k };
-            let (mut a, mut b) = ([[T::zero(); 2]; TILE], [[T::zero(); 2]; TILE]);
-            for l in 0..TILE {
-                let (z, m) = (lines[l * cols + k], lines[l * cols + mirror]);
-                // The row a + i b has the spectrum Z; that of a is (Z(k) + conj Z(−k)) / 2, of b that difference / 2i.
-                a[l] = [(z.re + m.re) * half, (z.im - m.im) * half];
-                b[l] = [(z.im + m.im) * half, (m.re - z.re) * half];
+            let (z, m) = (&self.turned[k * TILE..][..TILE], &self.turned[mirror * TILE..][..TILE]);
+            // The row a + i b has the spectrum Z; that of a is (Z(k) + conj Z(−k)) / 2, of b that difference / 2i.
+            let a = &mut self.out[k * self.stride + at_a..][..count_a];
+            for (a, (z, m)) in a.iter_mut().zip(z.iter().zip(m)) {
+                *a = Complex { re: (z.re + m.re) * half, im: (z.im - m.im) * half };
             }
-            for (values, (at, count)) in [(&a, self.to[0]), (&b, self.to[1])] {
-                let out = &mut self.out[k * self.stride + at..][..count];
-                if let Ok(out) = <&mut [Complex<T>; TILE]>::try_from(&mut *out) {
-                    for l in 0..TILE {
-                        out[l] = Complex { re: values[l][0], im: values[l][1] };
-                    }
-                } else {
-                    for (o, v) in out.iter_mut().zip(values) {
-                        *o = Complex { re: v[0], im: v[1] };
-                    }
-                }
+            let b = &mut self.out[k * self.stride + at_b..][..count_b];
+            for (b, (z, m)) in b.iter_mut().zip(z.iter().zip(m)) {
+                *b = Complex { re: (z.im + m.im) * half, im: (m.re - z.re) * half };
             }
         }
     }

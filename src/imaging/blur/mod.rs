@@ -78,7 +78,7 @@ pub enum Method {
 /// are cut from the knots on, so that a part of a region differs from the whole by the FFT's rounding alone.
 ///
 /// # Panics
-/// If the grid is empty, the kernels' size is even, or source and kernels differ in channels.
+/// If the grid is empty, there is no phase, the kernels' size is even, or source and kernels differ in channels.
 pub fn blur<T: Real>(
     grid: &NodeGrid,
     kernels: &dyn Kernels<T>,

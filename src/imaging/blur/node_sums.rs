@@ -3,19 +3,18 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use ndarray::{Array5, s};
+use ndarray::Array5;
 use rayon::prelude::*;
-use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
-use super::correlate::Sums;
+use super::correlate::{NodeSum, Sums};
 use super::frame::{Frame, Shape};
 use super::plane::zero;
 
 /// By node and channel: `[phase][column frequency][row frequency]`.
 pub(super) struct NodeSums<T> {
-    of: BTreeMap<(usize, usize), Vec<Complex<T>>>,
-    free: Vec<Vec<Complex<T>>>,
+    of: BTreeMap<(usize, usize), NodeSum<T>>,
+    free: Vec<NodeSum<T>>,
 }
 
 impl<T> Default for NodeSums<T> {
@@ -32,10 +31,10 @@ impl<T: Real> NodeSums<T> {
         let values = keys
             .map(|key| {
                 self.of.remove(&key).unwrap_or_else(|| {
-                    let mut sums = self.free.pop().unwrap_or_default();
-                    sums.clear();
-                    sums.resize(len, zero());
-                    sums
+                    let values = self.free.pop().map_or_else(Vec::new, |s| s.values);
+                    let mut sum = NodeSum { values, added: false };
+                    sum.values.resize(len, zero());
+                    sum
                 })
             })
             .collect();
@@ -49,28 +48,45 @@ impl<T: Real> NodeSums<T> {
         self.of.extend(keys.zip(values));
     }
 
-    /// Adds the kernels of all nodes but `nodes` to `out`, and forgets them.
-    pub(super) fn finish(&mut self, frame: &Frame<T>, nodes: &[usize], out: &mut Array5<T>) {
-        let Shape { size, phases, .. } = frame.shape;
-        let (plane, len) = (&frame.plane, frame.plane.spectrum_len());
+    /// Sets apart the sums of all nodes but `nodes`.
+    pub(super) fn done(&mut self, nodes: &[usize]) -> Done<T> {
         let gone: Vec<_> = self.of.keys().copied().filter(|(n, _)| !nodes.contains(n)).collect();
-        let mut taken: Vec<_> = gone.iter().filter_map(|key| self.of.remove(key).map(|s| (*key, s))).collect();
-        let kernels: Vec<Vec<T>> = taken
-            .par_iter_mut()
-            .map(|(_, sums)| {
-                let mut kernel = vec![T::zero(); phases * size * size];
-                frame.pool.with(plane, |scratch| {
-                    for (sums, out) in sums.chunks_exact_mut(len).zip(kernel.chunks_exact_mut(size * size)) {
-                        plane.image(&mut scratch.buffers, &mut scratch.lines, sums, (size, size), out);
-                    }
-                });
-                kernel
+        Done(gone.into_iter().filter_map(|key| self.of.remove(&key).map(|s| (key, s))).collect())
+    }
+
+    /// Takes their memory back.
+    pub(super) fn reuse(&mut self, done: Done<T>) {
+        self.free.extend(done.0.into_iter().map(|(_, sum)| sum));
+    }
+}
+
+/// Sums that nothing will be added to.
+pub(super) struct Done<T>(Vec<((usize, usize), NodeSum<T>)>);
+
+impl<T: Real> Done<T> {
+    /// Adds the kernels to `out`, `[node, channel, phase, row, col]`.
+    pub(super) fn finish(&mut self, frame: &Frame<T>, out: &mut Array5<T>) {
+        let Shape { size, channels, phases, .. } = frame.shape;
+        let (plane, len) = (&frame.plane, frame.plane.spectrum_len());
+        let out = out.as_slice_mut().expect("standard layout");
+        let mut places = out.chunks_exact_mut(phases * size * size).enumerate();
+        let work: Vec<_> = self
+            .0
+            .iter_mut()
+            .filter(|(_, sum)| sum.added)
+            .filter_map(|((node, channel), sum)| {
+                let at = *node * channels + *channel;
+                places.find(|(i, _)| *i == at).map(|(_, out)| (sum, out))
             })
             .collect();
-        for (((node, channel), sums), kernel) in taken.into_iter().zip(kernels) {
-            let mut to = out.slice_mut(s![node, channel, .., .., ..]);
-            to.iter_mut().zip(kernel).for_each(|(o, v)| *o += v);
-            self.free.push(sums);
-        }
+        work.into_par_iter().for_each(|(sum, out)| {
+            frame.pool.with(plane, |scratch| {
+                let mut kernel = vec![T::zero(); size * size];
+                for (sum, out) in sum.values.chunks_exact_mut(len).zip(out.chunks_exact_mut(size * size)) {
+                    plane.image(&mut scratch.buffers, &mut scratch.lines, sum, (size, size), &mut kernel);
+                    out.iter_mut().zip(&kernel).for_each(|(o, v)| *o += *v);
+                }
+            });
+        });
     }
 }

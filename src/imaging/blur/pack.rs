@@ -1,10 +1,20 @@
 //! Columns of two real planes to complex lines, and what is done to single numbers of spectra.
 
+use std::ops::Range;
+
 use rustfft::num_complex::Complex;
 
 use super::super::cfa::Real;
 use super::lines::TILE;
 use crate::math::wide::{Work, wide};
+
+/// Columns that go through a block's products together, small enough for the first cache.
+pub(super) const COLUMNS: usize = 4;
+
+/// The span of the columns after those from `from` on, in a half spectrum of `half` columns of `rows`.
+pub(super) fn next_columns(rows: usize, half: usize, from: usize) -> Range<usize> {
+    (from + COLUMNS).min(half) * rows..(from + 2 * COLUMNS).min(half) * rows
+}
 
 /// Some columns of half spectra whose rows are back in space.
 #[derive(Clone, Copy)]
@@ -60,25 +70,25 @@ impl<T: Real> Work for Pack<'_, T> {
             let column = &self.values[(k - from) * stride..];
             let (a, b) = (&column[planes[0].0..][..planes[0].1], &column[planes[1].0..][..planes[1].1]);
             let mirror = if k == 0 { 0 } else { cols - k };
-            let (full, rest) = (b.len() / TILE * TILE, a.len());
-            for l in (0..full).step_by(TILE) {
-                let (a, b) = (&a[l..l + TILE], &b[l..l + TILE]);
-                let (mut u, mut v) = ([[T::zero(); 2]; TILE], [[T::zero(); 2]; TILE]);
+            let mut lines = self.lines.chunks_exact_mut(cols);
+            let full = b.len() / TILE * TILE;
+            for (a, b) in a[..full].chunks_exact(TILE).zip(b.chunks_exact(TILE)) {
+                let zero = Complex { re: T::zero(), im: T::zero() };
+                let (mut u, mut v) = ([zero; TILE], [zero; TILE]);
                 for i in 0..TILE {
-                    u[i] = [a[i].re - b[i].im, a[i].im + b[i].re];
-                    v[i] = [a[i].re + b[i].im, b[i].re - a[i].im];
+                    u[i] = Complex { re: a[i].re - b[i].im, im: a[i].im + b[i].re };
+                    v[i] = Complex { re: a[i].re + b[i].im, im: b[i].re - a[i].im };
                 }
-                let lines = &mut self.lines[l * cols..(l + TILE) * cols];
-                for i in 0..TILE {
+                for ((u, v), line) in u.iter().zip(&v).zip(lines.by_ref()) {
                     // The mirror first: where both are one frequency, that one is meant.
-                    lines[i * cols + mirror] = Complex { re: v[i][0], im: v[i][1] };
-                    lines[i * cols + k] = Complex { re: u[i][0], im: u[i][1] };
+                    line[mirror] = *v;
+                    line[k] = *u;
                 }
             }
-            for l in full..rest {
+            for (l, line) in (full..a.len()).zip(lines) {
                 let (a, b) = (a[l], b.get(l).copied().unwrap_or(Complex { re: T::zero(), im: T::zero() }));
-                self.lines[l * cols + mirror] = Complex { re: a.re + b.im, im: b.re - a.im };
-                self.lines[l * cols + k] = Complex { re: a.re - b.im, im: a.im + b.re };
+                line[mirror] = Complex { re: a.re + b.im, im: b.re - a.im };
+                line[k] = Complex { re: a.re - b.im, im: a.im + b.re };
             }
         }
     }

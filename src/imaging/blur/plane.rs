@@ -31,8 +31,9 @@ pub(super) struct Plane<T: Real> {
 /// What rustfft asks for, and a few lines before they become columns.
 pub(super) struct Buffers<T> {
     work: Vec<Complex<T>>,
-    /// [`TILE`] lines.
-    pub lines: Vec<Complex<T>>,
+    /// [`TILE`] lines, and the same turned.
+    lines: Vec<Complex<T>>,
+    turned: Vec<Complex<T>>,
 }
 
 /// Buffers of one thread; all but the first grow with use.
@@ -109,7 +110,8 @@ impl<T: Real> Plane<T> {
     fn scratch(&self) -> Scratch<T> {
         let plans = [&self.row_forward, &self.row_inverse, &self.column_forward, &self.column_inverse];
         let work = plans.iter().map(|p| p.get_inplace_scratch_len()).max().unwrap_or(0);
-        let buffers = Buffers { work: vec![zero(); work], lines: vec![zero(); TILE * self.cols] };
+        let tile = || vec![zero(); TILE * self.cols];
+        let buffers = Buffers { work: vec![zero(); work], lines: tile(), turned: tile() };
         Scratch { buffers, spectra: Vec::new(), columns: Vec::new(), mixed: Vec::new(), lines: Vec::new() }
     }
 
@@ -153,7 +155,7 @@ impl<T: Real> Plane<T> {
             }
             self.rows_forward(&mut buffers.work, &mut buffers.lines[..lines * self.cols]);
             let to = [(from, lines), (from + lines, rows - lines)];
-            unpack(&buffers.lines, self.cols, out, self.rows, to);
+            unpack(&buffers.lines, &mut buffers.turned, out, self.rows, to);
         }
         for column in out.chunks_exact_mut(self.rows) {
             column[count..].fill(zero());
@@ -181,7 +183,7 @@ impl<T: Real> Plane<T> {
             }
             self.rows_forward(&mut buffers.work, &mut buffers.lines[..n * self.cols]);
             let to = planes.map(|(at, count)| (at + from, count.saturating_sub(from).min(n)));
-            unpack(&buffers.lines, self.cols, out, stride, to);
+            unpack(&buffers.lines, &mut buffers.turned, out, stride, to);
         }
     }
 
