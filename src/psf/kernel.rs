@@ -370,6 +370,12 @@ impl KernelForm {
 }
 
 impl Rays {
+    /// Étendue of the beam, edges by their ramps; [`Illumination`] has it with hard edges.
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    pub fn etendue(&self) -> f64 {
+        std::f64::consts::FRAC_PI_2 * self.sum / self.x.len() as f64
+    }
+
     /// Adds the light of both halves by whole cells of distance from the centre, times `scale`.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
     pub fn add_reach(&self, cell_mm: f64, scale: f64, by_distance: &mut Vec<f64>) {

@@ -1,17 +1,13 @@
 //! Single adjoints of the trace, each against central differences of its own forward function.
 
 use glam::{DVec2, DVec3};
-use isoplanat::imaging::distortion::Distortion;
-use isoplanat::imaging::field_map::{fit_distortion, fit_distortion_vjp, slope_at_height};
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::patches::NodeRaster;
-use isoplanat::imaging::render::{Optics, RenderPlan, render_region, render_region_vjp};
+use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::Spectrum;
+use isoplanat::imaging::spectrum::SpectralDensity;
 use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
-use isoplanat::psf::PsfPlan;
-use isoplanat::psf::pupil::PupilSampling;
+use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature};
 use isoplanat::testing::{assert_rel, between, central_difference};
 use isoplanat::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
@@ -143,17 +139,25 @@ fn aim_vjp_agrees_with_differences() {
     }
 }
 
-/// Inside the fitted range and on its linear continuation.
+/// A lens traced in one colour out to a sensor radius.
+fn traced(lens: &Lens, radius_mm: f64) -> Optics {
+    let quadrature = Quadrature { nm: vec![lens.wavelengths.primary_nm], weight: vec![vec![1.0]] };
+    Optics::compute(lens, &OpticsSpec::even(radius_mm, vec![lens.object_vergence], quadrature)).expect("traces")
+}
+
+/// Inside the fitted range and on its linear continuation. The slope is linear in the coefficients, so the pull-back times
+/// the coefficients of any map is the slope of that map: exact, where differences would round.
 #[test]
-fn slope_from_sensor_vjp_agrees_with_differences() {
-    let b = [25.0, -2.5, 0.3, -0.1];
-    let model = |b: [f64; 4]| Distortion { max_slope: 0.5, coefficients_mm: b, residual_mm: 0.0 };
-    let b_dot = [0.3, -0.7, 0.2, 0.5];
-    for r_d in [0.0, 3.0, 15.0, 22.0, 23.5, 30.0] {
-        let back = model(b).slope_from_sensor_vjp(r_d, 1.7);
-        let pulled: f64 = back.iter().zip(&b_dot).map(|(a, d)| a * d).sum();
-        let f = |h: f64| 1.7 * model(std::array::from_fn(|j| b[j] + h * b_dot[j])).slope_from_sensor(r_d);
-        assert_rel(pulled, central_difference(f, 1e-3), 1e-8, 1e-2, &format!("{r_d} mm"));
+fn the_slope_of_a_sensor_radius_pulls_back_exactly() {
+    let near = Lens { object_vergence: 2e-3, ..builtin::lens("two_element").expect("shipped") };
+    let maps = [traced(&builtin::lens("two_element").expect("shipped"), 22.0), traced(&near, 22.0)];
+    for radius in [0.0, 3.0, 15.0, 22.0, 23.5, 30.0] {
+        let mut pulled = vec![0.0; maps[0].maps[0].coefficients.len()];
+        maps[0].maps[0].slope_vjp(radius, 1.7, &mut pulled);
+        for map in maps.iter().map(|m| &m.maps[0]) {
+            let found: f64 = pulled.iter().zip(&map.coefficients).map(|(a, c)| a * c).sum();
+            assert_rel(found, 1.7 * map.slope(radius), 1e-12, 1e-3, &format!("{radius} mm"));
+        }
     }
 }
 
@@ -174,41 +178,37 @@ fn assert_lens_gradient(lens: &Lens, gradient: &LensGradient, value: impl Fn(&Le
     }
 }
 
+/// The fitted map as a whole: its coefficients, and slopes inside and on the continuation.
 #[test]
-fn fit_distortion_vjp_agrees_with_differences() {
-    for (name, max_slope) in [("two_element", 0.4), ("cooke_triplet", 0.35), ("phone", 0.6)] {
+fn the_fitted_map_pulls_back_to_the_lens() {
+    for (name, radius) in [("two_element", 20.0), ("cooke_triplet", 17.0), ("phone", 3.2)] {
         let lens = builtin::lens(name).expect("shipped");
-        let bar = [0.7, -1.1, 0.4, 0.9];
-        let mut gradient = LensGradient::zeros(&lens);
-        fit_distortion_vjp(&lens, lens.object_vergence, max_slope, bar, &mut gradient).expect("traces");
+        let optics = traced(&lens, radius);
+        let map = &optics.maps[0];
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let bar: Vec<f64> = map.coefficients.iter().map(|_| between(rng, -1.0, 1.0)).collect();
+        let (inside, beyond) = (0.6 * radius, 1.2 * radius);
+        let mut pulled = OpticsBar::zeros(&optics);
+        map.slope_vjp(inside, 0.8, &mut pulled.maps[0]);
+        map.slope_vjp(beyond, -1.3, &mut pulled.maps[0]);
+        pulled.maps[0].iter_mut().zip(&bar).for_each(|(a, b)| *a += b);
+        let gradient = optics.vjp(&lens, &pulled);
         let value = |lens: &Lens| {
-            let fit = fit_distortion(lens, lens.object_vergence, max_slope).expect("fits");
-            fit.coefficients_mm.iter().zip(&bar).map(|(c, b)| c * b).sum()
+            let optics = traced(lens, radius);
+            let map = &optics.maps[0];
+            let fitted: f64 = map.coefficients.iter().zip(&bar).map(|(c, b)| c * b).sum();
+            fitted + 0.8 * map.slope(inside) - 1.3 * map.slope(beyond)
         };
         assert_lens_gradient(&lens, &gradient, value, 1e-5, 1e-6);
     }
 }
 
-/// Image, ideal picture and illumination of one region, each with a random cotangent, through `render_region_vjp` and
-/// `Optics::vjp`.
+/// Image, ideal picture and illumination of one region, each with a random cotangent, through `Renderer::vjp` and
+/// `Renderer::lens_gradient`: kernels of pixels, of two samples a pixel, and of cells of two pixels.
 #[test]
 fn a_rendered_region_pulls_back_to_the_lens() {
     let lens = builtin::lens("two_element").expect("shipped");
     let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
-    let spectrum = Spectrum::quadrature(&Sensor::generic(), 2);
-    let plan = RenderPlan {
-        psf: PsfPlan {
-            sampling: PupilSampling::new(7, 80),
-            size: 25,
-            pitch_mm: 0.02,
-            wavelength_nm: spectrum.wavelength_nm,
-            weight: spectrum.weight.to_vec(),
-        },
-        spacing: 20,
-        max_slope: slope_at_height(&lens, 1e-3, 1.1 * frame.max_radius_mm()).expect("inside"),
-        frame,
-        white: vec![0.98, 1.01, 1.03],
-    };
     let scene = Plane {
         texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
             let (x, y, k) = (j as f32, i as f32, c as f32 + 1.0);
@@ -219,21 +219,24 @@ fn a_rendered_region_pulls_back_to_the_lens() {
         vergence: 1e-3,
     };
     let region = Region { row: 141, col: 210, rows: 24, cols: 30 };
-    let rng = &mut fastrand::Rng::with_seed(8);
-    let bars: [Array3<f64>; 3] = std::array::from_fn(|_| Array3::from_shape_fn((3, 24, 30), |_| rng.f64() - 0.5));
-    let optics = |lens: &Lens| {
-        let raster = NodeRaster::over(region.grown(plan.margin()), plan.spacing);
-        Optics::compute(lens, scene.vergence, &plan, raster).expect("traces")
-    };
-    let value = |lens: &Lens| {
-        let r = render_region::<f64>(&optics(lens), &plan, &scene, region);
-        (&r.image * &bars[0]).sum() + (&r.truth * &bars[1]).sum() + (&r.illumination * &bars[2]).sum()
-    };
-    let here = optics(&lens);
-    let rendered = render_region::<f64>(&here, &plan, &scene, region);
-    let [image, truth, illumination] = bars.each_ref().map(|b| b.view());
-    let bar = render_region_vjp(&here, &plan, &scene, region, &rendered, image, truth, illumination);
-    let gradient = here.vjp(&lens, &plan, &bar).expect("pulls back");
-    // A step small enough for the kinks between bilinear texels.
-    assert_lens_gradient(&lens, &gradient, value, 1e-6, 1e-6);
+    let density = SpectralDensity::new(&Sensor::generic());
+    for (samples, cells, bin) in [(1, 64, 1), (2, 64, 1), (1, 12, 2)] {
+        let settings =
+            Settings { samples, cells, wavelengths: 3, dense: 80, node_error: 0.2, outside: 0.1, ..Settings::DESIGN };
+        let plan = RenderPlan::new(&lens, &frame, &density, &[1e-3], settings).expect("plans");
+        assert!(plan.depths[0].bin >= bin && (bin > 1 || plan.depths[0].bin == 1), "{}", plan.depths[0].half_width);
+        let rng = &mut fastrand::Rng::with_seed(8);
+        let bars: [Array3<f64>; 3] = std::array::from_fn(|_| Array3::from_shape_fn((3, 24, 30), |_| rng.f64() - 0.5));
+        let value = |lens: &Lens| {
+            let r = Renderer::new(lens, &plan).expect("traces").record::<f64>(&scene, 0, region);
+            (&r.image * &bars[0]).sum() + (&r.truth * &bars[1]).sum() + (&r.illumination * &bars[2]).sum()
+        };
+        let here = Renderer::new(&lens, &plan).expect("traces");
+        let rendered = here.record::<f64>(&scene, 0, region);
+        let [image, truth, illumination] = bars.each_ref().map(|b| b.view());
+        let bar = here.vjp(&scene, &rendered, image, truth, illumination);
+        let gradient = here.lens_gradient(&lens, &bar);
+        // A step small enough for the kinks between bilinear texels.
+        assert_lens_gradient(&lens, &gradient, value, 1e-6, 1e-6);
+    }
 }

@@ -163,7 +163,9 @@ fn derivatives_agree_with_fifty_digits() {
 #[test]
 fn chief_rays_of_the_double_gauss_agree_with_code_v() {
     use isoplanat::lens::{Aperture, Medium, Surface, builtin};
-    use isoplanat::psf::chief::chief_heights;
+    use isoplanat::psf::table::chief_slopes;
+    use isoplanat::trace::aim::{ParaxialPupil, aim};
+    use isoplanat::trace::launch::{FieldPoint, launch};
     let rows: [(f64, f64, &str); 11] = [
         (0.017_792_840_940_915_43, 8.75, "N-SSK2"),
         (0.006_566_600_536_925_569, 0.5, "air"),
@@ -193,10 +195,21 @@ fn chief_rays_of_the_double_gauss_agree_with_code_v() {
     lens.object_vergence = 0.0;
     lens.wavelengths.primary_nm = 587.6;
     let angles = [10.000_000_002_3f64, 14.000_000_003_2];
-    let heights = chief_heights(&lens, 0.0, &angles.map(|a| a.to_radians().tan())).expect("traces");
+    let (system, pupil) = (System::new(&lens, lens.wavelengths.primary_nm), ParaxialPupil::new(&lens));
+    let heights = angles.map(|a| {
+        let field = FieldPoint { slope: DVec2::new(0.0, a.to_radians().tan()), vergence: 0.0 };
+        let mut hits = Vec::new();
+        let e = aim(&system, pupil, field, DVec2::ZERO, None, &mut hits).expect("aims");
+        trace(&system, launch(field, e), system.image(), &mut hits).expect("lands").at.point.y
+    });
     for (height, printed) in heights.iter().zip([17.485_856, 24.588_739]) {
         eprintln!("chief ray {height:.9} mm, CODE V {printed:.6}");
         assert!((height - printed).abs() < 0.5e-6, "{height} against CODE V's {printed}");
+    }
+    // The same rays from the sensor: image formation's own chief rays come from the angles that were asked for.
+    let slopes = chief_slopes(&lens, 0.0, &[0.0, heights[0], heights[1]]).expect("traces");
+    for (slope, angle) in slopes[1..].iter().zip(angles) {
+        isoplanat::testing::assert_rel(*slope, angle.to_radians().tan(), 1e-10, 0.0, "from the sensor");
     }
 }
 

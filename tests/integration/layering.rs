@@ -26,7 +26,7 @@ const LONG: [(&str, &str); 1] = [("src/network/reconstructor.rs", "400 lines of 
 
 /// Methods called `vjp` whose test stands in `tests/`: their file, and the test.
 const TESTED_ELSEWHERE: [(&str, &str); 1] =
-    [("src/imaging/render.rs", "fn a_rendered_region_pulls_back_to_the_lens()")];
+    [("src/imaging/render/renderer.rs", "fn a_rendered_region_pulls_back_to_the_lens()")];
 
 /// Every source file: path from the root, text.
 fn sources(folder: &str) -> BTreeMap<String, String> {
@@ -145,9 +145,9 @@ fn spelled(text: &str) -> Vec<String> {
 #[test]
 fn the_reader_of_this_test_takes_paths_apart() {
     let text = "use crate::lens::{Lens, glass::{Medium, named}}; // crate::design\nlet s = \"crate::deploy\"; \
-                crate::psf::grid::x(r#\"crate::\"network\"#, '\"', 'a'); use crate::{imaging::cfa, units};";
+                crate::psf::table::x(r#\"crate::\"network\"#, '\"', 'a'); use crate::{imaging::cfa, units};";
     let found: Vec<String> = paths(&code(text), "crate").into_iter().map(|(a, b, _)| format!("{a}.{b}")).collect();
-    assert_eq!(found, ["lens.Lens", "lens.glass", "lens.glass", "psf.grid", "imaging.cfa", "units."]);
+    assert_eq!(found, ["lens.Lens", "lens.glass", "lens.glass", "psf.table", "imaging.cfa", "units."]);
     assert_eq!(code("a // b\n'\\n' \"x\\\"y\" 'l"), "a \n' \"\" 'l");
 }
 

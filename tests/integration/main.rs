@@ -7,6 +7,7 @@ mod gradients;
 mod layering;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
+mod one_way;
 mod picture;
 mod renderers;
 mod stiff;

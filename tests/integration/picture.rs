@@ -1,19 +1,16 @@
 //! Whole pictures: planned against everything, fast against the reference, and stated outcomes for extreme scenes.
 
-use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
 use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render_halves};
-use isoplanat::imaging::picture::plan::{PicturePlan, Wish, plan};
-use isoplanat::imaging::picture::render::render;
-use isoplanat::imaging::picture::settings::Settings;
-use isoplanat::imaging::plan::frame_of;
+use isoplanat::imaging::render::{Request, ScenePlan, Settings, frame_of, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region, slope_per_mm};
+use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::lens::{Lens, builtin};
+use isoplanat::psf::table::chief_slopes;
 use isoplanat::testing::shared;
 use ndarray::Array3;
 
@@ -27,9 +24,8 @@ fn case(name: &str, [columns, rows]: [usize; 2], at: f64, texture: Array3<f32>) 
     let axis = [0.5 * columns as f64 - middle[0], 0.5 * rows as f64 - middle[1]];
     let frame = Frame::centred(columns, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
     let v = lens.object_vergence;
-    let most = slope_at_height(&lens, v, 1.02 * frame.max_radius_mm()).expect("reaches");
-    let distortion = fit_distortion(&lens, v, most).expect("fits");
-    let per_pixel = slope_per_mm(&distortion, middle[0].hypot(middle[1]) * frame.pitch_mm) * frame.pitch_mm;
+    let radius = (middle[0].hypot(middle[1]) * frame.pitch_mm).max(0.1);
+    let per_pixel = chief_slopes(&lens, v, &[radius]).expect("traces")[0] / radius * frame.pitch_mm;
     let (_, h, w) = texture.dim();
     let axis_texel = [0.5 * w as f64 - middle[0], 0.5 * h as f64 - middle[1]];
     (lens, frame, Plane { texture, texels_per_slope: 1.0 / per_pixel, axis_texel, vergence: v })
@@ -39,8 +35,13 @@ fn density() -> SpectralDensity {
     SpectralDensity::new(&Sensor::generic())
 }
 
-fn planned<'a>(lens: &Lens, frame: &Frame, scene: &'a Plane, wish: Wish) -> PicturePlan<'a> {
-    plan(lens, scene, frame, &density(), None, wish, true).expect("plans")
+fn planned(lens: &Lens, frame: &Frame, scene: &Plane, request: Request) -> ScenePlan {
+    plan(lens, std::slice::from_ref(scene), frame, &density(), request, true).expect("plans")
+}
+
+/// The picture of a scene that was planned for.
+fn picture(plan: &ScenePlan, scene: &Plane) -> Array3<f32> {
+    plan.picture(scene, &|_| ()).expect("renders").0
 }
 
 fn rms(a: &Array3<f32>, b: &Array3<f32>) -> f64 {
@@ -65,10 +66,10 @@ fn planned_pictures_are_within_their_bounds() {
         ("small central field", "cooke_triplet", 0.0, street()),
     ] {
         let (lens, frame, scene) = case(lens, size, at, texture);
-        let everything = render::<f32>(&planned(&lens, &frame, &scene, Wish::Everything), &|_| ());
-        let plan = planned(&lens, &frame, &scene, Wish::Psnr(45.0));
-        let picture = render::<f32>(&plan, &|_| ());
-        let (found, bound) = (rms(&picture.image, &everything.image), plan.skips.iter().map(|s| s.bound).sum::<f64>());
+        let everything = picture(&planned(&lens, &frame, &scene, Request::Everything), &scene);
+        let plan = planned(&lens, &frame, &scene, Request::Psnr(45.0));
+        let picture = picture(&plan, &scene);
+        let (found, bound) = (rms(&picture, &everything), plan.skips.iter().map(|s| s.bound).sum::<f64>());
         let left: Vec<&str> = plan.skips.iter().map(|s| s.what).collect();
         eprintln!("{what}: {found:.1e} rms, bound {bound:.1e}; {left:?}");
         assert!(plan.holds && found <= bound, "{what}: {found:e} {bound:e}");
@@ -78,7 +79,7 @@ fn planned_pictures_are_within_their_bounds() {
         match what {
             "grey" => assert!(told("colours of the scene")),
             "red alone" => assert!(
-                told("dark channels") && picture.image.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)
+                told("dark channels") && picture.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)
             ),
             "one lit corner" => assert!(told("unlit part of the frame") || told("unlit blocks")),
             _ => {}
@@ -93,13 +94,13 @@ fn the_finest_pictures_agree_with_the_reference() {
     let photo = read_linear(&path).expect("a photograph");
     for name in ["two_element", "cooke_triplet", "phone"] {
         let (lens, frame, scene) = case(name, [96, 64], 0.6, photo.clone());
-        let picture = render::<f32>(&planned(&lens, &frame, &scene, Wish::Settings(Settings::FINE)), &|_| ());
+        let picture = picture(&planned(&lens, &frame, &scene, Request::Settings(Settings::FINE)), &scene);
         let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
         let how = Rays { samples: 2048, seed: 3, channels: Channels::All, sampling: Sampling::Bounded };
         let halves = render_halves(&lens, &scene, &density(), &frame, whole, how, None).expect("renders");
-        let agreement = psnr_against_halves(picture.image.view(), &halves);
+        let agreement = psnr_against_halves(picture.view(), &halves);
         let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
-        let energy = f64::from(picture.image.sum()) / f64::from(mean.sum()) - 1.0;
+        let energy = f64::from(picture.sum()) / f64::from(mean.sum()) - 1.0;
         eprintln!("{name}: {:.1} dB {:?}, energy {energy:+.1e}", agreement.psnr_db, agreement.psnr_db_interval);
         assert!(agreement.psnr_db >= 50.0, "{name}: {agreement:?}");
         assert!(energy.abs() < 1e-3, "{name}: energy {energy:e}");
@@ -112,14 +113,13 @@ fn small_frames_are_parts_of_large_ones() {
     let texture = generate(SceneKind::Facades, 3, 96, 128);
     let (lens, frame, scene) = case("two_element", [96, 64], 0.9, texture);
     let settings = Settings { samples: 1, wavelengths: 3, dense: 3000, node_error: 0.02, ..Settings::FINE };
-    let large = render::<f64>(&planned(&lens, &frame, &scene, Wish::Settings(settings)), &|_| ()).image;
+    let large = picture(&planned(&lens, &frame, &scene, Request::Settings(settings)), &scene);
     for [row, col, rows, cols] in [[20, 30, 1, 1], [63, 0, 1, 96], [0, 95, 64, 1], [10, 10, 7, 5]] {
         let axis = [frame.axis_px[0] - col as f64, frame.axis_px[1] - row as f64];
         let part = Frame::centred(cols, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
-        let most = slope_at_height(&lens, scene.vergence, 1.02 * frame.max_radius_mm()).expect("reaches");
-        let plan = plan(&lens, &scene, &part, &density(), Some(most), Wish::Settings(settings), false).expect("plans");
-        assert!(2 * plan.half_width + 1 > rows, "the kernel is larger than the picture");
-        let small = render::<f64>(&plan, &|_| ()).image;
+        let plan = planned(&lens, &part, &scene, Request::Settings(settings));
+        assert!(plan.renderer.plan.depths[0].size() > rows, "the kernel is larger than the picture");
+        let small = picture(&plan, &scene);
         for ((c, i, j), v) in small.indexed_iter() {
             let whole = large[[c, row + i, col + j]];
             assert!((v - whole).abs() < 5e-3 * whole.max(0.05), "{rows} × {cols} at {i},{j}: {v} {whole}");
@@ -132,16 +132,16 @@ fn small_frames_are_parts_of_large_ones() {
 fn extreme_radiances_have_stated_outcomes() {
     let (lens, frame, mut scene) = case("cooke_triplet", [40, 30], 0.4, generate(SceneKind::Facades, 1, 60, 80));
     let settings = Settings { samples: 2, wavelengths: 3, dense: 200, ..Settings::FINE };
-    let plain = render::<f32>(&planned(&lens, &frame, &scene, Wish::Settings(settings)), &|_| ()).image;
+    let plain = picture(&planned(&lens, &frame, &scene, Request::Settings(settings)), &scene);
     for scale in [-1.0f32, 1e6] {
         let mut scaled = scene.clone();
         scaled.texture.mapv_inplace(|v| v * scale);
-        let image = render::<f32>(&planned(&lens, &frame, &scaled, Wish::Settings(settings)), &|_| ()).image;
+        let image = picture(&planned(&lens, &frame, &scaled, Request::Settings(settings)), &scaled);
         assert!(image.iter().zip(&plain).all(|(a, b)| (a - b * scale).abs() <= 1e-5 * scale.abs()), "{scale}");
     }
     for bad in [f32::NAN, f32::INFINITY] {
         scene.texture[[2, 7, 9]] = bad;
-        let error = plan(&lens, &scene, &frame, &density(), None, Wish::Psnr(40.0), false).err().expect("refused");
+        let error = plan(&lens, &[scene.clone()], &frame, &density(), Request::Psnr(40.0), false).err().expect("refused");
         let text = error.to_string();
         assert!(error.exit_code() == 2 && text.contains("channel 2, row 7, column 9"), "{text}");
     }
@@ -152,19 +152,19 @@ fn extreme_radiances_have_stated_outcomes() {
 fn extreme_places_have_stated_outcomes() {
     let (lens, frame, scene) = case("two_element", [24, 16], 0.4, generate(SceneKind::Facades, 1, 30, 40));
     let dark = Plane { texture: Array3::zeros((3, 4, 4)), ..scene.clone() };
-    let black = planned(&lens, &frame, &dark, Wish::Psnr(50.0));
+    let black = planned(&lens, &frame, &dark, Request::Psnr(50.0));
     assert!(black.region.is_none());
-    assert!(render::<f32>(&black, &|_| ()).image.iter().all(|v| *v == 0.0));
+    assert!(picture(&black, &dark).iter().all(|v| *v == 0.0));
     // One lit texel far outside the frame: nothing lands.
     let mut far = Plane { texture: Array3::zeros((1, 3, 3)), axis_texel: [-1e6, 0.0], ..scene.clone() };
     far.texture[[0, 1, 1]] = 1.0;
-    assert!(render::<f32>(&planned(&lens, &frame, &far, Wish::Psnr(50.0)), &|_| ()).image.iter().all(|v| *v == 0.0));
+    assert!(picture(&planned(&lens, &frame, &far, Request::Psnr(50.0)), &far).iter().all(|v| *v == 0.0));
     for vergence in [0.0, 1.0 / 20.0, 1.0, 1e6] {
         let near = Plane { vergence, ..scene.clone() };
-        let settings = Settings { samples: 1, wavelengths: 3, dense: 200, max_half_width: 40, ..Settings::FINE };
-        match plan(&lens, &near, &frame, &density(), None, Wish::Settings(settings), false) {
+        let settings = Settings { samples: 1, wavelengths: 3, dense: 200, cells: 40, ..Settings::FINE };
+        match plan(&lens, std::slice::from_ref(&near), &frame, &density(), Request::Settings(settings), false) {
             Ok(plan) => {
-                let image = render::<f32>(&plan, &|_| ()).image;
+                let image = picture(&plan, &near);
                 assert!(image.iter().all(|v| v.is_finite()), "{vergence}");
             }
             Err(error) => assert_eq!(error.exit_code(), 2, "{vergence}: {error}"),
@@ -172,6 +172,6 @@ fn extreme_places_have_stated_outcomes() {
     }
     for vergence in [f64::NAN, f64::INFINITY, -1.0] {
         let bad = Plane { vergence, ..scene.clone() };
-        assert!(plan(&lens, &bad, &frame, &density(), None, Wish::Psnr(40.0), false).is_err());
+        assert!(plan(&lens, &[bad], &frame, &density(), Request::Psnr(40.0), false).is_err());
     }
 }

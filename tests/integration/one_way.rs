@@ -1,0 +1,377 @@
+//! The one way from lens to picture: parts, depths and threads leave no trace in it, and stiff cases end as stated.
+
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::render::{Channels, RenderPlan, Rendered, Renderer, Request, Settings, plan};
+use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::lens::variables::Variables;
+use isoplanat::lens::{Aperture, Lens, Medium, Shape, Surface, builtin, paraxial};
+use isoplanat::psf::OpticsBar;
+use ndarray::{Array3, s};
+
+/// Coarse and quick.
+const QUICK: Settings = Settings { wavelengths: 3, dense: 200, ..Settings::DESIGN };
+
+fn density() -> SpectralDensity {
+    SpectralDensity::new(&Sensor::generic())
+}
+
+/// `two_element` with its axis at the corner of a frame of 20 µm.
+fn two_element() -> (Lens, Frame) {
+    let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+    (builtin::lens("two_element").expect("shipped"), frame)
+}
+
+fn street(vergence: f64) -> Plane {
+    let texture = generate(SceneKind::Facades, 3, 240, 360);
+    Plane { texture, texels_per_slope: 1300.0, axis_texel: [0.0, 0.0], vergence }
+}
+
+fn whole(frame: &Frame) -> Region {
+    Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns }
+}
+
+/// Cotangent of a picture: signs that do not follow it.
+fn bar_of(image: &Array3<f32>) -> Array3<f32> {
+    let mut rng = fastrand::Rng::with_seed(12);
+    Array3::from_shape_simple_fn(image.dim(), || rng.f32() - 0.5)
+}
+
+/// Pulls a random cotangent on image, truth and illumination back to the optics.
+fn pulled(renderer: &Renderer, scene: &Plane, rendered: &Rendered<f32>) -> OpticsBar {
+    let bar = bar_of(&rendered.image);
+    renderer.vjp(scene, rendered, bar.view(), bar.view(), bar.view())
+}
+
+/// Every number of a lens's gradient.
+fn gradient(renderer: &Renderer, lens: &Lens, bar: &OpticsBar) -> Vec<f64> {
+    Variables::all(lens).gradient(&renderer.lens_gradient(lens, bar))
+}
+
+fn largest(values: &[f64]) -> f64 {
+    values.iter().fold(0.0, |m, v| m.max(v.abs()))
+}
+
+/// Four depths in one renderer, their cotangents added up, against a renderer for each: the same images and gradients.
+#[test]
+fn depths_in_one_batch_are_the_depths_alone() {
+    let (lens, frame) = two_element();
+    let vergences = [500.0, 700.0, 1000.0, 1500.0].map(f64::recip);
+    let settings = Settings { cells: 48, ..QUICK };
+    let all = RenderPlan::new(&lens, &frame, &density(), &vergences, settings).expect("plans");
+    let batch = Renderer::new(&lens, &all).expect("traces");
+    let mut sum = OpticsBar::zeros(&batch.optics);
+    let mut alone = vec![0.0; Variables::all(&lens).parameters.len()];
+    for (k, v) in vergences.iter().enumerate() {
+        let scene = street(*v);
+        let region = Region { row: 20 + 30 * k.cast_signed(), col: 200 - 40 * k.cast_signed(), rows: 40, cols: 48 };
+        // What is traced depends on the nearest object: the plan's knots are the batch's.
+        let mut own = all.clone();
+        own.spec.vergences = vec![*v];
+        own.depths = vec![all.depths[k].clone()];
+        let single = Renderer::new(&lens, &own).expect("traces");
+        let depth = batch.plan.depth(*v).expect("planned");
+        assert_eq!(depth, k);
+        let (a, b) = (batch.record::<f32>(&scene, depth, region), single.record::<f32>(&scene, 0, region));
+        assert_eq!((&a.image, &a.truth, &a.illumination), (&b.image, &b.truth, &b.illumination), "depth {k}");
+        sum.add(&pulled(&batch, &scene, &a));
+        let g = gradient(&single, &lens, &pulled(&single, &scene, &b));
+        alone.iter_mut().zip(g).for_each(|(a, g)| *a += g);
+    }
+    let together = gradient(&batch, &lens, &sum);
+    let scale = largest(&alone);
+    let off = together.iter().zip(&alone).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+    eprintln!("gradients of a batch and of its depths alone: {:e} of the largest", off / scale);
+    assert!(scale > 0.0 && off <= 1e-11 * scale, "{off:e} of {scale:e}");
+}
+
+/// A plan made for one depth alone gives the batch's picture to what its own knots and widths leave.
+#[test]
+fn a_plan_of_its_own_gives_the_same_picture() {
+    let (lens, frame) = two_element();
+    let vergences = [500.0, 700.0, 1000.0, 1500.0].map(f64::recip);
+    let settings = Settings { cells: 64, node_error: 0.1, outside: 1e-3, ..QUICK };
+    let batch = RenderPlan::new(&lens, &frame, &density(), &vergences, settings).expect("plans");
+    let batch = Renderer::new(&lens, &batch).expect("traces");
+    let region = Region { row: 40, col: 120, rows: 48, cols: 64 };
+    for (k, v) in vergences.iter().enumerate() {
+        let own = RenderPlan::new(&lens, &frame, &density(), &[*v], settings).expect("plans");
+        let own = Renderer::new(&lens, &own).expect("traces");
+        let scene = street(*v);
+        let (a, b) = (batch.record::<f32>(&scene, k, region).image, own.record::<f32>(&scene, 0, region).image);
+        let off = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        eprintln!("{} mm: {off:e}", v.recip());
+        assert!(off < 1e-3, "{} mm: {off}", v.recip());
+    }
+}
+
+/// One depth that cannot be pictured refuses the batch with one line; a distance that was not planned for as well.
+#[test]
+fn a_depth_that_fails_is_an_error() {
+    let (lens, frame) = two_element();
+    for bad in [f64::NAN, f64::INFINITY, 1.0 / 3.0, 10.0, -1.0] {
+        match RenderPlan::new(&lens, &frame, &density(), &[1e-3, bad], QUICK) {
+            Err(error) => {
+                let text = error.to_string();
+                eprintln!("vergence {bad}: {text}");
+                assert!(error.exit_code() == 2 && !text.is_empty() && text.lines().count() == 1, "{bad}: {text}");
+            }
+            Ok(plan) => {
+                // Pictured after all: then with numbers.
+                let renderer = Renderer::new(&lens, &plan).expect("traces");
+                let region = Region { row: 50, col: 60, rows: 8, cols: 8 };
+                let image = renderer.record::<f32>(&street(bad), 1, region).image;
+                assert!(image.iter().all(|v| v.is_finite()), "{bad}");
+                eprintln!("vergence {bad}: rendered, kernels {}", plan.depths[1].half_width);
+            }
+        }
+    }
+    // Inside the focal length behind a pupil far in: chief rays cross the axis between lens and object.
+    let folding = RenderPlan::new(&lens, &frame, &density(), &[1e-3, 1.0 / 3.0], QUICK);
+    assert!(folding.is_err(), "the entrance pupil lies beyond an object 3 mm before the lens");
+    let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
+    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let text = renderer.plan.depth(2e-3).expect_err("not planned for").to_string();
+    assert!(text.contains("500") && text.contains("1000"), "{text}");
+}
+
+/// Parts of a picture rendered alone, in pixels and in cells, at one sample a pixel and at two.
+#[test]
+fn a_region_alone_is_the_same_part_of_the_whole() {
+    let (lens, frame) = two_element();
+    for (samples, cells) in [(1, 64), (2, 64), (1, 12)] {
+        let settings = Settings { samples, cells, ..QUICK };
+        let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], settings).expect("plans");
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        let scene = street(1e-3);
+        let channels = Channels::of(&scene);
+        let all = renderer.picture::<f32>(&scene, 0, whole(&frame), &channels, &|_| ()).0;
+        let most = all.iter().copied().fold(0.0, f32::max);
+        for (row, col, rows, cols) in [(0, 0, 32, 32), (70, 113, 50, 61), (219, 0, 1, 320), (30, 319, 100, 1)] {
+            let region = Region { row, col, rows, cols };
+            let (r, c) = (row.unsigned_abs(), col.unsigned_abs());
+            let part = all.slice(s![.., r..r + rows, c..c + cols]);
+            let alone = renderer.picture::<f32>(&scene, 0, region, &channels, &|_| ()).0;
+            let recorded = renderer.record::<f32>(&scene, 0, region).image;
+            for (what, image) in [("alone", alone), ("recorded", recorded)] {
+                let off = image.iter().zip(&part).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+                assert!(off <= 8.0 * f32::EPSILON * most, "{what}, {region:?}, {samples}, {cells}: {off:e} of {most}");
+            }
+        }
+    }
+}
+
+/// Plans, pictures and gradients from pools of one and of three threads: the same bits.
+#[test]
+fn the_number_of_threads_changes_no_bit() {
+    let (lens, frame) = two_element();
+    let scene = street(1e-3);
+    let run = |threads: usize| {
+        rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("starts").install(|| {
+            let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3, 2e-3], QUICK).expect("plans");
+            let renderer = Renderer::new(&lens, &plan).expect("traces");
+            let image = renderer.picture::<f32>(&scene, 0, whole(&frame), &Channels::of(&scene), &|_| ()).0;
+            let region = Region { row: 33, col: 150, rows: 64, cols: 70 };
+            let recorded = renderer.record::<f32>(&scene, 0, region);
+            let bits: Vec<u64> = gradient(&renderer, &lens, &pulled(&renderer, &scene, &recorded))
+                .into_iter()
+                .map(f64::to_bits)
+                .collect();
+            (plan, image.mapv(f32::to_bits), recorded.image.mapv(f32::to_bits), bits)
+        })
+    };
+    assert!(run(1) == run(3), "threads tell");
+}
+
+/// Grey scenes (one source for three channels) and black ones against the full computation: image and gradient.
+#[test]
+fn grey_and_black_scenes_are_the_full_computation() {
+    let (lens, frame) = two_element();
+    let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
+    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let region = Region { row: 60, col: 100, rows: 48, cols: 56 };
+    let coloured = street(1e-3);
+    let green = coloured.texture.slice(s![1..2, .., ..]).to_owned();
+    let three = Array3::from_shape_fn(coloured.texture.dim(), |(_, i, j)| green[[0, i, j]]);
+    let mut nearly = three.clone();
+    // No longer grey to the eye of the program, in a place that no pixel shows.
+    let (_, rows, cols) = nearly.dim();
+    nearly[[0, rows - 1, cols - 1]] += 0.5;
+    let of = |texture: Array3<f32>| {
+        let scene = Plane { texture, ..coloured.clone() };
+        let rendered = renderer.record::<f32>(&scene, 0, region);
+        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).texture.len());
+        let g = gradient(&renderer, &lens, &pulled(&renderer, &scene, &rendered));
+        (rendered.image, rendered.truth, g, (lit, sources))
+    };
+    let (single, grey, full) = (of(green), of(three), of(nearly));
+    assert_eq!((single.3, grey.3, full.3), ((3, 1), (3, 1), (3, 3)));
+    for (what, one) in [("one channel", &single), ("three that are the same", &grey)] {
+        let off = one.0.iter().zip(&full.0).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let by = one.2.iter().zip(&full.2).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max) / largest(&full.2);
+        eprintln!("{what}: image {off:e}, gradient {by:e} of the largest");
+        assert_eq!(one.1, full.1, "{what}: truth");
+        assert!(off < 1e-6 && by < 1e-5, "{what}: {off:e} {by:e}");
+        assert!(one.2.iter().all(|g| g.is_finite()), "{what}");
+    }
+    let black = Plane { texture: Array3::zeros((3, 4, 4)), ..coloured.clone() };
+    let dark = renderer.record::<f32>(&black, 0, region);
+    assert!(dark.image.iter().chain(&dark.truth).all(|v| *v == 0.0));
+    let bar = bar_of(&dark.image);
+    let zero = Array3::zeros(bar.dim());
+    // The illumination lives on: a cotangent of its own is not the scene's.
+    let by = |light: &Array3<f32>| {
+        let bar = renderer.vjp(&black, &dark, bar.view(), bar.view(), light.view());
+        gradient(&renderer, &lens, &bar)
+    };
+    assert!(by(&zero).iter().all(|g| *g == 0.0), "a black scene pulls at nothing");
+    assert!(by(&bar).iter().all(|g| g.is_finite()) && largest(&by(&bar)) > 0.0);
+}
+
+/// A bare hole of radius 0.05 mm, 20 mm before the sensor.
+fn pinhole() -> Lens {
+    let mut lens = builtin::lens("cooke_triplet").expect("shipped");
+    lens.surfaces = vec![Surface {
+        shape: Shape::default(),
+        thickness: 20.0,
+        medium: Medium::Air,
+        semi_diameter: 0.05,
+        pose: None,
+    }];
+    lens.stop = 0;
+    lens.aperture = Aperture::StopSemiDiameter(0.05);
+    lens.object_vergence = 0.0;
+    lens
+}
+
+/// White through a hole, to 40° on either side: cos⁴, and no distortion.
+#[test]
+fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
+    let lens = pinhole();
+    // 40° along the columns: 33.6 mm of half a frame.
+    let frame = Frame::centred(672, 96, 0.05).expect("valid");
+    let plan = RenderPlan::new(&lens, &frame, &density(), &[0.0], QUICK).expect("plans");
+    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let edge = frame.max_radius_mm();
+    for k in 0..=40 {
+        let radius = edge * f64::from(k) / 40.0;
+        let slope = renderer.optics.maps[0].slope(radius);
+        assert!((slope - radius / 20.0).abs() < 1e-10, "{radius} mm: slope {slope}");
+    }
+    let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence: 0.0 };
+    let image = renderer.picture::<f64>(&white, 0, whole(&frame), &Channels::of(&white), &|_| ()).0;
+    let mut worst = 0.0f64;
+    for ((_, i, j), v) in image.indexed_iter() {
+        let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);
+        // cos⁴ over the hole's area, not at its middle: second order, 1e-5 at the corner.
+        let cosine = 20.0 / radius.hypot(20.0);
+        worst = worst.max((v / cosine.powi(4) - 1.0).abs());
+    }
+    eprintln!("white through a pinhole: {worst:e} off cos⁴ to {:.1}°", (edge / 20.0).atan().to_degrees());
+    assert!(worst < 1e-5, "{worst:e}");
+}
+
+/// A lens on a small frame, one scene: finite picture and gradient, or one line.
+fn outcome(what: &str, lens: &Lens, frame: &Frame, vergence: f64, settings: Settings) -> Option<Renderer> {
+    let scene = Plane { texels_per_slope: 400.0, axis_texel: [180.0, 120.0], ..street(vergence) };
+    let renderer = RenderPlan::new(lens, frame, &density(), &[vergence], settings)
+        .and_then(|plan| Renderer::new(lens, &plan));
+    let renderer = match renderer {
+        Ok(renderer) => renderer,
+        Err(error) => {
+            let text = error.to_string();
+            eprintln!("{what}: {text}");
+            assert!(error.exit_code() == 2 && text.lines().count() == 1, "{what}: {text}");
+            return None;
+        }
+    };
+    let d = &renderer.plan.depths[0];
+    let rendered = renderer.record::<f32>(&scene, 0, whole(frame));
+    let finite = |a: &Array3<f32>| a.iter().all(|v| v.is_finite());
+    assert!(finite(&rendered.image) && finite(&rendered.truth) && finite(&rendered.illumination), "{what}");
+    let g = gradient(&renderer, lens, &pulled(&renderer, &scene, &rendered));
+    assert!(g.iter().all(|g| g.is_finite()), "{what}: {g:?}");
+    let brightest = rendered.image.iter().copied().fold(0.0, f32::max);
+    assert!(brightest < 2.0, "{what}: {brightest} of scenes up to 1");
+    eprintln!(
+        "{what}: half-width {} cells of {} px, {} nodes, kept {:.2}, light to {:.2} mm of {:.2}, brightest {brightest:.3}",
+        d.half_width, d.bin, d.grid.len(), renderer.optics.table.kept(), renderer.optics.table.edge_mm,
+        frame.max_radius_mm()
+    );
+    Some(renderer)
+}
+
+#[test]
+fn stiff_kernels_end_as_stated() {
+    // Below a pixel: all of the light in the window of box and tent.
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let coarse = Frame::centred(48, 32, 0.6).expect("valid");
+    let sharp = outcome("below a pixel", &lens, &coarse, lens.object_vergence, QUICK).expect("renders");
+    assert!(sharp.plan.depths[0].half_width <= 3);
+    // Wider than the frame.
+    let achromat = builtin::lens("ac254_050_a").expect("shipped");
+    let small = Frame::centred(48, 32, 0.01).expect("valid");
+    let wide = outcome("wider than the frame", &achromat, &small, 1.0 / 500.0, QUICK).expect("renders");
+    let depth = &wide.plan.depths[0];
+    assert!(2 * depth.half_width * depth.bin > 48, "{depth:?}");
+    outcome("far out of focus", &achromat, &small, 1.0 / 80.0, QUICK);
+    // Within the caustic: between the marginal and the paraxial focus of a plano-convex lens's like.
+    let mut inside = achromat.clone();
+    let last = inside.surfaces.len() - 1;
+    for step in [-1.5, -0.7, -0.3, 0.3] {
+        inside.surfaces[last].thickness = achromat.surfaces[last].thickness + step;
+        outcome(&format!("{step} mm from focus"), &inside, &small, achromat.object_vergence, QUICK);
+    }
+}
+
+#[test]
+fn stiff_places_end_as_stated() {
+    for name in ["two_element", "cooke_triplet", "phone", "double_gauss"] {
+        let lens = builtin::lens(name).expect("shipped");
+        let reach = (1.4 * lens.max_field_deg.min(55.0)).to_radians().tan();
+        let focal = paraxial::first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
+        // A frame that reaches beyond the image circle.
+        let pitch = 2.0 * reach * focal / 96.0;
+        let beyond = Frame::centred(96, 64, pitch).expect("valid");
+        let settings = Settings { cells: 24, ..QUICK };
+        outcome(&format!("{name}, beyond the image"), &lens, &beyond, lens.object_vergence, settings);
+        let far = Frame::centred(96, 64, 3.0 * pitch).expect("valid");
+        outcome(&format!("{name}, far beyond the image"), &lens, &far, lens.object_vergence, settings);
+        // A stop three times as large.
+        let mut fast = lens.clone();
+        fast.aperture = Aperture::StopSemiDiameter(3.0 * paraxial::stop_semi_diameter(&lens));
+        fast.surfaces[fast.stop].semi_diameter *= 3.0;
+        let frame = Frame::centred(48, 32, lens.sensor.pitch_mm() * 8.0).expect("valid");
+        outcome(&format!("{name}, stop × 3"), &fast, &frame, lens.object_vergence, settings);
+    }
+}
+
+/// A planned picture of everything, beyond the image circle: black there, finite everywhere.
+#[test]
+fn a_frame_beyond_the_image_is_black_there() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let frame = Frame::centred(96, 64, 1.2).expect("valid");
+    let white = Plane {
+        texture: Array3::ones((1, 2, 2)),
+        texels_per_slope: 1.0,
+        axis_texel: [1.0; 2],
+        vergence: lens.object_vergence,
+    };
+    let scenes = std::slice::from_ref(&white);
+    match plan(&lens, scenes, &frame, &density(), Request::Settings(QUICK), false) {
+        Err(error) => {
+            eprintln!("{error}");
+            assert_eq!(error.exit_code(), 2);
+        }
+        Ok(plan) => {
+            let image = plan.picture::<f32>(&white, &|_| ()).expect("renders").0;
+            let edge = plan.renderer.optics.table.edge_mm;
+            for ((_, i, j), v) in image.indexed_iter() {
+                let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);
+                assert!(v.is_finite() && (radius <= edge + frame.pitch_mm || *v == 0.0), "{radius} mm: {v}");
+            }
+        }
+    }
+}
