@@ -232,6 +232,19 @@ impl Table {
         })
     }
 
+    /// The same with every second knot.
+    pub(super) fn halved(&self) -> Self {
+        let mut half = self.clone();
+        fn thin<T: Clone>(all: &mut Vec<T>) {
+            *all = all.iter().step_by(2).cloned().collect();
+        }
+        thin(&mut half.spec.radii_mm);
+        thin(&mut half.beams);
+        thin(&mut half.rows);
+        thin(&mut half.chiefs);
+        half
+    }
+
     /// Smallest part of the stop's radius that light comes through at any knot.
     pub fn kept(&self) -> f64 {
         self.pupil * self.rows.iter().flatten().map(|r| r.kept).fold(1.0, f64::min)

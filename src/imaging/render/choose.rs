@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use super::nodes::Nodes;
 use super::plan::Settings;
-use super::probe::{Cache, Probe, Probing, Values, less};
+use super::probe::{Cache, Probe, Probing, Values};
 use crate::imaging::metrics::decibel;
 use crate::imaging::node_grid::NodeGrid;
 use crate::psf::{Optics, Quadrature};
@@ -146,7 +146,7 @@ pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Node
             let off = if n == most {
                 nothing.clone()
             } else {
-                through(n).into_iter().zip(&reference).map(|(a, b)| less(a, b)).collect()
+                through(n).into_iter().zip(&reference).zip(probes).map(|((a, b), p)| p.less(a, b)).collect()
             };
             Rung { setting: n, off }
         })

@@ -44,6 +44,19 @@ pub struct Probe {
     mono: Vec<Values>,
     /// By wavelength: irradiance of white here.
     irradiance: Vec<f64>,
+    /// Root of what its square counts for: its differences carry it.
+    scale: f32,
+}
+
+/// Where a probe stands, and what its square counts for in a mean over the picture.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stand {
+    /// Which scene.
+    pub scene: usize,
+    /// Its pixels.
+    pub region: Region,
+    /// Density of an even draw over that of the draw that chose it.
+    pub weight: f64,
 }
 
 /// Everything a probe is computed from. Pixels are those of `frame`: the sensor's, or cells where kernels are wide.
@@ -199,11 +212,13 @@ impl Probing<'_> {
         each.flat_map(one).collect()
     }
 
-    /// The exact values of the pixels of `regions`, each of the scene of its number modulo the scenes.
-    pub fn exact(&self, regions: &[Region]) -> Vec<Probe> {
+    /// The exact values of the pixels of `stands`.
+    pub fn exact(&self, stands: &[Stand]) -> Vec<Probe> {
         let mono_form = self.mono_form();
-        let of = |(k, region): (usize, &Region)| {
-            let scene = k % self.scenes.len();
+        let of = |Stand { scene, region, weight }: &Stand| {
+            let scene = *scene;
+            #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+            let scale = weight.sqrt() as f32;
             let (first, last) = (&self.scenes[scene][0], self.scenes[scene].last().expect("at least one sampling"));
             let (at, size) = (self.centre(*region), self.size);
             let light = self.light(at);
@@ -228,21 +243,21 @@ impl Probing<'_> {
             };
             let colours = 0..self.optics.spec.quadrature.nm.len();
             let irradiance = colours.map(|l| self.optics.illumination.at(l, at.radius_mm)).collect();
-            Probe { scene, region: *region, exact, patch, kernels, coarse, mono, irradiance }
+            Probe { scene, region: *region, exact, patch, kernels, coarse, mono, irradiance, scale }
         };
-        regions.par_iter().enumerate().map(of).collect()
+        stands.par_iter().map(of).collect()
     }
 
     /// Difference to the exact values with sampling `which` of the scenes'.
     pub fn samples(&self, probe: &Probe, which: usize) -> Values {
         if which == 0 {
-            return less(probe.coarse.clone(), &probe.exact);
+            return probe.less(probe.coarse.clone(), &probe.exact);
         }
         let scene = &self.scenes[probe.scene][which];
         let patch = Patch::sample(scene, probe.region, self.size);
         let at = self.centre(probe.region);
         let kernels = flipped(self.optics, self.depth, &self.form(self.optics, self.dense, scene.samples()), at);
-        less(self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size)), &probe.exact)
+        probe.less(self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size)), &probe.exact)
     }
 
     /// Values of a probe through the kernels of `optics` with `dense` points, at the coarsest sampling.
@@ -260,7 +275,7 @@ impl Probing<'_> {
                 return vec![0.0; probe.coarse.len()];
             }
             let inner: Vec<Vec<f32>> = probe.kernels.iter().map(|k| cropped(k, self.size, *size, 1)).collect();
-            less(self.values(&probe.patch, probe.region, (&inner, &light), (*size, self.size)), &probe.coarse)
+            probe.less(self.values(&probe.patch, probe.region, (&inner, &light), (*size, self.size)), &probe.coarse)
         };
         sizes.iter().map(one).collect()
     }
@@ -285,7 +300,7 @@ impl Probing<'_> {
             out[c * count..(c + 1) * count].iter_mut().for_each(|v| *v /= level);
         }
         #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
-        out.iter().zip(&probe.coarse).map(|(v, e)| (v - f64::from(*e)) as f32).collect()
+        out.iter().zip(&probe.coarse).map(|(v, e)| probe.scale * (v - f64::from(*e)) as f32).collect()
     }
 
     /// Computes the kernels of `optics` that the probes' pixels ask `grid` for.
@@ -323,14 +338,16 @@ impl Probing<'_> {
                 *sum += window * v;
             }
         }
-        less(sum, values)
+        probe.less(sum, values)
     }
 }
 
-/// `a − b`.
-pub(super) fn less(mut a: Values, b: &[f32]) -> Values {
-    a.iter_mut().zip(b).for_each(|(a, b)| *a -= b);
-    a
+impl Probe {
+    /// `a − b`, as much as the probe counts for.
+    pub fn less(&self, mut a: Values, b: &[f32]) -> Values {
+        a.iter_mut().zip(b).for_each(|(a, b)| *a = self.scale * (*a - b));
+        a
+    }
 }
 
 /// Nodes and weights of the cubic (or lower) interpolation at `at` between increasing `nodes`; held at the ends.

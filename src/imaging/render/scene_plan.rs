@@ -10,7 +10,7 @@ use super::cost::{Work, convolution, seconds};
 use super::needs::{Needs, check};
 use super::nodes::Nodes;
 use super::plan::{DepthPlan, RenderPlan, Settings, depth_plan, quadrature, spec};
-use super::probe::{Probing, SIDE, Values};
+use super::probe::{Probing, SIDE, Stand, Values};
 use super::renderer::{Channels, Renderer};
 use super::source::WarpedScene;
 use crate::error::{Error, Result};
@@ -254,15 +254,15 @@ impl Setting<'_> {
             size,
             dense: FINE_DENSE,
         };
-        let count = if size > WIDE.1 {
-            8
-        } else if size > WIDE.0 {
-            12
-        } else {
-            24
+        let count = match size {
+            _ if size > WIDE.1 => 8,
+            _ if size > WIDE.0 => 16,
+            _ if size > SHARP => 32,
+            _ => 96,
         };
         let around = if first.bin == 1 { region } else { super::coarse::cells(region, first.bin) };
-        let probes = probing.exact(&places(around, count));
+        let stands = stands(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around, count);
+        let probes = probing.exact(&stands);
         let rules: Vec<_> = Settings::WAVELENGTHS
             .iter()
             .filter(|n| **n <= FINE_WAVELENGTHS)
@@ -273,7 +273,7 @@ impl Setting<'_> {
         let mut nodes = Nodes::coarse(self.light, 0, &first.raster, around, size, coarsest, LIGHT.1);
         let mut found = ladders(&measuring, &probes, &mut nodes, target);
         if first.bin > 1 {
-            found.cells = self.cells(scenes, &probes.iter().map(|p| p.region).collect::<Vec<_>>(), first);
+            found.cells = self.cells(scenes, &stands, first);
         }
         let work = Work::of(region, lit.len(), if self.needs.grey { 1 } else { lit.len() });
         // The convolution's share depends on nodes, window and sampling alone.
@@ -289,7 +289,7 @@ impl Setting<'_> {
     }
 
     /// Differences that cells make: against cells half as large, and a third more for what those lack themselves.
-    fn cells(&self, scenes: &[Plane], regions: &[Region], first: &DepthPlan) -> Vec<Values> {
+    fn cells(&self, scenes: &[Plane], stands: &[Stand], first: &DepthPlan) -> Vec<Values> {
         let frame = self.frame;
         let at = |bin: usize, region: Region, scene: &Plane| -> Option<Vec<f32>> {
             let raster = super::coarse::raster(frame, bin).ok()?;
@@ -312,15 +312,17 @@ impl Setting<'_> {
             let (image, _) = renderer.picture::<f32>(scene, 0, pixels, &channels, &|_| {});
             Some(self.needs.lit_channels.iter().flat_map(|c| image.index_axis(ndarray::Axis(0), *c).to_owned()).collect())
         };
-        let of = |(k, region): (usize, &Region)| {
-            let scene = &scenes[k % scenes.len()];
+        let of = |Stand { scene, region, weight }: &Stand| {
+            let scene = &scenes[*scene];
+            #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+            let scale = (weight.sqrt() * 4.0 / 3.0) as f32;
             let count = self.needs.lit_channels.len() * region.rows * region.cols;
             match (at(first.bin, *region, scene), at(first.bin / 2, *region, scene)) {
-                (Some(a), Some(b)) if a.len() == count => a.iter().zip(&b).map(|(a, b)| (a - b) * 4.0 / 3.0).collect(),
+                (Some(a), Some(b)) if a.len() == count => a.iter().zip(&b).map(|(a, b)| (a - b) * scale).collect(),
                 _ => vec![0.0; count],
             }
         };
-        regions.iter().enumerate().map(of).collect()
+        stands.iter().map(of).collect()
     }
 }
 
@@ -402,6 +404,53 @@ fn places(region: Region, count: usize) -> Vec<Region> {
         out.push(Region { row: region.row + row.cast_signed(), col: region.col + col.cast_signed(), rows, cols });
     }
     out
+}
+
+/// Places that are looked at before probes are drawn.
+const CANDIDATES: usize = 4096;
+/// Share of the draw that is even.
+const EVEN: f64 = 0.3;
+
+/// `count` places for probes: what a picture misses stands where the scene has detail, so places are drawn by the energy of its
+/// second differences (and evenly, for a part), and weighed by how much likelier they were drawn than evenly.
+fn stands(scenes: &[&WarpedScene<'_>], region: Region, count: usize) -> Vec<Stand> {
+    use rayon::prelude::*;
+    let candidates: Vec<(usize, Region)> = scenes
+        .iter()
+        .enumerate()
+        .flat_map(|(k, _)| places(region, CANDIDATES.div_ceil(scenes.len())).into_iter().map(move |r| (k, r)))
+        .collect();
+    let energy: Vec<f64> = candidates.par_iter().map(|(k, r)| detail(scenes[*k], *r)).collect();
+    let (all, total) = (candidates.len() as f64, energy.iter().sum::<f64>());
+    let density = |e: f64| if total > 0.0 { EVEN / all + (1.0 - EVEN) * e / total } else { all.recip() };
+    // Systematic draws along the running sum.
+    let mut out = Vec::with_capacity(count);
+    let (mut sum, mut next) = (0.0, 0.5 / count as f64);
+    for ((scene, region), e) in candidates.iter().zip(&energy) {
+        let p = density(*e);
+        sum += p;
+        while sum >= next && out.len() < count {
+            out.push(Stand { scene: *scene, region: *region, weight: 1.0 / (all * p) });
+            next += 1.0 / count as f64;
+        }
+    }
+    out
+}
+
+/// Energy of the second differences of a scene over a place and a pixel around it.
+fn detail(scene: &WarpedScene<'_>, region: Region) -> f64 {
+    let around = region.grown(2);
+    let mut values = ndarray::Array4::<f32>::zeros((scene.channels(), 1, around.rows, around.cols));
+    scene.fill(around, values.view_mut());
+    let mut sum = 0.0;
+    for plane in values.outer_iter() {
+        let v = plane.index_axis(ndarray::Axis(0), 0);
+        for (i, j) in (1..around.rows - 1).flat_map(|i| (1..around.cols - 1).map(move |j| (i, j))) {
+            let second = 4.0 * v[[i, j]] - v[[i - 1, j]] - v[[i + 1, j]] - v[[i, j - 1]] - v[[i, j + 1]];
+            sum += f64::from(second * second);
+        }
+    }
+    sum
 }
 
 /// The part of `a` inside `b`; empty regions have no rows or columns.
