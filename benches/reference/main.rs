@@ -1,5 +1,6 @@
 //! The reference renderer: `cargo bench --bench reference` for criterion's figures, `cargo bench --bench reference --
-//! table` for the table (of one lens: its name after `table`) of `benches/results/reference.md`.
+//! table` for the table (of one lens: its name after `table`) of `benches/results/reference.md`, `-- surfaces` for
+//! nanoseconds a ray and surface.
 //!
 //! 512 × 384 pixels over a lens's frame look at a painted scene of about a texel a pixel. Seconds a megapixel include
 //! the preparation of the whole picture. Shares of time: the trace is timed on stored tiles of the same rays, the
@@ -161,6 +162,34 @@ fn table() {
     }
 }
 
+/// Nanoseconds a ray and surface, one thread: the trace alone, and processor time of a whole rendering of some rows.
+fn surfaces() {
+    const BAND: usize = 24;
+    println!("| lens | surfaces | passed | trace, ns a ray | a ray and surface | rendering, ns a ray and surface |");
+    println!("|---|---|---|---|---|---|");
+    for name in LENSES {
+        let case = Case::new(name);
+        let count = case.lens.surfaces.len() as f64;
+        pool(1).install(|| {
+            let (preparation, trace) = case.parts();
+            let (mut least, mut rays, mut passed) = (f64::INFINITY, 1.0, 0.0);
+            for _ in 0..3 {
+                let before = processor_seconds().unwrap_or(f64::NAN);
+                let rendered = case.render(&case.painted, BAND);
+                let spent = processor_seconds().unwrap_or(f64::NAN) - before - preparation;
+                (rays, passed) = (rendered.rays as f64, rendered.passed as f64);
+                least = least.min(spent * 1e9 / rays);
+            }
+            println!(
+                "| {name} | {count} | {:.3} | {trace:.1} | {:.2} | {:.2} |",
+                passed / rays,
+                trace / count,
+                least / count
+            );
+        });
+    }
+}
+
 fn lenses(c: &mut Criterion) {
     let mut group = c.benchmark_group("reference");
     group.sample_size(10);
@@ -181,6 +210,10 @@ fn lenses(c: &mut Criterion) {
 fn main() {
     if std::env::args().any(|a| a == "table") {
         table();
+        return;
+    }
+    if std::env::args().any(|a| a == "surfaces") {
+        surfaces();
         return;
     }
     let mut criterion = Criterion::default().configure_from_args();
