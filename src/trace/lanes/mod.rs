@@ -14,6 +14,7 @@ mod forward;
 mod gradient;
 mod mend;
 mod program;
+mod prove;
 mod simd;
 #[cfg(test)]
 mod tests;

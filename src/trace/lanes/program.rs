@@ -1,7 +1,8 @@
 //! A list of surfaces made ready for lanes: the constants of every surface, and the code that runs it.
 
-use super::dispatch::{self, Adjoint, Forward, Level};
+use super::dispatch::{self, Adjoint, Forward, Level, Prove};
 use super::forward::{Lean, Recorded, Spectral, WithPath};
+use super::prove::Bends;
 use crate::error::{Error, Result};
 use crate::lens::Shape;
 use crate::trace::System;
@@ -92,7 +93,10 @@ pub(super) struct Step {
     pub(super) from_within: bool,
     /// A Newton step of this length, mm, leaves only rounding after it.
     pub(super) small: f64,
+    /// Of surfaces with terms: what proves roots that slopes do not.
+    pub(super) bends: Option<Box<Bends>>,
     pub(super) forward: Forward,
+    pub(super) prove: Prove,
     pub(super) adjoint: Adjoint,
 }
 
@@ -152,7 +156,7 @@ impl Program {
         let steps = surfaces.iter().enumerate().map(|(i, s)| {
             let kind = Kind::of(s);
             let terms = s.shape.asphere.len();
-            let code = (forward(level, kind, terms), dispatch::adjoint(level, terms));
+            let code = (forward(level, kind, terms), dispatch::prove(level, terms), dispatch::adjoint(level, terms));
             Step::new(s, i, kind, ratios(i), options.clip, code)
         });
         Self { steps: steps.collect(), level, colours: 0 }
@@ -176,7 +180,7 @@ impl Step {
         kind: Kind,
         ratios: Vec<f64>,
         clip: bool,
-        (forward, adjoint): (Forward, Adjoint),
+        (forward, prove, adjoint): (Forward, Prove, Adjoint),
     ) -> Self {
         let shape = &surface.shape;
         let equal = surface.index_before == surface.index_after;
@@ -218,7 +222,9 @@ impl Step {
             steepest_sq: steepest * steepest,
             from_within: within,
             small: SMALL * surface.domain,
+            bends: if kind == Kind::Even { Bends::new(shape, surface.domain).map(Box::new) } else { None },
             forward,
+            prove,
             adjoint,
         }
     }
