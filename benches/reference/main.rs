@@ -173,7 +173,9 @@ fn table() {
 /// rendering without its preparation.
 fn surfaces() {
     const BAND: usize = 24;
-    println!("| lens | surfaces | passed | preparation, s | trace, ns a ray | a ray and surface | rendering, ns a ray and surface |");
+    println!(
+        "| lens | surfaces | passed | preparation, s | trace, ns a ray | a ray and surface | rendering, ns a ray and surface |"
+    );
     println!("|---|---|---|---|---|---|---|");
     let clock = || processor_seconds().unwrap_or(f64::NAN);
     for name in LENSES {

@@ -408,7 +408,9 @@ pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &R
             q = a.fnma(dot, phi * ray.n);
             // On the vertex's sheet, and certainly the only root in the cylinder.
             let root = done.and_less(splat(0.0), phi).and_less(splat(0.0), ray.n);
-            let mut sound = root.and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n);
+            let mut sound = root
+                .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n)
+                .and_at_most(ray.rho(), splat(step.domain_sq));
             if step.from_within {
                 let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
                 let (x, y) = (load(&(*run.from).x), load(&(*run.from).y));

@@ -87,7 +87,7 @@ pub(super) struct Step {
     /// Where the first root is certain: `r²` and `|d_xy|²/d_z²` up to these.
     pub(super) domain_sq: f64,
     pub(super) steepest_sq: f64,
-    /// The smaller of the two radii squared, and a number.
+    /// The clear semi-diameter squared again, but a number.
     pub(super) limit_sq: f64,
     /// Whether the ray's origin must lie within that radius as well.
     pub(super) from_within: bool,
@@ -194,7 +194,7 @@ impl Step {
         let (radius, steepest, within) = certificate(surface, kind);
         let clip_sq = if clip { surface.semi_diameter * surface.semi_diameter } else { f64::INFINITY };
         // An aperture that is no number stays none, and lets nothing through.
-        let limit_sq = [radius * radius, f64::MAX].into_iter().fold(clip_sq, |a, b| if a > b { b } else { a });
+        let limit_sq = if clip_sq > f64::MAX { f64::MAX } else { clip_sq };
         let v = (1.0 + shape.conic) * shape.curvature;
         let [u, s] = start_conic(shape, surface.semi_diameter.min(surface.domain));
         Self {
