@@ -14,3 +14,4 @@ mod support;
 mod throughput;
 #[cfg(feature = "train")]
 mod training;
+mod white_oracle;
