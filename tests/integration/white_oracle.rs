@@ -6,7 +6,8 @@
 //! line, which are bisected to rounding; over `φ` stands Gauss's rule of four nodes on panels, halved around corners of the
 //! open part until that changes nothing. Apertures and the stop are hard edges. Only the trace is shared with the library.
 //!
-//! Accuracy at 1000 half lines: 1e-12, measured on the lenses of the tests, corners of the open part included. An open interval narrower than a thousandth of its half line may be missed.
+//! Accuracy at 1000 half lines: 1e-12, measured on the lenses of the tests, corners of the open part included. An open
+//! interval narrower than a thousandth of its half line may be missed.
 
 use glam::DVec2;
 use isoplanat::lens::Lens;

@@ -1,4 +1,4 @@
-//! Rays that lanes cannot be certain of, one by one through the plain trace.
+//! Rays that lanes cannot be certain of: proved to be right after all, or one by one through the plain trace.
 #![allow(unsafe_code, reason = "raw pointers into a tile; see each Safety note")]
 
 use glam::DVec3;

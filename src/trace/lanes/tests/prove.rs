@@ -65,7 +65,8 @@ fn only_the_plain_traces_root_is_proved() {
         let (mut right, mut wrong, mut certain) = (0, 0, 0);
         for _ in 0..400 {
             let surface = wild(rng);
-            let program = Program::of(&[surface.clone()], Options { level: Some(level), ..Options::default() });
+            let program =
+                Program::of(std::slice::from_ref(&surface), Options { level: Some(level), ..Options::default() });
             let mut offered = Vec::new();
             for _ in 0..40 {
                 let ray = ray(rng);
