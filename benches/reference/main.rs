@@ -1,5 +1,6 @@
 //! The reference renderer: `cargo bench --bench reference` for criterion's figures, `cargo bench --bench reference --
-//! table` for the table (of one lens: its name after `table`) of `benches/results/reference.md`.
+//! table` for the table (of one lens: its name after `table`) of `benches/results/reference.md`, `-- surfaces` for
+//! nanoseconds a ray and surface.
 //!
 //! 512 × 384 pixels over a lens's frame look at a painted scene of about a texel a pixel. Seconds a megapixel include
 //! the preparation of the whole picture. Shares of time: the trace is timed on stored tiles of the same rays, the
@@ -60,13 +61,20 @@ impl Case {
         render(&self.lens, scene, &self.density, &self.frame, region, how, None).expect("renders")
     }
 
-    /// Seconds of preparation alone, and nanoseconds a ray of the trace alone, one thread.
-    fn parts(&self) -> (f64, f64) {
-        let start = Instant::now();
+    /// What a rendering finds out before its first ray counts.
+    fn prepare(&self) -> (RearView, Footprints) {
         let radius = self.frame.max_radius_mm();
         let rear = RearView::new(&self.lens, &self.density, radius).expect("a view");
         let footprints = Footprints::probe(&rear, [0.0, radius]);
+        (rear, footprints)
+    }
+
+    /// Seconds of preparation alone, and nanoseconds a ray of the trace alone, one thread.
+    fn parts(&self) -> (f64, f64) {
+        let start = Instant::now();
+        let (rear, footprints) = self.prepare();
         let seconds = start.elapsed().as_secs_f64();
+        let radius = self.frame.max_radius_mm();
         let rng = &mut fastrand::Rng::with_seed(1);
         let tiles: Vec<Tile> = (0..256)
             .map(|_| {
@@ -161,6 +169,41 @@ fn table() {
     }
 }
 
+/// One thread, processor time: preparation, and nanoseconds a ray and surface of the trace alone and of some rows'
+/// rendering without its preparation.
+fn surfaces() {
+    const BAND: usize = 24;
+    println!(
+        "| lens | surfaces | passed | preparation, s | trace, ns a ray | a ray and surface | rendering, ns a ray and surface |"
+    );
+    println!("|---|---|---|---|---|---|---|");
+    let clock = || processor_seconds().unwrap_or(f64::NAN);
+    for name in LENSES {
+        let case = Case::new(name);
+        let count = case.lens.surfaces.len() as f64;
+        pool(1).install(|| {
+            let (_, trace) = case.parts();
+            let (mut preparation, mut whole) = (f64::INFINITY, f64::INFINITY);
+            let (mut rays, mut passed) = (1.0, 0.0);
+            for _ in 0..3 {
+                let before = clock();
+                black_box(case.prepare());
+                let between = clock();
+                let rendered = case.render(&case.painted, BAND);
+                preparation = preparation.min(between - before);
+                whole = whole.min(clock() - between);
+                (rays, passed) = (rendered.rays as f64, rendered.passed as f64);
+            }
+            println!(
+                "| {name} | {count} | {:.3} | {preparation:.2} | {trace:.1} | {:.2} | {:.2} |",
+                passed / rays,
+                trace / count,
+                (whole - preparation) * 1e9 / rays / count
+            );
+        });
+    }
+}
+
 fn lenses(c: &mut Criterion) {
     let mut group = c.benchmark_group("reference");
     group.sample_size(10);
@@ -181,6 +224,10 @@ fn lenses(c: &mut Criterion) {
 fn main() {
     if std::env::args().any(|a| a == "table") {
         table();
+        return;
+    }
+    if std::env::args().any(|a| a == "surfaces") {
+        surfaces();
         return;
     }
     let mut criterion = Criterion::default().configure_from_args();

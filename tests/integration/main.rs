@@ -15,3 +15,5 @@ mod support;
 mod throughput;
 #[cfg(feature = "train")]
 mod training;
+mod white;
+mod white_oracle;

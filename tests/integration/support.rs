@@ -103,3 +103,9 @@ impl Ran {
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
+
+/// The lens of a file of this repository.
+pub(crate) fn lens_file(path: &str) -> isoplanat::lens::Lens {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    isoplanat::lens::prescription::load(&path).expect("a valid lens file")
+}

@@ -60,12 +60,18 @@ pub(super) type Forward = unsafe fn(&Step, &Run);
 /// The processor must have the instruction set it is compiled for; the pointers of [`Back`] must be valid.
 pub(super) type Adjoint = unsafe fn(&Step, &Back);
 
+/// Which of some lanes' roots are certain; see [`super::prove`].
+///
+/// # Safety
+/// As [`Forward`].
+pub(super) type Prove = unsafe fn(&Step, &Run, usize, u64) -> u64;
+
 /// The kernels for `$lanes`, and the choice among them.
 macro_rules! compiled {
     ($name:ident, $forward:ty, $adjoint:ty $(, #[$attribute:meta])?) => {
         mod $name {
-            use super::{Adjoint, Back, Forward, Kind, Mode, Run, Step, one_by_one};
-            use crate::trace::lanes::{adjoint, forward};
+            use super::{Adjoint, Back, Forward, Kind, Mode, Prove, Run, Step, one_by_one};
+            use crate::trace::lanes::{adjoint, forward, prove};
 
             $(#[$attribute])?
             unsafe fn plane<M: Mode>(step: &Step, run: &Run) {
@@ -80,6 +86,11 @@ macro_rules! compiled {
             $(#[$attribute])?
             unsafe fn even<M: Mode, const N: usize>(step: &Step, run: &Run) {
                 unsafe { forward::even::<$forward, M, N>(step, run) }
+            }
+
+            $(#[$attribute])?
+            unsafe fn sure<const N: usize>(step: &Step, run: &Run, at: usize, unsure: u64) -> u64 {
+                unsafe { prove::prove::<$adjoint, N>(step, run, at, unsure) }
             }
 
             $(#[$attribute])?
@@ -100,6 +111,18 @@ macro_rules! compiled {
                     (Kind::Even, 6) => even::<M, 6>,
                     (Kind::Even, 7..=8) => even::<M, 8>,
                     (Kind::Even, _) => even::<M, 10>,
+                }
+            }
+
+            pub(super) fn choose_prove(terms: usize) -> Prove {
+                match terms {
+                    0..=2 => sure::<2>,
+                    3 => sure::<3>,
+                    4 => sure::<4>,
+                    5 => sure::<5>,
+                    6 => sure::<6>,
+                    7..=8 => sure::<8>,
+                    _ => sure::<10>,
                 }
             }
 
@@ -147,6 +170,17 @@ pub(super) fn forward<M: Mode>(level: Level, kind: Kind, terms: usize) -> Forwar
         #[cfg(target_arch = "x86_64")]
         Level::Avx2 => avx2::choose_forward::<M>(kind, terms),
         _ => portable::choose_forward::<M>(kind, terms),
+    }
+}
+
+/// The proof of a surface's roots.
+pub(super) fn prove(level: Level, terms: usize) -> Prove {
+    match level {
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx512 => avx512::choose_prove(terms),
+        #[cfg(target_arch = "x86_64")]
+        Level::Avx2 => avx2::choose_prove(terms),
+        _ => portable::choose_prove(terms),
     }
 }
 

@@ -172,6 +172,8 @@ struct Met<S: Simd> {
     q: Lanes<S>,
     inverse_q: Lanes<S>,
     sound: Truth<S>,
+    /// Lanes that have a root at least: which one it is may be proved yet.
+    root: Truth<S>,
     /// Lanes that certainly miss.
     missed: Truth<S>,
 }
@@ -189,8 +191,9 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
 ) {
     unsafe {
         let splat = |value| Lanes::<S>::splat(value);
-        let Met { nx, ny, phi, q, inverse_q, sound, missed } = met;
-        let mut fine = sound.and_at_most(ray.rho(), splat(limit_sq));
+        let Met { nx, ny, phi, q, inverse_q, sound, root: found, missed } = met;
+        // What every root has to pass.
+        let mut through = ray.rho().at_most(splat(limit_sq));
         let (from, to) = (&*run.from, &mut *run.to);
         let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
         if step.refracts {
@@ -217,7 +220,7 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
                 }
                 gamma = over / mu.fma(q, root);
             }
-            fine = fine.and_less(splat(0.0), root);
+            through = through.and_less(splat(0.0), root);
             ray.l = mu.fma(ray.l, gamma * nx);
             ray.m = mu.fma(ray.m, gamma * ny);
             ray.n = gamma.fnma(phi, mu * ray.n);
@@ -240,9 +243,11 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
             store(inverse_r, &mut extra.inverse_r);
             store(inverse_q, &mut extra.inverse_q);
         }
-        let bad = (*run.alive >> at) & !fine.bits() & lanes_mask(S::LANES);
+        let (sound, through) = (sound.bits(), through.bits());
+        let bad = (*run.alive >> at) & !(sound & through) & lanes_mask(S::LANES);
         if bad != 0 {
-            mend::<M>(step, run, at, bad, Known { sound: sound.bits(), missed: missed.bits() });
+            let known = Known { sound, found: found.bits(), through, missed: missed.bits() };
+            mend::<M>(step, run, at, bad, known);
         }
     }
 }
@@ -272,7 +277,7 @@ pub(super) unsafe fn plane<S: Simd, M: Mode>(step: &Step, run: &Run) {
             // Only light that goes on crosses a plane from before to behind.
             let sound = zero.less(ray.n);
             let missed = ray.n.less(zero);
-            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, missed };
+            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, root: sound, missed };
             finish::<S, M, true>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
@@ -328,7 +333,7 @@ pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, ru
                 // A ray that touches has no derivative.
                 sound = sound.and_less(zero, q);
             }
-            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, missed };
+            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, root: sound, missed };
             finish::<S, M, SPHERE>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
@@ -402,10 +407,10 @@ pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &R
             dot = forth.fma(sideways, dot);
             q = a.fnma(dot, phi * ray.n);
             // On the vertex's sheet, and certainly the only root in the cylinder.
-            let mut sound = done
-                .and_less(splat(0.0), phi)
-                .and_less(splat(0.0), ray.n)
-                .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n);
+            let root = done.and_less(splat(0.0), phi).and_less(splat(0.0), ray.n);
+            let mut sound = root
+                .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n)
+                .and_at_most(ray.rho(), splat(step.domain_sq));
             if step.from_within {
                 let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
                 let (x, y) = (load(&(*run.from).x), load(&(*run.from).y));
@@ -419,7 +424,7 @@ pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &R
                 slope.store(extra.slope.as_mut_ptr().add(at));
             }
             let missed = splat(1.0).less(splat(0.0));
-            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, missed };
+            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, root, missed };
             finish::<S, M, false>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;

@@ -1,4 +1,4 @@
-//! Rays that lanes cannot be certain of, one by one through the plain trace.
+//! Rays that lanes cannot be certain of: proved to be right after all, or one by one through the plain trace.
 #![allow(unsafe_code, reason = "raw pointers into a tile; see each Safety note")]
 
 use glam::DVec3;
@@ -15,6 +15,10 @@ use crate::trace::{Cause, Failure, Ray};
 pub(super) struct Known {
     /// The intersection stands if it lies within the domain.
     pub(super) sound: u64,
+    /// There is a root, which may be proved to be the first.
+    pub(super) found: u64,
+    /// What stands gets through the aperture and is refracted.
+    pub(super) through: u64,
     /// There is none.
     pub(super) missed: u64,
 }
@@ -26,14 +30,17 @@ pub(super) struct Known {
 #[cold]
 #[inline(never)]
 pub(super) unsafe fn mend<M: Mode>(step: &Step, run: &Run, at: usize, bad: u64, known: Known) {
-    let mut left = bad;
+    // SAFETY: the level was detected; the kernel has stored its lanes.
+    let proved = if step.bends.is_some() { unsafe { (step.prove)(step, run, at, bad & known.found) } } else { 0 };
+    let mut left = bad & !(proved & known.through);
     while left != 0 {
         let i = left.trailing_zeros() as usize;
         left &= left - 1;
         unsafe {
             let (x, y) = ((*run.to).x[at + i], (*run.to).y[at + i]);
             let rho = x * x + y * y;
-            let met = (known.sound >> i) & 1 == 1 && rho <= step.domain_sq && rho.is_finite();
+            let sound = (known.sound >> i) & 1 == 1 && rho <= step.domain_sq && rho.is_finite();
+            let met = sound || (proved >> i) & 1 == 1;
             if (known.missed >> i) & 1 == 1 {
                 fail::<M>(step, run, at + i, Cause::Missed);
             } else if met && beyond(rho, step) {

@@ -3,7 +3,7 @@
 //! Rays lie as structure of arrays in tiles of [`TILE`] that stay in cache through all surfaces; the kernels of
 //! `forward.rs` and `adjoint.rs` run on explicit lanes of the instruction set that the processor has ([`Level`]). Planes,
 //! spheres, conics and even aspheres in their nominal places go through lanes; other surfaces, and single rays for which
-//! the lanes' root is not certainly the first, go ray by ray through the plain trace. Whatever the instruction set, the
+//! the lanes' root is not certainly the first (slopes, then `prove.rs`), go ray by ray through the plain trace. Whatever the instruction set, the
 //! result agrees with the plain trace to 1e-12 mm and 1e-13 in direction; tests hold it. Results do not depend on the
 //! number of threads; between instruction sets they differ by rounding.
 
@@ -14,6 +14,7 @@ mod forward;
 mod gradient;
 mod mend;
 mod program;
+mod prove;
 mod simd;
 #[cfg(test)]
 mod tests;

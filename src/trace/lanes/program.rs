@@ -1,7 +1,8 @@
 //! A list of surfaces made ready for lanes: the constants of every surface, and the code that runs it.
 
-use super::dispatch::{self, Adjoint, Forward, Level};
+use super::dispatch::{self, Adjoint, Forward, Level, Prove};
 use super::forward::{Lean, Recorded, Spectral, WithPath};
+use super::prove::Bends;
 use crate::error::{Error, Result};
 use crate::lens::Shape;
 use crate::trace::System;
@@ -86,13 +87,16 @@ pub(super) struct Step {
     /// Where the first root is certain: `r²` and `|d_xy|²/d_z²` up to these.
     pub(super) domain_sq: f64,
     pub(super) steepest_sq: f64,
-    /// The smaller of the two radii squared, and a number.
+    /// The clear semi-diameter squared again, but a number.
     pub(super) limit_sq: f64,
     /// Whether the ray's origin must lie within that radius as well.
     pub(super) from_within: bool,
     /// A Newton step of this length, mm, leaves only rounding after it.
     pub(super) small: f64,
+    /// Of surfaces with terms: what proves roots that slopes do not.
+    pub(super) bends: Option<Box<Bends>>,
     pub(super) forward: Forward,
+    pub(super) prove: Prove,
     pub(super) adjoint: Adjoint,
 }
 
@@ -152,7 +156,7 @@ impl Program {
         let steps = surfaces.iter().enumerate().map(|(i, s)| {
             let kind = Kind::of(s);
             let terms = s.shape.asphere.len();
-            let code = (forward(level, kind, terms), dispatch::adjoint(level, terms));
+            let code = (forward(level, kind, terms), dispatch::prove(level, terms), dispatch::adjoint(level, terms));
             Step::new(s, i, kind, ratios(i), options.clip, code)
         });
         Self { steps: steps.collect(), level, colours: 0 }
@@ -176,7 +180,7 @@ impl Step {
         kind: Kind,
         ratios: Vec<f64>,
         clip: bool,
-        (forward, adjoint): (Forward, Adjoint),
+        (forward, prove, adjoint): (Forward, Prove, Adjoint),
     ) -> Self {
         let shape = &surface.shape;
         let equal = surface.index_before == surface.index_after;
@@ -190,7 +194,7 @@ impl Step {
         let (radius, steepest, within) = certificate(surface, kind);
         let clip_sq = if clip { surface.semi_diameter * surface.semi_diameter } else { f64::INFINITY };
         // An aperture that is no number stays none, and lets nothing through.
-        let limit_sq = [radius * radius, f64::MAX].into_iter().fold(clip_sq, |a, b| if a > b { b } else { a });
+        let limit_sq = if clip_sq > f64::MAX { f64::MAX } else { clip_sq };
         let v = (1.0 + shape.conic) * shape.curvature;
         let [u, s] = start_conic(shape, surface.semi_diameter.min(surface.domain));
         Self {
@@ -218,7 +222,9 @@ impl Step {
             steepest_sq: steepest * steepest,
             from_within: within,
             small: SMALL * surface.domain,
+            bends: if kind == Kind::Even { Bends::new(shape, surface.domain).map(Box::new) } else { None },
             forward,
+            prove,
             adjoint,
         }
     }
@@ -228,7 +234,8 @@ impl Step {
 ///
 /// A root is the only one in a cylinder in which the slope stays below the ray's own. Where the surface's whole domain is
 /// too steep at its rim for that, the clear aperture serves: between an origin and a root that both lie in a cylinder the
-/// ray does not leave it, so the root is the first one on its way.
+/// ray does not leave it, so the root is the first one on its way. Lanes that this does not settle are looked at ray by
+/// ray ([`super::prove`]).
 fn certificate(surface: &TraceSurface, kind: Kind) -> (f64, f64, bool) {
     const STEEP: f64 = 1.0;
     if kind != Kind::Even {

@@ -12,6 +12,7 @@ use crate::trace::{Cause, Failure, Ray, System};
 use gradient::{gradient, numbers};
 
 mod gradient;
+mod prove;
 
 /// The plain trace with the causes in the order in which a ray meets them.
 fn plain(system: &System, ray: Ray, clip: bool, hits: &mut Vec<Hit>) -> Result<Hit, Failure> {
