@@ -7,7 +7,7 @@ use super::plan::Settings;
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::imaging::metrics::decibel;
 use crate::imaging::node_grid::NodeGrid;
-use crate::psf::{Optics, Quadrature};
+use crate::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
 pub const MARGIN: f64 = 1.5;
@@ -84,14 +84,12 @@ pub struct Measuring<'a, 'b> {
     pub probing: &'a Probing<'b>,
     /// Quadratures of [`Settings::WAVELENGTHS`].
     pub rules: &'a [(usize, Quadrature)],
-    /// A lens of few wavelengths, which places nodes, and its dense points.
-    pub light: (&'a Optics, usize),
 }
 
 /// Measures every ladder on `probes`. `nodes` has been made coarse and is refined until its error is a small part of
 /// `budget` (a mean square), or all of [`Settings::NODE_ERRORS`] are done.
 pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
-    let Measuring { probing, rules, light } = measuring;
+    let Measuring { probing, rules } = measuring;
     let each = |f: &(dyn Fn(&Probe) -> Values + Sync)| -> Vec<Values> { probes.par_iter().map(f).collect() };
     let ladder = &probing.scenes[0];
     let fine = ladder.len() - 1;
@@ -136,7 +134,7 @@ pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Node
         .map(|(k, half)| Rung { setting: *half, off: by_probe.iter().map(|v| v[k].clone()).collect() })
         .collect();
     // Dense points: few wavelengths tell.
-    let (optics, light_dense) = *light;
+    let (optics, light_dense) = (probing.optics, probing.dense);
     let through = |dense: usize| each(&|p| probing.through(p, optics, dense));
     let most = Settings::DENSE[Settings::DENSE.len() - 1];
     let reference = through(most);

@@ -27,6 +27,9 @@ pub type Values = Vec<f32>;
 /// Kernels by cell, at one sample a cell.
 pub type Cache = HashMap<(isize, isize), Vec<Vec<f32>>>;
 
+/// Dense points of the kernels that tell wavelengths apart.
+const MONO_DENSE: usize = 300;
+
 /// A block of pixels and its exact kernel.
 pub struct Probe {
     /// Which scene.
@@ -61,8 +64,10 @@ pub struct Stand {
 
 /// Everything a probe is computed from. Pixels are those of `frame`: the sensor's, or cells where kernels are wide.
 pub struct Probing<'a> {
-    /// The lens, finely.
+    /// The lens at few wavelengths: enough for what does not depend on colour.
     pub optics: &'a Optics,
+    /// The lens at many.
+    pub colours: &'a Optics,
     /// Object distance, as the optics count them.
     pub depth: usize,
     /// The raster.
@@ -73,7 +78,7 @@ pub struct Probing<'a> {
     pub scenes: &'a [Vec<WarpedScene<'a>>],
     /// Kernel size in pixels, odd.
     pub size: usize,
-    /// Dense points of the fine kernels.
+    /// Dense points of the kernels.
     pub dense: usize,
 }
 
@@ -178,8 +183,8 @@ impl Probing<'_> {
 
     /// Kernels of every wavelength by itself.
     fn mono_form(&self) -> KernelForm {
-        let mut form = self.form(self.optics, self.dense, 1);
-        let count = self.optics.spec.quadrature.nm.len();
+        let mut form = self.form(self.colours, MONO_DENSE, 1);
+        let count = self.colours.spec.quadrature.nm.len();
         form.weight = (0..count).map(|k| (0..count).map(|l| f64::from(u8::from(k == l))).collect()).collect();
         form
     }
@@ -224,7 +229,7 @@ impl Probing<'_> {
             let light = self.light(at);
             let patch = Patch::sample(first, *region, size);
             let ones = vec![1.0; self.lit.len()];
-            let mono = flipped(self.optics, self.depth, &mono_form, at)
+            let mono = flipped(self.colours, self.depth, &mono_form, at)
                 .into_iter()
                 .map(|kernel| {
                     let kernels = vec![kernel; self.lit.len()];
@@ -241,8 +246,8 @@ impl Probing<'_> {
                 let kernels = flipped(self.optics, self.depth, &form, at);
                 self.values(&fine, *region, (&kernels, &light), (size, size))
             };
-            let colours = 0..self.optics.spec.quadrature.nm.len();
-            let irradiance = colours.map(|l| self.optics.illumination.at(l, at.radius_mm)).collect();
+            let colours = 0..self.colours.spec.quadrature.nm.len();
+            let irradiance = colours.map(|l| self.colours.illumination.at(l, at.radius_mm)).collect();
             Probe { scene, region: *region, exact, patch, kernels, coarse, mono, irradiance, scale }
         };
         stands.par_iter().map(of).collect()
@@ -280,17 +285,23 @@ impl Probing<'_> {
         sizes.iter().map(one).collect()
     }
 
-    /// Difference that another quadrature over wavelength makes: light between the fine rule's wavelengths
-    /// is interpolated by cubics.
+    /// Difference that another quadrature over wavelength makes: light between the many wavelengths is interpolated by
+    /// cubics.
     pub fn wavelengths(&self, probe: &Probe, rule: &Quadrature) -> Values {
-        let nm = &self.optics.spec.quadrature.nm;
+        let exact = self.light_of(probe, &self.colours.spec.quadrature);
+        probe.less(self.light_of(probe, rule), &exact)
+    }
+
+    /// Values of a probe by a quadrature.
+    fn light_of(&self, probe: &Probe, rule: &Quadrature) -> Values {
+        let nm = &self.colours.spec.quadrature.nm;
         let count = probe.region.rows * probe.region.cols;
         let mut out = vec![0.0f64; probe.exact.len()];
         for (c, channel) in self.lit.iter().enumerate() {
             let mut level = 0.0;
             for (at, w) in rule.nm.iter().zip(&rule.weight[*channel]) {
                 for (l, share) in cubic(nm, *at) {
-                    level += w * share * self.optics.illumination.at(l, 0.0);
+                    level += w * share * self.colours.illumination.at(l, 0.0);
                     let scale = w * share * probe.irradiance[l];
                     let part = c * count..(c + 1) * count;
                     let light = out[part.clone()].iter_mut().zip(&probe.mono[l][part]);
@@ -300,7 +311,7 @@ impl Probing<'_> {
             out[c * count..(c + 1) * count].iter_mut().for_each(|v| *v /= level);
         }
         #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
-        out.iter().zip(&probe.coarse).map(|(v, e)| probe.scale * (v - f64::from(*e)) as f32).collect()
+        out.into_iter().map(|v| v as f32).collect()
     }
 
     /// Computes the kernels of `optics` that the probes' pixels ask `grid` for.

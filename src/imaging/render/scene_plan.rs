@@ -70,10 +70,8 @@ pub struct ScenePlan {
 
 /// Wavelengths of the fine rule while probing.
 const FINE_WAVELENGTHS: usize = 9;
-/// Dense points of the fine kernels while probing.
-const FINE_DENSE: usize = 2000;
 /// Dense points and wavelengths of the light optics that place nodes and look for widths.
-const LIGHT: (usize, usize) = (3, 800);
+const LIGHT: (usize, usize) = (3, 600);
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
 /// few: what is blurred differs less from place to place.
 const WIDE: (usize, usize) = (65, 201);
@@ -240,19 +238,20 @@ impl Setting<'_> {
                     lit.iter().map(|c| (*c).min(last)).collect()
                 };
                 let of = |m: &usize| {
-                    WarpedScene::new(scene, &fine.maps[0], &first.raster, (*m, first.bin), channels.clone())
+                    WarpedScene::new(scene, &self.light.maps[0], &first.raster, (*m, first.bin), channels.clone())
                 };
                 ladder.iter().map(of).collect()
             })
             .collect();
         let probing = Probing {
-            optics: &fine,
+            optics: self.light,
+            colours: &fine,
             depth: 0,
             frame: &first.raster,
             lit,
             scenes: &sampled,
             size,
-            dense: FINE_DENSE,
+            dense: LIGHT.1,
         };
         let count = match size {
             _ if size > WIDE.1 => 8,
@@ -268,7 +267,7 @@ impl Setting<'_> {
             .filter(|n| **n <= FINE_WAVELENGTHS)
             .map(|n| (*n, quadrature(self.density, *n, &[0, 1, 2])))
             .collect();
-        let measuring = Measuring { probing: &probing, rules: &rules, light: (self.light, LIGHT.1) };
+        let measuring = Measuring { probing: &probing, rules: &rules };
         let coarsest = Settings::NODE_ERRORS[0].min(base.node_error);
         let mut nodes = Nodes::coarse(self.light, 0, &first.raster, around, size, coarsest, LIGHT.1);
         let mut found = ladders(&measuring, &probes, &mut nodes, target);

@@ -279,7 +279,7 @@ impl Chief {
         let mut hits = Vec::new();
         let cosines = view.aim(at, DVec2::ZERO, None, &mut hits)?;
         let ray = view.follow(at, cosines, &mut hits)?;
-        Ok(Self { radius_mm, cosines, entrance: ray.entrance.y, slope: ray.slope.y })
+        Ok(Self { radius_mm, cosines, entrance: ray.entrance.y + 0.0, slope: ray.slope.y + 0.0 })
     }
 
     pub(super) fn vjp(&self, view: &SensorView, [entrance, slope]: [f64; 2], out: &mut SystemGradient) {
