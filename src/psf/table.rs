@@ -24,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System, SystemGradient};
-use beam::{Beam, Bases, Chief};
+use beam::{Bases, Beam, Chief};
 pub use refine::{Tolerance, knots};
 
 /// Knots that one interpolation reads.
@@ -141,10 +141,7 @@ impl TableBar {
     /// All zero, in the form of `table`.
     pub fn zeros(table: &Table) -> Self {
         let (knots, colours) = (table.rows.len(), table.spec.wavelength_nm.len());
-        Self {
-            rows: vec![vec![vec![0.0; table.layout.len()]; colours]; knots],
-            chiefs: vec![[0.0; 2]; knots],
-        }
+        Self { rows: vec![vec![vec![0.0; table.layout.len()]; colours]; knots], chiefs: vec![[0.0; 2]; knots] }
     }
 
     /// Adds `other`.
@@ -248,6 +245,11 @@ impl Table {
     /// Smallest part of the stop's radius that light comes through at any knot.
     pub fn kept(&self) -> f64 {
         self.pupil * self.rows.iter().flatten().map(|r| r.kept).fold(1.0, f64::min)
+    }
+
+    /// The radius whose rays stand for those of `radius_mm`: beyond the last knot with light, that knot's.
+    pub fn held(&self, radius_mm: f64) -> f64 {
+        radius_mm.min(self.spec.radii_mm[self.spec.radii_mm.len() - 1])
     }
 
     /// Knots and weights at a sensor radius; held beyond the last knot.
@@ -423,3 +425,6 @@ impl RowBar {
         &mut self.0[table.layout.clip(k)]
     }
 }
+
+#[cfg(test)]
+mod tests;
