@@ -173,8 +173,7 @@ impl Quadrature {
 
     /// Whether the whole disk is open.
     fn open(&self, table: &Table, row: &Row) -> bool {
-        row.kept >= 1.0
-            && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
+        row.kept >= 1.0 && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
     }
 
     fn integrate(&self, table: &Table, row: &Row) -> f64 {
@@ -227,8 +226,7 @@ impl Quadrature {
 
     /// Parts of a chord where no aperture cuts.
     fn intervals(&self, table: &Table, row: &Row, chord: &Chord) -> Vec<Open> {
-        let clips: Vec<Vec<f64>> =
-            (0..table.clips.len()).map(|k| self.along(row.clip(table, k), chord)).collect();
+        let clips: Vec<Vec<f64>> = (0..table.clips.len()).map(|k| self.along(row.clip(table, k), chord)).collect();
         let mut cuts: Vec<(f64, Option<usize>)> = vec![(-chord.half, None), (chord.half, None)];
         for (k, clip) in clips.iter().enumerate() {
             cuts.extend(roots(clip, chord.half).into_iter().map(|y| (y, Some(k))));

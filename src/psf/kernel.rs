@@ -248,8 +248,12 @@ impl KernelForm {
         let taps = table.taps(place.radius_mm);
         let (shares, levels) = self.shares(illumination, place.radius_mm);
         let colours = table.spec.wavelength_nm.len();
-        let mut back =
-            KernelBar { rows: Vec::new(), irradiance: vec![0.0; colours], map: vec![0.0; map.coefficients.len()], taps };
+        let mut back = KernelBar {
+            rows: Vec::new(),
+            irradiance: vec![0.0; colours],
+            map: vec![0.0; map.coefficients.len()],
+            taps,
+        };
         // Of the shares, [channel][wavelength].
         let mut shares_bar = vec![vec![0.0; colours]; self.channels()];
         for l in 0..colours {

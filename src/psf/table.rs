@@ -24,7 +24,7 @@ use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System, SystemGradient};
-use beam::{Beam, Bases, Chief};
+use beam::{Bases, Beam, Chief};
 pub use refine::{Tolerance, knots};
 
 /// Knots that one interpolation reads.
@@ -141,10 +141,7 @@ impl TableBar {
     /// All zero, in the form of `table`.
     pub fn zeros(table: &Table) -> Self {
         let (knots, colours) = (table.rows.len(), table.spec.wavelength_nm.len());
-        Self {
-            rows: vec![vec![vec![0.0; table.layout.len()]; colours]; knots],
-            chiefs: vec![[0.0; 2]; knots],
-        }
+        Self { rows: vec![vec![vec![0.0; table.layout.len()]; colours]; knots], chiefs: vec![[0.0; 2]; knots] }
     }
 
     /// Adds `other`.

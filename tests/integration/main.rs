@@ -5,9 +5,9 @@ mod cli;
 mod golden;
 mod gradients;
 mod layering;
+mod one_way;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
-mod one_way;
 mod picture;
 mod renderers;
 mod stiff;

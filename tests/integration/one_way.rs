@@ -276,8 +276,8 @@ fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
 /// A lens on a small frame, one scene: finite picture and gradient, or one line.
 fn outcome(what: &str, lens: &Lens, frame: &Frame, vergence: f64, settings: Settings) -> Option<Renderer> {
     let scene = Plane { texels_per_slope: 400.0, axis_texel: [180.0, 120.0], ..street(vergence) };
-    let renderer = RenderPlan::new(lens, frame, &density(), &[vergence], settings)
-        .and_then(|plan| Renderer::new(lens, &plan));
+    let renderer =
+        RenderPlan::new(lens, frame, &density(), &[vergence], settings).and_then(|plan| Renderer::new(lens, &plan));
     let renderer = match renderer {
         Ok(renderer) => renderer,
         Err(error) => {
@@ -297,7 +297,11 @@ fn outcome(what: &str, lens: &Lens, frame: &Frame, vergence: f64, settings: Sett
     assert!(brightest < 2.0, "{what}: {brightest} of scenes up to 1");
     eprintln!(
         "{what}: half-width {} cells of {} px, {} nodes, kept {:.2}, light to {:.2} mm of {:.2}, brightest {brightest:.3}",
-        d.half_width, d.bin, d.grid.len(), renderer.optics.table.kept(), renderer.optics.table.edge_mm,
+        d.half_width,
+        d.bin,
+        d.grid.len(),
+        renderer.optics.table.kept(),
+        renderer.optics.table.edge_mm,
         frame.max_radius_mm()
     );
     Some(renderer)

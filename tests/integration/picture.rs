@@ -78,9 +78,9 @@ fn planned_pictures_are_within_their_bounds() {
         let told = |what: &str| left.contains(&what);
         match what {
             "grey" => assert!(told("colours of the scene")),
-            "red alone" => assert!(
-                told("dark channels") && picture.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0)
-            ),
+            "red alone" => {
+                assert!(told("dark channels") && picture.slice(ndarray::s![1.., .., ..]).iter().all(|v| *v == 0.0))
+            }
             "one lit corner" => assert!(told("unlit part of the frame") || told("unlit blocks")),
             _ => {}
         }
@@ -141,7 +141,8 @@ fn extreme_radiances_have_stated_outcomes() {
     }
     for bad in [f32::NAN, f32::INFINITY] {
         scene.texture[[2, 7, 9]] = bad;
-        let error = plan(&lens, &[scene.clone()], &frame, &density(), Request::Psnr(40.0), false).err().expect("refused");
+        let error =
+            plan(&lens, &[scene.clone()], &frame, &density(), Request::Psnr(40.0), false).err().expect("refused");
         let text = error.to_string();
         assert!(error.exit_code() == 2 && text.contains("channel 2, row 7, column 9"), "{text}");
     }

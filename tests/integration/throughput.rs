@@ -113,7 +113,11 @@ fn the_soft_edge_has_little_bias() {
         eprintln!(
             "{name} slope {slope}: {hard:.6} sr counted, {off:+.2e} in closed form; {:.0} % open, clipped by {:?}; \
              soft edges {:+.2e} (60 points) {:+.2e} (200) {:+.2e} (3000)",
-            1e2 * open, optics.table.clips, b60[0], b200[0], b3000[0]
+            1e2 * open,
+            optics.table.clips,
+            b60[0],
+            b200[0],
+            b3000[0]
         );
         for (w, b) in worst.iter_mut().zip([b60, b200, b3000]) {
             *w = b.iter().fold(*w, |w, b| w.max(b.abs()));

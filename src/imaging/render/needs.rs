@@ -3,10 +3,10 @@
 use ndarray::{Array2, Axis};
 
 use super::source::WarpedScene;
-use crate::psf::SensorMap;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::warp::{Plane, Region};
+use crate::psf::SensorMap;
 
 /// Side in pixels of the squares that are looked at for light.
 const SQUARE: usize = 16;

@@ -149,8 +149,7 @@ pub fn plan(
         }
         (Request::Everything, _) => {
             let around = super::coarse::cells(whole, first.bin);
-            let depth =
-                DepthPlan { grid: NodeGrid::uniform(around, FULL_SPACING), node_error: 0.0, ..first.clone() };
+            let depth = DepthPlan { grid: NodeGrid::uniform(around, FULL_SPACING), node_error: 0.0, ..first.clone() };
             (base, depth, true, None)
         }
         _ => {
@@ -309,7 +308,13 @@ impl Setting<'_> {
             let pixels = Region { row: region.row * scale, col: region.col * scale, rows: SIDE, cols: SIDE };
             let channels = Channels::all(scene);
             let (image, _) = renderer.picture::<f32>(scene, 0, pixels, &channels, &|_| {});
-            Some(self.needs.lit_channels.iter().flat_map(|c| image.index_axis(ndarray::Axis(0), *c).to_owned()).collect())
+            Some(
+                self.needs
+                    .lit_channels
+                    .iter()
+                    .flat_map(|c| image.index_axis(ndarray::Axis(0), *c).to_owned())
+                    .collect(),
+            )
         };
         let of = |Stand { scene, region, weight }: &Stand| {
             let scene = &scenes[*scene];

@@ -106,13 +106,7 @@ impl SensorView {
     ///
     /// # Errors
     /// Why the last ray that was tried failed.
-    pub fn aim(
-        &self,
-        at: DVec2,
-        target: DVec2,
-        start: Option<DVec2>,
-        hits: &mut Vec<Hit>,
-    ) -> Result<DVec2, Failure> {
+    pub fn aim(&self, at: DVec2, target: DVec2, start: Option<DVec2>, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
         let mut failure = Failure { cause: Cause::NotConverged, surface: self.system.stop };
         for guess in start.into_iter().chain([self.guess(at, target)]) {
             match self.solve(at, target, guess, hits) {
@@ -166,14 +160,7 @@ impl SensorView {
 
     /// Pulls cotangents on a ray that [`Self::aim`] found and [`Self::follow`] followed back to the reversed system (added
     /// to `out`); returns that of the target in the stop. The point on the sensor is held.
-    pub fn vjp(
-        &self,
-        at: DVec2,
-        cosines: DVec2,
-        hits: &[Hit],
-        bar: &SceneRayBar,
-        out: &mut SystemGradient,
-    ) -> DVec2 {
+    pub fn vjp(&self, at: DVec2, cosines: DVec2, hits: &[Hit], bar: &SceneRayBar, out: &mut SystemGradient) -> DVec2 {
         let image = self.system.image();
         let mut bars = vec![HitBar::default(); image + 1];
         for (surface, height) in &bar.heights {
