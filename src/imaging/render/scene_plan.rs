@@ -51,9 +51,9 @@ pub struct Skip {
 pub struct ScenePlan {
     /// Lens and plan.
     pub renderer: Renderer,
-    /// What the first scene holds.
+    /// What the scenes hold, together.
     pub needs: Needs,
-    /// Pixels that its light can reach; `None`: none.
+    /// Pixels that their light can reach; `None`: none.
     pub region: Option<Region>,
     /// Convolution of the first scene.
     pub method: Method,
@@ -118,7 +118,8 @@ pub fn plan(
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
     // Widths, and what light can reach.
     let first = depth_plan(&light, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
-    let mut needs = Needs::of(scene, &light.maps[0], frame, first.reach_px());
+    let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
+    let mut needs = each.reduce(Needs::and).expect("at least one scene");
     if request == Request::Everything {
         needs = Needs { lit_channels: vec![0, 1, 2], grey: false, lit: Some(whole), lit_share: 1.0 };
     }
