@@ -258,33 +258,88 @@ fn series(c: &[f64], y: f64) -> (f64, f64) {
     (c[0] + y * b1 - b2, b1 + y * d1 - d2)
 }
 
-/// Sign changes of a series over `−half..half`, seen between [`SAMPLES`] samples.
+/// Sign changes of a series over `−half..half`: between [`SAMPLES`] samples, and pairs of them inside one interval.
 fn roots(c: &[f64], half: f64) -> Vec<f64> {
     let at = |i: u32| half * (2.0 * f64::from(i) / f64::from(SAMPLES) - 1.0);
-    let values: Vec<f64> = (0..=SAMPLES).map(|i| series(c, at(i)).0).collect();
+    let values: Vec<(f64, f64)> = (0..=SAMPLES).map(|i| series(c, at(i))).collect();
     let mut out = Vec::new();
     for (i, pair) in (0..SAMPLES).zip(values.windows(2)) {
-        if (pair[0] > 0.0) == (pair[1] > 0.0) {
-            continue;
+        let (a, b) = (at(i), at(i + 1));
+        if (pair[0].0 > 0.0) != (pair[1].0 > 0.0) {
+            out.push(root(c, [a, b], [pair[0].0, pair[1].0]));
+        } else if let Some((y, v)) = across(c, [a, b], [pair[0], pair[1]]) {
+            out.push(root(c, [a, y], [pair[0].0, v]));
+            out.push(root(c, [y, b], [v, pair[1].0]));
         }
-        let (mut a, mut b) = (at(i), at(i + 1));
-        let mut y = a + (b - a) * pair[0] / (pair[0] - pair[1]);
-        for _ in 0..40 {
-            let (v, slope) = series(c, y);
-            if (v > 0.0) == (pair[0] > 0.0) {
-                a = y;
-            } else {
-                b = y;
-            }
-            let next = y - v / slope;
-            let next = if next > a && next < b { next } else { 0.5 * (a + b) };
-            let done = (next - y).abs() <= 1e-14;
-            y = next;
-            if done {
-                break;
-            }
-        }
-        out.push(y);
     }
     out
+}
+
+/// A point between `a` and `b`, whose values have one sign, where the series has the other one: its extremum there, where the
+/// tangents of both ends cross zero before they meet.
+fn across(c: &[f64], [mut a, mut b]: [f64; 2], [(va, mut da), (vb, mut db)]: [(f64, f64); 2]) -> Option<(f64, f64)> {
+    let sign = if va > 0.0 { 1.0 } else { -1.0 };
+    if sign * da >= 0.0 || sign * db <= 0.0 {
+        return None;
+    }
+    let meet = (vb - va + da * a - db * b) / (da - db);
+    if sign * (va + da * (meet - a)) > 0.0 {
+        return None;
+    }
+    for _ in 0..30 {
+        let y = (a - da * (b - a) / (db - da)).clamp(a, b);
+        let (v, d) = series(c, y);
+        if (v > 0.0) != (va > 0.0) {
+            return Some((y, v));
+        }
+        if sign * d < 0.0 {
+            (a, da) = (y, d);
+        } else {
+            (b, db) = (y, d);
+        }
+    }
+    None
+}
+
+/// The sign change between `a` and `b`, by safeguarded Newton.
+fn root(c: &[f64], [mut a, mut b]: [f64; 2], values: [f64; 2]) -> f64 {
+    let mut y = a + (b - a) * values[0] / (values[0] - values[1]);
+    for _ in 0..40 {
+        let (v, slope) = series(c, y);
+        if (v > 0.0) == (values[0] > 0.0) {
+            a = y;
+        } else {
+            b = y;
+        }
+        let next = y - v / slope;
+        let next = if next > a && next < b { next } else { 0.5 * (a + b) };
+        let done = (next - y).abs() <= 1e-14;
+        y = next;
+        if done {
+            break;
+        }
+    }
+    y
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::assert_abs;
+
+    /// An aperture that leaves less of a chord open than two samples are apart, or closes as little.
+    #[test]
+    fn narrow_openings_are_seen() {
+        for (middle, half) in [(0.07f64, 1e-3f64), (0.07, 0.03), (-0.4, 1e-6), (0.89, 5e-3)] {
+            for sign in [1.0, -1.0] {
+                // ±(half² − (y − middle)²).
+                let c = [half * half - middle * middle - 0.5, 2.0 * middle, -0.5].map(|v| sign * v);
+                let found = roots(&c, 0.9);
+                assert_eq!(found.len(), 2, "{middle} {half}");
+                assert_abs(found[0], middle - half, 1e-12 / half, "below");
+                assert_abs(found[1], middle + half, 1e-12 / half, "above");
+            }
+        }
+        assert!(roots(&[-0.5 - 1e-9, 0.0, -0.5], 0.9).is_empty(), "no more than touches");
+    }
 }

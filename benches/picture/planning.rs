@@ -1,0 +1,68 @@
+//! What planning takes beside ten pictures, and a whole picture's gradient beside the picture.
+
+use std::fmt::Write as _;
+use std::time::Instant;
+
+use isoplanat::imaging::render::{Channels, Request};
+use isoplanat::imaging::warp::Region;
+use ndarray::Array3;
+
+use crate::cases::{LENSES, built_in};
+
+/// Columns and rows.
+const SIZE: [usize; 2] = [768, 512];
+
+/// Plans at 45 dB, each followed by ten pictures.
+pub(crate) fn beside_pictures() -> String {
+    let mut out = format!(
+        "{} × {} pixels, the built-in street, 45 dB.\n\n| lens | settings | planning s | ten pictures s |\n|---|---|---|---|\n",
+        SIZE[0], SIZE[1]
+    );
+    for lens in LENSES {
+        let case = built_in(lens, SIZE);
+        let clock = Instant::now();
+        let plan = case.plan(Request::Psnr(45.0), false);
+        let planning = clock.elapsed().as_secs_f64();
+        let clock = Instant::now();
+        let sum: f32 = (0..10).map(|_| case.picture(&plan).sum()).sum();
+        assert!(sum > 0.0);
+        let (s, d) = (plan.renderer.plan.settings, &plan.renderer.plan.depths[0]);
+        let _ = writeln!(
+            out,
+            "| {lens} | m {}, {} λ, {} points, {} nodes, {}² of {} px | {planning:.2} | {:.2} |",
+            s.samples,
+            s.wavelengths,
+            s.dense,
+            d.grid.len(),
+            d.size(),
+            d.bin,
+            clock.elapsed().as_secs_f64()
+        );
+    }
+    out
+}
+
+/// Pictures at 45 dB, recorded, pulled back to the optics and to the lens.
+pub(crate) fn gradients() -> String {
+    let mut out =
+        String::from("| lens | picture s | recorded s | to the optics s | to the lens s |\n|---|---|---|---|---|\n");
+    for lens in LENSES {
+        let case = built_in(lens, SIZE);
+        let plan = case.plan(Request::Psnr(45.0), false);
+        let renderer = &plan.renderer;
+        let whole = Region { row: 0, col: 0, rows: SIZE[1], cols: SIZE[0] };
+        let mut clock = Instant::now();
+        let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
+        let image = renderer.picture::<f32>(&case.scene, 0, whole, &Channels::of(&case.scene), &|_| ()).0;
+        let forward = lap();
+        let rendered = renderer.record::<f32>(&case.scene, 0, whole);
+        let recorded = lap();
+        let zero = Array3::zeros(image.dim());
+        let bar = renderer.vjp(&case.scene, &rendered, image.view(), zero.view(), zero.view());
+        let back = lap();
+        let gradient = renderer.lens_gradient(&case.lens, &bar);
+        assert!(gradient.surfaces[0].shape.curvature.is_finite());
+        let _ = writeln!(out, "| {lens} | {forward:.2} | {recorded:.2} | {back:.2} | {:.2} |", lap());
+    }
+    out
+}

@@ -1,0 +1,153 @@
+//! The optics of a design step: eight patches of 256² pixels at random fields and four depths, forward and lens gradient.
+
+use std::path::Path;
+use std::time::Instant;
+
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
+use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::lens::{Lens, builtin};
+use isoplanat::psf::OpticsBar;
+use ndarray::Array3;
+
+/// Patches of a step, and their side, pixels.
+const PATCHES: usize = 8;
+const SIDE: usize = 256;
+/// Object distances, mm.
+const DEPTHS_MM: [f64; 4] = [500.0, 700.0, 1000.0, 1500.0];
+
+/// A lens, its plan, and the patches of one step.
+pub(crate) struct Step {
+    pub(crate) name: String,
+    lens: Lens,
+    plan: RenderPlan,
+    /// Seconds the plan took.
+    planning: f64,
+    patches: Vec<(Plane, Region)>,
+}
+
+/// Seconds of the parts of a step.
+#[derive(Clone, Copy, Default)]
+struct Parts {
+    trace: f64,
+    forward: f64,
+    back: f64,
+    lens: f64,
+}
+
+impl Step {
+    /// Two_element at 20 and 6 µm, and the least-squares lens where it is there.
+    pub(crate) fn all() -> Vec<Self> {
+        let two = || builtin::lens("two_element").expect("shipped");
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data/lenses/least_squares/two_element.toml");
+        let mut all = vec![Self::new("two_element, 20 um", two(), 20.0), Self::new("two_element, 6 um", two(), 6.0)];
+        if path.exists() {
+            let lens = isoplanat::lens::prescription::load(&path).expect("a lens");
+            all.push(Self::new("least squares, 20 um", lens, 20.0));
+        }
+        all
+    }
+
+    /// The quadrant of 19.2 × 12.8 mm at a pitch.
+    fn new(name: &str, lens: Lens, pitch_um: f64) -> Self {
+        let [columns, rows] = [19_200.0, 12_800.0].map(|side: f64| (side / pitch_um).round() as usize);
+        let frame =
+            Frame::centred(columns, rows, pitch_um * 1e-3).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+        let density = SpectralDensity::new(&Sensor::generic());
+        let clock = Instant::now();
+        let vergences = DEPTHS_MM.map(f64::recip);
+        let plan = RenderPlan::new(&lens, &frame, &density, &vergences, Settings::DESIGN).expect("plans");
+        let planning = clock.elapsed().as_secs_f64();
+        let rng = &mut fastrand::Rng::with_seed(5);
+        let texture = generate(SceneKind::DeadLeaves, 1, 1024, 1536);
+        let patch = |k: usize| {
+            let mut place = |n: usize| rng.usize(..=n - SIDE);
+            let (row, col) = (place(rows), place(columns));
+            let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: SIDE, cols: SIDE };
+            // The texture's middle about there, about a texel a pixel.
+            let axis = |texels: usize, first: usize| 0.5 * (texels - SIDE) as f64 - first as f64;
+            let scene = Plane {
+                texture: texture.clone(),
+                texels_per_slope: 50.0 / frame.pitch_mm,
+                axis_texel: [axis(1536, col), axis(1024, row)],
+                vergence: vergences[k % vergences.len()],
+            };
+            (scene, region)
+        };
+        let patches = (0..PATCHES).map(patch).collect();
+        Self { name: name.to_owned(), lens, plan, planning, patches }
+    }
+
+    pub(crate) fn pixels(&self) -> u64 {
+        (self.patches.len() * SIDE * SIDE) as u64
+    }
+
+    pub(crate) fn renderer(&self) -> Renderer {
+        Renderer::new(&self.lens, &self.plan).expect("traces")
+    }
+
+    /// From the lens to all patches.
+    pub(crate) fn forward(&self) -> f32 {
+        let renderer = self.renderer();
+        let of = |(k, (scene, region)): (usize, &(Plane, Region))| {
+            renderer.record::<f32>(scene, k % DEPTHS_MM.len(), *region).image.sum()
+        };
+        self.patches.iter().enumerate().map(of).sum()
+    }
+
+    /// From the lens to all patches and back.
+    pub(crate) fn gradient(&self) -> f64 {
+        self.parts().1
+    }
+
+    fn parts(&self) -> (Parts, f64) {
+        let (mut parts, mut clock) = (Parts::default(), Instant::now());
+        let mut lap = || std::mem::replace(&mut clock, Instant::now()).elapsed().as_secs_f64();
+        let renderer = self.renderer();
+        parts.trace = lap();
+        let mut sum = OpticsBar::zeros(&renderer.optics);
+        let zero = Array3::<f32>::zeros((3, SIDE, SIDE));
+        for (k, (scene, region)) in self.patches.iter().enumerate() {
+            let rendered = renderer.record::<f32>(scene, k % DEPTHS_MM.len(), *region);
+            parts.forward += lap();
+            sum.add(&renderer.vjp(scene, &rendered, rendered.image.view(), zero.view(), zero.view()));
+            parts.back += lap();
+        }
+        let gradient = renderer.lens_gradient(&self.lens, &sum);
+        parts.lens = lap();
+        (parts, gradient.surfaces[0].shape.curvature)
+    }
+}
+
+/// The parts of every step, the fastest of three, ms.
+pub(crate) fn table() -> String {
+    let mut out = String::from(
+        "| lens | kernels, cells (pixels a cell), by depth | nodes | plan | trace | forward | back | lens gradient | step |\n\
+         |---|---|---|---|---|---|---|---|---|\n",
+    );
+    for step in Step::all() {
+        let total = |p: &Parts| p.trace + p.forward + p.back + p.lens;
+        let runs = (0..3).map(|_| step.parts().0);
+        let best = runs.min_by(|a, b| total(a).total_cmp(&total(b))).expect("three");
+        let list = |f: &dyn Fn(&isoplanat::imaging::render::plan::DepthPlan) -> String| {
+            step.plan.depths.iter().map(f).collect::<Vec<String>>().join(", ")
+        };
+        let ms = |s: f64| format!("{:.0}", 1e3 * s);
+        out += &format!(
+            "| {} | {} | {} | {} | {} | {} | {} | {} | {} |\n",
+            step.name,
+            list(&|d| format!("{}² ({})", d.size(), d.bin)),
+            list(&|d| d.grid.len().to_string()),
+            ms(step.planning),
+            ms(best.trace),
+            ms(best.forward),
+            ms(best.back),
+            ms(best.lens),
+            ms(total(&best))
+        );
+    }
+    out
+}

@@ -1,0 +1,47 @@
+//! Rows and chief rays against differences of the lens.
+
+use super::*;
+use crate::lens::{builtin, variables::Variables};
+use crate::testing::{assert_rel, between, central_difference};
+
+#[test]
+fn rows_and_chief_rays_pull_back_to_the_lens() {
+    for (name, radius) in [("two_element", 20.0), ("cooke_triplet", 17.0), ("phone", 3.2)] {
+        let lens = builtin::lens(name).expect("shipped");
+        let radii_mm = (0..=8).map(|i| radius * f64::from(i) / 8.0).collect();
+        let spec = TableSpec { radii_mm, wavelength_nm: vec![480.0, 600.0], degree: 5 };
+        let table = Table::compute(&lens, &spec).expect("traces");
+        let rng = &mut fastrand::Rng::with_seed(6);
+        // With knots mirrored at the axis and without.
+        let places = [(0, 0.05 * radius), (1, 0.83 * radius)];
+        let mut random = |n: usize| -> Vec<f64> { (0..n).map(|_| between(rng, -1.0, 1.0)).collect() };
+        let rows_bar = [random(table.layout.len()), random(table.layout.len())];
+        let slopes_bar = random(9);
+        let vergence = 1e-3;
+        let value = |lens: &Lens| -> f64 {
+            let t = Table::compute(lens, &spec).expect("traces");
+            let rows = places.iter().zip(&rows_bar).map(|((l, r), bar)| {
+                t.row(*l, &t.taps(*r)).coefficients.iter().zip(bar).map(|(a, b)| a * b).sum::<f64>()
+            });
+            rows.sum::<f64>() + t.chief_slopes(vergence).iter().zip(&slopes_bar).map(|(a, b)| a * b).sum::<f64>()
+        };
+        let mut bar = TableBar::zeros(&table);
+        for ((l, r), row_bar) in places.iter().zip(&rows_bar) {
+            table.row_vjp(*l, &table.taps(*r), row_bar, &mut bar);
+        }
+        table.chief_slopes_vjp(vergence, &slopes_bar, &mut bar);
+        let variables = Variables::all(&lens);
+        let (x, pulled) = (variables.values(&lens), variables.gradient(&table.vjp(&lens, &bar)));
+        let norm = pulled.iter().map(|g| g * g).sum::<f64>().sqrt();
+        for seed in 0..4 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
+            let found: f64 = pulled.iter().zip(&dx).map(|(a, b)| a * b).sum();
+            let f = |h: f64| {
+                let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                value(&variables.lens(&lens, &moved))
+            };
+            assert_rel(found, central_difference(f, 1e-5), 1e-6, 1e-3 * norm, &format!("{name}, direction {seed}"));
+        }
+    }
+}
