@@ -86,8 +86,7 @@ fn main() {
     let mut out = std::io::stdout();
     writeln!(out, "| lens | scene | asked, dB | predicted | measured (95 %) | planning, s | rendering, s |\n|---|---|---|---|---|---|---|")
         .expect("stdout");
-    let mut tally =
-        Tally { cases: 0, held: 0, worst_miss: 0.0, optimistic: 0.0, within: [0; 2], predicted: 0 };
+    let mut tally = Tally { cases: 0, held: 0, worst_miss: 0.0, optimistic: 0.0, within: [0; 2], predicted: 0 };
     for name in lenses {
         let lens = lens(name);
         let frame = frame(&lens);

@@ -81,13 +81,7 @@ impl Textures {
     /// turned at random, 1 to 1.35 texels a pixel on the axis.
     ///
     /// Rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the camera.
-    pub fn draw(
-        &self,
-        rng: &mut fastrand::Rng,
-        frame: &Frame,
-        map: &SensorMap,
-        size: usize,
-    ) -> Patch {
+    pub fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
         let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
         let region = Region {
             row: start(rng, frame.rows).cast_signed(),
@@ -99,13 +93,7 @@ impl Textures {
     }
 
     /// A random texture placed so that `region` shows a random part of it.
-    pub fn place(
-        &self,
-        rng: &mut fastrand::Rng,
-        frame: &Frame,
-        map: &SensorMap,
-        region: Region,
-    ) -> Patch {
+    pub fn place(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, region: Region) -> Patch {
         let mut texture = self.images[rng.usize(0..self.images.len())].view();
         if rng.bool() {
             texture.invert_axis(ndarray::Axis(1));

@@ -24,9 +24,9 @@ use crate::imaging::simulate::Electronics;
 use crate::imaging::spectrum::SpectralDensity;
 use crate::imaging::warp::{Plane, Region};
 use crate::lens::Lens;
-use crate::psf::SensorMap;
 use crate::network::Reconstructor;
 use crate::network::card::receptive_radius_px;
+use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 
 /// Most pixels around a patch that the network sees beside it.

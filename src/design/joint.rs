@@ -15,8 +15,8 @@ use crate::imaging::render::{RenderPlan, Renderer};
 use crate::imaging::simulate::Electronics;
 use crate::lens::variables::Variables;
 use crate::lens::{Lens, prescription};
-use crate::psf::OpticsBar;
 use crate::network::Reconstructor;
+use crate::psf::OpticsBar;
 
 /// Adam on the lens's scaled variables (f64).
 #[derive(Clone, Debug)]
@@ -203,8 +203,7 @@ mod tests {
     use crate::imaging::sensor::Sensor;
     use crate::imaging::spectrum::SpectralDensity;
 
-    const SETTINGS: Settings =
-        Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
+    const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 
     fn task() -> Task {
         let mut task = Task::demo();

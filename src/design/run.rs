@@ -131,9 +131,8 @@ pub fn joint_stage(
         }
         let renderer = joint.renderer(&plan)?;
         let map = &renderer.optics.maps[0];
-        let patches: Vec<Patch> = (0..settings.batch)
-            .map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch))
-            .collect();
+        let patches: Vec<Patch> =
+            (0..settings.batch).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch)).collect();
         let rate = schedule(used);
         let lens_rate = settings.lens_rate * rate;
         let report = joint.step(&renderer, &electronics, &patches, lens_rate, settings.network_rate * rate)?;

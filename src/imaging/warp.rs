@@ -85,6 +85,18 @@ impl Region {
         }
     }
 
+    /// The smallest region that holds both.
+    #[must_use]
+    pub fn around(self, other: Self) -> Self {
+        let along = |a: isize, n: usize, b: isize, m: usize| {
+            let (from, to) = (a.min(b), (a + n.cast_signed()).max(b + m.cast_signed()));
+            (from, (to - from).unsigned_abs())
+        };
+        let ((row, rows), (col, cols)) =
+            (along(self.row, self.rows, other.row, other.rows), along(self.col, self.cols, other.col, other.cols));
+        Self { row, col, rows, cols }
+    }
+
     /// Smallest and largest distance from the axis, mm, of the region less `inset` pixels on every side: 0 for all of its
     /// points, ½ for its pixels' centres.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]

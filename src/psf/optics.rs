@@ -127,8 +127,7 @@ impl Optics {
             return Err(Error::bad("", "object distance", format!("vergence {v} /mm"), "a finite number"));
         }
         let Quadrature { nm, .. } = &spec.quadrature;
-        let table_spec =
-            TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
+        let table_spec = TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
         let table = Table::compute(lens, &table_spec)?;
         let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
         let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);

@@ -128,7 +128,11 @@ impl SensorMap {
     /// Object slope over sensor radius, 1/mm; finite on the axis.
     #[inline]
     pub fn ratio(&self, radius_mm: f64) -> f64 {
-        if radius_mm <= self.radius_mm { self.series(self.share(radius_mm)).0 } else { self.slope(radius_mm) / radius_mm }
+        if radius_mm <= self.radius_mm {
+            self.series(self.share(radius_mm)).0
+        } else {
+            self.slope(radius_mm) / radius_mm
+        }
     }
 
     /// [`Self::ratio`] at the squared sensor radius, mm².
@@ -266,9 +270,7 @@ mod tests {
                 assert_rel(found, central_difference(f, 1e-5), 1e-8, 1e-2, "slope");
             }
             for (j, found) in c_bar.into_iter().enumerate() {
-                let f = |h: f64| {
-                    value(&map.changed(j, h), u)
-                };
+                let f = |h: f64| value(&map.changed(j, h), u);
                 assert_rel(found, central_difference(f, 1e-7), 1e-6, 1e-2, "coefficients");
             }
         }

@@ -21,7 +21,11 @@ fn tent_integral(v: f64) -> f64 {
 
 /// First fine index (counted from `δ = 0`, `φ = 0`), the `N = M + 2` weights of a move of `u` pixels, and their derivatives.
 #[inline(always)]
-#[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "small numbers, bounded by the caller")]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    reason = "small numbers, bounded by the caller"
+)]
 fn weights<const M: usize, const N: usize>(u: f64) -> (isize, [f64; N], [f64; N]) {
     let (mut w, mut d) = ([0.0; N], [0.0; N]);
     if M == 1 {

@@ -11,6 +11,7 @@ pub mod demo;
 pub mod drawing;
 pub mod evaluation;
 pub mod field;
+pub mod gradient_accuracy;
 pub mod health;
 pub mod html;
 pub mod listing;

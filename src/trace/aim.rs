@@ -19,7 +19,7 @@ pub use aimer::{Aimed, AimedBar, Aimer, aimed_vjp};
 use backward::Front;
 use newton::{solve, stop_jacobian};
 pub use paraxial::ParaxialPupil;
-pub use sensor::{SceneRay, SceneRayBar, SensorView};
+pub use sensor::{Crossings, SceneRay, SceneRayBar, SensorView};
 
 use super::launch::{FieldPoint, launch, launch_vjp};
 use super::object::ObjectPoint;

@@ -1,8 +1,8 @@
 //! A white frame against hard-edge quadrature from the sensor, over the whole field of six lenses.
 
 use isoplanat::imaging::frame::Frame;
-use isoplanat::lens::{Lens, builtin};
 use isoplanat::imaging::render::plan::spec;
+use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::table::chief_slopes;
 use isoplanat::psf::{Optics, Quadrature};
 
@@ -49,7 +49,10 @@ fn white_is_right(count: u32) {
             }
         }
         let rms = f64::sqrt(square / n);
-        eprintln!("{}: rms {rms:.1e}, worst {:.1e} at {:.3} of {corner:.3} mm, onsets {onsets:.2?}", lens.name, worst.0, worst.1);
+        eprintln!(
+            "{}: rms {rms:.1e}, worst {:.1e} at {:.3} of {corner:.3} mm, onsets {onsets:.2?}",
+            lens.name, worst.0, worst.1
+        );
         assert!(rms <= 2e-4 && worst.0 <= 1e-3, "{}: rms {rms:e}, worst {worst:?}", lens.name);
     }
 }

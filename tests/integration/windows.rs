@@ -13,7 +13,9 @@ use ndarray::Array3;
 /// and evaluation show the same mean of a grey wall, that of white times its radiance, to the share they may leave outside.
 #[test]
 fn wide_blurs_keep_their_light() {
-    for (name, slope, distance) in [("al2550_a", 0.4, 1000.0), ("ac254_050_a", 0.35, 1000.0), ("ac254_050_a", 0.05, 500.0)] {
+    for (name, slope, distance) in
+        [("al2550_a", 0.4, 1000.0), ("ac254_050_a", 0.35, 1000.0), ("ac254_050_a", 0.05, 500.0)]
+    {
         let lens = builtin::lens(name).expect("shipped");
         let v = 1.0 / distance;
         // The place that sees this slope.
@@ -24,9 +26,16 @@ fn wide_blurs_keep_their_light() {
         let corner = (radius / pitch / 2f64.sqrt()).round();
         let frame = Frame::centred(128, 128, pitch).and_then(|f| f.with_axis([-corner, -corner])).expect("valid");
         let whole = Region { row: 0, col: 0, rows: 128, cols: 128 };
-        let scene = Plane { texture: Array3::from_elem((3, 8, 8), 0.45), texels_per_slope: 10.0, axis_texel: [4.0, 4.0], vergence: v };
+        let scene = Plane {
+            texture: Array3::from_elem((3, 8, 8), 0.45),
+            texels_per_slope: 10.0,
+            axis_texel: [4.0, 4.0],
+            vergence: v,
+        };
         let density = SpectralDensity::new(&Sensor::generic());
-        for settings in [Settings::DESIGN, Settings::TRAINING, Settings { outside: 1e-3, cells: 64, ..Settings::TRAINING }] {
+        for settings in
+            [Settings::DESIGN, Settings::TRAINING, Settings { outside: 1e-3, cells: 64, ..Settings::TRAINING }]
+        {
             let plan = RenderPlan::new(&lens, &frame, &density, &[v], settings).expect("plans");
             let renderer = Renderer::new(&lens, &plan).expect("traces");
             let (image, _) = renderer.picture::<f32>(&scene, 0, whole, &Channels::of(&scene), &|_| {});
@@ -34,7 +43,11 @@ fn wide_blurs_keep_their_light() {
             let mean = |a: &Array3<f32>| a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64;
             let share = mean(&image) / (0.45 * mean(&light));
             let depth = &plan.depths[0];
-            eprintln!("{name} at {slope}, {distance} mm: {share:.4} of the light in {} cells of {} pixels", depth.size(), depth.bin);
+            eprintln!(
+                "{name} at {slope}, {distance} mm: {share:.4} of the light in {} cells of {} pixels",
+                depth.size(),
+                depth.bin
+            );
             assert!((share - 1.0).abs() <= settings.outside + 1e-4, "{name}: {share}");
         }
     }

@@ -1,5 +1,7 @@
 //! `isoplanat accuracy LENS SCENE`: error against run time of every way to make the picture.
 
+mod gradient;
+
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -37,6 +39,9 @@ pub(crate) struct Args {
     /// Rows to write as comma-separated values.
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
+    /// Judge the lens gradient of design steps instead: error against seconds of every setting.
+    #[arg(long, conflicts_with = "output")]
+    gradient: bool,
     #[command(flatten)]
     place: SceneArgs,
     /// Rows as JSON.
@@ -100,6 +105,9 @@ fn ways() -> Vec<(&'static str, String, Way)> {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for path in [&args.output, &args.svg, &args.csv].into_iter().flatten() {
         output::check_writable(path, args.force)?;
+    }
+    if args.gradient {
+        return gradient::run(args, &args.place.place(&args.lens, &args.scene)?, out);
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     let density = SpectralDensity::new(&Sensor::generic());

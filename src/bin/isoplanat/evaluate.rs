@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::design::evaluate::{Pictures, FINENESS, Settings, Sheet, evaluate};
+use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;

@@ -2,8 +2,8 @@
 
 use isoplanat::Result;
 use isoplanat::deploy::kit::{Kit, LensEntry};
-use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::render::plan::{quadrature, spec};
 use isoplanat::imaging::sensor::Sensor;

@@ -85,7 +85,8 @@ impl Args {
         };
         let stems: Vec<String> = self.scenes.iter().map(stem).collect();
         let repeated = |k: usize| stems.iter().filter(|s| **s == stems[k]).count() > 1;
-        let name = |(k, s): (usize, &String)| if repeated(k) { format!("{:03}-{s}.png", k + 1) } else { format!("{s}.png") };
+        let name =
+            |(k, s): (usize, &String)| if repeated(k) { format!("{:03}-{s}.png", k + 1) } else { format!("{s}.png") };
         stems.iter().enumerate().map(name).collect()
     }
 }

@@ -38,7 +38,12 @@ pub fn cells(region: Region, bin: usize) -> Region {
 }
 
 /// First cell (in the line of cells that starts at `first_cell`) and weights of the four that pixel `at` reads.
-#[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "raster sizes")]
+#[expect(
+    clippy::cast_precision_loss,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "raster sizes"
+)]
 fn taps<T: Real>(at: isize, first_cell: isize, bin: usize) -> (usize, [T; 4]) {
     let x = (at as f64 + 0.5) / bin as f64 - 0.5 - first_cell as f64;
     let k = x.floor();

@@ -18,8 +18,7 @@ pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) ->
     let s = &render.settings;
     let table = &plan.renderer.optics.table;
     let found = |off: Option<&Vec<Values>>| off.map_or(f64::NAN, |o| bound(o));
-    let distance =
-        if depth.vergence > 0.0 { format!("{:.0} mm", 1.0 / depth.vergence) } else { "infinity".into() };
+    let distance = if depth.vergence > 0.0 { format!("{:.0} mm", 1.0 / depth.vergence) } else { "infinity".into() };
     add("depths", format!("all of the scene stands at {distance}: one grid of PSFs"), 1.0, 0.0);
     let pixels = render.frame.rows * render.frame.columns;
     let kept = plan.region.map_or(0, |r| r.rows * r.cols);
@@ -47,8 +46,11 @@ pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) ->
     let apertures = lens.surfaces.iter().enumerate();
     let apertures = apertures.filter(|(k, s)| *k != lens.stop && s.semi_diameter.is_finite()).count();
     if clipping.len() < apertures {
-        let clip =
-            if clipping.is_empty() { "none comes near".into() } else { format!("surface {} comes near", clipping.join(", ")) };
+        let clip = if clipping.is_empty() {
+            "none comes near".into()
+        } else {
+            format!("surface {} comes near", clipping.join(", "))
+        };
         let reason = format!("of {apertures} clear apertures beside the stop, {clip} a beam of this field");
         add("apertures", reason, share(clipping.len(), apertures), 0.0);
     }
@@ -97,7 +99,8 @@ pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) ->
     let size = depth.size();
     let unit = if depth.bin == 1 { "pixels".to_owned() } else { format!("cells of {0} × {0} pixels", depth.bin) };
     if depth.bin > 1 {
-        let reason = format!("kernels are {} pixels wide: the picture is smooth, and computed on {unit}", size * depth.bin);
+        let reason =
+            format!("kernels are {} pixels wide: the picture is smooth, and computed on {unit}", size * depth.bin);
         add("pixels", reason, 1.0 / share(depth.bin * depth.bin, 1), plan.coarse_bound);
     }
     if plan.method == Method::Direct {

@@ -9,6 +9,7 @@ pub mod choose;
 pub mod coarse;
 pub mod cost;
 mod explain;
+pub mod gradient_error;
 pub mod light;
 pub mod needs;
 pub mod nodes;

@@ -3,10 +3,10 @@
 use ndarray::{Array2, Axis};
 
 use super::source::WarpedScene;
-use crate::psf::SensorMap;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::warp::{Plane, Region};
+use crate::psf::SensorMap;
 
 /// Side in pixels of the squares that are looked at for light.
 const SQUARE: usize = 16;
@@ -51,6 +51,21 @@ pub fn check(scene: &Plane) -> Result<()> {
 }
 
 impl Needs {
+    /// What two scenes hold together.
+    #[must_use]
+    pub fn and(self, other: Self) -> Self {
+        let lit = match (self.lit, other.lit) {
+            (Some(a), Some(b)) => Some(a.around(b)),
+            (a, b) => a.or(b),
+        };
+        Self {
+            lit_channels: (0..3).filter(|c| self.lit_channels.contains(c) || other.lit_channels.contains(c)).collect(),
+            grey: self.grey && other.grey,
+            lit,
+            lit_share: self.lit_share.max(other.lit_share),
+        }
+    }
+
     /// Looks at `scene` through a lens with `map` over the frame and `margin` pixels around it.
     pub fn of(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
         let warped = WarpedScene::new(scene, map, frame, (1, 1), vec![0]);

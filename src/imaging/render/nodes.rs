@@ -73,8 +73,10 @@ impl<'a> Nodes<'a> {
             error: 0.0,
         };
         let last = |from: isize, n: usize| from + n.saturating_sub(1).cast_signed();
-        let (rows, cols) =
-            ([around.row, middle.0, last(around.row, around.rows)], [around.col, middle.1, last(around.col, around.cols)]);
+        let (rows, cols) = (
+            [around.row, middle.0, last(around.row, around.rows)],
+            [around.col, middle.1, last(around.col, around.cols)],
+        );
         let corners: Vec<(isize, isize)> = rows.iter().flat_map(|r| cols.iter().map(|c| (*r, *c))).collect();
         nodes.need(corners.iter().copied());
         let constant = corners

@@ -190,7 +190,12 @@ impl RenderPlan {
         self.spec.vergences.iter().position(near).ok_or_else(|| {
             let found = format!("{} mm", vergence.recip());
             let known: Vec<String> = self.spec.vergences.iter().map(|v| format!("{} mm", v.recip())).collect();
-            crate::error::Error::bad("", "object distance", found, format!("one the plan was made for: {}", known.join(", ")))
+            crate::error::Error::bad(
+                "",
+                "object distance",
+                found,
+                format!("one the plan was made for: {}", known.join(", ")),
+            )
         })
     }
 }
@@ -224,8 +229,15 @@ pub fn depth_plan(
     let half_width = if bin == 1 { half } else { half.div_ceil(bin) + 1 };
     let (grid, node_error) = {
         let around = super::coarse::cells(region, bin);
-        let mut nodes =
-            Nodes::coarse(optics, depth, &cells, around, 2 * half_width + 1, settings.node_error, settings.dense.min(800));
+        let mut nodes = Nodes::coarse(
+            optics,
+            depth,
+            &cells,
+            around,
+            2 * half_width + 1,
+            settings.node_error,
+            settings.dense.min(800),
+        );
         nodes.refine(settings.node_error);
         (nodes.grid.clone(), nodes.error)
     };

@@ -220,8 +220,13 @@ impl Renderer {
         let mut blurred = Array3::from_elem((0, region.rows, region.cols), T::zero());
         let mut record = None;
         if !channels.lit.is_empty() {
-            let kernels =
-                NodeKernels { renderer: self, depth, grid: &grid, lit: &channels.lit, seen: Mutex::new(Seen::default()) };
+            let kernels = NodeKernels {
+                renderer: self,
+                depth,
+                grid: &grid,
+                lit: &channels.lit,
+                seen: Mutex::new(Seen::default()),
+            };
             let source = self.source(scene, depth, &channels);
             let block = match self.method(depth, &channels, &grid, around) {
                 Method::Cells { block } => block,
@@ -297,7 +302,13 @@ impl Renderer {
                 for (k, channel) in rendered.channels.lit.iter().enumerate() {
                     let plane = &mut fine[channel * raster.len()..][..raster.len()];
                     for phase in 0..m * m {
-                        phase_of_vjp(b.slice(s![k, phase, .., ..]), raster, [phase / m, phase % m], plane, T::to_double);
+                        phase_of_vjp(
+                            b.slice(s![k, phase, .., ..]),
+                            raster,
+                            [phase / m, phase % m],
+                            plane,
+                            T::to_double,
+                        );
                     }
                 }
                 let at = self.node_place(depth, &rendered.grid, node);

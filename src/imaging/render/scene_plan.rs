@@ -51,9 +51,9 @@ pub struct Skip {
 pub struct ScenePlan {
     /// Lens and plan.
     pub renderer: Renderer,
-    /// What the first scene holds.
+    /// What the scenes hold, together.
     pub needs: Needs,
-    /// Pixels that its light can reach; `None`: none.
+    /// Pixels that their light can reach; `None`: none.
     pub region: Option<Region>,
     /// Convolution of the first scene.
     pub method: Method,
@@ -118,7 +118,8 @@ pub fn plan(
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
     // Widths, and what light can reach.
     let first = depth_plan(&light, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
-    let mut needs = Needs::of(scene, &light.maps[0], frame, first.reach_px());
+    let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
+    let mut needs = each.reduce(Needs::and).expect("at least one scene");
     if request == Request::Everything {
         needs = Needs { lit_channels: vec![0, 1, 2], grey: false, lit: Some(whole), lit_share: 1.0 };
     }
@@ -149,8 +150,7 @@ pub fn plan(
         }
         (Request::Everything, _) => {
             let around = super::coarse::cells(whole, first.bin);
-            let depth =
-                DepthPlan { grid: NodeGrid::uniform(around, FULL_SPACING), node_error: 0.0, ..first.clone() };
+            let depth = DepthPlan { grid: NodeGrid::uniform(around, FULL_SPACING), node_error: 0.0, ..first.clone() };
             (base, depth, true, None)
         }
         _ => {
@@ -309,7 +309,13 @@ impl Setting<'_> {
             let pixels = Region { row: region.row * scale, col: region.col * scale, rows: SIDE, cols: SIDE };
             let channels = Channels::all(scene);
             let (image, _) = renderer.picture::<f32>(scene, 0, pixels, &channels, &|_| {});
-            Some(self.needs.lit_channels.iter().flat_map(|c| image.index_axis(ndarray::Axis(0), *c).to_owned()).collect())
+            Some(
+                self.needs
+                    .lit_channels
+                    .iter()
+                    .flat_map(|c| image.index_axis(ndarray::Axis(0), *c).to_owned())
+                    .collect(),
+            )
         };
         let of = |Stand { scene, region, weight }: &Stand| {
             let scene = &scenes[*scene];

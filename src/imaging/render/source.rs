@@ -6,9 +6,9 @@
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
 
+use crate::imaging::blur::Source;
 use crate::imaging::cfa::Real;
 use crate::imaging::frame::Frame;
-use crate::imaging::blur::Source;
 use crate::imaging::warp::{Plane, Region};
 use crate::psf::SensorMap;
 
@@ -295,9 +295,8 @@ mod tests {
             for ((c, phase, i, j), v) in got.indexed_iter() {
                 let mut sum = 0.0;
                 for (a, b) in (0..average).flat_map(|a| (0..average).map(move |b| (a, b))) {
-                    let place = |cell: usize, first: f64, sub: usize| {
-                        first + cell as f64 + (sub as f64 + 0.5) / n as f64
-                    };
+                    let place =
+                        |cell: usize, first: f64, sub: usize| first + cell as f64 + (sub as f64 + 0.5) / n as f64;
                     let (fy, fx) = (phase / samples * average + a, phase % samples * average + b);
                     sum += at(c, place(i, 2.0, fy), place(j, 1.0, fx));
                 }

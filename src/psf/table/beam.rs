@@ -7,7 +7,7 @@ use glam::DVec2;
 use super::super::fit::{Of, apply, apply_transposed};
 use super::super::stop::StopNodes;
 use super::{Layout, Row};
-use crate::trace::aim::{SceneRay, SceneRayBar, SensorView};
+use crate::trace::aim::{Crossings, SceneRayBar, SensorView};
 use crate::trace::sequential::Hit;
 use crate::trace::{Failure, SystemGradient};
 
@@ -43,14 +43,6 @@ impl Bases {
     }
 }
 
-/// One node's ray.
-#[derive(Clone, Debug)]
-pub(super) struct Node {
-    ray: SceneRay,
-    /// Where it crosses the surfaces of the reversed system.
-    heights: Vec<DVec2>,
-}
-
 /// The rays of one sensor point and wavelength.
 #[derive(Clone, Debug)]
 pub(super) struct Beam {
@@ -58,7 +50,7 @@ pub(super) struct Beam {
     pub(super) kept: f64,
     /// Radius of the unit stop, mm, over the stop's.
     pupil: f64,
-    pub(super) nodes: Vec<Node>,
+    pub(super) nodes: Vec<Crossings>,
 }
 
 /// Largest part of the stop's radius whose rim the axis sees at every wavelength.
@@ -105,31 +97,32 @@ impl Beam {
         radius_mm: f64,
         pupil: f64,
         near: Option<&Self>,
-    ) -> Result<Vec<Node>, Failure> {
+    ) -> Result<Vec<Crossings>, Failure> {
         let at = DVec2::new(0.0, radius_mm);
         let scale = pupil * view.system.stop_semi_diameter;
-        let mut hits = Vec::with_capacity(view.system.surfaces.len());
         let mut chief_hits: Vec<Hit> = Vec::new();
-        let chief = match near {
-            Some(_) => DVec2::ZERO,
-            None => view.aim(at, DVec2::ZERO, None, &mut chief_hits)?,
+        let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits)?;
+        let targets: Vec<DVec2> = basis.nodes.iter().map(|s| *s * scale).collect();
+        let starts: Vec<DVec2> = match near {
+            Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
+            None => targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect(),
         };
-        let mut nodes = Vec::with_capacity(basis.nodes.len());
-        for (j, s) in basis.nodes.iter().enumerate() {
-            let target = *s * scale;
-            let start = match near {
-                Some(beam) => beam.nodes[j].ray.cosines,
-                None => view.step(at, chief, &chief_hits, target),
-            };
-            let cosines = view.aim(at, target, Some(start), &mut hits)?;
+        if let Some(nodes) = view.bundle(at, &targets, &starts, (chief, &chief_hits)) {
+            return Ok(nodes);
+        }
+        // One by one, with all that aiming can do.
+        let mut hits = Vec::with_capacity(view.system.surfaces.len());
+        let mut nodes = Vec::with_capacity(targets.len());
+        for (target, start) in targets.iter().zip(starts) {
+            let cosines = view.aim(at, *target, Some(start), &mut hits)?;
             let ray = view.follow(at, cosines, &mut hits)?;
-            nodes.push(Node { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
+            nodes.push(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
         }
         Ok(nodes)
     }
 
     /// Values at the nodes.
-    fn values(&self, f: impl Fn(&Node) -> f64) -> Vec<f64> {
+    fn values(&self, f: impl Fn(&Crossings) -> f64) -> Vec<f64> {
         self.nodes.iter().map(f).collect()
     }
 
@@ -247,7 +240,7 @@ pub(super) fn near_apertures(views: &[SensorView], beams: &[Vec<Beam>]) -> Vec<u
         .filter(|surface| {
             let k = image - surface;
             let radius = view.system.surfaces[k].semi_diameter;
-            let nearer = |n: &Node| n.heights[k].length() > NEAR * radius;
+            let nearer = |n: &Crossings| n.heights[k].length() > NEAR * radius;
             k != view.system.stop && radius.is_finite() && beams.iter().flatten().any(|b| b.nodes.iter().any(nearer))
         })
         .collect()

@@ -8,14 +8,22 @@
 //! Outside the lens the ray is a line: it crosses the first vertex plane at `e` and runs there with the slopes `g` (of the
 //! light, which moves towards the sensor). An object point of slope `s` and vergence `v` lies on it where `s = g − v e`
 //! ([`crate::trace::launch`]), so one traced ray serves every object distance.
+//!
+//! [`SensorView::bundle`] aims many rays of one point at once, by tiles of vector lanes; Broyden's updates stand in for ray
+//! differentials there. Where one of them does not arrive the caller aims them one by one.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat2, DVec2, DVec3};
 
 use super::super::differential::RayDot;
+use super::super::lanes::{Options, Program, TILE, Tile};
 use super::super::sequential::{Hit, HitBar, trace, trace_vjp};
 use super::super::{Cause, Failure, Ray, System, SystemGradient};
 use super::newton::{Launching, Solved, solve, stop_jacobian};
 
+/// Aimed to this distance in the stop, relative to its semi-diameter.
+const TOLERANCE: f64 = 1e-12;
+/// Traces of a bundle at most, until it meets the stop where it should.
+const TRACES: u32 = 12;
 /// Steps of the walk out from the axis, fewest and most.
 const WALKS: [u32; 3] = [4, 16, 64];
 
@@ -46,6 +54,17 @@ pub struct SensorView {
     /// Height in the stop of the paraxial ray from height 1 on the sensor parallel to the axis, and of the ray from the
     /// axis with slope 1.
     paraxial: [f64; 2],
+    /// Every surface behind the sensor by itself, for tiles of rays.
+    surfaces: Vec<Program>,
+}
+
+/// A traced ray and where it crosses the surfaces of the reversed system, the sensor first.
+#[derive(Clone, Debug)]
+pub struct Crossings {
+    /// The ray.
+    pub ray: SceneRay,
+    /// Its heights, mm.
+    pub heights: Vec<DVec2>,
 }
 
 /// A ray from the sensor behind the lens, and where it came from.
@@ -87,7 +106,9 @@ impl SensorView {
             }
             y
         };
-        Self { paraxial: [height(1.0, 0.0), height(0.0, 1.0)], system: reversed }
+        let surfaces =
+            (1..reversed.surfaces.len()).map(|k| Program::of(&reversed.surfaces[k..=k], Options::default())).collect();
+        Self { paraxial: [height(1.0, 0.0), height(0.0, 1.0)], surfaces, system: reversed }
     }
 
     /// Index of the medium before the sensor.
@@ -106,13 +127,7 @@ impl SensorView {
     ///
     /// # Errors
     /// Why the last ray that was tried failed.
-    pub fn aim(
-        &self,
-        at: DVec2,
-        target: DVec2,
-        start: Option<DVec2>,
-        hits: &mut Vec<Hit>,
-    ) -> Result<DVec2, Failure> {
+    pub fn aim(&self, at: DVec2, target: DVec2, start: Option<DVec2>, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
         let mut failure = Failure { cause: Cause::NotConverged, surface: self.system.stop };
         for guess in start.into_iter().chain([self.guess(at, target)]) {
             match self.solve(at, target, guess, hits) {
@@ -141,6 +156,83 @@ impl SensorView {
         Ok(p)
     }
 
+    /// Rays from `at` through all of `targets` (mm in the stop), aimed together from `starts`; `hits` are those of the ray of
+    /// cosines `chief`, whose Jacobian all begin with. `None` where one of them does not arrive.
+    pub fn bundle(
+        &self,
+        at: DVec2,
+        targets: &[DVec2],
+        starts: &[DVec2],
+        (chief, hits): (DVec2, &[Hit]),
+    ) -> Option<Vec<Crossings>> {
+        let point = SensorPoint(at);
+        let inverse = stop_jacobian(&self.system, &point, &point.ray(chief), hits).inverse();
+        let mut tile = Tile::new();
+        let mut out = Vec::with_capacity(targets.len());
+        for (targets, starts) in targets.chunks(TILE).zip(starts.chunks(TILE)) {
+            tile.resize(targets.len());
+            let mut aimed: Vec<Broyden> = starts.iter().map(|p| Broyden::new(*p, inverse)).collect();
+            let limit = TOLERANCE * self.system.stop_semi_diameter;
+            for _ in 0..TRACES {
+                aimed.iter().enumerate().for_each(|(lane, b)| tile.rays.set(lane, point.ray(b.p)));
+                self.pass(&mut tile, 1..=self.system.stop, |_, _| ())?;
+                let met = |lane: usize| DVec2::new(tile.rays.x[lane], tile.rays.y[lane]);
+                let misses: Vec<DVec2> = targets.iter().enumerate().map(|(lane, t)| met(lane) - *t).collect();
+                let worst = misses.iter().map(|m| m.length()).fold(0.0, f64::max);
+                if worst <= limit {
+                    break;
+                }
+                if !worst.is_finite() {
+                    return None;
+                }
+                aimed.iter_mut().zip(&misses).for_each(|(b, m)| b.step(*m));
+            }
+            out.extend(self.crossings(&mut tile, point, &aimed, targets, limit)?);
+        }
+        Some(out)
+    }
+
+    /// Follows aimed rays through all surfaces; none may miss its target by more than `limit`.
+    fn crossings(
+        &self,
+        tile: &mut Tile,
+        point: SensorPoint,
+        aimed: &[Broyden],
+        targets: &[DVec2],
+        limit: f64,
+    ) -> Option<Vec<Crossings>> {
+        aimed.iter().enumerate().for_each(|(lane, b)| tile.rays.set(lane, point.ray(b.p)));
+        let mut heights = vec![vec![point.0]; targets.len()];
+        let image = self.system.image();
+        self.pass(tile, 1..=image, |_, tile| {
+            let all = heights.iter_mut().enumerate();
+            all.for_each(|(lane, h)| h.push(DVec2::new(tile.rays.x[lane], tile.rays.y[lane])));
+        })?;
+        let crossing = |(lane, (heights, b)): (usize, (Vec<DVec2>, &Broyden))| {
+            let (ray, met) = (tile.rays.ray(lane), heights[self.system.stop]);
+            let arrived = (met - targets[lane]).length() <= limit && ray.direction.z > 0.0;
+            arrived.then(|| Crossings { ray: SceneRay::of(b.p, ray.origin, ray.direction), heights })
+        };
+        heights.into_iter().zip(aimed).enumerate().map(crossing).collect()
+    }
+
+    /// Traces a tile through surfaces one by one; `None` where a ray fails.
+    fn pass(
+        &self,
+        tile: &mut Tile,
+        surfaces: std::ops::RangeInclusive<usize>,
+        mut seen: impl FnMut(usize, &Tile),
+    ) -> Option<()> {
+        for k in surfaces {
+            self.surfaces[k - 1].trace_tile(tile);
+            if tile.status[..tile.len()].iter().any(Option::is_some) {
+                return None;
+            }
+            seen(k, tile);
+        }
+        Some(())
+    }
+
     /// A first guess for `target` from the ray with cosines `near`, which meets the stop at `met`, one step along its Jacobian;
     /// `hits` are that ray's.
     pub fn step(&self, at: DVec2, near: DVec2, hits: &[Hit], target: DVec2) -> DVec2 {
@@ -160,20 +252,12 @@ impl SensorView {
         if d.z.is_nan() || d.z <= 0.0 {
             return Err(Failure { cause: Cause::Missed, surface: self.system.image() });
         }
-        let run = d.truncate() / d.z;
-        Ok(SceneRay { cosines, entrance: p.truncate() - p.z * run, slope: -run })
+        Ok(SceneRay::of(cosines, p, d))
     }
 
     /// Pulls cotangents on a ray that [`Self::aim`] found and [`Self::follow`] followed back to the reversed system (added
     /// to `out`); returns that of the target in the stop. The point on the sensor is held.
-    pub fn vjp(
-        &self,
-        at: DVec2,
-        cosines: DVec2,
-        hits: &[Hit],
-        bar: &SceneRayBar,
-        out: &mut SystemGradient,
-    ) -> DVec2 {
+    pub fn vjp(&self, at: DVec2, cosines: DVec2, hits: &[Hit], bar: &SceneRayBar, out: &mut SystemGradient) -> DVec2 {
         let image = self.system.image();
         let mut bars = vec![HitBar::default(); image + 1];
         for (surface, height) in &bar.heights {
@@ -200,6 +284,45 @@ impl SensorView {
         bars[stop].point = DVec3::new(-lambda.x, -lambda.y, 0.0);
         trace_vjp(&self.system, &hits[..=stop], &bars, out);
         lambda
+    }
+}
+
+impl SceneRay {
+    /// The ray that left the sensor with `cosines` and the lens at `point` (first vertex frame, met from behind) along
+    /// `direction`.
+    fn of(cosines: DVec2, point: DVec3, direction: DVec3) -> Self {
+        let run = direction.truncate() / direction.z;
+        Self { cosines, entrance: point.truncate() - point.z * run, slope: -run }
+    }
+}
+
+/// A ray being aimed: its cosines, the inverse of its Jacobian so far, its last step and what it still missed by before.
+struct Broyden {
+    p: DVec2,
+    inverse: DMat2,
+    last: Option<(DVec2, DVec2)>,
+}
+
+impl Broyden {
+    fn new(p: DVec2, inverse: DMat2) -> Self {
+        Self { p, inverse, last: None }
+    }
+
+    fn step(&mut self, miss: DVec2) {
+        if let Some((step, before)) = self.last {
+            // Good Broyden: H += (s − H y) sᵀH / (sᵀ H y).
+            let y = miss - before;
+            let h = self.inverse * y;
+            let down = step.dot(h);
+            if down != 0.0 {
+                let row = self.inverse.transpose() * step;
+                let column = (step - h) / down;
+                self.inverse += DMat2::from_cols(column * row.x, column * row.y);
+            }
+        }
+        let step = -(self.inverse * miss);
+        self.p += step;
+        self.last = Some((step, miss));
     }
 }
 
@@ -237,6 +360,38 @@ mod tests {
                     assert_abs((ray.entrance - e).length(), 0.0, 1e-9, &what);
                     assert_abs((ray.slope - vergence * ray.entrance - field.slope).length(), 0.0, 1e-10, &what);
                     assert_abs((p + landed.direction.truncate()).length(), 0.0, 1e-11, &what);
+                }
+            }
+        }
+    }
+
+    /// Bundles are the rays aimed one by one.
+    #[test]
+    fn bundles_are_rays_aimed_one_by_one() {
+        let cases = [("two_element", 16.0), ("cooke_triplet", 15.0), ("double_gauss", 9.0), ("phone", 2.8)];
+        let shipped = cases.map(|(name, radius)| (builtin::lens(name).expect("shipped"), radius));
+        for (lens, radius) in shipped.into_iter().chain([(laikin_100(), 12.0)]) {
+            let view = SensorView::new(&System::new(&lens, 500.0));
+            let at = DVec2::new(0.0, radius);
+            let rng = &mut fastrand::Rng::with_seed(2);
+            let targets: Vec<DVec2> = (0..70)
+                .map(|_| {
+                    let angle = between(rng, 0.0, 6.3);
+                    rng.f64().sqrt() * view.system.stop_semi_diameter * DVec2::new(angle.cos(), angle.sin())
+                })
+                .collect();
+            let (mut hits, mut chief_hits) = (Vec::new(), Vec::new());
+            let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits).expect("aims");
+            let starts: Vec<DVec2> = targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect();
+            let bundle = view.bundle(at, &targets, &starts, (chief, &chief_hits)).expect("arrives");
+            for (found, target) in bundle.iter().zip(&targets) {
+                let p = view.aim(at, *target, None, &mut hits).expect("aims");
+                let ray = view.follow(at, p, &mut hits).expect("leaves the lens");
+                assert_abs((found.ray.cosines - p).length(), 0.0, 1e-11, &lens.name);
+                assert_abs((found.ray.entrance - ray.entrance).length(), 0.0, 1e-9, &lens.name);
+                assert_abs((found.ray.slope - ray.slope).length(), 0.0, 1e-10, &lens.name);
+                for (a, b) in found.heights.iter().zip(&hits) {
+                    assert_abs((*a - b.at.point.truncate()).length(), 0.0, 1e-9, &lens.name);
                 }
             }
         }

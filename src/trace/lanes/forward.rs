@@ -179,9 +179,9 @@ struct Met<S: Simd> {
 }
 
 /// Stores rays behind a surface, refracted, and lets the plain trace mend the lanes that are not certain. `limit_sq`
-/// bounds `ρ`; `UNIT` says that `N` has length 1.
+/// bounds `ρ`; `UNIT` says that `N` has length 1, `PROVE` that roots may be proved that are not certain yet.
 #[inline(always)]
-unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
+unsafe fn finish<S: Simd, M: Mode, const UNIT: bool, const PROVE: bool>(
     step: &Step,
     run: &Run,
     at: usize,
@@ -192,8 +192,9 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
     unsafe {
         let splat = |value| Lanes::<S>::splat(value);
         let Met { nx, ny, phi, q, inverse_q, sound, root: found, missed } = met;
-        // What every root has to pass.
-        let mut through = ray.rho().at_most(splat(limit_sq));
+        // What every root has to pass; with those that are certain already, unless others may be proved.
+        let limit = splat(limit_sq);
+        let mut through = if PROVE { ray.rho().at_most(limit) } else { sound.and_at_most(ray.rho(), limit) };
         let (from, to) = (&*run.from, &mut *run.to);
         let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
         if step.refracts {
@@ -243,10 +244,12 @@ unsafe fn finish<S: Simd, M: Mode, const UNIT: bool>(
             store(inverse_r, &mut extra.inverse_r);
             store(inverse_q, &mut extra.inverse_q);
         }
-        let (sound, through) = (sound.bits(), through.bits());
-        let bad = (*run.alive >> at) & !(sound & through) & lanes_mask(S::LANES);
+        let through = through.bits();
+        let fine = if PROVE { through & sound.bits() } else { through };
+        let bad = (*run.alive >> at) & !fine & lanes_mask(S::LANES);
         if bad != 0 {
-            let known = Known { sound, found: found.bits(), through, missed: missed.bits() };
+            let found = if PROVE { found.bits() } else { 0 };
+            let known = Known { sound: sound.bits(), found, through, missed: missed.bits() };
             mend::<M>(step, run, at, bad, known);
         }
     }
@@ -278,7 +281,7 @@ pub(super) unsafe fn plane<S: Simd, M: Mode>(step: &Step, run: &Run) {
             let sound = zero.less(ray.n);
             let missed = ray.n.less(zero);
             let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, root: sound, missed };
-            finish::<S, M, true>(step, run, at, ray, met, step.limit_sq);
+            finish::<S, M, true, false>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
     }
@@ -334,7 +337,7 @@ pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, ru
                 sound = sound.and_less(zero, q);
             }
             let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, root: sound, missed };
-            finish::<S, M, SPHERE>(step, run, at, ray, met, step.limit_sq);
+            finish::<S, M, SPHERE, false>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
     }
@@ -425,7 +428,7 @@ pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &R
             }
             let missed = splat(1.0).less(splat(0.0));
             let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, root, missed };
-            finish::<S, M, false>(step, run, at, ray, met, step.limit_sq);
+            finish::<S, M, false, true>(step, run, at, ray, met, step.limit_sq);
         }
         at += S::LANES;
     }

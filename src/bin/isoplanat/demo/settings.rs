@@ -87,7 +87,8 @@ impl Settings {
         self.train.regions = 40;
         self.train.region = 160;
         self.train.crop = 128;
-        self.fine = Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
+        self.fine =
+            Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
         self.samples = 32;
         self.reference_samples = 128;
         self.compared = 64;
