@@ -116,8 +116,18 @@ pub fn plan(
         spec(lens, frame, &vergences, quadrature(density, LIGHT.0, &[0, 1, 2]), base.degree)?;
     let light = Optics::compute(lens, &light_spec)?;
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    // Settings that are given are held by their own wavelengths: the ends of the spectrum are wider than three tell.
+    let of = |wavelengths: usize| OpticsSpec {
+        quadrature: quadrature(density, wavelengths, &[0, 1, 2]),
+        ..light_spec.clone()
+    };
+    let own = match request {
+        Request::Psnr(_) => None,
+        Request::Settings(_) | Request::Everything => Some(Optics::compute(lens, &of(base.wavelengths))?),
+    };
+    let widths = own.as_ref().unwrap_or(&light);
     // Widths, and what light can reach.
-    let first = depth_plan(&light, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
+    let first = depth_plan(widths, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
     let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
     let mut needs = each.reduce(Needs::and).expect("at least one scene");
     if request == Request::Everything {
@@ -154,15 +164,17 @@ pub fn plan(
             (base, depth, true, None)
         }
         _ => {
-            let depth = depth_plan(&light, frame, 0, region.unwrap_or(whole), base)?;
+            let depth = depth_plan(widths, frame, 0, region.unwrap_or(whole), base)?;
             let at = measured.as_ref().and_then(|(_, l)| of_settings(l, &base, first.half_width)).map(|p| decibel(p.0));
             (base, depth, true, at)
         }
     };
-    let optics_spec =
-        OpticsSpec { quadrature: quadrature(density, settings.wavelengths, &[0, 1, 2]), ..light_spec.clone() };
-    let optics = Optics::compute(lens, &optics_spec)?;
-    let plan = RenderPlan { frame: frame.clone(), settings, spec: optics_spec, table_error, depths: vec![depth] };
+    let optics = match own {
+        Some(optics) => optics,
+        None => Optics::compute(lens, &of(settings.wavelengths))?,
+    };
+    let plan =
+        RenderPlan { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths: vec![depth] };
     let renderer = Renderer::with(optics, plan);
     let channels = Channels { lit: needs.lit_channels.clone(), ..Channels::of(scene) };
     let method = match region {
