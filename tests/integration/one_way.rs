@@ -378,8 +378,7 @@ fn a_frame_beyond_the_image_is_black_there() {
         let lens = builtin::lens(name).expect("shipped");
         let frame = Frame::centred(96, 64, pitch).expect("valid");
         let vergence = lens.object_vergence;
-        let white =
-            Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence };
+        let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence };
         for request in [Request::Settings(QUICK), Request::Everything] {
             let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
             let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
@@ -393,7 +392,11 @@ fn a_frame_beyond_the_image_is_black_there() {
                 worst = worst.max((v - light).abs());
             }
             eprintln!("{name}: light to {edge:.2} mm, {worst:e} off its illumination, {:e} outside", seen.outside);
-            assert!(worst <= seen.outside + 1e-9 && seen.outside <= 2e-2, "{name}: {worst:e}, {:e} outside", seen.outside);
+            assert!(
+                worst <= seen.outside + 1e-9 && seen.outside <= 2e-2,
+                "{name}: {worst:e}, {:e} outside",
+                seen.outside
+            );
         }
     }
 }
