@@ -6,10 +6,10 @@ use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plan::frame_of;
+use isoplanat::imaging::plane::{Plane, slope_per_mm};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, slope_per_mm};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
 use ndarray::Array3;
 

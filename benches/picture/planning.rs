@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::time::Instant;
 
 use isoplanat::imaging::render::{Channels, Request};
-use isoplanat::imaging::warp::Region;
+use isoplanat::imaging::plane::Region;
 use ndarray::Array3;
 
 use crate::cases::{LENSES, built_in};

@@ -6,7 +6,7 @@ use super::nodes::Nodes;
 use super::plan::Settings;
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::imaging::metrics::decibel;
-use crate::imaging::node_grid::NodeGrid;
+use crate::imaging::render::node_grid::NodeGrid;
 use crate::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.

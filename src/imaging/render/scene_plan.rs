@@ -14,12 +14,12 @@ use super::probe::{Probing, SIDE, Stand, Values};
 use super::renderer::{Channels, Renderer};
 use super::source::WarpedScene;
 use crate::error::{Error, Result};
-use crate::imaging::blur::Method;
 use crate::imaging::frame::Frame;
 use crate::imaging::metrics::decibel;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::spectrum::SpectralDensity;
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::render::blur::Method;
+use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::psf::{Optics, OpticsSpec};
 
@@ -336,7 +336,7 @@ impl ScenePlan {
     ///
     /// # Errors
     /// A scene that cannot be rendered, or at another distance than planned for.
-    pub fn picture<T: crate::imaging::cfa::Real>(
+    pub fn picture<T: crate::math::real::Real>(
         &self,
         scene: &Plane,
         progress: &(dyn Fn(f64) + Sync),

@@ -116,7 +116,7 @@ fn white_on_the_axis_is_the_cone_of_light() {
         let lens = builtin::lens(name).expect("shipped");
         let o = Optics::compute(&lens, &OpticsSpec::even(radius, vec![lens.object_vergence], rgb())).expect("traces");
         for (l, nm) in rgb().nm.iter().enumerate() {
-            let exact = crate::imaging::white::on_axis(&lens, *nm);
+            let exact = crate::imaging::reference::white::on_axis(&lens, *nm);
             let found = o.illumination.irradiance[l][0];
             eprintln!("{name} {nm}: {:e}", found / exact - 1.0);
             assert_rel(found, exact, 2e-5, 0.0, name);
