@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use isoplanat::imaging::field_map::{fit_distortion, slope_at_height};
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::plan::frame_of;
-use isoplanat::imaging::plane::{Plane, slope_per_mm};
+use isoplanat::imaging::plane::Plane;
+use isoplanat::imaging::render::{Request, ScenePlan, frame_of, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
+use isoplanat::psf::table::chief_slopes;
 use ndarray::Array3;
 
 /// The three lenses: blurred, fair, sharp.
@@ -22,6 +22,19 @@ pub(crate) struct Case {
     pub(crate) frame: Frame,
     pub(crate) scene: Plane,
     pub(crate) density: SpectralDensity,
+}
+
+impl Case {
+    /// The case's plan, from the lens on.
+    pub(crate) fn plan(&self, request: Request, explain: bool) -> ScenePlan {
+        let scenes = std::slice::from_ref(&self.scene);
+        plan(&self.lens, scenes, &self.frame, &self.density, request, explain).expect("plans")
+    }
+
+    /// Its scene through a plan.
+    pub(crate) fn picture(&self, plan: &ScenePlan) -> Array3<f32> {
+        plan.picture(&self.scene, &|_| ()).expect("renders").0
+    }
 }
 
 /// A part of `name`'s frame of `[columns, rows]` pixels, half way between axis and corner.
@@ -44,10 +57,9 @@ pub(crate) fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
 pub(crate) fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
     let (lens, frame) = part(name, size);
     let v = lens.object_vergence;
-    let most = slope_at_height(&lens, v, 1.02 * frame.max_radius_mm()).expect("reaches");
-    let distortion = fit_distortion(&lens, v, most).expect("fits");
     let middle = [0.5 * size[0] as f64 - frame.axis_px[0], 0.5 * size[1] as f64 - frame.axis_px[1]];
-    let per_pixel = slope_per_mm(&distortion, middle[0].hypot(middle[1]) * frame.pitch_mm) * frame.pitch_mm;
+    let radius = (middle[0].hypot(middle[1]) * frame.pitch_mm).max(0.1);
+    let per_pixel = chief_slopes(&lens, v, &[radius]).expect("traces")[0] / radius * frame.pitch_mm;
     let scale = 1.0 / per_pixel;
     let (_, rows, cols) = texture.dim();
     let axis_texel = [0.5 * cols as f64 - middle[0], 0.5 * rows as f64 - middle[1]];

@@ -3,14 +3,15 @@
 //! `cargo bench --bench picture` times single pictures; `-- tables` judges the fast renderer against the reference on lenses
 //! and photographs and writes `benches/results/picture.md` (photographs from `../shared`; about half an hour), `-- tables
 //! quick` does so with one photograph a lens (six for
-//! `--min-psnr-db`); `-- chosen` and `-- chosen quick` print what `--min-psnr-db` holds and costs.
+//! `--min-psnr-db`); `-- chosen` and `-- chosen quick` print what `--min-psnr-db` holds and costs; `-- planning` prints what planning takes beside
+//! ten pictures, and a picture's gradient beside the picture.
 
 mod cases;
+mod planning;
 mod tables;
 
 use criterion::{Criterion, Throughput};
-use isoplanat::imaging::picture::plan::{Wish, plan};
-use isoplanat::imaging::picture::render::render;
+use isoplanat::imaging::render::Request;
 
 fn pictures(c: &mut Criterion) {
     let mut group = c.benchmark_group("picture");
@@ -20,10 +21,7 @@ fn pictures(c: &mut Criterion) {
         group.throughput(Throughput::Elements(384 * 256));
         for db in [40.0, 50.0] {
             group.bench_function(format!("{name}/{db}_db"), |b| {
-                b.iter(|| {
-                    let plan = plan(&case.lens, &case.scene, &case.frame, &case.density, None, Wish::Psnr(db), false);
-                    render::<f32>(&plan.expect("plans"), &|_| ()).image.sum()
-                });
+                b.iter(|| case.picture(&case.plan(Request::Psnr(db), false)).sum());
             });
         }
     }
@@ -34,6 +32,11 @@ fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     if arguments.iter().any(|a| a == "chosen") {
         println!("{}", tables::chosen(arguments.iter().any(|a| a == "quick")));
+        return;
+    }
+    if arguments.iter().any(|a| a == "planning") {
+        println!("{}", planning::beside_pictures());
+        println!("{}", planning::gradients());
         return;
     }
     if arguments.iter().any(|a| a == "tables") {

@@ -3,13 +3,10 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
-use isoplanat::imaging::picture::plan::{PicturePlan, Wish, plan};
-use isoplanat::imaging::picture::render::render;
-use isoplanat::imaging::picture::settings::Settings;
-use isoplanat::imaging::plan::frame_of;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings as Rays, render as trace, render_halves};
+use isoplanat::imaging::render::{Request, Settings, frame_of};
 use isoplanat::lens::builtin;
 use ndarray::{Array3, s};
 
@@ -26,19 +23,19 @@ struct Made {
     predicted: f64,
 }
 
-fn make(case: &Case, wish: Wish) -> Made {
+fn make(case: &Case, request: Request) -> Made {
     let clock = Instant::now();
-    let plan: PicturePlan<'_> =
-        plan(&case.lens, &case.scene, &case.frame, &case.density, None, wish, false).expect("plans");
+    let plan = case.plan(request, false);
     let planning = clock.elapsed().as_secs_f64();
-    let image = render::<f32>(&plan, &|_| ()).image;
+    let image = case.picture(&plan);
+    let (seconds, depth) = (clock.elapsed().as_secs_f64(), &plan.renderer.plan.depths[0]);
     Made {
         image,
-        seconds: clock.elapsed().as_secs_f64(),
+        seconds,
         planning,
-        settings: plan.settings,
-        nodes: plan.grid.len(),
-        kernel: 2 * plan.half_width + 1,
+        settings: plan.renderer.plan.settings,
+        nodes: depth.grid.len(),
+        kernel: depth.size() * depth.bin,
         predicted: plan.predicted_db.unwrap_or(f64::NAN),
     }
 }
@@ -95,7 +92,7 @@ fn against_reference(quick: bool) -> String {
         scenes.push(("points".into(), points()));
         for (what, texture) in scenes {
             let case = place(lens, [384, 256], texture);
-            let fast = make(&case, Wish::Settings(Settings::FINE));
+            let fast = make(&case, Request::Settings(Settings::FINE));
             let clock = Instant::now();
             let halves = reference(&case, 256);
             let seconds = clock.elapsed().as_secs_f64();
@@ -118,16 +115,16 @@ fn against_reference(quick: bool) -> String {
 /// A white scene's largest second difference between neighbouring pixels at knots, over its largest elsewhere.
 fn seams(case: &Case) -> f64 {
     let white = Plane { texture: Array3::ones((1, 2, 2)), ..case.scene.clone() };
-    let plan = plan(&case.lens, &white, &case.frame, &case.density, None, Wish::Settings(Settings::FINE), false);
-    let plan = plan.expect("plans");
-    let image = render::<f64>(&plan, &|_| ()).image;
+    let plan = case.plan(Request::Settings(Settings::FINE), false);
+    let image = plan.picture::<f64>(&white, &|_| ()).expect("renders").0;
+    let depth = &plan.renderer.plan.depths[0];
     let (mut at, mut elsewhere) = (0.0f64, 0.0f64);
     for row in [0, case.frame.rows / 2] {
         for j in 1..case.frame.columns - 1 {
             let v = |k: usize| image[[1, row, k]];
             let step = (v(j + 1) - 2.0 * v(j) + v(j - 1)).abs();
             let local = 0.5 * (v(j + 1) - v(j - 1)).abs();
-            let near = plan.grid.col_knots.iter().any(|k| (k - j.cast_signed()).abs() <= 1);
+            let near = depth.grid.col_knots.iter().any(|k| (k * depth.bin.cast_signed() - j.cast_signed()).abs() <= 1);
             if near {
                 at = at.max(step);
             }
@@ -140,7 +137,7 @@ fn seams(case: &Case) -> f64 {
 /// Scenes that need little: planned against everything.
 fn plans() -> String {
     let mut out = String::from(
-        "1536 × 512 pixels, planned at 50 dB against everything (finest settings, nodes every 32 pixels, all channels, whole frame), both from the \
+        "1536 × 512 pixels, planned at 50 dB against everything (finest settings, nodes every 16 pixels, all channels, whole frame), both from the \
          lens on. The bound is the sum of the plan's own.\n\n\
          | case | planned s | everything s | saving | rms difference | stated bound |\n|---|---|---|---|---|---|\n",
     );
@@ -174,11 +171,10 @@ fn plans() -> String {
         ("small central field (cooke_triplet)", small),
     ];
     for (what, case) in cases {
-        let full = make(&case, Wish::Everything);
-        let best = (0..3).map(|_| make(&case, Wish::Psnr(50.0)).seconds).fold(f64::INFINITY, f64::min);
-        let told =
-            plan(&case.lens, &case.scene, &case.frame, &case.density, None, Wish::Psnr(50.0), true).expect("plans");
-        let image = render::<f32>(&told, &|_| ()).image;
+        let full = make(&case, Request::Everything);
+        let best = (0..3).map(|_| make(&case, Request::Psnr(50.0)).seconds).fold(f64::INFINITY, f64::min);
+        let told = case.plan(Request::Psnr(50.0), true);
+        let image = case.picture(&told);
         let bound: f64 = told.skips.iter().map(|s| s.bound).sum();
         let _ = writeln!(
             out,
@@ -238,7 +234,7 @@ fn equal_error(quick: bool) -> String {
     let (plain, bounded) = (cost(Sampling::RearAperture), cost(Sampling::Bounded));
     let all = (case.frame.columns * case.frame.rows) as f64;
     for db in if quick { vec![45.0] } else { vec![40.0, 45.0, 50.0] } {
-        let fast = make(&case, Wish::Psnr(db));
+        let fast = make(&case, Request::Psnr(db));
         let mean: f64 = bands
             .iter()
             .zip(&halves)
@@ -302,13 +298,13 @@ pub(crate) fn chosen(quick: bool) -> String {
             let ladder: Vec<(f64, f64)> = ladder()
                 .into_iter()
                 .map(|s| {
-                    let made = make(&case, Wish::Settings(s));
+                    let made = make(&case, Request::Settings(s));
                     (judge(&made.image), made.seconds)
                 })
                 .collect();
             for (t, db) in targets.into_iter().enumerate() {
-                let made = make(&case, Wish::Psnr(db));
-                let again = make(&case, Wish::Settings(made.settings));
+                let made = make(&case, Request::Psnr(db));
+                let again = make(&case, Request::Settings(made.settings));
                 let psnr = judge(&made.image);
                 let mut held: Vec<f64> = ladder.iter().filter(|(p, _)| *p >= db).map(|(_, s)| *s).collect();
                 if judge(&again.image) >= db {

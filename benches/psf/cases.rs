@@ -1,16 +1,15 @@
-//! Lenses, fields and rays of the bench.
+//! Lenses, places on the sensor and rays of the bench.
 
 use glam::DVec2;
 use isoplanat::lens::{Lens, builtin};
-use isoplanat::psf::chief::chief_heights;
-use isoplanat::psf::grid::{PsfGrid, PsfNode, PsfPlan};
-use isoplanat::psf::pupil::PupilSampling;
-use isoplanat::psf::splat::splat;
-use isoplanat::trace::aim::{ParaxialPupil, aim, aim_vjp};
+use isoplanat::psf::splat::Raster;
+use isoplanat::psf::table::{Tolerance, knots};
+use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
+use isoplanat::trace::aim::{ParaxialPupil, SceneRayBar, SensorView, aim};
+use isoplanat::trace::exact::first_vignetted;
 use isoplanat::trace::launch::{FieldPoint, launch};
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{System, SystemGradient};
-use ndarray::{Array2, Array4, Axis};
 use rayon::prelude::*;
 
 /// Pixels of a kernel along one side.
@@ -25,13 +24,13 @@ pub(crate) struct Case {
     pub(crate) name: &'static str,
     pub(crate) lens: Lens,
     pub(crate) pitch_mm: f64,
-    pub(crate) max_slope: f64,
+    /// Sensor radius of the edge of the field, mm.
+    pub(crate) radius_mm: f64,
 }
 
-/// One PSF: object slope, place on the sensor, wavelength.
+/// One PSF: place on the sensor, wavelength.
 #[derive(Clone, Copy)]
 pub(crate) struct Spot {
-    pub(crate) slope: f64,
     pub(crate) radius_mm: f64,
     pub(crate) nm: f64,
 }
@@ -44,14 +43,17 @@ impl Case {
     pub(crate) fn new(name: &'static str) -> Self {
         let lens = builtin::lens(name).expect("shipped");
         // 2 % inside the stated field.
-        let max_slope = (0.98 * lens.max_field_deg).to_radians().tan();
-        Self { name, pitch_mm: lens.sensor.pitch_mm(), max_slope, lens }
+        let slope = (0.98 * lens.max_field_deg).to_radians().tan();
+        let system = System::new(&lens, lens.wavelengths.primary_nm);
+        let field = FieldPoint { slope: DVec2::new(0.0, slope), vergence: lens.object_vergence };
+        let mut hits = Vec::new();
+        let e = aim(&system, ParaxialPupil::new(&lens), field, DVec2::ZERO, None, &mut hits).expect("aims");
+        let chief = trace(&system, launch(field, e), system.image(), &mut hits).expect("lands");
+        Self { name, pitch_mm: lens.sensor.pitch_mm(), radius_mm: chief.at.point.y.abs(), lens }
     }
 
     pub(crate) fn spot(&self, share: f64, nm: f64) -> Spot {
-        let slope = share * self.max_slope;
-        let radius_mm = chief_heights(&self.lens, self.lens.object_vergence, &[slope]).expect("aims")[0];
-        Spot { slope, radius_mm, nm }
+        Spot { radius_mm: share * self.radius_mm, nm }
     }
 
     /// Axis, middle and edge of the field at three wavelengths.
@@ -60,60 +62,38 @@ impl Case {
         fields.iter().flat_map(|f| self.lens.wavelengths.nm.iter().map(|nm| self.spot(*f, *nm))).collect()
     }
 
-    /// The kernel of one spot as the library makes it.
-    pub(crate) fn kernel(&self, sampling: &PupilSampling, spot: Spot) -> Vec<f64> {
-        let plan = PsfPlan {
-            sampling: sampling.clone(),
-            size: SIZE,
-            pitch_mm: self.pitch_mm,
-            wavelength_nm: vec![spot.nm],
-            weight: vec![vec![1.0]],
-        };
-        let nodes = [PsfNode { radius: 0, outward: [0.0, 1.0] }];
+    /// What is traced: every wavelength a channel, knots that hold the renderer's tolerance.
+    pub(crate) fn spec(&self, degree: usize) -> OpticsSpec {
+        let nm = self.lens.wavelengths.nm[..3].to_vec();
+        let weight = (0..3).map(|c| (0..3).map(|l| f64::from(u8::from(c == l))).collect()).collect();
+        let quadrature = Quadrature { nm, weight };
+        let tolerance = Tolerance { landing_mm: 0.02 * self.pitch_mm, weight: 1e-4 };
         let v = self.lens.object_vergence;
-        let grid = PsfGrid::compute(&self.lens, v, &plan, &[spot.slope], &[spot.radius_mm], &nodes).expect("traces");
-        grid.kernels.index_axis(Axis(0), 0).iter().copied().collect()
+        let radii_mm = knots(&self.lens, v, &quadrature.nm, degree, self.radius_mm, tolerance).expect("traces").0;
+        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192 }
     }
 
-    /// The kernel from rays aimed one by one at `points` of the unit stop (equal areas), hard edges, with étendue.
-    pub(crate) fn direct(&self, points: &[DVec2], spot: Spot) -> Vec<f64> {
-        let system = System::new(&self.lens, spot.nm);
-        let pupil = ParaxialPupil::new(&self.lens);
-        let field = FieldPoint { slope: DVec2::new(0.0, spot.slope), vergence: self.lens.object_vergence };
-        let image = system.image();
+    pub(crate) fn optics(&self, degree: usize) -> Optics {
+        Optics::compute(&self.lens, &self.spec(degree)).expect("traces")
+    }
+
+    /// The kernel of one spot as the library makes it.
+    pub(crate) fn kernel(&self, optics: &Optics, dense: usize, spot: Spot) -> Vec<f64> {
+        let form = optics.form(dense, SIZE, 1, self.pitch_mm);
+        let mut out = vec![0.0; 3 * SIZE * SIZE];
+        optics.kernels(&form, 0, Place { radius_mm: spot.radius_mm, outward: [0.0, 1.0] }, &mut out);
+        let channel = optics.spec.quadrature.nm.iter().position(|nm| *nm == spot.nm).expect("one of three");
+        out[channel * SIZE * SIZE..][..SIZE * SIZE].to_vec()
+    }
+
+    /// The kernel from rays of the sensor point aimed one by one at `points` of the unit stop (equal areas), hard edges,
+    /// with étendue, against the same map of the scene.
+    pub(crate) fn direct(&self, optics: &Optics, points: &[DVec2], spot: Spot) -> Vec<f64> {
+        let view = SensorView::new(&System::new(&self.lens, spot.nm));
+        let at = DVec2::new(0.0, spot.radius_mm);
         // Whole chunks in order, so that the sum does not depend on threads.
-        let parts: Vec<(Vec<f64>, f64)> = points
-            .par_chunks(4096)
-            .map(|chunk| {
-                let (mut kernel, mut total) = (vec![0.0; SIZE * SIZE], 0.0);
-                let mut hits = Vec::new();
-                let mut out = SystemGradient::zeros(&system);
-                for s in chunk {
-                    let Ok(e) = aim(&system, pupil, field, *s * system.stop_semi_diameter, None, &mut hits) else {
-                        continue;
-                    };
-                    let ray = launch(field, e);
-                    if trace(&system, ray, image, &mut hits).is_err() {
-                        continue;
-                    }
-                    let clipped = |(i, s): (usize, &isoplanat::trace::system::TraceSurface)| {
-                        i != system.stop && hits[i].at.point.truncate().length() > s.semi_diameter
-                    };
-                    if system.surfaces.iter().enumerate().any(clipped) {
-                        continue;
-                    }
-                    // Rows of (∂stop/∂e)⁻ᵀ.
-                    let [a, b] = [DVec2::X, DVec2::Y].map(|u| aim_vjp(&system, field, e, &hits, u, &mut out).target);
-                    let w = ray.direction.z.powi(4) * a.perp_dot(b);
-                    let at = hits[image].at.point;
-                    // Outward along rows, as `kernel` asks; the kernel is even in columns.
-                    let u = [at.x / self.pitch_mm, (at.y - spot.radius_mm) / self.pitch_mm];
-                    total += w;
-                    splat(&mut kernel, SIZE, u, w);
-                }
-                (kernel, total)
-            })
-            .collect();
+        let parts: Vec<(Vec<f64>, f64)> =
+            points.par_chunks(4096).map(|chunk| self.chunk(optics, &view, at, chunk)).collect();
         let total: f64 = parts.iter().map(|p| p.1).sum();
         let mut kernel = vec![0.0; SIZE * SIZE];
         for (part, _) in &parts {
@@ -122,41 +102,53 @@ impl Case {
         kernel
     }
 
-    /// The grid of the speed tables.
-    pub(crate) fn grid(&self, sampling: &PupilSampling, symmetric: bool) -> Grid<'_> {
-        let (mut shares, mut nodes): (Vec<f64>, Vec<PsfNode>) = (Vec::new(), Vec::new());
-        for (i, j) in (-4..=4).flat_map(|i| (-4..=4).map(move |j| (f64::from(i), f64::from(j)))) {
-            let length = f64::hypot(i, j);
-            let share = length / 32f64.sqrt();
-            let known = shares.iter().position(|s| symmetric && *s == share);
-            let radius = known.unwrap_or_else(|| {
-                shares.push(share);
-                shares.len() - 1
+    fn chunk(&self, optics: &Optics, view: &SensorView, at: DVec2, points: &[DVec2]) -> (Vec<f64>, f64) {
+        let (mut kernel, mut total) = (vec![0.0; SIZE * SIZE], 0.0);
+        let (mut hits, mut out) = (Vec::new(), SystemGradient::zeros(&view.system));
+        let (map, raster) = (&optics.maps[0], Raster { size: SIZE, samples: 1 });
+        for s in points {
+            let target = *s * view.system.stop_semi_diameter;
+            let aimed = view.aim(at, target, None, &mut hits).and_then(|p| Ok((p, view.follow(at, p, &mut hits)?)));
+            let Ok((cosines, ray)) = aimed else { continue };
+            if first_vignetted(&view.system, &hits).is_some_and(|f| f.surface != view.system.stop) {
+                continue;
+            }
+            // Rows of ∂cosines/∂stop.
+            let [a, b] = [DVec2::X, DVec2::Y].map(|cosines_bar| {
+                let bar = SceneRayBar { cosines: cosines_bar, ..SceneRayBar::default() };
+                view.vjp(at, cosines, &hits, &bar, &mut out)
             });
-            let outward = if length > 0.0 { [j / length, i / length] } else { [1.0, 0.0] };
-            nodes.push(PsfNode { radius, outward });
+            let w = a.perp_dot(b).abs();
+            let u = ray.slope - map.vergence * ray.entrance;
+            let from = map.point([u.x, u.y], at.y).0;
+            // Outward along rows, as `kernel` asks; the kernel is even in columns.
+            let moved = [(at.x - from[0]) / self.pitch_mm, (at.y - from[1]) / self.pitch_mm];
+            total += w;
+            raster.splat(&mut kernel, &[(0, 1.0)], std::iter::once((moved, w)));
         }
-        let slopes: Vec<f64> = shares.iter().map(|s| s * self.max_slope).collect();
-        let radii_mm = chief_heights(&self.lens, self.lens.object_vergence, &slopes).expect("aims");
-        let wavelength_nm = self.lens.wavelengths.nm[..3].to_vec();
-        let weight = (0..3).map(|c| (0..3).map(|l| f64::from(u8::from(c == l))).collect()).collect();
-        let plan = PsfPlan { sampling: sampling.clone(), size: SIZE, pitch_mm: self.pitch_mm, wavelength_nm, weight };
+        (kernel, total)
+    }
+
+    /// The grid of the speed tables: 9 x 9 nodes over a square whose corner is the edge of the field.
+    pub(crate) fn grid(&self, degree: usize, dense: usize) -> Grid<'_> {
+        let cells = (-4..=4).flat_map(|i| (-4..=4).map(move |j| (f64::from(i), f64::from(j))));
+        let step = self.radius_mm / 32f64.sqrt();
+        let nodes: Vec<Place> = cells.map(|(i, j)| Place::at([j * step, i * step])).collect();
+        let spec = self.spec(degree);
         let rng = &mut fastrand::Rng::with_seed(1);
-        let kernels_bar = Array4::from_shape_fn((nodes.len(), 3, SIZE, SIZE), |_| rng.f64() - 0.5);
-        let throughput_bar = Array2::from_shape_fn((slopes.len(), 3), |_| rng.f64() - 0.5);
-        Grid { lens: &self.lens, plan, slopes, radii_mm, nodes, kernels_bar, throughput_bar }
+        let bar = (0..3 * SIZE * SIZE).map(|_| rng.f64() - 0.5).collect();
+        let form = Optics::compute(&self.lens, &spec).expect("traces").form(dense, SIZE, 1, self.pitch_mm);
+        Grid { lens: &self.lens, spec, form, nodes, bar }
     }
 }
 
 /// A grid to compute and to pull back.
 pub(crate) struct Grid<'a> {
     lens: &'a Lens,
-    plan: PsfPlan,
-    slopes: Vec<f64>,
-    radii_mm: Vec<f64>,
-    nodes: Vec<PsfNode>,
-    kernels_bar: Array4<f64>,
-    throughput_bar: Array2<f64>,
+    spec: OpticsSpec,
+    form: KernelForm,
+    nodes: Vec<Place>,
+    bar: Vec<f64>,
 }
 
 impl Grid<'_> {
@@ -165,19 +157,38 @@ impl Grid<'_> {
     }
 
     pub(crate) fn radii(&self) -> usize {
-        self.slopes.len()
+        self.spec.radii_mm.len()
     }
 
-    pub(crate) fn forward(&self) -> PsfGrid {
-        let v = self.lens.object_vergence;
-        PsfGrid::compute(self.lens, v, &self.plan, &self.slopes, &self.radii_mm, &self.nodes).expect("traces")
+    fn optics(&self) -> Optics {
+        Optics::compute(self.lens, &self.spec).expect("traces")
     }
 
+    /// All kernels, from the lens on; the sum of their middles.
+    pub(crate) fn forward(&self) -> f64 {
+        self.kernels_of(&self.optics())
+    }
+
+    fn kernels_of(&self, optics: &Optics) -> f64 {
+        let one = |place: &Place| {
+            let mut kernel = vec![0.0; self.bar.len()];
+            optics.kernels(&self.form, 0, *place, &mut kernel);
+            kernel[SIZE * SIZE / 2]
+        };
+        self.nodes.par_iter().map(one).sum()
+    }
+
+    /// All kernels and the lens's gradient of one cotangent for each.
     pub(crate) fn both(&self) -> f64 {
-        let v = self.lens.object_vergence;
-        let (s, r, n) = (&self.slopes, &self.radii_mm, &self.nodes);
-        let bar = self.forward().vjp(self.lens, v, &self.plan, s, r, n, &self.kernels_bar, &self.throughput_bar);
-        bar.slopes.iter().sum()
+        let optics = self.optics();
+        let middles = self.kernels_of(&optics);
+        let back: Vec<_> =
+            self.nodes.par_iter().map(|place| optics.kernels_vjp(&self.form, 0, *place, &self.bar)).collect();
+        let mut bar = OpticsBar::zeros(&optics);
+        for (place, back) in self.nodes.iter().zip(&back) {
+            bar.add_kernel(&optics, 0, place.radius_mm, back);
+        }
+        middles + optics.vjp(self.lens, &bar).surfaces[0].shape.curvature
     }
 }
 

@@ -21,6 +21,9 @@ const SAMPLES: u32 = 12;
 const RIM: u32 = 64;
 /// Knots that one interpolation over the radius reads.
 const TAPS: usize = 4;
+/// Kernels of places with less than this share of the axis's light are those of the last place with more: too few points of the
+/// stop see through.
+const DIM: f64 = 1e-2;
 /// Gauss–Legendre, six points: exact to degree 11.
 const GAUSS: [(f64, f64); 3] = [
     (0.238_619_186_083_196_9, 0.467_913_934_572_691),
@@ -36,6 +39,8 @@ pub struct Illumination {
     /// `[wavelength][radius]`, sr (for a sensor in air).
     pub irradiance: Vec<Vec<f64>>,
     edge_mm: f64,
+    /// Out to here every wavelength has [`DIM`] of its light on the axis.
+    lit_mm: f64,
     quadrature: Quadrature,
 }
 
@@ -50,11 +55,13 @@ impl Illumination {
         let at = |l: usize, r: f64| {
             if r > table.edge_mm { 0.0 } else { quadrature.integrate(table, &table.row(l, &table.taps(r))) }
         };
-        let irradiance = (0..table.spec.wavelength_nm.len())
+        let irradiance: Vec<Vec<f64>> = (0..table.spec.wavelength_nm.len())
             .into_par_iter()
             .map(|l| radii_mm.par_iter().map(|r| at(l, *r)).collect())
             .collect();
-        Self { radii_mm, irradiance, edge_mm: table.edge_mm, quadrature }
+        let dim = |k: &usize| irradiance.iter().any(|of| of[*k] < DIM * of[0]);
+        let lit = (1..radii_mm.len()).find(dim).map_or(f64::INFINITY, |k| radii_mm[k - 1]);
+        Self { lit_mm: table.held(lit), radii_mm, irradiance, edge_mm: table.edge_mm, quadrature }
     }
 
     /// Irradiance at a radius, wavelength `l`; held beyond the last radius, 0 where no light comes.
@@ -64,6 +71,11 @@ impl Illumination {
         }
         let sum: f64 = self.taps(radius_mm).map(|(k, w)| w * self.irradiance[l][k]).sum();
         sum.max(0.0)
+    }
+
+    /// The radius whose kernel stands for that of `radius_mm`: beyond the last place with light, that place's.
+    pub fn held(&self, radius_mm: f64) -> f64 {
+        radius_mm.min(self.lit_mm)
     }
 
     /// Adds the pull-back of a cotangent on [`Self::at`].

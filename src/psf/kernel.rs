@@ -123,6 +123,7 @@ impl KernelForm {
 
     /// The dense rays of wavelength `l` at `radius_mm`.
     pub fn rays(&self, table: &Table, map: &SensorMap, l: usize, radius_mm: f64) -> Rays {
+        let radius_mm = table.held(radius_mm);
         let row = table.row(l, &table.taps(radius_mm));
         self.rays_of(table, map, &row, radius_mm)
     }
@@ -211,7 +212,8 @@ impl KernelForm {
     }
 
     /// Writes the fine kernels of all channels at `place`, `[channel][row][col]` on the raster; returns the share of each
-    /// channel's light that falls outside the window.
+    /// channel's light that falls outside the window. Beyond the last radius with light its kernel goes on, so that
+    /// what is interpolated towards a place in the dark is right up to the edge.
     pub fn kernels(
         &self,
         table: &Table,
@@ -221,6 +223,7 @@ impl KernelForm {
         out: &mut [f64],
     ) -> Vec<f64> {
         out.fill(0.0);
+        let place = Place { radius_mm: illumination.held(place.radius_mm), ..place };
         let taps = table.taps(place.radius_mm);
         let (shares, _) = self.shares(illumination, place.radius_mm);
         let mut outside = vec![0.0; self.channels()];
@@ -245,6 +248,7 @@ impl KernelForm {
         place: Place,
         bar: &[f64],
     ) -> KernelBar {
+        let place = Place { radius_mm: illumination.held(place.radius_mm), ..place };
         let taps = table.taps(place.radius_mm);
         let (shares, levels) = self.shares(illumination, place.radius_mm);
         let colours = table.spec.wavelength_nm.len();

@@ -96,6 +96,7 @@ impl OpticsBar {
 
     /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
     pub fn add_kernel(&mut self, optics: &Optics, depth: usize, radius_mm: f64, back: &KernelBar) {
+        let radius_mm = optics.illumination.held(radius_mm);
         for (l, row) in &back.rows {
             optics.table.row_vjp(*l, &back.taps, &row.0, &mut self.table);
         }

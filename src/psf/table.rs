@@ -247,6 +247,11 @@ impl Table {
         self.pupil * self.rows.iter().flatten().map(|r| r.kept).fold(1.0, f64::min)
     }
 
+    /// The radius whose rays stand for those of `radius_mm`: beyond the last knot with light, that knot's.
+    pub fn held(&self, radius_mm: f64) -> f64 {
+        radius_mm.min(self.spec.radii_mm[self.spec.radii_mm.len() - 1])
+    }
+
     /// Knots and weights at a sensor radius; held beyond the last knot.
     pub fn taps(&self, radius_mm: f64) -> Taps {
         Taps(taps(&self.spec.radii_mm, radius_mm, TAPS))
@@ -420,3 +425,6 @@ impl RowBar {
         &mut self.0[table.layout.clip(k)]
     }
 }
+
+#[cfg(test)]
+mod tests;

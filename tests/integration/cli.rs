@@ -230,13 +230,29 @@ fn unreadable_and_unwritable_files_are_named() {
     assert_eq!(place.files(), ["bytes.toml", "rays.json"]);
 }
 
-/// A field the lens cannot image is bad input, not a fault of the program.
+/// A field that the sensor does not see ends where it does; a lens whose picture folds is bad input, not a fault of the program.
 #[test]
 fn a_lens_that_cannot_image_its_field_is_refused() {
     let place = Workplace::new();
     place.write("wide.toml", LENS.replacen("max_angle_deg = 30.0", "max_angle_deg = 85.0", 1));
-    place.run("psf wide.toml -o k.npz").refused(&["wide.toml", "surface"]);
-    assert_eq!(place.files(), ["wide.toml"]);
+    let shown = place.run("psf wide.toml -o k.npz --size 31").done();
+    let last =
+        shown.lines().nth(5).and_then(|l| l.split_whitespace().nth(1)).map(|v| v.parse::<f64>().expect("degrees"));
+    // The corner of 4096 x 512 pixels of 6 µm.
+    assert!(last.is_some_and(|v| (26.0..27.5).contains(&v)), "{shown}");
+    // A stop two focal lengths before a lens of 50 mm: chief rays cross the axis before a sensor 150 mm behind it.
+    let surface = |curvature: f64, thickness: f64, medium: &str| {
+        format!(
+            "[[surface]]\ncurvature_per_mm = {curvature}\nthickness_mm = {thickness}\nmedium = {medium}\nsemi_diameter_mm = 20\n"
+        )
+    };
+    let head = &LENS[..LENS.find("[[surface]]").expect("surfaces")];
+    let glass = "{ n_d = 1.5, v_d = 60.0 }";
+    let rest = [surface(0.02, 6.0, glass), surface(-0.02, 150.0, "\"air\"")].concat();
+    let stop = "[[surface]]\ncurvature_per_mm = 0\nthickness_mm = 100\nmedium = \"air\"\nsemi_diameter_mm = 6.25\nstop = true\n";
+    place.write("folded.toml", format!("{head}{stop}{rest}"));
+    place.run("psf folded.toml -o l.npz").refused(&["folded.toml", "height"]);
+    assert_eq!(place.files(), ["folded.toml", "k.npz", "wide.toml"]);
 }
 
 /// Whoever reads our output may stop reading.

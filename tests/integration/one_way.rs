@@ -111,26 +111,28 @@ fn a_plan_of_its_own_gives_the_same_picture() {
 #[test]
 fn a_depth_that_fails_is_an_error() {
     let (lens, frame) = two_element();
-    for bad in [f64::NAN, f64::INFINITY, 1.0 / 3.0, 10.0, -1.0] {
-        match RenderPlan::new(&lens, &frame, &density(), &[1e-3, bad], QUICK) {
-            Err(error) => {
-                let text = error.to_string();
-                eprintln!("vergence {bad}: {text}");
-                assert!(error.exit_code() == 2 && !text.is_empty() && text.lines().count() == 1, "{bad}: {text}");
-            }
-            Ok(plan) => {
-                // Pictured after all: then with numbers.
-                let renderer = Renderer::new(&lens, &plan).expect("traces");
-                let region = Region { row: 50, col: 60, rows: 8, cols: 8 };
-                let image = renderer.record::<f32>(&street(bad), 1, region).image;
-                assert!(image.iter().all(|v| v.is_finite()), "{bad}");
-                eprintln!("vergence {bad}: rendered, kernels {}", plan.depths[1].half_width);
-            }
-        }
+    // No numbers; a virtual object before the entrance pupil, where chief rays run backwards: the picture folds.
+    for bad in [f64::NAN, f64::INFINITY, -1.0] {
+        let error = RenderPlan::new(&lens, &frame, &density(), &[1e-3, bad], QUICK).expect_err("no picture");
+        let text = error.to_string();
+        assert!(error.exit_code() == 2 && text.contains("vergence") && text.lines().count() == 1, "{bad}: {text}");
+        // The same of a plan that was made for other distances.
+        let mut plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
+        plan.spec.vergences.push(bad);
+        assert!(Renderer::new(&lens, &plan).is_err() && plan.refresh(&lens).is_err(), "{bad}");
     }
-    // Inside the focal length behind a pupil far in: chief rays cross the axis between lens and object.
-    let folding = RenderPlan::new(&lens, &frame, &density(), &[1e-3, 1.0 / 3.0], QUICK);
-    assert!(folding.is_err(), "the entrance pupil lies beyond an object 3 mm before the lens");
+    // Far inside the focal length, 3 and 0.1 mm before the lens: a picture all the same.
+    for near in [1.0 / 3.0, 10.0] {
+        let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3, near], QUICK).expect("plans");
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        let scene = street(near);
+        let rendered = renderer.record::<f32>(&scene, 1, Region { row: 50, col: 60, rows: 8, cols: 8 });
+        assert!(rendered.image.iter().all(|v| v.is_finite()), "{near}");
+        assert!(
+            gradient(&renderer, &lens, &pulled(&renderer, &scene, &rendered)).iter().all(|g| g.is_finite()),
+            "{near}"
+        );
+    }
     let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
     let renderer = Renderer::new(&lens, &plan).expect("traces");
     let text = renderer.plan.depth(2e-3).expect_err("not planned for").to_string();
@@ -246,31 +248,48 @@ fn pinhole() -> Lens {
     lens
 }
 
-/// White through a hole, to 40° on either side: cos⁴, and no distortion.
+/// White through a hole, to 40° on either side: the disk's view factor (cos⁴ to 1e-5), and no distortion.
 #[test]
 fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
     let lens = pinhole();
     // 40° along the columns: 33.6 mm of half a frame.
     let frame = Frame::centred(672, 96, 0.05).expect("valid");
-    let plan = RenderPlan::new(&lens, &frame, &density(), &[0.0], QUICK).expect("plans");
-    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let planned = RenderPlan::new(&lens, &frame, &density(), &[0.0], QUICK).expect("plans");
     let edge = frame.max_radius_mm();
-    for k in 0..=40 {
-        let radius = edge * f64::from(k) / 40.0;
-        let slope = renderer.optics.maps[0].slope(radius);
-        assert!((slope - radius / 20.0).abs() < 1e-10, "{radius} mm: slope {slope}");
+    let mut fine = planned.clone();
+    fine.spec.radii_mm = (0..=24).map(|k| edge * f64::from(k) / 24.0).collect();
+    // Closed form of a disk of radius 0.05 at 20 mm, over its middle's.
+    let seen = |a: f64| {
+        let (h2, r2, a2) = (400.0, 0.0025, a * a);
+        0.5 * (1.0 - (a2 + h2 - r2) / ((a2 + h2 + r2).powi(2) - 4.0 * r2 * a2).sqrt())
+    };
+    // A plan's table states its own error.
+    let stated = planned.table_error.weight;
+    assert!(stated <= 1e-4, "{stated:e}");
+    for (what, plan, most) in [("planned", planned, stated.max(1e-5)), ("25 radii", fine, 1e-5)] {
+        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        for k in 0..=40 {
+            let radius = edge * f64::from(k) / 40.0;
+            let slope = renderer.optics.maps[0].slope(radius);
+            assert!((slope - radius / 20.0).abs() < 1e-10, "{radius} mm: slope {slope}");
+        }
+        let white =
+            Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence: 0.0 };
+        let image = renderer.picture::<f64>(&white, 0, whole(&frame), &Channels::of(&white), &|_| ()).0;
+        let mut worst = 0.0f64;
+        for ((_, i, j), v) in image.indexed_iter() {
+            let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);
+            let (exact, cosine) = (seen(radius) / seen(0.0), 20.0 / radius.hypot(20.0));
+            assert!((exact / cosine.powi(4) - 1.0).abs() < 1e-5, "a small hole at {radius} mm");
+            worst = worst.max((v / exact - 1.0).abs());
+        }
+        let radii = plan.spec.radii_mm.len();
+        eprintln!(
+            "white through a pinhole, {what}: {worst:e} off to {:.1}°, {radii} radii",
+            (edge / 20.0).atan().to_degrees()
+        );
+        assert!(worst < most, "{what}: {worst:e}");
     }
-    let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence: 0.0 };
-    let image = renderer.picture::<f64>(&white, 0, whole(&frame), &Channels::of(&white), &|_| ()).0;
-    let mut worst = 0.0f64;
-    for ((_, i, j), v) in image.indexed_iter() {
-        let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);
-        // cos⁴ over the hole's area, not at its middle: second order, 1e-5 at the corner.
-        let cosine = 20.0 / radius.hypot(20.0);
-        worst = worst.max((v / cosine.powi(4) - 1.0).abs());
-    }
-    eprintln!("white through a pinhole: {worst:e} off cos⁴ to {:.1}°", (edge / 20.0).atan().to_degrees());
-    assert!(worst < 1e-5, "{worst:e}");
 }
 
 /// A lens on a small frame, one scene: finite picture and gradient, or one line.
@@ -352,30 +371,51 @@ fn stiff_places_end_as_stated() {
     }
 }
 
-/// A planned picture of everything, beyond the image circle: black there, finite everywhere.
+/// White on a frame beyond the image circle: black outside of it, the relative illumination inside, up to the edge.
 #[test]
 fn a_frame_beyond_the_image_is_black_there() {
-    let lens = builtin::lens("cooke_triplet").expect("shipped");
-    let frame = Frame::centred(96, 64, 1.2).expect("valid");
-    let white = Plane {
-        texture: Array3::ones((1, 2, 2)),
-        texels_per_slope: 1.0,
-        axis_texel: [1.0; 2],
-        vergence: lens.object_vergence,
-    };
-    let scenes = std::slice::from_ref(&white);
-    match plan(&lens, scenes, &frame, &density(), Request::Settings(QUICK), false) {
-        Err(error) => {
-            eprintln!("{error}");
-            assert_eq!(error.exit_code(), 2);
-        }
-        Ok(plan) => {
-            let image = plan.picture::<f32>(&white, &|_| ()).expect("renders").0;
+    for (name, pitch) in [("cooke_triplet", 0.6), ("phone", 0.12), ("two_element", 1.2)] {
+        let lens = builtin::lens(name).expect("shipped");
+        let frame = Frame::centred(96, 64, pitch).expect("valid");
+        let vergence = lens.object_vergence;
+        let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence };
+        for request in [Request::Settings(QUICK), Request::Everything] {
+            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
+            let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
             let edge = plan.renderer.optics.table.edge_mm;
-            for ((_, i, j), v) in image.indexed_iter() {
-                let radius = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5);
-                assert!(v.is_finite() && (radius <= edge + frame.pitch_mm || *v == 0.0), "{radius} mm: {v}");
+            assert!(edge < frame.max_radius_mm(), "{name}: light everywhere");
+            let light = plan.renderer.light.over::<f64>(&frame, whole(&frame), &[0, 1, 2]);
+            let mut worst = 0.0f64;
+            for ((at, v), light) in image.indexed_iter().zip(&light) {
+                let radius = frame.radius_mm(at.2 as f64 + 0.5, at.1 as f64 + 0.5);
+                assert!(v.is_finite() && (radius <= edge + pitch || *v == 0.0), "{name}, {radius} mm: {v}");
+                worst = worst.max((v - light).abs());
             }
+            eprintln!("{name}: light to {edge:.2} mm, {worst:e} off its illumination, {:e} outside", seen.outside);
+            assert!(
+                worst <= seen.outside + 1e-9 && seen.outside <= 2e-2,
+                "{name}: {worst:e}, {:e} outside",
+                seen.outside
+            );
+        }
+    }
+}
+
+/// Nodes beyond the frame's corner (grids of even spacing, cells that reach over its edge) keep the kernels of its corner.
+#[test]
+fn nodes_beyond_the_frame_keep_their_light() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence: 0.0 };
+    let whole_frame = Frame::centred(64, 48, 0.04).expect("valid");
+    for (columns, rows, axis) in [(24, 16, [12.0, 14.0]), (17, 33, [40.0, -3.0]), (64, 48, whole_frame.axis_px)] {
+        let frame = Frame::centred(columns, rows, 0.04).and_then(|f| f.with_axis(axis)).expect("valid");
+        for request in [Request::Everything, Request::Settings(Settings { cells: 4, ..QUICK })] {
+            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
+            let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
+            assert!(seen.outside < 1e-2, "{columns} × {rows}: {} of a node's light outside", seen.outside);
+            let light = plan.renderer.light.over::<f64>(&frame, whole(&frame), &[0, 1, 2]);
+            let off = image.iter().zip(&light).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off <= seen.outside + 1e-9, "{columns} × {rows}: {off:e}");
         }
     }
 }

@@ -51,6 +51,8 @@ pub fn on_axis(lens: &Lens, nm: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::lens::{Aperture, Medium, Shape, Surface, builtin};
+    use crate::psf::{Optics, OpticsSpec, Quadrature};
+    use crate::testing::assert_rel;
 
     /// A hole of radius 3 at 20 mm: `π sin²θ`; the closed form to rounding of the bisection.
     #[test]
@@ -67,5 +69,22 @@ mod tests {
         lens.aperture = Aperture::StopSemiDiameter(3.0);
         let exact = std::f64::consts::PI * 9.0 / 409.0;
         assert!((on_axis(&lens, 550.0) - exact).abs() < 1e-12 * exact);
+    }
+
+    /// The étendue that the optics integrate over the stop, on the axis: the cone of light.
+    #[test]
+    fn white_on_the_axis_is_the_cone_of_light() {
+        let nm = vec![470.0, 540.0, 610.0];
+        for (name, radius) in [("two_element", 20.0), ("cooke_triplet", 17.0), ("double_gauss", 20.0), ("phone", 3.2)] {
+            let lens = builtin::lens(name).expect("shipped");
+            let quadrature = Quadrature { nm: nm.clone(), weight: vec![vec![0.2, 0.7, 0.1]] };
+            let spec = OpticsSpec::even(radius, vec![lens.object_vergence], quadrature);
+            let optics = Optics::compute(&lens, &spec).expect("traces");
+            for (l, nm) in nm.iter().enumerate() {
+                let (exact, found) = (on_axis(&lens, *nm), optics.illumination.irradiance[l][0]);
+                eprintln!("{name} {nm}: {:e}", found / exact - 1.0);
+                assert_rel(found, exact, 2e-5, 0.0, name);
+            }
+        }
     }
 }

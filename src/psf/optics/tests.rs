@@ -109,21 +109,6 @@ fn displacements_are_those_of_traced_rays() {
     }
 }
 
-/// On the axis the étendue is the closed form of the cone of light.
-#[test]
-fn white_on_the_axis_is_the_cone_of_light() {
-    for (name, radius) in [("two_element", 20.0), ("cooke_triplet", 17.0), ("double_gauss", 20.0), ("phone", 3.2)] {
-        let lens = builtin::lens(name).expect("shipped");
-        let o = Optics::compute(&lens, &OpticsSpec::even(radius, vec![lens.object_vergence], rgb())).expect("traces");
-        for (l, nm) in rgb().nm.iter().enumerate() {
-            let exact = crate::imaging::reference::white::on_axis(&lens, *nm);
-            let found = o.illumination.irradiance[l][0];
-            eprintln!("{name} {nm}: {:e}", found / exact - 1.0);
-            assert_rel(found, exact, 2e-5, 0.0, name);
-        }
-    }
-}
-
 /// Kernels sum to one less what falls outside, and turn with the field by exact quarter turns.
 #[test]
 fn kernels_sum_to_one_and_turn_with_the_field() {
