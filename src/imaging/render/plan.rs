@@ -23,7 +23,7 @@ const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
 const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
-const LOOK: usize = 300;
+pub(super) const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
 const COARSEST: usize = 64;
 

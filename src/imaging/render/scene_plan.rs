@@ -116,15 +116,26 @@ pub fn plan(
         spec(lens, frame, &vergences, quadrature(density, LIGHT.0, &[0, 1, 2]), base.degree)?;
     let light = Optics::compute(lens, &light_spec)?;
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    // Windows are held by many wavelengths: the ends of the spectrum are wider than three tell.
+    let of = |wavelengths: usize| OpticsSpec {
+        quadrature: quadrature(density, wavelengths, &[0, 1, 2]),
+        ..light_spec.clone()
+    };
+    let fine = match request {
+        Request::Psnr(_) => FINE_WAVELENGTHS,
+        Request::Settings(_) if explain => base.wavelengths.max(FINE_WAVELENGTHS),
+        Request::Settings(_) | Request::Everything => base.wavelengths,
+    };
+    let widths = Optics::compute(lens, &of(fine))?;
     // Widths, and what light can reach.
-    let first = depth_plan(&light, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
+    let first = depth_plan(&widths, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
     let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
     let mut needs = each.reduce(Needs::and).expect("at least one scene");
     if request == Request::Everything {
         needs = Needs { lit_channels: vec![0, 1, 2], grey: false, lit: Some(whole), lit_share: 1.0 };
     }
     let region = reached(&needs, &first, whole);
-    let at_work = Setting { lens, frame, density, light: &light, light_spec: &light_spec, needs: &needs };
+    let at_work = Setting { frame, density, light: &light, light_spec: &light_spec, colours: &widths, needs: &needs };
     let (target, probing_wished) = match request {
         Request::Psnr(db) => (10f64.powf(-0.1 * db), true),
         Request::Settings(_) => (1e-6, explain),
@@ -154,15 +165,14 @@ pub fn plan(
             (base, depth, true, None)
         }
         _ => {
-            let depth = depth_plan(&light, frame, 0, region.unwrap_or(whole), base)?;
+            let depth = depth_plan(&widths, frame, 0, region.unwrap_or(whole), base)?;
             let at = measured.as_ref().and_then(|(_, l)| of_settings(l, &base, first.half_width)).map(|p| decibel(p.0));
             (base, depth, true, at)
         }
     };
-    let optics_spec =
-        OpticsSpec { quadrature: quadrature(density, settings.wavelengths, &[0, 1, 2]), ..light_spec.clone() };
-    let optics = Optics::compute(lens, &optics_spec)?;
-    let plan = RenderPlan { frame: frame.clone(), settings, spec: optics_spec, table_error, depths: vec![depth] };
+    let optics = if settings.wavelengths == fine { widths } else { Optics::compute(lens, &of(settings.wavelengths))? };
+    let plan =
+        RenderPlan { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths: vec![depth] };
     let renderer = Renderer::with(optics, plan);
     let channels = Channels { lit: needs.lit_channels.clone(), ..Channels::of(scene) };
     let method = match region {
@@ -198,11 +208,12 @@ fn reached(needs: &Needs, depth: &DepthPlan, whole: Region) -> Option<Region> {
 
 /// What probing works with.
 struct Setting<'a> {
-    lens: &'a Lens,
     frame: &'a Frame,
     density: &'a SpectralDensity,
+    /// Few wavelengths, and many.
     light: &'a Optics,
     light_spec: &'a OpticsSpec,
+    colours: &'a Optics,
     needs: &'a Needs,
 }
 
@@ -217,8 +228,6 @@ impl Setting<'_> {
         target: f64,
     ) -> Result<(Choice, Ladders)> {
         let lit = &self.needs.lit_channels;
-        let rule = quadrature(self.density, FINE_WAVELENGTHS, &[0, 1, 2]);
-        let fine = Optics::compute(self.lens, &OpticsSpec { quadrature: rule, ..self.light_spec.clone() })?;
         let size = first.size();
         let most = match size {
             _ if first.bin > 1 => 1,
@@ -245,7 +254,7 @@ impl Setting<'_> {
             .collect();
         let probing = Probing {
             optics: self.light,
-            colours: &fine,
+            colours: self.colours,
             depth: 0,
             frame: &first.raster,
             lit,
