@@ -1,8 +1,8 @@
 //! The frame of the tables: smooth kernels that change over the field, a smooth source with edges.
 
-use isoplanat::imaging::blur::{KernelArray, SourceArray};
-use isoplanat::imaging::node_grid::NodeGrid;
-use isoplanat::imaging::warp::Region;
+use isoplanat::imaging::plane::Region;
+use isoplanat::imaging::render::blur::{KernelArray, SourceArray};
+use isoplanat::imaging::render::node_grid::NodeGrid;
 use ndarray::{Array3, Array4, Array5};
 
 /// Kernels and source in memory.

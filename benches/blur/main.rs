@@ -5,7 +5,7 @@ mod cases;
 mod tables;
 
 use criterion::{Criterion, Throughput};
-use isoplanat::imaging::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded, blur_source_vjp};
+use isoplanat::imaging::render::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded, blur_source_vjp};
 
 use cases::Case;
 

@@ -3,8 +3,8 @@
 use std::fmt::Write;
 use std::time::Instant;
 
-use isoplanat::imaging::blur::cost::Task;
-use isoplanat::imaging::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded};
+use isoplanat::imaging::render::blur::cost::Task;
+use isoplanat::imaging::render::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded};
 
 use crate::cases::{Case, pool};
 

@@ -10,12 +10,12 @@ use std::time::Instant;
 
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
-use isoplanat::imaging::monte_carlo::{Channels, Rendered, Sampling, Settings, render_halves};
+use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::reference::halves::psnr_against_halves;
+use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings, render_halves};
 use isoplanat::imaging::render::{Request, plan};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin, prescription};
 use isoplanat::psf::table::chief_slopes;
 use ndarray::Array3;

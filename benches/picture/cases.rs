@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{Request, ScenePlan, frame_of, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::Plane;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::table::chief_slopes;
 use ndarray::Array3;

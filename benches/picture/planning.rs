@@ -3,8 +3,8 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
+use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::render::{Channels, Request};
-use isoplanat::imaging::warp::Region;
 use ndarray::Array3;
 
 use crate::cases::{LENSES, built_in};

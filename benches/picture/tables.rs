@@ -3,10 +3,10 @@
 use std::fmt::Write as _;
 use std::time::Instant;
 
-use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
-use isoplanat::imaging::monte_carlo::{Channels, Rendered, Sampling, Settings as Rays, render as trace, render_halves};
+use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::reference::halves::psnr_against_halves;
+use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings as Rays, render as trace, render_halves};
 use isoplanat::imaging::render::{Request, Settings, frame_of};
-use isoplanat::imaging::warp::{Plane, Region};
 use isoplanat::lens::builtin;
 use ndarray::{Array3, s};
 
@@ -199,7 +199,8 @@ fn equal_error(quick: bool) -> String {
     let texture = Array3::from_shape_fn((3, high, wide), |(c, i, j)| photo[[c, mirrored(i, rows), mirrored(j, cols)]]);
     let scene =
         Plane { texture, texels_per_slope: 4096.0 / 0.437, axis_texel: [0.0, 0.0], vergence: lens.object_vergence };
-    let density = isoplanat::imaging::spectrum::SpectralDensity::new(&isoplanat::imaging::sensor::Sensor::generic());
+    let density =
+        isoplanat::imaging::sensor::spectrum::SpectralDensity::new(&isoplanat::imaging::sensor::Sensor::generic());
     let case = Case { lens, frame, scene, density };
     // Judged on bands of columns over the field.
     let bands: Vec<Region> =

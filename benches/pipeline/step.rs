@@ -4,11 +4,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::OpticsBar;
 use ndarray::Array3;

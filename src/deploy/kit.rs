@@ -15,10 +15,10 @@ use crate::atomic;
 use crate::deploy::session;
 use crate::deploy::tiles::Tiling;
 use crate::error::{Error, Result};
-use crate::imaging::distortion::Distortion;
+use crate::imaging::develop::distortion::Distortion;
+use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
 use crate::imaging::sensor::Sensor;
-use crate::imaging::shading::Shading;
 use crate::network::card::{DEMOSAIC, ModelCard, sha256_hex};
 
 /// The form of `kit.toml` this version reads and writes.

@@ -16,7 +16,7 @@ use rawler::tags::{DngTag, TiffCommonTag};
 use crate::deploy::opcodes;
 use crate::deploy::orientation::Orientation;
 use crate::error::{Error, Result};
-use crate::imaging::cfa::Cfa;
+use crate::imaging::sensor::cfa::Cfa;
 
 /// The sensor's samples in digital numbers, active area only.
 #[derive(Clone, Debug, PartialEq)]

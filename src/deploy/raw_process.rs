@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use crate::deploy::orientation::Orientation;
 use crate::deploy::raw::{self, ALLOWED, RawCapture, RawPixels};
 use crate::error::{Error, Result};
-use crate::imaging::cfa::Cfa;
+use crate::imaging::sensor::cfa::Cfa;
 
 /// First argument that makes the program a decoder child; the path of the RAW file follows.
 pub const COMMAND: &str = "decode-raw-child";

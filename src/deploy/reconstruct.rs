@@ -13,7 +13,7 @@ use crate::deploy::raw::{RawCapture, RawPixels};
 use crate::deploy::session::{Options, Session};
 use crate::deploy::tiles;
 use crate::error::{Error, Result};
-use crate::imaging::color::XYZ_FROM_SRGB;
+use crate::imaging::develop::color::XYZ_FROM_SRGB;
 use crate::imaging::develop::{self, Balance, Development, IDENTITY};
 
 /// Which steps of a kit to do.
@@ -224,7 +224,7 @@ mod tests {
     use crate::deploy::orientation::Orientation;
     use crate::deploy::raw;
     use crate::deploy::session::Choice;
-    use crate::imaging::cfa::Cfa;
+    use crate::imaging::sensor::cfa::Cfa;
     use crate::testing::shared;
     use ndarray::Array2;
 

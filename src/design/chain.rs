@@ -7,11 +7,11 @@
 use ndarray::{Array3, ArrayView3};
 
 use crate::error::Result;
-use crate::imaging::cfa::Real;
-use crate::imaging::noise::standard_normal;
+use crate::imaging::develop::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
+use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::{Rendered, Renderer};
-use crate::imaging::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::sensor::noise::standard_normal;
+use crate::math::real::Real;
 use crate::psf::OpticsBar;
 
 /// One patch of one scene.
@@ -72,12 +72,12 @@ pub fn forward_vjp<T: Real>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::cfa::Cfa;
     use crate::imaging::frame::Frame;
-    use crate::imaging::noise::Noise;
     use crate::imaging::render::{RenderPlan, Settings};
     use crate::imaging::sensor::Sensor;
-    use crate::imaging::spectrum::SpectralDensity;
+    use crate::imaging::sensor::cfa::Cfa;
+    use crate::imaging::sensor::noise::Noise;
+    use crate::imaging::sensor::spectrum::SpectralDensity;
     use crate::lens::{Lens, builtin, variables::Variables};
     use crate::testing::assert_rel;
 

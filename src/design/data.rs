@@ -8,9 +8,9 @@ use rayon::prelude::*;
 use super::chain::Patch;
 use crate::error::Result;
 use crate::imaging::frame::Frame;
+use crate::imaging::plane::{Plane, Region};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, TRAINING, generate};
-use crate::imaging::warp::{Plane, Region};
 use crate::network::card::sha256_hex;
 use crate::psf::SensorMap;
 

@@ -10,9 +10,9 @@ use rayon::prelude::*;
 use super::chain::{Patch, PatchForward, forward, forward_vjp};
 use super::constraint::Constraints;
 use crate::error::Result;
+use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::metrics::decibel;
 use crate::imaging::render::{RenderPlan, Renderer};
-use crate::imaging::simulate::Electronics;
 use crate::lens::variables::Variables;
 use crate::lens::{Lens, prescription};
 use crate::network::Reconstructor;
@@ -198,10 +198,10 @@ mod tests {
     use crate::design::data::Textures;
     use crate::design::run::{Budget, JointSettings, Scenery, joint_stage, network};
     use crate::design::task::Task;
-    use crate::imaging::noise::Noise;
     use crate::imaging::render::{Settings, frame_of};
     use crate::imaging::sensor::Sensor;
-    use crate::imaging::spectrum::SpectralDensity;
+    use crate::imaging::sensor::noise::Noise;
+    use crate::imaging::sensor::spectrum::SpectralDensity;
 
     const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 

@@ -13,12 +13,12 @@ use super::chain::Patch;
 use super::data::Textures;
 use crate::atomic;
 use crate::error::{Error, Result};
+use crate::imaging::develop::simulate::{Electronics, simulate};
 use crate::imaging::frame::Frame;
-use crate::imaging::haze::add_haze;
-use crate::imaging::noise::{mixed, standard_normal};
 use crate::imaging::render::{Channels, RenderPlan, Renderer, Settings};
-use crate::imaging::simulate::{Electronics, simulate};
-use crate::imaging::spectrum::SpectralDensity;
+use crate::imaging::sensor::haze::add_haze;
+use crate::imaging::sensor::noise::{mixed, standard_normal};
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::card::sha256_hex;
 
@@ -234,9 +234,9 @@ impl Pairs {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::cfa::Cfa;
-    use crate::imaging::noise::Noise;
     use crate::imaging::sensor::Sensor;
+    use crate::imaging::sensor::cfa::Cfa;
+    use crate::imaging::sensor::noise::Noise;
     use crate::lens::builtin;
 
     fn electronics() -> Electronics {

@@ -20,13 +20,13 @@ use super::schedule::Schedule;
 use super::task::Task;
 use crate::atomic;
 use crate::error::{Error, Result};
+use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
 use crate::imaging::metrics::psnr;
-use crate::imaging::noise::mixed;
+use crate::imaging::plane::Region;
 use crate::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
-use crate::imaging::simulate::Electronics;
-use crate::imaging::spectrum::SpectralDensity;
-use crate::imaging::warp::Region;
+use crate::imaging::sensor::noise::mixed;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer, UnetConfig};
 

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 pub use crate::atomic::{write_atomic, write_bytes};
 use crate::error::{Error, Result};
-use crate::imaging::color::{linear_from_srgb, srgb_from_linear};
+use crate::imaging::develop::color::{linear_from_srgb, srgb_from_linear};
 
 /// JPEG quality of [`write_picture`].
 const JPEG_QUALITY: u8 = 95;

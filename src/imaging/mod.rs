@@ -1,31 +1,17 @@
 //! From scene to RAW, and the pixel-domain tools both sides share.
 //!
-//! Images are `ndarray::Array3` `[channel, row, col]`, linear light, channel 0 = R, 1 = G, 2 = B.
+//! [`scene`] makes scenes, [`render`] takes them through a lens, [`reference`] does so by rays from the sensor and judges it;
+//! [`sensor`] says what a capture is, [`capture`] takes one, [`develop`] a capture into a picture, [`metrics`] compares pictures. [`plane`],
+//! [`frame`] and [`files`] are common ground. Images are `ndarray::Array3` `[channel, row, col]`, linear light, channel 0 = R,
+//! 1 = G, 2 = B.
 
-pub mod blur;
-pub mod cfa;
-pub mod color;
-pub mod demosaic;
+pub mod capture;
 pub mod develop;
-pub mod distortion;
-pub mod dng;
-pub mod expose;
 pub mod files;
 pub mod frame;
-pub mod haze;
-pub mod illuminant;
 pub mod metrics;
-pub mod monte_carlo;
-pub mod ms_ssim;
-pub mod node_grid;
-pub mod noise;
+pub mod plane;
+pub mod reference;
 pub mod render;
 pub mod scene;
 pub mod sensor;
-pub mod shading;
-pub mod simulate;
-pub mod spectrum;
-pub mod undistort;
-pub mod warp;
-pub mod white;
-pub mod wiener;

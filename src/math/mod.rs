@@ -2,4 +2,5 @@
 
 pub mod fft;
 pub mod least_squares;
+pub mod real;
 pub mod wide;

@@ -10,7 +10,7 @@ use ndarray::{Array3, Array4, Axis};
 use super::perceptual::Vgg;
 use super::reconstructor::array;
 use crate::error::Result;
-use crate::imaging::ms_ssim::ms_ssim_and_gradient;
+use crate::imaging::metrics::ms_ssim::ms_ssim_and_gradient;
 
 /// Weights of eq. 12.
 const FEATURES: f64 = 0.5;

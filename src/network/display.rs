@@ -18,7 +18,7 @@ mod tests {
     use burn::tensor::Device;
 
     use super::*;
-    use crate::imaging::color::srgb_from_linear;
+    use crate::imaging::develop::color::srgb_from_linear;
 
     #[test]
     fn it_is_srgb_and_its_derivative_is_finite_everywhere() {

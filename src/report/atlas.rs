@@ -8,7 +8,7 @@ use ndarray::{Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
 use super::field::FieldLine;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::spectrum::Spectrum;
+use crate::imaging::sensor::spectrum::Spectrum;
 use crate::lens::Lens;
 use rayon::prelude::*;
 

@@ -1,7 +1,7 @@
 //! Places along the field, from the axis to the border of what the sensor sees.
 
 use crate::error::Result;
-use crate::imaging::distortion::{Distortion, fit};
+use crate::imaging::develop::distortion::{Distortion, fit};
 use crate::lens::{Lens, paraxial};
 use crate::psf::table::chief_slopes;
 

@@ -2,12 +2,12 @@
 
 use glam::{DVec2, DVec3};
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::render::source::{warp, warp_vjp};
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Place, Quadrature};
 use isoplanat::testing::{assert_rel, between, central_difference};

@@ -9,14 +9,14 @@
 //! there the judge is the central difference of the reference itself, white anew on both sides, the same random numbers.
 
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::monte_carlo::gradient::render_vjp;
-use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings, render};
-use isoplanat::imaging::node_grid::NodeGrid;
+use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::reference::gradient::render_vjp;
+use isoplanat::imaging::reference::white::on_axis;
+use isoplanat::imaging::reference::{Channels, Sampling, Settings, render};
+use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings as Fineness};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
-use isoplanat::imaging::white::on_axis;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::variables::{Parameter, Variables};
 use isoplanat::lens::{Aperture, Lens, builtin, paraxial};
 use isoplanat::testing::central_difference;

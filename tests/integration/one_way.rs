@@ -1,11 +1,11 @@
 //! The one way from lens to picture: parts, depths and threads leave no trace in it, and stiff cases end as stated.
 
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::{Channels, RenderPlan, Rendered, Renderer, Request, Settings, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::variables::Variables;
 use isoplanat::lens::{Aperture, Lens, Medium, Shape, Surface, builtin, paraxial};
 use isoplanat::psf::OpticsBar;

@@ -2,13 +2,13 @@
 
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::monte_carlo::halves::{energy_against_halves, psnr_against_halves};
-use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render_halves};
+use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
+use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
 use isoplanat::imaging::render::{Request, ScenePlan, Settings, frame_of, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::table::chief_slopes;
 use isoplanat::testing::shared;

@@ -3,13 +3,13 @@
 use std::time::Instant;
 
 use isoplanat::imaging::files::read_linear;
-use isoplanat::imaging::monte_carlo::halves::{energy_against_halves, psnr_against_halves};
-use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render_halves};
+use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
+use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
 use isoplanat::testing::shared;
 use ndarray::Array3;

@@ -1,10 +1,10 @@
 //! Windows follow the PSF: no setting loses the light of a wide blur.
 
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::{Channels, RenderPlan, Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::{Plane, Region};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
 use isoplanat::psf::table::chief_slopes;
 use ndarray::Array3;

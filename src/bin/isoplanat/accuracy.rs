@@ -6,12 +6,12 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use isoplanat::imaging::monte_carlo::halves::psnr_against_halves;
-use isoplanat::imaging::monte_carlo::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
+use isoplanat::imaging::plane::Region;
+use isoplanat::imaging::reference::halves::psnr_against_halves;
+use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
 use isoplanat::imaging::render::{Request, Settings, plan};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::Region;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
 use ndarray::Array3;
 

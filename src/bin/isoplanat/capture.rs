@@ -3,9 +3,9 @@
 use std::io::Write;
 use std::path::PathBuf;
 
-use isoplanat::imaging::dng::{DngInfo, write_dng};
-use isoplanat::imaging::expose::{CaptureSettings, capture};
+use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 
 use crate::output;
 use crate::progress::Bar;

@@ -11,7 +11,7 @@ use isoplanat::deploy::session::Options;
 use isoplanat::design::run::{Entry, Scenery, joint_stage, network, network_stage};
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::render::{RenderPlan, Renderer, frame_of};
-use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
 use isoplanat::{Error, Result, atomic};

@@ -2,13 +2,13 @@
 
 use isoplanat::Result;
 use isoplanat::deploy::kit::{Kit, LensEntry};
-use isoplanat::imaging::distortion::Distortion;
+use isoplanat::imaging::develop::distortion::Distortion;
+use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::render::plan::{quadrature, spec};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::shading::Shading;
-use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::card::{ModelCard, sha256_hex};
 use isoplanat::network::{Reconstructor, onnx};

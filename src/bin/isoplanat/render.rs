@@ -5,11 +5,11 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::imaging::files::{Encoding, write_picture};
-use isoplanat::imaging::monte_carlo::{Channels, Sampling, Settings as Rays, render};
+use isoplanat::imaging::plane::Region;
+use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, plan};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
-use isoplanat::imaging::warp::Region;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;

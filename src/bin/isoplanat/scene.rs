@@ -4,9 +4,9 @@ use std::path::Path;
 
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::imaging::warp::Plane;
 use isoplanat::lens::{Lens, SensorRaster};
 use isoplanat::psf::table::chief_slopes;
 use isoplanat::{Error, Result};

@@ -3,10 +3,10 @@
 use rayon::prelude::*;
 
 use super::nodes::Nodes;
-use super::plan::Settings;
+use super::plan::{LOOK, Settings};
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::imaging::metrics::decibel;
-use crate::imaging::node_grid::NodeGrid;
+use crate::imaging::render::node_grid::NodeGrid;
 use crate::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
@@ -113,11 +113,11 @@ pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Node
     let wavelengths =
         rules.iter().map(|(n, rule)| Rung { setting: *n, off: each(&|p| probing.wavelengths(p, rule)) }).collect();
     // Kernel windows: those of the shares, each once.
-    let look = probing.optics.form(probing.dense.min(1000), 1, 1, probing.frame.pitch_mm);
+    let look = probing.colours.form(LOOK, 1, 1, probing.frame.pitch_mm);
     let radii = [0.0, probing.optics.table.spec.radii_mm.last().copied().unwrap_or(0.0)];
     let mut halves: Vec<(f64, usize)> = Vec::new();
     for (share, half) in
-        Settings::OUTSIDE.into_iter().zip(probing.optics.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii))
+        Settings::OUTSIDE.into_iter().zip(probing.colours.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii))
     {
         let half = half.min(probing.size / 2);
         if halves.last().is_none_or(|(_, h)| *h < half) {

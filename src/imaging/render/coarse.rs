@@ -7,9 +7,9 @@ use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
 use rayon::prelude::*;
 
 use crate::error::Result;
-use crate::imaging::cfa::Real;
 use crate::imaging::frame::Frame;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::math::real::Real;
 
 /// The frame in cells of `bin × bin` pixels; its last cells may reach beyond it.
 ///

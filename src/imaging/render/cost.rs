@@ -1,10 +1,10 @@
 //! What settings cost, in seconds of one thread on the machine the constants were read on; ratios are what counts.
 
 use super::plan::Settings;
-use crate::imaging::blur::Method;
-use crate::imaging::blur::cost::Task;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::imaging::render::blur::Method;
+use crate::imaging::render::blur::cost::Task;
+use crate::imaging::render::node_grid::NodeGrid;
 
 /// Size of a picture's work.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -4,7 +4,7 @@ use super::choose::Ladders;
 use super::plan::Settings;
 use super::probe::Values;
 use super::scene_plan::{ScenePlan, Skip, bound};
-use crate::imaging::blur::Method;
+use crate::imaging::render::blur::Method;
 use crate::lens::Lens;
 
 /// The list of a plan; `ladders` give the bounds of what was made coarser.

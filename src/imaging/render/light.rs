@@ -6,10 +6,10 @@
 use ndarray::{Array3, ArrayView3, Axis, Zip};
 use rayon::prelude::*;
 
-use crate::imaging::cfa::Real;
+use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
-use crate::imaging::shading::Shading;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::math::real::Real;
 use crate::psf::{Optics, OpticsBar};
 
 /// Intervals of the table.

@@ -1,10 +1,11 @@
 //! Pictures through a lens.
 //!
 //! `y(p) = a(p) Σ_n w_n(p) [k_n * s](p)`: the scene `s`, warped by the lens's distortion ([`source`]), is blurred by the kernels of
-//! the nodes around every pixel ([`super::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
+//! the nodes around every pixel ([`crate::imaging::render::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
 //! distortion and illumination are read from one value, [`crate::psf::Optics`]; a [`plan`] says how finely, [`renderer`] does
 //! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
 
+pub mod blur;
 pub mod choose;
 pub mod coarse;
 pub mod cost;
@@ -12,6 +13,7 @@ mod explain;
 pub mod gradient_error;
 pub mod light;
 pub mod needs;
+pub mod node_grid;
 pub mod nodes;
 pub mod plan;
 pub mod probe;

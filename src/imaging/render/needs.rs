@@ -5,7 +5,7 @@ use ndarray::{Array2, Axis};
 use super::source::WarpedScene;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::plane::{Plane, Region};
 use crate::psf::SensorMap;
 
 /// Side in pixels of the squares that are looked at for light.

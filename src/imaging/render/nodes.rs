@@ -10,8 +10,8 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use crate::imaging::frame::Frame;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::imaging::render::node_grid::NodeGrid;
 use crate::psf::{KernelForm, Optics, Place};
 
 /// Shortest interval between nodes, cells.

@@ -9,9 +9,9 @@ use super::coarse::raster;
 use super::nodes::Nodes;
 use crate::error::Result;
 use crate::imaging::frame::Frame;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::spectrum::SpectralDensity;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::psf::table::{Tolerance, knots};
 use crate::psf::{Optics, OpticsSpec, Quadrature};
@@ -23,7 +23,7 @@ const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
 const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
-const LOOK: usize = 300;
+pub(super) const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
 const COARSEST: usize = 64;
 

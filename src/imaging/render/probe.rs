@@ -13,8 +13,8 @@ use rayon::prelude::*;
 use super::nodes::place;
 use super::source::WarpedScene;
 use crate::imaging::frame::Frame;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::warp::Region;
+use crate::imaging::plane::Region;
+use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::wide::{Work, wide};
 use crate::psf::{KernelForm, Optics, Place, Quadrature};
 

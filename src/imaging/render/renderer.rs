@@ -15,12 +15,12 @@ use super::nodes::place;
 use super::plan::{DepthPlan, RenderPlan};
 use super::source::{WarpedScene, warp, warp_vjp};
 use crate::error::Result;
-use crate::imaging::blur::cost::Task;
-use crate::imaging::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
-use crate::imaging::cfa::Real;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::render::blur::cost::Task;
+use crate::imaging::render::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
+use crate::imaging::render::node_grid::NodeGrid;
 use crate::lens::{Lens, LensGradient};
+use crate::math::real::Real;
 use crate::psf::splat::{phase_of, phase_of_vjp};
 use crate::psf::{KernelForm, Optics, OpticsBar};
 

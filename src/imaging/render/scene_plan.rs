@@ -14,12 +14,12 @@ use super::probe::{Probing, SIDE, Stand, Values};
 use super::renderer::{Channels, Renderer};
 use super::source::WarpedScene;
 use crate::error::{Error, Result};
-use crate::imaging::blur::Method;
 use crate::imaging::frame::Frame;
 use crate::imaging::metrics::decibel;
-use crate::imaging::node_grid::NodeGrid;
-use crate::imaging::spectrum::SpectralDensity;
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::render::blur::Method;
+use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::psf::{Optics, OpticsSpec};
 
@@ -116,25 +116,26 @@ pub fn plan(
         spec(lens, frame, &vergences, quadrature(density, LIGHT.0, &[0, 1, 2]), base.degree)?;
     let light = Optics::compute(lens, &light_spec)?;
     let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
-    // Settings that are given are held by their own wavelengths: the ends of the spectrum are wider than three tell.
+    // Windows are held by many wavelengths: the ends of the spectrum are wider than three tell.
     let of = |wavelengths: usize| OpticsSpec {
         quadrature: quadrature(density, wavelengths, &[0, 1, 2]),
         ..light_spec.clone()
     };
-    let own = match request {
-        Request::Psnr(_) => None,
-        Request::Settings(_) | Request::Everything => Some(Optics::compute(lens, &of(base.wavelengths))?),
+    let fine = match request {
+        Request::Psnr(_) => FINE_WAVELENGTHS,
+        Request::Settings(_) if explain => base.wavelengths.max(FINE_WAVELENGTHS),
+        Request::Settings(_) | Request::Everything => base.wavelengths,
     };
-    let widths = own.as_ref().unwrap_or(&light);
+    let widths = Optics::compute(lens, &of(fine))?;
     // Widths, and what light can reach.
-    let first = depth_plan(widths, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
+    let first = depth_plan(&widths, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
     let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
     let mut needs = each.reduce(Needs::and).expect("at least one scene");
     if request == Request::Everything {
         needs = Needs { lit_channels: vec![0, 1, 2], grey: false, lit: Some(whole), lit_share: 1.0 };
     }
     let region = reached(&needs, &first, whole);
-    let at_work = Setting { lens, frame, density, light: &light, light_spec: &light_spec, needs: &needs };
+    let at_work = Setting { frame, density, light: &light, light_spec: &light_spec, colours: &widths, needs: &needs };
     let (target, probing_wished) = match request {
         Request::Psnr(db) => (10f64.powf(-0.1 * db), true),
         Request::Settings(_) => (1e-6, explain),
@@ -164,15 +165,12 @@ pub fn plan(
             (base, depth, true, None)
         }
         _ => {
-            let depth = depth_plan(widths, frame, 0, region.unwrap_or(whole), base)?;
+            let depth = depth_plan(&widths, frame, 0, region.unwrap_or(whole), base)?;
             let at = measured.as_ref().and_then(|(_, l)| of_settings(l, &base, first.half_width)).map(|p| decibel(p.0));
             (base, depth, true, at)
         }
     };
-    let optics = match own {
-        Some(optics) => optics,
-        None => Optics::compute(lens, &of(settings.wavelengths))?,
-    };
+    let optics = if settings.wavelengths == fine { widths } else { Optics::compute(lens, &of(settings.wavelengths))? };
     let plan =
         RenderPlan { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths: vec![depth] };
     let renderer = Renderer::with(optics, plan);
@@ -210,11 +208,12 @@ fn reached(needs: &Needs, depth: &DepthPlan, whole: Region) -> Option<Region> {
 
 /// What probing works with.
 struct Setting<'a> {
-    lens: &'a Lens,
     frame: &'a Frame,
     density: &'a SpectralDensity,
+    /// Few wavelengths, and many.
     light: &'a Optics,
     light_spec: &'a OpticsSpec,
+    colours: &'a Optics,
     needs: &'a Needs,
 }
 
@@ -229,8 +228,6 @@ impl Setting<'_> {
         target: f64,
     ) -> Result<(Choice, Ladders)> {
         let lit = &self.needs.lit_channels;
-        let rule = quadrature(self.density, FINE_WAVELENGTHS, &[0, 1, 2]);
-        let fine = Optics::compute(self.lens, &OpticsSpec { quadrature: rule, ..self.light_spec.clone() })?;
         let size = first.size();
         let most = match size {
             _ if first.bin > 1 => 1,
@@ -257,7 +254,7 @@ impl Setting<'_> {
             .collect();
         let probing = Probing {
             optics: self.light,
-            colours: &fine,
+            colours: self.colours,
             depth: 0,
             frame: &first.raster,
             lit,
@@ -348,7 +345,7 @@ impl ScenePlan {
     ///
     /// # Errors
     /// A scene that cannot be rendered, or at another distance than planned for.
-    pub fn picture<T: crate::imaging::cfa::Real>(
+    pub fn picture<T: crate::math::real::Real>(
         &self,
         scene: &Plane,
         progress: &(dyn Fn(f64) + Sync),

@@ -6,10 +6,10 @@
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
 
-use crate::imaging::blur::Source;
-use crate::imaging::cfa::Real;
 use crate::imaging::frame::Frame;
-use crate::imaging::warp::{Plane, Region};
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::render::blur::Source;
+use crate::math::real::Real;
 use crate::psf::SensorMap;
 
 /// A scene before a lens with this map, on the raster of `frame`.

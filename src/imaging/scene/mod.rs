@@ -27,7 +27,7 @@ use fastrand::Rng;
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 
-use crate::imaging::noise::mixed as mixed_seed;
+use crate::imaging::sensor::noise::mixed as mixed_seed;
 
 /// A family of built-in scenes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

@@ -179,13 +179,14 @@ impl SensorView {
                 let met = |lane: usize| DVec2::new(tile.rays.x[lane], tile.rays.y[lane]);
                 let misses: Vec<DVec2> = targets.iter().enumerate().map(|(lane, t)| met(lane) - *t).collect();
                 let worst = misses.iter().map(|m| m.length()).fold(0.0, f64::max);
-                if worst <= limit {
-                    break;
-                }
                 if !worst.is_finite() {
                     return None;
                 }
+                // The last step goes to rounding: what was missed by would be noise on every difference of lenses.
                 aimed.iter_mut().zip(&misses).for_each(|(b, m)| b.step(*m));
+                if worst <= limit {
+                    break;
+                }
             }
             out.extend(self.crossings(&mut tile, point, &aimed, targets, limit)?);
         }

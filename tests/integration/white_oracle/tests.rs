@@ -2,7 +2,7 @@
 
 use std::f64::consts::PI;
 
-use isoplanat::imaging::white::on_axis;
+use isoplanat::imaging::reference::white::on_axis;
 use isoplanat::lens::paraxial::first_order;
 use isoplanat::lens::{Aperture, Medium, Shape, Surface, Wavelengths, builtin};
 

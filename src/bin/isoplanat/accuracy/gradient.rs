@@ -5,7 +5,7 @@ use std::io::Write;
 use isoplanat::imaging::render::Settings;
 use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches, distance};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::spectrum::SpectralDensity;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::gradient_accuracy::{GradientAccuracy, Row};
 
 use super::Args;

@@ -1,0 +1,274 @@
+//! From digital numbers to a picture, around the network: the order of the steps is fixed here, once.
+//!
+//! 1. normalise, `(DN − black) / (white − black)`; 2. white balance, divide by the response to neutral; 3. flat field,
+//!    divide by the relative illumination; 4. demosaic; 5. *network*; 6. undistort; 7. cut at saturation;
+//!    8. `srgb_from_camera`; 9. cut to 0…1. The sRGB curve is the file writer's. Training builds its inputs by steps
+//!    1–4 of the same functions.
+
+pub mod color;
+pub mod demosaic;
+pub mod distortion;
+pub mod shading;
+pub mod simulate;
+pub mod undistort;
+
+use ndarray::parallel::prelude::*;
+use ndarray::{Array2, Array3, ArrayView2, Axis, Zip};
+
+use crate::error::Result;
+use crate::imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
+use crate::imaging::develop::demosaic::demosaic;
+use crate::imaging::develop::distortion::Distortion;
+use crate::imaging::develop::shading::Shading;
+use crate::imaging::develop::undistort::undistort;
+use crate::imaging::frame::Frame;
+use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::cfa::Cfa;
+
+/// No correction of colour.
+pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
+/// Levels and white balance: what leads from digital numbers to black at 0, white at 1 and neutral grey.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Balance {
+    /// Black level, DN, per place in the 2×2 cell (`row parity · 2 + column parity`); per channel for colour pictures.
+    pub black: [f32; 4],
+    /// White level, likewise.
+    pub white: [f32; 4],
+    /// Response to neutral, R, G, B relative to green.
+    pub neutral: [f64; 3],
+}
+
+impl Balance {
+    /// The sensor's own levels and neutral.
+    pub fn from_sensor(sensor: &Sensor) -> Self {
+        Self {
+            black: [sensor.black_level as f32; 4],
+            white: [sensor.white_level as f32; 4],
+            neutral: sensor.neutral_response,
+        }
+    }
+
+    /// Balanced value at which the first channel saturates: 1 where green answers most to neutral.
+    pub fn saturation(&self) -> f64 {
+        self.neutral.iter().map(|n| 1.0 / n).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Gain and black of one place in the cell that sees `channel`.
+    fn gain(&self, place: usize, channel: usize) -> (f32, f32) {
+        let range = f64::from(self.white[place]) - f64::from(self.black[place]);
+        ((1.0 / (range * self.neutral[channel])) as f32, self.black[place])
+    }
+}
+
+/// Everything but the network.
+#[derive(Clone, Debug)]
+pub struct Development<'a> {
+    /// Levels and white balance.
+    pub balance: Balance,
+    /// Illumination to divide out, with the frame that places its centre.
+    pub flat_field: Option<(&'a Frame, &'a Shading)>,
+    /// Distortion to take out after the network.
+    pub distortion: Option<(&'a Frame, &'a Distortion)>,
+    /// Balanced camera RGB to linear sRGB.
+    pub srgb_from_camera: [[f64; 3]; 3],
+}
+
+/// A developed picture.
+#[derive(Clone, Debug)]
+pub struct Developed {
+    /// Linear sRGB from 0 to 1, `[3, row, col]`.
+    pub image: Array3<f32>,
+    /// Fraction of pixels that undistortion had no source for (black).
+    pub outside_fraction: f64,
+}
+
+/// Develops a mosaic in digital numbers, `[row, col]`; `network` gets and returns balanced camera RGB `[3, row, col]`.
+///
+/// # Errors
+/// The network's.
+///
+/// # Panics
+/// If a frame has not the mosaic's size.
+pub fn develop(
+    mosaic: ArrayView2<'_, f32>,
+    cfa: Cfa,
+    development: &Development<'_>,
+    network: impl FnOnce(Array3<f32>) -> Result<Array3<f32>>,
+) -> Result<Developed> {
+    let camera = network(network_input(mosaic, cfa, &development.balance, development.flat_field))?;
+    Ok(finish(camera, development))
+}
+
+/// Steps 1 to 4: the network's input, balanced camera RGB `[3, row, col]`, from digital numbers `[row, col]`.
+///
+/// # Panics
+/// If the frame has not the mosaic's size.
+pub fn network_input(
+    mosaic: ArrayView2<'_, f32>,
+    cfa: Cfa,
+    balance: &Balance,
+    flat_field: Option<(&Frame, &Shading)>,
+) -> Array3<f32> {
+    let mut samples = balanced(mosaic, cfa, balance);
+    if let Some((frame, shading)) = flat_field {
+        divide_shading(&mut samples, cfa, frame, shading);
+    }
+    demosaic(samples.view(), cfa)
+}
+
+/// Steps 1 and 2 for a mosaic.
+pub fn balanced(mosaic: ArrayView2<'_, f32>, cfa: Cfa, balance: &Balance) -> Array2<f32> {
+    let cell: [(f32, f32); 4] = std::array::from_fn(|i| balance.gain(i, cfa.channel(i / 2, i % 2)));
+    let mut out = Array2::zeros(mosaic.dim());
+    out.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
+        for (c, (v, dn)) in row.iter_mut().zip(mosaic.row(r)).enumerate() {
+            let (gain, black) = cell[(r & 1) * 2 + (c & 1)];
+            *v = (dn - black) * gain;
+        }
+    });
+    out
+}
+
+/// Steps 1 and 2 for a picture with three samples a pixel, `[3, row, col]`, in place.
+pub fn balance_colours(image: &mut Array3<f32>, balance: &Balance) {
+    for (channel, mut plane) in image.axis_iter_mut(Axis(0)).enumerate() {
+        let (gain, black) = balance.gain(channel, channel);
+        plane.par_mapv_inplace(|dn| (dn - black) * gain);
+    }
+}
+
+/// Step 3, in place.
+///
+/// # Panics
+/// If the frame has not the mosaic's size.
+pub fn divide_shading(samples: &mut Array2<f32>, cfa: Cfa, frame: &Frame, shading: &Shading) {
+    assert_eq!(samples.dim(), (frame.rows, frame.columns), "the mosaic has the frame's size");
+    let gains = shading.gain_table(frame.max_radius_mm());
+    samples.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
+        for (c, v) in row.iter_mut().enumerate() {
+            *v *= gains.at(cfa.channel(r, c), frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+        }
+    });
+}
+
+/// Steps 6 to 9: balanced camera RGB `[3, row, col]` to the finished linear picture.
+///
+/// # Panics
+/// If the frame has not the picture's size.
+pub fn finish(mut camera: Array3<f32>, development: &Development<'_>) -> Developed {
+    let mut outside_fraction = 0.0;
+    if let Some((frame, distortion)) = development.distortion {
+        let resampled = undistort(camera.view(), frame, distortion);
+        (camera, outside_fraction) = (resampled.image, resampled.outside_fraction);
+    }
+    // Beyond the first channel's saturation the ratio of the channels means nothing: such pixels turn white.
+    let white = development.balance.saturation();
+    let matrix = development.srgb_from_camera.map(|row| row.map(|v| (v / white) as f32));
+    let top = white as f32;
+    let (mut red, rest) = camera.view_mut().split_at(Axis(0), 1);
+    let (mut green, mut blue) = rest.split_at(Axis(0), 1);
+    Zip::from(&mut red).and(&mut green).and(&mut blue).par_for_each(|r, g, b| {
+        // `max` before `min` also turns a NaN into black.
+        let pixel = [*r, *g, *b].map(|v| v.max(0.0).min(top));
+        let [x, y, z] = matrix.map(|m| (m[0] * pixel[0] + m[1] * pixel[1] + m[2] * pixel[2]).clamp(0.0, 1.0));
+        (*r, *g, *b) = (x, y, z);
+    });
+    Developed { image: camera, outside_fraction }
+}
+
+/// Linear sRGB from balanced camera RGB, from the camera's response to XYZ; `None` where that has no inverse.
+///
+/// Rows are scaled so that neutral stays neutral, which also takes out any gain of a camera channel.
+pub fn srgb_from_camera(camera_from_xyz: &[[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
+    let camera_from_srgb = product(camera_from_xyz, &XYZ_FROM_SRGB);
+    let mut scaled = camera_from_srgb;
+    for row in &mut scaled {
+        let sum: f64 = row.iter().sum();
+        if sum.is_nan() || sum.abs() < 1e-6 {
+            return None;
+        }
+        row.iter_mut().for_each(|v| *v /= sum);
+    }
+    inverse(&scaled)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flat(cfa: Cfa, neutral: [f64; 3]) -> Array2<f32> {
+        Array2::from_shape_fn((12, 16), |(r, c)| (64.0 + 900.0 * 0.5 * neutral[cfa.channel(r, c)]) as f32)
+    }
+
+    fn development<'a>(neutral: [f64; 3]) -> Development<'a> {
+        Development {
+            balance: Balance { black: [64.0; 4], white: [964.0; 4], neutral },
+            flat_field: None,
+            distortion: None,
+            srgb_from_camera: [[1.6, -0.4, -0.2], [-0.2, 1.6, -0.4], [0.0, -0.4, 1.4]],
+        }
+    }
+
+    #[test]
+    fn a_grey_card_comes_out_grey_whatever_the_light() {
+        for neutral in [[0.5, 1.0, 0.7], [1.0, 1.0, 1.0]] {
+            let out = develop(flat(Cfa::GBRG, neutral).view(), Cfa::GBRG, &development(neutral), Ok).expect("develops");
+            assert!(out.image.iter().all(|v| (v - 0.5).abs() < 1e-6), "{neutral:?}");
+        }
+    }
+
+    #[test]
+    fn saturated_pixels_turn_white_not_magenta() {
+        for neutral in [[0.5, 1.0, 0.7], [1.3, 1.0, 0.4]] {
+            let mosaic = Array2::from_elem((8, 8), 964.0_f32);
+            let out = develop(mosaic.view(), Cfa::RGGB, &development(neutral), Ok).expect("develops");
+            assert!(out.image.iter().all(|v| (v - 1.0).abs() < 1e-5), "{neutral:?}: {:?}", out.image);
+        }
+    }
+
+    #[test]
+    fn each_place_of_the_cell_has_its_own_level() {
+        let cfa = Cfa::RGGB;
+        let balance =
+            Balance { black: [1.0, 2.0, 3.0, 4.0], white: [11.0, 22.0, 33.0, 44.0], neutral: [0.5, 1.0, 0.8] };
+        let mosaic = Array2::from_shape_fn((4, 4), |(r, c)| {
+            let i = (r & 1) * 2 + (c & 1);
+            balance.black[i] + 0.25 * (balance.white[i] - balance.black[i]) * balance.neutral[cfa.channel(r, c)] as f32
+        });
+        assert!(balanced(mosaic.view(), cfa, &balance).iter().all(|v| (v - 0.25).abs() < 1e-6));
+    }
+
+    #[test]
+    fn shading_is_divided_out_before_demosaicking() {
+        let frame = Frame::centred(16, 12, 0.5).expect("valid");
+        let list = |end: f64| vec![1.0, end];
+        let shading = Shading::new(vec![0.0, 6.0], [list(0.4), list(0.5), list(0.6)]).expect("valid");
+        let cfa = Cfa::BGGR;
+        let mosaic = Array2::from_shape_fn((12, 16), |(r, c)| {
+            let fall = shading.at(cfa.channel(r, c), frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+            (64.0 + 900.0 * 0.5 * fall) as f32
+        });
+        let balance = Balance { black: [64.0; 4], white: [964.0; 4], neutral: [1.0; 3] };
+        let input = network_input(mosaic.view(), cfa, &balance, Some((&frame, &shading)));
+        assert!(input.iter().all(|v| (v - 0.5).abs() < 1e-4));
+    }
+
+    #[test]
+    fn the_camera_matrix_equals_libraws() {
+        // ColorMatrix of a Nikon DNG at D65, and the matrix LibRaw 0.22 derives from it.
+        let camera_from_xyz = [[0.9020, -0.2890, -0.0715], [-0.4535, 1.2436, 0.2348], [-0.0934, 0.1919, 0.7086]];
+        let expected = [
+            [1.646_769_9, -0.449_750_9, -0.197_018_95],
+            [-0.182_404_86, 1.597_314_95, -0.414_910_08],
+            [0.011_959_387, -0.437_932_998, 1.425_973_65],
+        ];
+        let found = srgb_from_camera(&camera_from_xyz).expect("regular");
+        for i in 0..3 {
+            for j in 0..3 {
+                assert!((found[i][j] - expected[i][j]).abs() < 1e-3, "{found:?}");
+            }
+        }
+        assert!(srgb_from_camera(&[[0.0; 3]; 3]).is_none());
+    }
+}

@@ -1,0 +1,325 @@
+//! How close two pictures are: PSNR and SSIM.
+//!
+//! `PSNR = −10 log₁₀ MSE` for a data range of 1. SSIM: Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image
+//! quality assessment: from error visibility to structural similarity", IEEE Trans. Image Process. 13(4), 2004: Gaussian
+//! window of σ = 1.5 over 11 × 11 pixels, K₁ = 0.01, K₂ = 0.03, population moments, mean over the positions where the
+//! whole window lies inside, then over channels. These are scikit-image's `structural_similarity` with
+//! `gaussian_weights=True, sigma=1.5, use_sample_covariance=False, data_range=1`; a test holds its numbers to 1e-12.
+//!
+//! [`psnr`] and [`ssim`] compare as seen: both pictures are cut off to `[0, 1]` and sRGB-encoded first.
+
+pub mod ms_ssim;
+pub mod wiener;
+
+use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3, s};
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::imaging::develop::color::srgb_from_linear;
+
+/// Side of SSIM's window, pixels.
+pub const SSIM_WINDOW: usize = 11;
+
+const C1: f64 = 0.01 * 0.01;
+const C2: f64 = 0.03 * 0.03;
+
+/// PSNR in dB of two linear pictures as seen (sRGB-encoded); infinite where they are equal.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn psnr(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
+    decibel(mean_square(a, b, seen))
+}
+
+/// [`psnr`] without the outermost `border` pixels on each side.
+///
+/// Refuses a border that leaves nothing.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn psnr_inside(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>, border: usize) -> Result<f64> {
+    let (_, rows, cols) = a.dim();
+    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    if rows.min(cols) <= 2 * border {
+        let found = format!("{border} pixels of {rows} × {cols}");
+        return Err(Error::bad("", "border of PSNR", found, "less than half the picture"));
+    }
+    let inside = s![.., border..rows - border, border..cols - border];
+    Ok(psnr(a.slice(inside), b.slice(inside)))
+}
+
+/// PSNR in dB of the numbers themselves, in linear light, nothing cut off.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn psnr_linear(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
+    decibel(mean_square(a, b, f64::from))
+}
+
+/// A value as seen: cut off and encoded.
+fn seen(v: f32) -> f64 {
+    srgb_from_linear(f64::from(v).clamp(0.0, 1.0))
+}
+
+/// PSNR of a mean square error.
+pub fn decibel(mean_square: f64) -> f64 {
+    -10.0 * mean_square.log10()
+}
+
+/// Mean square difference; rows are summed apart and then in order, whatever the number of threads.
+fn mean_square(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>, value: impl Fn(f32) -> f64 + Sync) -> f64 {
+    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    let rows: Vec<(usize, usize)> = (0..a.dim().0).flat_map(|k| (0..a.dim().1).map(move |r| (k, r))).collect();
+    let square = |&(k, r): &(usize, usize)| -> f64 {
+        let pairs = a.slice(s![k, r, ..]).into_iter().zip(b.slice(s![k, r, ..]));
+        pairs.map(|(&x, &y)| (value(x) - value(y)).powi(2)).sum()
+    };
+    let sums: Vec<f64> = rows.par_iter().map(square).collect();
+    sums.iter().sum::<f64>() / a.len().max(1) as f64
+}
+
+/// SSIM of two linear pictures as seen (sRGB-encoded), mean over the channels.
+///
+/// Refuses pictures smaller than the window.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn ssim(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> Result<f64> {
+    ssim_values(a.mapv(seen).view(), b.mapv(seen).view())
+}
+
+/// SSIM of the numbers themselves for a data range of 1, mean over the channels.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn ssim_values(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>) -> Result<f64> {
+    Ok(ssim_and_slope(a, b, false)?.0)
+}
+
+/// Gradient of [`ssim_values`] with respect to `a`, times `ssim_bar`.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn ssim_values_vjp(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, ssim_bar: f64) -> Result<Array3<f64>> {
+    Ok(ssim_and_slope(a, b, true)?.1 * ssim_bar)
+}
+
+fn ssim_and_slope(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, slope: bool) -> Result<(f64, Array3<f64>)> {
+    let (channels, rows, cols) = a.dim();
+    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    if rows < SSIM_WINDOW || cols < SSIM_WINDOW || channels == 0 {
+        let found = format!("{channels} channels of {rows} × {cols}");
+        return Err(Error::bad("", "picture for SSIM", found, "at least 11 × 11 pixels"));
+    }
+    let planes: Vec<(f64, Option<Array2<f64>>)> = (0..channels)
+        .into_par_iter()
+        .map(|k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, slope))
+        .collect();
+    let mut gradient = Array3::zeros(if slope { a.dim() } else { (0, 0, 0) });
+    for (k, plane) in planes.iter().enumerate() {
+        if let Some(plane) = &plane.1 {
+            gradient.slice_mut(s![k, .., ..]).assign(&(plane / channels as f64));
+        }
+    }
+    Ok((planes.iter().map(|p| p.0).sum::<f64>() / channels as f64, gradient))
+}
+
+/// Which of SSIM's factors count.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    /// Luminance, contrast and structure.
+    Whole,
+    /// Contrast and structure.
+    Structure,
+}
+
+/// Mean SSIM of one channel and, where asked for, its gradient in `a`.
+pub(super) fn ssim_plane(
+    a: ArrayView2<'_, f64>,
+    b: ArrayView2<'_, f64>,
+    part: Part,
+    slope: bool,
+) -> (f64, Option<Array2<f64>>) {
+    let (mean_a, mean_b) = (windowed(a), windowed(b));
+    let (aa, bb, ab) = (windowed((&a * &a).view()), windowed((&b * &b).view()), windowed((&a * &b).view()));
+    let n = mean_a.len() as f64;
+    let mut sum = 0.0;
+    // Slopes with respect to the windowed a, a² and ab.
+    let mut slopes: [Array2<f64>; 3] =
+        std::array::from_fn(|_| Array2::zeros(if slope { mean_a.dim() } else { (0, 0) }));
+    for ((r, c), &ma) in mean_a.indexed_iter() {
+        let mb = mean_b[[r, c]];
+        let (top_2, whole) = (2.0 * (ab[[r, c]] - ma * mb) + C2, part == Part::Whole);
+        let (top_1, bottom_1) = if whole { (2.0 * ma * mb + C1, ma * ma + mb * mb + C1) } else { (1.0, 1.0) };
+        let bottom_2 = aa[[r, c]] - ma * ma + bb[[r, c]] - mb * mb + C2;
+        let bottom = bottom_1 * bottom_2;
+        let value = top_1 * top_2 / bottom;
+        sum += value;
+        if slope {
+            let luminance = f64::from(u8::from(whole));
+            slopes[0][[r, c]] = (2.0 * mb * (luminance * top_2 - top_1) / bottom
+                - 2.0 * ma * value * (luminance / bottom_1 - 1.0 / bottom_2))
+                / n;
+            slopes[1][[r, c]] = -value / bottom_2 / n;
+            slopes[2][[r, c]] = 2.0 * top_1 / bottom / n;
+        }
+    }
+    let gradient = slope.then(|| {
+        let [mean, square, cross] = slopes.map(|s| windowed_vjp(s.view()));
+        mean + 2.0 * &a * square + &b * cross
+    });
+    (sum / n, gradient)
+}
+
+/// The one-dimensional window, summing to 1.
+fn window() -> [f64; SSIM_WINDOW] {
+    let raw: [f64; SSIM_WINDOW] = std::array::from_fn(|i| (-0.5 * ((i as f64 - 5.0) / 1.5).powi(2)).exp());
+    let sum: f64 = raw.iter().sum();
+    raw.map(|v| v / sum)
+}
+
+/// Weighted mean under the window wherever it lies inside: 10 rows and columns fewer.
+fn windowed(x: ArrayView2<'_, f64>) -> Array2<f64> {
+    let (rows, cols) = (x.nrows() + 1 - SSIM_WINDOW, x.ncols() + 1 - SSIM_WINDOW);
+    let weights = window();
+    let mut out = Array2::zeros((rows, cols));
+    // Row by row, so that what is summed stays in the cache.
+    let mut along = Array1::zeros(x.ncols());
+    for (r, mut row) in out.outer_iter_mut().enumerate() {
+        along.fill(0.0);
+        for (i, w) in weights.into_iter().enumerate() {
+            along.scaled_add(w, &x.row(r + i));
+        }
+        for (i, w) in weights.into_iter().enumerate() {
+            row.scaled_add(w, &along.slice(s![i..i + cols]));
+        }
+    }
+    out
+}
+
+/// The transpose of [`windowed`].
+fn windowed_vjp(bar: ArrayView2<'_, f64>) -> Array2<f64> {
+    let (rows, cols) = bar.dim();
+    let weights = window();
+    let mut out = Array2::zeros((rows + SSIM_WINDOW - 1, cols + SSIM_WINDOW - 1));
+    let mut along = Array1::zeros(cols + SSIM_WINDOW - 1);
+    for (r, row) in bar.outer_iter().enumerate() {
+        along.fill(0.0);
+        for (i, w) in weights.into_iter().enumerate() {
+            along.slice_mut(s![i..i + cols]).scaled_add(w, &row);
+        }
+        for (i, w) in weights.into_iter().enumerate() {
+            out.row_mut(r + i).scaled_add(w, &along);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::{assert_abs, assert_rel, central_difference};
+
+    /// Two pictures by formula, the second with a ripple on the first.
+    fn pair() -> (Array3<f64>, Array3<f64>) {
+        let a = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
+            let (k, r, c) = (k as f64, r as f64, c as f64);
+            0.5 + 0.45 * (0.31 * c + 0.17 * r * (k + 1.0)).sin() * (0.23 * r - 0.11 * c + k).cos()
+        });
+        let b = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
+            let (x, y, z) = (c as f64, r as f64, k as f64);
+            let ripple = 0.08 * (1.7 * x + 2.3 * y + z).sin() + 0.03 * (0.05 * x * y).cos();
+            (a[[k, r, c]] + ripple).clamp(0.0, 1.0)
+        });
+        (a, b)
+    }
+
+    /// scikit-image 0.26.0 on the same formulas, in f64.
+    #[test]
+    fn scikit_image_gives_the_same_numbers() {
+        let (a, b) = pair();
+        let (sa, sb) = (a.mapv(srgb_from_linear), b.mapv(srgb_from_linear));
+        assert_abs(ssim_values(sa.view(), sb.view()).expect("large enough"), 0.899_561_062_635_329_3, 1e-12, "mean");
+        for (k, value) in [0.880_134_713_114_250_8, 0.903_185_234_942_039_8, 0.915_363_239_849_696_5].iter().enumerate()
+        {
+            let plane = s![k..k + 1, .., ..];
+            assert_abs(ssim_values(sa.slice(plane), sb.slice(plane)).expect("large enough"), *value, 1e-12, "channel");
+        }
+        // The public functions take f32: the inputs' rounding moves the result by some 1e-7.
+        let (fa, fb) = (a.mapv(|v| v as f32), b.mapv(|v| v as f32));
+        assert_abs(ssim(fa.view(), fb.view()).expect("large enough"), 0.899_561_062_635_329_3, 1e-6, "f32");
+        assert_abs(psnr(fa.view(), fb.view()), 25.310_421_325_412_89, 1e-5, "PSNR");
+        assert_abs(psnr_linear(fa.view(), fb.view()), 24.467_331_754_220_425, 1e-5, "linear PSNR");
+        assert_abs(psnr_inside(fa.view(), fb.view(), 8).expect("fits"), 24.986_739_680_381_977, 1e-5, "inside");
+    }
+
+    /// Photographs against damaged versions of themselves: the numbers of `tests/peers/ssim_skimage.py`, scikit-image's on the
+    /// same 8-bit values.
+    #[test]
+    fn scikit_image_gives_the_same_numbers_on_photographs() {
+        type Damage = fn(&Array3<i64>) -> Array3<i64>;
+        let blurred: Damage = |v| {
+            let (_, rows, cols) = v.dim();
+            Array3::from_shape_fn(v.dim(), |(k, r, c)| {
+                let at = |i: usize, j: usize| {
+                    v[[k, (r + i).saturating_sub(1).min(rows - 1), (c + j).saturating_sub(1).min(cols - 1)]]
+                };
+                ((0..9).map(|n| at(n / 3, n % 3)).sum::<i64>() + 4) / 9
+            })
+        };
+        let noisy: Damage = |v| {
+            Array3::from_shape_fn(v.dim(), |(k, r, c)| {
+                let place = (r * 7919 + c * 104_729 + k * 1_299_709 + 1) as u32;
+                let hashed = i64::from(place.wrapping_mul(2_654_435_761) >> 16);
+                (v[[k, r, c]] + hashed % 31 - 15).clamp(0, 255)
+            })
+        };
+        let coarse: Damage = |v| v.mapv(|v| v / 32 * 32 + 16);
+        let record: serde_json::Value =
+            serde_json::from_str(include_str!("../../../tests/peers/ssim_skimage.json")).expect("JSON");
+        let pairs = record["pairs"].as_array().expect("pairs");
+        assert!(pairs.len() >= 5);
+        for pair in pairs {
+            let name = pair["photo"].as_str().expect("name");
+            let Some(path) = crate::testing::shared(&format!("data/photos/eval/{name}")) else { return };
+            let linear = crate::imaging::files::read_linear(&path).expect("reads");
+            let a = linear.mapv(|v| (255.0 * srgb_from_linear(f64::from(v))).round() as i64);
+            let b = match pair["damage"].as_str().expect("damage") {
+                "blurred" => blurred(&a),
+                "noisy" => noisy(&a),
+                other => {
+                    assert_eq!(other, "coarse");
+                    coarse(&a)
+                }
+            };
+            let [a, b] = [a, b].map(|v| v.mapv(|v| v as f64 / 255.0));
+            let number = |key: &str| pair[key].as_f64().expect("number");
+            assert_abs(ssim_values(a.view(), b.view()).expect("large enough"), number("ssim"), 1e-12, name);
+            let [a, b] = [a, b].map(|v| v.mapv(|v| crate::imaging::develop::color::linear_from_srgb(v) as f32));
+            assert_abs(ssim(a.view(), b.view()).expect("large enough"), number("ssim"), 1e-6, name);
+            assert_abs(psnr(a.view(), b.view()), number("psnr_db"), 1e-5, name);
+        }
+    }
+
+    #[test]
+    fn equal_small_and_out_of_range_pictures() {
+        let a = Array3::<f32>::from_elem((3, 11, 11), 0.4);
+        assert_eq!((psnr(a.view(), a.view()), ssim(a.view(), a.view()).expect("11 × 11")), (f64::INFINITY, 1.0));
+        assert!(ssim(a.slice(s![.., ..10, ..]), a.slice(s![.., ..10, ..])).is_err());
+        assert!(psnr_inside(a.view(), a.view(), 6).is_err());
+        // Beyond white all is white.
+        assert_eq!(psnr((&a + 1.0).view(), (&a + 2.0).view()), f64::INFINITY);
+        assert_abs(psnr_linear((&a + 0.1).view(), a.view()), 20.0, 1e-5, "a tenth");
+    }
+
+    #[test]
+    fn ssim_values_vjp_matches_differences() {
+        let (a, b) = pair();
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let d = Array3::from_shape_fn(a.dim(), |_| rng.f64() - 0.5);
+        let value = |h: f64| ssim_values((&a + &(h * &d)).view(), b.view()).expect("large enough");
+        let pushed = central_difference(value, 1e-4);
+        let pulled = (&ssim_values_vjp(a.view(), b.view(), 1.0).expect("large enough") * &d).sum();
+        assert_rel(pulled, pushed, 1e-8, 0.0, "gradient of SSIM");
+    }
+}

@@ -1,0 +1,288 @@
+//! The reference renderer: rays from the sensor, the paper's own image formation (§3.1.2).
+//!
+//! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, at the
+//! distance `Z`; `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture
+//! stops it. Position in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The
+//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
+//!
+//! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
+//! estimate is unbiased but for the grid of wavelengths ([`rear`], below 1e-5). Directions come from the whole rear
+//! aperture ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass
+//! ([`Sampling::Bounded`], [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so
+//! that a probe's mistake costs noise, not truth.
+//! Not covered: diffraction, Fresnel losses, depth within a scene. Gradients: [`gradient`].
+
+pub mod bounds;
+mod draw;
+pub mod gradient;
+pub mod halves;
+mod pixels;
+pub mod rear;
+mod sampler;
+mod stream;
+pub mod white;
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Instant;
+
+use ndarray::{Array2, Array3, Axis};
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::imaging::frame::Frame;
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::sensor::cfa::Cfa;
+use crate::imaging::sensor::noise::mixed;
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use bounds::Footprints;
+use draw::Texels;
+use pixels::{Row, Tally};
+use rear::RearView;
+use stream::{Pixel, View};
+
+/// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
+const GROUPS: usize = 2;
+
+/// Largest radiance of a scene: its square is far inside f32, in which variances are stored.
+const LARGEST: f32 = 1e15;
+
+/// Which channels a pixel gets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Channels {
+    /// Red, green and blue.
+    All,
+    /// The one its colour filter lets through; the layout's first pixel is the frame's row 0, column 0.
+    Bayer(Cfa),
+}
+
+/// Where directions are drawn from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sampling {
+    /// The whole rear aperture: the paper's plain sampling.
+    RearAperture,
+    /// An ellipse around the rays that pass, by sensor radius: the same mean, less noise.
+    Bounded,
+}
+
+/// How to render.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Settings {
+    /// Rays a pixel and channel, 2 or more; in two groups, best of 2ᵏ rays each.
+    pub samples: usize,
+    /// Seed of the draws; every pixel has a stream of its own.
+    pub seed: u64,
+    /// Channels.
+    pub channels: Channels,
+    /// Directions.
+    pub sampling: Sampling,
+}
+
+/// A rendered region.
+#[derive(Clone, Debug)]
+pub struct Rendered {
+    /// Irradiance relative to white on the axis: `[3, row, col]`, or `[1, row, col]` for a mosaic.
+    pub mean: Array3<f32>,
+    /// Variance of the mean, estimated from two independent groups of rays, in the shape of `mean`.
+    ///
+    /// A single pixel's estimate is coarse (two groups: one degree of freedom); sums over pixels are good.
+    pub variance: Array3<f32>,
+    /// Rays started.
+    pub rays: u64,
+    /// Rays that reached the scene.
+    pub passed: u64,
+    /// Rays that passed outside the bounding ellipse (0 unless the probe missed a part of the pupil).
+    pub outside: u64,
+    /// Irradiance of white on the axis in the lens's units (sr, for a sensor in air): R, G, B.
+    pub axis_irradiance: [f64; 3],
+    /// Wall time, preparation included.
+    pub seconds: f64,
+}
+
+impl Rendered {
+    /// The first plane: the mosaic of a Bayer rendering.
+    pub fn mosaic(&self) -> Array2<f32> {
+        self.mean.index_axis(Axis(0), 0).to_owned()
+    }
+
+    /// Root of the mean variance of the mean: the noise that is left.
+    pub fn noise_rms(&self) -> f64 {
+        let sum: f64 = self.variance.iter().map(|v| f64::from(*v)).sum();
+        (sum / self.variance.len().max(1) as f64).sqrt()
+    }
+}
+
+/// Renders `region` of `frame` as `lens` images `scene`, by rays from the sensor.
+///
+/// `progress` is told the share that is done, from any thread. The result does not depend on the number of threads, and
+/// a pixel of
+/// the frame does not depend on the region it is rendered in.
+///
+/// # Errors
+/// Fewer than 2 samples; a scene without texels, with other than 1 or 3 channels, with a radiance that is not finite or
+/// beyond ±1e15 (the first is named) or a place that is not finite; a lens without room before its sensor; a region that
+/// no ray reaches.
+pub fn render(
+    lens: &Lens,
+    scene: &Plane,
+    density: &SpectralDensity,
+    frame: &Frame,
+    region: Region,
+    settings: Settings,
+    progress: Option<&(dyn Fn(f64) + Sync)>,
+) -> Result<Rendered> {
+    let start = Instant::now();
+    let prepared = Prepared::new(lens, scene, density, frame, region, settings)?;
+    let texture = scene.texture.as_standard_layout();
+    let texels = Texels::new(scene, texture.as_slice().unwrap_or_default());
+    let view = prepared.view(frame, settings);
+    let planes = match settings.channels {
+        Channels::All => 3,
+        Channels::Bayer(_) => 1,
+    };
+    let mut mean = Array3::zeros((planes, region.rows, region.cols));
+    let mut variance = mean.clone();
+    let count = Count::default();
+    // One row a task; a pixel's stream depends on its place alone.
+    mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
+        |(i, (mut mean, mut variance))| {
+            let row = region.row + i.cast_signed();
+            let mut rays = Row::new(view, &texels);
+            let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
+            for (plane, j) in places() {
+                let col = region.col + j.cast_signed();
+                let channel = match settings.channels {
+                    Channels::All => plane,
+                    Channels::Bayer(cfa) => {
+                        cfa.channel(row.rem_euclid(2).cast_unsigned(), col.rem_euclid(2).cast_unsigned())
+                    }
+                };
+                rays.add(Pixel { row, col, channel });
+            }
+            for ((plane, j), (m, v)) in places().zip(rays.finish()) {
+                mean[[plane, j]] = m as f32;
+                variance[[plane, j]] = v as f32;
+            }
+            let done = count.add(&rays.tally());
+            if let Some(progress) = progress {
+                progress(done as f64 / region.rows as f64);
+            }
+        },
+    );
+    let [rays, passed, outside] = [&count.rays, &count.passed, &count.outside].map(|n| n.load(Ordering::Relaxed));
+    if passed == 0 {
+        let found =
+            format!("no rays reach the sensor: {rays} were started within {:.3} mm of the axis", prepared.radii_mm[1]);
+        return Err(Error::bad("", "rendered region", found, "a region inside the lens's image circle"));
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: prepared.rear.axis_irradiance, seconds })
+}
+
+/// What is found out about a lens before its first ray counts.
+struct Prepared {
+    rear: RearView,
+    footprints: Option<Footprints>,
+    /// Smallest and largest distance of the region from the axis.
+    radii_mm: [f64; 2],
+}
+
+impl Prepared {
+    fn new(
+        lens: &Lens,
+        scene: &Plane,
+        density: &SpectralDensity,
+        frame: &Frame,
+        region: Region,
+        settings: Settings,
+    ) -> Result<Self> {
+        check(scene, region, settings)?;
+        let radii_mm = region.radii_mm(frame, 0.0);
+        // The whole frame's view, so that a part of a picture equals the same part of the whole.
+        let rear = RearView::new(lens, density, radii_mm[1].max(frame.max_radius_mm()))?;
+        let footprints = match settings.sampling {
+            Sampling::Bounded => Some(Footprints::probe(&rear, radii_mm)),
+            Sampling::RearAperture => None,
+        };
+        Ok(Self { rear, footprints, radii_mm })
+    }
+
+    fn view<'a>(&'a self, frame: &'a Frame, settings: Settings) -> View<'a> {
+        View { frame, rear: &self.rear, footprints: self.footprints.as_ref(), settings }
+    }
+}
+
+/// Two independent renderings with half the samples each, for [`halves`].
+///
+/// # Errors
+/// As [`render`].
+pub fn render_halves(
+    lens: &Lens,
+    scene: &Plane,
+    density: &SpectralDensity,
+    frame: &Frame,
+    region: Region,
+    settings: Settings,
+    progress: Option<&(dyn Fn(f64) + Sync)>,
+) -> Result<[Rendered; 2]> {
+    let half = |k: u64| {
+        let settings = Settings { samples: settings.samples.div_ceil(2), seed: mixed(settings.seed, k), ..settings };
+        let share = |done: f64| {
+            if let Some(progress) = progress {
+                progress(0.5 * (k as f64 + done));
+            }
+        };
+        render(lens, scene, density, frame, region, settings, Some(&share))
+    };
+    Ok([half(0)?, half(1)?])
+}
+
+fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
+    let (channels, rows, cols) = scene.texture.dim();
+    if !(channels == 1 || channels == 3) || rows == 0 || cols == 0 {
+        let found = format!("{channels} channels of {rows} × {cols} texels");
+        return Err(Error::bad("", "scene", found, "1 or 3 channels, at least one texel"));
+    }
+    // The first that is wrong; NaN is not within anything.
+    let fine = |v: f32| v.abs() <= LARGEST;
+    if let Some(((channel, row, col), v)) = scene.texture.indexed_iter().find(|(_, v)| !fine(**v)) {
+        let place = format!("scene, channel {channel}, row {row}, column {col}");
+        return Err(Error::bad("", place, format!("radiance {v}"), format!("finite numbers within ±{LARGEST:e}")));
+    }
+    let [x, y] = scene.axis_texel;
+    if ![scene.vergence, scene.texels_per_slope, x, y].iter().all(|v| v.is_finite()) {
+        let found =
+            format!("vergence {} /mm, {} texels per slope, axis at {x}, {y}", scene.vergence, scene.texels_per_slope);
+        return Err(Error::bad("", "scene", found, "finite numbers; vergence 0 for an infinite distance"));
+    }
+    if region.rows == 0 || region.cols == 0 {
+        let found = format!("{} × {} pixels", region.rows, region.cols);
+        return Err(Error::bad("", "rendered region", found, "at least one pixel"));
+    }
+    if settings.samples < 2 {
+        let allowed = "2 or more, so that the noise can be estimated";
+        return Err(Error::bad("", "samples per pixel", settings.samples.to_string(), allowed));
+    }
+    Ok(())
+}
+
+/// The sum over rows; whole numbers, so that the order does not matter.
+#[derive(Default)]
+struct Count {
+    rows: AtomicU64,
+    rays: AtomicU64,
+    passed: AtomicU64,
+    outside: AtomicU64,
+}
+
+impl Count {
+    fn add(&self, tally: &Tally) -> u64 {
+        self.rays.fetch_add(tally.rays, Ordering::Relaxed);
+        self.passed.fetch_add(tally.passed, Ordering::Relaxed);
+        self.outside.fetch_add(tally.outside, Ordering::Relaxed);
+        self.rows.fetch_add(1, Ordering::Relaxed) + 1
+    }
+}
+
+#[cfg(test)]
+mod tests;

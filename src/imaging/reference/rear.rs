@@ -1,0 +1,267 @@
+//! The lens met from the sensor: rear aperture, colours, and the irradiance of white on the axis.
+//!
+//! One list of surfaces serves all wavelengths; each has its own index ratios. A channel's light is cut into 16384 equal
+//! shares and the middle of each rounded to a wavelength of a common grid (0.25 nm), a stand-in for its density that moves no
+//! mean by more than 1e-5 of a blur's peak. On the axis of a rotationally symmetric
+//! lens `∫ n'² cos⁴θ / Z² dA = π n'² Σ (sin²θ_out − sin²θ_in)` over the intervals of angle that pass, whose ends are
+//! bisected.
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+
+use crate::error::{Error, Result};
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use crate::trace::lanes::{Options, Program, TILE, Tile, index_ratios};
+use crate::trace::system::TraceSurface;
+use crate::trace::{Ray, System};
+
+/// Equal shares of a channel's light.
+const SHARES: usize = 16_384;
+/// Step of the grid of wavelengths, nm, and the most wavelengths there are.
+const STEP_NM: f64 = 0.25;
+const MOST: f64 = 8192.0;
+
+/// One wavelength as a ray meets it.
+#[derive(Clone, Copy, Debug)]
+pub struct Colour {
+    /// Which of the program's wavelengths.
+    pub number: u32,
+    /// `n'²` of the space before the sensor: radiance grows by it.
+    pub index_square: f64,
+}
+
+/// A lens seen from its sensor.
+#[derive(Clone, Debug)]
+pub struct RearView {
+    /// The system of the primary wavelength from the sensor; its first surface is the image plane.
+    pub system: System,
+    /// The surfaces after the sensor at every wavelength, with their apertures.
+    pub program: Program,
+    /// Distance from the sensor to the plane of the rear aperture's rim, mm.
+    pub distance: f64,
+    /// Radius of a disk in that plane that every ray crosses that meets the rear surface within its aperture.
+    pub disk_radius: f64,
+    /// Largest sensor radius this view serves, mm.
+    pub radius_mm: f64,
+    /// Irradiance of a scene of radiance 1 on the axis, a channel.
+    pub axis_irradiance: [f64; 3],
+    /// Wavelengths of the grid, nm.
+    nm: Vec<f64>,
+    index_square: Vec<f64>,
+    /// Of every channel: the wavelength of each share.
+    shares: [Vec<u16>; 3],
+}
+
+impl RearView {
+    /// The view of `lens` from sensor points up to `radius_mm` from the axis.
+    ///
+    /// # Errors
+    /// No room between the rear surface and the sensor, no finite rear aperture, no light on the axis.
+    pub fn new(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
+        lens.require_symmetry("rendering")?;
+        let system = System::new(lens, lens.wavelengths.primary_nm).reversed();
+        let (distance, disk_radius) = rim(&system.surfaces[1], radius_mm).ok_or_else(|| {
+            let found = "its rear surface reaches the sensor or its clear aperture has no end";
+            Error::bad("", "lens", found, "room before the sensor, a finite clear semi-diameter")
+        })?;
+        let grid = Grid::of(density);
+        let (mut ratios, mut index_square) = (Vec::new(), Vec::new());
+        for nm in &grid.nm {
+            let colour = System::new(lens, *nm).reversed();
+            ratios.extend(index_ratios(&colour.surfaces[1..]));
+            index_square.push(colour.surfaces[0].index_after.powi(2));
+        }
+        let clip = Options { clip: true, ..Options::default() };
+        let program = Program::spectral(&system.surfaces[1..], &ratios, clip)?;
+        let axis_irradiance = [0.0; 3];
+        let Grid { nm, shares } = grid;
+        let mut view =
+            Self { system, program, distance, disk_radius, radius_mm, axis_irradiance, nm, index_square, shares };
+        let each: Vec<f64> = (0..view.nm.len()).into_par_iter().map(|i| view.on_axis(view.at(i))).collect();
+        for (total, shares) in view.axis_irradiance.iter_mut().zip(&view.shares) {
+            *total = shares.iter().map(|i| each[usize::from(*i)]).sum::<f64>() / SHARES as f64;
+        }
+        if view.axis_irradiance.iter().all(|e| *e > 0.0 && e.is_finite()) {
+            return Ok(view);
+        }
+        let found = "no rays reach the sensor: no ray from its axial point passes the lens";
+        Err(Error::bad("", "lens", found, "a stop and clear apertures that let light through"))
+    }
+
+    /// Area of the disk, mm².
+    pub fn disk_area(&self) -> f64 {
+        std::f64::consts::PI * self.disk_radius * self.disk_radius
+    }
+
+    /// The wavelength of `channel` that holds the share `u` (`0 ≤ u < 1`) of its light.
+    #[inline]
+    pub fn colour(&self, channel: usize, u: f64) -> Colour {
+        self.at(usize::from(self.shares[channel][((u * SHARES as f64) as usize).min(SHARES - 1)]))
+    }
+
+    /// Turns random bits into wavelengths of `channel`, and writes their `n'²`: as [`Self::colour`], one for each entry.
+    #[inline]
+    pub(super) fn colours(&self, channel: usize, bits: &mut [u32], index_square: &mut [f64]) {
+        let shares = &self.shares[channel][..SHARES];
+        for (bits, index_square) in bits.iter_mut().zip(index_square) {
+            let i = shares[(*bits >> (u32::BITS - SHARES.ilog2())) as usize];
+            (*bits, *index_square) = (u32::from(i), self.index_square[usize::from(i)]);
+        }
+    }
+
+    /// Wavelengths of [`Self::program`], nm.
+    pub fn wavelengths_nm(&self) -> &[f64] {
+        &self.nm
+    }
+
+    /// Both ends of the spectrum and its middle.
+    pub fn probe_colours(&self) -> [Colour; 3] {
+        let last = self.nm.len() - 1;
+        [0, last / 2, last].map(|i| self.at(i))
+    }
+
+    #[inline]
+    fn at(&self, i: usize) -> Colour {
+        Colour { number: i as u32, index_square: self.index_square[i] }
+    }
+
+    /// `n'² cos⁴θ′ / Z²` and the ray from the sensor point `p` through `target` of the rim's plane, for [`Self::program`].
+    #[inline]
+    pub fn ray(&self, p: DVec2, target: DVec2, colour: Colour) -> (f64, Ray) {
+        let z = self.distance;
+        let offset = target - p;
+        let inverse = (z * z + offset.length_squared()).sqrt().recip();
+        let direction = DVec3::new(offset.x, offset.y, z) * inverse;
+        let ray = Ray { origin: DVec3::new(target.x, target.y, z), direction };
+        // cos θ′ = z / length.
+        let share = direction.z * inverse;
+        (colour.index_square * share * share, ray)
+    }
+
+    /// Whether the ray that `tile` was traced with in `lane` leaves the lens towards the object.
+    #[inline]
+    pub fn passed(&self, tile: &Tile, lane: usize) -> bool {
+        // A ray that turned back never meets the object.
+        tile.status[lane].is_none() && tile.rays.n[lane] > 0.0
+    }
+
+    /// Which of the rays from `p` through `targets` leave the lens towards the object.
+    pub fn passes(&self, tile: &mut Tile, p: DVec2, targets: &[DVec2], colour: Colour) -> Vec<bool> {
+        let mut passes = Vec::with_capacity(targets.len());
+        for targets in targets.chunks(TILE) {
+            tile.resize(targets.len());
+            for (lane, target) in targets.iter().enumerate() {
+                tile.rays.set(lane, self.ray(p, *target, colour).1);
+                tile.colour[lane] = colour.number;
+            }
+            self.program.trace_tile(tile);
+            passes.extend((0..targets.len()).map(|lane| self.passed(tile, lane)));
+        }
+        passes
+    }
+
+    /// `∫ n'² cos⁴θ / Z² dA` from the axial point at one wavelength.
+    fn on_axis(&self, colour: Colour) -> f64 {
+        let mut tile = Tile::new();
+        let mut passes = |radii: &[f64]| {
+            let targets: Vec<DVec2> = radii.iter().map(|r| DVec2::new(0.0, *r)).collect();
+            self.passes(&mut tile, DVec2::ZERO, &targets, colour)
+        };
+        let sin_square = |r: f64| r * r / (r * r + self.distance * self.distance);
+        // Radii to look at: even steps, and finer ones near the axis for stops that are tiny.
+        let mut radii = vec![0.0];
+        radii.extend((0..120).map(|k| 10f64.powf(-8.0 + 6.0 * f64::from(k) / 120.0)));
+        radii.extend((0..=400).map(|k| 0.01 + 0.99 * f64::from(k) / 400.0));
+        radii.iter_mut().for_each(|r| *r *= self.disk_radius);
+        let open = passes(&radii);
+        let mut sum = 0.0;
+        for (ends, open) in radii.windows(2).zip(open.windows(2)).filter(|(_, open)| open[0] != open[1]) {
+            let (mut inside, mut outside) = (ends[0], ends[1]);
+            // A tile of radii at a time, down to the last digit.
+            for _ in 0..9 {
+                let step = (outside - inside) / (TILE + 1) as f64;
+                let between: Vec<f64> = (1..=TILE).map(|k| inside + k as f64 * step).collect();
+                let changed = passes(&between).iter().position(|now| *now != open[0]);
+                let k = changed.unwrap_or(TILE);
+                outside = between.get(k).copied().unwrap_or(outside);
+                inside = if k > 0 { between[k - 1] } else { inside };
+            }
+            sum += if open[0] { sin_square(inside) } else { -sin_square(outside) };
+        }
+        if open[open.len() - 1] {
+            sum += sin_square(radii[radii.len() - 1]);
+        }
+        std::f64::consts::PI * colour.index_square * sum
+    }
+}
+
+/// Wavelengths and which of them each share of a channel has.
+struct Grid {
+    nm: Vec<f64>,
+    shares: [Vec<u16>; 3],
+}
+
+impl Grid {
+    fn of(density: &SpectralDensity) -> Self {
+        let middles = [0, 1, 2].map(|c| -> Vec<f64> {
+            (0..SHARES).map(|k| density.sample(c, (k as f64 + 0.5) / SHARES as f64)).collect()
+        });
+        let all = || middles.iter().flatten().copied();
+        let (low, high) = (all().fold(f64::INFINITY, f64::min), all().fold(0.0, f64::max));
+        let step = STEP_NM.max((high - low) / MOST);
+        let shares = middles.each_ref().map(|m| m.iter().map(|nm| ((nm - low) / step).round() as u16).collect());
+        let count = ((high - low) / step).round() as usize;
+        Self { nm: (0..=count).map(|i| low + i as f64 * step).collect(), shares }
+    }
+}
+
+/// Distance of the rim's plane from the sensor, and the radius in it that holds every line from a sensor point within
+/// `radius_mm` to a point of the clear surface: `(ρ, h)` is seen through `ρ f + p (1 − f)`, `f = distance / (Z + h)`.
+fn rim(rear: &TraceSurface, radius_mm: f64) -> Option<(f64, f64)> {
+    const STEPS: u32 = 512;
+    let point = |k: u32| {
+        let r = rear.semi_diameter * f64::from(k) / f64::from(STEPS);
+        rear.shape.sag(r * r).map(|s| (r, rear.distance + s.h)).filter(|(_, z)| *z > 0.0)
+    };
+    let distance = point(STEPS)?.1;
+    let mut radius = 0.0f64;
+    for k in 0..=STEPS {
+        let (r, z) = point(k)?;
+        let f = distance / z;
+        radius = radius.max(r * f + radius_mm * (1.0 - f).abs());
+    }
+    // What may lie between two steps of a smooth surface.
+    radius *= 1.002;
+    (radius.is_finite() && radius > 0.0).then_some((distance, radius))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::sensor::Sensor;
+    use crate::testing::assert_abs;
+
+    /// Means of Gaussian blurs whose width drifts with wavelength, against a fine midpoint rule on the response table.
+    #[test]
+    fn shares_stand_for_the_density() {
+        let sensor = Sensor::generic();
+        let grid = Grid::of(&SpectralDensity::new(&sensor));
+        assert!(grid.nm.len() < 1210 && grid.nm.windows(2).all(|w| w[0] < w[1]));
+        let table = &sensor.spectral_response;
+        for (best, drift) in [(480.0, 0.005), (550.0, 0.02), (620.0, 0.01)] {
+            let blur = |nm: f64| (1.0 + ((nm - best) * drift).powi(2)).recip();
+            for (c, p) in table.channels().into_iter().enumerate() {
+                let (mut sum, mut mass) = (0.0, 0.0);
+                for i in 0..60_000 {
+                    let nm = 400.0 + (f64::from(i) + 0.5) * 0.005;
+                    let j = (((nm - 400.0) / 10.0) as usize).min(table.wavelength_nm.len() - 2);
+                    let v = p[j] + (p[j + 1] - p[j]) * (nm - table.wavelength_nm[j]) / 10.0;
+                    (sum, mass) = (sum + v * blur(nm), mass + v);
+                }
+                let mean = grid.shares[c].iter().map(|i| blur(grid.nm[usize::from(*i)])).sum::<f64>() / SHARES as f64;
+                assert_abs(mean, sum / mass, 1e-5, "mean of a blur");
+            }
+        }
+    }
+}
