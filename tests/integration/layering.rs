@@ -149,7 +149,7 @@ fn the_reader_of_this_test_takes_paths_apart() {
     let text = "use crate::lens::{Lens, glass::{Medium, named}}; // crate::design\nlet s = \"crate::deploy\"; \
                 crate::psf::table::x(r#\"crate::\"network\"#, '\"', 'a'); use crate::{imaging::sensor::cfa, units};";
     let found: Vec<String> = paths(&code(text), "crate").into_iter().map(|(a, b, _)| format!("{a}.{b}")).collect();
-    assert_eq!(found, ["lens.Lens", "lens.glass", "lens.glass", "psf.table", "imaging.cfa", "units."]);
+    assert_eq!(found, ["lens.Lens", "lens.glass", "lens.glass", "psf.table", "imaging.sensor", "units."]);
     assert_eq!(code("a // b\n'\\n' \"x\\\"y\" 'l"), "a \n' \"\" 'l");
 }
 
