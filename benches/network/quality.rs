@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use isoplanat::design::evaluate::{Pictures, QUALITY, Settings, evaluate};
+use isoplanat::design::evaluate::{Pictures, FINENESS, Settings, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::network::{Compute, Reconstructor};
@@ -21,7 +21,7 @@ pub(crate) fn print(steps: u64) {
     let task = task(steps);
     let (lens, sensor) = (task.lens().expect("shipped"), task.sensor().expect("generic"));
     let pictures = Pictures::BuiltIn(8);
-    let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, quality: QUALITY };
+    let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS };
     println!(
         "| width, scales | 10^6 parameters | s a training step | forward, s/Mpixel | capture, dB | f32, dB | SSIM | f16, dB | f16 \
          against f32, largest |\n|---|---|---|---|---|---|---|---|---|"

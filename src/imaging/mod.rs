@@ -1,6 +1,6 @@
 //! From scene to RAW, and the pixel-domain tools both sides share.
 //!
-//! [`scene`] makes scenes, [`render`] takes them through a lens, [`reference`] does so by rays from the sensor and judges it;
+//! [`scene`] makes scenes, [`render`] takes them through a lens, [`mod@reference`] does so by rays from the sensor and judges it;
 //! [`sensor`] says what a capture is, [`capture`] takes one, [`develop`] a capture into a picture, [`metrics`] compares pictures. [`plane`],
 //! [`frame`] and [`files`] are common ground. Images are `ndarray::Array3` `[channel, row, col]`, linear light, channel 0 = R,
 //! 1 = G, 2 = B.

@@ -8,8 +8,8 @@
 //!
 //! Error, on Gaussian blurs whose width or position drifts with wavelength by 0.005–0.02 pixel/nm, relative to the
 //! kernel's peak (RMS / worst, generic sensor): 3 nodes 1.4e-2 / 8.2e-2, 5: 5.0e-3 / 2.1e-2, 7: 2.5e-3 / 9.7e-3,
-//! 12: 8.0e-4 / 3.1e-3, 24: 2.0e-4 / 7.9e-4: it falls as n⁻². [`crate::imaging::wavelengths`] measures it for a lens and an
-//! illuminant, and finds the number of nodes that holds a requested error.
+//! 12: 8.0e-4 / 3.1e-3, 24: 2.0e-4 / 7.9e-4: it falls as n⁻². Probes measure it for a lens and a
+//! scene ([`crate::imaging::render::probe`]), and `isoplanat accuracy` for lenses and their gradients.
 
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
