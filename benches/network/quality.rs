@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use isoplanat::design::evaluate::{Pictures, FINENESS, Settings, evaluate};
+use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::network::{Compute, Reconstructor};
