@@ -269,14 +269,9 @@ impl Table {
                 pairs.for_each(|(a, b)| *a += t.weight * b);
             }
         }
-        // The part that is kept has corners: between its neighbours, linearly.
-        row.kept = self.kept_between(l, taps);
+        // The part that is kept has corners: the least of the knots' that are read.
+        row.kept = taps.0.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
         row
-    }
-
-    fn kept_between(&self, l: usize, taps: &Taps) -> f64 {
-        let kept = taps.0.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
-        if kept >= 1.0 { 1.0 } else { kept }
     }
 
     /// Adds the cotangent `row_bar` of [`Self::row`] to `bar`.
