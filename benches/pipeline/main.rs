@@ -50,6 +50,10 @@ fn main() {
         print!("{}", step::table());
         return;
     }
+    if std::env::args().any(|a| a == "ladder") {
+        step::ladder();
+        return;
+    }
     let mut criterion = Criterion::default().configure_from_args();
     trace_lenses(&mut criterion);
     design_steps(&mut criterion);

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::render::gradient_error::{CONVERGED, Measured, Patches, distance};
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
@@ -23,6 +24,7 @@ const DEPTHS_MM: [f64; 4] = [500.0, 700.0, 1000.0, 1500.0];
 pub(crate) struct Step {
     pub(crate) name: String,
     lens: Lens,
+    density: SpectralDensity,
     plan: RenderPlan,
     /// Seconds the plan took.
     planning: f64,
@@ -46,7 +48,8 @@ impl Step {
         let mut all = vec![Self::new("two_element, 20 um", two(), 20.0), Self::new("two_element, 6 um", two(), 6.0)];
         if path.exists() {
             let lens = isoplanat::lens::prescription::load(&path).expect("a lens");
-            all.push(Self::new("least squares, 20 um", lens, 20.0));
+            all.push(Self::new("least squares, 20 um", lens.clone(), 20.0));
+            all.push(Self::new("least squares, 6 um", lens, 6.0));
         }
         all
     }
@@ -78,7 +81,7 @@ impl Step {
             (scene, region)
         };
         let patches = (0..PATCHES).map(patch).collect();
-        Self { name: name.to_owned(), lens, plan, planning, patches }
+        Self { name: name.to_owned(), lens, density, plan, planning, patches }
     }
 
     pub(crate) fn pixels(&self) -> u64 {
@@ -101,6 +104,19 @@ impl Step {
     /// From the lens to all patches and back.
     pub(crate) fn gradient(&self) -> f64 {
         self.parts().1
+    }
+
+    /// Error of the lens gradient of a squared loss with `settings` against converged ones, and the patches' own scatter.
+    #[allow(dead_code)]
+    fn error(&self, settings: Settings) -> (f64, Measured) {
+        let converged = self.patches().measure(CONVERGED).expect("renders").gradient;
+        let found = self.patches().measure(settings).expect("renders");
+        (distance(&found.gradient, &converged), found)
+    }
+
+    fn patches(&self) -> Patches<'_> {
+        let parts = self.patches.iter().map(|(scene, region)| (scene, *region)).collect();
+        Patches { lens: &self.lens, frame: &self.plan.frame, density: &self.density, parts }
     }
 
     fn parts(&self) -> (Parts, f64) {
@@ -150,4 +166,49 @@ pub(crate) fn table() -> String {
         );
     }
     out
+}
+
+/// Gradient errors and seconds over settings: what [`Settings::DESIGN`] was chosen from.
+pub(crate) fn ladder() {
+    let base = |name: &str| match name {
+        "fine" => CONVERGED,
+        _ => Settings::DESIGN,
+    };
+    let list: Vec<String> = std::env::var("LADDER").unwrap_or_default().split(';').map(str::to_owned).collect();
+    for step in Step::all() {
+        let converged = step.patches().each(CONVERGED).expect("renders");
+        let scatter = step.patches().scatter(Settings::DESIGN).expect("renders");
+        println!("{}: scatter {scatter:.2}", step.name);
+        for words in &list {
+            let mut settings = Settings::DESIGN;
+            for word in words.split_whitespace() {
+                match word.split_once('=') {
+                    None => settings = base(word),
+                    Some((k, v)) => {
+                        let f: f64 = v.parse().expect("a number");
+                        match k {
+                            "samples" => settings.samples = f as usize,
+                            "w" => settings.wavelengths = f as usize,
+                            "dense" => settings.dense = f as usize,
+                            "node" => settings.node_error = f,
+                            "out" => settings.outside = f,
+                            "cells" => settings.cells = f as usize,
+                            "degree" => settings.degree = f as usize,
+                            _ => panic!("{k}"),
+                        }
+                    }
+                }
+            }
+            let seconds = step.patches().measure(settings).expect("renders").seconds;
+            let each = step.patches().each(settings).expect("renders");
+            let sum =
+                |all: &[Vec<f64>]| -> Vec<f64> { (0..all[0].len()).map(|k| all.iter().map(|g| g[k]).sum()).collect() };
+            let flat = |all: &[Vec<f64>]| -> Vec<f64> { all.concat() };
+            println!(
+                "  {words}: sum {:.3}, each {:.3}, {seconds:.2} s",
+                distance(&sum(&each), &sum(&converged)),
+                distance(&flat(&each), &flat(&converged))
+            );
+        }
+    }
 }

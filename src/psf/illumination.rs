@@ -64,13 +64,14 @@ impl Illumination {
         Self { lit_mm: table.held(lit), radii_mm, irradiance, edge_mm: table.edge_mm, quadrature }
     }
 
-    /// Irradiance at a radius, wavelength `l`; held beyond the last radius, 0 where no light comes.
-    pub fn at(&self, l: usize, radius_mm: f64) -> f64 {
+    /// Irradiance at a radius by wavelength; held beyond the last radius, 0 where no light comes.
+    pub fn at(&self, radius_mm: f64) -> Vec<f64> {
         if radius_mm > self.edge_mm {
-            return 0.0;
+            return vec![0.0; self.irradiance.len()];
         }
-        let sum: f64 = self.taps(radius_mm).map(|(k, w)| w * self.irradiance[l][k]).sum();
-        sum.max(0.0)
+        let taps = taps(&self.radii_mm, radius_mm, TAPS);
+        let of = |e: &Vec<f64>| taps.iter().map(|t| t.weight * e[t.knot]).sum::<f64>().max(0.0);
+        self.irradiance.iter().map(of).collect()
     }
 
     /// The radius whose kernel stands for that of `radius_mm`: beyond the last place with light, that place's.
@@ -78,15 +79,17 @@ impl Illumination {
         radius_mm.min(self.lit_mm)
     }
 
-    /// Adds the pull-back of a cotangent on [`Self::at`].
-    pub fn at_vjp(&self, l: usize, radius_mm: f64, bar: f64, irradiance_bar: &mut IlluminationBar) {
-        if radius_mm <= self.edge_mm && self.at(l, radius_mm) > 0.0 {
-            self.taps(radius_mm).for_each(|(k, w)| irradiance_bar[l][k] += w * bar);
+    /// Adds the pull-back of cotangents on [`Self::at`].
+    pub fn at_vjp(&self, radius_mm: f64, bars: &[f64], irradiance_bar: &mut IlluminationBar) {
+        if radius_mm > self.edge_mm {
+            return;
         }
-    }
-
-    fn taps(&self, radius_mm: f64) -> impl Iterator<Item = (usize, f64)> {
-        taps(&self.radii_mm, radius_mm, TAPS).into_iter().map(|t| (t.knot, t.weight))
+        let taps = taps(&self.radii_mm, radius_mm, TAPS);
+        for ((e, bar), to) in self.irradiance.iter().zip(bars).zip(irradiance_bar) {
+            if taps.iter().map(|t| t.weight * e[t.knot]).sum::<f64>() > 0.0 {
+                taps.iter().for_each(|t| to[t.knot] += t.weight * bar);
+            }
+        }
     }
 
     /// A zero cotangent.

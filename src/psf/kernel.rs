@@ -105,7 +105,7 @@ fn ramp(t: f64) -> (f64, f64) {
 
 /// An aperture's share of a ray and its derivatives with respect to `g`, `∂g/∂x`, `∂g/∂y`.
 fn share(g: f64, gx: f64, gy: f64, width: f64) -> (f64, [f64; 3]) {
-    let size = gx.hypot(gy);
+    let size = (gx * gx + gy * gy).sqrt();
     let t = g / (size * width);
     if !t.is_finite() {
         return (f64::from(u8::from(g > 0.0)), [0.0; 3]);
@@ -180,8 +180,7 @@ impl KernelForm {
 
     /// Each channel's shares of the wavelengths at a radius, and the channel's irradiance.
     fn shares(&self, illumination: &Illumination, radius_mm: f64) -> (Vec<Vec<f64>>, Vec<f64>) {
-        let count = self.weight.first().map_or(0, Vec::len);
-        let light: Vec<f64> = (0..count).map(|l| illumination.at(l, radius_mm)).collect();
+        let light = illumination.at(radius_mm);
         let mut levels = Vec::with_capacity(self.channels());
         let shares = self
             .weight

@@ -9,7 +9,7 @@
 //! let quadrature = Quadrature { nm: vec![486.1, 587.6, 656.3], weight: vec![vec![0.2, 0.5, 0.3]] };
 //! let optics = Optics::compute(&lens, &OpticsSpec::even(18.0, vec![0.0], quadrature))?;
 //! // Relative illumination 15 mm from the axis, and the slope of the object that is seen there.
-//! assert!((0.9..0.92).contains(&optics.relative_illumination(0, 15.0)));
+//! assert!((0.9..0.92).contains(&optics.relative_illumination(15.0)[0]));
 //! assert!((0.29..0.31).contains(&optics.maps[0].slope(15.0)));
 //! // A kernel of 21 × 21 pixels of 10 µm.
 //! let form = optics.form(500, 21, 1, 0.010);
@@ -100,9 +100,7 @@ impl OpticsBar {
         for (l, row) in &back.rows {
             optics.table.row_vjp(*l, &back.taps, &row.0, &mut self.table);
         }
-        for (l, bar) in back.irradiance.iter().enumerate() {
-            optics.illumination.at_vjp(l, radius_mm, *bar, &mut self.illumination);
-        }
+        optics.illumination.at_vjp(radius_mm, &back.irradiance, &mut self.illumination);
         self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
     }
 
@@ -140,28 +138,31 @@ impl Optics {
         self.spec.quadrature.weight.len()
     }
 
-    /// Irradiance of white in a channel, sr for a sensor in air.
-    pub fn irradiance(&self, channel: usize, radius_mm: f64) -> f64 {
-        let weights = self.spec.quadrature.weight[channel].iter().enumerate();
-        weights.map(|(l, w)| w * self.illumination.at(l, radius_mm)).sum()
+    /// Irradiance of white by channel, sr for a sensor in air.
+    pub fn irradiance(&self, radius_mm: f64) -> Vec<f64> {
+        let light = self.illumination.at(radius_mm);
+        let of = |w: &Vec<f64>| w.iter().zip(&light).map(|(w, e)| w * e).sum();
+        self.spec.quadrature.weight.iter().map(of).collect()
     }
 
-    /// Irradiance of white relative to that on the axis; 0 where a channel has none there.
-    pub fn relative_illumination(&self, channel: usize, radius_mm: f64) -> f64 {
-        let axis = self.irradiance(channel, 0.0);
-        if axis > 0.0 { self.irradiance(channel, radius_mm) / axis } else { 0.0 }
+    /// Irradiance of white by channel, relative to that on the axis; 0 where a channel has none there.
+    pub fn relative_illumination(&self, radius_mm: f64) -> Vec<f64> {
+        let pairs = self.irradiance(radius_mm).into_iter().zip(self.irradiance(0.0));
+        pairs.map(|(here, axis)| if axis > 0.0 { here / axis } else { 0.0 }).collect()
     }
 
-    /// Adds the pull-back of a cotangent on [`Self::relative_illumination`] to `bar`.
-    pub fn relative_illumination_vjp(&self, channel: usize, radius_mm: f64, value_bar: f64, bar: &mut OpticsBar) {
-        let (axis, here) = (self.irradiance(channel, 0.0), self.irradiance(channel, radius_mm));
-        if axis <= 0.0 || value_bar == 0.0 {
-            return;
+    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] to `bar`.
+    pub fn relative_illumination_vjp(&self, radius_mm: f64, value_bar: &[f64], bar: &mut OpticsBar) {
+        let (axis, here) = (self.irradiance(0.0), self.irradiance(radius_mm));
+        let mut bars = [vec![0.0; self.illumination.irradiance.len()], vec![0.0; self.illumination.irradiance.len()]];
+        for (c, weight) in self.spec.quadrature.weight.iter().enumerate().filter(|(c, _)| axis[*c] > 0.0) {
+            for (l, w) in weight.iter().enumerate() {
+                bars[0][l] += value_bar[c] * w / axis[c];
+                bars[1][l] -= value_bar[c] * w * here[c] / (axis[c] * axis[c]);
+            }
         }
-        for (l, w) in self.spec.quadrature.weight[channel].iter().enumerate() {
-            self.illumination.at_vjp(l, radius_mm, value_bar * w / axis, &mut bar.illumination);
-            self.illumination.at_vjp(l, 0.0, -value_bar * w * here / (axis * axis), &mut bar.illumination);
-        }
+        self.illumination.at_vjp(radius_mm, &bars[0], &mut bar.illumination);
+        self.illumination.at_vjp(0.0, &bars[1], &mut bar.illumination);
     }
 
     /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.
@@ -200,11 +201,11 @@ impl Optics {
                 let rays: Vec<_> = (0..self.spec.quadrature.nm.len())
                     .map(|l| form.rays(&self.table, &self.maps[depth], l, *r))
                     .collect();
-                for channel in 0..self.channels() {
-                    let total = self.irradiance(channel, *r);
+                let (levels, totals) = (self.illumination.at(*r), self.irradiance(*r));
+                for (weight, total) in self.spec.quadrature.weight.iter().zip(totals) {
                     let mut light = Vec::new();
                     for (l, rays) in rays.iter().enumerate() {
-                        let scale = self.spec.quadrature.weight[channel][l] * self.illumination.at(l, *r) / total;
+                        let scale = weight[l] * levels[l] / total;
                         if scale.is_finite() {
                             rays.add_reach(form.cell_mm, scale, &mut light);
                         }

@@ -6,6 +6,8 @@
 //! counted in the same coordinates; the ideal picture, and the distortion in a kit, are this map's. Beyond `R_m` it goes on
 //! as a straight line.
 
+mod lines;
+
 use ndarray::Array2;
 
 use super::fit::chebyshev;
@@ -15,7 +17,7 @@ use crate::lens::Lens;
 use crate::math::least_squares::fit_operator;
 
 /// Terms at most, and knots a term.
-const TERMS: (usize, usize) = (9, 1);
+const TERMS: (usize, usize) = (9, 1); // `lines` counts on at most 16 terms.
 
 /// Sensor radius ⇄ object slope at one object distance.
 #[derive(Clone, Debug, PartialEq)]
@@ -229,7 +231,7 @@ mod tests {
     use crate::psf::table::TableSpec;
     use crate::testing::{assert_rel, central_difference};
 
-    fn map(name: &str, radius_mm: f64, vergence: f64) -> SensorMap {
+    pub(super) fn map(name: &str, radius_mm: f64, vergence: f64) -> SensorMap {
         let lens = builtin::lens(name).expect("shipped");
         let radii_mm = (0..=12).map(|i| radius_mm * f64::from(i) / 12.0).collect();
         let spec = TableSpec { radii_mm, wavelength_nm: vec![550.0], degree: 7 };

@@ -27,7 +27,7 @@ fn optics(lens: &Lens, radius_mm: f64) -> Optics {
 }
 
 fn irradiance(lens: &Lens, radius_mm: f64) -> f64 {
-    optics(lens, radius_mm).irradiance(0, radius_mm)
+    optics(lens, radius_mm).irradiance(radius_mm)[0]
 }
 
 /// Irradiance through hard edges, without polynomials: a raster over the direction cosines at the sensor point.
@@ -102,7 +102,7 @@ fn the_soft_edge_has_little_bias() {
         let (lens, radius) = narrowed(name, slope);
         let hard = hard_irradiance(&lens, radius, 1200);
         let optics = optics(&lens, radius);
-        let exact = optics.irradiance(0, radius);
+        let exact = optics.irradiance(radius)[0];
         let open = exact / irradiance(&builtin::lens(name).expect("shipped"), radius);
         let bias = |count: usize| {
             let rays = optics.form(count, 3, 1, 0.01).rays(&optics.table, &optics.maps[0], 0, radius);
@@ -136,8 +136,8 @@ fn the_soft_edge_has_little_bias() {
 fn gradient(lens: &Lens, radius_mm: f64) -> (f64, LensGradient) {
     let optics = optics(lens, radius_mm);
     let mut bar = OpticsBar::zeros(&optics);
-    optics.illumination.at_vjp(0, radius_mm, 1.0, &mut bar.illumination);
-    (optics.irradiance(0, radius_mm), optics.vjp(lens, &bar))
+    optics.illumination.at_vjp(radius_mm, &[1.0], &mut bar.illumination);
+    (optics.irradiance(radius_mm)[0], optics.vjp(lens, &bar))
 }
 
 #[test]

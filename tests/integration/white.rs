@@ -41,7 +41,7 @@ fn white_is_right(count: u32) {
         let (mut square, mut worst, mut n) = (0.0, (0.0f64, 0.0), 0.0);
         for radius in even.chain(onsets.iter().flat_map(|r| [0.998 * r, *r, 1.002 * r])).filter(|r| *r <= corner) {
             let truth = irradiance(&lens, NM, radius, 1000) / axis;
-            let off = optics.relative_illumination(0, radius) - truth;
+            let off = optics.relative_illumination(radius)[0] - truth;
             square += off * off;
             n += 1.0;
             if off.abs() > worst.0 {

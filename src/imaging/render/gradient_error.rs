@@ -35,7 +35,7 @@ pub struct Measured {
     pub planning: f64,
 }
 
-/// Patches of one scene.
+/// Patches of scenes, at any object distances.
 #[derive(Clone, Debug)]
 pub struct Patches<'a> {
     /// The lens.
@@ -44,10 +44,8 @@ pub struct Patches<'a> {
     pub frame: &'a Frame,
     /// The sensor's response.
     pub density: &'a SpectralDensity,
-    /// The scene.
-    pub scene: &'a Plane,
-    /// Parts of the frame.
-    pub regions: Vec<Region>,
+    /// Scenes, and the parts of the frame that are rendered of them.
+    pub parts: Vec<(&'a Plane, Region)>,
 }
 
 impl<'a> Patches<'a> {
@@ -77,15 +75,27 @@ impl<'a> Patches<'a> {
             rows: side,
             cols: side,
         };
-        let regions = (0..down).flat_map(|i| (0..across).map(move |j| (i, j))).map(|(i, j)| region(i, j)).collect();
-        Self { lens, frame, density, scene, regions }
+        let places = (0..down).flat_map(|i| (0..across).map(move |j| (i, j)));
+        let parts = places.map(|(i, j)| (scene, region(i, j))).collect();
+        Self { lens, frame, density, parts }
     }
 
-    fn bar(&self, renderer: &Renderer, region: Region) -> OpticsBar {
-        let rendered: Rendered<f32> = renderer.record(self.scene, 0, region);
+    fn bar(&self, renderer: &Renderer, (scene, region): (&Plane, Region)) -> Result<OpticsBar> {
+        let depth = renderer.plan.depth(scene.vergence)?;
+        let rendered: Rendered<f32> = renderer.record(scene, depth, region);
         let off: Array3<f32> = (&rendered.image - &rendered.truth) * 2.0;
         let none = Array3::zeros(off.dim());
-        renderer.vjp(self.scene, &rendered, off.view(), (-&off).view(), none.view())
+        Ok(renderer.vjp(scene, &rendered, off.view(), (-&off).view(), none.view()))
+    }
+
+    fn plan(&self, settings: Settings) -> Result<RenderPlan> {
+        let mut vergences: Vec<f64> = Vec::new();
+        for (scene, _) in &self.parts {
+            if !vergences.contains(&scene.vergence) {
+                vergences.push(scene.vergence);
+            }
+        }
+        RenderPlan::new(self.lens, self.frame, self.density, &vergences, settings)
     }
 
     fn gradient(&self, renderer: &Renderer, bar: &OpticsBar) -> Vec<f64> {
@@ -98,15 +108,25 @@ impl<'a> Patches<'a> {
     /// A lens that cannot be rendered on the frame.
     pub fn measure(&self, settings: Settings) -> Result<Measured> {
         let clock = Instant::now();
-        let plan = RenderPlan::new(self.lens, self.frame, self.density, &[self.scene.vergence], settings)?;
+        let plan = self.plan(settings)?;
         let planning = clock.elapsed().as_secs_f64();
         let clock = Instant::now();
         let renderer = Renderer::new(self.lens, &plan)?;
-        let bars: Vec<OpticsBar> = self.regions.par_iter().map(|r| self.bar(&renderer, *r)).collect();
+        let bars: Vec<OpticsBar> = self.parts.par_iter().map(|p| self.bar(&renderer, *p)).collect::<Result<_>>()?;
         let mut sum = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| sum.add(b));
         let gradient = self.gradient(&renderer, &sum);
         Ok(Measured { gradient, seconds: clock.elapsed().as_secs_f64(), planning })
+    }
+
+    /// The gradients of the patches one by one.
+    ///
+    /// # Errors
+    /// As [`Self::measure`].
+    pub fn each(&self, settings: Settings) -> Result<Vec<Vec<f64>>> {
+        let renderer = Renderer::new(self.lens, &self.plan(settings)?)?;
+        let of = |p: &(&Plane, Region)| Ok(self.gradient(&renderer, &self.bar(&renderer, *p)?));
+        self.parts.par_iter().map(of).collect()
     }
 
     /// Scatter of the sum over the patches, relative to it: root of the patches' variance times their number over the norm.
@@ -115,10 +135,7 @@ impl<'a> Patches<'a> {
     /// As [`Self::measure`].
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     pub fn scatter(&self, settings: Settings) -> Result<f64> {
-        let plan = RenderPlan::new(self.lens, self.frame, self.density, &[self.scene.vergence], settings)?;
-        let renderer = Renderer::new(self.lens, &plan)?;
-        let each: Vec<Vec<f64>> =
-            self.regions.iter().map(|r| self.gradient(&renderer, &self.bar(&renderer, *r))).collect();
+        let each = self.each(settings)?;
         let n = each.len() as f64;
         let count = each.first().map_or(0, Vec::len);
         let (mut variance, mut square) = (0.0, 0.0);

@@ -14,6 +14,8 @@ use crate::psf::{Optics, OpticsBar};
 
 /// Intervals of the table.
 const INTERVALS: usize = 4096;
+/// Rows that are pulled back together.
+const STRIP: usize = 64;
 
 /// Relative illumination of every channel over the radius in pixels.
 #[derive(Clone, Debug)]
@@ -31,12 +33,9 @@ impl Light {
     #[expect(clippy::cast_precision_loss, reason = "table sizes")]
     pub fn new(optics: &Optics, frame: &Frame) -> Self {
         let step_mm = frame.max_radius_mm() / INTERVALS as f64;
-        let axis: Vec<f64> = (0..optics.channels()).map(|c| optics.irradiance(c, 0.0)).collect();
-        let at = |c: usize, k: usize| {
-            if axis[c] > 0.0 { optics.irradiance(c, k as f64 * step_mm) / axis[c] } else { 0.0 }
-        };
-        let values =
-            (0..optics.channels()).map(|c| (0..INTERVALS + 2).into_par_iter().map(|k| at(c, k)).collect()).collect();
+        let knots = (0..INTERVALS + 2).into_par_iter().map(|k| optics.relative_illumination(k as f64 * step_mm));
+        let knots: Vec<Vec<f64>> = knots.collect();
+        let values = (0..optics.channels()).map(|c| knots.iter().map(|k| k[c]).collect()).collect();
         Self { per_px: frame.pitch_mm / step_mm, step_mm, values }
     }
 
@@ -84,23 +83,34 @@ impl Light {
         bar: &mut OpticsBar,
     ) {
         let channels = light_bar.len_of(Axis(0));
-        let mut knots = vec![vec![0.0; INTERVALS + 2]; channels];
-        for i in 0..region.rows {
-            for j in 0..region.cols {
-                let (k, t) = self.place(region.offset(frame, i, j));
-                for (c, knots) in knots.iter_mut().enumerate() {
-                    let b = light_bar[[c, i, j]].to_double();
-                    knots[k] += b * (1.0 - t);
-                    knots[k + 1] += b * t;
+        // Strips of rows, summed in their order whatever the thread count.
+        let strips: Vec<Vec<f64>> = light_bar
+            .axis_chunks_iter(Axis(1), STRIP)
+            .into_par_iter()
+            .enumerate()
+            .map(|(strip, bars)| {
+                let mut knots = vec![0.0; channels * (INTERVALS + 2)];
+                for (i, row) in bars.axis_iter(Axis(1)).enumerate() {
+                    for (j, pixel) in row.axis_iter(Axis(1)).enumerate() {
+                        let (k, t) = self.place(region.offset(frame, strip * STRIP + i, j));
+                        for (c, b) in pixel.iter().enumerate() {
+                            let b = b.to_double();
+                            knots[channels * k + c] += b * (1.0 - t);
+                            knots[channels * (k + 1) + c] += b * t;
+                        }
+                    }
                 }
-            }
+                knots
+            })
+            .collect();
+        let mut sums = vec![0.0; channels * (INTERVALS + 2)];
+        for strip in &strips {
+            sums.iter_mut().zip(strip).for_each(|(a, b)| *a += b);
         }
-        for (c, knots) in knots.iter().enumerate() {
-            for (k, b) in knots.iter().enumerate().filter(|(_, b)| **b != 0.0) {
-                #[expect(clippy::cast_precision_loss, reason = "table sizes")]
-                let radius = k as f64 * self.step_mm;
-                optics.relative_illumination_vjp(c, radius, *b, bar);
-            }
+        for (k, bars) in sums.chunks_exact(channels).enumerate().filter(|(_, b)| b.iter().any(|b| *b != 0.0)) {
+            #[expect(clippy::cast_precision_loss, reason = "table sizes")]
+            let radius = k as f64 * self.step_mm;
+            optics.relative_illumination_vjp(radius, bars, bar);
         }
     }
 

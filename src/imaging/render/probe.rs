@@ -198,8 +198,9 @@ impl Probing<'_> {
 
     /// Relative illumination of the lit channels at a place.
     fn light(&self, place: Place) -> Vec<f32> {
+        let light = self.optics.relative_illumination(place.radius_mm);
         #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
-        let of = |c: &usize| self.optics.relative_illumination(*c, place.radius_mm) as f32;
+        let of = |c: &usize| light[*c] as f32;
         self.lit.iter().map(of).collect()
     }
 
@@ -246,8 +247,7 @@ impl Probing<'_> {
                 let kernels = flipped(self.optics, self.depth, &form, at);
                 self.values(&fine, *region, (&kernels, &light), (size, size))
             };
-            let colours = 0..self.colours.spec.quadrature.nm.len();
-            let irradiance = colours.map(|l| self.colours.illumination.at(l, at.radius_mm)).collect();
+            let irradiance = self.colours.illumination.at(at.radius_mm);
             Probe { scene, region: *region, exact, patch, kernels, coarse, mono, irradiance, scale }
         };
         stands.par_iter().map(of).collect()
@@ -295,13 +295,14 @@ impl Probing<'_> {
     /// Values of a probe by a quadrature.
     fn light_of(&self, probe: &Probe, rule: &Quadrature) -> Values {
         let nm = &self.colours.spec.quadrature.nm;
+        let axis = self.colours.illumination.at(0.0);
         let count = probe.region.rows * probe.region.cols;
         let mut out = vec![0.0f64; probe.exact.len()];
         for (c, channel) in self.lit.iter().enumerate() {
             let mut level = 0.0;
             for (at, w) in rule.nm.iter().zip(&rule.weight[*channel]) {
                 for (l, share) in cubic(nm, *at) {
-                    level += w * share * self.colours.illumination.at(l, 0.0);
+                    level += w * share * axis[l];
                     let scale = w * share * probe.irradiance[l];
                     let part = c * count..(c + 1) * count;
                     let light = out[part.clone()].iter_mut().zip(&probe.mono[l][part]);

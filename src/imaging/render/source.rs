@@ -10,6 +10,7 @@ use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::Source;
 use crate::math::real::Real;
+use crate::math::wide::{Work, wide};
 use crate::psf::SensorMap;
 
 /// A scene before a lens with this map, on the raster of `frame`.
@@ -27,55 +28,88 @@ pub struct WarpedScene<'a> {
     channels: Vec<usize>,
 }
 
-/// Four texels, the weights of the second ones, and whether the place is inside the texture along columns and rows.
-struct Tap {
-    first: usize,
-    across: usize,
-    down: usize,
-    tx: f64,
-    ty: f64,
-    inside: [bool; 2],
+/// Where the points of a line fall on the texture: bilinear taps, structure of arrays.
+#[derive(Default)]
+struct Line {
+    /// Offsets of the points from the axis along the line, cells.
+    x: Vec<f64>,
+    /// Squared sensor radii, mm².
+    squares: Vec<f64>,
+    /// Texel coordinates along columns and rows, then the weights of the second texels.
+    at: [Vec<f64>; 2],
+    /// Whether the coordinates were inside the texture: 1 or 0.
+    inside: [Vec<f64>; 2],
+    /// The first of the four texels.
+    first: Vec<usize>,
 }
 
-impl Tap {
+/// Coordinates to the texels below them and the weights of those above; the border is repeated.
+struct Below<'a> {
+    at: &'a mut [f64],
+    inside: &'a mut [f64],
+    first: &'a mut [usize],
+    count: usize,
+    stride: usize,
+}
+
+impl Work for Below<'_> {
+    type Output = ();
+
+    #[inline(always)]
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "raster sizes"
+    )]
+    fn run(self) {
+        // Adding it leaves the whole number in the last bits.
+        const SHIFT: f64 = 4_503_599_627_370_496.0;
+        let limit = (self.count - 1) as f64;
+        let last = self.count.saturating_sub(2) as f64;
+        for ((at, inside), first) in self.at.iter_mut().zip(self.inside).zip(self.first) {
+            let x = *at - 0.5;
+            *inside = if x > 0.0 && x < limit { 1.0 } else { 0.0 };
+            // Not a number becomes 0, as it lies nowhere inside.
+            let x = if x > 0.0 { x } else { 0.0 };
+            let x = if x < limit { x } else { limit };
+            let below = x.floor();
+            let below = if below < last { below } else { last };
+            *at = x - below;
+            *first += ((below + SHIFT).to_bits() as u32 as usize) * self.stride;
+        }
+    }
+}
+
+/// The texture's neighbours along columns and rows.
+#[derive(Clone, Copy)]
+struct Steps {
+    across: usize,
+    down: usize,
+}
+
+impl Line {
     #[inline]
-    fn of(&self, plane: &[f32]) -> f64 {
-        let at = |k: usize| f64::from(plane[k]);
-        let (a, b) = (at(self.first), at(self.first + self.down));
-        let top = a + self.tx * (at(self.first + self.across) - a);
-        let bottom = b + self.tx * (at(self.first + self.down + self.across) - b);
-        top + self.ty * (bottom - top)
+    fn value(&self, j: usize, plane: &[f32], Steps { across, down }: Steps) -> f64 {
+        let first = self.first[j];
+        let at = |k: usize| f64::from(plane[first + k]);
+        let (a, b) = (at(0), at(down));
+        let top = a + self.at[0][j] * (at(across) - a);
+        let bottom = b + self.at[0][j] * (at(down + across) - b);
+        top + self.at[1][j] * (bottom - top)
     }
 
     /// Derivatives along columns and rows.
     #[inline]
-    fn slopes(&self, plane: &[f32]) -> [f64; 2] {
-        let at = |k: usize| f64::from(plane[k]);
-        let (a, b) = (at(self.first), at(self.first + self.across));
-        let (c, d) = (at(self.first + self.down), at(self.first + self.down + self.across));
-        let x = (b - a) + self.ty * ((d - c) - (b - a));
-        let y = (c + self.tx * (d - c)) - (a + self.tx * (b - a));
-        [if self.inside[0] { x } else { 0.0 }, if self.inside[1] { y } else { 0.0 }]
+    fn slopes(&self, j: usize, plane: &[f32], Steps { across, down }: Steps) -> [f64; 2] {
+        let first = self.first[j];
+        let at = |k: usize| f64::from(plane[first + k]);
+        let (a, b) = (at(0), at(across));
+        let (c, d) = (at(down), at(down + across));
+        let x = (b - a) + self.at[1][j] * ((d - c) - (b - a));
+        let y = (c + self.at[0][j] * (d - c)) - (a + self.at[0][j] * (b - a));
+        [self.inside[0][j] * x, self.inside[1][j] * y]
     }
-}
-
-/// The two texels around a coordinate and the weight of the second; the border is repeated.
-#[inline]
-#[expect(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "raster sizes"
-)]
-fn axis(x: f64, n: usize) -> (usize, usize, f64, bool) {
-    let x = x - 0.5;
-    let limit = (n - 1) as f64;
-    if !(x > 0.0 && x < limit) {
-        let end = if x >= limit { n - 1 } else { 0 };
-        return (end, end, 0.0, false);
-    }
-    let i = x as usize;
-    (i, i + 1, x - i as f64, true)
 }
 
 impl<'a> WarpedScene<'a> {
@@ -118,13 +152,6 @@ impl<'a> WarpedScene<'a> {
         [self.axis_texel[0] + x * scale, self.axis_texel[1] + y * scale]
     }
 
-    fn tap(&self, offset: [f64; 2]) -> Tap {
-        let (_, rows, cols) = self.texture.dim();
-        let texel = self.texel(offset);
-        let ((c0, c1, tx, in_x), (r0, r1, ty, in_y)) = (axis(texel[0], cols), axis(texel[1], rows));
-        Tap { first: r0 * cols + c0, across: c1 - c0, down: (r1 - r0) * cols, tx, ty, inside: [in_x, in_y] }
-    }
-
     /// Offset from the axis, in cells, of point `k` of the `n` along an axis of the cell at `at`.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
     fn place(at: isize, k: usize, n: usize, axis_px: f64) -> f64 {
@@ -136,18 +163,44 @@ impl<'a> WarpedScene<'a> {
         &self.texture.as_slice().expect("standard layout")[channel * rows * cols..][..rows * cols]
     }
 
-    /// Tells `visit` every point: its phase, row and column in the region, and its tap and offset.
-    fn points(&self, region: Region, row: usize, mut visit: impl FnMut(usize, usize, Tap, [f64; 2])) {
+    fn steps(&self) -> Steps {
+        let (_, rows, cols) = self.texture.dim();
+        Steps { across: usize::from(cols > 1), down: if rows > 1 { cols } else { 0 } }
+    }
+
+    /// Tells `visit` every line of points of a row of `region`: its phase, its offset from the axis across the line, cells,
+    /// and its points.
+    fn lines(&self, region: Region, row: usize, line: &mut Line, mut visit: impl FnMut(usize, f64, &Line)) {
+        let (_, rows, cols) = self.texture.dim();
         let (m, b) = (self.samples, self.average);
         let n = m * b;
+        let pitch = self.frame.pitch_mm;
         for fy in 0..n {
             let y = Self::place(region.row + row.cast_signed(), fy, n, self.frame.axis_px[1]);
+            let y_mm = y * pitch;
             for fx in 0..n {
-                let phase = (fy / b) * m + fx / b;
-                for j in 0..region.cols {
-                    let x = Self::place(region.col + j.cast_signed(), fx, n, self.frame.axis_px[0]);
-                    visit(phase, j, self.tap([x, y]), [x, y]);
+                let of = |j: usize| Self::place(region.col + j.cast_signed(), fx, n, self.frame.axis_px[0]);
+                line.x.clear();
+                line.x.extend((0..region.cols).map(of));
+                line.squares.clear();
+                line.squares.extend(line.x.iter().map(|x| (x * pitch) * (x * pitch) + y_mm * y_mm));
+                let [column, across] = &mut line.at;
+                column.clone_from(&line.squares);
+                self.map.ratios(column);
+                across.clear();
+                for (ratio, x) in column.iter_mut().zip(&line.x) {
+                    let scale = *ratio * self.texels_per_slope;
+                    *ratio = self.axis_texel[0] + x * pitch * scale;
+                    across.push(self.axis_texel[1] + y_mm * scale);
                 }
+                line.first.clear();
+                line.first.resize(region.cols, 0);
+                for (k, (count, stride)) in [(cols, 1), (rows, cols)].into_iter().enumerate() {
+                    line.inside[k].resize(region.cols, 0.0);
+                    let (at, inside) = (&mut line.at[k][..], &mut line.inside[k][..]);
+                    wide(Below { at, inside, first: &mut line.first, count, stride });
+                }
+                visit((fy / b) * m + fx / b, y, line);
             }
         }
     }
@@ -156,18 +209,20 @@ impl<'a> WarpedScene<'a> {
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     pub fn fill<T: Real>(&self, region: Region, mut out: ArrayViewMut4<'_, T>) -> bool {
         let mean = ((self.average * self.average) as f64).recip();
-        let mut lit = false;
-        let mut sums = vec![0.0; self.channels.len() * self.samples * self.samples * region.cols];
+        let (phases, steps) = (self.samples * self.samples, self.steps());
+        let (mut lit, mut line) = (false, Line::default());
+        let mut sums = vec![0.0; self.channels.len() * phases * region.cols];
         for i in 0..region.rows {
             sums.fill(0.0);
-            let phases = self.samples * self.samples;
-            self.points(region, i, |phase, j, tap, _| {
+            self.lines(region, i, &mut line, |phase, _, line| {
                 for (c, channel) in self.channels.iter().enumerate() {
-                    sums[(c * phases + phase) * region.cols + j] += tap.of(self.plane(*channel));
+                    let plane = self.plane(*channel);
+                    let sums = &mut sums[(c * phases + phase) * region.cols..][..region.cols];
+                    sums.iter_mut().enumerate().for_each(|(j, sum)| *sum += line.value(j, plane, steps));
                 }
             });
-            for (k, line) in sums.chunks_exact(region.cols.max(1)).enumerate() {
-                for (v, light) in out.slice_mut(s![k / phases, k % phases, i, ..]).iter_mut().zip(line) {
+            for (k, values) in sums.chunks_exact(region.cols.max(1)).enumerate() {
+                for (v, light) in out.slice_mut(s![k / phases, k % phases, i, ..]).iter_mut().zip(values) {
                     lit |= *light != 0.0;
                     *v = T::real(light * mean);
                 }
@@ -180,30 +235,31 @@ impl<'a> WarpedScene<'a> {
     pub fn fill_vjp<T: Real>(&self, region: Region, bar: ArrayView4<'_, T>, coefficients_bar: &mut [f64]) {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let mean = ((self.average * self.average) as f64).recip();
+        // A point's texel moves by `x · pitch · texels_per_slope · ∂ratio`.
+        let scale = mean * self.texels_per_slope * self.frame.pitch_mm;
+        let steps = self.steps();
         let rows: Vec<Vec<f64>> = (0..region.rows)
             .into_par_iter()
-            .map(|i| {
-                let mut sum = vec![0.0; coefficients_bar.len()];
-                self.points(region, i, |phase, j, tap, [x, y]| {
-                    let length = x.hypot(y);
-                    if length == 0.0 {
-                        return;
-                    }
-                    let mut slope_bar = 0.0;
-                    for (c, channel) in self.channels.iter().enumerate() {
-                        let b = bar[[c, phase, i, j]].to_double();
-                        if b != 0.0 {
-                            let [gx, gy] = tap.slopes(self.plane(*channel));
-                            slope_bar += b * (gx * x + gy * y);
+            .map_init(
+                || (Line::default(), Vec::new()),
+                |(line, weights), i| {
+                    let mut sum = vec![0.0; coefficients_bar.len()];
+                    self.lines(region, i, line, |phase, y, line| {
+                        weights.clear();
+                        weights.resize(region.cols, 0.0);
+                        for (c, channel) in self.channels.iter().enumerate() {
+                            let plane = self.plane(*channel);
+                            let bars = bar.slice(s![c, phase, i, ..]);
+                            for (j, (w, b)) in weights.iter_mut().zip(bars).enumerate() {
+                                let [gx, gy] = line.slopes(j, plane, steps);
+                                *w += scale * b.to_double() * (gx * line.x[j] + gy * y);
+                            }
                         }
-                    }
-                    let weight = mean * slope_bar * self.texels_per_slope / length;
-                    if weight != 0.0 {
-                        self.map.slope_vjp(length * self.frame.pitch_mm, weight, &mut sum);
-                    }
-                });
-                sum
-            })
+                        self.map.ratios_vjp(&line.squares, weights, &mut sum);
+                    });
+                    sum
+                },
+            )
             .collect();
         for row in rows {
             coefficients_bar.iter_mut().zip(row).for_each(|(a, b)| *a += b);

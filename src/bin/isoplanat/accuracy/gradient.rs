@@ -74,7 +74,7 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
         schema: 1,
         lens: placed.lens.name.clone(),
         scene: args.scene.clone(),
-        patches: [patches.regions.len(), patches.regions.first().map_or(0, |r| r.rows)],
+        patches: [patches.parts.len(), patches.parts.first().map_or(0, |p| p.1.rows)],
         threads: std::thread::available_parallelism().map_or(1, usize::from),
         scatter,
         rows,
