@@ -2,7 +2,8 @@
 //!
 //! Every lens images photographs and a grey frame on 300 × 200 pixels whose pitch is enlarged so that the frame's corner
 //! sees the lens's whole field, planned for 40, 45 and 50 dB; prediction and promise are compared with what two
-//! independent halves of the reference say. `-- white [LENS…]`: a white frame against the reference.
+//! independent halves of the reference say. `-- corners`: instead of whole frames, the 1024 × 1024 pixels in the corner of the lens's
+//! own sensor at its own pitch.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -13,7 +14,7 @@ use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings, render_halves};
-use isoplanat::imaging::render::{Request, plan};
+use isoplanat::imaging::render::{Request, frame_of, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin, prescription};
@@ -42,13 +43,28 @@ fn frame(lens: &Lens) -> Frame {
     Frame::centred(COLUMNS, ROWS, radii[last] / corner).expect("valid")
 }
 
+/// The corner of the lens's own sensor.
+fn corner(lens: &Lens) -> Frame {
+    const SIDE: usize = 1024;
+    let whole = frame_of(lens).expect("valid");
+    let axis =
+        [whole.axis_px[0] - whole.columns as f64 + SIDE as f64, whole.axis_px[1] - whole.rows as f64 + SIDE as f64];
+    Frame::centred(SIDE, SIDE, whole.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid")
+}
+
+/// The texture over the frame: its middle in the frame's.
 fn scene(lens: &Lens, frame: &Frame, texture: Array3<f32>) -> Plane {
     let near = 1e-3 * frame.max_radius_mm();
-    let per_pixel = chief_slopes(lens, lens.object_vergence, &[near]).expect("light")[0] / near * frame.pitch_mm;
+    let slope = |radius: f64| chief_slopes(lens, lens.object_vergence, &[radius]).expect("light")[0];
+    let per_pixel = slope(near) / near * frame.pitch_mm;
     let (_, rows, cols) = texture.dim();
-    let zoom = (cols as f64 / COLUMNS as f64).min(rows as f64 / ROWS as f64);
-    let axis_texel = [0.5 * cols as f64, 0.5 * rows as f64];
-    Plane { texture, texels_per_slope: zoom / per_pixel, axis_texel, vergence: lens.object_vergence }
+    let zoom = (cols as f64 / frame.columns as f64).min(rows as f64 / frame.rows as f64);
+    let texels_per_slope = zoom / per_pixel;
+    let off = [0.5 * frame.columns as f64 - frame.axis_px[0], 0.5 * frame.rows as f64 - frame.axis_px[1]];
+    let radius = off[0].hypot(off[1]);
+    let middle = if radius > 0.0 { slope(radius * frame.pitch_mm) / radius * texels_per_slope } else { 0.0 };
+    let axis_texel = [0.5 * cols as f64 - off[0] * middle, 0.5 * rows as f64 - off[1] * middle];
+    Plane { texture, texels_per_slope, axis_texel, vergence: lens.object_vergence }
 }
 
 fn photographs(count: usize) -> Vec<(String, Array3<f32>)> {
@@ -82,6 +98,7 @@ fn main() {
     let named: Vec<&str> = all.into_iter().filter(|l| arguments.iter().any(|a| a == l)).collect();
     let lenses = if named.is_empty() { all.to_vec() } else { named };
     let density = SpectralDensity::new(&Sensor::generic());
+    let corners = arguments.iter().any(|a| a == "corners");
     let samples = value("--samples", 128);
     let mut out = std::io::stdout();
     writeln!(out, "| lens | scene | asked, dB | predicted | measured (95 %) | planning, s | rendering, s |\n|---|---|---|---|---|---|---|")
@@ -89,8 +106,8 @@ fn main() {
     let mut tally = Tally { cases: 0, held: 0, worst_miss: 0.0, optimistic: 0.0, within: [0; 2], predicted: 0 };
     for name in lenses {
         let lens = lens(name);
-        let frame = frame(&lens);
-        let whole = Region { row: 0, col: 0, rows: ROWS, cols: COLUMNS };
+        let frame = if corners { corner(&lens) } else { frame(&lens) };
+        let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
         for (title, texture) in photographs(value("--photographs", 24)) {
             let scene = scene(&lens, &frame, texture);
             let rays = Settings { samples, seed: 5, channels: Channels::All, sampling: Sampling::Bounded };

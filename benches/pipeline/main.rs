@@ -47,11 +47,7 @@ fn design_steps(c: &mut Criterion) {
 
 fn main() {
     if std::env::args().any(|a| a == "tables") {
-        print!("{}", step::table());
-        return;
-    }
-    if std::env::args().any(|a| a == "ladder") {
-        step::ladder();
+        print!("{}{}", step::table(), step::choices());
         return;
     }
     let mut criterion = Criterion::default().configure_from_args();

@@ -5,7 +5,7 @@ use std::time::Instant;
 
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
-use isoplanat::imaging::render::gradient_error::{CONVERGED, Measured, Patches, distance};
+use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches, cheapest};
 use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
@@ -106,14 +106,6 @@ impl Step {
         self.parts().1
     }
 
-    /// Error of the lens gradient of a squared loss with `settings` against converged ones, and the patches' own scatter.
-    #[allow(dead_code)]
-    fn error(&self, settings: Settings) -> (f64, Measured) {
-        let converged = self.patches().measure(CONVERGED).expect("renders").gradient;
-        let found = self.patches().measure(settings).expect("renders");
-        (distance(&found.gradient, &converged), found)
-    }
-
     fn patches(&self) -> Patches<'_> {
         let parts = self.patches.iter().map(|(scene, region)| (scene, *region)).collect();
         Patches { lens: &self.lens, frame: &self.plan.frame, density: &self.density, parts }
@@ -141,8 +133,9 @@ impl Step {
 /// The parts of every step, the fastest of three, ms.
 pub(crate) fn table() -> String {
     let mut out = String::from(
-        "| lens | kernels, cells (pixels a cell), by depth | nodes | plan | trace | forward | back | lens gradient | step |\n\
-         |---|---|---|---|---|---|---|---|---|\n",
+        "| lens | kernels, cells (pixels a cell), by depth | nodes | plan | trace | forward | back | lens gradient | one patch after \
+         the other | patches side by side | gradient off by | noise of the patches |\n\
+         |---|---|---|---|---|---|---|---|---|---|---|---|\n",
     );
     for step in Step::all() {
         let total = |p: &Parts| p.trace + p.forward + p.back + p.lens;
@@ -152,8 +145,12 @@ pub(crate) fn table() -> String {
             step.plan.depths.iter().map(f).collect::<Vec<String>>().join(", ")
         };
         let ms = |s: f64| format!("{:.0}", 1e3 * s);
+        let patches = step.patches();
+        let converged = patches.measure(CONVERGED).expect("renders");
+        let measured: Vec<_> = (0..3).map(|_| patches.measure(step.plan.settings).expect("renders")).collect();
+        let together = measured.iter().map(|m| m.seconds).fold(f64::INFINITY, f64::min);
         out += &format!(
-            "| {} | {} | {} | {} | {} | {} | {} | {} | {} |\n",
+            "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {:.3} | {:.2} |\n",
             step.name,
             list(&|d| format!("{}² ({})", d.size(), d.bin)),
             list(&|d| d.grid.len().to_string()),
@@ -162,53 +159,36 @@ pub(crate) fn table() -> String {
             ms(best.forward),
             ms(best.back),
             ms(best.lens),
-            ms(total(&best))
+            ms(total(&best)),
+            ms(together),
+            measured[0].error(&converged),
+            converged.noise(),
         );
     }
     out
 }
 
-/// Gradient errors and seconds over settings: what [`Settings::DESIGN`] was chosen from.
-pub(crate) fn ladder() {
-    let base = |name: &str| match name {
-        "fine" => CONVERGED,
-        _ => Settings::DESIGN,
-    };
-    let list: Vec<String> = std::env::var("LADDER").unwrap_or_default().split(';').map(str::to_owned).collect();
+/// What [`cheapest`] chooses for the patches.
+pub(crate) fn choices() -> String {
+    let mut out = String::from(
+        "\n| lens | wavelengths | stop points | field nodes within | cells at most | gradient off by | below the limits | a step, ms |\n|---|---|---|---|---|---|---|---|\n",
+    );
     for step in Step::all() {
-        let converged = step.patches().each(CONVERGED).expect("renders");
-        let scatter = step.patches().scatter(Settings::DESIGN).expect("renders");
-        println!("{}: scatter {scatter:.2}", step.name);
-        for words in &list {
-            let mut settings = Settings::DESIGN;
-            for word in words.split_whitespace() {
-                match word.split_once('=') {
-                    None => settings = base(word),
-                    Some((k, v)) => {
-                        let f: f64 = v.parse().expect("a number");
-                        match k {
-                            "samples" => settings.samples = f as usize,
-                            "w" => settings.wavelengths = f as usize,
-                            "dense" => settings.dense = f as usize,
-                            "node" => settings.node_error = f,
-                            "out" => settings.outside = f,
-                            "cells" => settings.cells = f as usize,
-                            "degree" => settings.degree = f as usize,
-                            _ => panic!("{k}"),
-                        }
-                    }
-                }
-            }
-            let seconds = step.patches().measure(settings).expect("renders").seconds;
-            let each = step.patches().each(settings).expect("renders");
-            let sum =
-                |all: &[Vec<f64>]| -> Vec<f64> { (0..all[0].len()).map(|k| all.iter().map(|g| g[k]).sum()).collect() };
-            let flat = |all: &[Vec<f64>]| -> Vec<f64> { all.concat() };
-            println!(
-                "  {words}: sum {:.3}, each {:.3}, {seconds:.2} s",
-                distance(&sum(&each), &sum(&converged)),
-                distance(&flat(&each), &flat(&converged))
-            );
-        }
+        let patches = step.patches();
+        let chosen = cheapest(&patches).expect("renders");
+        let s = chosen.settings;
+        let seconds = (0..3).map(|_| patches.measure(s).expect("renders").seconds).fold(f64::INFINITY, f64::min);
+        out += &format!(
+            "| {} | {} | {} | {} | {} | {:.3} | {} | {:.0} |\n",
+            step.name,
+            s.wavelengths,
+            s.dense,
+            s.node_error,
+            s.cells,
+            chosen.error,
+            if chosen.holds { "yes" } else { "no" },
+            1e3 * seconds
+        );
     }
+    out
 }

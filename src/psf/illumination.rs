@@ -6,6 +6,7 @@
 //! disk converges spectrally and a cut one as the square of their number (128: about 1e-5). The adjoint differentiates both: the étendue inside,
 //! and the ends of the intervals by the implicit function theorem.
 
+use std::borrow::Cow;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use rayon::prelude::*;
@@ -127,9 +128,12 @@ struct Quadrature {
     disk: Vec<f64>,
     /// Basis at points of the rim, `[point][term]`.
     rim: Vec<Vec<f64>>,
+    /// The chords of the whole disk.
+    chords: Vec<Chord>,
 }
 
 /// One chord: polynomials in y.
+#[derive(Clone, Debug)]
 struct Chord {
     /// `T_p` at its x.
     across: Vec<f64>,
@@ -157,9 +161,9 @@ impl Quadrature {
                 value(x, y)
             })
             .collect();
-        let mut rule = Self { disk: vec![0.0; terms.len()], degree, rim, terms };
-        for i in 0..CHORDS {
-            let chord = rule.chord(i, 1.0);
+        let mut rule = Self { disk: vec![0.0; terms.len()], degree, rim, terms, chords: Vec::new() };
+        rule.chords = rule.chords_of(1.0);
+        for chord in &rule.chords {
             let whole = Open { ends: [-chord.half, chord.half], by: [None; 2] };
             for (y, w) in gauss(&whole) {
                 let along = chebyshev(y, degree).0;
@@ -171,10 +175,19 @@ impl Quadrature {
         rule
     }
 
-    fn chord(&self, i: u32, kept: f64) -> Chord {
+    /// Chords of the part `kept` of the disk.
+    fn chords_of(&self, kept: f64) -> Vec<Chord> {
         let step = FRAC_PI_2 / f64::from(CHORDS);
-        let (x, half) = ((f64::from(i) + 0.5) * step).sin_cos();
-        Chord { across: chebyshev(kept * x, self.degree).0, half: kept * half, weight: 2.0 * kept * half * step }
+        let chord = |i: u32| {
+            let (x, half) = ((f64::from(i) + 0.5) * step).sin_cos();
+            Chord { across: chebyshev(kept * x, self.degree).0, half: kept * half, weight: 2.0 * kept * half * step }
+        };
+        (0..CHORDS).map(chord).collect()
+    }
+
+    /// The same; those of the whole disk are at hand.
+    fn chords(&self, kept: f64) -> Cow<'_, [Chord]> {
+        if kept == 1.0 { Cow::Borrowed(&self.chords) } else { Cow::Owned(self.chords_of(kept)) }
     }
 
     /// Coefficients in y along a chord of the even function `c`.
@@ -195,10 +208,10 @@ impl Quadrature {
         if self.open(table, row) {
             return dot(&self.disk, row.weight(table));
         }
-        let sums = (0..CHORDS).map(|i| {
-            let chord = self.chord(i, row.kept);
-            let weight = self.along(row.weight(table), &chord);
-            let open = self.intervals(table, row, &chord);
+        let chords = self.chords(row.kept);
+        let sums = chords.iter().map(|chord| {
+            let weight = self.along(row.weight(table), chord);
+            let open = self.intervals(table, row, chord);
             chord.weight * open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>()
         });
         sums.sum()
@@ -209,22 +222,21 @@ impl Quadrature {
             row_bar.weight(table).iter_mut().zip(&self.disk).for_each(|(a, d)| *a += bar * d);
             return;
         }
-        for i in 0..CHORDS {
-            let chord = self.chord(i, row.kept);
-            let weight = self.along(row.weight(table), &chord);
-            for open in self.intervals(table, row, &chord) {
+        for chord in self.chords(row.kept).iter() {
+            let weight = self.along(row.weight(table), chord);
+            for open in self.intervals(table, row, chord) {
                 for (y, w) in gauss(&open) {
-                    self.scatter(&chord, y, bar * chord.weight * w, row_bar.weight(table));
+                    self.scatter(chord, y, bar * chord.weight * w, row_bar.weight(table));
                 }
                 for side in 0..2 {
                     let Some(k) = open.by[side] else { continue };
                     // δy = −δg/g_y; the upper end adds W δy, the lower takes it away.
                     let y = open.ends[side];
-                    let slope = series(&self.along(row.clip(table, k), &chord), y).1;
+                    let slope = series(&self.along(row.clip(table, k), chord), y).1;
                     let sign = if side == 1 { -1.0 } else { 1.0 };
                     let by = sign * bar * chord.weight * series(&weight, y).0 / slope;
                     if by.is_finite() {
-                        self.scatter(&chord, y, by, row_bar.clip(table, k));
+                        self.scatter(chord, y, by, row_bar.clip(table, k));
                     }
                 }
             }
@@ -241,10 +253,20 @@ impl Quadrature {
 
     /// Parts of a chord where no aperture cuts.
     fn intervals(&self, table: &Table, row: &Row, chord: &Chord) -> Vec<Open> {
-        let clips: Vec<Vec<f64>> = (0..table.clips.len()).map(|k| self.along(row.clip(table, k), chord)).collect();
+        // A series whose first coefficient outweighs the others has one sign: it cuts nothing, or all.
+        let mut clips: Vec<Vec<f64>> = Vec::new();
         let mut cuts: Vec<(f64, Option<usize>)> = vec![(-chord.half, None), (chord.half, None)];
-        for (k, clip) in clips.iter().enumerate() {
-            cuts.extend(roots(clip, chord.half).into_iter().map(|y| (y, Some(k))));
+        for k in 0..table.clips.len() {
+            let clip = self.along(row.clip(table, k), chord);
+            let others: f64 = clip[1..].iter().map(|c| c.abs()).sum();
+            if clip[0] > others {
+                continue;
+            }
+            if clip[0] < -others {
+                return Vec::new();
+            }
+            cuts.extend(roots(&clip, chord.half).into_iter().map(|y| (y, Some(k))));
+            clips.push(clip);
         }
         cuts.sort_by(|a, b| a.0.total_cmp(&b.0));
         let open = |pair: &&[(f64, Option<usize>)]| {

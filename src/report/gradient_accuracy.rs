@@ -13,7 +13,7 @@ pub struct Row {
     pub ladder: String,
     /// The setting, in words.
     pub setting: String,
-    /// L2 distance of the gradient from the converged one, relative to it.
+    /// L2 distance of the patches' gradients from the converged ones, relative to them.
     pub relative_error: f64,
     /// Seconds of tracing, rendering and pulling back all patches.
     pub seconds: f64,
@@ -34,8 +34,8 @@ pub struct GradientAccuracy {
     pub patches: [usize; 2],
     /// Threads.
     pub threads: usize,
-    /// Scatter of the patches' sum, relative: an error well below it moves no design.
-    pub scatter: f64,
+    /// Part of the patches' gradients that is not common to them: an error well below it moves no design.
+    pub noise: f64,
     /// Rows.
     pub rows: Vec<Row>,
 }
@@ -71,7 +71,7 @@ impl GradientAccuracy {
         serde_json::to_value(self).unwrap_or_else(|e| json!({ "error": e.to_string() }))
     }
 
-    /// Error over seconds, a series for what is varied, and the patches' own scatter.
+    /// Error over seconds, a series for what is varied, and the patches' own noise.
     pub fn svg(&self) -> String {
         let ladders = self.rows.iter().fold(Vec::<&str>::new(), |mut all, r| {
             if !all.contains(&r.ladder.as_str()) {
@@ -87,8 +87,8 @@ impl GradientAccuracy {
             ladders.iter().map(|l| Series { name: (*l).to_owned(), points: points(l), mark: Mark::Both }).collect();
         let ends =
             self.rows.iter().map(|r| r.seconds).fold([f64::MAX, 0.0], |[a, b]: [f64; 2], s| [a.min(s), b.max(s)]);
-        let line = ends.map(|s| [s, self.scatter]).to_vec();
-        series.push(Series { name: "scatter of the patches".into(), points: line, mark: Mark::Line });
+        let line = ends.map(|s| [s, self.noise]).to_vec();
+        series.push(Series { name: "noise of the patches".into(), points: line, mark: Mark::Line });
         Plot {
             title: format!("{}: error of the lens gradient", self.lens),
             x_label: format!("seconds of {} patches ({} threads)", self.patches[0], self.threads),
@@ -120,7 +120,7 @@ mod tests {
             scene: "scene".into(),
             patches: [8, 128],
             threads: 2,
-            scatter: 0.3,
+            noise: 0.3,
             rows: vec![row("wavelengths", 0.05), row("wavelengths", 0.01), row("kernel size", 0.02)],
         };
         assert_eq!(all.csv().lines().count(), 4);
@@ -128,6 +128,6 @@ mod tests {
         assert!(all.table().to_string().contains("gradient off by"));
         assert_eq!(all.json()["rows"][2]["ladder"], "kernel size");
         let svg = all.svg();
-        assert!(svg.contains("scatter of the patches") && svg.contains("kernel size"));
+        assert!(svg.contains("noise of the patches") && svg.contains("kernel size"));
     }
 }

@@ -2,13 +2,16 @@
 //!
 //! The loss is the squared difference of picture and ideal picture, summed over the patches, its gradient every scaled number
 //! that a designer frees first ([`Variables::refracting`]). A setting's error is the L2 distance of its gradient from that of
-//! [`CONVERGED`], relative to it. Patches are a sample of the frame: the gradient of a step scatters by what they are, and
-//! an error well below that scatter moves no design.
+//! [`CONVERGED`], patch by patch, root of the mean square over that of the gradients: in the sum of a batch gradients cancel, so that
+//! what it is off by says more of the draw than of the setting. Patches are a sample of the frame: the gradient of a step
+//! scatters by what they are, and an error well below that scatter moves no design. [`cheapest`] takes the coarsest
+//! settings of a ladder that are.
 
 use std::time::Instant;
 
 use ndarray::Array3;
 use rayon::prelude::*;
+use serde::Serialize;
 
 use super::plan::{RenderPlan, Settings};
 use super::renderer::{Rendered, Renderer};
@@ -24,15 +27,36 @@ use crate::psf::OpticsBar;
 pub const CONVERGED: Settings =
     Settings { samples: 2, wavelengths: 9, degree: 9, dense: 3000, node_error: 0.03, outside: 2e-4, cells: 96 };
 
-/// One setting's gradient.
+/// One setting's gradients.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Measured {
-    /// Gradient of the loss, scaled.
-    pub gradient: Vec<f64>,
-    /// Seconds of tracing, rendering and pulling back all patches; planning is not counted.
+    /// Gradients of the loss by patch, scaled.
+    pub gradients: Vec<Vec<f64>>,
+    /// Seconds of tracing, rendering and pulling back all patches as one step; planning is not counted.
     pub seconds: f64,
     /// Seconds of planning.
     pub planning: f64,
+}
+
+impl Measured {
+    /// L2 distance of the gradients from those of `converged`, patch by patch, relative to the latter; not a number where those are
+    /// all zero.
+    pub fn error(&self, converged: &Self) -> f64 {
+        let pairs = self.gradients.iter().flatten().zip(converged.gradients.iter().flatten());
+        let off: f64 = pairs.map(|(a, b)| (a - b).powi(2)).sum();
+        (off / converged.gradients.iter().flatten().map(|b| b * b).sum::<f64>()).sqrt()
+    }
+
+    /// Part of the gradients, root mean square, that is not common to all patches: 0 for equal ones, near 1 where they cancel.
+    #[expect(clippy::cast_precision_loss, reason = "small counts")]
+    pub fn noise(&self) -> f64 {
+        let each = &self.gradients;
+        let n = each.len() as f64;
+        let mean = |k: usize| each.iter().map(|g| g[k]).sum::<f64>() / n;
+        let common: f64 = (0..each.first().map_or(0, Vec::len)).map(|k| n * mean(k).powi(2)).sum();
+        let all: f64 = each.iter().flatten().map(|v| v * v).sum();
+        (1.0 - common / all).max(0.0).sqrt()
+    }
 }
 
 /// Patches of scenes, at any object distances.
@@ -102,7 +126,7 @@ impl<'a> Patches<'a> {
         Variables::refracting(self.lens).gradient(&renderer.lens_gradient(self.lens, bar))
     }
 
-    /// The gradient with `settings`.
+    /// The gradients with `settings`.
     ///
     /// # Errors
     /// A lens that cannot be rendered on the frame.
@@ -115,41 +139,58 @@ impl<'a> Patches<'a> {
         let bars: Vec<OpticsBar> = self.parts.par_iter().map(|p| self.bar(&renderer, *p)).collect::<Result<_>>()?;
         let mut sum = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| sum.add(b));
-        let gradient = self.gradient(&renderer, &sum);
-        Ok(Measured { gradient, seconds: clock.elapsed().as_secs_f64(), planning })
-    }
-
-    /// The gradients of the patches one by one.
-    ///
-    /// # Errors
-    /// As [`Self::measure`].
-    pub fn each(&self, settings: Settings) -> Result<Vec<Vec<f64>>> {
-        let renderer = Renderer::new(self.lens, &self.plan(settings)?)?;
-        let of = |p: &(&Plane, Region)| Ok(self.gradient(&renderer, &self.bar(&renderer, *p)?));
-        self.parts.par_iter().map(of).collect()
-    }
-
-    /// Scatter of the sum over the patches, relative to it: root of the patches' variance times their number over the norm.
-    ///
-    /// # Errors
-    /// As [`Self::measure`].
-    #[expect(clippy::cast_precision_loss, reason = "small counts")]
-    pub fn scatter(&self, settings: Settings) -> Result<f64> {
-        let each = self.each(settings)?;
-        let n = each.len() as f64;
-        let count = each.first().map_or(0, Vec::len);
-        let (mut variance, mut square) = (0.0, 0.0);
-        for k in 0..count {
-            let mean = each.iter().map(|g| g[k]).sum::<f64>() / n;
-            variance += each.iter().map(|g| (g[k] - mean).powi(2)).sum::<f64>() / (n - 1.0).max(1.0);
-            square += (n * mean).powi(2);
-        }
-        Ok((variance * n / square).sqrt())
+        let step = self.gradient(&renderer, &sum);
+        let seconds = clock.elapsed().as_secs_f64();
+        debug_assert!(step.iter().all(|v| v.is_finite()));
+        let gradients = bars.par_iter().map(|b| self.gradient(&renderer, b)).collect();
+        Ok(Measured { gradients, seconds, planning })
     }
 }
 
-/// L2 distance of `a` from `b`, relative to `b`.
-pub fn distance(a: &[f64], b: &[f64]) -> f64 {
-    let off: f64 = a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum();
-    (off / b.iter().map(|b| b * b).sum::<f64>()).sqrt()
+/// Largest error of a design's gradient, relative.
+pub const LARGEST_ERROR: f64 = 0.05;
+/// Largest error of a design's gradient, as a part of the patches' noise.
+pub const OF_NOISE: f64 = 0.1;
+
+/// Settings of a design, from the coarsest on.
+pub const LADDER: [Settings; 4] = [
+    Settings { wavelengths: 3, dense: 200, node_error: 0.2, cells: 32, ..Settings::DESIGN },
+    Settings { wavelengths: 4, dense: 300, node_error: 0.1, cells: 48, ..Settings::DESIGN },
+    Settings::DESIGN,
+    Settings { samples: 2, wavelengths: 7, dense: 1200, node_error: 0.03, outside: 2e-3, ..Settings::DESIGN },
+];
+
+/// Settings that were chosen for a design.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Chosen {
+    /// The settings.
+    pub settings: Settings,
+    /// Error of the patches' gradients with them, relative.
+    pub error: f64,
+    /// The patches' own noise.
+    pub noise: f64,
+    /// Whether the error is below [`LARGEST_ERROR`] and [`OF_NOISE`] of the noise; where none is, the finest are taken.
+    pub holds: bool,
+}
+
+/// The coarsest settings of [`LADDER`] whose gradient is well below the noise of the patches; the same for the same patches.
+///
+/// # Errors
+/// As [`Patches::measure`].
+pub fn cheapest(patches: &Patches<'_>) -> Result<Chosen> {
+    let converged = patches.measure(CONVERGED)?;
+    let noise = converged.noise();
+    // Equal patches have no noise: then the error alone counts.
+    let limit = if noise > 0.0 { LARGEST_ERROR.min(OF_NOISE * noise) } else { LARGEST_ERROR };
+    let mut last = None;
+    for settings in LADDER {
+        let error = patches.measure(settings)?.error(&converged);
+        let chosen = Chosen { settings, error, noise, holds: error <= limit };
+        // A scene without light has no gradient: nothing is off.
+        if chosen.holds || error.is_nan() {
+            return Ok(Chosen { holds: true, error: if error.is_nan() { 0.0 } else { error }, ..chosen });
+        }
+        last = Some(chosen);
+    }
+    Ok(last.expect("a ladder has rungs"))
 }

@@ -3,7 +3,7 @@
 use std::io::Write;
 
 use isoplanat::imaging::render::Settings;
-use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches, distance};
+use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::gradient_accuracy::{GradientAccuracy, Row};
@@ -54,7 +54,7 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
     let patches = Patches::even(&placed.lens, &placed.frame, &density, &placed.plane, PATCHES);
     let bar = Bar::new("gradients");
     let converged = patches.measure(CONVERGED)?;
-    let scatter = patches.scatter(Settings::DESIGN)?;
+    let noise = converged.noise();
     let all = settings();
     let mut rows = Vec::with_capacity(all.len());
     for (k, (ladder, words, settings)) in all.iter().enumerate() {
@@ -64,7 +64,7 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
         rows.push(Row {
             ladder: (*ladder).to_owned(),
             setting: words.clone(),
-            relative_error: distance(&found.gradient, &converged.gradient),
+            relative_error: found.error(&converged),
             seconds: found.seconds,
             planning_seconds: found.planning,
         });
@@ -76,7 +76,7 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
         scene: args.scene.clone(),
         patches: [patches.parts.len(), patches.parts.first().map_or(0, |p| p.1.rows)],
         threads: std::thread::available_parallelism().map_or(1, usize::from),
-        scatter,
+        noise,
         rows,
     };
     if let Some(path) = &args.svg {
@@ -92,8 +92,8 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
         let [count, side] = accuracy.patches;
         writeln!(
             out,
-            "{count} patches of {side}² pixels; their own scatter is {:.2} of the gradient: an error well below that moves no design",
-            accuracy.scatter
+            "{count} patches of {side}² pixels; {:.2} of their gradients is not common to them: an error well below that moves no design",
+            accuracy.noise
         )?;
     }
     Ok(())
