@@ -138,15 +138,24 @@ impl Training {
     /// A task that cannot be trained; nothing is written then.
     pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
-        let lens = task.lens()?;
-        let trainer = Trainer::new(start(&task, compute)?, &task.train.objective(), task.seed)?;
-        let parts = Parts::new(&task, &lens)?;
+        let (lens, network) = (task.lens()?, start(&task, compute)?);
+        Self::begin(task, &lens, network, folder, replace)
+    }
+
+    /// As [`Training::create`], for `lens` and from `network` in place of the task's.
+    ///
+    /// # Errors
+    /// As [`Training::create`].
+    pub fn begin(task: Task, lens: &Lens, network: Reconstructor, folder: &Path, replace: bool) -> Result<Self> {
+        atomic::check_folder(folder, MARKER, replace)?;
+        let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
+        let parts = Parts::new(&task, lens)?;
         let state = State::default();
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
-            prescription::save(&lens, &inside.join("lens.toml"))?;
+            prescription::save(lens, &inside.join("lens.toml"))?;
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
         Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
@@ -202,6 +211,11 @@ impl Training {
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
         ]
+    }
+
+    /// The network as it is now.
+    pub fn network(&self) -> &Reconstructor {
+        self.trainer.generator()
     }
 
     /// Steps done so far.
