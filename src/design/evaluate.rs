@@ -17,7 +17,7 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::plane::{Plane, Region};
-use crate::imaging::render::{RenderPlan, Renderer, Settings as Fineness, frame_of};
+use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
 use crate::imaging::sensor::Sensor;
@@ -255,8 +255,7 @@ fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -
         Ok(1.0 / depth_mm)
     };
     let vergences = settings.depths_mm.iter().map(vergence).collect::<Result<Vec<f64>>>()?;
-    let plan = RenderPlan::new(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)?;
-    Renderer::new(lens, &plan)
+    Renderer::planned(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)
 }
 
 /// The places of every zone.

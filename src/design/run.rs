@@ -14,7 +14,7 @@ use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
-use crate::imaging::render::{RenderPlan, Renderer, Settings};
+use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::noise::Noise;
 use crate::imaging::sensor::spectrum::SpectralDensity;
@@ -110,6 +110,9 @@ impl JointSettings {
 /// Average over this many steps in a history.
 const SMOOTH: usize = 10;
 
+/// Steps between plans.
+const REPLAN: usize = 25;
+
 /// The joint stage's rates, of their largest: a rise over the first 3 %, while both of Adam's averages are young and the lens
 /// must not be thrown, then a half cosine to zero.
 fn schedule(used: f64) -> f64 {
@@ -128,7 +131,7 @@ pub fn joint_stage(
     let density = SpectralDensity::new(scenery.sensor);
     let electronics = scenery.electronics();
     let v = lens.object_vergence;
-    let mut plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings.settings)?;
+    let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings.settings)?;
     let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let (mut history, mut recent) = (Vec::new(), Vec::new());
@@ -139,14 +142,10 @@ pub fn joint_stage(
         if used >= 1.0 {
             break;
         }
-        // Windows and nodes follow the PSF as the lens gets better.
-        if step % 25 == 0 && step > 0 && settings.lens_rate > 0.0 {
-            let mut anew = plan.clone();
-            if anew.refresh(&joint.lens).is_ok() {
-                plan = anew;
-            }
+        if step > 0 && settings.lens_rate > 0.0 {
+            // Windows and nodes follow the PSF as the lens gets better.
+            renderer = joint.renderer(&renderer.plan, step % REPLAN == 0)?;
         }
-        let renderer = joint.renderer(&plan)?;
         let map = &renderer.optics.maps[0];
         let patches: Vec<Patch> =
             (0..settings.batch).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch)).collect();
@@ -188,8 +187,7 @@ pub fn validate(
     let electronics = scenery.electronics();
     let v = lens.object_vergence;
     let started = Instant::now();
-    let plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings)?;
-    let renderer = Renderer::new(lens, &plan)?;
+    let renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings)?;
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let mut reports = Vec::with_capacity(count);
     for _ in 0..count {

@@ -24,7 +24,7 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
 use crate::imaging::metrics::psnr;
 use crate::imaging::plane::Region;
-use crate::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
+use crate::imaging::render::frame_of;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, prescription};
@@ -138,18 +138,25 @@ impl Training {
     /// A task that cannot be trained; nothing is written then.
     pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
-        let (lens, network) = (task.lens()?, start(&task, compute)?);
-        Self::begin(task, &lens, network, folder, replace)
+        let (lens, network, textures) = (task.lens()?, start(&task, compute)?, task.textures()?);
+        Self::begin(task, &lens, network, textures, folder, replace)
     }
 
-    /// As [`Training::create`], for `lens` and from `network` in place of the task's.
+    /// As [`Training::create`], for `lens`, from `network` and with `textures` in place of the task's.
     ///
     /// # Errors
     /// As [`Training::create`].
-    pub fn begin(task: Task, lens: &Lens, network: Reconstructor, folder: &Path, replace: bool) -> Result<Self> {
+    pub fn begin(
+        task: Task,
+        lens: &Lens,
+        network: Reconstructor,
+        textures: Textures,
+        folder: &Path,
+        replace: bool,
+    ) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
         let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
-        let parts = Parts::new(&task, lens)?;
+        let parts = Parts::new(&task, lens, textures)?;
         let state = State::default();
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
@@ -173,7 +180,7 @@ impl Training {
         let path = folder.join(NETWORK);
         let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         let state = State::from_facts(&facts, &path)?;
-        let parts = Parts::new(&task, &lens)?;
+        let parts = Parts::new(&task, &lens, task.textures()?)?;
         Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
@@ -386,10 +393,9 @@ fn median(values: &[f64]) -> f64 {
 }
 
 impl Parts {
-    fn new(task: &Task, lens: &Lens) -> Result<Self> {
+    fn new(task: &Task, lens: &Lens, textures: Textures) -> Result<Self> {
         let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
-        let textures = task.textures()?;
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
         let electronics = scenery.electronics();
         let largest = frame.rows.min(frame.columns);
@@ -409,23 +415,16 @@ impl Parts {
             vergences,
         };
         let pairs = Pairs::new(lens, &frame, &density, settings)?;
-        let samples = if train.sample_steps > 0 { samples(task, lens, &electronics, &density)? } else { vec![] };
+        let samples = if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics)? } else { vec![] };
         Ok(Self { textures, electronics, pairs, samples })
     }
 }
 
-/// Patches of scenes that are never trained on, from the axis outwards.
-fn samples(
-    task: &Task,
-    lens: &Lens,
-    electronics: &Electronics,
-    density: &SpectralDensity,
-) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
-    let (frame, side) = (frame_of(lens)?, task.train.patch_px);
+/// Patches of scenes that are never trained on, from the axis outwards, at the first distance.
+fn samples(pairs: &Pairs, side: usize, electronics: &Electronics) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
     let unseen = Textures::unseen(9000, SAMPLES.len(), 2 * side + 200);
-    let v = task.train.depths_mm.first().map_or(lens.object_vergence, |d| 1.0 / d);
-    let plan = RenderPlan::new(lens, &frame, density, &[v], Settings::TRAINING)?;
-    let renderer = Renderer::new(lens, &plan)?;
+    let renderer = pairs.renderer();
+    let frame = &renderer.plan.frame;
     let corners = [[0.0, 0.0], [frame.columns as f64, frame.rows as f64]];
     let far = |axis: usize| -> f64 {
         let ends = [corners[0][axis] - frame.axis_px[axis], corners[1][axis] - frame.axis_px[axis]];
@@ -442,8 +441,8 @@ fn samples(
             };
             let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
-            let patch = unseen.place(rng, &frame, &renderer.optics.maps[0], region);
-            let pair = super::pairs::render_pair(&renderer, &patch)?;
+            let patch = unseen.place(rng, frame, &renderer.optics.maps[0], region);
+            let pair = super::pairs::render_pair(renderer, &patch)?;
             Ok(cut(electronics, &pair, side, Augmentation::NONE, rng))
         })
         .collect()

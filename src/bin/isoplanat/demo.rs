@@ -11,7 +11,7 @@ use isoplanat::deploy::session::Options;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
-use isoplanat::imaging::render::{RenderPlan, Renderer, frame_of};
+use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
@@ -111,8 +111,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // The final network for the finished lens.
     let clock = Instant::now();
     let bar = Bar::new("network for the lens");
-    let run = folder.join("run");
-    let mut training = Training::begin(task.clone(), &lens, joint.network, &run, false)?;
+    let (run, seen) = (folder.join("run"), textures.sha256());
+    let mut training = Training::begin(task.clone(), &lens, joint.network, textures, &run, false)?;
     prescription::save(&start, &run.join("lens-start.toml"))?;
     let (mut points, mut last) = (Vec::new(), String::new());
     training.run(&mut |status| {
@@ -131,10 +131,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
-    let plan = RenderPlan::new(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
-    let renderer = Renderer::new(&lens, &plan)?;
+    let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
     let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
-    let seen = textures.sha256();
     let kit =
         kit::build("isoplanat demo", &lens, training.network(), &sensor, &frame, &calibration, seen, settings.tile)?;
     kit.save(&folder.join("kit"), false)?;
@@ -159,7 +157,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let depth = 1.0 / lens.object_vergence;
     report.before = Some(LensView::new(&start, depth, settings.atlas)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
-    report.settings = settings.describe(&sensor, &plan);
+    report.settings = settings.describe(&sensor, &renderer.plan);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
         "A coarse two-element lens and a small network are designed together; the network is then trained for \

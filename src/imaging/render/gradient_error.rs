@@ -10,7 +10,7 @@ use std::time::Instant;
 use ndarray::Array3;
 use rayon::prelude::*;
 
-use super::plan::{RenderPlan, Settings};
+use super::plan::Settings;
 use super::renderer::{Rendered, Renderer};
 use crate::error::Result;
 use crate::imaging::frame::Frame;
@@ -81,6 +81,10 @@ impl<'a> Patches<'a> {
         Self { lens, frame, density, scene, regions }
     }
 
+    fn planned(&self, settings: Settings) -> Result<Renderer> {
+        Renderer::planned(self.lens, self.frame, self.density, &[self.scene.vergence], settings)
+    }
+
     fn bar(&self, renderer: &Renderer, region: Region) -> OpticsBar {
         let rendered: Rendered<f32> = renderer.record(self.scene, 0, region);
         let off: Array3<f32> = (&rendered.image - &rendered.truth) * 2.0;
@@ -98,8 +102,9 @@ impl<'a> Patches<'a> {
     /// A lens that cannot be rendered on the frame.
     pub fn measure(&self, settings: Settings) -> Result<Measured> {
         let clock = Instant::now();
-        let plan = RenderPlan::new(self.lens, self.frame, self.density, &[self.scene.vergence], settings)?;
+        let plan = self.planned(settings)?.plan;
         let planning = clock.elapsed().as_secs_f64();
+        // A design step traces the lens anew.
         let clock = Instant::now();
         let renderer = Renderer::new(self.lens, &plan)?;
         let bars: Vec<OpticsBar> = self.regions.par_iter().map(|r| self.bar(&renderer, *r)).collect();
@@ -115,8 +120,7 @@ impl<'a> Patches<'a> {
     /// As [`Self::measure`].
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     pub fn scatter(&self, settings: Settings) -> Result<f64> {
-        let plan = RenderPlan::new(self.lens, self.frame, self.density, &[self.scene.vergence], settings)?;
-        let renderer = Renderer::new(self.lens, &plan)?;
+        let renderer = self.planned(settings)?;
         let each: Vec<Vec<f64>> =
             self.regions.iter().map(|r| self.gradient(&renderer, &self.bar(&renderer, *r))).collect();
         let n = each.len() as f64;

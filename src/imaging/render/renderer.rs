@@ -12,13 +12,15 @@ use rayon::prelude::*;
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
 use super::light::Light;
 use super::nodes::place;
-use super::plan::{DepthPlan, RenderPlan};
+use super::plan::{DepthPlan, RenderPlan, Settings, quadrature, spec};
 use super::source::{WarpedScene, warp, warp_vjp};
 use crate::error::Result;
+use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::cost::Task;
 use crate::imaging::render::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
 use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
 use crate::math::real::Real;
 use crate::psf::splat::{phase_of, phase_of_vjp};
@@ -129,7 +131,35 @@ impl<T: Real> Kernels<T> for NodeKernels<'_> {
 }
 
 impl Renderer {
-    /// Traces `lens` for `plan`.
+    /// Plans three channels and the whole of `frame`, for objects at `vergences` (1/mm), and traces `lens` for it.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn planned(
+        lens: &Lens,
+        frame: &Frame,
+        density: &SpectralDensity,
+        vergences: &[f64],
+        settings: Settings,
+    ) -> Result<Self> {
+        let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
+        let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
+        let optics = Optics::compute(lens, &spec)?;
+        let plan = RenderPlan::of(&optics, frame, settings, table_error)?;
+        Ok(Self::with(optics, plan))
+    }
+
+    /// Traces `lens`, which has moved since `plan` was made, with widths and nodes anew; what is traced stays.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn replanned(lens: &Lens, plan: &RenderPlan) -> Result<Self> {
+        let optics = Optics::compute(lens, &plan.spec)?;
+        let plan = RenderPlan::of(&optics, &plan.frame, plan.settings, plan.table_error)?;
+        Ok(Self::with(optics, plan))
+    }
+
+    /// Traces `lens` for `plan`, as it is.
     ///
     /// # Errors
     /// As [`Optics::compute`].
