@@ -196,7 +196,7 @@ fn grey_and_black_scenes_are_the_full_computation() {
     let of = |texture: Array3<f32>| {
         let scene = Plane { texture, ..coloured.clone() };
         let rendered = renderer.record::<f32>(&scene, 0, region);
-        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).texture.len());
+        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).sources());
         let g = gradient(&renderer, &lens, &pulled(&renderer, &scene, &rendered));
         (rendered.image, rendered.truth, g, (lit, sources))
     };

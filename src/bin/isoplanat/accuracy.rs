@@ -111,7 +111,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     let density = SpectralDensity::new(&Sensor::generic());
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let whole = Region::whole(&frame);
     let rays =
         |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
     let bar = Bar::new("reference");

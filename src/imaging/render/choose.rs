@@ -44,6 +44,28 @@ pub struct Ladders {
     pub cells: Vec<Values>,
 }
 
+impl Ladders {
+    /// Predicted mean square error of `settings` with kernels of half-width `half`, where all of their rungs were measured, and
+    /// its standard error.
+    pub fn predicted(&self, settings: &Settings, half: usize) -> Option<(f64, f64)> {
+        let parts: [&[Values]; 6] = [
+            &self.nodes.iter().find(|r| r.setting.0 <= settings.node_error)?.off,
+            &self.windows.iter().find(|r| r.setting.1 >= half).or(self.windows.last())?.off,
+            &self.samples.iter().find(|r| r.setting >= settings.samples).or(self.samples.last())?.off,
+            &self.dense.iter().find(|r| r.setting >= settings.dense).or(self.dense.last())?.off,
+            &self.wavelengths.iter().find(|r| r.setting >= settings.wavelengths).or(self.wavelengths.last())?.off,
+            &self.cells,
+        ];
+        Some(mean_square(&parts))
+    }
+}
+
+/// The bound that a measured rung stands for: root of its mean square with standard error and margin.
+pub fn bound(off: &[Values]) -> f64 {
+    let (mean, error) = mean_square(&[off]);
+    (MARGIN * mean + error).sqrt()
+}
+
 /// Mean square over all values of the sum of `parts` (lists by probe), and its standard error over the probes.
 #[expect(clippy::cast_precision_loss, reason = "small counts")]
 pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {

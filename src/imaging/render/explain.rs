@@ -1,9 +1,9 @@
 //! What a plan leaves out, in words and numbers.
 
-use super::choose::Ladders;
+use super::choose::{Ladders, bound};
 use super::plan::Settings;
 use super::probe::Values;
-use super::scene_plan::{ScenePlan, Skip, bound};
+use super::scene_plan::{ScenePlan, Skip};
 use crate::imaging::render::blur::Method;
 use crate::lens::Lens;
 
@@ -35,11 +35,11 @@ pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) ->
         );
         add("unlit blocks", reason, plan.needs.lit_share, 0.0);
     }
-    let lit = plan.needs.lit_channels.len();
+    let lit = plan.needs.channels.lit.len();
     if lit < 3 {
         add("dark channels", format!("{lit} of 3 channels hold light"), share(lit, 3), 0.0);
     }
-    if plan.needs.grey && lit > 1 {
+    if plan.needs.channels.grey && lit > 1 {
         add("colours of the scene", "all channels are the same: one is sampled and transformed".into(), 1.0 / 3.0, 0.0);
     }
     let clipping: Vec<String> = table.clips.iter().map(|k| (k + 1).to_string()).collect();

@@ -156,7 +156,7 @@ impl RenderPlan {
     /// # Errors
     /// None for a valid frame.
     pub(super) fn of(optics: &Optics, frame: &Frame, settings: Settings, table_error: Tolerance) -> Result<Self> {
-        let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+        let whole = Region::whole(frame);
         let depths = (0..optics.spec.vergences.len())
             .map(|depth| depth_plan(optics, frame, depth, whole, settings))
             .collect::<Result<_>>()?;

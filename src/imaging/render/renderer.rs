@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
 use super::light::Light;
+use super::needs::Channels;
 use super::nodes::place;
 use super::plan::{DepthPlan, RenderPlan, Settings, quadrature, spec};
 use super::source::{WarpedScene, warp, warp_vjp};
@@ -36,33 +37,6 @@ pub struct Renderer {
     /// Relative illumination of the frame.
     pub light: Light,
     forms: Vec<KernelForm>,
-}
-
-/// What of a scene is rendered.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Channels {
-    /// Channels of the image with light.
-    pub lit: Vec<usize>,
-    /// The texture's channels that they are rendered from: one for all where the scene is grey.
-    pub texture: Vec<usize>,
-}
-
-impl Channels {
-    /// Of `scene`: those with light; one source for all of them if they are the same.
-    pub fn of(scene: &Plane) -> Self {
-        let last = scene.texture.len_of(Axis(0)) - 1;
-        let of = |c: usize| scene.texture.index_axis(Axis(0), c.min(last));
-        let lit: Vec<usize> = (0..3).filter(|c| of(*c).iter().any(|v| *v != 0.0)).collect();
-        let grey = lit.iter().all(|c| (*c).min(last) == lit[0].min(last) || of(*c) == of(lit[0]));
-        let texture = if grey { lit.iter().take(1).map(|c| (*c).min(last)).collect() } else { lit.clone() };
-        Self { lit, texture }
-    }
-
-    /// All three.
-    pub fn all(scene: &Plane) -> Self {
-        let last = scene.texture.len_of(Axis(0)) - 1;
-        Self { lit: vec![0, 1, 2], texture: (0..3).map(|c: usize| c.min(last)).collect() }
-    }
 }
 
 /// A rendered region and what its adjoint needs.
@@ -190,7 +164,7 @@ impl Renderer {
             region,
             size: d.size(),
             channels: channels.lit.len(),
-            source_channels: channels.texture.len(),
+            source_channels: channels.sources(),
             phases: d.samples * d.samples,
         };
         task.cheapest()
@@ -198,7 +172,7 @@ impl Renderer {
 
     fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
         let d = &self.plan.depths[depth];
-        WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.texture.clone())
+        WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.of_texture(scene))
     }
 
     /// The ideal picture of `region`: the scene as this lens's distortion shows it, without blur.
