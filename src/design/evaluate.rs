@@ -21,7 +21,7 @@ use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::{Noise, mixed};
+use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::Reconstructor;
@@ -158,7 +158,7 @@ pub fn evaluate(
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
-    let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response };
+    let electronics = Electronics::of(sensor);
     let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
     // Four figures a picture, by depth and zone.
     let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];

@@ -225,7 +225,7 @@ mod tests {
         let textures = Textures::built_in(3, 5, 400);
         let v = lens.object_vergence;
         let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
-        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
+        let electronics = Electronics::of(&sensor);
         let mut net = network(8, 5).expect("valid");
         let mut rng = fastrand::Rng::with_seed(2);
         // A few steps, so that the network is no identity.
@@ -301,7 +301,7 @@ mod tests {
         let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
         let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
         let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
-        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::NONE, neutral: sensor.neutral_response };
+        let electronics = Electronics { noise: Noise::NONE, ..Electronics::of(&sensor) };
         let textures = Textures::built_in(3, 1, 400);
         let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
         patch.scene.texture.fill(0.0);

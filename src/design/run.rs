@@ -16,7 +16,6 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::Noise;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::lens::variables::Variables;
@@ -52,12 +51,6 @@ pub struct Scenery<'a> {
     pub frame: Frame,
     /// Seed of every draw.
     pub seed: u64,
-}
-
-impl Scenery<'_> {
-    pub(super) fn electronics(&self) -> Electronics {
-        Electronics { cfa: self.sensor.cfa, noise: Noise::of(self.sensor), neutral: self.sensor.neutral_response }
-    }
 }
 
 /// One entry of the joint stage's history.
@@ -129,7 +122,7 @@ pub fn joint_stage(
     progress: &mut dyn FnMut(f64, &Entry),
 ) -> Result<(Joint, Vec<Entry>)> {
     let density = SpectralDensity::new(scenery.sensor);
-    let electronics = scenery.electronics();
+    let electronics = Electronics::of(scenery.sensor);
     let v = lens.object_vergence;
     let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings.settings)?;
     let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
@@ -184,7 +177,7 @@ pub fn validate(
     settings: Settings,
 ) -> Result<Entry> {
     let density = SpectralDensity::new(scenery.sensor);
-    let electronics = scenery.electronics();
+    let electronics = Electronics::of(scenery.sensor);
     let v = lens.object_vergence;
     let started = Instant::now();
     let renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings)?;

@@ -15,7 +15,6 @@ use ndarray::{Array3, Array4, Axis, s};
 use super::data::Textures;
 use super::log::{Entry, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
-use super::run::Scenery;
 use super::schedule::Schedule;
 use super::task::Task;
 use crate::atomic;
@@ -396,8 +395,7 @@ impl Parts {
     fn new(task: &Task, lens: &Lens, textures: Textures) -> Result<Self> {
         let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
-        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
-        let electronics = scenery.electronics();
+        let electronics = Electronics::of(&sensor);
         let largest = frame.rows.min(frame.columns);
         if train.region_px > largest {
             let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);

@@ -11,7 +11,6 @@
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::gradient::render_vjp;
-use isoplanat::imaging::reference::white::on_axis;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings, render};
 use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Renderer, Settings as Fineness};
@@ -21,6 +20,8 @@ use isoplanat::lens::variables::{Parameter, Variables};
 use isoplanat::lens::{Aperture, Lens, builtin, paraxial};
 use isoplanat::testing::central_difference;
 use ndarray::{Array3, Axis};
+
+use crate::white_axis::on_axis;
 
 const REGION: Region = Region { row: 70, col: 120, rows: 12, cols: 12 };
 

@@ -19,7 +19,7 @@ use crate::error::Result;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::cost::Task;
-use crate::imaging::render::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
+use crate::imaging::render::blur::{BlurRecord, Kernels, Method, blur, blur_recorded, blur_vjp};
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
@@ -236,7 +236,7 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block, Wanted::Both);
+            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block);
             record = Some(kept);
             blurred = to_pixels(cells, region, d.bin);
             for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {
