@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use ndarray::Axis;
 
-use super::choose::{Choice, Ladders, Measuring, cheapest, ladders};
+use super::choose::{Choice, Ladders, Measuring, cheapest};
 use super::cost::{Work, convolution, seconds};
 use super::needs::Channels;
 use super::nodes::Nodes;
@@ -72,7 +72,8 @@ impl Draft<'_> {
             .collect();
         let coarsest = Settings::NODE_ERRORS[0].min(self.base.node_error);
         let mut nodes = Nodes::coarse(&self.light, 0, &first.raster, around, size, coarsest, DENSE);
-        let mut found = ladders(&Measuring { probing: &probing, rules: &rules }, &probes, &mut nodes, target);
+        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules };
+        let mut found = measuring.ladders(&mut nodes, target);
         if first.bin > 1 {
             found.cells = self.cells(&stands);
         }
