@@ -23,7 +23,8 @@ pub struct Stand {
     pub weight: f64,
 }
 
-/// `count` places over all of `scenes`, drawn by the energy of their second differences (and evenly, for a part), and weighed by how much likelier they were drawn than evenly.
+/// `count` places over all of `scenes`, drawn by the energy of their second differences (and evenly, for a part), and weighed by
+/// how much likelier they were drawn than evenly.
 pub fn stands(scenes: &[&WarpedScene<'_>], region: Region, count: usize) -> Vec<Stand> {
     let candidates: Vec<(usize, Region)> = scenes
         .iter()
