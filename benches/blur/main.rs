@@ -5,7 +5,7 @@ mod cases;
 mod tables;
 
 use criterion::{Criterion, Throughput};
-use isoplanat::imaging::render::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded, blur_source_vjp};
+use isoplanat::imaging::render::blur::{Method, blur, blur_recorded, blur_vjp};
 
 use cases::Case;
 
@@ -16,8 +16,7 @@ fn frame(c: &mut Criterion) {
     group.sample_size(20).throughput(Throughput::Elements((case.megapixels() * 1e6) as u64));
     let pool = cases::pool(2);
     for block in [64, 128] {
-        let recorded =
-            |wanted: Wanted| blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block, wanted);
+        let recorded = || blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block);
         let method = Method::Cells { block };
         group.bench_function(format!("forward/{block}"), |b| {
             pool.install(|| {
@@ -25,14 +24,11 @@ fn frame(c: &mut Criterion) {
             });
         });
         group.bench_function(format!("recorded/{block}"), |b| {
-            pool.install(|| b.iter(|| recorded(Wanted::Kernels)));
+            pool.install(|| b.iter(recorded));
         });
-        let record = pool.install(|| recorded(Wanted::Both).1);
-        group.bench_function(format!("kernels_vjp/{block}"), |b| {
-            pool.install(|| b.iter(|| blur_kernels_vjp(&record, bar.view())));
-        });
-        group.bench_function(format!("source_vjp/{block}"), |b| {
-            pool.install(|| b.iter(|| blur_source_vjp(&record, bar.view())));
+        let record = pool.install(|| recorded().1);
+        group.bench_function(format!("vjp/{block}"), |b| {
+            pool.install(|| b.iter(|| blur_vjp(&record, bar.view())));
         });
     }
     group.finish();

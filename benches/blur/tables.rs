@@ -4,7 +4,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 use isoplanat::imaging::render::blur::cost::Task;
-use isoplanat::imaging::render::blur::{Method, Wanted, blur, blur_kernels_vjp, blur_recorded};
+use isoplanat::imaging::render::blur::{Method, blur, blur_recorded, blur_vjp};
 
 use crate::cases::{Case, pool};
 
@@ -42,16 +42,15 @@ fn frame(text: &mut String) {
     let case = Case::new(1024, 128, 65);
     let bar = case.bar();
     let line = "1024 × 1024 RGB, 9 × 9 nodes 128 pixels apart, 65 × 65 kernels, f32, two threads:\n\n\
-                | block | forward, ms | Mpixel/s | forward + kernel gradient, ms | Mpixel/s | ratio | record, MB |\n\
+                | block | forward, ms | Mpixel/s | forward + both gradients, ms | Mpixel/s | ratio | record, MB |\n\
                 |---|---|---|---|---|---|---|";
     writeln!(text, "{line}").expect("a string");
     for block in [32, 64, 96, 128] {
         let ahead = forward(&case, Method::Cells { block });
         let mut bytes = 0;
         let both = best(8, || {
-            let wanted = Wanted::Kernels;
-            let (_, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block, wanted);
-            let k = blur_kernels_vjp(&record, bar.view());
+            let (_, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block);
+            let k = blur_vjp(&record, bar.view()).kernels;
             assert!(k[[0, 0, 0, 1, 1]].is_finite());
             bytes = record.bytes();
         });
@@ -105,10 +104,9 @@ fn choice(text: &mut String) {
 pub(crate) fn export(folder: &str) {
     let case = Case::new(1024, 128, 65);
     let write = |name: &str| format!("{folder}/{name}.npy");
-    let wanted = Wanted::Kernels;
-    let (y, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, 128, wanted);
+    let (y, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, 128);
     let bar = case.bar();
-    let k = blur_kernels_vjp(&record, bar.view());
+    let k = blur_vjp(&record, bar.view()).kernels;
     ndarray_npy::write_npy(write("kernels"), &case.kernels).expect("writable");
     ndarray_npy::write_npy(write("source"), &case.planes).expect("writable");
     ndarray_npy::write_npy(write("image"), &y).expect("writable");

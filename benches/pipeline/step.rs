@@ -62,7 +62,7 @@ impl Step {
         let density = SpectralDensity::new(&Sensor::generic());
         let clock = Instant::now();
         let vergences = DEPTHS_MM.map(f64::recip);
-        let plan = RenderPlan::new(&lens, &frame, &density, &vergences, Settings::DESIGN).expect("plans");
+        let plan = Renderer::planned(&lens, &frame, &density, &vergences, Settings::DESIGN).expect("plans").plan;
         let planning = clock.elapsed().as_secs_f64();
         let rng = &mut fastrand::Rng::with_seed(5);
         let texture = generate(SceneKind::DeadLeaves, 1, 1024, 1536);

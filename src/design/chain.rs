@@ -73,7 +73,7 @@ pub fn forward_vjp<T: Real>(
 mod tests {
     use super::*;
     use crate::imaging::frame::Frame;
-    use crate::imaging::render::{RenderPlan, Settings};
+    use crate::imaging::render::Settings;
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::cfa::Cfa;
     use crate::imaging::sensor::noise::Noise;
@@ -103,7 +103,7 @@ mod tests {
         let settings =
             Settings { dense: 100, wavelengths: 3, node_error: 0.2, outside: 5e-2, cells: 40, ..Settings::DESIGN };
         let density = SpectralDensity::new(&Sensor::generic());
-        let plan = RenderPlan::new(&lens, &frame, &density, &[1e-3], settings).expect("plans");
+        let plan = Renderer::planned(&lens, &frame, &density, &[1e-3], settings).expect("plans").plan;
         let electronics =
             Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 2e-4, read: 1e-3 }, neutral: [0.55, 1.0, 0.7] };
         let patch =

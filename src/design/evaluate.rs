@@ -17,11 +17,11 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::plane::{Plane, Region};
-use crate::imaging::render::{RenderPlan, Renderer, Settings as Fineness, frame_of};
+use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::{Noise, mixed};
+use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::Reconstructor;
@@ -158,7 +158,7 @@ pub fn evaluate(
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
-    let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response };
+    let electronics = Electronics::of(sensor);
     let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
     // Four figures a picture, by depth and zone.
     let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];
@@ -255,8 +255,7 @@ fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -
         Ok(1.0 / depth_mm)
     };
     let vergences = settings.depths_mm.iter().map(vergence).collect::<Result<Vec<f64>>>()?;
-    let plan = RenderPlan::new(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)?;
-    Renderer::new(lens, &plan)
+    Renderer::planned(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)
 }
 
 /// The places of every zone.

@@ -100,11 +100,15 @@ impl Joint {
         Self { lens, network, variables, constraints, rejected: 0, good: values.clone(), values, adam, damping: 1.0 }
     }
 
-    /// The lens now, traced for `plan`; a lens that fails is taken back to its last good numbers.
+    /// The lens now, traced for `plan`, with widths and nodes anew if `replan`; a lens that fails is taken back to its last good
+    /// numbers.
     ///
     /// # Errors
     /// A lens that fails and is the last good one.
-    pub fn renderer(&mut self, plan: &RenderPlan) -> Result<Renderer> {
+    pub fn renderer(&mut self, plan: &RenderPlan, replan: bool) -> Result<Renderer> {
+        if replan && let Ok(renderer) = Renderer::replanned(&self.lens, plan) {
+            return Ok(renderer);
+        }
         match Renderer::new(&self.lens, plan) {
             Err(_) if self.values != self.good => {
                 self.take_back();
@@ -220,9 +224,8 @@ mod tests {
         let frame = frame_of(&lens).expect("valid");
         let textures = Textures::built_in(3, 5, 400);
         let v = lens.object_vergence;
-        let plan = RenderPlan::new(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
-        let renderer = Renderer::new(&lens, &plan).expect("traces");
-        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::of(&sensor), neutral: sensor.neutral_response };
+        let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
+        let electronics = Electronics::of(&sensor);
         let mut net = network(8, 5).expect("valid");
         let mut rng = fastrand::Rng::with_seed(2);
         // A few steps, so that the network is no identity.
@@ -235,7 +238,7 @@ mod tests {
         let patch = textures.draw(&mut rng, &frame, &renderer.optics.maps[0], 64);
         // The loss in f64 from the f32 pictures, so that its own rounding stays below the differences.
         let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, crate::network::Step) {
-            let renderer = Renderer::new(lens, &plan).expect("traces");
+            let renderer = Renderer::new(lens, &renderer.plan).expect("traces");
             let f = forward::<f32>(&renderer, &electronics, &patch).expect("renders");
             let (x, t) = (f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)));
             let s = net.step(x, t, 0.0, false).expect("runs");
@@ -297,9 +300,8 @@ mod tests {
         let task = task();
         let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
         let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
-        let plan = RenderPlan::new(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
-        let renderer = Renderer::new(&lens, &plan).expect("traces");
-        let electronics = Electronics { cfa: sensor.cfa, noise: Noise::NONE, neutral: sensor.neutral_response };
+        let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
+        let electronics = Electronics { noise: Noise::NONE, ..Electronics::of(&sensor) };
         let textures = Textures::built_in(3, 1, 400);
         let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
         patch.scene.texture.fill(0.0);
@@ -310,7 +312,7 @@ mod tests {
         let mut joint =
             Joint::new(lens.clone(), network(4, 1).expect("valid"), Variables::refracting(&lens), constraints);
         for _ in 0..3 {
-            let renderer = joint.renderer(&plan).expect("traces");
+            let renderer = joint.renderer(&renderer.plan, false).expect("traces");
             let report = joint.step(&renderer, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");
             assert!(report.loss.is_finite() && report.penalty < 1e-20, "{report:?}");
         }

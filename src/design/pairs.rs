@@ -15,7 +15,7 @@ use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::{Electronics, simulate};
 use crate::imaging::frame::Frame;
-use crate::imaging::render::{Channels, RenderPlan, Renderer, Settings};
+use crate::imaging::render::{Channels, Renderer, Settings};
 use crate::imaging::sensor::haze::add_haze;
 use crate::imaging::sensor::noise::{mixed, standard_normal};
 use crate::imaging::sensor::spectrum::SpectralDensity;
@@ -121,7 +121,6 @@ pub struct PairSettings {
 #[derive(Debug)]
 pub struct Pairs {
     lens: Lens,
-    frame: Frame,
     settings: PairSettings,
     /// The lens at all distances.
     renderer: Renderer,
@@ -136,10 +135,9 @@ impl Pairs {
     /// # Errors
     /// A lens that cannot be rendered at one of the distances.
     pub fn new(lens: &Lens, frame: &Frame, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
-        let plan = RenderPlan::new(lens, frame, density, &settings.vergences, Settings::TRAINING)?;
-        let renderer = Renderer::new(lens, &plan)?;
+        let renderer = Renderer::planned(lens, frame, density, &settings.vergences, Settings::TRAINING)?;
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2);
-        Ok(Self { lens: lens.clone(), frame: frame.clone(), bytes, settings, renderer, cache: None })
+        Ok(Self { lens: lens.clone(), bytes, settings, renderer, cache: None })
     }
 
     /// Keeps pairs in `folder` from now on, as many as the budget holds. Pairs of another lens, task or program version found
@@ -181,6 +179,11 @@ impl Pairs {
         }
     }
 
+    /// The lens at all distances.
+    pub(super) fn renderer(&self) -> &Renderer {
+        &self.renderer
+    }
+
     /// How many pairs the budget keeps.
     pub fn kept(&self) -> u64 {
         (self.settings.budget / self.bytes.max(1)).min(self.settings.count)
@@ -208,7 +211,7 @@ impl Pairs {
         let rng = &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x7061_6972, index));
         let maps = &self.renderer.optics.maps;
         let map = &maps[rng.usize(0..maps.len())];
-        let patch = textures.draw(rng, &self.frame, map, self.settings.region_px);
+        let patch = textures.draw(rng, &self.renderer.plan.frame, map, self.settings.region_px);
         let pair = render_pair(&self.renderer, &patch)?;
         if let Some(place) = place {
             let arrays = [&pair.image, &pair.illumination, &pair.truth];

@@ -1,29 +1,27 @@
-//! The two stages of a run: lens and network together, then the final network for the finished lens.
+//! The joint stage of a design: lens and network together. The final network for the finished lens is [`super::training`]'s.
 //!
-//! Each has a budget in steps or in seconds. A budget in steps is deterministic (same seed, machine, thread count:
-//! same bits); one in seconds is for people who wait.
+//! A budget in steps is deterministic (same seed, machine, thread count: same bits); one in seconds is for people who wait.
 
 use std::time::{Duration, Instant};
 
-use ndarray::{Array4, Axis};
+use ndarray::Axis;
 
 use super::chain::{Patch, forward};
 use super::constraint::Constraints;
 use super::data::Textures;
 use super::joint::{Joint, Report, l1_and_psnr};
-use super::pairs::{Augmentation, cut, render_pair};
+use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
-use crate::imaging::render::{RenderPlan, Renderer, Settings};
+use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::Noise;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::lens::variables::Variables;
 use crate::network::{Reconstructor, UnetConfig};
 
-/// When a stage ends.
+/// When the joint stage ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Budget {
     /// After so many steps.
@@ -42,7 +40,7 @@ impl Budget {
     }
 }
 
-/// What a stage works on.
+/// What is trained on.
 #[derive(Clone, Debug)]
 pub struct Scenery<'a> {
     /// Textures to train on.
@@ -55,13 +53,7 @@ pub struct Scenery<'a> {
     pub seed: u64,
 }
 
-impl Scenery<'_> {
-    pub(super) fn electronics(&self) -> Electronics {
-        Electronics { cfa: self.sensor.cfa, noise: Noise::of(self.sensor), neutral: self.sensor.neutral_response }
-    }
-}
-
-/// One entry of a stage's history.
+/// One entry of the joint stage's history.
 #[derive(Clone, Copy, Debug, serde::Serialize)]
 pub struct Entry {
     /// Seconds since the stage began.
@@ -91,10 +83,31 @@ pub struct JointSettings {
     pub settings: Settings,
 }
 
+impl JointSettings {
+    /// What `task` asks for.
+    ///
+    /// # Errors
+    /// As [`Task::budget`].
+    pub fn of(task: &Task) -> Result<Self> {
+        Ok(Self {
+            budget: task.budget()?,
+            patch: task.patch_px,
+            batch: task.batch,
+            lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
+            network_rate: task.network_rate,
+            settings: Settings::DESIGN,
+        })
+    }
+}
+
 /// Average over this many steps in a history.
 const SMOOTH: usize = 10;
 
-/// Rise over the first 3 %, then a half cosine to zero.
+/// Steps between plans.
+const REPLAN: usize = 25;
+
+/// The joint stage's rates, of their largest: a rise over the first 3 %, while both of Adam's averages are young and the lens
+/// must not be thrown, then a half cosine to zero.
 fn schedule(used: f64) -> f64 {
     let rise = (used / 0.03).min(1.0);
     rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
@@ -109,9 +122,9 @@ pub fn joint_stage(
     progress: &mut dyn FnMut(f64, &Entry),
 ) -> Result<(Joint, Vec<Entry>)> {
     let density = SpectralDensity::new(scenery.sensor);
-    let electronics = scenery.electronics();
+    let electronics = Electronics::of(scenery.sensor);
     let v = lens.object_vergence;
-    let mut plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings.settings)?;
+    let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings.settings)?;
     let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let (mut history, mut recent) = (Vec::new(), Vec::new());
@@ -122,14 +135,10 @@ pub fn joint_stage(
         if used >= 1.0 {
             break;
         }
-        // Windows and nodes follow the PSF as the lens gets better.
-        if step % 25 == 0 && step > 0 && settings.lens_rate > 0.0 {
-            let mut anew = plan.clone();
-            if anew.refresh(&joint.lens).is_ok() {
-                plan = anew;
-            }
+        if step > 0 && settings.lens_rate > 0.0 {
+            // Windows and nodes follow the PSF as the lens gets better.
+            renderer = joint.renderer(&renderer.plan, step % REPLAN == 0)?;
         }
-        let renderer = joint.renderer(&plan)?;
         let map = &renderer.optics.maps[0];
         let patches: Vec<Patch> =
             (0..settings.batch).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch)).collect();
@@ -158,81 +167,6 @@ fn average(recent: &[Report], started: Instant) -> Entry {
     }
 }
 
-/// Settings of the final training.
-#[derive(Clone, Copy, Debug)]
-pub struct TrainSettings {
-    /// When it ends, rendering of the training pairs included.
-    pub budget: Budget,
-    /// Regions rendered for training.
-    pub regions: usize,
-    /// Their side, pixels; a multiple of 4.
-    pub region: usize,
-    /// Crop a step trains on; a multiple of 4.
-    pub crop: usize,
-    /// Largest step.
-    pub rate: f64,
-    /// How finely it is rendered.
-    pub settings: Settings,
-}
-
-/// Trains `network` on the finished lens: pairs rendered once, noise and crops drawn anew every step.
-pub fn network_stage(
-    scenery: &Scenery<'_>,
-    lens: &Lens,
-    network: &mut Reconstructor,
-    settings: TrainSettings,
-    progress: &mut dyn FnMut(f64, &Entry),
-) -> Result<Vec<Entry>> {
-    let density = SpectralDensity::new(scenery.sensor);
-    let electronics = scenery.electronics();
-    let v = lens.object_vergence;
-    let started = Instant::now();
-    let plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings.settings)?;
-    let renderer = Renderer::new(lens, &plan)?;
-    let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x7261_6e64);
-    let empty = Entry { seconds: 0.0, loss: f64::NAN, input_psnr_db: f64::NAN, output_psnr_db: f64::NAN };
-    let mut pairs = Vec::with_capacity(settings.regions);
-    for _ in 0..settings.regions.max(1) {
-        // A time budget never spends more than a third on pairs.
-        let used = settings.budget.used(0, started);
-        if used > 0.33 && !pairs.is_empty() {
-            break;
-        }
-        let patch = scenery.textures.draw(&mut rng, &scenery.frame, &renderer.optics.maps[0], settings.region);
-        pairs.push(render_pair(&renderer, &patch)?);
-        progress(used.min(1.0), &empty);
-    }
-    let (mut history, mut recent) = (Vec::new(), Vec::new());
-    let begun = settings.budget.used(0, started);
-    let mut step = 0;
-    loop {
-        let used = settings.budget.used(step, started);
-        if used >= 1.0 {
-            break;
-        }
-        let pair = &pairs[rng.usize(0..pairs.len())];
-        let (input, target) = cut(&electronics, pair, settings.crop, Augmentation::NONE, &mut rng);
-        let rate = settings.rate * schedule((used - begun) / (1.0 - begun));
-        let done = network.step_network_only(input.view(), target.view(), rate)?;
-        let psnr = |a: &Array4<f32>| l1_and_psnr(a.iter(), target.iter()).1;
-        step += 1;
-        recent.push(Report {
-            loss: f64::from(done.loss),
-            penalty: 0.0,
-            input_psnr_db: psnr(&input),
-            output_psnr_db: psnr(&done.output),
-            moved: false,
-        });
-        let entry = average(&recent, started);
-        if recent.len() == SMOOTH {
-            history.push(entry);
-            recent.clear();
-        }
-        progress(used.min(1.0), &entry);
-    }
-    Ok(history)
-}
-
 /// Mean L1 and PSNR after the network over held-out patches: how a design is judged.
 pub fn validate(
     scenery: &Scenery<'_>,
@@ -243,11 +177,10 @@ pub fn validate(
     settings: Settings,
 ) -> Result<Entry> {
     let density = SpectralDensity::new(scenery.sensor);
-    let electronics = scenery.electronics();
+    let electronics = Electronics::of(scenery.sensor);
     let v = lens.object_vergence;
     let started = Instant::now();
-    let plan = RenderPlan::new(lens, &scenery.frame, &density, &[v], settings)?;
-    let renderer = Renderer::new(lens, &plan)?;
+    let renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings)?;
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let mut reports = Vec::with_capacity(count);
     for _ in 0..count {

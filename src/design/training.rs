@@ -15,7 +15,6 @@ use ndarray::{Array3, Array4, Axis, s};
 use super::data::Textures;
 use super::log::{Entry, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
-use super::run::Scenery;
 use super::schedule::Schedule;
 use super::task::Task;
 use crate::atomic;
@@ -24,7 +23,7 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
 use crate::imaging::metrics::psnr;
 use crate::imaging::plane::Region;
-use crate::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
+use crate::imaging::render::frame_of;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, prescription};
@@ -138,15 +137,31 @@ impl Training {
     /// A task that cannot be trained; nothing is written then.
     pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
-        let lens = task.lens()?;
-        let trainer = Trainer::new(start(&task, compute)?, &task.train.objective(), task.seed)?;
-        let parts = Parts::new(&task, &lens)?;
+        let (lens, network, textures) = (task.lens()?, start(&task, compute)?, task.textures()?);
+        Self::begin(task, &lens, network, textures, folder, replace)
+    }
+
+    /// As [`Training::create`], for `lens`, from `network` and with `textures` in place of the task's.
+    ///
+    /// # Errors
+    /// As [`Training::create`].
+    pub fn begin(
+        task: Task,
+        lens: &Lens,
+        network: Reconstructor,
+        textures: Textures,
+        folder: &Path,
+        replace: bool,
+    ) -> Result<Self> {
+        atomic::check_folder(folder, MARKER, replace)?;
+        let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
+        let parts = Parts::new(&task, lens, textures)?;
         let state = State::default();
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
-            prescription::save(&lens, &inside.join("lens.toml"))?;
+            prescription::save(lens, &inside.join("lens.toml"))?;
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
         Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
@@ -164,7 +179,7 @@ impl Training {
         let path = folder.join(NETWORK);
         let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         let state = State::from_facts(&facts, &path)?;
-        let parts = Parts::new(&task, &lens)?;
+        let parts = Parts::new(&task, &lens, task.textures()?)?;
         Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
@@ -202,6 +217,11 @@ impl Training {
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
         ]
+    }
+
+    /// The network as it is now.
+    pub fn network(&self) -> &Reconstructor {
+        self.trainer.generator()
     }
 
     /// Steps done so far.
@@ -372,12 +392,10 @@ fn median(values: &[f64]) -> f64 {
 }
 
 impl Parts {
-    fn new(task: &Task, lens: &Lens) -> Result<Self> {
+    fn new(task: &Task, lens: &Lens, textures: Textures) -> Result<Self> {
         let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
-        let textures = task.textures()?;
-        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
-        let electronics = scenery.electronics();
+        let electronics = Electronics::of(&sensor);
         let largest = frame.rows.min(frame.columns);
         if train.region_px > largest {
             let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);
@@ -395,23 +413,16 @@ impl Parts {
             vergences,
         };
         let pairs = Pairs::new(lens, &frame, &density, settings)?;
-        let samples = if train.sample_steps > 0 { samples(task, lens, &electronics, &density)? } else { vec![] };
+        let samples = if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics)? } else { vec![] };
         Ok(Self { textures, electronics, pairs, samples })
     }
 }
 
-/// Patches of scenes that are never trained on, from the axis outwards.
-fn samples(
-    task: &Task,
-    lens: &Lens,
-    electronics: &Electronics,
-    density: &SpectralDensity,
-) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
-    let (frame, side) = (frame_of(lens)?, task.train.patch_px);
+/// Patches of scenes that are never trained on, from the axis outwards, at the first distance.
+fn samples(pairs: &Pairs, side: usize, electronics: &Electronics) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
     let unseen = Textures::unseen(9000, SAMPLES.len(), 2 * side + 200);
-    let v = task.train.depths_mm.first().map_or(lens.object_vergence, |d| 1.0 / d);
-    let plan = RenderPlan::new(lens, &frame, density, &[v], Settings::TRAINING)?;
-    let renderer = Renderer::new(lens, &plan)?;
+    let renderer = pairs.renderer();
+    let frame = &renderer.plan.frame;
     let corners = [[0.0, 0.0], [frame.columns as f64, frame.rows as f64]];
     let far = |axis: usize| -> f64 {
         let ends = [corners[0][axis] - frame.axis_px[axis], corners[1][axis] - frame.axis_px[axis]];
@@ -428,8 +439,8 @@ fn samples(
             };
             let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
-            let patch = unseen.place(rng, &frame, &renderer.optics.maps[0], region);
-            let pair = super::pairs::render_pair(&renderer, &patch)?;
+            let patch = unseen.place(rng, frame, &renderer.optics.maps[0], region);
+            let pair = super::pairs::render_pair(renderer, &patch)?;
             Ok(cut(electronics, &pair, side, Augmentation::NONE, rng))
         })
         .collect()

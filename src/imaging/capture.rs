@@ -87,7 +87,7 @@ pub fn capture(
         channels: Channels::Bayer(sensor.cfa),
         sampling: Sampling::Bounded,
     };
-    let region = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let region = Region::whole(frame);
     let rendered = reference::render(lens, scene, &SpectralDensity::new(sensor), frame, region, how, progress)?;
     let clean = signal(rendered.mosaic().view(), sensor, exposure);
     let dn = expose(clean.view(), sensor, noise.then(|| mixed(seed, 1)));

@@ -9,8 +9,8 @@ use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder};
-use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Luma, Rgb};
-use ndarray::{Array2, Array3, Axis};
+use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Rgb};
+use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 pub use crate::atomic::{write_atomic, write_bytes};
@@ -194,20 +194,6 @@ pub fn png_bytes_srgb(image: &Array3<f32>) -> Result<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
-/// Linear grey as an 8-bit sRGB-encoded grey PNG in memory, for reports.
-pub fn png_bytes_grey(image: &Array2<f32>) -> Result<Vec<u8>> {
-    let (width, height) = sides(image.nrows(), image.ncols())?;
-    if image.is_empty() {
-        return Err(Error::bad("", "picture", "no pixels", "at least one pixel"));
-    }
-    let samples: Vec<u8> = image.iter().map(|&v| u8::nearest(srgb_from_linear(v))).collect();
-    let picture = ImageBuffer::<Luma<u8>, _>::from_raw(width, height, samples);
-    let picture = picture.ok_or_else(|| Error::Internal("picture buffer size".into()))?;
-    let mut bytes = Cursor::new(Vec::new());
-    picture.write_with_encoder(PngEncoder::new(&mut bytes)).map_err(|e| unwritten(Path::new("PNG"), e))?;
-    Ok(bytes.into_inner())
-}
-
 fn unwritten(path: &Path, e: ImageError) -> Error {
     match e {
         ImageError::IoError(e) => Error::writing(path, e),
@@ -257,12 +243,7 @@ mod tests {
         let path = folder.path().join("a.png");
         fs::write(&path, png_bytes_srgb(&picture()).expect("encodes")).expect("writes");
         assert!(worst(&read_linear(&path).expect("reads"), &picture()) < 0.005);
-        let grey = Array2::from_shape_fn((5, 6), |(r, c)| (r * 6 + c) as f32 / 29.0);
-        fs::write(&path, png_bytes_grey(&grey).expect("encodes")).expect("writes");
-        let back = read_linear(&path).expect("reads");
-        assert_eq!(back.dim(), (3, 5, 6));
-        assert!((back[[1, 2, 3]] - grey[[2, 3]]).abs() < 0.005);
-        let single = grey.insert_axis(Axis(0));
+        let single = Array3::from_elem((1, 5, 6), 0.3);
         assert!(png_bytes_srgb(&single).is_ok() && png_bytes_srgb(&Array3::zeros((2, 3, 3))).is_err());
         assert!(png_bytes_srgb(&Array3::zeros((3, 0, 3))).is_err());
     }

@@ -74,6 +74,11 @@ pub struct Region {
 }
 
 impl Region {
+    /// All of `frame`.
+    pub fn whole(frame: &Frame) -> Self {
+        Self { row: 0, col: 0, rows: frame.rows, cols: frame.columns }
+    }
+
     /// The region with `margin` more pixels on every side.
     #[must_use]
     pub fn grown(self, margin: usize) -> Self {

@@ -90,13 +90,6 @@ impl Evaluation {
         apply_transposed(&self.rows[of as usize], coefficients)
     }
 
-    /// The same into `out`.
-    pub fn at_into(&self, of: Of, coefficients: &[f64], out: &mut Vec<f64>) {
-        out.clear();
-        out.resize(self.rows[0].ncols(), 0.0);
-        add_transposed(&self.rows[of as usize], coefficients, out);
-    }
-
     /// Adds a cotangent on values or derivatives to that of the coefficients.
     pub fn pull(&self, of: Of, bar: &[f64], coefficients_bar: &mut [f64]) {
         for (c, row) in coefficients_bar.iter_mut().zip(self.rows[of as usize].rows()) {

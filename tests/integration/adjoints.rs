@@ -5,7 +5,7 @@ use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::render::source::{warp, warp_vjp};
-use isoplanat::imaging::render::{RenderPlan, Renderer, Settings};
+use isoplanat::imaging::render::{Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
@@ -272,7 +272,7 @@ fn a_rendered_region_pulls_back_to_the_lens() {
     for (samples, cells, bin) in [(1, 64, 1), (2, 64, 1), (1, 8, 2)] {
         let settings =
             Settings { samples, cells, wavelengths: 3, dense: 80, node_error: 0.2, outside: 0.1, ..Settings::DESIGN };
-        let plan = RenderPlan::new(&lens, &frame, &density, &[1e-3], settings).expect("plans");
+        let plan = Renderer::planned(&lens, &frame, &density, &[1e-3], settings).expect("plans").plan;
         assert!(plan.depths[0].bin >= bin && (bin > 1 || plan.depths[0].bin == 1), "{}", plan.depths[0].half_width);
         let rng = &mut fastrand::Rng::with_seed(8);
         let bars: [Array3<f64>; 3] = std::array::from_fn(|_| Array3::from_shape_fn((3, 24, 30), |_| rng.f64() - 0.5));

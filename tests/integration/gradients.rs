@@ -11,16 +11,17 @@
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::gradient::render_vjp;
-use isoplanat::imaging::reference::white::on_axis;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings, render};
 use isoplanat::imaging::render::node_grid::NodeGrid;
-use isoplanat::imaging::render::{RenderPlan, Renderer, Settings as Fineness};
+use isoplanat::imaging::render::{Renderer, Settings as Fineness};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::variables::{Parameter, Variables};
 use isoplanat::lens::{Aperture, Lens, builtin, paraxial};
 use isoplanat::testing::central_difference;
 use ndarray::{Array3, Axis};
+
+use crate::white_axis::on_axis;
 
 const REGION: Region = Region { row: 70, col: 120, rows: 12, cols: 12 };
 
@@ -71,7 +72,8 @@ impl Task {
 
     /// The fast renderer's, with nodes where its plan puts them or so many pixels apart.
     fn fast(&self, variables: &Variables, spacing: Option<usize>) -> Vec<f64> {
-        let mut plan = RenderPlan::new(&self.lens, &self.frame, &self.density, &[1e-3], Fineness::FINE).expect("plans");
+        let mut plan =
+            Renderer::planned(&self.lens, &self.frame, &self.density, &[1e-3], Fineness::FINE).expect("plans").plan;
         if let Some(spacing) = spacing {
             let whole = Region { row: 0, col: 0, rows: self.frame.rows, cols: self.frame.columns };
             plan.depths[0].grid = NodeGrid::uniform(whole, spacing);

@@ -16,6 +16,6 @@ mod throughput;
 #[cfg(feature = "train")]
 mod training;
 mod white;
-
+mod white_axis;
 mod white_oracle;
 mod windows;

@@ -2,7 +2,7 @@
 
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
-use isoplanat::imaging::render::{Channels, RenderPlan, Rendered, Renderer, Request, Settings, plan};
+use isoplanat::imaging::render::{Channels, Rendered, Renderer, Request, Settings, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -60,17 +60,16 @@ fn depths_in_one_batch_are_the_depths_alone() {
     let (lens, frame) = two_element();
     let vergences = [500.0, 700.0, 1000.0, 1500.0].map(f64::recip);
     let settings = Settings { cells: 48, ..QUICK };
-    let all = RenderPlan::new(&lens, &frame, &density(), &vergences, settings).expect("plans");
-    let batch = Renderer::new(&lens, &all).expect("traces");
+    let batch = Renderer::planned(&lens, &frame, &density(), &vergences, settings).expect("plans");
     let mut sum = OpticsBar::zeros(&batch.optics);
     let mut alone = vec![0.0; Variables::all(&lens).parameters.len()];
     for (k, v) in vergences.iter().enumerate() {
         let scene = street(*v);
         let region = Region { row: 20 + 30 * k.cast_signed(), col: 200 - 40 * k.cast_signed(), rows: 40, cols: 48 };
         // What is traced depends on the nearest object: the plan's knots are the batch's.
-        let mut own = all.clone();
+        let mut own = batch.plan.clone();
         own.spec.vergences = vec![*v];
-        own.depths = vec![all.depths[k].clone()];
+        own.depths = vec![batch.plan.depths[k].clone()];
         let single = Renderer::new(&lens, &own).expect("traces");
         let depth = batch.plan.depth(*v).expect("planned");
         assert_eq!(depth, k);
@@ -93,12 +92,10 @@ fn a_plan_of_its_own_gives_the_same_picture() {
     let (lens, frame) = two_element();
     let vergences = [500.0, 700.0, 1000.0, 1500.0].map(f64::recip);
     let settings = Settings { cells: 64, node_error: 0.1, outside: 1e-3, ..QUICK };
-    let batch = RenderPlan::new(&lens, &frame, &density(), &vergences, settings).expect("plans");
-    let batch = Renderer::new(&lens, &batch).expect("traces");
+    let batch = Renderer::planned(&lens, &frame, &density(), &vergences, settings).expect("plans");
     let region = Region { row: 40, col: 120, rows: 48, cols: 64 };
     for (k, v) in vergences.iter().enumerate() {
-        let own = RenderPlan::new(&lens, &frame, &density(), &[*v], settings).expect("plans");
-        let own = Renderer::new(&lens, &own).expect("traces");
+        let own = Renderer::planned(&lens, &frame, &density(), &[*v], settings).expect("plans");
         let scene = street(*v);
         let (a, b) = (batch.record::<f32>(&scene, k, region).image, own.record::<f32>(&scene, 0, region).image);
         let off = a.iter().zip(&b).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
@@ -113,18 +110,17 @@ fn a_depth_that_fails_is_an_error() {
     let (lens, frame) = two_element();
     // No numbers; a virtual object before the entrance pupil, where chief rays run backwards: the picture folds.
     for bad in [f64::NAN, f64::INFINITY, -1.0] {
-        let error = RenderPlan::new(&lens, &frame, &density(), &[1e-3, bad], QUICK).expect_err("no picture");
+        let error = Renderer::planned(&lens, &frame, &density(), &[1e-3, bad], QUICK).expect_err("no picture");
         let text = error.to_string();
         assert!(error.exit_code() == 2 && text.contains("vergence") && text.lines().count() == 1, "{bad}: {text}");
         // The same of a plan that was made for other distances.
-        let mut plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
+        let mut plan = Renderer::planned(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans").plan;
         plan.spec.vergences.push(bad);
-        assert!(Renderer::new(&lens, &plan).is_err() && plan.refresh(&lens).is_err(), "{bad}");
+        assert!(Renderer::new(&lens, &plan).is_err() && Renderer::replanned(&lens, &plan).is_err(), "{bad}");
     }
     // Far inside the focal length, 3 and 0.1 mm before the lens: a picture all the same.
     for near in [1.0 / 3.0, 10.0] {
-        let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3, near], QUICK).expect("plans");
-        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3, near], QUICK).expect("plans");
         let scene = street(near);
         let rendered = renderer.record::<f32>(&scene, 1, Region { row: 50, col: 60, rows: 8, cols: 8 });
         assert!(rendered.image.iter().all(|v| v.is_finite()), "{near}");
@@ -133,8 +129,7 @@ fn a_depth_that_fails_is_an_error() {
             "{near}"
         );
     }
-    let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
-    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
     let text = renderer.plan.depth(2e-3).expect_err("not planned for").to_string();
     assert!(text.contains("500") && text.contains("1000"), "{text}");
 }
@@ -145,8 +140,7 @@ fn a_region_alone_is_the_same_part_of_the_whole() {
     let (lens, frame) = two_element();
     for (samples, cells) in [(1, 64), (2, 64), (1, 12)] {
         let settings = Settings { samples, cells, ..QUICK };
-        let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], settings).expect("plans");
-        let renderer = Renderer::new(&lens, &plan).expect("traces");
+        let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3], settings).expect("plans");
         let scene = street(1e-3);
         let channels = Channels::of(&scene);
         let all = renderer.picture::<f32>(&scene, 0, whole(&frame), &channels, &|_| ()).0;
@@ -172,8 +166,7 @@ fn the_number_of_threads_changes_no_bit() {
     let scene = street(1e-3);
     let run = |threads: usize| {
         rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("starts").install(|| {
-            let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3, 2e-3], QUICK).expect("plans");
-            let renderer = Renderer::new(&lens, &plan).expect("traces");
+            let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3, 2e-3], QUICK).expect("plans");
             let image = renderer.picture::<f32>(&scene, 0, whole(&frame), &Channels::of(&scene), &|_| ()).0;
             let region = Region { row: 33, col: 150, rows: 64, cols: 70 };
             let recorded = renderer.record::<f32>(&scene, 0, region);
@@ -181,7 +174,7 @@ fn the_number_of_threads_changes_no_bit() {
                 .into_iter()
                 .map(f64::to_bits)
                 .collect();
-            (plan, image.mapv(f32::to_bits), recorded.image.mapv(f32::to_bits), bits)
+            (renderer.plan.clone(), image.mapv(f32::to_bits), recorded.image.mapv(f32::to_bits), bits)
         })
     };
     assert!(run(1) == run(3), "threads tell");
@@ -191,8 +184,7 @@ fn the_number_of_threads_changes_no_bit() {
 #[test]
 fn grey_and_black_scenes_are_the_full_computation() {
     let (lens, frame) = two_element();
-    let plan = RenderPlan::new(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
-    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let renderer = Renderer::planned(&lens, &frame, &density(), &[1e-3], QUICK).expect("plans");
     let region = Region { row: 60, col: 100, rows: 48, cols: 56 };
     let coloured = street(1e-3);
     let green = coloured.texture.slice(s![1..2, .., ..]).to_owned();
@@ -204,7 +196,7 @@ fn grey_and_black_scenes_are_the_full_computation() {
     let of = |texture: Array3<f32>| {
         let scene = Plane { texture, ..coloured.clone() };
         let rendered = renderer.record::<f32>(&scene, 0, region);
-        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).texture.len());
+        let (lit, sources) = (Channels::of(&scene).lit.len(), Channels::of(&scene).sources());
         let g = gradient(&renderer, &lens, &pulled(&renderer, &scene, &rendered));
         (rendered.image, rendered.truth, g, (lit, sources))
     };
@@ -254,7 +246,7 @@ fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
     let lens = pinhole();
     // 40° along the columns: 33.6 mm of half a frame.
     let frame = Frame::centred(672, 96, 0.05).expect("valid");
-    let planned = RenderPlan::new(&lens, &frame, &density(), &[0.0], QUICK).expect("plans");
+    let planned = Renderer::planned(&lens, &frame, &density(), &[0.0], QUICK).expect("plans").plan;
     let edge = frame.max_radius_mm();
     let mut fine = planned.clone();
     fine.spec.radii_mm = (0..=24).map(|k| edge * f64::from(k) / 24.0).collect();
@@ -295,9 +287,7 @@ fn a_pinhole_darkens_as_the_fourth_power_of_the_cosine() {
 /// A lens on a small frame, one scene: finite picture and gradient, or one line.
 fn outcome(what: &str, lens: &Lens, frame: &Frame, vergence: f64, settings: Settings) -> Option<Renderer> {
     let scene = Plane { texels_per_slope: 400.0, axis_texel: [180.0, 120.0], ..street(vergence) };
-    let renderer =
-        RenderPlan::new(lens, frame, &density(), &[vergence], settings).and_then(|plan| Renderer::new(lens, &plan));
-    let renderer = match renderer {
+    let renderer = match Renderer::planned(lens, frame, &density(), &[vergence], settings) {
         Ok(renderer) => renderer,
         Err(error) => {
             let text = error.to_string();

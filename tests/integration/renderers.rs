@@ -6,7 +6,7 @@ use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
-use isoplanat::imaging::render::{RenderPlan, Renderer, Settings, frame_of};
+use isoplanat::imaging::render::{Renderer, Settings, frame_of};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -20,8 +20,7 @@ fn compare(texture: &Array3<f32>, what: &str) {
     let frame = frame_of(&lens).expect("valid");
     let density = SpectralDensity::new(&Sensor::generic());
     let clock = Instant::now();
-    let plan = RenderPlan::new(&lens, &frame, &density, &[lens.object_vergence], Settings::FINE).expect("plans");
-    let renderer = Renderer::new(&lens, &plan).expect("traces");
+    let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], Settings::FINE).expect("plans");
     let map = &renderer.optics.maps[0];
     let seconds_plan = clock.elapsed().as_secs_f64();
     for (row, col) in [(200, 300), (200, 2600)] {
@@ -55,8 +54,8 @@ fn compare(texture: &Array3<f32>, what: &str) {
             agreement.psnr_db,
             agreement.psnr_db_interval[0],
             agreement.psnr_db_interval[1],
-            plan.depths[0].size(),
-            plan.depths[0].bin
+            renderer.plan.depths[0].size(),
+            renderer.plan.depths[0].bin
         );
         assert!(agreement.psnr_db >= 40.0, "{what}: {agreement:?}");
         assert!(off.abs() < 1e-3, "{what}: {energy:?}");

@@ -2,7 +2,7 @@
 
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
-use isoplanat::imaging::render::{Channels, RenderPlan, Renderer, Settings};
+use isoplanat::imaging::render::{Channels, Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
@@ -36,13 +36,12 @@ fn wide_blurs_keep_their_light() {
         for settings in
             [Settings::DESIGN, Settings::TRAINING, Settings { outside: 1e-3, cells: 64, ..Settings::TRAINING }]
         {
-            let plan = RenderPlan::new(&lens, &frame, &density, &[v], settings).expect("plans");
-            let renderer = Renderer::new(&lens, &plan).expect("traces");
+            let renderer = Renderer::planned(&lens, &frame, &density, &[v], settings).expect("plans");
             let (image, _) = renderer.picture::<f32>(&scene, 0, whole, &Channels::of(&scene), &|_| {});
             let light: Array3<f32> = renderer.light.over(&frame, whole, &[0, 1, 2]);
             let mean = |a: &Array3<f32>| a.iter().map(|v| f64::from(*v)).sum::<f64>() / a.len() as f64;
             let share = mean(&image) / (0.45 * mean(&light));
-            let depth = &plan.depths[0];
+            let depth = &renderer.plan.depths[0];
             eprintln!(
                 "{name} at {slope}, {distance} mm: {share:.4} of the light in {} cells of {} pixels",
                 depth.size(),

@@ -111,7 +111,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     let density = SpectralDensity::new(&Sensor::generic());
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let whole = Region::whole(&frame);
     let rays =
         |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
     let bar = Bar::new("reference");
@@ -203,26 +203,26 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         reference_seconds,
         rows,
     };
-    if let Some(path) = &args.output {
-        output::put(&accuracy.html(), Some(path), out)?;
+    let note = format!(
+        "* no other row is both faster and nearer; the reference took {reference_seconds:.1} s and has {:.1e} rms of noise",
+        accuracy.reference_noise_rms
+    );
+    let files = [(&args.output, accuracy.html()), (&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())];
+    tell(files, if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) }, out)
+}
+
+/// Writes the files that are asked for, and `text`.
+fn tell<const N: usize>(
+    files: [(&Option<PathBuf>, String); N],
+    text: String,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
+    for (path, content) in files {
+        if path.is_some() {
+            output::put(&content, path.as_deref(), out)?;
+        }
     }
-    if let Some(path) = &args.svg {
-        output::put(&accuracy.svg(), Some(path), out)?;
-    }
-    if let Some(path) = &args.csv {
-        output::put(&accuracy.csv(), Some(path), out)?;
-    }
-    if args.json {
-        writeln!(out, "{}", accuracy.json())?;
-    } else {
-        writeln!(out, "{}", accuracy.table())?;
-        writeln!(
-            out,
-            "* no other row is both faster and nearer; the reference took {reference_seconds:.1} s and has {:.1e} rms of noise",
-            accuracy.reference_noise_rms
-        )?;
-    }
-    Ok(())
+    Ok(writeln!(out, "{text}")?)
 }
 
 /// `row` with the errors of `image`.

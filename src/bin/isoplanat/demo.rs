@@ -8,13 +8,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::deploy::session::Options;
-use isoplanat::design::run::{Entry, Scenery, joint_stage, network, network_stage};
+use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network};
+use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
-use isoplanat::imaging::render::{RenderPlan, Renderer, frame_of};
+use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
-use isoplanat::{Error, Result, atomic};
+use isoplanat::{Result, atomic};
 
 use crate::kit;
 use crate::progress::Bar;
@@ -95,40 +96,45 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Lens and network together.
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
-    let (joint, joint_history) =
-        joint_stage(&scenery, &start, network(task.base_width, task.seed)?, settings.joint, &mut |share, e| {
-            bar.set(share, message(e));
-        })?;
+    let fresh = network(task.base_width, task.seed)?;
+    let (joint, history) = joint_stage(&scenery, &start, fresh, JointSettings::of(task)?, &mut |share, e| {
+        bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
+    })?;
     bar.done(format!("{} steps taken back", joint.rejected));
     let mut lens = joint.lens;
     lens.name = format!("{}, designed", start.name);
+    #[expect(clippy::cast_precision_loss, reason = "step counts")]
+    let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
+    report.loss.push(LossCurve { name: "lens and network".into(), points });
     stage("Joint design of lens and network", clock, &mut report);
 
     // The final network for the finished lens.
     let clock = Instant::now();
     let bar = Bar::new("network for the lens");
-    let mut net = joint.network;
-    let history = network_stage(&scenery, &lens, &mut net, settings.train, &mut |share, e| {
-        bar.set(share, message(e));
-    })?;
-    bar.done(history.last().map(message).unwrap_or_default());
-    stage("Final training of the network", clock, &mut report);
-
-    // The run's files.
-    let run = folder.join("run");
-    std::fs::create_dir_all(&run).map_err(|e| Error::writing(&run, e))?;
-    atomic::write_bytes(&run.join("task.toml"), task.to_toml()?.as_bytes())?;
+    let (run, seen) = (folder.join("run"), textures.sha256());
+    let mut training = Training::begin(task.clone(), &lens, joint.network, textures, &run, false)?;
     prescription::save(&start, &run.join("lens-start.toml"))?;
-    prescription::save(&lens, &run.join("lens.toml"))?;
-    net.save(&run.join("network.safetensors"))?;
+    let (mut points, mut last) = (Vec::new(), String::new());
+    training.run(&mut |status| {
+        let e = &status.entry;
+        if status.step.is_multiple_of(10) {
+            #[expect(clippy::cast_precision_loss, reason = "step counts")]
+            points.push((e.step as f64, e.content));
+        }
+        last = format!("step {}  L1 {:.4}  {:.2} dB", status.step, e.l1, e.psnr_db);
+        bar.set(status.share, last.clone());
+        true
+    })?;
+    bar.done(last);
+    report.loss.push(LossCurve { name: "network for the finished lens, sRGB-encoded".into(), points });
+    stage("Final training of the network", clock, &mut report);
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
-    let plan = RenderPlan::new(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
-    let renderer = Renderer::new(&lens, &plan)?;
+    let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
     let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
-    let training = textures.sha256();
-    let kit = kit::build("isoplanat demo", &lens, &net, &sensor, &frame, &calibration, training, settings.tile)?;
+    let kit =
+        kit::build("isoplanat demo", &lens, training.network(), &sensor, &frame, &calibration, seen, settings.tile)?;
     kit.save(&folder.join("kit"), false)?;
     stage("Kit: ONNX model and calibration", clock, &mut report);
 
@@ -151,8 +157,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let depth = 1.0 / lens.object_vergence;
     report.before = Some(LensView::new(&start, depth, settings.atlas)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
-    report.loss = vec![curve("lens and network", &joint_history), curve("network for the finished lens", &history)];
-    report.settings = settings.describe(&sensor, &plan);
+    report.settings = settings.describe(&sensor, &renderer.plan);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
         "A coarse two-element lens and a small network are designed together; the network is then trained for \
@@ -164,20 +169,6 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let summary = format!("{:#}\n", report.summary_json());
     atomic::write_bytes(&folder.join("summary.json"), summary.as_bytes())?;
     Ok(report)
-}
-
-fn message(e: &Entry) -> String {
-    if e.loss.is_finite() {
-        format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)
-    } else {
-        "rendering training pairs".into()
-    }
-}
-
-fn curve(name: &str, history: &[Entry]) -> LossCurve {
-    #[expect(clippy::cast_precision_loss, reason = "step counts")]
-    let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
-    LossCurve { name: name.to_owned(), points }
 }
 
 /// What this lens and scene did not need.

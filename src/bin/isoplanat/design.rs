@@ -38,21 +38,13 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
-    let budget = task.budget().map_err(|e| e.in_file(&args.task))?;
+    let settings = JointSettings::of(&task).map_err(|e| e.in_file(&args.task))?;
     let (lens, sensor) = (task.lens()?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
     let frame = frame_of(&lens)?;
     let textures = task.textures()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
-    let settings = JointSettings {
-        budget,
-        patch: task.patch_px,
-        batch: task.batch,
-        lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
-        network_rate: task.network_rate,
-        settings: Settings::DESIGN,
-    };
     let start = network(task.base_width, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
         bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));

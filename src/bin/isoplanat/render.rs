@@ -7,7 +7,7 @@ use std::time::Instant;
 use isoplanat::imaging::files::{Encoding, write_picture};
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
-use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, plan};
+use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
@@ -117,12 +117,20 @@ impl Way {
             return Ok(Self::Rays(rays, density));
         }
         let clock = Instant::now();
-        // Probes are spread over the first few scenes.
-        let scenes = args.scenes.iter().take(PLANNED).map(|s| stage.plane(s)).collect::<Result<Vec<_>>>()?;
-        let plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
+        let (count, planned) = (args.scenes.len(), args.scenes.len().min(PLANNED));
+        let scenes =
+            (0..planned).map(|k| stage.plane(&args.scenes[k * count / planned])).collect::<Result<Vec<_>>>()?;
+        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
             eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
+        }
+        if planned < count && !args.everything {
+            #[expect(clippy::cast_precision_loss, reason = "a share")]
+            let remaining = planned as f64 / count as f64;
+            let reason =
+                format!("{planned} of {count}, evenly over the list, were looked at; the others count as like them");
+            plan.skips.push(Skip { what: "scenes of the plan", reason, remaining, bound: f64::NAN });
         }
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }
@@ -140,7 +148,7 @@ impl Way {
             }
             Self::Rays(how, density) => {
                 let frame = &stage.frame;
-                let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+                let whole = Region::whole(frame);
                 let r = render(&stage.lens, &plane, density, frame, whole, *how, Some(progress))?;
                 Ok(Made { figures: serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() }), image: r.mean })
             }
@@ -148,7 +156,7 @@ impl Way {
     }
 }
 
-/// Scenes that a plan is made with, at most.
+/// Scenes that a plan is made with, at most: all of them stay in memory while it is made.
 const PLANNED: usize = 8;
 
 /// Runs the command.

@@ -1,12 +1,8 @@
-//! Colour rendering: white balance, 3 × 3 matrices, and the sRGB transfer curve.
+//! Colour rendering: 3 × 3 matrices and the sRGB transfer curve.
 //!
 //! The curve is that of IEC 61966-2-1:1999: `12.92 v` up to 0.0031308, above it `1.055 v^(1/2.4) − 0.055`; decoding
 //! switches at 0.04045. Values outside `[0, 1]` continue the same two pieces; nothing is clipped here.
 
-use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis};
-use rayon::prelude::*;
-
-use crate::imaging::sensor::cfa::Cfa;
 use crate::math::real::Real;
 
 /// Linear sRGB (D65) to CIE XYZ, IEC 61966-2-1.
@@ -26,38 +22,6 @@ pub fn linear_from_srgb<T: Real>(v: T) -> T {
     if v <= T::real(0.040_45) { v / T::real(12.92) } else { ((v + T::real(0.055)) / T::real(1.055)).powf(T::real(2.4)) }
 }
 
-/// Every pixel multiplied by a matrix: `out[i] = Σ_j matrix[i][j]·image[j]`. The transpose is the same call with
-/// [`transposed`].
-///
-/// # Shapes
-/// `image`: `[3, row, col]`, and so is the result.
-///
-/// # Panics
-/// If `image` has not three channels.
-pub fn apply_matrix<T: Real>(matrix: &[[f64; 3]; 3], image: ArrayView3<'_, T>) -> Array3<T> {
-    let (channels, rows, cols) = image.dim();
-    assert_eq!(channels, 3, "a colour matrix takes three channels");
-    let m = matrix.map(|row| row.map(T::real));
-    let mut out = Array3::zeros((3, rows, cols));
-    if out.is_empty() {
-        return out;
-    }
-    out.axis_iter_mut(Axis(1)).into_par_iter().zip(image.axis_iter(Axis(1))).for_each(|(mut to, from)| {
-        for c in 0..cols {
-            let v = [from[[0, c]], from[[1, c]], from[[2, c]]];
-            for (i, row) in m.iter().enumerate() {
-                to[[i, c]] = row[0] * v[0] + row[1] * v[1] + row[2] * v[2];
-            }
-        }
-    });
-    out
-}
-
-/// The transposed matrix.
-pub fn transposed(m: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
-    std::array::from_fn(|i| std::array::from_fn(|j| m[j][i]))
-}
-
 /// The inverse of a matrix, `None` where it is singular.
 pub fn inverse(m: &[[f64; 3]; 3]) -> Option<[[f64; 3]; 3]> {
     // Cofactors by cyclic indices carry their sign.
@@ -74,36 +38,9 @@ pub fn product(a: &[[f64; 3]; 3], b: &[[f64; 3]; 3]) -> [[f64; 3]; 3] {
     std::array::from_fn(|i| std::array::from_fn(|j| (0..3).map(|k| a[i][k] * b[k][j]).sum()))
 }
 
-/// Balances an image: each channel divided by the raw response to a neutral white.
-///
-/// Its own transpose. The inverse is the same call with the reciprocal response.
-///
-/// # Shapes
-/// `image`: `[3, row, col]`.
-pub fn white_balance<T: Real>(image: ArrayView3<'_, T>, neutral: [f64; 3]) -> Array3<T> {
-    let mut out = image.to_owned();
-    for (mut plane, response) in out.outer_iter_mut().zip(neutral) {
-        let gain = T::real(1.0 / response);
-        plane.mapv_inplace(|v| v * gain);
-    }
-    out
-}
-
-/// Balances a mosaic, as [`white_balance`] does an image.
-///
-/// # Shapes
-/// `mosaic`: `[row, col]`.
-pub fn white_balance_mosaic<T: Real>(mosaic: ArrayView2<'_, T>, cfa: Cfa, neutral: [f64; 3]) -> Array2<T> {
-    let gain = neutral.map(|response| T::real(1.0 / response));
-    let mut out = mosaic.to_owned();
-    out.indexed_iter_mut().for_each(|((r, c), v)| *v *= gain[cfa.channel(r, c)]);
-    out
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::sensor::cfa::mosaic;
 
     #[test]
     fn the_curve_is_the_standards_and_inverts() {
@@ -121,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn matrices_invert_and_transpose() {
+    fn matrices_invert() {
         let m = [[1.7, -0.5, -0.2], [-0.2, 1.5, -0.3], [0.1, -0.6, 1.5]];
         let identity = product(&m, &inverse(&m).expect("regular"));
         for (i, row) in identity.iter().enumerate() {
@@ -130,20 +67,5 @@ mod tests {
             }
         }
         assert_eq!(inverse(&[[1.0, 2.0, 3.0], [2.0, 4.0, 6.0], [0.0, 1.0, 0.0]]), None);
-        let rng = &mut fastrand::Rng::with_seed(1);
-        let x = Array3::from_shape_fn((3, 4, 5), |_| rng.f64() - 0.5);
-        let bar = Array3::from_shape_fn((3, 4, 5), |_| rng.f64() - 0.5);
-        let pushed = (&apply_matrix(&m, x.view()) * &bar).sum();
-        let pulled = (&x * &apply_matrix(&transposed(&m), bar.view())).sum();
-        assert!((pushed - pulled).abs() < 1e-13);
-    }
-
-    #[test]
-    fn balance_of_image_and_mosaic_agree() {
-        let neutral = [0.55, 1.0, 0.7];
-        let white = Array3::from_shape_fn((3, 4, 6), |(k, _, _)| neutral[k]);
-        assert!(white_balance(white.view(), neutral).iter().all(|v| (v - 1.0).abs() < 1e-15));
-        let raw = mosaic(white.view(), Cfa::GBRG);
-        assert!(white_balance_mosaic(raw.view(), Cfa::GBRG, neutral).iter().all(|v: &f64| (v - 1.0).abs() < 1e-15));
     }
 }

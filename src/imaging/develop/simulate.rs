@@ -7,6 +7,7 @@
 use ndarray::{Array2, Array3, ArrayView3, Zip};
 
 use crate::imaging::develop::demosaic::{demosaic, demosaic_vjp};
+use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::{Cfa, mosaic, mosaic_vjp};
 use crate::imaging::sensor::noise::Noise;
 use crate::math::real::Real;
@@ -20,6 +21,13 @@ pub struct Electronics {
     pub noise: Noise,
     /// Raw response to a neutral white.
     pub neutral: [f64; 3],
+}
+
+impl Electronics {
+    /// Of `sensor`.
+    pub fn of(sensor: &Sensor) -> Self {
+        Self { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response }
+    }
 }
 
 /// What the forward call leaves for its adjoint.

@@ -30,15 +30,6 @@ pub fn undistort(image: ArrayView3<'_, f32>, frame: &Frame, distortion: &Distort
     resample(image, frame, |rho| captured_radius(distortion, rho))
 }
 
-/// Resamples a rectilinear picture to what the sensor would see: the inverse of [`undistort`] up to interpolation.
-///
-/// # Panics
-/// If the image's size is not the frame's.
-pub fn distort(image: ArrayView3<'_, f32>, frame: &Frame, distortion: &Distortion) -> Resampled {
-    let focal = distortion.sensor_from_slope_derivative(0.0);
-    resample(image, frame, |rho| focal * distortion.slope_from_sensor(rho))
-}
-
 /// Radius on the sensor, mm, of what the rectilinear picture shows at `rho_mm`.
 ///
 /// Beyond the fitted slopes the model is continued linearly, as [`Distortion::slope_from_sensor`] does.
@@ -260,14 +251,15 @@ mod tests {
     }
 
     #[test]
-    fn distort_after_undistort_returns_a_smooth_picture() {
+    fn undistorting_returns_a_smooth_picture() {
         let frame = Frame::centred(240, 160, 0.05).expect("valid");
         for axis in [[120.0, 80.0], [0.0, 160.0]] {
             let frame = frame.clone().with_axis(axis).expect("finite");
             let distortion = barrel(&frame);
             let picture = smooth(&frame);
             // Undistorting enlarges the corners out of the frame, so go from the rectilinear side.
-            let there = distort(picture.view(), &frame, &distortion);
+            let focal = distortion.sensor_from_slope_derivative(0.0);
+            let there = resample(picture.view(), &frame, |rho| focal * distortion.slope_from_sensor(rho));
             let back = undistort(there.image.view(), &frame, &distortion);
             let mut worst = 0.0_f32;
             for c in 0..3 {

@@ -11,7 +11,7 @@
 pub mod ms_ssim;
 pub mod wiener;
 
-use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3, s};
+use ndarray::{Array1, Array2, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -29,23 +29,6 @@ const C2: f64 = 0.03 * 0.03;
 /// If the shapes differ.
 pub fn psnr(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
     decibel(mean_square(a, b, seen))
-}
-
-/// [`psnr`] without the outermost `border` pixels on each side.
-///
-/// Refuses a border that leaves nothing.
-///
-/// # Panics
-/// If the shapes differ.
-pub fn psnr_inside(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>, border: usize) -> Result<f64> {
-    let (_, rows, cols) = a.dim();
-    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
-    if rows.min(cols) <= 2 * border {
-        let found = format!("{border} pixels of {rows} × {cols}");
-        return Err(Error::bad("", "border of PSNR", found, "less than half the picture"));
-    }
-    let inside = s![.., border..rows - border, border..cols - border];
-    Ok(psnr(a.slice(inside), b.slice(inside)))
 }
 
 /// PSNR in dB of the numbers themselves, in linear light, nothing cut off.
@@ -92,36 +75,16 @@ pub fn ssim(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> Result<f64> {
 ///
 /// # Panics
 /// If the shapes differ.
-pub fn ssim_values(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>) -> Result<f64> {
-    Ok(ssim_and_slope(a, b, false)?.0)
-}
-
-/// Gradient of [`ssim_values`] with respect to `a`, times `ssim_bar`.
-///
-/// # Panics
-/// If the shapes differ.
-pub fn ssim_values_vjp(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, ssim_bar: f64) -> Result<Array3<f64>> {
-    Ok(ssim_and_slope(a, b, true)?.1 * ssim_bar)
-}
-
-fn ssim_and_slope(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>, slope: bool) -> Result<(f64, Array3<f64>)> {
+fn ssim_values(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>) -> Result<f64> {
     let (channels, rows, cols) = a.dim();
     assert_eq!(a.dim(), b.dim(), "pictures of one shape");
     if rows < SSIM_WINDOW || cols < SSIM_WINDOW || channels == 0 {
         let found = format!("{channels} channels of {rows} × {cols}");
         return Err(Error::bad("", "picture for SSIM", found, "at least 11 × 11 pixels"));
     }
-    let planes: Vec<(f64, Option<Array2<f64>>)> = (0..channels)
-        .into_par_iter()
-        .map(|k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, slope))
-        .collect();
-    let mut gradient = Array3::zeros(if slope { a.dim() } else { (0, 0, 0) });
-    for (k, plane) in planes.iter().enumerate() {
-        if let Some(plane) = &plane.1 {
-            gradient.slice_mut(s![k, .., ..]).assign(&(plane / channels as f64));
-        }
-    }
-    Ok((planes.iter().map(|p| p.0).sum::<f64>() / channels as f64, gradient))
+    let plane = |k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, false).0;
+    let planes: Vec<f64> = (0..channels).into_par_iter().map(plane).collect();
+    Ok(planes.iter().sum::<f64>() / channels as f64)
 }
 
 /// Which of SSIM's factors count.
@@ -218,6 +181,8 @@ fn windowed_vjp(bar: ArrayView2<'_, f64>) -> Array2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use ndarray::{Array3, Axis};
+
     use crate::testing::{assert_abs, assert_rel, central_difference};
 
     /// Two pictures by formula, the second with a ripple on the first.
@@ -250,7 +215,6 @@ mod tests {
         assert_abs(ssim(fa.view(), fb.view()).expect("large enough"), 0.899_561_062_635_329_3, 1e-6, "f32");
         assert_abs(psnr(fa.view(), fb.view()), 25.310_421_325_412_89, 1e-5, "PSNR");
         assert_abs(psnr_linear(fa.view(), fb.view()), 24.467_331_754_220_425, 1e-5, "linear PSNR");
-        assert_abs(psnr_inside(fa.view(), fb.view(), 8).expect("fits"), 24.986_739_680_381_977, 1e-5, "inside");
     }
 
     /// Photographs against damaged versions of themselves: the numbers of `tests/peers/ssim_skimage.py`, scikit-image's on the
@@ -306,20 +270,21 @@ mod tests {
         let a = Array3::<f32>::from_elem((3, 11, 11), 0.4);
         assert_eq!((psnr(a.view(), a.view()), ssim(a.view(), a.view()).expect("11 × 11")), (f64::INFINITY, 1.0));
         assert!(ssim(a.slice(s![.., ..10, ..]), a.slice(s![.., ..10, ..])).is_err());
-        assert!(psnr_inside(a.view(), a.view(), 6).is_err());
         // Beyond white all is white.
         assert_eq!(psnr((&a + 1.0).view(), (&a + 2.0).view()), f64::INFINITY);
         assert_abs(psnr_linear((&a + 0.1).view(), a.view()), 20.0, 1e-5, "a tenth");
     }
 
     #[test]
-    fn ssim_values_vjp_matches_differences() {
+    fn the_gradient_of_ssim_matches_differences() {
         let (a, b) = pair();
         let rng = &mut fastrand::Rng::with_seed(4);
         let d = Array3::from_shape_fn(a.dim(), |_| rng.f64() - 0.5);
-        let value = |h: f64| ssim_values((&a + &(h * &d)).view(), b.view()).expect("large enough");
-        let pushed = central_difference(value, 1e-4);
-        let pulled = (&ssim_values_vjp(a.view(), b.view(), 1.0).expect("large enough") * &d).sum();
-        assert_rel(pulled, pushed, 1e-8, 0.0, "gradient of SSIM");
+        for (k, d) in d.outer_iter().enumerate() {
+            let (a, b) = (a.index_axis(Axis(0), k), b.index_axis(Axis(0), k));
+            let value = |h: f64| ssim_plane((&a + &(h * &d)).view(), b, Part::Whole, false).0;
+            let gradient = ssim_plane(a, b, Part::Whole, true).1.expect("asked for");
+            assert_rel((&gradient * &d).sum(), central_difference(value, 1e-4), 1e-8, 0.0, "gradient of SSIM");
+        }
     }
 }

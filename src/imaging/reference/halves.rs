@@ -65,13 +65,6 @@ pub struct Energy {
     pub interval: [f64; 2],
 }
 
-impl Energy {
-    /// Whether the interval holds `ratio`.
-    pub fn agrees_with(&self, ratio: f64) -> bool {
-        self.interval[0] <= ratio && ratio <= self.interval[1]
-    }
-}
-
 /// Energy of `f` over that of the reference behind `halves`: the ratio of the sums over all pixels and channels.
 ///
 /// # Panics
@@ -156,9 +149,10 @@ mod tests {
                 Rendered { mean, variance, rays: 0, passed: 0, outside: 0, axis_irradiance: [1.0; 3], seconds: 0.0 }
             });
             let found = energy_against_halves(f.view(), &halves);
-            inside += u32::from(found.agrees_with(exact));
-            wrong += u32::from(found.agrees_with(exact + 4.0 * found.standard_error));
-            assert!(found.agrees_with(found.ratio) && found.standard_error > 0.0);
+            let holds = |ratio: f64| found.interval[0] <= ratio && ratio <= found.interval[1];
+            inside += u32::from(holds(exact));
+            wrong += u32::from(holds(exact + 4.0 * found.standard_error));
+            assert!(holds(found.ratio) && found.standard_error > 0.0);
         }
         // 1900 ± 9.7: four standard deviations; off by four errors 2 % are inside.
         assert!((1861..=1939).contains(&inside), "{inside} of {runs} inside the 95 % interval");

@@ -20,7 +20,6 @@ mod pixels;
 pub mod rear;
 mod sampler;
 mod stream;
-pub mod white;
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;

@@ -89,11 +89,6 @@ impl RearView {
         Err(Error::bad("", "lens", found, "a stop and clear apertures that let light through"))
     }
 
-    /// Area of the disk, mm².
-    pub fn disk_area(&self) -> f64 {
-        std::f64::consts::PI * self.disk_radius * self.disk_radius
-    }
-
     /// The wavelength of `channel` that holds the share `u` (`0 ≤ u < 1`) of its light.
     #[inline]
     pub fn colour(&self, channel: usize, u: f64) -> Colour {

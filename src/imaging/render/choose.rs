@@ -44,6 +44,28 @@ pub struct Ladders {
     pub cells: Vec<Values>,
 }
 
+impl Ladders {
+    /// Predicted mean square error of `settings` with kernels of half-width `half`, where all of their rungs were measured, and
+    /// its standard error.
+    pub fn predicted(&self, settings: &Settings, half: usize) -> Option<(f64, f64)> {
+        let parts: [&[Values]; 6] = [
+            &self.nodes.iter().find(|r| r.setting.0 <= settings.node_error)?.off,
+            &self.windows.iter().find(|r| r.setting.1 >= half).or(self.windows.last())?.off,
+            &self.samples.iter().find(|r| r.setting >= settings.samples).or(self.samples.last())?.off,
+            &self.dense.iter().find(|r| r.setting >= settings.dense).or(self.dense.last())?.off,
+            &self.wavelengths.iter().find(|r| r.setting >= settings.wavelengths).or(self.wavelengths.last())?.off,
+            &self.cells,
+        ];
+        Some(mean_square(&parts))
+    }
+}
+
+/// The bound that a measured rung stands for: root of its mean square with standard error and margin.
+pub fn bound(off: &[Values]) -> f64 {
+    let (mean, error) = mean_square(&[off]);
+    (MARGIN * mean + error).sqrt()
+}
+
 /// Mean square over all values of the sum of `parts` (lists by probe), and its standard error over the probes.
 #[expect(clippy::cast_precision_loss, reason = "small counts")]
 pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
@@ -80,91 +102,121 @@ pub struct Choice {
 
 /// What the ladders are measured with.
 pub struct Measuring<'a, 'b> {
-    /// Probes and the fine lens.
+    /// The fine lens.
     pub probing: &'a Probing<'b>,
+    /// Exact values of a few places.
+    pub probes: &'a [Probe],
     /// Quadratures of [`Settings::WAVELENGTHS`].
     pub rules: &'a [(usize, Quadrature)],
 }
 
-/// Measures every ladder on `probes`. `nodes` has been made coarse and is refined until its error is a small part of
-/// `budget` (a mean square), or all of [`Settings::NODE_ERRORS`] are done.
-pub fn ladders(measuring: &Measuring<'_, '_>, probes: &[Probe], nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
-    let Measuring { probing, rules } = measuring;
-    let each = |f: &(dyn Fn(&Probe) -> Values + Sync)| -> Vec<Values> { probes.par_iter().map(f).collect() };
-    let ladder = &probing.scenes[0];
-    let fine = ladder.len() - 1;
-    let nothing: Vec<Values> = probes.iter().map(|p| vec![0.0; p.exact.len()]).collect();
-    let samples = (0..=fine).map(|k| {
+impl Measuring<'_, '_> {
+    /// Measures every ladder. `nodes` has been made coarse and is refined until its error is a small part of `budget` (a mean
+    /// square), or all of [`Settings::NODE_ERRORS`] are done.
+    pub fn ladders(&self, nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
+        let wavelength = |(n, rule): &(usize, Quadrature)| Rung {
+            setting: *n,
+            off: self.each(&|p| self.probing.wavelengths(p, rule)),
+        };
+        Ladders {
+            samples: self.samples(),
+            wavelengths: self.rules.iter().map(wavelength).collect(),
+            dense: self.dense(),
+            windows: self.windows(),
+            nodes: self.nodes(nodes, budget),
+            cells: self.nothing(),
+        }
+    }
+
+    fn each(&self, f: &(dyn Fn(&Probe) -> Values + Sync)) -> Vec<Values> {
+        self.probes.par_iter().map(f).collect()
+    }
+
+    fn nothing(&self) -> Vec<Values> {
+        self.probes.iter().map(|p| vec![0.0; p.exact.len()]).collect()
+    }
+
+    fn samples(&self) -> Vec<Rung<usize>> {
+        let ladder = &self.probing.scenes[0];
+        let fine = ladder.len() - 1;
         // The error falls as the square of the samples, and the finest has a part left that the one before it tells.
         let square = |k: usize| (ladder[k].samples() as f32).powi(-2);
-        let (from, scale) = if k < fine {
-            (k, square(k) / (square(k) - square(fine)))
-        } else {
-            (fine.saturating_sub(1), square(fine) / (square(fine.saturating_sub(1)) - square(fine)))
-        };
-        let off = if fine == 0 {
-            nothing.clone()
-        } else {
-            each(&|p| probing.samples(p, from).into_iter().map(|v| v * scale).collect())
-        };
-        Rung { setting: ladder[k].samples(), off }
-    });
-    let samples = samples.collect();
-    let wavelengths =
-        rules.iter().map(|(n, rule)| Rung { setting: *n, off: each(&|p| probing.wavelengths(p, rule)) }).collect();
-    // Kernel windows: those of the shares, each once.
-    let look = probing.colours.form(LOOK, 1, 1, probing.frame.pitch_mm);
-    let radii = [0.0, probing.optics.table.spec.radii_mm.last().copied().unwrap_or(0.0)];
-    let mut halves: Vec<(f64, usize)> = Vec::new();
-    for (share, half) in
-        Settings::OUTSIDE.into_iter().zip(probing.colours.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii))
-    {
-        let half = half.min(probing.size / 2);
-        if halves.last().is_none_or(|(_, h)| *h < half) {
-            halves.push((share, half));
-        } else if let Some(last) = halves.last_mut() {
-            last.0 = share;
-        }
-    }
-    let sizes: Vec<usize> = halves.iter().map(|(_, h)| 2 * h + 1).collect();
-    let by_probe: Vec<Vec<Values>> = probes.par_iter().map(|p| probing.windows(p, &sizes)).collect();
-    let windows = halves
-        .iter()
-        .enumerate()
-        .map(|(k, half)| Rung { setting: *half, off: by_probe.iter().map(|v| v[k].clone()).collect() })
-        .collect();
-    // Dense points: few wavelengths tell.
-    let (optics, light_dense) = (probing.optics, probing.dense);
-    let through = |dense: usize| each(&|p| probing.through(p, optics, dense));
-    let most = Settings::DENSE[Settings::DENSE.len() - 1];
-    let reference = through(most);
-    let dense = Settings::DENSE
-        .into_iter()
-        .map(|n| {
-            let off = if n == most {
-                nothing.clone()
+        let rung = |k: usize| {
+            let (from, scale) = if k < fine {
+                (k, square(k) / (square(k) - square(fine)))
             } else {
-                through(n).into_iter().zip(&reference).zip(probes).map(|((a, b), p)| p.less(a, b)).collect()
+                (fine.saturating_sub(1), square(fine) / (square(fine.saturating_sub(1)) - square(fine)))
+            };
+            let off = if fine == 0 {
+                self.nothing()
+            } else {
+                self.each(&|p| self.probing.samples(p, from).into_iter().map(|v| v * scale).collect())
+            };
+            Rung { setting: ladder[k].samples(), off }
+        };
+        (0..=fine).map(rung).collect()
+    }
+
+    /// Kernel windows: those of the shares, each once.
+    fn windows(&self) -> Vec<Rung<(f64, usize)>> {
+        let probing = self.probing;
+        let look = probing.colours.form(LOOK, 1, 1, probing.frame.pitch_mm);
+        let radii = [0.0, probing.optics.table.spec.radii_mm.last().copied().unwrap_or(0.0)];
+        let all = probing.colours.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii);
+        let mut halves: Vec<(f64, usize)> = Vec::new();
+        for (share, half) in Settings::OUTSIDE.into_iter().zip(all) {
+            let half = half.min(probing.size / 2);
+            if halves.last().is_none_or(|(_, h)| *h < half) {
+                halves.push((share, half));
+            } else if let Some(last) = halves.last_mut() {
+                last.0 = share;
+            }
+        }
+        let sizes: Vec<usize> = halves.iter().map(|(_, h)| 2 * h + 1).collect();
+        let by_probe: Vec<Vec<Values>> = self.probes.par_iter().map(|p| probing.windows(p, &sizes)).collect();
+        let off = |k: usize| by_probe.iter().map(|v| v[k].clone()).collect();
+        halves.into_iter().enumerate().map(|(k, setting)| Rung { setting, off: off(k) }).collect()
+    }
+
+    /// Values with `dense` points; few wavelengths tell.
+    fn through(&self, dense: usize) -> Vec<Values> {
+        self.each(&|p| self.probing.through(p, self.probing.optics, dense))
+    }
+
+    fn dense(&self) -> Vec<Rung<usize>> {
+        let most = Settings::DENSE[Settings::DENSE.len() - 1];
+        let reference = self.through(most);
+        let rung = |n| {
+            let less = |((a, b), p): ((Values, &Values), &Probe)| p.less(a, b);
+            let off = if n == most {
+                self.nothing()
+            } else {
+                self.through(n).into_iter().zip(&reference).zip(self.probes).map(less).collect()
             };
             Rung { setting: n, off }
-        })
-        .collect();
-    let places = through(light_dense);
-    let mut steps = Vec::new();
-    let mut cache = Cache::new();
-    for tolerance in Settings::NODE_ERRORS {
-        nodes.refine(tolerance);
-        probing.prepare(probes, optics, light_dense, &nodes.grid, &mut cache);
-        let off = probes.par_iter().zip(&places).map(|(p, v)| probing.nodes(p, v, &nodes.grid, &cache)).collect();
-        let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
-        // What halving an interval again would win is small beside the budget, or there is one node for all.
-        let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;
-        steps.push(rung);
-        if enough {
-            break;
-        }
+        };
+        Settings::DENSE.into_iter().map(rung).collect()
     }
-    Ladders { samples, wavelengths, dense, windows, nodes: steps, cells: nothing }
+
+    fn nodes(&self, nodes: &mut Nodes<'_>, budget: f64) -> Vec<Rung<(f64, f64, NodeGrid)>> {
+        let Self { probing, probes, .. } = self;
+        let places = self.through(probing.dense);
+        let (mut steps, mut cache) = (Vec::new(), Cache::new());
+        for tolerance in Settings::NODE_ERRORS {
+            nodes.refine(tolerance);
+            probing.prepare(probes, probing.optics, probing.dense, &nodes.grid, &mut cache);
+            let off: Vec<Values> =
+                probes.par_iter().zip(&places).map(|(p, v)| probing.nodes(p, v, &nodes.grid, &cache)).collect();
+            let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
+            // What halving an interval again would win is small beside the budget, or there is one node for all.
+            let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;
+            steps.push(rung);
+            if enough {
+                break;
+            }
+        }
+        steps
+    }
 }
 
 /// The cheapest combination by `cost` (seconds of the settings, half-width and grid) whose mean square error, times

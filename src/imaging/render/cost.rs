@@ -2,7 +2,6 @@
 
 use super::plan::Settings;
 use crate::imaging::plane::Region;
-use crate::imaging::render::blur::Method;
 use crate::imaging::render::blur::cost::Task;
 use crate::imaging::render::node_grid::NodeGrid;
 
@@ -30,13 +29,6 @@ const SAMPLE: (f64, f64) = (1.2e-8, 4e-9);
 /// Fields a table has, about.
 const FIELDS: f64 = 12.0;
 
-impl Work {
-    /// The work of `region`.
-    pub fn of(region: Region, channels: usize, planes: usize) -> Self {
-        Self { region, channels, planes }
-    }
-}
-
 /// The convolution as a task.
 fn task<'a>(work: &Work, settings: &Settings, half_width: usize, grid: &'a NodeGrid) -> Task<'a> {
     Task {
@@ -47,11 +39,6 @@ fn task<'a>(work: &Work, settings: &Settings, half_width: usize, grid: &'a NodeG
         source_channels: work.planes,
         phases: settings.samples * settings.samples,
     }
-}
-
-/// The method of convolution.
-pub fn pick(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> Method {
-    task(work, settings, half_width, grid).cheapest()
 }
 
 /// Seconds of one thread for the convolution.

@@ -13,7 +13,7 @@ use ndarray::Array3;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::plan::{RenderPlan, Settings};
+use super::plan::Settings;
 use super::renderer::{Rendered, Renderer};
 use crate::error::Result;
 use crate::imaging::frame::Frame;
@@ -112,14 +112,14 @@ impl<'a> Patches<'a> {
         Ok(renderer.vjp(scene, &rendered, off.view(), (-&off).view(), none.view()))
     }
 
-    fn plan(&self, settings: Settings) -> Result<RenderPlan> {
+    fn planned(&self, settings: Settings) -> Result<Renderer> {
         let mut vergences: Vec<f64> = Vec::new();
         for (scene, _) in &self.parts {
             if !vergences.contains(&scene.vergence) {
                 vergences.push(scene.vergence);
             }
         }
-        RenderPlan::new(self.lens, self.frame, self.density, &vergences, settings)
+        Renderer::planned(self.lens, self.frame, self.density, &vergences, settings)
     }
 
     fn gradient(&self, renderer: &Renderer, bar: &OpticsBar) -> Vec<f64> {
@@ -132,8 +132,9 @@ impl<'a> Patches<'a> {
     /// A lens that cannot be rendered on the frame.
     pub fn measure(&self, settings: Settings) -> Result<Measured> {
         let clock = Instant::now();
-        let plan = self.plan(settings)?;
+        let plan = self.planned(settings)?.plan;
         let planning = clock.elapsed().as_secs_f64();
+        // A design step traces the lens anew.
         let clock = Instant::now();
         let renderer = Renderer::new(self.lens, &plan)?;
         let bars: Vec<OpticsBar> = self.parts.par_iter().map(|p| self.bar(&renderer, *p)).collect::<Result<_>>()?;

@@ -12,6 +12,7 @@ pub mod cost;
 mod explain;
 pub mod gradient_error;
 pub mod light;
+mod measure;
 pub mod needs;
 pub mod node_grid;
 pub mod nodes;
@@ -20,7 +21,9 @@ pub mod probe;
 pub mod renderer;
 pub mod scene_plan;
 pub mod source;
+pub mod stands;
 
+pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
-pub use renderer::{Channels, Rendered, Renderer, Seen};
+pub use renderer::{Rendered, Renderer, Seen};
 pub use scene_plan::{Request, ScenePlan, Skip, plan};

@@ -11,13 +11,57 @@ use crate::psf::SensorMap;
 /// Side in pixels of the squares that are looked at for light.
 const SQUARE: usize = 16;
 
+/// Channels of a scene, or of several.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Channels {
+    /// Channels of the image with light.
+    pub lit: Vec<usize>,
+    /// All of them show the same texture: one source serves.
+    pub grey: bool,
+}
+
+impl Channels {
+    /// Those of `scene` with light.
+    pub fn of(scene: &Plane) -> Self {
+        let last = scene.texture.len_of(Axis(0)) - 1;
+        let of = |c: usize| scene.texture.index_axis(Axis(0), c.min(last));
+        let lit: Vec<usize> = (0..3).filter(|c| of(*c).iter().any(|v| *v != 0.0)).collect();
+        let grey = lit.iter().all(|c| (*c).min(last) == lit[0].min(last) || of(*c) == of(lit[0]));
+        Self { lit, grey }
+    }
+
+    /// All three, each from its own source.
+    pub fn all() -> Self {
+        Self { lit: vec![0, 1, 2], grey: false }
+    }
+
+    /// Those of two scenes together.
+    #[must_use]
+    fn and(self, other: Self) -> Self {
+        let alike = self.lit == other.lit || self.lit.is_empty() || other.lit.is_empty();
+        Self {
+            grey: self.grey && other.grey && alike,
+            lit: (0..3).filter(|c| self.lit.contains(c) || other.lit.contains(c)).collect(),
+        }
+    }
+
+    /// How many sources they are rendered from.
+    pub fn sources(&self) -> usize {
+        if self.grey { self.lit.len().min(1) } else { self.lit.len() }
+    }
+
+    /// The texture's channels that the sources show.
+    pub fn of_texture(&self, scene: &Plane) -> Vec<usize> {
+        let last = scene.texture.len_of(Axis(0)) - 1;
+        self.lit.iter().take(self.sources()).map(|c| (*c).min(last)).collect()
+    }
+}
+
 /// What a scene holds.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Needs {
-    /// Output channels with light.
-    pub lit_channels: Vec<usize>,
-    /// All channels of the texture are the same, or there is one.
-    pub grey: bool,
+    /// Channels with light.
+    pub channels: Channels,
     /// Pixels (of the frame and its margin) whose ideal image has light, as the smallest rectangle.
     pub lit: Option<Region>,
     /// Share of the frame's squares of 16 pixels with light.
@@ -58,30 +102,21 @@ impl Needs {
             (Some(a), Some(b)) => Some(a.around(b)),
             (a, b) => a.or(b),
         };
-        Self {
-            lit_channels: (0..3).filter(|c| self.lit_channels.contains(c) || other.lit_channels.contains(c)).collect(),
-            grey: self.grey && other.grey,
-            lit,
-            lit_share: self.lit_share.max(other.lit_share),
-        }
+        Self { channels: self.channels.and(other.channels), lit, lit_share: self.lit_share.max(other.lit_share) }
     }
 
     /// Looks at `scene` through a lens with `map` over the frame and `margin` pixels around it.
     pub fn of(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
         let warped = WarpedScene::new(scene, map, frame, (1, 1), vec![0]);
-        let channels = scene.texture.len_of(Axis(0));
-        let first = scene.texture.index_axis(Axis(0), 0);
-        let grey = (1..channels).all(|c| scene.texture.index_axis(Axis(0), c) == first);
-        let with_light = |c: usize| scene.texture.index_axis(Axis(0), c).iter().any(|v| *v != 0.0);
-        let lit_channels: Vec<usize> = (0..3).filter(|c| with_light((*c).min(channels - 1))).collect();
-        let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+        let channels = Channels::of(scene);
+        let whole = Region::whole(frame);
         let source = whole.grown(margin);
-        if lit_channels.is_empty() {
-            return Self { lit_channels, grey, lit: None, lit_share: 0.0 };
+        if channels.lit.is_empty() {
+            return Self { channels, lit: None, lit_share: 0.0 };
         }
         let counts = Counts::new(scene);
         if counts.all() {
-            return Self { lit_channels, grey, lit: Some(source), lit_share: 1.0 };
+            return Self { channels, lit: Some(source), lit_share: 1.0 };
         }
         // Squares whose texels (those of their corners and edges, grown by two) hold light.
         let (down, across) = (source.rows.div_ceil(SQUARE), source.cols.div_ceil(SQUARE));
@@ -118,7 +153,7 @@ impl Needs {
         });
         #[expect(clippy::cast_precision_loss, reason = "a share")]
         let lit_share = lit as f64 / seen.max(1) as f64;
-        Self { lit_channels, grey, lit: rectangle, lit_share }
+        Self { channels, lit: rectangle, lit_share }
     }
 }
 

@@ -1,7 +1,8 @@
 //! How a lens is rendered: what is traced, how wide and how fine kernels are, where they stand.
 //!
 //! A [`RenderPlan`] belongs to a lens, a frame and object distances, and serves any number of scenes, whole pictures and
-//! patches. It is held while a design moves the lens, and made anew now and then ([`RenderPlan::new`]).
+//! patches. It is held while a design moves the lens, and made anew now and then
+//! ([`Renderer::replanned`](super::Renderer::replanned)).
 
 use serde::Serialize;
 
@@ -150,35 +151,16 @@ pub fn spec(
 }
 
 impl RenderPlan {
-    /// A plan for three channels and the whole of `frame`.
+    /// Widths and nodes for `optics` over the whole of `frame`; `table_error` is what [`spec`] saw.
     ///
     /// # Errors
-    /// As [`Optics::compute`].
-    pub fn new(
-        lens: &Lens,
-        frame: &Frame,
-        density: &SpectralDensity,
-        vergences: &[f64],
-        settings: Settings,
-    ) -> Result<Self> {
-        let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
-        let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
-        let mut plan = Self { frame: frame.clone(), settings, spec, table_error, depths: Vec::new() };
-        plan.refresh(lens)?;
-        Ok(plan)
-    }
-
-    /// Widths and nodes anew, for a lens that has moved; what is traced stays.
-    ///
-    /// # Errors
-    /// As [`Optics::compute`].
-    pub fn refresh(&mut self, lens: &Lens) -> Result<()> {
-        let optics = Optics::compute(lens, &self.spec)?;
-        let whole = Region { row: 0, col: 0, rows: self.frame.rows, cols: self.frame.columns };
-        self.depths = (0..self.spec.vergences.len())
-            .map(|depth| depth_plan(&optics, &self.frame, depth, whole, self.settings))
+    /// None for a valid frame.
+    pub(super) fn of(optics: &Optics, frame: &Frame, settings: Settings, table_error: Tolerance) -> Result<Self> {
+        let whole = Region::whole(frame);
+        let depths = (0..optics.spec.vergences.len())
+            .map(|depth| depth_plan(optics, frame, depth, whole, settings))
             .collect::<Result<_>>()?;
-        Ok(())
+        Ok(Self { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths })
     }
 
     /// The plan's entry for objects at `vergence`.

@@ -12,14 +12,12 @@ use rayon::prelude::*;
 
 use super::nodes::place;
 use super::source::WarpedScene;
+use super::stands::Stand;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::wide::{Work, wide};
 use crate::psf::{KernelForm, Optics, Place, Quadrature};
-
-/// Pixels along the side of a probe.
-pub const SIDE: usize = 3;
 
 /// Values of a probe's pixels, `[channel][pixel]`, flattened.
 pub type Values = Vec<f32>;
@@ -49,17 +47,6 @@ pub struct Probe {
     irradiance: Vec<f64>,
     /// Root of what its square counts for: its differences carry it.
     scale: f32,
-}
-
-/// Where a probe stands, and what its square counts for in a mean over the picture.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Stand {
-    /// Which scene.
-    pub scene: usize,
-    /// Its pixels.
-    pub region: Region,
-    /// Density of an even draw over that of the draw that chose it.
-    pub weight: f64,
 }
 
 /// Everything a probe is computed from. Pixels are those of `frame`: the sensor's, or cells where kernels are wide.

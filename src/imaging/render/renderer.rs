@@ -11,14 +11,17 @@ use rayon::prelude::*;
 
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
 use super::light::Light;
+use super::needs::Channels;
 use super::nodes::place;
-use super::plan::{DepthPlan, RenderPlan};
+use super::plan::{DepthPlan, RenderPlan, Settings, quadrature, spec};
 use super::source::{WarpedScene, warp, warp_vjp};
 use crate::error::Result;
+use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::cost::Task;
-use crate::imaging::render::blur::{BlurRecord, Kernels, Method, Wanted, blur, blur_recorded, blur_vjp};
+use crate::imaging::render::blur::{BlurRecord, Kernels, Method, blur, blur_recorded, blur_vjp};
 use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
 use crate::math::real::Real;
 use crate::psf::splat::{phase_of, phase_of_vjp};
@@ -34,33 +37,6 @@ pub struct Renderer {
     /// Relative illumination of the frame.
     pub light: Light,
     forms: Vec<KernelForm>,
-}
-
-/// What of a scene is rendered.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Channels {
-    /// Channels of the image with light.
-    pub lit: Vec<usize>,
-    /// The texture's channels that they are rendered from: one for all where the scene is grey.
-    pub texture: Vec<usize>,
-}
-
-impl Channels {
-    /// Of `scene`: those with light; one source for all of them if they are the same.
-    pub fn of(scene: &Plane) -> Self {
-        let last = scene.texture.len_of(Axis(0)) - 1;
-        let of = |c: usize| scene.texture.index_axis(Axis(0), c.min(last));
-        let lit: Vec<usize> = (0..3).filter(|c| of(*c).iter().any(|v| *v != 0.0)).collect();
-        let grey = lit.iter().all(|c| (*c).min(last) == lit[0].min(last) || of(*c) == of(lit[0]));
-        let texture = if grey { lit.iter().take(1).map(|c| (*c).min(last)).collect() } else { lit.clone() };
-        Self { lit, texture }
-    }
-
-    /// All three.
-    pub fn all(scene: &Plane) -> Self {
-        let last = scene.texture.len_of(Axis(0)) - 1;
-        Self { lit: vec![0, 1, 2], texture: (0..3).map(|c: usize| c.min(last)).collect() }
-    }
 }
 
 /// A rendered region and what its adjoint needs.
@@ -129,7 +105,35 @@ impl<T: Real> Kernels<T> for NodeKernels<'_> {
 }
 
 impl Renderer {
-    /// Traces `lens` for `plan`.
+    /// Plans three channels and the whole of `frame`, for objects at `vergences` (1/mm), and traces `lens` for it.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn planned(
+        lens: &Lens,
+        frame: &Frame,
+        density: &SpectralDensity,
+        vergences: &[f64],
+        settings: Settings,
+    ) -> Result<Self> {
+        let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
+        let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
+        let optics = Optics::compute(lens, &spec)?;
+        let plan = RenderPlan::of(&optics, frame, settings, table_error)?;
+        Ok(Self::with(optics, plan))
+    }
+
+    /// Traces `lens`, which has moved since `plan` was made, with widths and nodes anew; what is traced stays.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn replanned(lens: &Lens, plan: &RenderPlan) -> Result<Self> {
+        let optics = Optics::compute(lens, &plan.spec)?;
+        let plan = RenderPlan::of(&optics, &plan.frame, plan.settings, plan.table_error)?;
+        Ok(Self::with(optics, plan))
+    }
+
+    /// Traces `lens` for `plan`, as it is.
     ///
     /// # Errors
     /// As [`Optics::compute`].
@@ -160,7 +164,7 @@ impl Renderer {
             region,
             size: d.size(),
             channels: channels.lit.len(),
-            source_channels: channels.texture.len(),
+            source_channels: channels.sources(),
             phases: d.samples * d.samples,
         };
         task.cheapest()
@@ -168,7 +172,7 @@ impl Renderer {
 
     fn source<'a>(&'a self, scene: &'a Plane, depth: usize, channels: &Channels) -> WarpedScene<'a> {
         let d = &self.plan.depths[depth];
-        WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.texture.clone())
+        WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.of_texture(scene))
     }
 
     /// The ideal picture of `region`: the scene as this lens's distortion shows it, without blur.
@@ -232,7 +236,7 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block, Wanted::Both);
+            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block);
             record = Some(kept);
             blurred = to_pixels(cells, region, d.bin);
             for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {

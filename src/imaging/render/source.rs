@@ -6,6 +6,7 @@
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
 
+use super::needs::Channels;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::Source;
@@ -278,7 +279,7 @@ impl<T: Real> Source<T> for WarpedScene<'_> {
 
 /// The ideal picture: the scene as a lens with this map and no blur would image it, at pixel centres, `[3, row, col]`.
 pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Region) -> Array3<T> {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), channels_of(scene));
+    let source = WarpedScene::new(scene, map, frame, (1, 1), Channels::all().of_texture(scene));
     let mut out = Array3::from_elem((3, region.rows, region.cols), T::zero());
     out.axis_chunks_iter_mut(Axis(1), 16).into_par_iter().enumerate().for_each(|(k, part)| {
         let rows = part.len_of(Axis(1));
@@ -297,14 +298,8 @@ pub fn warp_vjp<T: Real>(
     bar: ArrayView3<'_, T>,
     coefficients_bar: &mut [f64],
 ) {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), channels_of(scene));
+    let source = WarpedScene::new(scene, map, frame, (1, 1), Channels::all().of_texture(scene));
     source.fill_vjp(region, bar.insert_axis(Axis(1)), coefficients_bar);
-}
-
-/// The texture's channel for red, green and blue.
-fn channels_of(scene: &Plane) -> Vec<usize> {
-    let last = scene.texture.len_of(Axis(0)) - 1;
-    (0..3).map(|c: usize| c.min(last)).collect()
 }
 
 #[cfg(test)]

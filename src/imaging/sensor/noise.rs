@@ -94,26 +94,6 @@ impl Noise {
     }
 }
 
-/// What the sensor can hold: the signal cut off at the raw value 0 and at saturation.
-pub fn clip<T: Real>(y: ArrayView2<'_, T>, sensor: &Sensor) -> Array2<T> {
-    let (low, high) = limits::<T>(sensor);
-    y.mapv(|v| v.max(low).min(high))
-}
-
-/// Pulls a cotangent of [`clip`] back to the signal: cut-off pixels pass nothing.
-///
-/// # Panics
-/// If the shapes differ.
-pub fn clip_vjp<T: Real>(y: ArrayView2<'_, T>, clipped_bar: ArrayView2<'_, T>, sensor: &Sensor) -> Array2<T> {
-    assert_eq!(y.dim(), clipped_bar.dim(), "one cotangent a pixel");
-    let (low, high) = limits::<T>(sensor);
-    Zip::from(y).and(clipped_bar).map_collect(|&v, &bar| if v >= low && v <= high { bar } else { T::zero() })
-}
-
-fn limits<T: Real>(sensor: &Sensor) -> (T, T) {
-    (T::real(-sensor.black_level / (sensor.white_level - sensor.black_level)), T::one())
-}
-
 /// Raw values of a normalised signal: black level added, saturated at the white level, rounded to whole DN.
 ///
 /// A signal that is not a number gives 0.
@@ -122,16 +102,10 @@ pub fn quantise<T: Real>(y: ArrayView2<'_, T>, sensor: &Sensor) -> Array2<u16> {
     y.mapv(|v| (black + v.to_double() * (white - black)).round().clamp(0.0, white.floor()) as u16)
 }
 
-/// The normalised signal of raw values: black 0, white 1. Noise below black stays negative.
-pub fn normalise<T: Real>(raw: ArrayView2<'_, u16>, sensor: &Sensor) -> Array2<T> {
-    let (black, scale) = (sensor.black_level, 1.0 / (sensor.white_level - sensor.black_level));
-    raw.mapv(|v| T::real((f64::from(v) - black) * scale))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_abs, assert_rel, central_difference};
+    use crate::testing::{assert_rel, central_difference};
 
     #[test]
     fn draws_are_normal_seeded_and_independent_of_threads() {
@@ -179,17 +153,10 @@ mod tests {
     }
 
     #[test]
-    fn quantising_rounds_saturates_and_inverts() {
+    fn quantising_rounds_and_saturates() {
         let sensor = Sensor::generic();
         let y = ndarray::arr2(&[[0.0, 1.0, 2.0, -1.0, 0.5, f64::NAN]]);
         let raw = quantise(y.view(), &sensor);
         assert_eq!(raw, ndarray::arr2(&[[256, 4095, 4095, 0, 2176, 0]]));
-        let back: Array2<f64> = normalise(raw.view(), &sensor);
-        assert_abs(back[[0, 4]], 0.5, 0.5001 / 3839.0, "half");
-        assert_eq!((back[[0, 0]], back[[0, 1]]), (0.0, 1.0));
-        assert_eq!(clip(y.slice(ndarray::s![.., ..5]), &sensor)[[0, 3]], back[[0, 3]]);
-        let bar = Array2::ones((1, 5));
-        let pulled = clip_vjp(y.slice(ndarray::s![.., ..5]), bar.view(), &sensor);
-        assert_eq!(pulled, ndarray::arr2(&[[1.0, 1.0, 0.0, 0.0, 1.0]]));
     }
 }

@@ -29,18 +29,6 @@ impl Spectrum {
     pub fn quadrature(sensor: &Sensor, n: usize) -> Self {
         SpectralDensity::new(sensor).quadrature(n)
     }
-
-    /// The same wavelengths and weights for every channel, for instance those of a lens file.
-    ///
-    /// # Panics
-    /// If the lists differ in length, or the weights do not sum to a positive number.
-    pub fn uniform(wavelength_nm: &[f64], weight: &[f64]) -> Self {
-        assert_eq!(wavelength_nm.len(), weight.len(), "one weight a wavelength");
-        let sum: f64 = weight.iter().sum();
-        assert!(sum > 0.0, "weights sum to {sum}");
-        let weight: Vec<f64> = weight.iter().map(|w| w / sum).collect();
-        Self { wavelength_nm: wavelength_nm.to_vec(), weight: std::array::from_fn(|_| weight.clone()) }
-    }
 }
 
 /// The continuous densities behind a [`Spectrum`], for sampling.
@@ -122,19 +110,6 @@ impl SpectralDensity {
         self.nm[i] + t.clamp(0.0, width)
     }
 
-    /// First and last wavelength of the densities, nm.
-    pub fn range_nm(&self) -> [f64; 2] {
-        [self.nm[0], self.nm[self.nm.len() - 1]]
-    }
-
-    /// Mean wavelength of a channel, nm.
-    ///
-    /// # Panics
-    /// If `channel` is not 0, 1 or 2.
-    pub fn mean_nm(&self, channel: usize) -> f64 {
-        self.moments(channel, self.nm[0], self.nm[self.nm.len() - 1]).1
-    }
-
     /// Integrals of `p` and `λ p` of a channel from `from` to `to`.
     fn moments(&self, channel: usize, from: f64, to: f64) -> (f64, f64) {
         let p = &self.density[channel];
@@ -214,6 +189,10 @@ mod tests {
         sum / mass
     }
 
+    fn mean_nm(density: &SpectralDensity, channel: usize) -> f64 {
+        density.moments(channel, density.nm[0], density.nm[density.nm.len() - 1]).1
+    }
+
     /// Gaussian blur values whose width and position drift with wavelength.
     fn blurs() -> Vec<impl Fn(f64) -> f64> {
         let mut cases = Vec::new();
@@ -264,7 +243,7 @@ mod tests {
             for c in 0..3 {
                 let power = |nm: f64| light.relative_power(nm);
                 let mean = integral(&sensor, c, |x| x * power(x)) / integral(&sensor, c, power);
-                assert!((density.mean_nm(c) - mean).abs() < 1e-3, "{light:?} {c}: {} {mean}", density.mean_nm(c));
+                assert!((mean_nm(&density, c) - mean).abs() < 1e-3, "{light:?} {c}: {} {mean}", mean_nm(&density, c));
                 assert!((mean - integral(&sensor, c, |x| x)).abs() > 0.01, "{light:?} {c}: {mean}");
             }
             let rule = density.quadrature(7);
@@ -288,7 +267,7 @@ mod tests {
             let mean = nm.iter().sum::<f64>() / f64::from(n);
             let square = nm.iter().map(|v| (v - 550.0).powi(2)).sum::<f64>() / f64::from(n);
             assert!((mean - integral(&sensor, c, |x| x)).abs() < 1e-3);
-            assert!((mean - density.mean_nm(c)).abs() < 1e-3);
+            assert!((mean - mean_nm(&density, c)).abs() < 1e-3);
             assert!((square - integral(&sensor, c, |x| (x - 550.0).powi(2))).abs() < 1.0);
             assert!(density.sample(c, 0.0) >= 400.0 && density.sample(c, 1.0) <= 700.0);
         }

@@ -2,11 +2,11 @@
 
 use std::f64::consts::PI;
 
-use isoplanat::imaging::reference::white::on_axis;
 use isoplanat::lens::paraxial::first_order;
 use isoplanat::lens::{Aperture, Medium, Shape, Surface, Wavelengths, builtin};
 
 use super::*;
+use crate::white_axis::on_axis;
 
 fn of_surfaces(name: &str, surfaces: Vec<Surface>, stop: usize, aperture: Aperture) -> Lens {
     let mut lens = builtin::lens("cooke_triplet").expect("shipped");

@@ -8,8 +8,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::gradient_accuracy::{GradientAccuracy, Row};
 
-use super::Args;
-use crate::output;
+use super::{Args, tell};
 use crate::progress::Bar;
 use crate::scene::Placed;
 
@@ -79,22 +78,11 @@ pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::
         noise,
         rows,
     };
-    if let Some(path) = &args.svg {
-        output::put(&accuracy.svg(), Some(path), out)?;
-    }
-    if let Some(path) = &args.csv {
-        output::put(&accuracy.csv(), Some(path), out)?;
-    }
-    if args.json {
-        writeln!(out, "{}", accuracy.json())?;
-    } else {
-        writeln!(out, "{}", accuracy.table())?;
-        let [count, side] = accuracy.patches;
-        writeln!(
-            out,
-            "{count} patches of {side}² pixels; {:.2} of their gradients is not common to them: an error well below that moves no design",
-            accuracy.noise
-        )?;
-    }
-    Ok(())
+    let [count, side] = accuracy.patches;
+    let note = format!(
+        "{count} patches of {side}² pixels; {:.2} of their gradients is not common to them: an error well below that moves no design",
+        accuracy.noise
+    );
+    let text = if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) };
+    tell([(&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())], text, out)
 }

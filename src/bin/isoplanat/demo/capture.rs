@@ -80,7 +80,7 @@ pub(crate) fn photograph(
     bar.done(String::new());
     // The Wiener filter in the network's place, tuned against the truth of this very capture.
     let bar = Bar::new(&format!("Wiener filter: {}", unseen.name));
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let whole = Region::whole(frame);
     let ideal: Array3<f32> = renderer.truth(&plane, 0, whole);
     let development = Development {
         balance: Balance::from_sensor(sensor),
@@ -133,7 +133,7 @@ fn valid(frame: &Frame, distortion: &Distortion) -> (usize, usize) {
 /// The scene at pixel centres through a lens of focal length `focal_mm` without distortion or blur.
 fn straight(plane: &Plane, focal_mm: f64, frame: &Frame) -> Array3<f32> {
     let per_pixel = frame.pitch_mm / focal_mm * plane.texels_per_slope;
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let whole = Region::whole(frame);
     let last = plane.texture.dim().0 - 1;
     Array3::from_shape_fn((3, frame.rows, frame.columns), |(c, i, j)| {
         let [x, y] = whole.offset(frame, i, j);
@@ -147,7 +147,7 @@ fn straight(plane: &Plane, focal_mm: f64, frame: &Frame) -> Array3<f32> {
 /// The optics' PSFs for the Wiener filter, `spacing` pixels apart.
 fn local_psfs(renderer: &Renderer, spacing: usize) -> Result<LocalPsfs> {
     let frame = &renderer.plan.frame;
-    let whole = Region { row: 0, col: 0, rows: frame.rows, cols: frame.columns };
+    let whole = Region::whole(frame);
     let grid = NodeGrid::uniform(whole, spacing);
     #[expect(clippy::cast_precision_loss, reason = "pixel positions")]
     let line = |knots: &[isize]| knots.iter().map(|k| *k as f64).collect();

@@ -1,9 +1,7 @@
 //! What the demo does, and how long it may take.
 
 use std::path::PathBuf;
-use std::time::Duration;
 
-use isoplanat::design::run::{Budget, JointSettings, TrainSettings};
 use isoplanat::design::task::{Task, TaskSensor};
 use isoplanat::imaging::render::{RenderPlan, Settings as Fineness};
 use isoplanat::imaging::scene::SceneKind;
@@ -11,12 +9,8 @@ use isoplanat::imaging::sensor::Sensor;
 
 /// Everything the demo's stages need.
 pub(crate) struct Settings {
-    /// Lens, sensor, training scenes.
+    /// Lens, sensor, training scenes, both trainings.
     pub(crate) task: Task,
-    /// The joint stage.
-    pub(crate) joint: JointSettings,
-    /// The final training.
-    pub(crate) train: TrainSettings,
     /// Sampling of final renders.
     pub(crate) fine: Fineness,
     /// Distance between the Wiener filter's PSFs, pixels.
@@ -46,24 +40,15 @@ impl Settings {
         let mut task = Task::demo();
         task.seed = seed;
         task.photos = photos;
-        let seconds = |s: u64| Budget::Time(Duration::from_secs(s));
+        (task.minutes, task.lens_rate) = (Some(135.0 / 60.0), 0.02);
+        let train = &mut task.train;
+        train.scales = 3;
+        (train.minutes, train.constant_epochs, train.decay_epochs) = (Some(285.0 / 60.0), 1.0, 2.0);
+        (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
+        (train.rate, train.loss) = (2e-3, "l1".into());
+        // The demo's camera has its sensor's own noise, and no haze.
+        (train.noise, train.haze) = ([1.0, 1.0], 0.0);
         let base = Self {
-            joint: JointSettings {
-                budget: seconds(135),
-                patch: 128,
-                batch: 2,
-                lens_rate: 0.02,
-                network_rate: 2e-3,
-                settings: Fineness::DESIGN,
-            },
-            train: TrainSettings {
-                budget: seconds(285),
-                regions: 160,
-                region: 256,
-                crop: 192,
-                rate: 2e-3,
-                settings: Fineness::TRAINING,
-            },
             fine: Fineness { samples: 1, wavelengths: 9, ..Fineness::FINE },
             wiener_spacing: 64,
             tile: 320,
@@ -80,13 +65,10 @@ impl Settings {
     fn quick(mut self) -> Self {
         self.task.sensor = Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
         self.task.scenes = 12;
-        self.joint.budget = Budget::Time(Duration::from_secs(10));
-        self.joint.patch = 96;
-        self.joint.batch = 1;
-        self.train.budget = Budget::Time(Duration::from_secs(15));
-        self.train.regions = 40;
-        self.train.region = 160;
-        self.train.crop = 128;
+        (self.task.minutes, self.task.patch_px, self.task.batch) = (Some(10.0 / 60.0), 96, 1);
+        let train = &mut self.task.train;
+        train.minutes = Some(0.25);
+        (train.pairs, train.region_px, train.patch_px) = (40, 160, 128);
         self.fine =
             Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
         self.samples = 32;

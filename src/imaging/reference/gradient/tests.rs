@@ -163,7 +163,7 @@ fn one_ray_agrees_with_differences() {
                         let [p, target] = traced.draw.ends(lane);
                         let colour = traced.tile.colour[lane] as usize;
                         // Weight without n'² cos⁴/Z²: the area.
-                        let area = self.sums.view.rear.disk_area();
+                        let area = std::f64::consts::PI * self.sums.view.rear.disk_radius.powi(2);
                         self.found = Some((p, target, colour, span.channel, area));
                         self.sums.ray_vjp(traced, lane, span.channel, 0.7);
                     }

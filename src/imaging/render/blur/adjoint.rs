@@ -14,7 +14,7 @@ use rayon::prelude::*;
 use super::correlate::{Block, Sums};
 use super::frame::{Frame, Place, Shape};
 use super::node_sums::NodeSums;
-use super::record::{BlurRecord, Wanted};
+use super::record::BlurRecord;
 use super::segments::{Segment, used};
 use crate::math::real::Real;
 
@@ -27,53 +27,25 @@ pub struct BlurBar<T> {
     pub source: Array4<T>,
 }
 
-/// Pulls the cotangent of [`super::blur`] back to the kernels: `[node, channel, phase, row, col]`.
+/// Pulls the cotangent of [`super::blur`] back to the kernels and to the part of the source that the image sees; `bar`
+/// `[channel, row, col]` over the region.
 ///
-/// `bar` `[channel, row, col]` over the region. Kernels of nodes that no lit block uses get zero. Memory: the answer, and
-/// spectra of three rows of nodes.
-///
-/// # Panics
-/// If `bar` does not cover the region, or the record was not made for the kernels' cotangent.
-pub fn blur_kernels_vjp<T: Real>(record: &BlurRecord<T>, bar: ArrayView3<'_, T>) -> Array5<T> {
-    record.check(&bar, Wanted::Kernels);
-    let mut kernels = kernels_like(&record.frame);
-    Pull { record, bar: bar.as_standard_layout().view() }.run(Some(&mut kernels), None);
-    kernels
-}
-
-/// Pulls the cotangent of [`super::blur`] back to the source: `[channel, phase, row, col]` over
-/// `region.grown(size / 2)`, the part of the source that the image sees.
-///
-/// `bar` `[channel, row, col]` over the region. Memory: the answer, and what one row of blocks sees.
+/// Kernels of nodes that no lit block uses get zero. Memory: the answer, spectra of three rows of nodes, and what one row of
+/// blocks sees.
 ///
 /// # Panics
-/// If `bar` does not cover the region, or the record was not made for the source's cotangent.
-pub fn blur_source_vjp<T: Real>(record: &BlurRecord<T>, bar: ArrayView3<'_, T>) -> Array4<T> {
-    record.check(&bar, Wanted::Source);
-    let mut source = source_like(&record.frame);
-    Pull { record, bar: bar.as_standard_layout().view() }.run(None, Some(&mut source));
-    source
-}
-
-/// Both transposes, the cotangent transformed once.
-///
-/// # Panics
-/// If `bar` does not cover the region, or the record was not made for [`Wanted::Both`].
+/// If `bar` does not cover the region.
 pub fn blur_vjp<T: Real>(record: &BlurRecord<T>, bar: ArrayView3<'_, T>) -> BlurBar<T> {
-    record.check(&bar, Wanted::Both);
-    let mut all = BlurBar { kernels: kernels_like(&record.frame), source: source_like(&record.frame) };
-    Pull { record, bar: bar.as_standard_layout().view() }.run(Some(&mut all.kernels), Some(&mut all.source));
+    let Frame { grid, shape, region, .. } = &record.frame;
+    assert_eq!(bar.dim(), (shape.channels, region.rows, region.cols), "the cotangent covers the region");
+    let Shape { size, channels, source_channels, phases } = *shape;
+    let seen = region.grown(size / 2);
+    let mut all = BlurBar {
+        kernels: Array5::from_elem((grid.len(), channels, phases, size, size), T::zero()),
+        source: Array4::from_elem((source_channels, phases, seen.rows, seen.cols), T::zero()),
+    };
+    Pull { record, bar: bar.as_standard_layout().view() }.run(&mut all);
     all
-}
-
-fn kernels_like<T: Real>(frame: &Frame<T>) -> Array5<T> {
-    let Shape { size, channels, phases, .. } = frame.shape;
-    Array5::from_elem((frame.grid.len(), channels, phases, size, size), T::zero())
-}
-
-fn source_like<T: Real>(frame: &Frame<T>) -> Array4<T> {
-    let grown = frame.region.grown(frame.shape.size / 2);
-    Array4::from_elem((frame.shape.source_channels, frame.shape.phases, grown.rows, grown.cols), T::zero())
 }
 
 struct Pull<'a, T: Real> {
@@ -87,69 +59,55 @@ struct Cell<T> {
     group: usize,
     channels: Range<usize>,
     /// Of the kernels, by channel and node.
-    sums: Option<Sums<T>>,
+    sums: Sums<T>,
     /// What the source gets, by block.
     tiles: Vec<Vec<T>>,
 }
 
 impl<T: Real> Pull<'_, T> {
-    fn run(&self, mut kernels: Option<&mut Array5<T>>, mut source: Option<&mut Array4<T>>) {
+    fn run(&self, all: &mut BlurBar<T>) {
         let frame = &self.record.frame;
         for strip in frame.strips_in_memory() {
             let cols = &frame.cols[strip.clone()];
             let mut sums = NodeSums::default();
             for (r, row) in frame.rows.iter().enumerate() {
                 for parity in 0..2 {
-                    let mut cells = self.cells(r, cols, strip.start, parity, source.is_some());
-                    let wanted = source.is_some();
-                    let work = |cells: &mut Vec<Cell<T>>| cells.par_iter_mut().for_each(|c| self.cell(r, c, wanted));
-                    if let Some(out) = kernels.as_deref_mut() {
-                        let mut done = sums.done(&frame.nodes(row, cols));
-                        for cell in &mut cells {
-                            let nodes = cell_nodes(frame, row, &frame.cols[cell.blocks.clone()]);
-                            cell.sums = Some(sums.take(frame, nodes, cell.channels.clone()));
-                        }
-                        rayon::join(|| done.finish(frame, out), || work(&mut cells));
-                        sums.reuse(done);
-                    } else {
-                        work(&mut cells);
-                    }
+                    let mut done = sums.done(&frame.nodes(row, cols));
+                    let mut cells = self.cells(cols, strip.start, parity, |blocks, channels| {
+                        let nodes = cell_nodes(frame, row, &frame.cols[blocks]);
+                        sums.take(frame, nodes, channels)
+                    });
+                    let work = || cells.par_iter_mut().for_each(|c| self.cell(r, c));
+                    rayon::join(|| done.finish(frame, &mut all.kernels), work);
+                    sums.reuse(done);
                     for cell in cells {
-                        if let Some(out) = source.as_deref_mut() {
-                            add_tiles(frame, row, &cell, out);
-                        }
-                        if let Some(of_cell) = cell.sums {
-                            sums.give(of_cell);
-                        }
+                        add_tiles(frame, row, &cell, &mut all.source);
+                        sums.give(cell.sums);
                     }
                 }
             }
-            if let Some(out) = kernels.as_deref_mut() {
-                sums.done(&[]).finish(frame, out);
-            }
+            sums.done(&[]).finish(frame, &mut all.kernels);
         }
     }
 
-    /// Cells of a row of blocks whose number is even or odd; dark ones matter only to the source.
-    fn cells(&self, r: usize, cols: &[Segment<T>], first: usize, parity: usize, dark: bool) -> Vec<Cell<T>> {
-        let shape = self.record.frame.shape;
-        // The source's cotangent is summed over the channels that share it; else every channel is a task.
-        let groups: Vec<_> = if dark || shape.source_channels > 1 {
-            shape.groups().into_iter().enumerate().collect()
-        } else {
-            (0..shape.channels).map(|c| (0, c..c + 1)).collect()
-        };
+    /// Cells of a row of blocks whose number is even or odd, a task for the channels that share a channel of the source.
+    fn cells(
+        &self,
+        cols: &[Segment<T>],
+        first: usize,
+        parity: usize,
+        mut sums: impl FnMut(Range<usize>, Range<usize>) -> Sums<T>,
+    ) -> Vec<Cell<T>> {
+        let groups = self.record.frame.shape.groups();
         let mut cells = Vec::new();
         let mut from = 0;
         while from < cols.len() {
             let to = from + cols[from..].iter().take_while(|c| c.cell == cols[from].cell).count();
             let blocks = first + from..first + to;
             if cols[from].cell % 2 == parity {
-                for (group, channels) in &groups {
-                    if dark || blocks.clone().any(|b| self.record.seen(r, b, *group).is_some()) {
-                        let (blocks, channels) = (blocks.clone(), channels.clone());
-                        cells.push(Cell { blocks, group: *group, channels, sums: None, tiles: Vec::new() });
-                    }
+                for (group, channels) in groups.iter().cloned().enumerate() {
+                    let sums = sums(blocks.clone(), channels.clone());
+                    cells.push(Cell { blocks: blocks.clone(), group, channels, sums, tiles: Vec::new() });
                 }
             }
             from = to;
@@ -157,23 +115,18 @@ impl<T: Real> Pull<'_, T> {
         cells
     }
 
-    fn cell(&self, r: usize, cell: &mut Cell<T>, source: bool) {
+    fn cell(&self, r: usize, cell: &mut Cell<T>) {
         let frame = &self.record.frame;
         frame.pool.with(&frame.plane, |scratch| {
             for b in cell.blocks.clone() {
                 let place = Place { row: &frame.rows[r], col: &frame.cols[b] };
                 let seen = self.record.seen(r, b, cell.group);
-                let block = Block { frame, place, kernels: &self.record.kernels, seen, source };
-                if !source && seen.is_none() {
-                    continue;
-                }
+                let block = Block { frame, place, kernels: &self.record.kernels, seen };
                 block.start(scratch);
                 for channel in cell.channels.clone() {
-                    block.add(self.bar, channel, cell.sums.as_mut(), scratch);
+                    block.add(self.bar, channel, &mut cell.sums, scratch);
                 }
-                if source {
-                    cell.tiles.push(block.tile(scratch));
-                }
+                cell.tiles.push(block.tile(scratch));
             }
         });
     }
@@ -212,8 +165,8 @@ mod tests {
         a.into_iter().zip(b).map(|(a, b)| a.to_double() * b.to_double()).sum()
     }
 
-    fn recorded<T: Real>(case: &Case<T>, wanted: Wanted) -> (Array3<T>, BlurRecord<T>) {
-        blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, case.block, wanted)
+    fn recorded<T: Real>(case: &Case<T>) -> (Array3<T>, BlurRecord<T>) {
+        blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, case.block)
     }
 
     fn random<T: Real>(dim: (usize, usize, usize), rng: &mut fastrand::Rng) -> Array3<T> {
@@ -223,7 +176,7 @@ mod tests {
     /// ⟨ȳ, y⟩ = ⟨k̄, k⟩ = ⟨s̄, s⟩, relative to ‖ȳ‖ ‖y‖: the map is linear in kernels and in source.
     fn check<T: Real>(case: &Case<T>, tolerance: f64) {
         let rng = &mut fastrand::Rng::with_seed(8);
-        let (y, record) = recorded(case, Wanted::Both);
+        let (y, record) = recorded(case);
         let bar = random::<T>(y.dim(), rng);
         let pairing = dot(y.iter().copied(), bar.iter().copied());
         let scale = (dot(y.iter().copied(), y.iter().copied()) * dot(bar.iter().copied(), bar.iter().copied())).sqrt();
@@ -253,9 +206,9 @@ mod tests {
             let (_, channels, ..) = case.kernels.dim();
             let bar = random::<f64>((channels, case.region.rows, case.region.cols), rng);
             let (kernels, source) = case.plain_vjp(&bar);
-            let bars = blur_vjp(&recorded(&case, Wanted::Both).1, bar.view());
+            let bars = blur_vjp(&recorded(&case).1, bar.view());
             let single = case.cast::<f32>();
-            let (single, bar) = (recorded(&single, Wanted::Both).1, bar.mapv(|v| v as f32));
+            let (single, bar) = (recorded(&single).1, bar.mapv(|v| v as f32));
             let singles = blur_vjp(&single, bar.view());
             for (error, tolerance) in [
                 (difference(&bars.kernels, &kernels), 1e-12),
@@ -268,28 +221,13 @@ mod tests {
         }
     }
 
-    /// One cotangent alone is that of both, from a smaller record, and the image is that of the blur, to the bit.
+    /// The recorded image is that of the blur, to the bit.
     #[test]
-    fn what_is_not_wanted_is_left_out() {
+    fn a_recorded_image_is_the_blurs() {
         for case in cases() {
-            let image = blur(
-                &case.grid,
-                &case.kernels(),
-                &case.source(),
-                case.region,
-                Method::Cells { block: case.block },
-                &|_| {},
-            );
-            let (y, both) = recorded(&case, Wanted::Both);
-            assert_eq!(y, image, "{}", case.name);
-            let bar = image.mapv(|v| (v * 3.0).sin());
-            let bars = blur_vjp(&both, bar.view());
-            let (_, kernels) = recorded(&case, Wanted::Kernels);
-            let (_, source) = recorded(&case, Wanted::Source);
-            let error = difference(&blur_kernels_vjp(&kernels, bar.view()), &bars.kernels);
-            assert!(error < 1e-14, "{}: {error:e}", case.name);
-            assert_eq!(blur_source_vjp(&source, bar.view()), bars.source, "{}", case.name);
-            assert_eq!(kernels.bytes() + source.bytes(), both.bytes());
+            let method = Method::Cells { block: case.block };
+            let image = blur(&case.grid, &case.kernels(), &case.source(), case.region, method, &|_| {});
+            assert_eq!(recorded(&case).0, image, "{}", case.name);
         }
     }
 
@@ -301,7 +239,7 @@ mod tests {
             let bar = Array3::from_shape_fn(dim, |(c, i, j)| (c + 3 * i + 7 * j) as f64 * 0.1);
             let of = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads start");
-                pool.install(|| blur_vjp(&recorded(&case, Wanted::Both).1, bar.view()))
+                pool.install(|| blur_vjp(&recorded(&case).1, bar.view()))
             };
             let (one, three) = (of(1), of(3));
             assert_eq!(one.kernels, three.kernels, "{}", case.name);

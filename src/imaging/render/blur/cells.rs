@@ -19,21 +19,21 @@ use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
-use super::{Kernels, Source, record::Keep};
+use super::{Kernels, Source};
 use crate::math::real::Real;
 use crate::math::wide::prefetch;
 
 /// A block's source spectra, `[phase][column frequency][row frequency]`.
 pub(super) type Kept<T> = Vec<Complex<T>>;
 
-/// Blurs all blocks of `frame`; what `keep` asks for stays: kernels' spectra in `spectra`, those of the source of every
-/// block (`[row][col][source channel]`, none where it is dark) in the answer.
+/// Blurs all blocks of `frame`. With `keep` the kernels' spectra stay in `spectra`, those of the source of every block
+/// (`[row][col][source channel]`, none where it is dark) in the answer.
 pub(super) fn blur_cells<T: Real>(
     frame: &Frame<T>,
     kernels: &dyn Kernels<T>,
     source: &dyn Source<T>,
     spectra: &mut NodeSpectra<T>,
-    keep: Keep,
+    keep: bool,
     progress: &(dyn Fn(f64) + Sync),
 ) -> (Array3<T>, Vec<Option<Kept<T>>>) {
     let shape = frame.shape;
@@ -41,7 +41,7 @@ pub(super) fn blur_cells<T: Real>(
     let mut out = Array3::from_elem((shape.channels, frame.region.rows, frame.region.cols), T::zero());
     let across = frame.cols.len() * groups.len();
     let mut kept: Vec<Option<Kept<T>>> = Vec::new();
-    if keep.source {
+    if keep {
         kept.resize_with(frame.rows.len() * across, || None);
     }
     let strips = frame.strips_in_memory();
@@ -55,14 +55,14 @@ pub(super) fn blur_cells<T: Real>(
             let seen = frame.seen(Place { row, col: &cols[0] });
             band.advance(source, seen.row, seen.rows);
             let lit: Vec<bool> = cols.iter().map(|col| band.lit(frame, Place { row, col })).collect();
-            if lit.contains(&true) || keep.kernels {
+            if lit.contains(&true) || keep {
                 let nodes = frame.nodes(row, cols);
-                if !keep.kernels {
+                if !keep {
                     spectra.keep(&nodes);
                 }
                 spectra.add(frame, kernels, &nodes);
             }
-            let all = Row { frame, band: &band, spectra, keep: keep.source };
+            let all = Row { frame, band: &band, spectra, keep };
             let from = r * across + strip.start * groups.len();
             let new = all.blur(row, cols, &lit, &mut image);
             kept.iter_mut().skip(from).zip(new).for_each(|(k, n)| *k = n);

@@ -52,32 +52,22 @@ impl<T: Real> NodeSum<T> {
 pub(super) struct Block<'a, T: Real> {
     pub frame: &'a Frame<T>,
     pub place: Place<'a, T>,
-    /// Spectra of the kernels, if the source's cotangent is wanted.
+    /// Spectra of the kernels.
     pub kernels: &'a NodeSpectra<T>,
     /// Spectra of the source, if it was lit.
     pub seen: Option<&'a [Complex<T>]>,
-    /// Whether the source's cotangent is wanted.
-    pub source: bool,
 }
 
 impl<T: Real> Block<'_, T> {
     /// Makes the spectra of the source's cotangent zero.
     pub(super) fn start(&self, scratch: &mut Scratch<T>) {
-        if self.source {
-            let len = self.frame.shape.phases * self.frame.plane.spectrum_len();
-            reserve(&mut scratch.spectra, len);
-            scratch.spectra[..len].fill(zero());
-        }
+        let len = self.frame.shape.phases * self.frame.plane.spectrum_len();
+        reserve(&mut scratch.spectra, len);
+        scratch.spectra[..len].fill(zero());
     }
 
     /// Adds the correlations of one channel's cotangent to the sums of the nodes, and to those of the source.
-    pub(super) fn add(
-        &self,
-        bar: ArrayView3<'_, T>,
-        channel: usize,
-        mut sums: Option<&mut Sums<T>>,
-        scratch: &mut Scratch<T>,
-    ) {
+    pub(super) fn add(&self, bar: ArrayView3<'_, T>, channel: usize, sums: &mut Sums<T>, scratch: &mut Scratch<T>) {
         self.turn(bar, channel, scratch);
         let plane = &self.frame.plane;
         let nodes = self.frame.corners(self.place);
@@ -89,20 +79,18 @@ impl<T: Real> Block<'_, T> {
             let columns = &mut columns[..nodes.len() * span.len()];
             self.columns(from, width, mixed, columns);
             // The next columns come while these are transformed.
-            self.fetch(next_columns(plane.rows, plane.half, from), channel, &nodes, sums.as_deref_mut());
+            self.fetch(next_columns(plane.rows, plane.half, from), channel, &nodes, sums);
             plane.columns_forward(buffers, columns);
             for (node, column) in nodes.iter().zip(columns.chunks_exact(span.len())) {
-                let mut sum = sums.as_deref_mut().and_then(|s| s.of(channel, *node));
+                let mut sum = sums.of(channel, *node);
                 for phase in 0..self.frame.shape.phases {
                     let at = phase * plane.spectrum_len();
                     let at = at + span.start..at + span.end;
                     if let (Some(sum), Some(seen)) = (sum.as_deref_mut(), self.seen) {
                         sum.add(at.clone(), &seen[at.clone()], column);
                     }
-                    if self.source {
-                        let kernel = &self.kernels.plane(self.frame, *node, channel, phase)[span.clone()];
-                        correlate::<T, true>(&mut spectra[at], kernel, column);
-                    }
+                    let kernel = &self.kernels.plane(self.frame, *node, channel, phase)[span.clone()];
+                    correlate::<T, true>(&mut spectra[at], kernel, column);
                 }
             }
         }
@@ -123,17 +111,15 @@ impl<T: Real> Block<'_, T> {
     }
 
     /// Asks for what the columns of `span` will be multiplied with and added to.
-    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], mut sums: Option<&mut Sums<T>>) {
+    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], sums: &mut Sums<T>) {
         for phase in 0..self.frame.shape.phases {
             let at = phase * self.frame.plane.spectrum_len();
             let at = at + span.start..at + span.end;
             for node in nodes {
-                if let Some(sum) = sums.as_deref_mut().and_then(|s| s.of(channel, *node)) {
+                if let Some(sum) = sums.of(channel, *node) {
                     prefetch(&sum.values[at.clone()]);
                 }
-                if self.source {
-                    prefetch(&self.kernels.plane(self.frame, *node, channel, phase)[span.clone()]);
-                }
+                prefetch(&self.kernels.plane(self.frame, *node, channel, phase)[span.clone()]);
             }
             if let Some(seen) = self.seen {
                 prefetch(&seen[at]);
@@ -142,8 +128,8 @@ impl<T: Real> Block<'_, T> {
     }
 
     /// Marks the sums of the block's nodes as added to.
-    fn mark(&self, channel: usize, sums: Option<&mut Sums<T>>) {
-        if let (Some(sums), Some(_)) = (sums, self.seen) {
+    fn mark(&self, channel: usize, sums: &mut Sums<T>) {
+        if self.seen.is_some() {
             for node in self.frame.corners(self.place) {
                 if let Some(sum) = sums.of(channel, node) {
                     sum.added = true;

@@ -32,8 +32,8 @@ use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
 
-pub use adjoint::{BlurBar, blur_kernels_vjp, blur_source_vjp, blur_vjp};
-pub use record::{BlurRecord, Wanted, blur_recorded};
+pub use adjoint::{BlurBar, blur_vjp};
+pub use record::{BlurRecord, blur_recorded};
 
 /// Kernels of the nodes, asked for when needed.
 pub trait Kernels<T>: Sync {
@@ -91,8 +91,7 @@ pub fn blur<T: Real>(
     match method {
         Method::Cells { block } => {
             let frame = frame::Frame::new(grid, shape, region, block);
-            let (spectra, keep) = (&mut spectra::NodeSpectra::new(), record::Keep::NOTHING);
-            cells::blur_cells(&frame, kernels, source, spectra, keep, progress).0
+            cells::blur_cells(&frame, kernels, source, &mut spectra::NodeSpectra::new(), false, progress).0
         }
         Method::Direct => direct::blur_direct(grid, kernels, source, region, progress),
     }

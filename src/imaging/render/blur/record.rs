@@ -1,6 +1,6 @@
 //! The blur and what its cotangents need.
 
-use ndarray::{Array3, ArrayView3};
+use ndarray::Array3;
 use rustfft::num_complex::Complex;
 
 use super::cells::{Kept, blur_cells};
@@ -11,36 +11,13 @@ use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
 
-/// Which spectra a recorded blur keeps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct Keep {
-    pub kernels: bool,
-    pub source: bool,
-}
-
-impl Keep {
-    pub(super) const NOTHING: Self = Self { kernels: false, source: false };
-}
-
-/// Which cotangents will be asked for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Wanted {
-    /// Those of the kernels: the record keeps the source's spectra.
-    Kernels,
-    /// Those of the source: the record keeps the kernels' spectra.
-    Source,
-    /// Both.
-    Both,
-}
-
 /// What [`blur_recorded`] keeps for the cotangents.
 ///
 /// Spectra of `H × N` complex numbers, where `N` is the transform's size, a little more than a block and a kernel, and
-/// `H = N / 2 + 1`: one a block, source channel and phase for [`Wanted::Kernels`] (blocks that see no light have none),
-/// one a node, channel and phase for [`Wanted::Source`].
+/// `H = N / 2 + 1`: one a block, source channel and phase (blocks that see no light have none) for the kernels' cotangent,
+/// one a node, channel and phase for the source's.
 pub struct BlurRecord<T: Real> {
     pub(super) frame: Frame<T>,
-    pub(super) wanted: Wanted,
     pub(super) kernels: NodeSpectra<T>,
     /// `[row of blocks][column of blocks][source channel]`.
     pub(super) source: Vec<Option<Kept<T>>>,
@@ -49,20 +26,14 @@ pub struct BlurRecord<T: Real> {
 impl<T: Real> BlurRecord<T> {
     /// Bytes of the spectra it keeps.
     pub fn bytes(&self) -> usize {
-        let source = self.source.iter().flatten().map(|s| s.len() * size_of::<Complex<T>>()).sum::<usize>();
-        source + if self.wanted == Wanted::Kernels { 0 } else { self.kernels.bytes() }
+        let source = self.source.iter().flatten().map(|s| s.len() * size_of::<Complex<T>>());
+        source.sum::<usize>() + self.kernels.bytes()
     }
 
     /// The source spectra of one block, `[phase][column frequency][row frequency]`; none if it sees no light.
     pub(super) fn seen(&self, row: usize, col: usize, channel: usize) -> Option<&[Complex<T>]> {
         let at = (row * self.frame.cols.len() + col) * self.frame.shape.source_channels + channel;
         self.source.get(at).and_then(|s| s.as_deref())
-    }
-
-    pub(super) fn check(&self, bar: &ArrayView3<'_, T>, wanted: Wanted) {
-        let Frame { shape, region, .. } = &self.frame;
-        assert_eq!(bar.dim(), (shape.channels, region.rows, region.cols), "the cotangent covers the region");
-        assert!(self.wanted == wanted || self.wanted == Wanted::Both, "the record was made for {:?}", self.wanted);
     }
 }
 
@@ -78,14 +49,9 @@ pub fn blur_recorded<T: Real>(
     source: &dyn Source<T>,
     region: Region,
     block: usize,
-    wanted: Wanted,
 ) -> (Array3<T>, BlurRecord<T>) {
     let frame = Frame::new(grid, Shape::of(kernels, source), region, block);
-    let keep = Keep { kernels: wanted != Wanted::Kernels, source: wanted != Wanted::Source };
     let mut spectra = NodeSpectra::new();
-    let (image, kept) = blur_cells(&frame, kernels, source, &mut spectra, keep, &|_| {});
-    if !keep.kernels {
-        spectra = NodeSpectra::new();
-    }
-    (image, BlurRecord { frame, wanted, kernels: spectra, source: kept })
+    let (image, kept) = blur_cells(&frame, kernels, source, &mut spectra, true, &|_| {});
+    (image, BlurRecord { frame, kernels: spectra, source: kept })
 }
