@@ -12,6 +12,7 @@ use super::constraint::Constraints;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::metrics::decibel;
+use crate::imaging::render::gradient_error::Chosen;
 use crate::imaging::render::{RenderPlan, Renderer};
 use crate::lens::variables::Variables;
 use crate::lens::{Lens, prescription};
@@ -56,6 +57,8 @@ pub struct Joint {
     pub constraints: Constraints,
     /// Steps that were taken back.
     pub rejected: usize,
+    /// How finely it was rendered: settings with their gradient's error, and the step from which on they were used.
+    pub fineness: Vec<(usize, Chosen)>,
     values: Vec<f64>,
     good: Vec<f64>,
     adam: Adam,
@@ -97,7 +100,18 @@ impl Joint {
     pub fn new(lens: Lens, network: Reconstructor, variables: Variables, constraints: Constraints) -> Self {
         let values = variables.values(&lens);
         let adam = Adam::new(values.len());
-        Self { lens, network, variables, constraints, rejected: 0, good: values.clone(), values, adam, damping: 1.0 }
+        Self {
+            lens,
+            network,
+            variables,
+            constraints,
+            rejected: 0,
+            fineness: Vec::new(),
+            good: values.clone(),
+            values,
+            adam,
+            damping: 1.0,
+        }
     }
 
     /// The lens now, traced for `plan`, with widths and nodes anew if `replan`; a lens that fails is taken back to its last good
@@ -282,7 +296,7 @@ mod tests {
             batch: 1,
             lens_rate: 0.01,
             network_rate: 1e-3,
-            settings: SETTINGS,
+            settings: None,
         };
         let run = || {
             let net = network(4, 1).expect("valid");
@@ -290,6 +304,8 @@ mod tests {
         };
         let (a, b) = (run(), run());
         assert_eq!(a.lens, b.lens);
+        assert_eq!(a.fineness, b.fineness);
+        assert!(a.fineness.len() == 1 && a.fineness[0].1.holds, "{:?}", a.fineness);
         assert_ne!(a.lens, lens);
         assert_eq!(a.network.parameters(), b.network.parameters());
     }

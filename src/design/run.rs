@@ -14,6 +14,7 @@ use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
+use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::SpectralDensity;
@@ -79,8 +80,8 @@ pub struct JointSettings {
     pub lens_rate: f64,
     /// Largest step of the network.
     pub network_rate: f64,
-    /// How finely it is rendered.
-    pub settings: Settings,
+    /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
+    pub settings: Option<Settings>,
 }
 
 impl JointSettings {
@@ -95,7 +96,7 @@ impl JointSettings {
             batch: task.batch,
             lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
             network_rate: task.network_rate,
-            settings: Settings::DESIGN,
+            settings: None,
         })
     }
 }
@@ -105,6 +106,25 @@ const SMOOTH: usize = 10;
 
 /// Steps between plans.
 const REPLAN: usize = 25;
+/// Patches that settings are chosen by.
+const JUDGED: usize = 6;
+/// The step at which settings are chosen again for the first time; then at every doubling.
+const AGAIN: usize = 100;
+
+/// Settings whose gradient is well below the noise of patches like those that `renderer`'s lens will be designed on.
+fn choose(
+    scenery: &Scenery<'_>,
+    density: &SpectralDensity,
+    lens: &Lens,
+    renderer: &Renderer,
+    (side, step): (usize, usize),
+) -> Result<Chosen> {
+    let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x6669_6e65 ^ step as u64);
+    let map = &renderer.optics.maps[0];
+    let drawn: Vec<Patch> = (0..JUDGED).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, side)).collect();
+    let parts = drawn.iter().map(|p| (&p.scene, p.region)).collect();
+    cheapest(&Patches { lens, frame: &scenery.frame, density, parts })
+}
 
 /// The joint stage's rates, of their largest: a rise over the first 3 %, while both of Adam's averages are young and the lens
 /// must not be thrown, then a half cosine to zero.
@@ -124,7 +144,10 @@ pub fn joint_stage(
     let density = SpectralDensity::new(scenery.sensor);
     let electronics = Electronics::of(scenery.sensor);
     let v = lens.object_vergence;
-    let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings.settings)?;
+    let first = settings.settings.unwrap_or(Settings::DESIGN);
+    let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], first)?;
+    let chooses = settings.settings.is_none() && settings.lens_rate > 0.0;
+    let mut again = 0;
     let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let (mut history, mut recent) = (Vec::new(), Vec::new());
@@ -138,6 +161,20 @@ pub fn joint_stage(
         if step > 0 && settings.lens_rate > 0.0 {
             // Windows and nodes follow the PSF as the lens gets better.
             renderer = joint.renderer(&renderer.plan, step % REPLAN == 0)?;
+        }
+        // A lens that grows sharper needs finer settings; one that cannot be judged now keeps those it has.
+        if chooses
+            && step == again
+            && let Ok(chosen) = choose(scenery, &density, &joint.lens, &renderer, (settings.patch, step))
+        {
+            joint.fineness.push((step, chosen));
+            if chosen.settings != renderer.plan.settings {
+                let finer = Renderer::planned(&joint.lens, &scenery.frame, &density, &[v], chosen.settings);
+                renderer = finer.unwrap_or(renderer);
+            }
+        }
+        if step == again {
+            again = (2 * again).max(AGAIN);
         }
         let map = &renderer.optics.maps[0];
         let patches: Vec<Patch> =

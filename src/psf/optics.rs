@@ -133,6 +133,15 @@ impl Optics {
         Ok(Self { spec: spec.clone(), table, illumination, maps })
     }
 
+    /// The same with the illumination at another number of radii, less one.
+    #[must_use]
+    pub fn illuminated(mut self, illuminations: u32) -> Self {
+        let radius_mm = self.illumination.radii_mm[self.illumination.radii_mm.len() - 1];
+        self.illumination = Illumination::compute(&self.table, radius_mm, illuminations);
+        self.spec.illuminations = illuminations;
+        self
+    }
+
     /// Channels.
     pub fn channels(&self) -> usize {
         self.spec.quadrature.weight.len()

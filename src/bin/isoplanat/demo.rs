@@ -158,6 +158,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.before = Some(LensView::new(&start, depth, settings.atlas)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
     report.settings = settings.describe(&sensor, &renderer.plan);
+    let finer = joint.fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
+    report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
         "A coarse two-element lens and a small network are designed together; the network is then trained for \

@@ -60,7 +60,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     };
     let last = history.last().copied();
     if args.json {
-        let value = serde_json::json!({ "schema": 1, "last": last, "validation": judged, "rejected": joint.rejected });
+        let value = serde_json::json!({ "schema": 1, "last": last, "validation": judged, "rejected": joint.rejected,
+            "fineness": joint.fineness });
         writeln!(out, "{value}")?;
     } else {
         if let Some(e) = last {
@@ -70,6 +71,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             writeln!(out, "validation  L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
         }
         writeln!(out, "steps taken back: {}", joint.rejected)?;
+        for (step, chosen) in &joint.fineness {
+            writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
+        }
     }
     Ok(())
 }

@@ -94,7 +94,8 @@ pub struct Choice {
     pub grid: NodeGrid,
     /// Interpolation error between nodes that was seen, relative L2.
     pub node_error: f64,
-    /// Predicted PSNR in linear light for a range of 1.
+    /// Predicted PSNR in linear light for a range of 1: the probes' mean square with its standard error added. Few places of a
+    /// picture make most of its error, so that the mean over probes alone is more often too small than too large.
     pub psnr_db: f64,
     /// Whether it holds the request (with the margin).
     pub holds: bool,
@@ -257,7 +258,7 @@ pub fn cheapest(
                             half_width: windows.setting.1,
                             grid: nodes.setting.2.clone(),
                             node_error: nodes.setting.1,
-                            psnr_db: decibel(mean),
+                            psnr_db: decibel(mean + error),
                             holds,
                         };
                         if holds {

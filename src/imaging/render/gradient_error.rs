@@ -174,6 +174,23 @@ pub struct Chosen {
     pub holds: bool,
 }
 
+impl Chosen {
+    /// In words.
+    pub fn describe(&self) -> String {
+        let s = &self.settings;
+        format!(
+            "{} wavelengths, {} points of the stop, field nodes within {}, kernels of half-width {} cells at most: lens gradient off by {:.1} % {} ({:.0} % of patches' gradients is their own)",
+            s.wavelengths,
+            s.dense,
+            s.node_error,
+            s.cells,
+            100.0 * self.error,
+            if self.holds { "as wished" } else { "though less was wished, the finest there are" },
+            100.0 * self.noise
+        )
+    }
+}
+
 /// The coarsest settings of [`LADDER`] whose gradient is well below the noise of the patches; the same for the same patches.
 ///
 /// # Errors

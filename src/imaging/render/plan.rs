@@ -22,7 +22,7 @@ const LANDING_ERROR_PX: f64 = 0.02;
 /// Largest error of their étendue between the table's radii, relative.
 const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
-const ILLUMINATIONS: u32 = 192;
+pub(super) const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
 pub(super) const LOOK: usize = 2000;
 /// Coarsest cells, pixels.

@@ -6,7 +6,7 @@ use super::choose::{Choice, Ladders, bound};
 use super::coarse::cells;
 use super::measure::FINE_WAVELENGTHS;
 use super::needs::{Channels, Needs, check};
-use super::plan::{DepthPlan, RenderPlan, Settings, depth_plan, quadrature, spec};
+use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature, spec};
 use super::renderer::{Renderer, Seen};
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
@@ -67,6 +67,8 @@ pub struct ScenePlan {
 
 /// Wavelengths of the optics that place nodes and find what light can reach.
 const FEW_WAVELENGTHS: usize = 3;
+/// Radii of their illumination, less one: probes compare ways under the same light.
+const DRAFT_ILLUMINATIONS: u32 = 32;
 /// Spacing of the nodes where nothing is left out, cells.
 const FULL_SPACING: usize = 16;
 
@@ -167,7 +169,7 @@ impl<'a> Draft<'a> {
         };
         let rule = |count| quadrature(density, count, &[0, 1, 2]);
         let (light, table_error) = spec(lens, frame, &[vergence], rule(FEW_WAVELENGTHS), base.degree)?;
-        let light = Optics::compute(lens, &light)?;
+        let light = Optics::compute(lens, &OpticsSpec { illuminations: DRAFT_ILLUMINATIONS, ..light })?;
         let colours = Optics::compute(lens, &OpticsSpec { quadrature: rule(many), ..light.spec.clone() })?;
         let whole = Region::whole(frame);
         let first = depth_plan(&colours, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
@@ -205,7 +207,7 @@ impl<'a> Draft<'a> {
             _ => {
                 let depth = depth_plan(&self.colours, self.frame, 0, self.region.unwrap_or(whole), base)?;
                 let predicted = measured.and_then(|(_, l)| l.predicted(&base, first.half_width));
-                Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(|p| decibel(p.0)) }
+                Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(|p| decibel(p.0 + p.1)) }
             }
         })
     }
@@ -214,10 +216,11 @@ impl<'a> Draft<'a> {
     fn finished(self, lens: &Lens, chosen: Chosen, everything: bool) -> Result<ScenePlan> {
         let Chosen { settings, depth, holds, predicted_db } = chosen;
         let optics = if settings.wavelengths == self.colours.spec.quadrature.nm.len() {
-            self.colours
+            self.colours.illuminated(ILLUMINATIONS)
         } else {
             let quadrature = quadrature(self.density, settings.wavelengths, &[0, 1, 2]);
-            Optics::compute(lens, &OpticsSpec { quadrature, ..self.colours.spec })?
+            let spec = OpticsSpec { quadrature, illuminations: ILLUMINATIONS, ..self.colours.spec };
+            Optics::compute(lens, &spec)?
         };
         let (frame, spec) = (self.frame.clone(), optics.spec.clone());
         let plan = RenderPlan { frame, settings, spec, table_error: self.table_error, depths: vec![depth] };
