@@ -67,7 +67,7 @@ impl Settings {
         self.task.scenes = 12;
         (self.task.minutes, self.task.patch_px, self.task.batch) = (Some(10.0 / 60.0), 96, 1);
         let train = &mut self.task.train;
-        train.minutes = Some(0.25);
+        train.minutes = Some(0.3);
         (train.pairs, train.region_px, train.patch_px) = (40, 160, 128);
         self.fine =
             Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
