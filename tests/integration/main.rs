@@ -10,6 +10,7 @@ mod one_way;
 mod parity;
 mod picture;
 mod renderers;
+mod skips;
 mod stiff;
 mod support;
 mod throughput;

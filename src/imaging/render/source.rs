@@ -136,8 +136,8 @@ impl<'a> WarpedScene<'a> {
         &self.texture.as_slice().expect("standard layout")[channel * rows * cols..][..rows * cols]
     }
 
-    /// Tells `visit` every point: its phase, row and column in the region, and its tap and offset.
-    fn points(&self, region: Region, row: usize, mut visit: impl FnMut(usize, usize, Tap, [f64; 2])) {
+    /// Tells `visit` every point of a row of the region: its phase, its column there, its offset.
+    fn points(&self, region: Region, row: usize, mut visit: impl FnMut(usize, usize, [f64; 2])) {
         let (m, b) = (self.samples, self.average);
         let n = m * b;
         for fy in 0..n {
@@ -146,7 +146,7 @@ impl<'a> WarpedScene<'a> {
                 let phase = (fy / b) * m + fx / b;
                 for j in 0..region.cols {
                     let x = Self::place(region.col + j.cast_signed(), fx, n, self.frame.axis_px[0]);
-                    visit(phase, j, self.tap([x, y]), [x, y]);
+                    visit(phase, j, [x, y]);
                 }
             }
         }
@@ -161,7 +161,8 @@ impl<'a> WarpedScene<'a> {
         for i in 0..region.rows {
             sums.fill(0.0);
             let phases = self.samples * self.samples;
-            self.points(region, i, |phase, j, tap, _| {
+            self.points(region, i, |phase, j, offset| {
+                let tap = self.tap(offset);
                 for (c, channel) in self.channels.iter().enumerate() {
                     sums[(c * phases + phase) * region.cols + j] += tap.of(self.plane(*channel));
                 }
@@ -184,11 +185,12 @@ impl<'a> WarpedScene<'a> {
             .into_par_iter()
             .map(|i| {
                 let mut sum = vec![0.0; coefficients_bar.len()];
-                self.points(region, i, |phase, j, tap, [x, y]| {
+                self.points(region, i, |phase, j, [x, y]| {
                     let length = x.hypot(y);
-                    if length == 0.0 {
+                    if length == 0.0 || (0..self.channels.len()).all(|c| bar[[c, phase, i, j]] == T::zero()) {
                         return;
                     }
+                    let tap = self.tap([x, y]);
                     let mut slope_bar = 0.0;
                     for (c, channel) in self.channels.iter().enumerate() {
                         let b = bar[[c, phase, i, j]].to_double();
@@ -220,10 +222,11 @@ impl<T: Real> Source<T> for WarpedScene<'_> {
     }
 }
 
-/// The ideal picture: the scene as a lens with this map and no blur would image it, at pixel centres, `[3, row, col]`.
-pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Region) -> Array3<T> {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), channels_of(scene));
-    let mut out = Array3::from_elem((3, region.rows, region.cols), T::zero());
+/// The ideal picture: `channels` of the scene's texture as a lens with this map and no blur would image them, at pixel
+/// centres, `[channel, row, col]`.
+pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Region, channels: &[usize]) -> Array3<T> {
+    let source = WarpedScene::new(scene, map, frame, (1, 1), channels.to_vec());
+    let mut out = Array3::from_elem((channels.len(), region.rows, region.cols), T::zero());
     out.axis_chunks_iter_mut(Axis(1), 16).into_par_iter().enumerate().for_each(|(k, part)| {
         let rows = part.len_of(Axis(1));
         let strip = Region { row: region.row + (16 * k).cast_signed(), rows, ..region };
@@ -238,17 +241,11 @@ pub fn warp_vjp<T: Real>(
     map: &SensorMap,
     frame: &Frame,
     region: Region,
-    bar: ArrayView3<'_, T>,
+    (channels, bar): (&[usize], ArrayView3<'_, T>),
     coefficients_bar: &mut [f64],
 ) {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), channels_of(scene));
+    let source = WarpedScene::new(scene, map, frame, (1, 1), channels.to_vec());
     source.fill_vjp(region, bar.insert_axis(Axis(1)), coefficients_bar);
-}
-
-/// The texture's channel for red, green and blue.
-fn channels_of(scene: &Plane) -> Vec<usize> {
-    let last = scene.texture.len_of(Axis(0)) - 1;
-    (0..3).map(|c: usize| c.min(last)).collect()
 }
 
 #[cfg(test)]

@@ -130,11 +130,12 @@ impl<T: Real> Pull<'_, T> {
         }
     }
 
-    /// Cells of a row of blocks whose number is even or odd; dark ones matter only to the source.
-    fn cells(&self, r: usize, cols: &[Segment<T>], first: usize, parity: usize, dark: bool) -> Vec<Cell<T>> {
+    /// Cells of a row of blocks whose number is even or odd; dark ones matter only to the source, if at all.
+    fn cells(&self, r: usize, cols: &[Segment<T>], first: usize, parity: usize, source: bool) -> Vec<Cell<T>> {
         let shape = self.record.frame.shape;
+        let dark = source && self.record.dark();
         // The source's cotangent is summed over the channels that share it; else every channel is a task.
-        let groups: Vec<_> = if dark || shape.source_channels > 1 {
+        let groups: Vec<_> = if source || shape.source_channels > 1 {
             shape.groups().into_iter().enumerate().collect()
         } else {
             (0..shape.channels).map(|c| (0, c..c + 1)).collect()
@@ -164,7 +165,8 @@ impl<T: Real> Pull<'_, T> {
                 let place = Place { row: &frame.rows[r], col: &frame.cols[b] };
                 let seen = self.record.seen(r, b, cell.group);
                 let block = Block { frame, place, kernels: &self.record.kernels, seen, source };
-                if !source && seen.is_none() {
+                if seen.is_none() && !(source && self.record.dark()) {
+                    cell.tiles.push(Vec::new());
                     continue;
                 }
                 block.start(scratch);

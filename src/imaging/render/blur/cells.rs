@@ -55,12 +55,12 @@ pub(super) fn blur_cells<T: Real>(
             let seen = frame.seen(Place { row, col: &cols[0] });
             band.advance(source, seen.row, seen.rows);
             let lit: Vec<bool> = cols.iter().map(|col| band.lit(frame, Place { row, col })).collect();
-            if lit.contains(&true) || keep.kernels {
-                let nodes = frame.nodes(row, cols);
+            if lit.contains(&true) || keep.dark {
                 if !keep.kernels {
-                    spectra.keep(&nodes);
+                    spectra.keep(&frame.nodes(row, cols));
                 }
-                spectra.add(frame, kernels, &nodes);
+                let seeing = cols.iter().zip(&lit).filter(|(_, lit)| **lit || keep.dark).map(|(col, _)| col);
+                spectra.add(frame, kernels, &frame.nodes(row, seeing));
             }
             let all = Row { frame, band: &band, spectra, keep: keep.source };
             let from = r * across + strip.start * groups.len();

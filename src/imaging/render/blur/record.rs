@@ -16,10 +16,12 @@ use crate::math::real::Real;
 pub(super) struct Keep {
     pub kernels: bool,
     pub source: bool,
+    /// Kernels of nodes that only dark blocks use as well.
+    pub dark: bool,
 }
 
 impl Keep {
-    pub(super) const NOTHING: Self = Self { kernels: false, source: false };
+    pub(super) const NOTHING: Self = Self { kernels: false, source: false, dark: false };
 }
 
 /// Which cotangents will be asked for.
@@ -31,6 +33,9 @@ pub enum Wanted {
     Source,
     /// Both.
     Both,
+    /// Both, of the source where it has light: blocks that see none, and the nodes that only they use, are left out, and the
+    /// source's cotangent there stays zero.
+    Lit,
 }
 
 /// What [`blur_recorded`] keeps for the cotangents.
@@ -59,10 +64,16 @@ impl<T: Real> BlurRecord<T> {
         self.source.get(at).and_then(|s| s.as_deref())
     }
 
+    /// Whether blocks that see no light have a cotangent of the source.
+    pub(super) fn dark(&self) -> bool {
+        self.wanted != Wanted::Lit
+    }
+
     pub(super) fn check(&self, bar: &ArrayView3<'_, T>, wanted: Wanted) {
         let Frame { shape, region, .. } = &self.frame;
         assert_eq!(bar.dim(), (shape.channels, region.rows, region.cols), "the cotangent covers the region");
-        assert!(self.wanted == wanted || self.wanted == Wanted::Both, "the record was made for {:?}", self.wanted);
+        let all = matches!(self.wanted, Wanted::Both | Wanted::Lit);
+        assert!(self.wanted == wanted || all, "the record was made for {:?}", self.wanted);
     }
 }
 
@@ -81,7 +92,11 @@ pub fn blur_recorded<T: Real>(
     wanted: Wanted,
 ) -> (Array3<T>, BlurRecord<T>) {
     let frame = Frame::new(grid, Shape::of(kernels, source), region, block);
-    let keep = Keep { kernels: wanted != Wanted::Kernels, source: wanted != Wanted::Source };
+    let keep = Keep {
+        kernels: wanted != Wanted::Kernels,
+        source: wanted != Wanted::Source,
+        dark: matches!(wanted, Wanted::Source | Wanted::Both),
+    };
     let mut spectra = NodeSpectra::new();
     let (image, kept) = blur_cells(&frame, kernels, source, &mut spectra, keep, &|_| {});
     if !keep.kernels {
