@@ -5,6 +5,7 @@ mod cli;
 mod golden;
 mod gradients;
 mod layering;
+mod memory;
 mod one_way;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;

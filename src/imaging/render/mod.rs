@@ -12,6 +12,7 @@ pub mod cost;
 mod explain;
 pub mod gradient_error;
 pub mod light;
+pub mod memory;
 pub mod needs;
 pub mod node_grid;
 pub mod nodes;

@@ -13,7 +13,7 @@ use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
 
 /// Bytes that the spectra and the source of one strip may take, unless a single block takes more.
-const STRIP_BYTES: usize = 1 << 30;
+pub(super) const STRIP_BYTES: usize = 1 << 30;
 
 /// Numbers that describe the kernels and the source.
 #[derive(Clone, Copy, Debug)]
