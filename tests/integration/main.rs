@@ -2,6 +2,7 @@
 
 mod adjoints;
 mod cli;
+mod extremes;
 mod golden;
 mod gradients;
 mod layering;
