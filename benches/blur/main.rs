@@ -16,7 +16,7 @@ fn frame(c: &mut Criterion) {
     group.sample_size(20).throughput(Throughput::Elements((case.megapixels() * 1e6) as u64));
     let pool = cases::pool(2);
     for block in [64, 128] {
-        let recorded = || blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block);
+        let recorded = || blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block, true);
         let method = Method::Cells { block };
         group.bench_function(format!("forward/{block}"), |b| {
             pool.install(|| {

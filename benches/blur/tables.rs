@@ -49,7 +49,7 @@ fn frame(text: &mut String) {
         let ahead = forward(&case, Method::Cells { block });
         let mut bytes = 0;
         let both = best(8, || {
-            let (_, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block);
+            let (_, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, block, true);
             let k = blur_vjp(&record, bar.view()).kernels;
             assert!(k[[0, 0, 0, 1, 1]].is_finite());
             bytes = record.bytes();
@@ -104,7 +104,7 @@ fn choice(text: &mut String) {
 pub(crate) fn export(folder: &str) {
     let case = Case::new(1024, 128, 65);
     let write = |name: &str| format!("{folder}/{name}.npy");
-    let (y, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, 128);
+    let (y, record) = blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, 128, true);
     let bar = case.bar();
     let k = blur_vjp(&record, bar.view()).kernels;
     ndarray_npy::write_npy(write("kernels"), &case.kernels).expect("writable");

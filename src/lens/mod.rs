@@ -140,14 +140,10 @@ impl Lens {
             && self.elements.iter().all(|e| e.pose.is_nominal())
     }
 
-    /// Refuses a lens that lacks rotational symmetry or a flat image, for work that counts on both.
+    /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
     pub fn require_symmetry(&self, work: &str) -> Result<()> {
-        if self.is_symmetric() && self.max_field_deg < 90.0 {
-            return Ok(());
-        }
         if self.is_symmetric() {
-            let found = format!("half field {}°", self.max_field_deg);
-            return Err(Error::bad(self.name.as_str(), "field.max_angle_deg", found, format!("below 90° for {work}")));
+            return Ok(());
         }
         Err(Error::bad(
             self.name.as_str(),

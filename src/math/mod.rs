@@ -2,5 +2,6 @@
 
 pub mod fft;
 pub mod least_squares;
+pub mod memory;
 pub mod real;
 pub mod wide;

@@ -51,6 +51,7 @@ pub type IlluminationBar = Vec<Vec<f64>>;
 impl Illumination {
     /// At `count + 1` even radii from the axis to `radius_mm`.
     pub fn compute(table: &Table, radius_mm: f64, count: u32) -> Self {
+        let radius_mm = radius_mm.min(table.edge_mm);
         let radii_mm: Vec<f64> = (0..=count).map(|i| radius_mm * f64::from(i) / f64::from(count.max(1))).collect();
         let quadrature = Quadrature::new(table.spec.degree);
         let at = |l: usize, r: f64| {

@@ -200,7 +200,9 @@ impl Optics {
     pub fn half_widths(&self, form: &KernelForm, depth: usize, shares: &[f64], radii_mm: [f64; 2]) -> Vec<usize> {
         use rayon::prelude::*;
         let [low, high] = radii_mm;
-        let edge = self.table.edge_mm;
+        // As kernels are made: those of dim places are those of the last place with light.
+        let edge = self.table.edge_mm.min(self.illumination.held(f64::INFINITY));
+        let high = high.min(edge);
         let inner = self.spec.radii_mm.iter().copied().filter(|r| *r > low && *r < high);
         let radii: Vec<f64> = [low, high].into_iter().chain(inner).filter(|r| *r <= edge).collect();
         let each: Vec<Vec<usize>> = radii

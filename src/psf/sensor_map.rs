@@ -1,7 +1,8 @@
 //! Where on the sensor an object point's chief ray lands: the raster that scenes are warped to.
 //!
-//! `slope = R · P(R²)`, with `P` a Chebyshev series in `2 (R/R_m)² − 1` fitted to the chief rays of a [`Table`] by least
-//! squares. It gives what every pixel asks for, the object slope of a sensor radius, by a sum of few products; the
+//! `slope = R · P(R²) / (1 − R²/R₉₀²)`, with `P` a Chebyshev series in `2 (R/R_m)² − 1` fitted to the chief rays of a
+//! [`Table`] by least squares. The divisor holds the pole of wide lenses ([`Table::horizon`]; 1 for all others), so that what
+//! is fitted is smooth up to 90°, where slopes end: the map ends with the light of a plane ([`super::table::STEEPEST`]). It gives what every pixel asks for, the object slope of a sensor radius, by a sum of few products; the
 //! inverse, for rays that arrive from elsewhere, by Newton. Any monotonic curve would do for the image, because kernels are
 //! counted in the same coordinates; the ideal picture, and the distortion in a kit, are this map's. Beyond `R_m` it goes on
 //! as a straight line.
@@ -32,6 +33,8 @@ pub struct SensorMap {
     pub residual_mm: f64,
     /// `1/R_m²`.
     inverse_square: f64,
+    /// `1/R₉₀²`, or 0.
+    horizon: f64,
     /// Slope at `R_m`, and its derivative there.
     edge: [f64; 2],
 }
@@ -45,11 +48,13 @@ impl SensorMap {
         let radii = &table.spec.radii_mm;
         let slopes = table.chief_slopes(vergence);
         let radius_mm = radii[radii.len() - 1];
-        let rows = operator(radii);
+        let rows = operator(radii, table.horizon);
         let coefficients: Vec<f64> =
             rows.rows().into_iter().map(|row| row.iter().zip(&slopes).map(|(a, s)| a * s).sum()).collect();
         let inverse_square = (radius_mm * radius_mm).recip();
-        let mut map = Self { coefficients, radius_mm, vergence, residual_mm: 0.0, inverse_square, edge: [0.0; 2] };
+        let horizon = table.horizon;
+        let mut map =
+            Self { coefficients, radius_mm, vergence, residual_mm: 0.0, inverse_square, horizon, edge: [0.0; 2] };
         map.find_edge();
         for i in 0..=256 {
             let radius = radius_mm * f64::from(i) / 256.0;
@@ -83,7 +88,7 @@ impl SensorMap {
 
     /// Adds the pull-back of a cotangent on the coefficients to `bar`.
     pub fn fit_vjp(&self, table: &Table, coefficients_bar: &[f64], bar: &mut TableBar) {
-        let rows = operator(&table.spec.radii_mm);
+        let rows = operator(&table.spec.radii_mm, self.horizon);
         let slopes_bar: Vec<f64> =
             rows.columns().into_iter().map(|c| c.iter().zip(coefficients_bar).map(|(a, b)| a * b).sum()).collect();
         table.chief_slopes_vjp(self.vergence, &slopes_bar, bar);
@@ -107,14 +112,20 @@ impl SensorMap {
         radius_mm * radius_mm * self.inverse_square
     }
 
+    /// `1 − R²/R₉₀²`.
+    #[inline]
+    fn below(&self, square_mm2: f64) -> f64 {
+        1.0 - square_mm2 * self.horizon
+    }
+
     fn inside(&self, radius_mm: f64) -> f64 {
-        radius_mm * self.series(self.share(radius_mm)).0
+        radius_mm * self.series(self.share(radius_mm)).0 / self.below(radius_mm * radius_mm)
     }
 
     fn inside_derivative(&self, radius_mm: f64) -> f64 {
-        let x2 = self.share(radius_mm);
-        let (p, dp) = self.series(x2);
-        p + 4.0 * x2 * dp
+        let (x2, square) = (self.share(radius_mm), radius_mm * radius_mm);
+        let ((p, dp), q) = (self.series(x2), self.below(square));
+        (p + 4.0 * x2 * dp + 2.0 * square * self.horizon * p / q) / q
     }
 
     /// Object slope of the sensor radius (≥ 0).
@@ -131,7 +142,7 @@ impl SensorMap {
     #[inline]
     pub fn ratio(&self, radius_mm: f64) -> f64 {
         if radius_mm <= self.radius_mm {
-            self.series(self.share(radius_mm)).0
+            self.series(self.share(radius_mm)).0 / self.below(radius_mm * radius_mm)
         } else {
             self.slope(radius_mm) / radius_mm
         }
@@ -141,7 +152,7 @@ impl SensorMap {
     #[inline]
     pub fn ratio_at(&self, square_mm2: f64) -> f64 {
         let x2 = square_mm2 * self.inverse_square;
-        if x2 <= 1.0 { self.series(x2).0 } else { self.ratio(square_mm2.sqrt()) }
+        if x2 <= 1.0 { self.series(x2).0 / self.below(square_mm2) } else { self.ratio(square_mm2.sqrt()) }
     }
 
     /// `∂slope/∂R`, 1/mm.
@@ -157,10 +168,12 @@ impl SensorMap {
         let beyond = radius_mm - inner;
         let x = inner / self.radius_mm;
         let t = 2.0 * x * x - 1.0;
-        // slope = R T_j, and beyond the edge its tangent: T_j + 4 T_j' at t = 1.
+        let q = self.below(inner * inner);
+        let (weight, pole) = (weight / q, 2.0 * inner * inner * self.horizon / q);
+        // slope = R T_j / q, and beyond the edge its tangent: that of R T_j is T_j + 4 T_j' at t = 1.
         let (mut a, mut b, mut da, mut db) = (1.0, t, 0.0, 1.0);
         for c in coefficients_bar {
-            *c += weight * (inner * a + beyond * (a + 4.0 * x * x * da));
+            *c += weight * (inner * a + beyond * (a + 4.0 * x * x * da + pole * a));
             (a, b, da, db) = (b, 2.0 * t * b - a, db, 2.0 * b + 2.0 * t * db - da);
         }
     }
@@ -173,13 +186,15 @@ impl SensorMap {
         let (mut low, mut high) = (0.0, self.radius_mm);
         let mut r = near.clamp(low, high);
         for _ in 0..60 {
-            let off = self.inside(r) - slope;
+            // R P − slope · q has no pole.
+            let (x2, (p, dp)) = (self.share(r), self.series(self.share(r)));
+            let off = r * p - slope * self.below(r * r);
             if off > 0.0 {
                 high = r;
             } else {
                 low = r;
             }
-            let next = r - off / self.inside_derivative(r);
+            let next = r - off / (p + 4.0 * x2 * dp + 2.0 * slope * r * self.horizon);
             let next = if next >= low && next <= high { next } else { 0.5 * (low + high) };
             if (next - r).abs() <= 1e-13 * self.radius_mm {
                 return next;
@@ -215,13 +230,18 @@ impl SensorMap {
 }
 
 /// From slopes at the knots to coefficients, `[term, knot]`.
-fn operator(radii: &[f64]) -> Array2<f64> {
+fn operator(radii: &[f64], horizon: f64) -> Array2<f64> {
     let last = radii[radii.len() - 1];
     let count = (radii.len() - TERMS.1).clamp(1, TERMS.0);
-    fit_operator(&Array2::from_shape_fn((radii.len(), count), |(i, j)| {
+    // What is fitted is slope · q: its errors are those on the sensor, where slopes grow without end.
+    let mut rows = fit_operator(&Array2::from_shape_fn((radii.len(), count), |(i, j)| {
         let x = radii[i] / last;
         radii[i] * chebyshev(2.0 * x * x - 1.0, count).0[j]
-    }))
+    }));
+    for (mut column, r) in rows.columns_mut().into_iter().zip(radii) {
+        column *= 1.0 - r * r * horizon;
+    }
+    rows
 }
 
 #[cfg(test)]

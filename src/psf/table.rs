@@ -29,6 +29,13 @@ pub use refine::{Tolerance, knots};
 
 /// Knots that one interpolation reads.
 const TAPS: usize = 6;
+/// Steepest chief ray that counts as light, as an object slope (89.05°): at 90° a plane ends, rays beside a chief ray, which differ
+/// from it by its blur, must not meet the pole, and a plane that fills a picture to 80° has its last degree beyond ten times its size.
+pub const STEEPEST: f64 = 60.0;
+/// Steepest ray beside a chief ray.
+const STEEPEST_RAY: f64 = 1000.0;
+/// Slope of the last chief ray (60°) from which the pole at 90° is looked for.
+const WIDE: f64 = 1.732;
 
 /// Where a table is traced.
 #[derive(Clone, Debug, PartialEq)]
@@ -103,7 +110,11 @@ pub(super) struct Tap {
 
 /// Knots and weights of one sensor radius.
 #[derive(Clone, Debug)]
-pub struct Taps(Vec<Tap>);
+pub struct Taps {
+    all: Vec<Tap>,
+    /// What interpolated crossings and slopes are divided by ([`Table::horizon`]).
+    below: f64,
+}
 
 /// Traced rays of a lens over sensor radius and wavelength.
 #[derive(Clone, Debug)]
@@ -116,6 +127,9 @@ pub struct Table {
     pub edge_mm: f64,
     /// Part of the stop's radius that the unit disk stands for: below 1 where rays of the outer stop fail everywhere.
     pub pupil: f64,
+    /// `1/R²`, 1/mm², of the sensor radius whose chief ray stands at 90°, where slopes have a pole; 0 where none is near. Crossings
+    /// and slopes are kept times `1 − R² · horizon`, which is smooth. It is held in derivatives: any near value serves.
+    pub horizon: f64,
     /// Largest residual of the slopes' polynomials, relative to their range.
     pub residual: f64,
     /// Rays traced.
@@ -208,13 +222,24 @@ impl Table {
         let [even, odd] = StopNodes::terms(spec.degree);
         let layout = Layout { even, odd, clips: clips.len() };
         bases.prepare(beams.iter().flatten().map(|b| b.kept));
-        let rows: Vec<Vec<Row>> = beams
+        let mut rows: Vec<Vec<Row>> = beams
             .par_iter()
             .map(|beams| beams.iter().zip(&views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
             .collect();
         let residual = beams.par_iter().zip(&rows).map(|(b, r)| beam::residual(&b[0], &r[0], &bases, &layout));
+        let residual = residual.reduce(|| 0.0, f64::max);
+        let horizon = horizon(&spec.radii_mm, &chiefs);
+        if horizon > 0.0 {
+            for (rows, r) in rows.iter_mut().zip(&spec.radii_mm) {
+                let below = 1.0 - r * r * horizon;
+                rows.iter_mut()
+                    .flat_map(|row| &mut row.coefficients[..layout.weight().start])
+                    .for_each(|c| *c *= below);
+            }
+        }
         Ok(Self {
-            residual: residual.reduce(|| 0.0, f64::max),
+            horizon,
+            residual,
             rays: beams.iter().flatten().map(|b| b.nodes.len()).sum::<usize>() + chiefs.len(),
             signs: layout.signs(spec.degree),
             spec,
@@ -254,13 +279,14 @@ impl Table {
 
     /// Knots and weights at a sensor radius; held beyond the last knot.
     pub fn taps(&self, radius_mm: f64) -> Taps {
-        Taps(taps(&self.spec.radii_mm, radius_mm, TAPS))
+        let held = self.held(radius_mm);
+        Taps { all: taps(&self.spec.radii_mm, radius_mm, TAPS), below: 1.0 - held * held * self.horizon }
     }
 
     /// The polynomials of wavelength `l` at an interpolated radius.
     pub fn row(&self, l: usize, taps: &Taps) -> Row {
         let mut row = Row { coefficients: vec![0.0; self.layout.len()], kept: 0.0 };
-        for t in &taps.0 {
+        for t in &taps.all {
             let from = &self.rows[t.knot][l];
             let pairs = row.coefficients.iter_mut().zip(&from.coefficients);
             if t.mirrored {
@@ -269,14 +295,22 @@ impl Table {
                 pairs.for_each(|(a, b)| *a += t.weight * b);
             }
         }
+        if self.horizon > 0.0 {
+            row.coefficients[..self.layout.weight().start].iter_mut().for_each(|c| *c /= taps.below);
+        }
         // The part that is kept has corners: the least of the knots' that are read.
-        row.kept = taps.0.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
+        row.kept = taps.all.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
         row
     }
 
     /// Adds the cotangent `row_bar` of [`Self::row`] to `bar`.
     pub fn row_vjp(&self, l: usize, taps: &Taps, row_bar: &[f64], bar: &mut TableBar) {
-        for t in &taps.0 {
+        let mut row_bar = std::borrow::Cow::Borrowed(row_bar);
+        if self.horizon > 0.0 {
+            row_bar.to_mut()[..self.layout.weight().start].iter_mut().for_each(|b| *b /= taps.below);
+        }
+        let row_bar = &*row_bar;
+        for t in &taps.all {
             let pairs = bar.rows[t.knot][l].iter_mut().zip(row_bar);
             if t.mirrored {
                 pairs.zip(&self.signs).for_each(|((a, b), s)| *a += t.weight * s * b);
@@ -312,7 +346,12 @@ impl Table {
                 let mut out = SystemGradient::zeros(&view.system);
                 if l < colours {
                     let beam = &self.beams[k][l];
-                    beam.row_vjp(view, &self.bases, &self.layout, &self.clips, &bar.rows[k][l], &mut out);
+                    let mut row_bar = std::borrow::Cow::Borrowed(&bar.rows[k][l][..]);
+                    if self.horizon > 0.0 {
+                        let below = 1.0 - self.spec.radii_mm[k].powi(2) * self.horizon;
+                        row_bar.to_mut()[..self.layout.weight().start].iter_mut().for_each(|b| *b *= below);
+                    }
+                    beam.row_vjp(view, &self.bases, &self.layout, &self.clips, &row_bar, &mut out);
                 } else {
                     self.chiefs[k].vjp(&reference, bar.chiefs[k], &mut out);
                 }
@@ -328,8 +367,25 @@ impl Table {
     }
 }
 
+/// `1/R²` of the radius whose chief ray stands at 90°, from the last few; 0 where it is not near.
+fn horizon(radii_mm: &[f64], chiefs: &[Chief]) -> f64 {
+    let Some(from) = chiefs.len().checked_sub(4) else { return 0.0 };
+    let last = radii_mm[radii_mm.len() - 1];
+    if chiefs[chiefs.len() - 1].slope < WIDE {
+        return 0.0;
+    }
+    // R as a polynomial in the angle.
+    let angles: Vec<f64> = chiefs[from..].iter().map(|c| c.slope.atan()).collect();
+    let at = |i: usize| {
+        let others = (0..angles.len()).filter(|j| *j != i);
+        others.map(|j| (std::f64::consts::FRAC_PI_2 - angles[j]) / (angles[i] - angles[j])).product::<f64>()
+    };
+    let radius: f64 = radii_mm[from..].iter().enumerate().map(|(i, r)| r * at(i)).sum();
+    if radius > last && radius < 2.0 * last { (radius * radius).recip() } else { 0.0 }
+}
+
 /// Object slopes of the chief rays that land at `radii_mm` on the sensor, reference wavelength, object at `vergence`, as far out as
-/// the sensor sees light: the list may be shorter.
+/// the sensor sees light of a plane ([`STEEPEST`]): the list may be shorter.
 ///
 /// # Errors
 /// A lens without rotational symmetry, or without light at the first radius.

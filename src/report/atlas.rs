@@ -10,6 +10,7 @@ use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::Spectrum;
 use crate::lens::Lens;
+use crate::math::memory::{BASE, Limit, product, threads};
 use rayon::prelude::*;
 
 use crate::psf::table::{Tolerance, knots};
@@ -39,6 +40,15 @@ pub struct KernelRequest {
     pub pitch_mm: f64,
     /// Rays per kernel and wavelength.
     pub rays: usize,
+    /// What all of it may take.
+    pub memory: Limit,
+}
+
+/// Bytes, from above, of so many kernels in so many channels: as they are made, and once more while they are put together.
+pub fn bytes(kernels: usize, channels: usize, size: usize) -> u64 {
+    let made = product(&[kernels, channels, size, size, 2 * size_of::<f32>()]);
+    let making = product(&[threads(), channels, size, size, size_of::<f32>() + size_of::<f64>()]);
+    BASE.saturating_add(made).saturating_add(making)
 }
 
 /// Kernels of one wavelength each, with what belongs to them.
@@ -145,6 +155,9 @@ fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result
             2 * half + 1
         }
     };
+    let channels = optics.channels();
+    let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
+    request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes(count, channels, size), instead)?;
     let form = optics.form(request.rays, size, 1, request.pitch_mm);
     let places: Vec<(usize, Place)> = lines
         .iter()
@@ -247,6 +260,7 @@ mod tests {
             size,
             pitch_mm: 0.012,
             rays: 600,
+            memory: Limit::of_process(),
         }
     }
 
@@ -275,6 +289,18 @@ mod tests {
         let lens = builtin::lens("three_element").expect("shipped");
         let wide = KernelRequest { pitch_mm: 1e-5, ..request(None) };
         assert!(KernelSet::compute(&lens, &wide).expect_err("too large").to_string().contains("kernel size"));
+    }
+
+    #[test]
+    fn kernels_that_memory_does_not_hold_are_refused() {
+        let lens = builtin::lens("three_element").expect("shipped");
+        let memory = Limit { bytes: BASE + (1 << 20) };
+        let error = KernelSet::compute(&lens, &KernelRequest { memory, ..request(Some(301)) }).expect_err("too many");
+        let text = error.to_string();
+        assert!(
+            error.exit_code() == 2 && text.contains("6 kernels of 301 × 301") && text.contains("--memory-gib"),
+            "{text}"
+        );
     }
 
     #[test]

@@ -148,16 +148,16 @@ impl LensView {
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),
             rays: 8192,
+            memory: crate::math::memory::Limit::of_process(),
         };
         let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
-        let vergence = depth_mm.recip();
         Ok(Self {
             name: lens.name.clone(),
             drawing: lens_svg(lens),
             atlas: picture(&colour_kernels(lens, &request)?, fields, Style::default()),
             effective_focal_length_mm: first.effective_focal_length,
             f_number: first.f_number,
-            distortion: FieldLine::new(lens, vergence, 1)?.distortion_percent(lens, vergence),
+            distortion: FieldLine::new(lens, 1.0 / depth_mm, 1)?.distortion_percent(lens, 1.0 / depth_mm),
         })
     }
 }

@@ -1,14 +1,13 @@
 //! Places along the field, from the axis to the border of what the sensor sees.
 
 use crate::error::Result;
-use crate::imaging::develop::distortion::{Distortion, fit};
 use crate::lens::{Lens, paraxial};
-use crate::psf::table::chief_slopes;
+use crate::psf::table::{STEEPEST, chief_slopes};
 
-/// Chief rays the distortion is fitted to (paper §3.1.3).
+/// Chief rays of a distortion curve.
 const SAMPLES: u32 = 16;
-/// Places at which the end of the field is looked for.
-const FINE: u32 = 64;
+/// Places at which the end of the field is looked for, and halvings between two of them.
+const FINE: (u32, u32) = (64, 52);
 
 /// Equidistant places on the sensor along one radius, at one object distance.
 #[derive(Clone, Debug)]
@@ -19,71 +18,74 @@ pub struct FieldLine {
     pub slope: Vec<f64>,
     /// Field angle at the paraxial entrance pupil, degrees.
     pub angle_deg: Vec<f64>,
-    /// The fit between the two.
-    pub distortion: Distortion,
-    /// Chief rays behind the fit: object slope and image height in mm.
+    /// Image height per object slope on the axis, mm.
+    pub scale_mm: f64,
+    /// Chief rays over the field: object slope and image height in mm.
     pub chief: Vec<(f64, f64)>,
 }
 
 impl FieldLine {
     /// `count` places of `lens` for an object of the given vergence (1/mm), from the axis to the farthest pixel corner or
-    /// to the image of the largest field angle, whichever is nearer.
+    /// to the image of the largest field angle, or to the end of the light, whichever is nearest.
     ///
     /// # Errors
-    /// A sensor that sees no light on the axis; a distortion that folds.
+    /// A sensor that sees no light on the axis.
     pub fn new(lens: &Lens, vergence: f64, count: usize) -> Result<Self> {
         lens.require_symmetry("curves over the field")?;
         let max_slope = max_slope(lens, vergence);
         let sensor = lens.sensor.radius_mm();
-        let place = |share: f64| sensor * share;
-        let fine: Vec<f64> = (0..=FINE).map(|i| place(f64::from(i) / f64::from(FINE))).collect();
+        let fine: Vec<f64> = (0..=FINE.0).map(|i| sensor * f64::from(i) / f64::from(FINE.0)).collect();
         let slopes = chief_slopes(lens, vergence, &fine)?;
         // The field ends where its largest slope is seen, or with the sensor, or with the light.
-        let seen = slopes.partition_point(|s| *s < max_slope);
-        let edge = if seen < slopes.len() {
-            let (a, b) = (seen.saturating_sub(1), seen.max(1));
-            let part = (max_slope - slopes[a]) / (slopes[b] - slopes[a]);
-            let mut near = fine[a] + part.clamp(0.0, 1.0) * (fine[b] - fine[a]);
-            // A few steps along the interval's chord.
-            for _ in 0..8 {
-                let here = chief_slopes(lens, vergence, &[near])?[0];
-                near += (max_slope - here) * (fine[b] - fine[a]) / (slopes[b] - slopes[a]);
+        let seen = slopes.iter().take_while(|s| **s <= max_slope).count().max(1);
+        let mut edge = fine[seen - 1];
+        if let Some(beyond) = fine.get(seen) {
+            let mut high = *beyond;
+            for _ in 0..FINE.1 {
+                let middle = 0.5 * (edge + high);
+                let inside = chief_slopes(lens, vergence, &[middle]).is_ok_and(|s| s[0] <= max_slope);
+                *(if inside { &mut edge } else { &mut high }) = middle;
             }
-            near
-        } else {
-            fine[slopes.len() - 1]
-        };
+        }
         let even = |n: u32| (0..n).map(|i| edge * f64::from(i) / f64::from(n.max(2) - 1)).collect::<Vec<f64>>();
         let samples = even(SAMPLES);
         let slopes = chief_slopes(lens, vergence, &samples)?;
-        let distortion = fit(&slopes, &samples[..slopes.len()])?;
+        let near = 1e-3 * sensor;
+        let scale_mm = near / chief_slopes(lens, vergence, &[near])?[0];
         let radius_mm = even(u32::try_from(count).unwrap_or(u32::MAX));
         let slope = chief_slopes(lens, vergence, &radius_mm)?;
         let radius_mm = radius_mm[..slope.len()].to_vec();
         let scale = slope_per_tangent(lens, vergence);
         let angle_deg = slope.iter().map(|s| (s / scale).atan().to_degrees()).collect();
         let chief = slopes.into_iter().zip(samples).collect();
-        Ok(Self { radius_mm, slope, angle_deg, distortion, chief })
+        Ok(Self { radius_mm, slope, angle_deg, scale_mm, chief })
     }
 
     /// Image height against that of a distortion-free lens of the same scale on the axis: `(field angle in degrees,
     /// per cent)` of every chief ray off the axis.
     pub fn distortion_percent(&self, lens: &Lens, vergence: f64) -> Vec<(f64, f64)> {
         let scale = slope_per_tangent(lens, vergence);
-        let per_slope = self.distortion.sensor_from_slope_derivative(0.0);
         let off_axis = self.chief.iter().filter(|(s, _)| *s > 0.0);
-        off_axis.map(|(s, h)| ((s / scale).atan().to_degrees(), 100.0 * (h / (per_slope * s) - 1.0))).collect()
+        off_axis.map(|(s, h)| ((s / scale).atan().to_degrees(), 100.0 * (h / (self.scale_mm * s) - 1.0))).collect()
     }
 }
 
-/// Object slope at the first vertex per tangent of the field angle at the entrance pupil.
+/// Object slope at the first vertex per tangent of the field angle at the entrance pupil; infinite for a lens that is telecentric in
+/// object space, whose field angles are zero.
 fn slope_per_tangent(lens: &Lens, vergence: f64) -> f64 {
-    1.0 + vergence * paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position
+    if vergence == 0.0 {
+        return 1.0;
+    }
+    let pupil = paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
+    let scale = (1.0 + vergence * pupil).abs();
+    if scale.is_nan() { f64::INFINITY } else { scale }
 }
 
-/// Object slope of the largest field angle; a lens for the axis alone gets a thousandth, so that a scale exists.
+/// Object slope of the largest field angle, at most [`STEEPEST`]'s; a lens for the axis alone gets a thousandth, so that a scale exists.
 pub fn max_slope(lens: &Lens, vergence: f64) -> f64 {
-    lens.max_field_deg.to_radians().tan().max(1e-3) * slope_per_tangent(lens, vergence)
+    // Inside the edge of the light, which is found to a part of its radius.
+    let steepest = (0.97 * STEEPEST).atan();
+    lens.max_field_deg.to_radians().min(steepest).tan().max(1e-3) * slope_per_tangent(lens, vergence)
 }
 
 #[cfg(test)]

@@ -236,7 +236,7 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
     let value = |lens: &Lens| {
         let optics = Optics::compute(lens, &spec).expect("traces");
         let light: Array3<f64> = Light::new(&optics, &frame).over(&frame, region, &[0, 1, 2]);
-        let truth: Array3<f64> = warp(&scene, &optics.maps[0], &frame, region);
+        let truth: Array3<f64> = warp(&scene, &optics.maps[0], &frame, region, &[0, 1, 2]);
         let mut kernels = vec![0.0; kernels_bar.len()];
         optics.kernels(&optics.form(80, 25, 1, 0.02), 0, place, &mut kernels);
         (&light * &light_bar).sum()
@@ -246,7 +246,7 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
     let optics = Optics::compute(&lens, &spec).expect("traces");
     let mut bar = OpticsBar::zeros(&optics);
     Light::new(&optics, &frame).over_vjp(&optics, &frame, region, light_bar.view(), &mut bar);
-    warp_vjp(&scene, &optics.maps[0], &frame, region, truth_bar.view(), &mut bar.maps[0]);
+    warp_vjp(&scene, &optics.maps[0], &frame, region, (&[0, 1, 2], truth_bar.view()), &mut bar.maps[0]);
     let back = optics.kernels_vjp(&optics.form(80, 25, 1, 0.02), 0, place, &kernels_bar);
     bar.add_kernel(&optics, 0, place.radius_mm, &back);
     assert_lens_gradient(&lens, &optics.vjp(&lens, &bar), value, &[1e-6, 6e-7, 1.5e-6, 3e-7], 1e-6);

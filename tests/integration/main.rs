@@ -2,14 +2,17 @@
 
 mod adjoints;
 mod cli;
+mod extremes;
 mod golden;
 mod gradients;
 mod layering;
+mod memory;
 mod one_way;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod picture;
 mod renderers;
+mod skips;
 mod stiff;
 mod support;
 mod throughput;

@@ -2,6 +2,7 @@
 
 mod gradient;
 
+use std::cell::Cell;
 use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
@@ -9,16 +10,18 @@ use std::time::Instant;
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
-use isoplanat::imaging::render::{Request, Settings, plan};
+use isoplanat::imaging::render::{Request, Settings, memory as estimate, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::math::memory::words as in_words;
 use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
 use ndarray::Array3;
 
+use crate::memory;
 use crate::output;
 use crate::peak::measured;
 use crate::progress::Bar;
-use crate::scene::{Placed, SceneArgs};
+use crate::scene::{Placed, SMALLER, SceneArgs};
 
 /// Error against run time of every way to make the picture.
 #[derive(Debug, clap::Args)]
@@ -110,6 +113,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return gradient::run(args, &args.place.place(&args.lens, &args.scene)?, out);
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
+    let (_, scene_rows, scene_cols) = plane.texture.dim();
+    // Two halves and a picture of every way.
+    let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene([scene_rows, scene_cols]));
+    let what = format!("a comparison over {} × {} pixels", frame.columns, frame.rows);
+    memory::limit().allow(&what, least, SMALLER)?;
     let density = SpectralDensity::new(&Sensor::generic());
     let whole = Region::whole(&frame);
     let rays =
@@ -129,6 +137,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     bar.done(String::new());
     let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
     let ways = ways();
+    let most = Cell::new(least);
     let bar = Bar::new("methods");
     let mut rows = Vec::with_capacity(ways.len());
     for (k, (ladder, words, way)) in ways.iter().enumerate() {
@@ -139,6 +148,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Ok(match way {
                 Way::Grid(request) => {
                     let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
+                    let bytes = least.saturating_add(plan.bytes([scene_rows, scene_cols]).saturating_mul(1));
+                    memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
+                    most.set(most.get().max(bytes));
                     let (s, depth) = (plan.renderer.plan.settings, &plan.renderer.plan.depths[0]);
                     let told = match request {
                         Request::Psnr(_) => format!(
@@ -155,6 +167,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                 }
                 Way::Double(request) => {
                     let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
+                    let bytes = least.saturating_add(plan.bytes([scene_rows, scene_cols]).saturating_mul(2));
+                    memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
+                    most.set(most.get().max(bytes));
                     #[expect(clippy::cast_possible_truncation, reason = "compared in single precision")]
                     let image = plan.picture::<f64>(&plane, &|_| ())?.0.mapv(|v| v as f32);
                     (image, "psf-grid", words.clone())
@@ -188,7 +203,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             },
         ));
     }
-    bar.done(String::new());
+    bar.done(format!("memory: at most {}", in_words(most.get())));
     mark_pareto(&mut rows);
     let half = halves[0].mean.iter().zip(&halves[1].mean).map(|(a, b)| 0.5 * f64::from((a - b).abs()));
     let accuracy = Accuracy {

@@ -4,12 +4,13 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::imaging::capture::{CaptureSettings, capture};
+use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 
 use crate::output;
 use crate::progress::Bar;
-use crate::scene::{Placed, SceneArgs};
+use crate::scene::{Placed, SMALLER, SceneArgs};
 
 /// A RAW capture of a scene, by rays from the sensor.
 #[derive(Debug, clap::Args)]
@@ -45,6 +46,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
+    let (_, rows, cols) = plane.texture.dim();
+    let bytes = estimate::rays(&frame).saturating_add(estimate::scene([rows, cols]));
+    let what = format!("a capture of {} × {} pixels", frame.columns, frame.rows);
+    crate::memory::limit().allow(&what, bytes, SMALLER)?;
     let bar = Bar::new("capture");
     let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };
     let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;

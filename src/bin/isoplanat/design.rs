@@ -8,6 +8,7 @@ use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, valid
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::prescription;
+use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::{Result, atomic};
 
 use crate::progress::Bar;
@@ -44,6 +45,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let frame = frame_of(&lens)?;
     let textures = task.textures()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
+    let bytes = bytes(task.patch_px, task.batch, task.base_width);
+    crate::memory::limit().allow("a step of the design", bytes, "a smaller patch_px, batch or base_width")?;
+    eprintln!("memory: at most {}", words(bytes));
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
     let start = network(task.base_width, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
@@ -76,6 +80,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     }
     Ok(())
+}
+
+/// Bytes of a step, from above: features of the network and their cotangents, planes and spectra of the patches.
+fn bytes(patch: usize, batch: usize, width: usize) -> u64 {
+    BASE + product(&[16, batch, patch, patch, width + 6, size_of::<f32>()])
 }
 
 /// Writes the run folder.

@@ -10,6 +10,7 @@ use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::prescription;
+use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::{ModelCard, Weights};
 use isoplanat::network::{Reconstructor, onnx};
 use isoplanat::{Result, atomic};
@@ -46,6 +47,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = prescription::load(&args.run.join("lens.toml"))?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
+    // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
+    let weights = std::fs::metadata(args.run.join("network.safetensors")).map_or(0, |m| m.len());
+    let features = product(&[12, JUDGED, JUDGED, network.config().base_width, size_of::<f32>()]);
+    let bytes = BASE + 8 * weights + if args.f16 { features } else { 0 };
+    crate::memory::limit().allow("the kit", bytes, "a smaller network, or weights as f32")?;
     let name = format!("kit for {}", lens.name);
     let mut card = kit::card(&name, &lens, &network, &sensor, task.textures()?.sha256());
     let tile = args.tile.map_or_else(|| tile_px(&card, &frame), Ok)?;
@@ -64,9 +70,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     writeln!(
         out,
-        "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays",
+        "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays out to {:.3} mm (the \
+         frame's corner: {:.3} mm); memory: at most {}",
         args.output.display(),
-        &lens.sha256()[..12]
+        &lens.sha256()[..12],
+        calibration.distortion.sensor_from_slope(calibration.distortion.max_slope),
+        frame.max_radius_mm(),
+        words(bytes)
     )?;
     if let Some(cost) = cost {
         writeln!(out, "{cost}")?;

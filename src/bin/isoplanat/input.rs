@@ -16,6 +16,16 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
     if bare && !path.exists() { builtin::lens(name_or_path) } else { builtin::lens_or_file(name_or_path) }
 }
 
+/// The same error with the argument that named the lens in place of the lens's own name.
+pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
+    match error {
+        Error::BadInput { file, place, found, allowed } if file == lens.name => {
+            Error::bad(argument, place, found, allowed)
+        }
+        other => other,
+    }
+}
+
 /// The text of the file at `path`, or of stdin where that is `-`, with the name errors give it.
 pub(crate) fn text(path: &Path) -> Result<(String, String)> {
     if path == Path::new("-") {

@@ -19,6 +19,7 @@ mod input;
 mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
+mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
 mod output;
@@ -43,6 +44,9 @@ use isoplanat::Error;
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Memory that the command may take, GiB; work that needs more is refused [default: 80 % of what is available]
+    #[arg(long, global = true, value_name = "GIB", allow_negative_numbers = true)]
+    memory_gib: Option<f64>,
 }
 
 #[derive(clap::Subcommand)]
@@ -122,9 +126,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 fn main() -> ExitCode {
-    let command = Cli::parse().command;
+    let Cli { command, memory_gib } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let Err(error) = dispatch(command, &mut out).and_then(|()| Ok(out.flush()?)) else {
+    let ready = memory::set(memory_gib).map_err(anyhow::Error::from);
+    let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;
     };
     // Whoever reads our output may stop reading: that is no error.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::imaging::files::{write_atomic, write_png8};
 use isoplanat::lens::Lens;
+use isoplanat::math::memory::words;
 use isoplanat::report::atlas;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
@@ -52,7 +53,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let lens = crate::input::lens(&args.lens)?;
     let request = request(args, &lens)?;
-    let in_lens = |e: Error| e.in_file(Path::new(&args.lens));
+    let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(Path::new(&args.lens));
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
     save(&kernels, &args.output)?;
     if let Some(path) = &args.png {
@@ -76,6 +77,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     write!(out, "{table}")?;
     let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
     writeln!(out, "{size} × {size} pixels of {} µm, {nm} wavelengths", significant(request.pitch_mm * 1e3, 6))?;
+    let kernels = request.depth_mm.len() * kernels.request.fields;
+    let drawn = if args.png.is_some() { 4 * atlas::bytes(kernels, 3, size) } else { 0 };
+    writeln!(out, "memory: at most {}", words(atlas::bytes(kernels, nm, size) + drawn))?;
     Ok(())
 }
 
@@ -104,6 +108,7 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
         size: args.size.map(usize::from),
         pitch_mm: pitch_um * 1e-3,
         rays: args.rays as usize,
+        memory: crate::memory::limit(),
     })
 }
 

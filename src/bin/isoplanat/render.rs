@@ -5,18 +5,19 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::imaging::files::{Encoding, write_picture};
-use isoplanat::imaging::plane::Region;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
-use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, plan};
+use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
 
+use crate::memory;
 use crate::output;
 use crate::progress::Bar;
-use crate::scene::{SceneArgs, Stage};
+use crate::scene::{SMALLER, SceneArgs, Stage};
 
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -117,10 +118,12 @@ impl Way {
             return Ok(Self::Rays(rays, density));
         }
         let clock = Instant::now();
+        let what = format!("pictures of {} × {} pixels", stage.frame.columns, stage.frame.rows);
         let (count, planned) = (args.scenes.len(), args.scenes.len().min(PLANNED));
         let scenes =
             (0..planned).map(|k| stage.plane(&args.scenes[k * count / planned])).collect::<Result<Vec<_>>>()?;
-        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
+        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)
+            .map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
             eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
@@ -132,6 +135,9 @@ impl Way {
                 format!("{planned} of {count}, evenly over the list, were looked at; the others count as like them");
             plan.skips.push(Skip { what: "scenes of the plan", reason, remaining, bound: f64::NAN });
         }
+        let largest = scenes.iter().map(|s| plan.bytes(texels(s))).max().unwrap_or(0);
+        let others: u64 = scenes.iter().skip(1).map(|s| estimate::scene(texels(s)) / 2).sum();
+        memory::limit().allow(&what, largest.saturating_add(others), SMALLER)?;
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }
 
@@ -139,8 +145,11 @@ impl Way {
         let plane = stage.plane(scene)?;
         match self {
             Self::Grid(plan, planning) => {
+                let bytes = plan.bytes(texels(&plane));
+                memory::limit().allow(scene, bytes, SMALLER)?;
                 let (image, seen) = plan.picture::<f32>(&plane, progress)?;
                 let mut figures = figures(plan);
+                figures["memory_bytes"] = bytes.into();
                 figures["planning_seconds"] = (*planning).into();
                 figures["kernels"] = seen.kernels.into();
                 figures["largest_energy_outside"] = seen.outside.into();
@@ -156,6 +165,12 @@ impl Way {
     }
 }
 
+/// Rows and columns of a scene.
+fn texels(scene: &Plane) -> [usize; 2] {
+    let (_, rows, cols) = scene.texture.dim();
+    [rows, cols]
+}
+
 /// Scenes that a plan is made with, at most: all of them stay in memory while it is made.
 const PLANNED: usize = 8;
 
@@ -169,6 +184,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
+    let least = match args.method {
+        Method::PsfGrid => estimate::planes(&stage.frame),
+        Method::MonteCarlo => estimate::rays(&stage.frame),
+    };
+    let what = format!("a picture of {} × {} pixels", stage.frame.columns, stage.frame.rows);
+    memory::limit().allow(&what, least.saturating_add(stage.generated(&args.scenes)), SMALLER)?;
     let clock = Instant::now();
     let way = Way::of(args, &stage, SpectralDensity::new(&Sensor::generic()))?;
     let bar = Bar::new("render");

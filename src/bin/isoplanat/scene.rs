@@ -5,7 +5,7 @@ use std::path::Path;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
-use isoplanat::imaging::render::frame_of;
+use isoplanat::imaging::render::{frame_of, memory};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::{Lens, SensorRaster};
 use isoplanat::psf::table::chief_slopes;
@@ -61,6 +61,20 @@ fn cut(frame: &Frame, [col, row, columns, rows]: [usize; 4]) -> Result<Frame> {
     Frame::centred(columns, rows, frame.pitch_mm)?.with_axis(axis_px)
 }
 
+/// What takes less memory.
+pub(crate) const SMALLER: &str = "a smaller frame (--columns, --rows, --crop), larger pixels or a smaller scene";
+
+/// Texels of a built-in scene along an axis of `n` pixels.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    clippy::cast_precision_loss,
+    reason = "raster sizes"
+)]
+fn size(n: usize, zoom: f64) -> usize {
+    ((n as f64 * zoom * 1.25).ceil() as usize).clamp(16, 16_384)
+}
+
 /// A lens and its frame, ready for scenes.
 pub(crate) struct Stage {
     /// The lens, with the command line's raster and depth.
@@ -86,8 +100,8 @@ pub(crate) struct Placed {
 
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
-    pub(crate) fn stage(&self, lens: &str) -> Result<Stage> {
-        let mut lens = input::lens(lens)?;
+    pub(crate) fn stage(&self, argument: &str) -> Result<Stage> {
+        let mut lens = input::lens(argument)?;
         self.apply(&mut lens)?;
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
@@ -96,13 +110,22 @@ impl SceneArgs {
         };
         // The chief ray next to the axis.
         let near = 1e-3 * whole.max_radius_mm();
-        let per_pixel = chief_slopes(&lens, lens.object_vergence, &[near])?[0] / near * whole.pitch_mm;
+        let slopes =
+            chief_slopes(&lens, lens.object_vergence, &[near]).map_err(|e| input::in_lens(e, &lens, argument))?;
+        let per_pixel = slopes[0] / near * whole.pitch_mm;
+        if per_pixel.is_nan() || per_pixel <= 0.0 {
+            let found = format!("{} of object slope a pixel at {} mm", per_pixel, lens.object_vergence.recip());
+            let allowed = "an object's height that grows with the image's; another distance or lens";
+            return Err(Error::bad(argument, "chief rays", found, allowed));
+        }
         Ok(Stage { lens, frame, whole, per_pixel, texels_per_pixel: self.texels_per_pixel })
     }
 
     /// The lens and the scene of the command line.
     pub(crate) fn place(&self, lens: &str, scene: &str) -> Result<Placed> {
         let stage = self.stage(lens)?;
+        let bytes = stage.generated(&[scene.to_owned()]);
+        crate::memory::limit().allow("the scene", bytes, SMALLER)?;
         let plane = stage.plane(scene)?;
         Ok(Placed { lens: stage.lens, frame: stage.frame, plane })
     }
@@ -161,6 +184,15 @@ impl SceneArgs {
 }
 
 impl Stage {
+    /// Bytes of a built-in scene that fills the frame, if one of `scenes` is one; a picture file's size shows when it is read.
+    pub(crate) fn generated(&self, scenes: &[String]) -> u64 {
+        if scenes.iter().all(|s| Path::new(s).exists()) {
+            return 0;
+        }
+        let zoom = self.texels_per_pixel.unwrap_or(1.0);
+        memory::scene([size(self.whole.rows, zoom), size(self.whole.columns, zoom)])
+    }
+
     /// The scene named `name`, placed in front of `lens` so that the axis meets the same relative place of both.
     pub(crate) fn plane(&self, name: &str) -> Result<Plane> {
         let frame = &self.whole;
@@ -179,9 +211,7 @@ impl Stage {
             let kind = SceneKind::from_name(kind).ok_or_else(|| bad(format!("`{name}`")))?;
             let seed = seed.parse().map_err(|_| bad(format!("seed `{seed}`")))?;
             let zoom = self.texels_per_pixel.unwrap_or(1.0);
-            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "raster sizes")]
-            let size = |n: usize| ((n as f64 * zoom * 1.25).ceil() as usize).clamp(16, 16_384);
-            (generate(kind, seed, size(frame.rows), size(frame.columns)), zoom)
+            (generate(kind, seed, size(frame.rows, zoom), size(frame.columns, zoom)), zoom)
         };
         if !(zoom > 0.0 && zoom.is_finite()) {
             return Err(Error::bad("--texels-per-pixel", "value", zoom.to_string(), "a positive number"));

@@ -70,16 +70,27 @@ impl Distortion {
 
 /// Samples of the fit (paper §3.1.3).
 const SAMPLES: u32 = 16;
+/// What the radius of a fit that folds is multiplied by.
+const SHRINK: f64 = 0.97;
 
 impl Distortion {
-    /// The paper's polynomial for a kit: fitted to 16 points of `map` from the axis to `radius_mm` on the sensor.
+    /// The paper's polynomial for a kit: fitted to 16 points of `map` from the axis to `radius_mm` on the sensor, or to the end of
+    /// its light. A polynomial in the slope has no form for fields near 90°: where it is not monotonic, the radius is made smaller
+    /// until it is. [`Self::max_slope`] and [`Self::residual_mm`] say how far out it holds, and how well.
     ///
     /// # Errors
-    /// A polynomial that is not monotonic over the field.
+    /// A polynomial that is not monotonic next to the axis.
     pub fn of_map(map: &SensorMap, radius_mm: f64) -> Result<Self> {
-        let radii: Vec<f64> = (0..SAMPLES).map(|i| radius_mm * f64::from(i) / f64::from(SAMPLES - 1)).collect();
-        let slopes: Vec<f64> = radii.iter().map(|r| map.slope(*r)).collect();
-        fit(&slopes, &radii)
+        let mut radius_mm = radius_mm.min(map.radius_mm);
+        let least = 0.1 * radius_mm;
+        loop {
+            let radii: Vec<f64> = (0..SAMPLES).map(|i| radius_mm * f64::from(i) / f64::from(SAMPLES - 1)).collect();
+            let slopes: Vec<f64> = radii.iter().map(|r| map.slope(*r)).collect();
+            match fit(&slopes, &radii) {
+                Err(_) if radius_mm > least => radius_mm *= SHRINK,
+                done => return done,
+            }
+        }
     }
 
     /// The same for the chief rays of `lens` over `radius_mm`, object at `vergence`.

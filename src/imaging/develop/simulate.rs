@@ -52,7 +52,9 @@ pub fn simulate<T: Real>(
     let mut raw = mosaic(image, cfa);
     raw.indexed_iter_mut().for_each(|((i, j), v)| *v *= neutral(i, j));
     let mut gain = mosaic(illumination, cfa);
-    gain.indexed_iter_mut().for_each(|((i, j), v)| *v = T::one() / (*v * neutral(i, j)));
+    // Where no light comes, none is made up.
+    let gained = |v: T, n: T| if v > T::zero() { T::one() / (v * n) } else { T::zero() };
+    gain.indexed_iter_mut().for_each(|((i, j), v)| *v = gained(*v, neutral(i, j)));
     let balanced = &electronics.noise.apply(raw.view(), eps.view()) * &gain;
     let developed = demosaic(balanced.view(), cfa);
     (developed, SimulateRecord { raw, gain, eps, balanced })

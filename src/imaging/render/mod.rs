@@ -13,6 +13,7 @@ mod explain;
 pub mod gradient_error;
 pub mod light;
 mod measure;
+pub mod memory;
 pub mod needs;
 pub mod node_grid;
 pub mod nodes;

@@ -27,6 +27,8 @@ pub(super) const ILLUMINATIONS: u32 = 192;
 pub(super) const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
 const COARSEST: usize = 64;
+/// Half-widths in the coarsest cells, at most, over those wished for.
+const WIDEST: usize = 4;
 
 /// How finely each approximation is made.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -163,6 +165,11 @@ impl RenderPlan {
         Ok(Self { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths })
     }
 
+    /// The whole frame.
+    pub fn whole(&self) -> Region {
+        Region { row: 0, col: 0, rows: self.frame.rows, cols: self.frame.columns }
+    }
+
     /// The plan's entry for objects at `vergence`.
     ///
     /// # Errors
@@ -194,7 +201,7 @@ pub fn bin_of(half: usize, cells: usize) -> usize {
 /// Width and nodes for one object distance, over the part `region` of the frame.
 ///
 /// # Errors
-/// None for a valid frame.
+/// A blur that even the coarsest cells leave wider than any window.
 pub fn depth_plan(
     optics: &Optics,
     frame: &Frame,
@@ -206,6 +213,12 @@ pub fn depth_plan(
     let radii = region.radii_mm(frame, 0.0);
     let half = optics.half_widths(&look, depth, &[settings.outside], radii)[0];
     let bin = bin_of(half, settings.cells);
+    if half.div_ceil(bin) > WIDEST * settings.cells {
+        let found = format!("{} pixels wide at {} mm", 2 * half + 1, optics.spec.vergences[depth].recip());
+        let allowed =
+            format!("at most {} pixels; larger pixels or another distance", 2 * WIDEST * settings.cells * COARSEST);
+        return Err(crate::error::Error::bad("", "blur", found, allowed));
+    }
     let cells = raster(frame, bin)?;
     // On cells box and tent are wider, and the interpolation reads on.
     let half_width = if bin == 1 { half } else { half.div_ceil(bin) + 1 };

@@ -4,6 +4,7 @@
 //! nothing; [`Renderer::record`] keeps what [`Renderer::vjp`] needs. f64 from lens to kernels; the cast to the image's
 //! precision happens where kernels are filled in.
 
+use std::borrow::Cow;
 use std::sync::Mutex;
 
 use ndarray::{Array3, Array4, ArrayView3, ArrayView4, ArrayViewMut4, Axis, s};
@@ -47,6 +48,8 @@ pub struct Rendered<T: Real> {
     pub truth: Array3<T>,
     /// Relative illumination over the region.
     pub illumination: Array3<T>,
+    /// What was computed.
+    pub seen: Seen,
     region: Region,
     depth: usize,
     channels: Channels,
@@ -70,28 +73,28 @@ struct NodeKernels<'a> {
     renderer: &'a Renderer,
     depth: usize,
     grid: &'a NodeGrid,
-    lit: &'a [usize],
+    /// Of the channels with light.
+    form: Cow<'a, KernelForm>,
     seen: Mutex<Seen>,
 }
 
 impl<T: Real> Kernels<T> for NodeKernels<'_> {
     fn channels(&self) -> usize {
-        self.lit.len()
+        self.form.channels()
     }
     fn size(&self) -> usize {
-        self.renderer.forms[self.depth].raster.size
+        self.form.raster.size
     }
     fn phases(&self) -> usize {
-        self.renderer.forms[self.depth].raster.samples.pow(2)
+        self.form.raster.samples.pow(2)
     }
     fn fill(&self, node: usize, mut out: ArrayViewMut4<'_, T>) {
-        let form = &self.renderer.forms[self.depth];
+        let form = &*self.form;
         let raster = form.raster;
         let mut fine = vec![0.0; form.channels() * raster.len()];
         let at = self.renderer.node_place(self.depth, self.grid, node);
         let outside = self.renderer.optics.kernels(form, self.depth, at, &mut fine);
-        for (k, channel) in self.lit.iter().enumerate() {
-            let plane = &fine[channel * raster.len()..][..raster.len()];
+        for (k, plane) in fine.chunks_exact(raster.len()).enumerate() {
             for phase in 0..raster.samples.pow(2) {
                 let view = out.slice_mut(s![k, phase, .., ..]);
                 phase_of(plane, raster, [phase / raster.samples, phase % raster.samples], view, T::real);
@@ -175,9 +178,26 @@ impl Renderer {
         WarpedScene::new(scene, &self.optics.maps[depth], &d.raster, (d.samples, d.bin), channels.of_texture(scene))
     }
 
-    /// The ideal picture of `region`: the scene as this lens's distortion shows it, without blur.
-    pub fn truth<T: Real>(&self, scene: &Plane, depth: usize, region: Region) -> Array3<T> {
-        warp(scene, &self.optics.maps[depth], &self.plan.frame, region)
+    /// The kernels of the channels with light.
+    fn form(&self, depth: usize, channels: &Channels) -> Cow<'_, KernelForm> {
+        let form = &self.forms[depth];
+        if channels.lit.iter().copied().eq(0..form.channels()) {
+            return Cow::Borrowed(form);
+        }
+        let weight = channels.lit.iter().map(|c| form.weight[*c].clone()).collect();
+        Cow::Owned(KernelForm { weight, ..form.clone() })
+    }
+
+    /// The ideal picture of `region`, `[3, row, col]`: the scene as this lens's distortion shows it, without blur.
+    pub fn truth<T: Real>(&self, scene: &Plane, depth: usize, region: Region, channels: &Channels) -> Array3<T> {
+        let warped: Array3<T> =
+            warp(scene, &self.optics.maps[depth], &self.plan.frame, region, &channels.of_texture(scene));
+        let mut truth = Array3::from_elem((3, region.rows, region.cols), T::zero());
+        for (k, channel) in channels.lit.iter().enumerate() {
+            let plane = warped.index_axis(Axis(0), k.min(channels.sources() - 1));
+            truth.index_axis_mut(Axis(0), *channel).assign(&plane);
+        }
+        truth
     }
 
     /// The picture of `region`, `[3, row, col]`, 1 = white on the axis. `progress` hears the share done.
@@ -198,8 +218,13 @@ impl Renderer {
         let d = &self.plan.depths[depth];
         let around = cells(region, d.bin);
         let grid = d.grid.part(around);
-        let kernels =
-            NodeKernels { renderer: self, depth, grid: &grid, lit: &channels.lit, seen: Mutex::new(Seen::default()) };
+        let kernels = NodeKernels {
+            renderer: self,
+            depth,
+            grid: &grid,
+            form: self.form(depth, channels),
+            seen: Mutex::default(),
+        };
         let source = self.source(scene, depth, channels);
         let method = self.method(depth, channels, &grid, around);
         let blurred = blur::<T>(&grid, &kernels, &source, around, method, progress);
@@ -211,33 +236,46 @@ impl Renderer {
         (image, kernels.seen.into_inner().unwrap_or_default())
     }
 
-    /// Renders `region` with all that [`Self::vjp`] needs: the spectra of its source and kernels stay in memory.
+    /// Renders `region` with all that [`Self::vjp`] needs: the spectra of its source and kernels stay in memory. What the scene
+    /// does not need is left out: channels without light, sources that are the same, blocks of the region that see no light.
     pub fn record<T: Real>(&self, scene: &Plane, depth: usize, region: Region) -> Rendered<T> {
-        let channels = Channels::of(scene);
+        self.record_with(scene, depth, region, Channels::of(scene), false)
+    }
+
+    /// [`Self::record`] of given channels, and where `dark` is set of blocks without light as well: for measuring what leaving
+    /// them out saves and changes.
+    pub fn record_with<T: Real>(
+        &self,
+        scene: &Plane,
+        depth: usize,
+        region: Region,
+        channels: Channels,
+        dark: bool,
+    ) -> Rendered<T> {
         let d = &self.plan.depths[depth];
         let around = cells(region, d.bin);
         let grid = d.grid.part(around);
         let frame = &self.plan.frame;
         let illumination: Array3<T> = self.light.over(frame, region, &[0, 1, 2]);
-        let truth = self.truth(scene, depth, region);
+        let truth = self.truth(scene, depth, region, &channels);
         let mut image = Array3::from_elem((3, region.rows, region.cols), T::zero());
         let mut blurred = Array3::from_elem((0, region.rows, region.cols), T::zero());
-        let mut record = None;
+        let (mut record, mut seen) = (None, Seen::default());
         if !channels.lit.is_empty() {
             let kernels = NodeKernels {
                 renderer: self,
                 depth,
                 grid: &grid,
-                lit: &channels.lit,
-                seen: Mutex::new(Seen::default()),
+                form: self.form(depth, &channels),
+                seen: Mutex::default(),
             };
             let source = self.source(scene, depth, &channels);
             let block = match self.method(depth, &channels, &grid, around) {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block);
-            record = Some(kept);
+            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block, dark);
+            (record, seen) = (Some(kept), kernels.seen.into_inner().unwrap_or_default());
             blurred = to_pixels(cells, region, d.bin);
             for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {
                 let mut to = image.index_axis_mut(Axis(0), *channel);
@@ -245,7 +283,7 @@ impl Renderer {
                 to.zip_mut_with(&illumination.index_axis(Axis(0), *channel), |a, b| *a *= *b);
             }
         }
-        Rendered { image, truth, illumination, region, depth, channels, blurred, grid, record }
+        Rendered { image, truth, illumination, seen, region, depth, channels, blurred, grid, record }
     }
 
     /// Pulls cotangents on image, truth and illumination of a recorded region back to the optics.
@@ -262,7 +300,11 @@ impl Renderer {
         let d = &self.plan.depths[depth];
         let frame = &self.plan.frame;
         let mut bar = OpticsBar::zeros(&self.optics);
-        warp_vjp(scene, &self.optics.maps[depth], frame, region, truth_bar, &mut bar.maps[depth]);
+        let mut warped_bar = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
+        for (k, channel) in channels.lit.iter().enumerate() {
+            let mut to = warped_bar.index_axis_mut(Axis(0), k.min(channels.sources() - 1));
+            to.zip_mut_with(&truth_bar.index_axis(Axis(0), *channel), |a, b| *a += *b);
+        }
         // image = blurred · illumination.
         let mut light_bar = illumination_bar.to_owned();
         let mut blurred_bar = Array3::from_elem(rendered.blurred.dim(), T::zero());
@@ -278,12 +320,20 @@ impl Renderer {
             ndarray::Zip::from(&mut blurred).and(&from).and(&light).for_each(|o, b, v| *o = *b * *v);
         }
         self.light.over_vjp(&self.optics, frame, region, light_bar.view(), &mut bar);
-        if let Some(record) = &rendered.record {
-            let back = blur_vjp(record, to_pixels_vjp(blurred_bar.view(), region, d.bin).view());
-            let around = cells(region, d.bin).grown(d.half_width);
-            self.source(scene, depth, channels).fill_vjp(around, back.source.view(), &mut bar.maps[depth]);
-            self.kernels_vjp(rendered, back.kernels.outer_iter(), &mut bar);
+        let Some(record) = &rendered.record else { return bar };
+        let mut back = blur_vjp(record, to_pixels_vjp(blurred_bar.view(), region, d.bin).view());
+        let around = cells(region, d.bin).grown(d.half_width);
+        if d.samples * d.bin == 1 {
+            // The ideal picture is the middle of the source.
+            let (rows, cols) = (d.half_width..d.half_width + region.rows, d.half_width..d.half_width + region.cols);
+            let mut middle = back.source.slice_mut(s![.., 0, rows, cols]);
+            middle += &warped_bar;
+        } else {
+            let warped_bar = (&channels.of_texture(scene)[..], warped_bar.view());
+            warp_vjp(scene, &self.optics.maps[depth], frame, region, warped_bar, &mut bar.maps[depth]);
         }
+        self.source(scene, depth, channels).fill_vjp(around, back.source.view(), &mut bar.maps[depth]);
+        self.kernels_vjp(rendered, back.kernels.outer_iter(), &mut bar);
         bar
     }
 
@@ -294,7 +344,7 @@ impl Renderer {
         bar: &mut OpticsBar,
     ) {
         let depth = rendered.depth;
-        let form = &self.forms[depth];
+        let form = &*self.form(depth, &rendered.channels);
         let (raster, m) = (form.raster, form.raster.samples);
         let bars: Vec<_> = bars.collect();
         let parts: Vec<_> = bars
@@ -303,8 +353,7 @@ impl Renderer {
             .filter(|(_, b)| b.iter().any(|v| *v != T::zero()))
             .map(|(node, b)| {
                 let mut fine = vec![0.0; form.channels() * raster.len()];
-                for (k, channel) in rendered.channels.lit.iter().enumerate() {
-                    let plane = &mut fine[channel * raster.len()..][..raster.len()];
+                for (k, plane) in fine.chunks_exact_mut(raster.len()).enumerate() {
                     for phase in 0..m * m {
                         phase_of_vjp(
                             b.slice(s![k, phase, .., ..]),

@@ -6,7 +6,6 @@
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
 
-use super::needs::Channels;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::Source;
@@ -277,10 +276,11 @@ impl<T: Real> Source<T> for WarpedScene<'_> {
     }
 }
 
-/// The ideal picture: the scene as a lens with this map and no blur would image it, at pixel centres, `[3, row, col]`.
-pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Region) -> Array3<T> {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), Channels::all().of_texture(scene));
-    let mut out = Array3::from_elem((3, region.rows, region.cols), T::zero());
+/// The ideal picture: `channels` of the scene's texture as a lens with this map and no blur would image them, at pixel
+/// centres, `[channel, row, col]`.
+pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Region, channels: &[usize]) -> Array3<T> {
+    let source = WarpedScene::new(scene, map, frame, (1, 1), channels.to_vec());
+    let mut out = Array3::from_elem((channels.len(), region.rows, region.cols), T::zero());
     out.axis_chunks_iter_mut(Axis(1), 16).into_par_iter().enumerate().for_each(|(k, part)| {
         let rows = part.len_of(Axis(1));
         let strip = Region { row: region.row + (16 * k).cast_signed(), rows, ..region };
@@ -295,10 +295,10 @@ pub fn warp_vjp<T: Real>(
     map: &SensorMap,
     frame: &Frame,
     region: Region,
-    bar: ArrayView3<'_, T>,
+    (channels, bar): (&[usize], ArrayView3<'_, T>),
     coefficients_bar: &mut [f64],
 ) {
-    let source = WarpedScene::new(scene, map, frame, (1, 1), Channels::all().of_texture(scene));
+    let source = WarpedScene::new(scene, map, frame, (1, 1), channels.to_vec());
     source.fill_vjp(region, bar.insert_axis(Axis(1)), coefficients_bar);
 }
 

@@ -45,7 +45,11 @@ impl Work for Ratios<'_> {
                 }
             }
             for (k, value) in chunk.iter_mut().enumerate() {
-                *value = if x2[k] <= 1.0 { first + t[k] * b1[k] - b2[k] } else { map.ratio(value.sqrt()) };
+                *value = if x2[k] <= 1.0 {
+                    (first + t[k] * b1[k] - b2[k]) / map.below(*value)
+                } else {
+                    map.ratio(value.sqrt())
+                };
             }
         }
     }
@@ -75,7 +79,7 @@ impl Work for Sums<'_> {
             for (k, (s, weight)) in squares.iter().zip(weights).enumerate() {
                 let x2 = s * scale;
                 if x2 <= 1.0 {
-                    (t[k], w[k]) = (2.0 * x2 - 1.0, *weight);
+                    (t[k], w[k]) = (2.0 * x2 - 1.0, *weight / map.below(*s));
                 } else if *weight != 0.0 {
                     let radius = s.sqrt();
                     map.slope_vjp(radius, weight / radius, out);
@@ -103,7 +107,9 @@ mod tests {
     /// Lines give the bits of single radii, beyond the edge too; their pull-back is the sum of the single ones.
     #[test]
     fn lines_are_their_radii_one_by_one() {
-        let map = map("two_element", 20.0, 1e-3);
+        let mut map = map("two_element", 20.0, 1e-3);
+        map.horizon = (30.0f64 * 30.0).recip();
+        map.find_edge();
         let rng = &mut fastrand::Rng::with_seed(3);
         for count in [1, 15, 16, 37] {
             let squares: Vec<f64> = (0..count).map(|_| (25.0 * rng.f64()).powi(2)).collect();

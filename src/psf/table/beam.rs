@@ -6,10 +6,10 @@ use glam::DVec2;
 
 use super::super::fit::{Of, apply, apply_transposed};
 use super::super::stop::StopNodes;
-use super::{Layout, Row};
+use super::{Layout, Row, STEEPEST, STEEPEST_RAY};
 use crate::trace::aim::{Crossings, SceneRayBar, SensorView};
 use crate::trace::sequential::Hit;
-use crate::trace::{Failure, SystemGradient};
+use crate::trace::{Cause, Failure, SystemGradient};
 
 /// Parts of the unit stop's radius tried in turn where rays fail.
 const PARTS: [f64; 6] = [1.0, 0.93, 0.85, 0.75, 0.6, 0.4];
@@ -107,8 +107,10 @@ impl Beam {
             Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
             None => targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect(),
         };
+        let across = Failure { cause: Cause::Missed, surface: view.system.image() };
+        let steep = |n: &Crossings| n.ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY;
         if let Some(nodes) = view.bundle(at, &targets, &starts, (chief, &chief_hits)) {
-            return Ok(nodes);
+            return if nodes.iter().any(steep) { Err(across) } else { Ok(nodes) };
         }
         // One by one, with all that aiming can do.
         let mut hits = Vec::with_capacity(view.system.surfaces.len());
@@ -116,6 +118,9 @@ impl Beam {
         for (target, start) in targets.iter().zip(starts) {
             let cosines = view.aim(at, *target, Some(start), &mut hits)?;
             let ray = view.follow(at, cosines, &mut hits)?;
+            if ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY {
+                return Err(across);
+            }
             nodes.push(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
         }
         Ok(nodes)
@@ -272,6 +277,9 @@ impl Chief {
         let mut hits = Vec::new();
         let cosines = view.aim(at, DVec2::ZERO, None, &mut hits)?;
         let ray = view.follow(at, cosines, &mut hits)?;
+        if ray.slope.length() > STEEPEST {
+            return Err(Failure { cause: Cause::Missed, surface: view.system.image() });
+        }
         Ok(Self { radius_mm, cosines, entrance: ray.entrance.y + 0.0, slope: ray.slope.y + 0.0 })
     }
 

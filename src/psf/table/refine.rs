@@ -3,6 +3,7 @@
 use rayon::prelude::*;
 
 use super::super::fit::Of;
+use super::super::sensor_map::SensorMap;
 use super::{Table, TableSpec};
 use crate::error::Result;
 use crate::lens::Lens;
@@ -11,6 +12,16 @@ use crate::lens::Lens;
 const INTERVALS: [u32; 2] = [6, 96];
 /// Halving the intervals makes the error of six-point interpolation so many times smaller, at least.
 const GAIN: f64 = 16.0;
+
+/// Part of the radius over which growth is looked at, and the least growth of the object's height, of its mean.
+const STEP: f64 = 1e-3;
+const FOLDS: f64 = 0.3;
+
+/// What the edge of the light is found to, of its radius.
+const EDGE: f64 = 1e-5;
+
+/// Places between the last knot with light and the edge at which the map is tried.
+const TRIES: u32 = 6;
 
 /// What the error of a table may be.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,7 +50,10 @@ pub fn knots(
         [first, .., last] => vec![*first, *last],
         few => few.to_vec(),
     };
+    // Where light ends before the radius does, knots are spread up to there, and the last one stands in the dark.
+    let (frame_mm, radius_mm) = (radius_mm, lit(lens, vergence, &ends, degree, radius_mm)?);
     let even = |n: u32| (0..=n).map(|i| radius_mm * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
+    let within = |n: u32| even(n).into_iter().chain((radius_mm < frame_mm).then_some(frame_mm)).collect();
     let holds = |t: Tolerance| t.landing_mm <= tolerance.landing_mm && t.weight <= tolerance.weight;
     let mut n = INTERVALS[0];
     loop {
@@ -47,14 +61,49 @@ pub fn knots(
         let fine = Table::compute(lens, &spec)?;
         let coarse = difference(&fine.halved(), &fine, vergence);
         if holds(coarse) {
-            return Ok((even(n), coarse));
+            return Ok((within(n), coarse));
         }
         let finer = Tolerance { landing_mm: coarse.landing_mm / GAIN, weight: coarse.weight / GAIN };
         if holds(finer) || 4 * n > INTERVALS[1] {
-            return Ok((even(2 * n), finer));
+            return Ok((within(2 * n), finer));
         }
         n *= 2;
     }
+}
+
+/// The largest radius with light, up to `radius_mm`, to [`EDGE`]: where knots of the first look see no more, it is looked
+/// for between the last that does and the next. It ends as well where the picture of an object at `vergence` would fold.
+fn lit(lens: &Lens, vergence: f64, wavelength_nm: &[f64], degree: usize, radius_mm: f64) -> Result<f64> {
+    let of = |radii_mm: Vec<f64>| {
+        Table::compute(lens, &TableSpec { radii_mm, wavelength_nm: wavelength_nm.to_vec(), degree })
+    };
+    let first = of((0..=INTERVALS[0]).map(|i| radius_mm * f64::from(i) / f64::from(INTERVALS[0])).collect())?;
+    if first.edge_mm == f64::INFINITY {
+        return Ok(radius_mm);
+    }
+    let grows = |table: &Table| match table.chief_slopes(vergence)[..] {
+        [_, near, at] => at - near > FOLDS * STEP * at,
+        _ => false,
+    };
+    let (mut low, mut high) = (first.edge_mm, first.edge_mm + radius_mm / f64::from(INTERVALS[0]));
+    while high - low > EDGE * high {
+        let middle = 0.5 * (low + high);
+        if grows(&of(vec![0.0, (1.0 - STEP) * middle, middle])?) {
+            low = middle;
+        } else {
+            high = middle;
+        }
+    }
+    // The map that will be fitted has the last word.
+    let last = if first.edge_mm > 0.0 { first.edge_mm } else { return Ok(radius_mm) };
+    let radii = |edge: f64| (0..=2 * INTERVALS[0]).map(|i| edge * f64::from(i) / f64::from(2 * INTERVALS[0])).collect();
+    for _ in 0..TRIES {
+        if SensorMap::fit(lens, &of(radii(low))?, vergence).is_ok() {
+            return Ok(low);
+        }
+        low = last + 0.5 * (low - last);
+    }
+    Ok(last)
 }
 
 /// Largest errors of `table` at the knots of `truth` that both have light at.

@@ -81,7 +81,7 @@ pub(crate) fn photograph(
     // The Wiener filter in the network's place, tuned against the truth of this very capture.
     let bar = Bar::new(&format!("Wiener filter: {}", unseen.name));
     let whole = Region::whole(frame);
-    let ideal: Array3<f32> = renderer.truth(&plane, 0, whole);
+    let ideal: Array3<f32> = renderer.truth(&plane, 0, whole, &Lit::of(&plane));
     let development = Development {
         balance: Balance::from_sensor(sensor),
         flat_field: Some((frame, &kit.shading)),

@@ -73,7 +73,7 @@ impl<T: Real> Pull<'_, T> {
             for (r, row) in frame.rows.iter().enumerate() {
                 for parity in 0..2 {
                     let mut done = sums.done(&frame.nodes(row, cols));
-                    let mut cells = self.cells(cols, strip.start, parity, |blocks, channels| {
+                    let mut cells = self.cells((r, cols), strip.start, parity, |blocks, channels| {
                         let nodes = cell_nodes(frame, row, &frame.cols[blocks]);
                         sums.take(frame, nodes, channels)
                     });
@@ -90,10 +90,11 @@ impl<T: Real> Pull<'_, T> {
         }
     }
 
-    /// Cells of a row of blocks whose number is even or odd, a task for the channels that share a channel of the source.
+    /// Cells of a row of blocks whose number is even or odd, a task for the channels that share a channel of the source; dark ones
+    /// matter only to the source, if at all.
     fn cells(
         &self,
-        cols: &[Segment<T>],
+        (r, cols): (usize, &[Segment<T>]),
         first: usize,
         parity: usize,
         mut sums: impl FnMut(Range<usize>, Range<usize>) -> Sums<T>,
@@ -106,6 +107,9 @@ impl<T: Real> Pull<'_, T> {
             let blocks = first + from..first + to;
             if cols[from].cell % 2 == parity {
                 for (group, channels) in groups.iter().cloned().enumerate() {
+                    if !self.record.dark && blocks.clone().all(|b| self.record.seen(r, b, group).is_none()) {
+                        continue;
+                    }
                     let sums = sums(blocks.clone(), channels.clone());
                     cells.push(Cell { blocks: blocks.clone(), group, channels, sums, tiles: Vec::new() });
                 }
@@ -121,6 +125,10 @@ impl<T: Real> Pull<'_, T> {
             for b in cell.blocks.clone() {
                 let place = Place { row: &frame.rows[r], col: &frame.cols[b] };
                 let seen = self.record.seen(r, b, cell.group);
+                if seen.is_none() && !self.record.dark {
+                    cell.tiles.push(Vec::new());
+                    continue;
+                }
                 let block = Block { frame, place, kernels: &self.record.kernels, seen };
                 block.start(scratch);
                 for channel in cell.channels.clone() {
@@ -166,7 +174,7 @@ mod tests {
     }
 
     fn recorded<T: Real>(case: &Case<T>) -> (Array3<T>, BlurRecord<T>) {
-        blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, case.block)
+        blur_recorded(&case.grid, &case.kernels(), &case.source(), case.region, case.block, true)
     }
 
     fn random<T: Real>(dim: (usize, usize, usize), rng: &mut fastrand::Rng) -> Array3<T> {

@@ -17,6 +17,7 @@ use super::frame::{Frame, Place};
 use super::lines::{part, weigh};
 use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
+use super::record::Keep;
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
@@ -33,7 +34,7 @@ pub(super) fn blur_cells<T: Real>(
     kernels: &dyn Kernels<T>,
     source: &dyn Source<T>,
     spectra: &mut NodeSpectra<T>,
-    keep: bool,
+    keep: Keep,
     progress: &(dyn Fn(f64) + Sync),
 ) -> (Array3<T>, Vec<Option<Kept<T>>>) {
     let shape = frame.shape;
@@ -41,7 +42,7 @@ pub(super) fn blur_cells<T: Real>(
     let mut out = Array3::from_elem((shape.channels, frame.region.rows, frame.region.cols), T::zero());
     let across = frame.cols.len() * groups.len();
     let mut kept: Vec<Option<Kept<T>>> = Vec::new();
-    if keep {
+    if keep != Keep::Nothing {
         kept.resize_with(frame.rows.len() * across, || None);
     }
     let strips = frame.strips_in_memory();
@@ -55,12 +56,13 @@ pub(super) fn blur_cells<T: Real>(
             let seen = frame.seen(Place { row, col: &cols[0] });
             band.advance(source, seen.row, seen.rows);
             let lit: Vec<bool> = cols.iter().map(|col| band.lit(frame, Place { row, col })).collect();
-            if lit.contains(&true) || keep {
-                let nodes = frame.nodes(row, cols);
-                if !keep {
-                    spectra.keep(&nodes);
+            let dark = keep == Keep::All;
+            if lit.contains(&true) || dark {
+                if keep == Keep::Nothing {
+                    spectra.keep(&frame.nodes(row, cols));
                 }
-                spectra.add(frame, kernels, &nodes);
+                let seeing = cols.iter().zip(&lit).filter(|(_, lit)| **lit || dark).map(|(col, _)| col);
+                spectra.add(frame, kernels, &frame.nodes(row, seeing));
             }
             let all = Row { frame, band: &band, spectra, keep };
             let from = r * across + strip.start * groups.len();
@@ -78,7 +80,7 @@ struct Row<'a, T: Real> {
     frame: &'a Frame<T>,
     band: &'a Band<T>,
     spectra: &'a NodeSpectra<T>,
-    keep: bool,
+    keep: Keep,
 }
 
 /// The part of the image that one channel of the source lights in one block.
@@ -118,7 +120,7 @@ impl<T: Real> Row<'_, T> {
                 write(frame, place, &scratch.lines, &mut out);
             }
             let len = frame.shape.phases * frame.plane.spectrum_len();
-            self.keep.then(|| scratch.spectra[..len].to_vec())
+            (self.keep != Keep::Nothing).then(|| scratch.spectra[..len].to_vec())
         })
     }
 }

@@ -4,10 +4,12 @@
 //! the frames of `benches/results/blur.md` come out within about a third. Ratios matter to the choice.
 
 use super::Method;
+use super::frame::STRIP_BYTES;
 use super::segments::{Segment, segments, used};
 use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::fft::fast_size;
+use crate::math::memory::{product, threads};
 
 /// Transform of a line or a column, per complex point and `log₂`.
 const TRANSFORM: f64 = 0.14;
@@ -23,6 +25,9 @@ const BLOCK: f64 = 3e3;
 const TAP: f64 = 0.07;
 /// A pixel of the direct sum, whatever the kernel.
 const PIXEL: f64 = 1.0;
+
+/// Rows that a task of the direct sum computes.
+const DIRECT_ROWS: usize = super::direct::BAND;
 
 /// A frame to be blurred.
 #[derive(Clone, Copy, Debug)]
@@ -113,6 +118,33 @@ impl Task<'_> {
 
     fn planes(&self) -> (f64, f64, f64) {
         (self.source_channels as f64, self.channels as f64, self.phases as f64)
+    }
+
+    /// Bytes that the blur takes beside its source's own, from above, in numbers of `word` bytes: the picture, spectra or kernels of
+    /// the nodes, the source of a row of blocks, buffers of every thread.
+    pub fn bytes(&self, method: Method, word: usize) -> u64 {
+        let Self { region, size, channels, source_channels, phases, .. } = *self;
+        let threads = threads();
+        let kernels = channels * phases;
+        let filling = product(&[threads, kernels, size, size, word + size_of::<f64>()]);
+        let picture = product(&[channels, region.rows, region.cols, word]);
+        let Method::Cells { block } = method else {
+            let bands = product(&[threads, source_channels * phases, DIRECT_ROWS + size, region.cols + 2 * size, word]);
+            let nodes = product(&[self.grid.len(), kernels, size, size, word]);
+            return [picture, filling, bands, nodes].into_iter().fold(0, u64::saturating_add);
+        };
+        let rows = cut(&self.grid.row_knots, block, region.row, region.rows, size);
+        let cols = cut(&self.grid.col_knots, block, region.col, region.cols, size);
+        let spectrum = product(&[rows.size, cols.size / 2 + 1, 2 * word]);
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "counts")]
+        let across = cols.knots as usize;
+        let nodes = |across: usize| spectrum.saturating_mul(product(&[2 * across, kernels]));
+        let band = |width: usize| product(&[source_channels * phases, rows.size, width + size, word]);
+        let whole = nodes(across).saturating_add(band(region.cols));
+        let least = nodes(2).saturating_add(band(cols.size));
+        let buffers = spectrum.saturating_mul(product(&[threads, phases + 3]));
+        let strip = whole.min(least.max(STRIP_BYTES as u64));
+        [picture, filling, buffers, strip].into_iter().fold(0, u64::saturating_add)
     }
 
     /// The cheapest method.

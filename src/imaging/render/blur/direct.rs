@@ -19,7 +19,7 @@ use crate::math::real::Real;
 use crate::math::wide::{Work, wide};
 
 /// Rows of the image that one task computes; the source is asked for that many and a margin.
-const BAND: usize = 32;
+pub(super) const BAND: usize = 32;
 /// Pixels whose sums stay in registers.
 const CHUNK: usize = 32;
 

@@ -13,7 +13,7 @@ use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
 
 /// Bytes that the spectra and the source of one strip may take, unless a single block takes more.
-const STRIP_BYTES: usize = 1 << 30;
+pub(super) const STRIP_BYTES: usize = 1 << 30;
 
 /// Numbers that describe the kernels and the source.
 #[derive(Clone, Copy, Debug)]
@@ -123,8 +123,11 @@ impl<T: Real> Frame<T> {
         row * self.grid.col_knots.len() + col
     }
 
-    /// The nodes that the blocks of a row of blocks use.
-    pub(super) fn nodes(&self, row: &Segment<T>, cols: &[Segment<T>]) -> Vec<usize> {
+    /// The nodes that blocks of a row of blocks use.
+    pub(super) fn nodes<'a>(&self, row: &Segment<T>, cols: impl IntoIterator<Item = &'a Segment<T>>) -> Vec<usize>
+    where
+        T: 'a,
+    {
         let across = used(cols);
         row.windows.iter().flat_map(|w| across.iter().map(|c| self.node(w.0, *c))).collect()
     }

@@ -11,6 +11,17 @@ use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
 
+/// What a blur keeps for the cotangents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keep {
+    /// Nothing: there will be none.
+    Nothing,
+    /// The spectra of blocks with light and of the nodes that they use.
+    Lit,
+    /// Those of all nodes.
+    All,
+}
+
 /// What [`blur_recorded`] keeps for the cotangents.
 ///
 /// Spectra of `H × N` complex numbers, where `N` is the transform's size, a little more than a block and a kernel, and
@@ -18,6 +29,8 @@ use crate::math::real::Real;
 /// one a node, channel and phase for the source's.
 pub struct BlurRecord<T: Real> {
     pub(super) frame: Frame<T>,
+    /// Whether blocks that see no light have a cotangent of the source.
+    pub(super) dark: bool,
     pub(super) kernels: NodeSpectra<T>,
     /// `[row of blocks][column of blocks][source channel]`.
     pub(super) source: Vec<Option<Kept<T>>>,
@@ -39,7 +52,8 @@ impl<T: Real> BlurRecord<T> {
 
 /// [`super::blur`] by [`super::Method::Cells`] with blocks of at most `block` pixels, and a record for its cotangents.
 ///
-/// The image is the same to the bit. All that the record keeps stays in memory: [`BlurRecord::bytes`].
+/// The image is the same to the bit. Without `dark` the blocks that see no light, and the nodes that only they use, are left out, and
+/// the source's cotangent stays zero there. All that the record keeps stays in memory: [`BlurRecord::bytes`].
 ///
 /// # Panics
 /// As [`super::blur`].
@@ -49,9 +63,11 @@ pub fn blur_recorded<T: Real>(
     source: &dyn Source<T>,
     region: Region,
     block: usize,
+    dark: bool,
 ) -> (Array3<T>, BlurRecord<T>) {
     let frame = Frame::new(grid, Shape::of(kernels, source), region, block);
+    let keep = if dark { Keep::All } else { Keep::Lit };
     let mut spectra = NodeSpectra::new();
-    let (image, kept) = blur_cells(&frame, kernels, source, &mut spectra, true, &|_| {});
-    (image, BlurRecord { frame, kernels: spectra, source: kept })
+    let (image, kept) = blur_cells(&frame, kernels, source, &mut spectra, keep, &|_| {});
+    (image, BlurRecord { frame, dark, kernels: spectra, source: kept })
 }

@@ -1,0 +1,125 @@
+//! What commands say they take of memory against what they take, and refusals of what does not fit.
+
+use crate::support::Workplace;
+
+#[test]
+fn work_that_does_not_fit_is_refused_at_once() {
+    let place = Workplace::new();
+    let clock = std::time::Instant::now();
+    for (command, words) in [
+        ("render cooke_triplet text -o x.png --columns 200000 --rows 200000", ["columns", "200000", "65536"]),
+        ("render cooke_triplet text -o x.png --columns 65536 --rows 65536", ["memory", "GiB needed", "--crop"]),
+        (
+            "render cooke_triplet text -o x.png --columns 65536 --rows 65536 --method monte-carlo",
+            ["memory", "GiB", "--crop"],
+        ),
+        (
+            "capture cooke_triplet text -o x.dng --columns 60000 --rows 60000 --memory-gib 2",
+            ["memory", "2.0 GiB", "--crop"],
+        ),
+        ("accuracy cooke_triplet text --columns 60000 --rows 60000 --memory-gib 1", ["memory", "1.0 GiB", "--crop"]),
+        (
+            "psf cooke_triplet -o x.npz --size 2047 --fields 512 --memory-gib 8",
+            ["512 kernels of 2047 × 2047", "8.0 GiB", "--size"],
+        ),
+        (
+            "render cooke_triplet text -o x.png --columns 64 --rows 48 --memory-gib 0.001",
+            ["memory", "1 MiB", "--memory-gib"],
+        ),
+        ("render cooke_triplet text -o x.png --memory-gib 0", ["--memory-gib", "0", "positive"]),
+        ("inspect cooke_triplet --memory-gib nan", ["--memory-gib", "NaN", "positive"]),
+    ] {
+        place.run(command).refused(&words);
+    }
+    assert_eq!(place.files(), [""; 0], "nothing is written");
+    let seconds = clock.elapsed().as_secs_f64();
+    assert!(seconds < 30.0, "{seconds} s for nine refusals");
+}
+
+#[cfg(target_os = "linux")]
+mod measured {
+    use std::io::Read;
+    use std::process::{Child, Stdio};
+
+    use super::Workplace;
+
+    /// The high-water mark of a process's resident memory, bytes, while it runs.
+    fn peak(child: &Child) -> Option<u64> {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).ok()?;
+        let line = status.lines().find(|l| l.starts_with("VmHWM:"))?;
+        line.split_whitespace().nth(1)?.parse::<u64>().ok().map(|kib| kib * 1024)
+    }
+
+    /// What the program takes before it does anything: it waits for its input.
+    fn baseline(place: &Workplace) -> u64 {
+        let mut command = place.command("trace cooke_triplet --rays -");
+        let mut child =
+            command.stdin(Stdio::piped()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        std::thread::sleep(std::time::Duration::from_millis(300));
+        let bytes = peak(&child).expect("a running process");
+        drop(child.stdin.take());
+        child.wait().expect("ends");
+        bytes
+    }
+
+    /// Runs a command: its output, and its largest resident memory.
+    fn run(place: &Workplace, arguments: &str) -> (String, u64) {
+        let mut child = place.command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
+        let mut most = 0;
+        let status = loop {
+            most = most.max(peak(&child).unwrap_or(0));
+            if let Some(status) = child.try_wait().expect("waits") {
+                break status;
+            }
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        };
+        let mut text = String::new();
+        child.stdout.take().expect("piped").read_to_string(&mut text).expect("UTF-8");
+        assert!(status.success(), "{arguments}: {text}");
+        (text, most)
+    }
+
+    /// The estimate holds, and is no more than three times what was taken.
+    fn judge(what: &str, estimate: u64, peak: u64, baseline: u64) {
+        let taken = peak - baseline;
+        let mib = |b: u64| b as f64 / f64::from(1 << 20);
+        eprintln!("{what}: {:.1} MiB taken, {:.1} MiB estimated", mib(taken), mib(estimate));
+        assert!(taken <= estimate && estimate <= 3 * taken, "{what}: {taken} taken, {estimate} estimated");
+    }
+
+    #[test]
+    fn estimates_of_pictures_hold() {
+        let place = Workplace::new();
+        let baseline = baseline(&place);
+        for (what, arguments) in [
+            ("small", "cooke_triplet facades:3 --columns 128 --rows 96 --pitch-um 40"),
+            ("wide kernels", "two_element facades:3 --min-psnr-db 45"),
+            ("a micrometre, 120 mm", "double_gauss facades:3 --columns 100 --rows 100 --pitch-um 1 --depth-mm 120"),
+        ] {
+            let (text, peak) = run(&place, &format!("render {arguments} -o x.png --force --json"));
+            let json: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+            judge(what, json["figures"]["memory_bytes"].as_u64().expect("a number"), peak, baseline);
+        }
+        // As stated in words.
+        let stated = |text: &str| {
+            let from = text.find("memory: at most ").expect("stated") + "memory: at most ".len();
+            let mut words = text[from..].split_whitespace();
+            let number: f64 = words.next().expect("a number").parse().expect("a number");
+            let unit = if words.next() == Some("GiB") { 1024.0 } else { 1.0 };
+            (number * unit * f64::from(1 << 20)) as u64
+        };
+        let (text, peak) = run(&place, "psf three_element -o k.npz --fields 9 --size 301");
+        judge("kernels", stated(&text), peak, baseline);
+        #[cfg(all(feature = "train", feature = "deploy"))]
+        {
+            let task = "schema = 1\nlens = \"two_element\"\nscenes = 1\nsteps = 2\npatch_px = 64\nbatch = 1\nbase_width = 16\n\
+                        sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
+            place.write("task.toml", task);
+            place.run("design task.toml -o run").done();
+            let (text, peak) = run(&place, "export run -o kit");
+            judge("export", stated(&text), peak, baseline);
+            let (text, peak) = run(&place, "export run -o half --f16");
+            judge("export of halves", stated(&text), peak, baseline);
+        }
+    }
+}
