@@ -94,8 +94,8 @@ impl KernelSet {
         for (d, line) in tiles.lines.iter().enumerate() {
             for f in 0..fields {
                 let light = tiles.optics.relative_illumination(line.radius_mm[f]);
-                for c in 0..channels {
-                    set.relative_illumination[[d, f, c]] = light[c];
+                for (c, light) in light.into_iter().enumerate() {
+                    set.relative_illumination[[d, f, c]] = light;
                     set.outside[[d, f, c]] = tiles.outside[d * fields + f][c];
                 }
                 set.radius_mm[[d, f]] = line.radius_mm[f];

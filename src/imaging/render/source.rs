@@ -56,12 +56,7 @@ impl Work for Below<'_> {
     type Output = ();
 
     #[inline(always)]
-    #[expect(
-        clippy::cast_precision_loss,
-        clippy::cast_possible_truncation,
-        clippy::cast_sign_loss,
-        reason = "raster sizes"
-    )]
+    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, reason = "raster sizes")]
     fn run(self) {
         // Adding it leaves the whole number in the last bits.
         const SHIFT: f64 = 4_503_599_627_370_496.0;
