@@ -116,9 +116,10 @@ fn basis(points: &[DVec2], degree: usize, parity: Parity) -> [Array2<f64>; 3] {
     let terms = terms(degree, parity);
     let shape = (terms.len(), points.len());
     let mut out = [Array2::zeros(shape), Array2::zeros(shape), Array2::zeros(shape)];
+    let [mut tx, mut dx, mut ty, mut dy] = [const { Vec::new() }; 4];
     for (i, s) in points.iter().enumerate() {
-        let (tx, dx) = chebyshev(s.x, degree);
-        let (ty, dy) = chebyshev(s.y, degree);
+        chebyshev_into(s.x, degree, &mut tx, &mut dx);
+        chebyshev_into(s.y, degree, &mut ty, &mut dy);
         for (j, (p, q)) in terms.iter().enumerate() {
             out[0][[j, i]] = tx[*p] * ty[*q];
             out[1][[j, i]] = dx[*p] * ty[*q];
@@ -130,12 +131,22 @@ fn basis(points: &[DVec2], degree: usize, parity: Parity) -> [Array2<f64>; 3] {
 
 /// `T_0..T_degree` at `x` and their derivatives.
 pub(super) fn chebyshev(x: f64, degree: usize) -> (Vec<f64>, Vec<f64>) {
-    let (mut t, mut d) = (vec![1.0, x], vec![0.0, 1.0]);
+    let (mut t, mut d) = (Vec::new(), Vec::new());
+    chebyshev_into(x, degree, &mut t, &mut d);
+    (t, d)
+}
+
+/// The same, in place of what `t` and `d` hold.
+fn chebyshev_into(x: f64, degree: usize, t: &mut Vec<f64>, d: &mut Vec<f64>) {
+    for (all, first) in [(&mut *t, [1.0, x]), (&mut *d, [0.0, 1.0])] {
+        all.clear();
+        all.reserve(degree + 2);
+        all.extend(first);
+    }
     for n in 1..degree.max(1) {
         t.push(2.0 * x * t[n] - t[n - 1]);
         d.push(2.0 * t[n] + 2.0 * x * d[n] - d[n - 1]);
     }
-    (t, d)
 }
 
 #[cfg(test)]

@@ -160,18 +160,28 @@ impl Optics {
         pairs.map(|(here, axis)| if axis > 0.0 { here / axis } else { 0.0 }).collect()
     }
 
-    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] to `bar`.
-    pub fn relative_illumination_vjp(&self, radius_mm: f64, value_bar: &[f64], bar: &mut OpticsBar) {
-        let (axis, here) = (self.irradiance(0.0), self.irradiance(radius_mm));
-        let mut bars = [vec![0.0; self.illumination.irradiance.len()], vec![0.0; self.illumination.irradiance.len()]];
-        for (c, weight) in self.spec.quadrature.weight.iter().enumerate().filter(|(c, _)| axis[*c] > 0.0) {
-            for (l, w) in weight.iter().enumerate() {
-                bars[0][l] += value_bar[c] * w / axis[c];
-                bars[1][l] -= value_bar[c] * w * here[c] / (axis[c] * axis[c]);
+    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] at some radii to `bar`.
+    pub fn relative_illumination_vjp<'a>(&self, places: impl Iterator<Item = (f64, &'a [f64])>, bar: &mut OpticsBar) {
+        let weights = &self.spec.quadrature.weight;
+        let scale: Vec<f64> = self.irradiance(0.0).iter().map(|e| if *e > 0.0 { e.recip() } else { 0.0 }).collect();
+        let (mut bars, mut axis_bar) = (vec![0.0; self.spec.quadrature.nm.len()], vec![0.0; scale.len()]);
+        let pull = |of_channels: &[f64], bars: &mut [f64]| {
+            bars.fill(0.0);
+            for ((weight, b), scale) in weights.iter().zip(of_channels).zip(&scale) {
+                bars.iter_mut().zip(weight).for_each(|(to, w)| *to += b * scale * w);
+            }
+        };
+        for (radius_mm, value_bar) in places {
+            pull(value_bar, &mut bars);
+            self.illumination.at_vjp(radius_mm, &bars, &mut bar.illumination);
+            for ((to, here), (b, scale)) in
+                axis_bar.iter_mut().zip(self.irradiance(radius_mm)).zip(value_bar.iter().zip(&scale))
+            {
+                *to -= b * here * scale;
             }
         }
-        self.illumination.at_vjp(radius_mm, &bars[0], &mut bar.illumination);
-        self.illumination.at_vjp(0.0, &bars[1], &mut bar.illumination);
+        pull(&axis_bar, &mut bars);
+        self.illumination.at_vjp(0.0, &bars, &mut bar.illumination);
     }
 
     /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.

@@ -151,7 +151,8 @@ impl Measuring<'_, '_> {
             let off = if fine == 0 {
                 self.nothing()
             } else {
-                self.each(&|p| self.probing.samples(p, from).into_iter().map(|v| v * scale).collect())
+                let form = self.probing.form(self.probing.optics, self.probing.dense, ladder[from].samples());
+                self.each(&|p| self.probing.samples(p, from, &form).into_iter().map(|v| v * scale).collect())
             };
             Rung { setting: ladder[k].samples(), off }
         };
@@ -181,7 +182,8 @@ impl Measuring<'_, '_> {
 
     /// Values with `dense` points; few wavelengths tell.
     fn through(&self, dense: usize) -> Vec<Values> {
-        self.each(&|p| self.probing.through(p, self.probing.optics, dense))
+        let form = self.probing.form(self.probing.optics, dense, 1);
+        self.each(&|p| self.probing.through(p, &form))
     }
 
     fn dense(&self) -> Vec<Rung<usize>> {
@@ -201,13 +203,12 @@ impl Measuring<'_, '_> {
 
     fn nodes(&self, nodes: &mut Nodes<'_>, budget: f64) -> Vec<Rung<(f64, f64, NodeGrid)>> {
         let Self { probing, probes, .. } = self;
-        let places = self.through(probing.dense);
         let (mut steps, mut cache) = (Vec::new(), Cache::new());
         for tolerance in Settings::NODE_ERRORS {
             nodes.refine(tolerance);
             probing.prepare(probes, probing.optics, probing.dense, &nodes.grid, &mut cache);
             let off: Vec<Values> =
-                probes.par_iter().zip(&places).map(|(p, v)| probing.nodes(p, v, &nodes.grid, &cache)).collect();
+                probes.par_iter().map(|p| probing.nodes(p, &p.coarse, &nodes.grid, &cache)).collect();
             let rung = Rung { setting: (tolerance, nodes.error, nodes.grid.clone()), off };
             // What halving an interval again would win is small beside the budget, or there is one node for all.
             let enough = rung.mean_square() < 0.1 * budget || nodes.grid.len() == 1;

@@ -107,11 +107,9 @@ impl Light {
         for strip in &strips {
             sums.iter_mut().zip(strip).for_each(|(a, b)| *a += b);
         }
-        for (k, bars) in sums.chunks_exact(channels).enumerate().filter(|(_, b)| b.iter().any(|b| *b != 0.0)) {
-            #[expect(clippy::cast_precision_loss, reason = "table sizes")]
-            let radius = k as f64 * self.step_mm;
-            optics.relative_illumination_vjp(radius, bars, bar);
-        }
+        #[expect(clippy::cast_precision_loss, reason = "table sizes")]
+        let places = sums.chunks_exact(channels).enumerate().map(|(k, bars)| (k as f64 * self.step_mm, bars));
+        optics.relative_illumination_vjp(places.filter(|(_, bars)| bars.iter().any(|b| *b != 0.0)), bar);
     }
 
     /// The flat field for a kit, at 257 radii.

@@ -40,7 +40,7 @@ pub struct Probe {
     patch: Patch,
     /// Flipped exact kernels by channel and their values, at the coarsest sampling.
     kernels: Vec<Vec<f32>>,
-    coarse: Values,
+    pub(super) coarse: Values,
     /// By wavelength of the fine rule: light of the pixels, at the coarsest sampling.
     mono: Vec<Values>,
     /// By wavelength: irradiance of white here.
@@ -161,8 +161,8 @@ fn flipped(optics: &Optics, depth: usize, form: &KernelForm, place: Place) -> Ve
 }
 
 impl Probing<'_> {
-    /// Kernels of the lit channels of `optics`.
-    fn form(&self, optics: &Optics, dense: usize, samples: usize) -> KernelForm {
+    /// Kernels of the lit channels of `optics`; made once for many probes.
+    pub fn form(&self, optics: &Optics, dense: usize, samples: usize) -> KernelForm {
         let mut form = optics.form(dense, self.size, samples, self.frame.pitch_mm);
         form.weight = self.lit.iter().map(|c| form.weight[*c].clone()).collect();
         form
@@ -208,6 +208,9 @@ impl Probing<'_> {
     /// The exact values of the pixels of `stands`.
     pub fn exact(&self, stands: &[Stand]) -> Vec<Probe> {
         let mono_form = self.mono_form();
+        let form = self.form(self.optics, self.dense, 1);
+        let finest = self.scenes[0].last().map_or(1, WarpedScene::samples);
+        let fine_form = self.form(self.optics, self.dense, finest);
         let of = |Stand { scene, region, weight }: &Stand| {
             let scene = *scene;
             #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
@@ -224,14 +227,13 @@ impl Probing<'_> {
                     self.values(&patch, *region, (&kernels, &ones), (size, size))
                 })
                 .collect();
-            let kernels = flipped(self.optics, self.depth, &self.form(self.optics, self.dense, 1), at);
+            let kernels = flipped(self.optics, self.depth, &form, at);
             let coarse = self.values(&patch, *region, (&kernels, &light), (size, size));
             let exact = if self.scenes[scene].len() == 1 {
                 coarse.clone()
             } else {
                 let fine = Patch::sample(last, *region, size);
-                let form = self.form(self.optics, self.dense, last.samples());
-                let kernels = flipped(self.optics, self.depth, &form, at);
+                let kernels = flipped(self.optics, self.depth, &fine_form, at);
                 self.values(&fine, *region, (&kernels, &light), (size, size))
             };
             let irradiance = self.colours.illumination.at(at.radius_mm);
@@ -240,22 +242,22 @@ impl Probing<'_> {
         stands.par_iter().map(of).collect()
     }
 
-    /// Difference to the exact values with sampling `which` of the scenes'.
-    pub fn samples(&self, probe: &Probe, which: usize) -> Values {
+    /// Difference to the exact values with sampling `which` of the scenes', by the kernels of `form` at so many samples.
+    pub fn samples(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
         if which == 0 {
             return probe.less(probe.coarse.clone(), &probe.exact);
         }
         let scene = &self.scenes[probe.scene][which];
         let patch = Patch::sample(scene, probe.region, self.size);
         let at = self.centre(probe.region);
-        let kernels = flipped(self.optics, self.depth, &self.form(self.optics, self.dense, scene.samples()), at);
+        let kernels = flipped(self.optics, self.depth, form, at);
         probe.less(self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size)), &probe.exact)
     }
 
-    /// Values of a probe through the kernels of `optics` with `dense` points, at the coarsest sampling.
-    pub fn through(&self, probe: &Probe, optics: &Optics, dense: usize) -> Values {
+    /// Values of a probe through the kernels of `form`, at the coarsest sampling.
+    pub fn through(&self, probe: &Probe, form: &KernelForm) -> Values {
         let at = self.centre(probe.region);
-        let kernels = flipped(optics, self.depth, &self.form(optics, dense, 1), at);
+        let kernels = flipped(self.optics, self.depth, form, at);
         self.values(&probe.patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
     }
 

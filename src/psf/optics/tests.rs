@@ -50,7 +50,7 @@ fn the_pull_back_agrees_with_differences() {
             let back = o.kernels_vjp(&form, depth, *place, b);
             bar.add_kernel(&o, depth, place.radius_mm, &back);
         }
-        o.relative_illumination_vjp(0.93 * radius, &light_bar, &mut bar);
+        o.relative_illumination_vjp(std::iter::once((0.93 * radius, &light_bar[..])), &mut bar);
         o.maps[1].slope_vjp(0.8 * radius, 3.0, &mut bar.maps[1]);
         let gradient = o.vjp(&lens, &bar);
         let variables = Variables::all(&lens);
