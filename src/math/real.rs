@@ -11,18 +11,22 @@ pub trait Real: Float + NumAssign + rustfft::FftNum + std::iter::Sum + Default {
 }
 
 impl Real for f32 {
+    #[inline(always)]
     fn real(v: f64) -> Self {
         v as Self
     }
+    #[inline(always)]
     fn to_double(self) -> f64 {
         f64::from(self)
     }
 }
 
 impl Real for f64 {
+    #[inline(always)]
     fn real(v: f64) -> Self {
         v
     }
+    #[inline(always)]
     fn to_double(self) -> f64 {
         self
     }

@@ -148,6 +148,7 @@ impl<'a> WarpedScene<'a> {
     }
 
     /// Offset from the axis, in cells, of point `k` of the `n` along an axis of the cell at `at`.
+    #[inline(always)]
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
     fn place(at: isize, k: usize, n: usize, axis_px: f64) -> f64 {
         at as f64 + (k as f64 + 0.5) / n as f64 - axis_px
