@@ -15,7 +15,7 @@ use crate::network::card::sha256_hex;
 use crate::psf::SensorMap;
 
 /// Largest side of a kept texture, pixels; larger photographs are cut to their middle.
-const LARGEST: usize = 1024;
+pub(super) const LARGEST: usize = 1024;
 
 /// Textures in memory and what they are.
 #[derive(Clone, Debug)]

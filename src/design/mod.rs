@@ -5,7 +5,7 @@
 //! [`run`] is the loop with its folder; [`task`] is the file that asks for one. The final network for a finished lens:
 //! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop that can be killed and resumed,
 //! [`train_task`] its part of the file.
-//! [`evaluate`] judges what came out.
+//! [`evaluate`] judges what came out; [`memory`] says beforehand what all of it takes.
 
 pub mod chain;
 pub mod constraint;
@@ -13,6 +13,7 @@ pub mod data;
 pub mod evaluate;
 pub mod joint;
 pub mod log;
+pub mod memory;
 pub mod pairs;
 pub mod run;
 pub mod schedule;

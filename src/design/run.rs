@@ -106,8 +106,8 @@ const SMOOTH: usize = 10;
 
 /// Steps between plans.
 const REPLAN: usize = 25;
-/// Patches that settings are chosen by.
-const JUDGED: usize = 6;
+/// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
+const JUDGED: (usize, usize) = (6, 96);
 /// The step at which settings are chosen again for the first time; then at every doubling.
 const AGAIN: usize = 100;
 
@@ -121,7 +121,8 @@ fn choose(
 ) -> Result<Chosen> {
     let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x6669_6e65 ^ step as u64);
     let map = &renderer.optics.maps[0];
-    let drawn: Vec<Patch> = (0..JUDGED).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, side)).collect();
+    let drawn: Vec<Patch> =
+        (0..JUDGED.0).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, side.min(JUDGED.1))).collect();
     let parts = drawn.iter().map(|p| (&p.scene, p.region)).collect();
     cheapest(&Patches { lens, frame: &scenery.frame, density, parts })
 }

@@ -6,6 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::data::Textures;
+use super::memory::TEXTURE;
 use super::run::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
@@ -238,7 +239,7 @@ impl Task {
     pub fn textures(&self) -> Result<Textures> {
         match &self.photos {
             Some(folder) => Textures::photos(folder),
-            None => Ok(Textures::built_in(self.seed.wrapping_mul(1000), self.scenes, 640)),
+            None => Ok(Textures::built_in(self.seed.wrapping_mul(1000), self.scenes, TEXTURE)),
         }
     }
 }

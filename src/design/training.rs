@@ -167,6 +167,11 @@ impl Training {
         Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
     }
 
+    /// What it was asked for.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
     /// Goes on in a folder that [`Training::create`] made.
     ///
     /// # Errors

@@ -62,9 +62,23 @@ mod measured {
         bytes
     }
 
+    /// Runs a command: what it tells on the way, and its largest resident memory.
+    #[cfg(feature = "train")]
+    fn run_telling(place: &Workplace, arguments: &str) -> (String, u64) {
+        let told = place.path("told.txt");
+        let file = std::fs::File::create(&told).expect("written");
+        let child = place.command(arguments).stdout(Stdio::piped()).stderr(file).spawn().expect("starts");
+        let (_, most) = watch(child, arguments);
+        (std::fs::read_to_string(told).expect("UTF-8"), most)
+    }
+
     /// Runs a command: its output, and its largest resident memory.
     fn run(place: &Workplace, arguments: &str) -> (String, u64) {
-        let mut child = place.command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
+        let child = place.command(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("starts");
+        watch(child, arguments)
+    }
+
+    fn watch(mut child: Child, arguments: &str) -> (String, u64) {
         let mut most = 0;
         let status = loop {
             most = most.max(peak(&child).unwrap_or(0));
@@ -116,6 +130,15 @@ mod measured {
                         sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
             place.write("task.toml", task);
             place.run("design task.toml -o run").done();
+            let small = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 6\npairs = 4\nsample_steps = 0\n";
+            let seven =
+                "[train]\nbase_width = 16\npatch_px = 256\nregion_px = 256\nsteps = 3\npairs = 2\nsample_steps = 0\n";
+            let gan = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 3\npairs = 2\nsample_steps = 0\nadversarial = true\n";
+            for (what, train) in [("training", small), ("seven scales", seven), ("discriminators", gan)] {
+                place.write("train.toml", &format!("{task}{train}"));
+                let (text, peak) = run_telling(&place, "train train.toml -o trained --force");
+                judge(what, stated(&text), peak, baseline);
+            }
             let (text, peak) = run(&place, "export run -o kit");
             judge("export", stated(&text), peak, baseline);
             let (text, peak) = run(&place, "export run -o half --f16");

@@ -4,11 +4,11 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::design::data::Textures;
+use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, validate};
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::prescription;
-use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::{Result, atomic};
 
 use crate::progress::Bar;
@@ -40,14 +40,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
     let settings = JointSettings::of(&task).map_err(|e| e.in_file(&args.task))?;
+    crate::memory::state("the design", memory::of_design(&task)?, "a smaller patch_px, batch, base_width or folder")?;
     let (lens, sensor) = (task.lens()?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
     let frame = frame_of(&lens)?;
     let textures = task.textures()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
-    let bytes = bytes(task.patch_px, task.batch, task.base_width);
-    crate::memory::limit().allow("a step of the design", bytes, "a smaller patch_px, batch or base_width")?;
-    eprintln!("memory: at most {}", words(bytes));
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
     let start = network(task.base_width, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
@@ -80,11 +78,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// Bytes of a step, from above: features of the network and their cotangents, planes and spectra of the patches.
-fn bytes(patch: usize, batch: usize, width: usize) -> u64 {
-    BASE + product(&[16, batch, patch, patch, width + 6, size_of::<f32>()])
 }
 
 /// Writes the run folder.

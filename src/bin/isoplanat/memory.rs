@@ -4,6 +4,8 @@ use std::sync::OnceLock;
 
 use isoplanat::Result;
 use isoplanat::math::memory::Limit;
+#[cfg(feature = "train")]
+use isoplanat::math::memory::words;
 
 static LIMIT: OnceLock<Limit> = OnceLock::new();
 
@@ -18,4 +20,12 @@ pub(crate) fn set(gib: Option<f64>) -> Result<()> {
 /// The limit of this run.
 pub(crate) fn limit() -> Limit {
     *LIMIT.get_or_init(Limit::of_process)
+}
+
+/// Refuses `what` if `bytes` are more than the limit, and says how many there are at most; `instead` takes fewer.
+#[cfg(feature = "train")]
+pub(crate) fn state(what: &str, bytes: u64, instead: &str) -> Result<()> {
+    limit().allow(what, bytes, instead)?;
+    eprintln!("memory: at most {}", words(bytes));
+    Ok(())
 }

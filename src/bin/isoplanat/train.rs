@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::network::Compute;
@@ -53,8 +54,17 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut training = match &args.task {
-        Some(path) => Training::create(task(args, path)?, &args.output, args.force, args.device)?,
-        None => Training::resume(&args.output, args.device)?,
+        Some(path) => {
+            let task = task(args, path)?;
+            let instead = "a smaller patch_px, batch, base_width, region_px or folder";
+            crate::memory::state("the training", memory::of_training(&task)?, instead)?;
+            Training::create(task, &args.output, args.force, args.device)?
+        }
+        None => {
+            let training = Training::resume(&args.output, args.device)?;
+            crate::memory::state("the training", memory::of_training(training.task())?, "a task of its own")?;
+            training
+        }
     };
     training.describe().iter().for_each(|line| eprintln!("{line}"));
     if args.resume {

@@ -1,0 +1,58 @@
+//! What a design and a training take of memory, estimated from above before it is taken.
+//!
+//! Three parts: the textures, the network's step ([`UnetConfig::step_bytes`]) and the rendering of patches or pairs, one a thread.
+//! Discriminators and VGG-19 add their features.
+
+use super::data::LARGEST;
+use super::task::Task;
+use crate::error::Result;
+use crate::imaging::scene::photos::Photos;
+use crate::math::memory::{BASE, product, threads};
+use crate::network::UnetConfig;
+
+/// Side of built-in textures, pixels.
+pub(super) const TEXTURE: usize = 640;
+/// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
+const REGION: usize = 900;
+/// Channels of the network where the task names none.
+const WIDTH: usize = 32;
+
+fn textures(task: &Task) -> Result<u64> {
+    // As much again as one picture takes while it is read and cut.
+    Ok(match &task.photos {
+        Some(folder) => product(&[Photos::open(folder)?.len() + 8, LARGEST, LARGEST, 3 * size_of::<f32>()]),
+        None => product(&[task.scenes + 2 * threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
+    })
+}
+
+fn sum(parts: &[u64]) -> u64 {
+    parts.iter().fold(BASE, |a, b| a.saturating_add(*b))
+}
+
+/// Bytes of `isoplanat design`.
+///
+/// # Errors
+/// A folder of photographs that cannot be listed.
+pub fn of_design(task: &Task) -> Result<u64> {
+    let network = UnetConfig { base_width: task.base_width, ..UnetConfig::default() };
+    let patches = product(&[task.batch.max(threads()), task.patch_px, task.patch_px, REGION]);
+    Ok(sum(&[textures(task)?, network.step_bytes(task.patch_px, task.batch), patches]))
+}
+
+/// Bytes of `isoplanat train`; of a network that is started from, the width is not looked up: 32 is taken where the task names none.
+///
+/// # Errors
+/// A folder of photographs that cannot be listed.
+pub fn of_training(task: &Task) -> Result<u64> {
+    let t = &task.train;
+    let network = UnetConfig { base_width: t.base_width.unwrap_or(WIDTH), scales: t.scales };
+    let pairs = product(&[2 * threads(), t.region_px, t.region_px, REGION]);
+    let pixels = product(&[t.batch, t.patch_px, t.patch_px, size_of::<f32>()]);
+    // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
+    // moments. VGG-19 as far as conv3_3, on two pictures.
+    let d = t.discriminator_width;
+    let critics = if t.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
+    let vgg = if t.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
+    let step = network.step_bytes(t.patch_px, t.batch);
+    Ok(sum(&[textures(task)?, step, pairs, critics, vgg]))
+}
