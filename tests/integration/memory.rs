@@ -63,7 +63,7 @@ mod measured {
     }
 
     /// Runs a command: what it tells on the way, and its largest resident memory.
-    #[cfg(feature = "train")]
+    #[cfg(all(feature = "train", feature = "deploy"))]
     fn run_telling(place: &Workplace, arguments: &str) -> (String, u64) {
         let told = place.path("told.txt");
         let file = std::fs::File::create(&told).expect("written");
@@ -135,7 +135,7 @@ mod measured {
                 "[train]\nbase_width = 16\npatch_px = 256\nregion_px = 256\nsteps = 3\npairs = 2\nsample_steps = 0\n";
             let gan = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 3\npairs = 2\nsample_steps = 0\nadversarial = true\n";
             for (what, train) in [("training", small), ("seven scales", seven), ("discriminators", gan)] {
-                place.write("train.toml", &format!("{task}{train}"));
+                place.write("train.toml", format!("{task}{train}"));
                 let (text, peak) = run_telling(&place, "train train.toml -o trained --force");
                 judge(what, stated(&text), peak, baseline);
             }
