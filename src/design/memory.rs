@@ -13,7 +13,7 @@ use crate::network::UnetConfig;
 /// Side of built-in textures, pixels.
 pub(super) const TEXTURE: usize = 640;
 /// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
-const REGION: usize = 900;
+const REGION: usize = 700;
 /// Channels of the network where the task names none.
 const WIDTH: usize = 32;
 
@@ -21,7 +21,7 @@ fn textures(task: &Task) -> Result<u64> {
     // As much again as one picture takes while it is read and cut.
     Ok(match &task.photos {
         Some(folder) => product(&[Photos::open(folder)?.len() + 8, LARGEST, LARGEST, 3 * size_of::<f32>()]),
-        None => product(&[task.scenes + 2 * threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
+        None => product(&[task.scenes + threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
     })
 }
 
@@ -46,7 +46,7 @@ pub fn of_design(task: &Task) -> Result<u64> {
 pub fn of_training(task: &Task) -> Result<u64> {
     let t = &task.train;
     let network = UnetConfig { base_width: t.base_width.unwrap_or(WIDTH), scales: t.scales };
-    let pairs = product(&[2 * threads(), t.region_px, t.region_px, REGION]);
+    let pairs = product(&[threads(), t.region_px, t.region_px, REGION]);
     let pixels = product(&[t.batch, t.patch_px, t.patch_px, size_of::<f32>()]);
     // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
     // moments. VGG-19 as far as conv3_3, on two pictures.

@@ -67,10 +67,10 @@ impl UnetConfig {
     }
 
     /// Bytes that a training step on `batch` patches of `side` pixels takes, from above: features with their cotangents, measured
-    /// to be 15 planes of each scale's width (20 are counted), and of every weight the gradient, Adam's moments and a checkpoint's copies.
+    /// to be 8 planes of each scale's width (11 are counted), and of every weight the gradient, Adam's moments and a checkpoint's copies.
     pub fn step_bytes(&self, side: usize, batch: usize) -> u64 {
         let widths = || (0..self.scales).map(|s| (s, self.width(s)));
-        let planes = widths().map(|(s, w)| product(&[20, batch, w, (side >> s).max(1).pow(2)])).sum::<u64>();
+        let planes = widths().map(|(s, w)| product(&[11, batch, w, (side >> s).max(1).pow(2)])).sum::<u64>();
         // Five 3 × 3 convolutions of a scale's width, or what amounts to fewer.
         let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
         planes.saturating_mul(4).saturating_add(weights.saturating_mul(24))

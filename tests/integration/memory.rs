@@ -130,12 +130,14 @@ mod measured {
                         sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
             place.write("task.toml", task);
             place.run("design task.toml -o run").done();
-            let small = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 6\npairs = 4\nsample_steps = 0\n";
+            let large =
+                task.replace("columns = 96, rows = 64, pitch_um = 60.0", "columns = 512, rows = 384, pitch_um = 20.0");
+            let wide = "[train]\nscales = 3\nbase_width = 32\npatch_px = 256\nregion_px = 320\nsteps = 3\npairs = 2\nsample_steps = 0\n";
             let seven =
                 "[train]\nbase_width = 16\npatch_px = 256\nregion_px = 256\nsteps = 3\npairs = 2\nsample_steps = 0\n";
             let gan = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 3\npairs = 2\nsample_steps = 0\nadversarial = true\n";
-            for (what, train) in [("training", small), ("seven scales", seven), ("discriminators", gan)] {
-                place.write("train.toml", format!("{task}{train}"));
+            for (what, train) in [("training", wide), ("seven scales", seven), ("discriminators", gan)] {
+                place.write("train.toml", format!("{large}{train}"));
                 let (text, peak) = run_telling(&place, "train train.toml -o trained --force");
                 judge(what, stated(&text), peak, baseline);
             }

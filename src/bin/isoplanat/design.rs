@@ -40,12 +40,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
     let settings = JointSettings::of(&task).map_err(|e| e.in_file(&args.task))?;
-    crate::memory::state("the design", memory::of_design(&task)?, "a smaller patch_px, batch, base_width or folder")?;
+    let bytes = memory::of_design(&task)?;
+    let instead = "a smaller patch_px, batch, base_width or folder";
+    crate::memory::limit().allow("the design", bytes, instead)?;
     let (lens, sensor) = (task.lens()?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
     let frame = frame_of(&lens)?;
     let textures = task.textures()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
+    crate::memory::tell(bytes);
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
     let start = network(task.base_width, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {

@@ -57,15 +57,17 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         Some(path) => {
             let task = task(args, path)?;
             let instead = "a smaller patch_px, batch, base_width, region_px or folder";
-            crate::memory::state("the training", memory::of_training(&task)?, instead)?;
+            crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
             Training::create(task, &args.output, args.force, args.device)?
         }
         None => {
             let training = Training::resume(&args.output, args.device)?;
-            crate::memory::state("the training", memory::of_training(training.task())?, "a task of its own")?;
+            let bytes = memory::of_training(training.task())?;
+            crate::memory::limit().allow("the training", bytes, "a task of its own")?;
             training
         }
     };
+    crate::memory::tell(memory::of_training(training.task())?);
     training.describe().iter().for_each(|line| eprintln!("{line}"));
     if args.resume {
         eprintln!("resumed at step {}", training.step());

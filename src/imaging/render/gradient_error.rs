@@ -154,10 +154,11 @@ pub const LARGEST_ERROR: f64 = 0.05;
 pub const OF_NOISE: f64 = 0.1;
 
 /// Settings of a design, from the coarsest on.
-pub const LADDER: [Settings; 4] = [
+pub const LADDER: [Settings; 5] = [
     Settings { wavelengths: 3, dense: 200, node_error: 0.2, cells: 32, ..Settings::DESIGN },
     Settings { wavelengths: 4, dense: 300, node_error: 0.1, cells: 48, ..Settings::DESIGN },
     Settings::DESIGN,
+    Settings { wavelengths: 7, dense: 1200, node_error: 0.03, outside: 2e-3, ..Settings::DESIGN },
     Settings { samples: 2, wavelengths: 7, dense: 1200, node_error: 0.03, outside: 2e-3, ..Settings::DESIGN },
 ];
 

@@ -55,10 +55,10 @@ impl Settings {
         Self { samples: 4, wavelengths: 12, degree: 9, dense: 3000, node_error: 0.02, outside: 1e-4, cells: 160 };
     /// For training pairs of a fixed lens.
     pub const TRAINING: Self =
-        Self { samples: 1, wavelengths: 7, degree: 7, dense: 1200, node_error: 0.06, outside: 2e-3, cells: 64 };
+        Self { samples: 1, wavelengths: 7, degree: 7, dense: 1200, node_error: 0.05, outside: 2e-3, cells: 64 };
     /// For the steps of a design.
     pub const DESIGN: Self =
-        Self { samples: 1, wavelengths: 5, degree: 7, dense: 400, node_error: 0.08, outside: 1e-2, cells: 64 };
+        Self { samples: 1, wavelengths: 5, degree: 7, dense: 400, node_error: 0.05, outside: 1e-2, cells: 64 };
 
     /// Ladder of scene samples a pixel.
     pub const SAMPLES: [usize; 4] = [1, 2, 4, 8];
