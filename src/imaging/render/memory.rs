@@ -3,6 +3,7 @@
 use super::blur::cost::Task;
 use super::scene_plan::ScenePlan;
 use crate::imaging::frame::Frame;
+use crate::imaging::plane::Region;
 use crate::math::memory::{BASE, product, threads};
 
 /// Kernels of all channels, f64, that probes hold: fixed, and a thread.
@@ -31,7 +32,7 @@ impl ScenePlan {
     pub fn bytes(&self, texels: [usize; 2]) -> u64 {
         let render = &self.renderer.plan;
         let depth = &render.depths[0];
-        let around = super::coarse::cells(self.region.unwrap_or_else(|| render.whole()), depth.bin);
+        let around = super::coarse::cells(self.region.unwrap_or_else(|| Region::whole(&render.frame)), depth.bin);
         let grid = depth.grid.part(around);
         let channels = self.needs.channels.lit.len();
         let task = Task {

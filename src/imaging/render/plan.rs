@@ -165,11 +165,6 @@ impl RenderPlan {
         Ok(Self { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths })
     }
 
-    /// The whole frame.
-    pub fn whole(&self) -> Region {
-        Region { row: 0, col: 0, rows: self.frame.rows, cols: self.frame.columns }
-    }
-
     /// The plan's entry for objects at `vergence`.
     ///
     /// # Errors
