@@ -45,8 +45,11 @@ const PLACES: usize = 1 << 20;
 /// Smallest patch a zone is judged on, pixels.
 const SMALLEST: usize = 32;
 
+/// Rows and columns of a built-in picture.
+const BUILT_IN: [usize; 2] = [640, 960];
+
 /// Pictures of a sheet.
-const SHEET: usize = 4;
+pub(super) const SHEET: usize = 4;
 
 /// Gap between the pictures of a sheet, pixels.
 const GAP: usize = 8;
@@ -84,10 +87,18 @@ impl Pictures {
         }
     }
 
+    /// Pixels of the largest.
+    pub(super) fn largest(&self) -> Result<usize> {
+        match self {
+            Self::Photos(photos) => photos.largest(),
+            Self::BuiltIn(_) => Ok(BUILT_IN[0] * BUILT_IN[1]),
+        }
+    }
+
     fn load(&self, index: usize) -> Result<Array3<f32>> {
         match self {
             Self::Photos(photos) => photos.load(index),
-            Self::BuiltIn(_) => Ok(generate(SceneKind::Facades, Self::seed(index), 640, 960)),
+            Self::BuiltIn(_) => Ok(generate(SceneKind::Facades, Self::seed(index), BUILT_IN[0], BUILT_IN[1])),
         }
     }
 
@@ -341,7 +352,7 @@ impl Shot {
     ) -> Result<[Array3<f32>; 3]> {
         let frame = &renderer.plan.frame;
         let scene = self.scene(frame, map, picture);
-        let seen = within(self.region.grown(self.context), frame);
+        let seen = self.region.grown(self.context).common(Region::whole(frame));
         let patch = Patch { scene, region: seen, noise_seed: self.noise_seed };
         let done = forward::<f32>(renderer, electronics, &patch)?;
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
@@ -377,17 +388,6 @@ impl Shot {
         let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
         Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
     }
-}
-
-/// The part of `region` inside the frame.
-fn within(region: Region, frame: &Frame) -> Region {
-    let span = |start: isize, count: usize, n: usize| {
-        let (from, to) = (start.max(0), (start + count.cast_signed()).min(n.cast_signed()));
-        (from, (to - from).max(0).unsigned_abs())
-    };
-    let (row, rows) = span(region.row, region.rows, frame.rows);
-    let (col, cols) = span(region.col, region.cols, frame.columns);
-    Region { row, col, rows, cols }
 }
 
 /// The network's output on the `size` pixels at `at` of `capture`, which it sees with `context` pixels around them, mirrored

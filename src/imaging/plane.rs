@@ -102,6 +102,18 @@ impl Region {
         Self { row, col, rows, cols }
     }
 
+    /// The part inside `other`; without rows or columns where there is none.
+    #[must_use]
+    pub fn common(self, other: Self) -> Self {
+        let along = |a: isize, n: usize, b: isize, m: usize| {
+            let (from, to) = (a.max(b), (a + n.cast_signed()).min(b + m.cast_signed()));
+            (from, (to - from).max(0).unsigned_abs())
+        };
+        let ((row, rows), (col, cols)) =
+            (along(self.row, self.rows, other.row, other.rows), along(self.col, self.cols, other.col, other.cols));
+        Self { row, col, rows, cols }
+    }
+
     /// Smallest and largest distance from the axis, mm, of the region less `inset` pixels on every side: 0 for all of its
     /// points, ½ for its pixels' centres.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]

@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 
 use super::nodes::Nodes;
-use super::plan::{LOOK, Settings};
+use super::plan::Settings;
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::imaging::metrics::decibel;
 use crate::imaging::render::node_grid::NodeGrid;
@@ -11,6 +11,9 @@ use crate::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
 pub const MARGIN: f64 = 1.5;
+
+/// Share of the asked mean square that the finest step of a ladder may leave: finer ones are not measured then.
+const LEFT: f64 = 5e-3;
 
 /// One step of one approximation's ladder: its setting and, by probe, its differences to the exact values.
 #[derive(Clone, Debug)]
@@ -83,6 +86,12 @@ pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
     (mean, (variance / n).sqrt())
 }
 
+/// The PSNR to predict, dB in linear light for a range of 1, of a mean square over probes with its standard error: twice the error
+/// is added. Few places of a picture make most of its error, so that the mean over probes is more often too small than too large.
+pub fn told((mean, error): (f64, f64)) -> f64 {
+    decibel(mean + 2.0 * error)
+}
+
 /// What was chosen.
 #[derive(Clone, Debug)]
 pub struct Choice {
@@ -94,8 +103,7 @@ pub struct Choice {
     pub grid: NodeGrid,
     /// Interpolation error between nodes that was seen, relative L2.
     pub node_error: f64,
-    /// Predicted PSNR in linear light for a range of 1: the probes' mean square with its standard error added. Few places of a
-    /// picture make most of its error, so that the mean over probes alone is more often too small than too large.
+    /// Predicted PSNR ([`told`]).
     pub psnr_db: f64,
     /// Whether it holds the request (with the margin).
     pub holds: bool,
@@ -109,6 +117,8 @@ pub struct Measuring<'a, 'b> {
     pub probes: &'a [Probe],
     /// Quadratures of [`Settings::WAVELENGTHS`].
     pub rules: &'a [(usize, Quadrature)],
+    /// Half-widths of the kernels for [`Settings::OUTSIDE`], cells.
+    pub halves: &'a [usize],
 }
 
 impl Measuring<'_, '_> {
@@ -120,9 +130,9 @@ impl Measuring<'_, '_> {
             off: self.each(&|p| self.probing.wavelengths(p, rule)),
         };
         Ladders {
-            samples: self.samples(),
+            samples: self.samples(budget),
             wavelengths: self.rules.iter().map(wavelength).collect(),
-            dense: self.dense(),
+            dense: self.dense(budget),
             windows: self.windows(),
             nodes: self.nodes(nodes, budget),
             cells: self.nothing(),
@@ -134,40 +144,46 @@ impl Measuring<'_, '_> {
     }
 
     fn nothing(&self) -> Vec<Values> {
-        self.probes.iter().map(|p| vec![0.0; p.exact.len()]).collect()
+        self.probes.iter().map(|p| vec![0.0; p.coarse.len()]).collect()
     }
 
-    fn samples(&self) -> Vec<Rung<usize>> {
-        let ladder = &self.probing.scenes[0];
-        let fine = ladder.len() - 1;
-        // The error falls as the square of the samples, and the finest has a part left that the one before it tells.
-        let square = |k: usize| (ladder[k].samples() as f32).powi(-2);
-        let rung = |k: usize| {
+    /// Scene samples a pixel, up to a sampling that leaves a small part of `budget`: the error falls as the square of the
+    /// samples, and what the finest leaves is told by the one before it.
+    fn samples(&self, budget: f64) -> Vec<Rung<usize>> {
+        let probing = self.probing;
+        let count = |k: usize| probing.scenes[0][k].samples();
+        let square = |k: usize| (count(k) as f32).powi(-2);
+        let mut values: Vec<Vec<Values>> = Vec::new();
+        // Differences of sampling `k` to the last, made those to none at all.
+        let off = |values: &[Vec<Values>], k: usize| -> Vec<Values> {
+            let fine = values.len() - 1;
             let (from, scale) = if k < fine {
                 (k, square(k) / (square(k) - square(fine)))
             } else {
-                (fine.saturating_sub(1), square(fine) / (square(fine.saturating_sub(1)) - square(fine)))
+                (fine - 1, square(fine) / (square(fine - 1) - square(fine)))
             };
-            let off = if fine == 0 {
-                self.nothing()
-            } else {
-                let form = self.probing.form(self.probing.optics, self.probing.dense, ladder[from].samples());
-                self.each(&|p| self.probing.samples(p, from, &form).into_iter().map(|v| v * scale).collect())
-            };
-            Rung { setting: ladder[k].samples(), off }
+            let pairs = values[from].iter().zip(&values[fine]).zip(self.probes);
+            pairs.map(|((a, b), p)| p.less(a.clone(), b).into_iter().map(|v| v * scale).collect()).collect()
         };
-        (0..=fine).map(rung).collect()
+        for which in 0..probing.scenes[0].len() {
+            let form = probing.form(probing.optics, probing.dense, count(which));
+            values.push(self.each(&|p| probing.sampled(p, which, &form)));
+            if which > 0 && mean_square(&[&off(&values, which)]).0 < LEFT * budget {
+                break;
+            }
+        }
+        if values.len() == 1 {
+            return vec![Rung { setting: count(0), off: self.nothing() }];
+        }
+        (0..values.len()).map(|k| Rung { setting: count(k), off: off(&values, k) }).collect()
     }
 
     /// Kernel windows: those of the shares, each once.
     fn windows(&self) -> Vec<Rung<(f64, usize)>> {
         let probing = self.probing;
-        let look = probing.colours.form(LOOK, 1, 1, probing.frame.pitch_mm);
-        let radii = [0.0, probing.optics.table.spec.radii_mm.last().copied().unwrap_or(0.0)];
-        let all = probing.colours.half_widths(&look, probing.depth, &Settings::OUTSIDE, radii);
         let mut halves: Vec<(f64, usize)> = Vec::new();
-        for (share, half) in Settings::OUTSIDE.into_iter().zip(all) {
-            let half = half.min(probing.size / 2);
+        for (share, half) in Settings::OUTSIDE.into_iter().zip(self.halves) {
+            let half = (*half).min(probing.size / 2);
             if halves.last().is_none_or(|(_, h)| *h < half) {
                 halves.push((share, half));
             } else if let Some(last) = halves.last_mut() {
@@ -186,19 +202,23 @@ impl Measuring<'_, '_> {
         self.each(&|p| self.probing.through(p, &form))
     }
 
-    fn dense(&self) -> Vec<Rung<usize>> {
-        let most = Settings::DENSE[Settings::DENSE.len() - 1];
-        let reference = self.through(most);
-        let rung = |n| {
-            let less = |((a, b), p): ((Values, &Values), &Probe)| p.less(a, b);
-            let off = if n == most {
-                self.nothing()
-            } else {
-                self.through(n).into_iter().zip(&reference).zip(self.probes).map(less).collect()
-            };
-            Rung { setting: n, off }
+    /// Dense points, against the fewest whose own error is a small part of `budget`, or the most.
+    fn dense(&self, budget: f64) -> Vec<Rung<usize>> {
+        let mut values: Vec<Vec<Values>> = Vec::new();
+        let off = |a: &[Values], b: &[Values]| -> Vec<Values> {
+            a.iter().zip(b).zip(self.probes).map(|((a, b), p)| p.less(a.clone(), b)).collect()
         };
-        Settings::DENSE.into_iter().map(rung).collect()
+        for dense in Settings::DENSE {
+            values.push(self.through(dense));
+            // Twice the points leave half the error or less: what the last step changed is more than what is left.
+            if let [.., a, b] = &values[..]
+                && mean_square(&[&off(a, b)]).0 < LEFT * budget
+            {
+                break;
+            }
+        }
+        let finest = &values[values.len() - 1];
+        Settings::DENSE.iter().zip(&values).map(|(n, v)| Rung { setting: *n, off: off(v, finest) }).collect()
     }
 
     fn nodes(&self, nodes: &mut Nodes<'_>, budget: f64) -> Vec<Rung<(f64, f64, NodeGrid)>> {
@@ -259,7 +279,7 @@ pub fn cheapest(
                             half_width: windows.setting.1,
                             grid: nodes.setting.2.clone(),
                             node_error: nodes.setting.1,
-                            psnr_db: decibel(mean + error),
+                            psnr_db: told((mean, error)),
                             holds,
                         };
                         if holds {

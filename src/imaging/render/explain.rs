@@ -123,7 +123,7 @@ impl<'a> List<'a> {
         }
         if s.dense < fine.dense {
             let reason = format!("{} of {} points a beam", s.dense, fine.dense);
-            let off = self.found(|l| l.dense.iter().find(|r| r.setting >= s.dense));
+            let off = self.found(|l| l.dense.iter().find(|r| r.setting >= s.dense).or(l.dense.last()));
             self.add("pupil points", reason, share(s.dense, fine.dense), off);
         }
     }

@@ -9,7 +9,7 @@ use super::choose::{Choice, Ladders, Measuring, cheapest};
 use super::cost::{Work, convolution, seconds};
 use super::needs::Channels;
 use super::nodes::Nodes;
-use super::plan::{DepthPlan, RenderPlan, Settings, quadrature};
+use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
 use super::scene_plan::Draft;
@@ -64,7 +64,7 @@ impl Draft<'_> {
         };
         let around = super::coarse::cells(region, first.bin);
         let stands = stands(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around, count);
-        let probes = probing.exact(&stands);
+        let probes = probing.probes(&stands);
         let rules: Vec<_> = Settings::WAVELENGTHS
             .iter()
             .filter(|n| **n <= FINE_WAVELENGTHS)
@@ -72,7 +72,8 @@ impl Draft<'_> {
             .collect();
         let coarsest = Settings::NODE_ERRORS[0].min(self.base.node_error);
         let mut nodes = Nodes::coarse(&self.light, 0, &first.raster, around, size, coarsest, DENSE);
-        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules };
+        let halves: Vec<usize> = self.widths.iter().map(|half| in_cells(*half, first.bin)).collect();
+        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves };
         let mut found = measuring.ladders(&mut nodes, target);
         if first.bin > 1 {
             found.cells = self.cells(&stands);

@@ -11,6 +11,7 @@ pub mod coarse;
 pub mod cost;
 mod explain;
 pub mod gradient_error;
+mod inputs;
 pub mod light;
 mod measure;
 pub mod memory;
@@ -24,7 +25,8 @@ pub mod scene_plan;
 pub mod source;
 pub mod stands;
 
+pub use inputs::Seen;
 pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
-pub use renderer::{Rendered, Renderer, Seen};
+pub use renderer::{Rendered, Renderer};
 pub use scene_plan::{Request, ScenePlan, Skip, plan};

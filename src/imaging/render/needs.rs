@@ -1,11 +1,12 @@
 //! What a scene holds: channels with light, grey or not, and where on the frame its light can land.
 
-use ndarray::{Array2, Axis};
+use ndarray::{Array2, Array3, Axis};
 
 use super::source::WarpedScene;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
+use crate::math::real::Real;
 use crate::psf::SensorMap;
 
 /// Side in pixels of the squares that are looked at for light.
@@ -48,6 +49,14 @@ impl Channels {
     /// How many sources they are rendered from.
     pub fn sources(&self) -> usize {
         if self.grey { self.lit.len().min(1) } else { self.lit.len() }
+    }
+
+    /// Puts the planes of the sources into those of the image that they light, `[channel, row, col]`.
+    pub(super) fn spread<T: Real>(&self, sources: &Array3<T>, image: &mut Array3<T>) {
+        for (k, channel) in self.lit.iter().enumerate() {
+            let plane = sources.index_axis(Axis(0), k.min(self.sources() - 1));
+            image.index_axis_mut(Axis(0), *channel).assign(&plane);
+        }
     }
 
     /// The texture's channels that the sources show.

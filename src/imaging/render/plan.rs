@@ -24,7 +24,7 @@ const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
 pub(super) const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
-pub(super) const LOOK: usize = 2000;
+const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
 const COARSEST: usize = 64;
 /// Half-widths in the coarsest cells, at most, over those wished for.
@@ -193,10 +193,45 @@ pub fn bin_of(half: usize, cells: usize) -> usize {
     bin
 }
 
-/// Width and nodes for one object distance, over the part `region` of the frame.
+/// Half-widths, pixels, of the kernels that hold all but each of `shares` of the light over the part `region` of the frame.
+pub(super) fn widths(optics: &Optics, frame: &Frame, depth: usize, region: Region, shares: &[f64]) -> Vec<usize> {
+    let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
+    optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0))
+}
+
+/// Half-width in cells of `bin` pixels: there box and tent are wider, and the interpolation reads on.
+pub(super) fn in_cells(half: usize, bin: usize) -> usize {
+    if bin == 1 { half } else { half.div_ceil(bin) + 1 }
+}
+
+/// Cells for kernels of half-width `half` pixels; no nodes but one.
 ///
 /// # Errors
 /// A blur that even the coarsest cells leave wider than any window.
+pub(super) fn unplaced(
+    optics: &Optics,
+    frame: &Frame,
+    depth: usize,
+    half: usize,
+    settings: Settings,
+) -> Result<DepthPlan> {
+    let vergence = optics.spec.vergences[depth];
+    let bin = bin_of(half, settings.cells);
+    if half.div_ceil(bin) > WIDEST * settings.cells {
+        let found = format!("{} pixels wide at {} mm", 2 * half + 1, vergence.recip());
+        let allowed =
+            format!("at most {} pixels; larger pixels or another distance", 2 * WIDEST * settings.cells * COARSEST);
+        return Err(crate::error::Error::bad("", "blur", found, allowed));
+    }
+    let samples = if bin == 1 { settings.samples } else { 1 };
+    let (raster, grid) = (raster(frame, bin)?, NodeGrid::single(0, 0));
+    Ok(DepthPlan { vergence, bin, samples, half_width: in_cells(half, bin), raster, grid, node_error: f64::INFINITY })
+}
+
+/// Width and nodes for one object distance, over the part `region` of the frame.
+///
+/// # Errors
+/// As [`unplaced`].
 pub fn depth_plan(
     optics: &Optics,
     frame: &Frame,
@@ -204,33 +239,12 @@ pub fn depth_plan(
     region: Region,
     settings: Settings,
 ) -> Result<DepthPlan> {
-    let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
-    let radii = region.radii_mm(frame, 0.0);
-    let half = optics.half_widths(&look, depth, &[settings.outside], radii)[0];
-    let bin = bin_of(half, settings.cells);
-    if half.div_ceil(bin) > WIDEST * settings.cells {
-        let found = format!("{} pixels wide at {} mm", 2 * half + 1, optics.spec.vergences[depth].recip());
-        let allowed =
-            format!("at most {} pixels; larger pixels or another distance", 2 * WIDEST * settings.cells * COARSEST);
-        return Err(crate::error::Error::bad("", "blur", found, allowed));
-    }
-    let cells = raster(frame, bin)?;
-    // On cells box and tent are wider, and the interpolation reads on.
-    let half_width = if bin == 1 { half } else { half.div_ceil(bin) + 1 };
-    let (grid, node_error) = {
-        let around = super::coarse::cells(region, bin);
-        let mut nodes = Nodes::coarse(
-            optics,
-            depth,
-            &cells,
-            around,
-            2 * half_width + 1,
-            settings.node_error,
-            settings.dense.min(800),
-        );
-        nodes.refine(settings.node_error);
-        (nodes.grid.clone(), nodes.error)
-    };
-    let samples = if bin == 1 { settings.samples } else { 1 };
-    Ok(DepthPlan { vergence: optics.spec.vergences[depth], bin, samples, half_width, raster: cells, grid, node_error })
+    let half = widths(optics, frame, depth, region, &[settings.outside])[0];
+    let plan = unplaced(optics, frame, depth, half, settings)?;
+    let around = super::coarse::cells(region, plan.bin);
+    let (tolerance, dense) = (settings.node_error, settings.dense.min(800));
+    let mut nodes = Nodes::coarse(optics, depth, &plan.raster, around, plan.size(), tolerance, dense);
+    nodes.refine(tolerance);
+    let (grid, node_error) = (nodes.grid.clone(), nodes.error);
+    Ok(DepthPlan { grid, node_error, ..plan })
 }

@@ -34,8 +34,6 @@ pub struct Probe {
     pub scene: usize,
     /// Its pixels.
     pub region: Region,
-    /// Exact values.
-    pub exact: Values,
     /// The scene around it, at the coarsest sampling.
     patch: Patch,
     /// Flipped exact kernels by channel and their values, at the coarsest sampling.
@@ -61,7 +59,7 @@ pub struct Probing<'a> {
     pub frame: &'a Frame,
     /// Channels of the image.
     pub lit: &'a [usize],
-    /// By scene, the scene at each number of samples a pixel (1, 2, 4), all of the same channels.
+    /// By scene, the scene at each number of samples a pixel (1, 2, 4, …), all of the same channels.
     pub scenes: &'a [Vec<WarpedScene<'a>>],
     /// Kernel size in pixels, odd.
     pub size: usize,
@@ -205,20 +203,17 @@ impl Probing<'_> {
         each.flat_map(one).collect()
     }
 
-    /// The exact values of the pixels of `stands`.
-    pub fn exact(&self, stands: &[Stand]) -> Vec<Probe> {
+    /// Probes at `stands`, exact in all but the sampling of the scene, which is the coarsest.
+    pub fn probes(&self, stands: &[Stand]) -> Vec<Probe> {
         let mono_form = self.mono_form();
         let form = self.form(self.optics, self.dense, 1);
-        let finest = self.scenes[0].last().map_or(1, WarpedScene::samples);
-        let fine_form = self.form(self.optics, self.dense, finest);
         let of = |Stand { scene, region, weight }: &Stand| {
             let scene = *scene;
             #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
             let scale = weight.sqrt() as f32;
-            let (first, last) = (&self.scenes[scene][0], self.scenes[scene].last().expect("at least one sampling"));
             let (at, size) = (self.centre(*region), self.size);
             let light = self.light(at);
-            let patch = Patch::sample(first, *region, size);
+            let patch = Patch::sample(&self.scenes[scene][0], *region, size);
             let ones = vec![1.0; self.lit.len()];
             let mono = flipped(self.colours, self.depth, &mono_form, at)
                 .into_iter()
@@ -229,29 +224,21 @@ impl Probing<'_> {
                 .collect();
             let kernels = flipped(self.optics, self.depth, &form, at);
             let coarse = self.values(&patch, *region, (&kernels, &light), (size, size));
-            let exact = if self.scenes[scene].len() == 1 {
-                coarse.clone()
-            } else {
-                let fine = Patch::sample(last, *region, size);
-                let kernels = flipped(self.optics, self.depth, &fine_form, at);
-                self.values(&fine, *region, (&kernels, &light), (size, size))
-            };
             let irradiance = self.colours.illumination.at(at.radius_mm);
-            Probe { scene, region: *region, exact, patch, kernels, coarse, mono, irradiance, scale }
+            Probe { scene, region: *region, patch, kernels, coarse, mono, irradiance, scale }
         };
         stands.par_iter().map(of).collect()
     }
 
-    /// Difference to the exact values with sampling `which` of the scenes', by the kernels of `form` at so many samples.
-    pub fn samples(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
+    /// Values with sampling `which` of the scenes', by the kernels of `form` at so many samples.
+    pub fn sampled(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
         if which == 0 {
-            return probe.less(probe.coarse.clone(), &probe.exact);
+            return probe.coarse.clone();
         }
-        let scene = &self.scenes[probe.scene][which];
-        let patch = Patch::sample(scene, probe.region, self.size);
+        let patch = Patch::sample(&self.scenes[probe.scene][which], probe.region, self.size);
         let at = self.centre(probe.region);
         let kernels = flipped(self.optics, self.depth, form, at);
-        probe.less(self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size)), &probe.exact)
+        self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
     }
 
     /// Values of a probe through the kernels of `form`, at the coarsest sampling.
@@ -286,7 +273,7 @@ impl Probing<'_> {
         let nm = &self.colours.spec.quadrature.nm;
         let axis = self.colours.illumination.at(0.0);
         let count = probe.region.rows * probe.region.cols;
-        let mut out = vec![0.0f64; probe.exact.len()];
+        let mut out = vec![0.0f64; probe.coarse.len()];
         for (c, channel) in self.lit.iter().enumerate() {
             let mut level = 0.0;
             for (at, w) in rule.nm.iter().zip(&rule.weight[*channel]) {

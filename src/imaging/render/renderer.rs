@@ -5,12 +5,13 @@
 //! precision happens where kernels are filled in.
 
 use std::borrow::Cow;
-use std::sync::Mutex;
+use std::sync::{Mutex, PoisonError};
 
-use ndarray::{Array3, Array4, ArrayView3, ArrayView4, ArrayViewMut4, Axis, s};
+use ndarray::{Array3, Array4, ArrayView3, ArrayView4, Axis, s};
 use rayon::prelude::*;
 
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
+use super::inputs::{Kept, NodeKernels, Seen};
 use super::light::Light;
 use super::needs::Channels;
 use super::nodes::place;
@@ -20,12 +21,12 @@ use crate::error::Result;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::cost::Task;
-use crate::imaging::render::blur::{BlurRecord, Kernels, Method, blur, blur_recorded, blur_vjp};
+use crate::imaging::render::blur::{BlurRecord, Method, blur, blur_recorded, blur_vjp};
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
 use crate::math::real::Real;
-use crate::psf::splat::{phase_of, phase_of_vjp};
+use crate::psf::splat::phase_of_vjp;
 use crate::psf::{KernelForm, Optics, OpticsBar};
 
 /// A lens on a frame, ready for scenes.
@@ -57,54 +58,6 @@ pub struct Rendered<T: Real> {
     blurred: Array3<T>,
     grid: NodeGrid,
     record: Option<BlurRecord<T>>,
-}
-
-/// What was seen while a picture was rendered.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Seen {
-    /// Kernels computed.
-    pub kernels: usize,
-    /// Largest share of a node's light outside its kernel.
-    pub outside: f64,
-}
-
-/// Kernels of the nodes of one grid.
-struct NodeKernels<'a> {
-    renderer: &'a Renderer,
-    depth: usize,
-    grid: &'a NodeGrid,
-    /// Of the channels with light.
-    form: Cow<'a, KernelForm>,
-    seen: Mutex<Seen>,
-}
-
-impl<T: Real> Kernels<T> for NodeKernels<'_> {
-    fn channels(&self) -> usize {
-        self.form.channels()
-    }
-    fn size(&self) -> usize {
-        self.form.raster.size
-    }
-    fn phases(&self) -> usize {
-        self.form.raster.samples.pow(2)
-    }
-    fn fill(&self, node: usize, mut out: ArrayViewMut4<'_, T>) {
-        let form = &*self.form;
-        let raster = form.raster;
-        let mut fine = vec![0.0; form.channels() * raster.len()];
-        let at = self.renderer.node_place(self.depth, self.grid, node);
-        let outside = self.renderer.optics.kernels(form, self.depth, at, &mut fine);
-        for (k, plane) in fine.chunks_exact(raster.len()).enumerate() {
-            for phase in 0..raster.samples.pow(2) {
-                let view = out.slice_mut(s![k, phase, .., ..]);
-                phase_of(plane, raster, [phase / raster.samples, phase % raster.samples], view, T::real);
-            }
-        }
-        if let Ok(mut seen) = self.seen.lock() {
-            seen.kernels += 1;
-            seen.outside = outside.into_iter().fold(seen.outside, f64::max);
-        }
-    }
 }
 
 impl Renderer {
@@ -193,10 +146,7 @@ impl Renderer {
         let warped: Array3<T> =
             warp(scene, &self.optics.maps[depth], &self.plan.frame, region, &channels.of_texture(scene));
         let mut truth = Array3::from_elem((3, region.rows, region.cols), T::zero());
-        for (k, channel) in channels.lit.iter().enumerate() {
-            let plane = warped.index_axis(Axis(0), k.min(channels.sources() - 1));
-            truth.index_axis_mut(Axis(0), *channel).assign(&plane);
-        }
+        channels.spread(&warped, &mut truth);
         truth
     }
 
@@ -219,8 +169,9 @@ impl Renderer {
         let around = cells(region, d.bin);
         let grid = d.grid.part(around);
         let kernels = NodeKernels {
-            renderer: self,
+            optics: &self.optics,
             depth,
+            raster: &d.raster,
             grid: &grid,
             form: self.form(depth, channels),
             seen: Mutex::default(),
@@ -257,14 +208,15 @@ impl Renderer {
         let grid = d.grid.part(around);
         let frame = &self.plan.frame;
         let illumination: Array3<T> = self.light.over(frame, region, &[0, 1, 2]);
-        let truth = self.truth(scene, depth, region, &channels);
-        let mut image = Array3::from_elem((3, region.rows, region.cols), T::zero());
+        let mut truth = Array3::from_elem((3, region.rows, region.cols), T::zero());
+        let mut image = truth.clone();
         let mut blurred = Array3::from_elem((0, region.rows, region.cols), T::zero());
         let (mut record, mut seen) = (None, Seen::default());
         if !channels.lit.is_empty() {
             let kernels = NodeKernels {
-                renderer: self,
+                optics: &self.optics,
                 depth,
+                raster: &d.raster,
                 grid: &grid,
                 form: self.form(depth, &channels),
                 seen: Mutex::default(),
@@ -274,7 +226,17 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let (cells, kept) = blur_recorded::<T>(&grid, &kernels, &source, around, block, dark);
+            let planes = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
+            let keeping = Kept { source: &source, region, planes: Mutex::new(planes) };
+            let (cells, kept) = if d.samples * d.bin == 1 {
+                let blurred = blur_recorded::<T>(&grid, &kernels, &keeping, around, block, dark);
+                let planes = keeping.planes.into_inner().unwrap_or_else(PoisonError::into_inner);
+                channels.spread(&planes, &mut truth);
+                blurred
+            } else {
+                truth = self.truth(scene, depth, region, &channels);
+                blur_recorded::<T>(&grid, &kernels, &source, around, block, dark)
+            };
             (record, seen) = (Some(kept), kernels.seen.into_inner().unwrap_or_default());
             blurred = to_pixels(cells, region, d.bin);
             for (plane, channel) in blurred.outer_iter().zip(&channels.lit) {

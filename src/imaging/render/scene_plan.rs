@@ -2,15 +2,15 @@
 
 use serde::Serialize;
 
-use super::choose::{Choice, Ladders, bound};
+use super::choose::{Choice, Ladders, bound, told};
 use super::coarse::cells;
+use super::inputs::Seen;
 use super::measure::FINE_WAVELENGTHS;
 use super::needs::{Channels, Needs, check};
-use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature, spec};
-use super::renderer::{Renderer, Seen};
+use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature, spec, unplaced, widths};
+use super::renderer::Renderer;
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
-use crate::imaging::metrics::decibel;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::blur::Method;
 use crate::imaging::render::node_grid::NodeGrid;
@@ -133,7 +133,9 @@ pub(super) struct Draft<'a> {
     pub(super) colours: Optics,
     /// Errors of both between their knots, as seen.
     pub(super) table_error: Tolerance,
-    /// Widths over the whole frame; no nodes yet.
+    /// Half-widths over the whole frame for [`Settings::OUTSIDE`], pixels.
+    pub(super) widths: Vec<usize>,
+    /// The widest over the whole frame; no nodes yet.
     pub(super) first: DepthPlan,
     /// What the scenes hold, together.
     pub(super) needs: Needs,
@@ -172,7 +174,9 @@ impl<'a> Draft<'a> {
         let light = Optics::compute(lens, &OpticsSpec { illuminations: DRAFT_ILLUMINATIONS, ..light })?;
         let colours = Optics::compute(lens, &OpticsSpec { quadrature: rule(many), ..light.spec.clone() })?;
         let whole = Region::whole(frame);
-        let first = depth_plan(&colours, frame, 0, whole, Settings { node_error: f64::INFINITY, ..base })?;
+        let shares: Vec<f64> = Settings::OUTSIDE.into_iter().chain([base.outside]).collect();
+        let mut widths = widths(&colours, frame, 0, whole, &shares);
+        let first = unplaced(&colours, frame, 0, widths.pop().unwrap_or_default(), base)?;
         let needs = if request == Request::Everything {
             Needs { channels: Channels::all(), lit: Some(whole), lit_share: 1.0 }
         } else {
@@ -180,7 +184,8 @@ impl<'a> Draft<'a> {
             each.reduce(Needs::and).expect("at least one scene")
         };
         let region = reached(&needs, &first, whole);
-        Ok(Self { scenes, frame, density, base, light, colours, table_error, first, needs, region })
+
+        Ok(Self { scenes, frame, density, base, light, colours, table_error, widths, first, needs, region })
     }
 
     /// What is rendered how finely, after the probes have been `measured` or without them.
@@ -207,7 +212,7 @@ impl<'a> Draft<'a> {
             _ => {
                 let depth = depth_plan(&self.colours, self.frame, 0, self.region.unwrap_or(whole), base)?;
                 let predicted = measured.and_then(|(_, l)| l.predicted(&base, first.half_width));
-                Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(|p| decibel(p.0 + p.1)) }
+                Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(told) }
             }
         })
     }
@@ -241,7 +246,7 @@ impl<'a> Draft<'a> {
 /// The part of the frame that light can reach.
 fn reached(needs: &Needs, depth: &DepthPlan, whole: Region) -> Option<Region> {
     let reach = depth.reach_px();
-    needs.lit.map(|lit| common(lit.grown(reach), whole)).filter(|r| r.rows > 0 && r.cols > 0)
+    needs.lit.map(|lit| lit.grown(reach).common(whole)).filter(|r| r.rows > 0 && r.cols > 0)
 }
 
 impl ScenePlan {
@@ -279,14 +284,4 @@ impl ScenePlan {
         image.slice_mut(ndarray::s![.., r..r + region.rows, c..c + region.cols]).assign(&part);
         Ok((image, seen))
     }
-}
-
-/// The part of `a` inside `b`; empty regions have no rows or columns.
-fn common(a: Region, b: Region) -> Region {
-    let along = |a: isize, n: usize, b: isize, m: usize| {
-        let (from, to) = (a.max(b), (a + n.cast_signed()).min(b + m.cast_signed()));
-        (from, (to - from).max(0).unsigned_abs())
-    };
-    let ((row, rows), (col, cols)) = (along(a.row, a.rows, b.row, b.rows), along(a.col, a.cols, b.col, b.cols));
-    Region { row, col, rows, cols }
 }
