@@ -3,7 +3,7 @@
 //! Every lens images photographs and a grey frame on 300 × 200 pixels whose pitch is enlarged so that the frame's corner
 //! sees the lens's whole field, planned for 40, 45 and 50 dB; prediction and promise are compared with what two
 //! independent halves of the reference say. `-- corners`: instead of whole frames, the 1024 × 1024 pixels in the corner of the lens's
-//! own sensor at its own pitch.
+//! own sensor (or of as much of it as the field covers) at its own pitch.
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -33,22 +33,30 @@ fn lens(name: &str) -> Lens {
     builtin::lens(name).expect("shipped")
 }
 
-/// The frame whose corner sees the end of the field, as far as there is light.
-fn frame(lens: &Lens) -> Frame {
+/// The sensor radius that sees the end of the field, as far as there is light, mm.
+fn edge_mm(lens: &Lens) -> f64 {
     let edge = lens.max_field_deg.to_radians().tan();
     let radii: Vec<f64> = (1..=400).map(|i| lens.sensor.radius_mm() * f64::from(i) / 200.0).collect();
     let slopes = chief_slopes(lens, lens.object_vergence, &radii).expect("light");
-    let last = slopes.partition_point(|s| *s < edge).min(slopes.len()) - 1;
-    let corner = 0.5 * (COLUMNS as f64).hypot(ROWS as f64);
-    Frame::centred(COLUMNS, ROWS, radii[last] / corner).expect("valid")
+    radii[slopes.partition_point(|s| *s < edge).min(slopes.len()) - 1]
 }
 
-/// The corner of the lens's own sensor.
+/// The frame whose corner sees the end of the field.
+fn frame(lens: &Lens) -> Frame {
+    let corner = 0.5 * (COLUMNS as f64).hypot(ROWS as f64);
+    Frame::centred(COLUMNS, ROWS, edge_mm(lens) / corner).expect("valid")
+}
+
+/// The corner of the lens's own sensor, or of as much of it as the field covers.
 fn corner(lens: &Lens) -> Frame {
     const SIDE: usize = 1024;
     let whole = frame_of(lens).expect("valid");
-    let axis =
-        [whole.axis_px[0] - whole.columns as f64 + SIDE as f64, whole.axis_px[1] - whole.rows as f64 + SIDE as f64];
+    let covered = (edge_mm(lens) / whole.max_radius_mm()).min(1.0);
+    let last = |axis: f64, n: usize| axis + covered * (n as f64 - axis);
+    let axis = [
+        whole.axis_px[0] - last(whole.axis_px[0], whole.columns) + SIDE as f64,
+        whole.axis_px[1] - last(whole.axis_px[1], whole.rows) + SIDE as f64,
+    ];
     Frame::centred(SIDE, SIDE, whole.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid")
 }
 
