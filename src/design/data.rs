@@ -14,6 +14,8 @@ use crate::imaging::scene::{SceneKind, TRAINING, generate};
 use crate::network::card::sha256_hex;
 use crate::psf::SensorMap;
 
+/// Side of built-in textures, pixels.
+pub(super) const TEXTURE: usize = 640;
 /// Largest side of a kept texture, pixels; larger photographs are cut to their middle.
 pub(super) const LARGEST: usize = 1024;
 

@@ -1,21 +1,19 @@
-//! What a design and a training take of memory, estimated from above before it is taken.
+//! What a design, a training and an evaluation take of memory, estimated from above before it is taken.
 //!
 //! Three parts: the textures, the network's step ([`UnetConfig::step_bytes`]) and the rendering of patches or pairs, one a thread.
 //! Discriminators and VGG-19 add their features.
 
-use super::data::LARGEST;
+use super::data::{LARGEST, TEXTURE};
+use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
+use super::run::JUDGED;
 use super::task::Task;
 use crate::error::Result;
 use crate::imaging::scene::photos::Photos;
 use crate::math::memory::{BASE, product, threads};
 use crate::network::UnetConfig;
 
-/// Side of built-in textures, pixels.
-pub(super) const TEXTURE: usize = 640;
 /// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
 const REGION: usize = 700;
-/// Channels of the network where the task names none.
-const WIDTH: usize = 32;
 
 fn textures(task: &Task) -> Result<u64> {
     // As much again as one picture takes while it is read and cut.
@@ -35,17 +33,20 @@ fn sum(parts: &[u64]) -> u64 {
 /// A folder of photographs that cannot be listed.
 pub fn of_design(task: &Task) -> Result<u64> {
     let network = UnetConfig { base_width: task.base_width, ..UnetConfig::default() };
-    let patches = product(&[task.batch.max(threads()), task.patch_px, task.patch_px, REGION]);
+    // Patches of a step, or those that settings are chosen with, which are rendered more finely.
+    let side = task.patch_px.min(JUDGED.1);
+    let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };
+    let patches = product(&[task.batch.max(threads()), task.patch_px, task.patch_px, REGION]).max(judged);
     Ok(sum(&[textures(task)?, network.step_bytes(task.patch_px, task.batch), patches]))
 }
 
-/// Bytes of `isoplanat train`; of a network that is started from, the width is not looked up: 32 is taken where the task names none.
+/// Bytes of `isoplanat train`.
 ///
 /// # Errors
-/// A folder of photographs that cannot be listed.
+/// A folder of photographs that cannot be listed, or a network to start from that cannot be read.
 pub fn of_training(task: &Task) -> Result<u64> {
     let t = &task.train;
-    let network = UnetConfig { base_width: t.base_width.unwrap_or(WIDTH), scales: t.scales };
+    let network = t.config()?;
     let pairs = product(&[threads(), t.region_px, t.region_px, REGION]);
     let pixels = product(&[t.batch, t.patch_px, t.patch_px, size_of::<f32>()]);
     // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
@@ -55,4 +56,19 @@ pub fn of_training(task: &Task) -> Result<u64> {
     let vgg = if t.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
     let step = network.step_bytes(t.patch_px, t.batch);
     Ok(sum(&[textures(task)?, step, pairs, critics, vgg]))
+}
+
+/// Bytes of `isoplanat evaluate`; with `sheets`, of the pictures it shows too.
+///
+/// # Errors
+/// A photograph that cannot be read.
+pub fn of_evaluation(network: &UnetConfig, pictures: &Pictures, settings: &Settings, sheets: bool) -> Result<u64> {
+    let side = settings.patch + 2 * CONTEXT;
+    // A picture as it is read: its samples, its planes, and the scene made of it.
+    let picture = product(&[pictures.largest()?, 3 * (2 * size_of::<f32>() + 4)]);
+    let region = product(&[side, side, REGION]);
+    // Truth, capture and reconstruction; as strips, as sheets, and as one of them is written.
+    let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 3 * 3 * 2 * size_of::<f32>()]);
+    let shown = if sheets { shown.saturating_mul(product(&[settings.patch, settings.patch])) } else { 0 };
+    Ok(sum(&[picture, region, network.forward_bytes(side), shown]))
 }

@@ -107,7 +107,7 @@ const SMOOTH: usize = 10;
 /// Steps between plans.
 const REPLAN: usize = 25;
 /// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
-const JUDGED: (usize, usize) = (6, 96);
+pub(super) const JUDGED: (usize, usize) = (6, 96);
 /// The step at which settings are chosen again for the first time; then at every doubling.
 const AGAIN: usize = 100;
 
@@ -168,11 +168,15 @@ pub fn joint_stage(
             && step == again
             && let Ok(chosen) = choose(scenery, &density, &joint.lens, &renderer, (settings.patch, step))
         {
-            joint.fineness.push((step, chosen));
-            if chosen.settings != renderer.plan.settings {
-                let finer = Renderer::planned(&joint.lens, &scenery.frame, &density, &[v], chosen.settings);
-                renderer = finer.unwrap_or(renderer);
+            let planned = if chosen.settings == renderer.plan.settings {
+                Ok(renderer)
+            } else {
+                Renderer::planned(&joint.lens, &scenery.frame, &density, &[v], chosen.settings).map_err(|_| renderer)
+            };
+            if planned.is_ok() {
+                joint.fineness.push((step, chosen));
             }
+            renderer = planned.unwrap_or_else(|kept| kept);
         }
         if step == again {
             again = (2 * again).max(AGAIN);

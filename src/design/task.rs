@@ -5,8 +5,7 @@ use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
-use super::data::Textures;
-use super::memory::TEXTURE;
+use super::data::{TEXTURE, Textures};
 use super::run::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};

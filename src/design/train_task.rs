@@ -9,7 +9,12 @@ use super::schedule::{Length, Schedule};
 use crate::error::{Error, Result};
 use crate::network::critic::CriticConfig;
 use crate::network::unet::FULL_SCALES;
-use crate::network::{ContentKind, Objective, UnetConfig};
+use crate::network::{ContentKind, Objective, Reconstructor, UnetConfig};
+
+/// The checkpoint in a run's folder.
+pub(super) const NETWORK: &str = "network.safetensors";
+/// Channels of the network's finest scale where the task names none.
+const WIDTH: usize = 32;
 
 /// Settings of the final training; every key has a default.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -99,6 +104,25 @@ impl Default for TrainTask {
 }
 
 impl TrainTask {
+    /// The file of the network to start from, where one is named.
+    pub(super) fn start_file(&self) -> Option<PathBuf> {
+        let path = self.start.as_ref()?;
+        Some(if path.is_dir() { path.join(NETWORK) } else { path.clone() })
+    }
+
+    /// The size of the network to train; its width is that of the one to start from where the task names none.
+    ///
+    /// # Errors
+    /// A network to start from that cannot be read.
+    pub fn config(&self) -> Result<UnetConfig> {
+        let base_width = match (self.base_width, self.start_file()) {
+            (Some(width), _) => width,
+            (None, Some(path)) => Reconstructor::config_of(&path)?.base_width,
+            (None, None) => WIDTH,
+        };
+        Ok(UnetConfig { base_width, scales: self.scales })
+    }
+
     /// Paths relative to `folder` become paths below it.
     pub(super) fn resolve(&mut self, folder: &Path) {
         for p in [&mut self.start, &mut self.vgg].into_iter().flatten() {
@@ -113,7 +137,7 @@ impl TrainTask {
         let within = |key: &str, v: f64, low: f64, high: f64, allowed: &str| {
             if v >= low && v <= high { Ok(()) } else { bad(key, v.to_string(), allowed) }
         };
-        let config = UnetConfig { base_width: self.base_width.unwrap_or(32), scales: self.scales };
+        let config = UnetConfig { base_width: self.base_width.unwrap_or(WIDTH), scales: self.scales };
         if let Err(Error::BadInput { place, found, allowed, .. }) = config.validate() {
             let place = place.replacen("network", "train", 1);
             return Err(Error::bad(file, place, found, allowed));

@@ -17,6 +17,7 @@ use super::log::{Entry, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
 use super::task::Task;
+use super::train_task::NETWORK;
 use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
@@ -27,13 +28,10 @@ use crate::imaging::render::frame_of;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, prescription};
-use crate::network::{Compute, Reconstructor, TrainStep, Trainer, UnetConfig};
+use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
 
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";
-
-/// The last checkpoint.
-const NETWORK: &str = "network.safetensors";
 
 /// Steps in a row without a finite loss and gradient after which training stops.
 const MOST_SKIPPED: u64 = 20;
@@ -453,12 +451,10 @@ fn samples(pairs: &Pairs, side: usize, electronics: &Electronics) -> Result<Vec<
 
 /// The network a task begins with.
 fn start(task: &Task, compute: Compute) -> Result<Reconstructor> {
-    let train = &task.train;
-    let config = |width| UnetConfig { base_width: train.base_width.unwrap_or(width), scales: train.scales };
-    let Some(path) = &train.start else { return Reconstructor::on(compute, config(32), task.seed) };
-    let path = if path.is_dir() { path.join(NETWORK) } else { path.clone() };
+    let config = task.train.config()?;
+    let Some(path) = task.train.start_file() else { return Reconstructor::on(compute, config, task.seed) };
     let first = Reconstructor::load(&path)?;
-    first.deepened(&config(first.config().base_width), task.seed, compute).map_err(|e| e.in_file(&path))
+    first.deepened(&config, task.seed, compute).map_err(|e| e.in_file(&path))
 }
 
 #[cfg(test)]

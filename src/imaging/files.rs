@@ -37,15 +37,29 @@ pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
     read_picture(path, Encoding::Srgb)
 }
 
+/// Rows and columns that a picture's file states, either way round; its pixels are not read.
+///
+/// # Errors
+/// A file that cannot be read, or is no picture.
+pub fn picture_size(path: &Path) -> Result<[usize; 2]> {
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let size = reader.map_err(|e| Error::reading(path, e))?.into_dimensions().map_err(|e| refused(path, e))?;
+    Ok([size.1 as usize, size.0 as usize])
+}
+
+fn refused(path: &Path, e: ImageError) -> Error {
+    match e {
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a PNG, JPEG or TIFF picture"),
+    }
+}
+
 /// Reads a picture to linear RGB.
 ///
 /// # Shapes
 /// Result `[3, row, col]`.
 pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
-    let refused = |e: ImageError| match e {
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
-        e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a PNG, JPEG or TIFF picture"),
-    };
+    let refused = |e| refused(path, e);
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
     let orientation = decoder.orientation().map_err(refused)?;

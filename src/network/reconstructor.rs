@@ -190,6 +190,14 @@ impl Reconstructor {
         Self::from_checkpoint(&Checkpoint::read(path)?, Compute::Cpu)
     }
 
+    /// The size of the network in a file.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn config_of(path: &Path) -> Result<UnetConfig> {
+        Checkpoint::read(path)?.config()
+    }
+
     /// The network of a checkpoint, on a device.
     pub(super) fn from_checkpoint(file: &Checkpoint, compute: Compute) -> Result<Self> {
         let mut fresh = Self::on(compute, file.config()?, 0)?;

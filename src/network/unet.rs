@@ -76,6 +76,15 @@ impl UnetConfig {
         planes.saturating_mul(4).saturating_add(weights.saturating_mul(24))
     }
 
+    /// Bytes that a picture of `side × side` pixels takes on its way through, from above: skipped features of every scale, and what
+    /// a scale works on; the weights, and as much again while they are turned.
+    pub fn forward_bytes(&self, side: usize) -> u64 {
+        let widths = || (0..self.scales).map(|s| (s, self.width(s)));
+        let planes = widths().map(|(s, w)| product(&[4, w, side.div_ceil(1 << s).pow(2)])).sum::<u64>();
+        let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
+        planes.saturating_add(2 * weights).saturating_mul(4)
+    }
+
     /// Height and width must be multiples of this.
     pub fn multiple(&self) -> usize {
         1 << (self.scales - 1)

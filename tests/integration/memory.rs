@@ -129,9 +129,14 @@ mod measured {
             let task = "schema = 1\nlens = \"two_element\"\nscenes = 1\nsteps = 2\npatch_px = 64\nbatch = 1\nbase_width = 16\n\
                         sensor = { columns = 96, rows = 64, pitch_um = 60.0, axis_px = [0.0, 0.0] }\n";
             place.write("task.toml", task);
-            place.run("design task.toml -o run").done();
             let large =
                 task.replace("columns = 96, rows = 64, pitch_um = 60.0", "columns = 512, rows = 384, pitch_um = 20.0");
+            let patches = large.replace("patch_px = 64\nbatch = 1", "patch_px = 256\nbatch = 4");
+            for (what, task) in [("design of large patches", &patches), ("design", &task.to_owned())] {
+                place.write("task.toml", task);
+                let (text, peak) = run_telling(&place, "design task.toml -o run --force");
+                judge(what, stated(&text), peak, baseline);
+            }
             let wide = "[train]\nscales = 3\nbase_width = 32\npatch_px = 256\nregion_px = 320\nsteps = 3\npairs = 2\nsample_steps = 0\n";
             let seven =
                 "[train]\nbase_width = 16\npatch_px = 256\nregion_px = 256\nsteps = 3\npairs = 2\nsample_steps = 0\n";
@@ -141,6 +146,12 @@ mod measured {
                 let (text, peak) = run_telling(&place, "train train.toml -o trained --force");
                 judge(what, stated(&text), peak, baseline);
             }
+            for (what, arguments) in [("evaluation", ""), ("sheets", "--patch 128 --fields 3 --pictures sheets")] {
+                let (text, peak) = run_telling(&place, &format!("evaluate trained {arguments}"));
+                judge(what, stated(&text), peak, baseline);
+            }
+            let (text, peak) = run_telling(&place, "demo --quick");
+            judge("demo", stated(&text), peak, baseline);
             let (text, peak) = run(&place, "export run -o kit");
             judge("export", stated(&text), peak, baseline);
             let (text, peak) = run(&place, "export run -o half --f16");

@@ -8,12 +8,14 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::deploy::session::Options;
+use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
+use isoplanat::math::memory::{product, threads};
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
 use isoplanat::{Result, atomic};
 
@@ -23,6 +25,9 @@ use settings::Settings;
 
 /// The file that makes a folder a demo's.
 const MARKER: &str = "report.html";
+
+/// Bytes a pixel of the frame once lens and network are finished: captures, what is made of them, and the report's pictures.
+const PIXEL: usize = 1000;
 
 /// The whole chain on built-in scenes, with a report.
 #[derive(Debug, clap::Args)]
@@ -79,6 +84,11 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     eprintln!("about {} on two cores", if args.quick { "50 seconds" } else { "9 minutes" });
     let start = task.lens()?;
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
+    let stages = memory::of_design(task)?.max(memory::of_training(task)?);
+    let tiles = task.train.config()?.forward_bytes(settings.tile).saturating_mul(threads() as u64);
+    let bytes = stages.saturating_add(tiles).saturating_add(product(&[frame.rows, frame.columns, PIXEL]));
+    crate::memory::limit().allow("the demo", bytes, "--quick, or a smaller folder")?;
+    crate::memory::tell(bytes);
     let density = SpectralDensity::new(&sensor);
     let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
     let stage = |what: &str, since: Instant, report: &mut DemoReport| {

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, evaluate};
+use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;
@@ -81,8 +82,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.photos.is_none() {
         eprintln!("no --photos: {SCENES} built-in street scenes, a family that no training uses");
     }
-    let bar = Bar::new("captures and reconstructions");
     let sheets = args.pictures.is_some();
+    let bytes = memory::of_evaluation(network.config(), &pictures, &settings, sheets)?;
+    crate::memory::limit().allow(
+        "the evaluation",
+        bytes,
+        "a smaller --patch, smaller photographs, or no --pictures",
+    )?;
+    crate::memory::tell(bytes);
+    let bar = Bar::new("captures and reconstructions");
     let (result, sheets) = evaluate(&lens, &network, &task.sensor()?, &pictures, &settings, sheets, &mut |share| {
         bar.set(share, String::new());
     })?;

@@ -55,6 +55,16 @@ impl Photos {
         files::read_linear(&self.paths[index])
     }
 
+    /// Pixels of the largest picture, as the files state them.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is no picture.
+    pub fn largest(&self) -> Result<usize> {
+        let mut sizes =
+            self.paths.iter().map(|path| files::picture_size(path).map(|[rows, cols]| rows.saturating_mul(cols)));
+        sizes.try_fold(0, |most, size| Ok(most.max(size?)))
+    }
+
     /// The pictures one after the other, each read when the iterator reaches it.
     pub fn iter(&self) -> impl Iterator<Item = Result<Array3<f32>>> + '_ {
         self.paths.iter().map(|path| files::read_linear(path))
