@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::table::{Table, significant};
 use crate::lens::paraxial::{FirstOrder, first_order};
 use crate::lens::seidel::{self, Seidel};
-use crate::lens::{Aperture, Lens, Medium};
+use crate::lens::{Aperture, Lens};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -89,7 +89,7 @@ impl<'a> Listing<'a> {
             "conic": s.shape.conic,
             "asphere": s.shape.asphere,
             "thickness_mm": s.thickness,
-            "medium": medium_name(&s.medium),
+            "medium": s.medium.to_string(),
             "index": s.medium.index(self.wavelength_nm),
             "semi_diameter_mm": s.semi_diameter,
             "stop": i == self.lens.stop,
@@ -135,7 +135,7 @@ impl<'a> Listing<'a> {
                 i.to_string(),
                 significant(1.0 / s.shape.curvature, 7),
                 significant(s.thickness, 7),
-                medium_name(&s.medium),
+                s.medium.to_string(),
                 format!("{:.6}", s.medium.index(self.wavelength_nm)),
                 significant(s.semi_diameter, 5),
                 form.join(", "),
@@ -192,16 +192,6 @@ fn sums_json(sums: Seidel) -> Value {
         .map(|((key, _), v)| ((*key).to_owned(), json!(v)))
         .collect::<serde_json::Map<_, _>>()
         .into()
-}
-
-/// A medium in one short text.
-pub fn medium_name(medium: &Medium) -> String {
-    match medium {
-        Medium::Air => "air".into(),
-        Medium::Cauchy { n_d, v_d } => format!("n_d {n_d}, v_d {v_d}"),
-        Medium::Sellmeier { name, .. } => name.clone(),
-        Medium::Table { index, .. } => format!("table of {}", index.len()),
-    }
 }
 
 #[cfg(test)]
