@@ -18,6 +18,7 @@ mod support;
 mod throughput;
 #[cfg(feature = "train")]
 mod training;
+mod vignetting;
 mod white;
 mod white_axis;
 mod white_oracle;

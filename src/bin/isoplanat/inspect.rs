@@ -24,6 +24,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if !(200.0..=20_000.0).contains(&nm) {
         return Err(isoplanat::Error::bad("--wavelength-nm", "value", nm.to_string(), "200 to 20000 nm").into());
     }
+    lens.require_indices(nm, &args.lens)?;
     let listing = Listing::new(&lens, nm);
     if args.json {
         writeln!(out, "{:#}", listing.json())?;

@@ -35,6 +35,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let (text, name) = crate::input::text(&args.rays)?;
     let request = exact::request_from_json(&text, &name)?;
+    lens.require_indices(request.wavelength_nm, &args.lens)?;
     let answer = exact::answer(&lens, &request, args.clip, args.gradient);
     let mut json = serde_json::to_string_pretty(&answer)?;
     json.push('\n');
