@@ -150,6 +150,13 @@ impl Lens {
         self.surfaces.iter().map(|s| s.thickness).sum()
     }
 
+    /// Makes the stop's surface clear as far as the stop reaches: a stop that follows the entrance pupil may have grown.
+    pub fn open_stop(&mut self) {
+        let reach = paraxial::stop_semi_diameter(self);
+        let clear = &mut self.surfaces[self.stop].semi_diameter;
+        *clear = clear.max(reach);
+    }
+
     /// Nominal positions of the vertices along the axis, mm from the first.
     pub fn vertices(&self) -> Vec<f64> {
         let next = |z: &mut f64, s: &Surface| {

@@ -144,6 +144,7 @@ impl LensView {
         let request = KernelRequest {
             depth_mm: vec![depth_mm],
             wavelength_nm: Vec::new(),
+            weights: Vec::new(),
             fields,
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),

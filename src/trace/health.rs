@@ -119,10 +119,10 @@ fn pupil_points() -> Vec<DVec2> {
     points
 }
 
-/// Checks `lens` at its own wavelengths, over its own field.
+/// Checks `lens` at its own wavelengths that have a weight, over its own field.
 pub fn check(lens: &Lens) -> Health {
     let mut wavelengths = vec![lens.wavelengths.primary_nm];
-    wavelengths.extend(lens.wavelengths.nm.iter().filter(|nm| **nm != lens.wavelengths.primary_nm));
+    wavelengths.extend(lens.wavelengths.shares().map(|(nm, _)| nm).filter(|nm| *nm != lens.wavelengths.primary_nm));
     let systems: Vec<System> = wavelengths.iter().map(|nm| System::new(lens, *nm)).collect();
     let mut run = Run::default();
     // Without rotational symmetry the field is looked at on four sides.

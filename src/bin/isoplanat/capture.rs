@@ -38,6 +38,9 @@ pub(crate) struct Args {
     /// Seed of rays and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Figures as JSON.
+    #[arg(long)]
+    json: bool,
     /// Overwrite the file.
     #[arg(long)]
     force: bool,
@@ -65,6 +68,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         model: String::new(),
     };
     write_dng(&args.output, taken.dn.view(), &sensor, &info)?;
+    if args.json {
+        let figures = serde_json::json!({ "schema": 1, "capture": args.output, "columns": frame.columns, "rows": frame.rows,
+            "rays": taken.rays, "seconds": taken.seconds, "render_noise": taken.render_noise,
+            "sensor_noise": taken.sensor_noise });
+        return Ok(writeln!(out, "{figures}")?);
+    }
     writeln!(
         out,
         "{}: {} × {} pixels, {} rays in {:.1} s; noise of the rendering {:.1e} beside the sensor's {:.1e}",

@@ -46,6 +46,13 @@ pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) ->
     Ok(())
 }
 
+/// Says what is doubtful about the lens of a task, and refuses one made for other light than its sensor's.
+#[cfg(feature = "train")]
+pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
+    let read = lens(&task.lens)?;
+    in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens)
+}
+
 /// The same error with the argument that named the lens in place of the lens's own name.
 pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
     match error {
