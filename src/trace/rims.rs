@@ -46,7 +46,8 @@ pub fn overlapping_rims(lens: &Lens, file: &str) -> Result<Vec<String>> {
 pub fn beam_semi_diameters(lens: &Lens) -> Vec<f64> {
     let system = System::new(lens, lens.wavelengths.primary_nm);
     let mut heights = vec![0.0f64; system.image()];
-    let Ok(aimer) = Aimer::new(&system) else { return heights };
+    // A stop that cannot be aimed at says nothing: light may go everywhere.
+    let Ok(aimer) = Aimer::new(&system) else { return system.surfaces.iter().map(|s| s.semi_diameter).collect() };
     let azimuths: &[f64] = if lens.is_symmetric() { &[90.0] } else { &[0.0, 90.0, 180.0, 270.0] };
     let mut hits = Vec::new();
     let mut follow = |ray: Ray| {

@@ -9,7 +9,6 @@ use isoplanat::design::task::Task;
 use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::lens::prescription;
 use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::Weights;
 use isoplanat::network::{Reconstructor, onnx};
@@ -47,7 +46,7 @@ const JUDGED: usize = 384;
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.force)?;
     let task = Task::load(&args.run.join("task.toml"))?;
-    let lens = prescription::load(&args.run.join("lens.toml"))?;
+    let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
