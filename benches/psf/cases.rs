@@ -6,8 +6,8 @@ use isoplanat::psf::splat::Raster;
 use isoplanat::psf::table::{Tolerance, knots};
 use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
 use isoplanat::trace::aim::{ParaxialPupil, SceneRayBar, SensorView, aim};
-use isoplanat::trace::exact::first_vignetted;
 use isoplanat::trace::launch::{FieldPoint, launch};
+use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{System, SystemGradient};
 use rayon::prelude::*;
@@ -110,7 +110,7 @@ impl Case {
             let target = *s * view.system.stop_semi_diameter;
             let aimed = view.aim(at, target, None, &mut hits).and_then(|p| Ok((p, view.follow(at, p, &mut hits)?)));
             let Ok((cosines, ray)) = aimed else { continue };
-            if first_vignetted(&view.system, &hits).is_some_and(|f| f.surface != view.system.stop) {
+            if first_vignetted(&view.system, &hits).is_some() {
                 continue;
             }
             // Rows of ∂cosines/∂stop.

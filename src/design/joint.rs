@@ -18,6 +18,7 @@ use crate::lens::variables::Variables;
 use crate::lens::{Lens, prescription};
 use crate::network::Reconstructor;
 use crate::psf::OpticsBar;
+use crate::trace::rims::overlapping_rims;
 
 /// Adam on the lens's scaled variables (f64).
 #[derive(Clone, Debug)]
@@ -187,7 +188,8 @@ impl Joint {
             self.damping = (self.damping * 1.02).min(1.0);
             let moved = self.variables.lens(&self.lens, &self.values);
             // Only a lens that a file may hold is accepted.
-            match prescription::from_toml(&prescription::to_toml(&moved), &moved.name) {
+            let read = prescription::from_toml(&prescription::to_toml(&moved), &moved.name);
+            match read.and_then(|_| overlapping_rims(&moved, &moved.name)) {
                 Ok(_) => self.lens = moved,
                 Err(_) => self.take_back(),
             }

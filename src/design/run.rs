@@ -196,6 +196,7 @@ pub fn joint_stage(
         }
         progress(used.min(1.0), &entry);
     }
+    joint.lens.open_stop();
     Ok((joint, history))
 }
 

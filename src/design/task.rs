@@ -11,6 +11,7 @@ use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
 use crate::lens::{Lens, SensorRaster, builtin};
+use crate::trace::rims::overlapping_rims;
 
 /// The form of task files this program reads.
 pub const SCHEMA: u32 = 1;
@@ -215,6 +216,7 @@ impl Task {
     /// The lens, on the task's raster.
     pub fn lens(&self) -> Result<Lens> {
         let mut lens = builtin::lens_or_file(&self.lens)?;
+        overlapping_rims(&lens, &self.lens)?;
         if let Some(s) = self.sensor {
             #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
             let centre = [s.columns as f64 / 2.0, s.rows as f64 / 2.0];

@@ -32,7 +32,7 @@ pub struct Surface {
     pub thickness: f64,
     /// Medium behind the surface.
     pub medium: Medium,
-    /// Clear semi-diameter, mm: rays beyond it are vignetted.
+    /// Clear semi-diameter, mm: rays beyond it are vignetted. At the stop the size of the stop counts, which is not larger.
     pub semi_diameter: f64,
     /// Tilt and decentre, where stated.
     pub pose: Option<Pose>,
@@ -54,10 +54,23 @@ pub enum Aperture {
 pub struct Wavelengths {
     /// Wavelengths, nm.
     pub nm: Vec<f64>,
-    /// Relative weights.
+    /// Relative weights of the light that is detected; 0 leaves a wavelength out.
     pub weights: Vec<f64>,
     /// Reference wavelength: chief rays, distortion, first-order data; nm.
     pub primary_nm: f64,
+}
+
+impl Wavelengths {
+    /// Wavelengths that count, nm, with their shares of the light (which sum to 1).
+    pub fn shares(&self) -> impl Iterator<Item = (f64, f64)> {
+        let sum: f64 = self.weights.iter().sum();
+        self.nm.iter().zip(&self.weights).filter(|(_, w)| **w > 0.0).map(move |(nm, w)| (*nm, w / sum))
+    }
+
+    /// Shortest and longest wavelength that counts, nm.
+    pub fn ends_nm(&self) -> [f64; 2] {
+        self.shares().fold([f64::INFINITY, 0.0], |[a, b], (nm, _)| [nm.min(a), nm.max(b)])
+    }
 }
 
 /// The pixel raster behind the lens.
@@ -119,9 +132,29 @@ impl Lens {
         std::iter::once(1.0).chain(self.surfaces.iter().map(|s| s.medium.index(nm))).collect()
     }
 
+    /// Refuses a wavelength at which a medium's index is not known; `file` names the lens.
+    pub fn require_indices(&self, nm: f64, file: &str) -> Result<()> {
+        for (i, s) in self.surfaces.iter().enumerate() {
+            let [short, long] = s.medium.range_nm();
+            if !(short..=long).contains(&nm) {
+                let found = format!("{} at {nm} nm", s.medium);
+                let allowed = format!("{short} to {long} nm, where its index is known");
+                return Err(Error::bad(file, format!("surface {i}: medium"), found, allowed));
+            }
+        }
+        Ok(())
+    }
+
     /// Axial distance from the first vertex to the sensor, mm.
     pub fn length(&self) -> f64 {
         self.surfaces.iter().map(|s| s.thickness).sum()
+    }
+
+    /// Makes the stop's surface clear as far as the stop reaches: a stop that follows the entrance pupil may have grown.
+    pub fn open_stop(&mut self) {
+        let reach = paraxial::stop_semi_diameter(self);
+        let clear = &mut self.surfaces[self.stop].semi_diameter;
+        *clear = clear.max(reach);
     }
 
     /// Nominal positions of the vertices along the axis, mm from the first.

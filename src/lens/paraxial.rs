@@ -121,6 +121,15 @@ pub fn stop_semi_diameter(lens: &Lens) -> f64 {
     first_order(lens, lens.wavelengths.primary_nm).stop_semi_diameter
 }
 
+/// Heights at which the marginal ray from the axial object point meets every surface, mm.
+pub fn marginal_heights(lens: &Lens, nm: f64) -> Vec<f64> {
+    let (first, v) = (first_order(lens, nm), lens.object_vergence);
+    let y = 0.5 * first.entrance_pupil_diameter / (1.0 + v * first.entrance_pupil_position);
+    let mut heights: Vec<f64> = sweep(lens, &lens.indices(nm), y, v * y).into_iter().map(|[y, _]| y.abs()).collect();
+    heights.pop();
+    heights
+}
+
 /// Pulls cotangents on the effective focal length and the stop's semi-diameter back to the lens.
 pub fn first_order_vjp(lens: &Lens, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
     let n = lens.indices(nm);

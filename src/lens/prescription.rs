@@ -7,7 +7,10 @@ use serde::{Deserialize, Serialize};
 use super::{Aperture, Lens, Medium, SensorRaster, Shape, Surface, Wavelengths};
 use crate::error::{Error, Result};
 
+mod clearance;
 mod freeform;
+
+pub use clearance::{Overlap, overlaps};
 
 /// The newest form this program reads.
 pub const SCHEMA: u32 = 1;
@@ -155,12 +158,21 @@ struct FileTableGlass {
 
 /// Reads and checks a lens file.
 pub fn load(path: &Path) -> Result<Lens> {
+    Ok(load_with_warning(path)?.0)
+}
+
+/// [`load`], with one line on what was taken otherwise than the file says.
+pub fn load_with_warning(path: &Path) -> Result<(Lens, Option<String>)> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
-    from_toml(&text, &path.display().to_string())
+    parse(&text, &path.display().to_string())
 }
 
 /// Parses and checks the TOML form; `file` names it in errors.
 pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
+    Ok(parse(text, file)?.0)
+}
+
+fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     // Read the schema first: a newer file is refused by that name, not by its unknown keys.
     if let Ok(table) = text.parse::<toml::Table>()
@@ -228,7 +240,7 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         .enumerate()
         .map(|(i, e)| freeform::element(&e, surfaces.len(), &format!("element {i}"), file))
         .collect::<Result<Vec<_>>>()?;
-    let lens = Lens {
+    let mut lens = Lens {
         name: parsed.name,
         source: parsed.source,
         surfaces,
@@ -240,12 +252,16 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
         wavelengths,
         sensor,
     };
-    check_crossing(&lens, file)?;
+    for nm in lens.wavelengths.nm.iter().chain([&lens.wavelengths.primary_nm]) {
+        lens.require_indices(*nm, file)?;
+    }
     let efl = super::paraxial::first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
     if matches!(lens.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
         return Err(refuse("aperture.f_number", "the lens is afocal".into(), "state stop_semi_diameter_mm instead"));
     }
-    Ok(lens)
+    let warning = clearance::limit_stop(&mut lens, file);
+    clearance::check(&lens, file)?;
+    Ok((lens, warning))
 }
 
 fn positive(x: f64, place: &str, file: &str) -> Result<f64> {
@@ -310,6 +326,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
     if !s.thickness_mm.is_finite() || s.thickness_mm < 0.0 {
         return Err(refuse("thickness_mm", s.thickness_mm.to_string(), "not negative"));
     }
+    freeform::require_moderate(&shape, semi_diameter, &place(""), file)?;
     let medium = match s.medium {
         FileMedium::Name(name) => Medium::named(&name).map_err(|e| match e {
             Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
@@ -332,34 +349,6 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
         }
     };
     Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter, pose })
-}
-
-/// Surfaces must not cross within the clear apertures both have (to 1e-9 mm: elements may touch).
-fn check_crossing(lens: &Lens, file: &str) -> Result<()> {
-    for (i, pair) in lens.surfaces.windows(2).enumerate() {
-        let limit = pair[0].semi_diameter.min(pair[1].semi_diameter);
-        for step in 0..=64 {
-            let r = limit * f64::from(step) / 64.0;
-            // One azimuth says all where both surfaces are symmetric; tilts and decentres are not looked at.
-            let symmetric = pair.iter().all(|s| s.shape.is_symmetric());
-            let gap = (0..if symmetric { 1 } else { 16 })
-                .filter_map(|k| {
-                    let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
-                    let sag = |s: &Surface| s.shape.at(r * cos, r * sin).map(|l| l.h);
-                    Some(pair[0].thickness + sag(&pair[1])? - sag(&pair[0])?)
-                })
-                .fold(f64::INFINITY, f64::min);
-            if gap < -1e-9 {
-                return Err(Error::bad(
-                    file,
-                    format!("surfaces {i} and {}", i + 1),
-                    format!("they cross: {gap:.4} mm apart at {r:.3} mm from the axis"),
-                    "a gap of at least 0 within both clear semi-diameters",
-                ));
-            }
-        }
-    }
-    Ok(())
 }
 
 /// The canonical TOML form: reading it gives the same lens to the last bit.

@@ -8,6 +8,9 @@
 //!
 //! A surface's departure from the sphere of its vertex curvature, `G ρ²/8Δn` in sag, adds `G (y⁴, y³ȳ, y²ȳ², 0, yȳ³)`;
 //! an `r²` term belongs to the vertex curvature. `S_V` is written without the usual division by `A`.
+//! `C_I` and `C_II` belong to the lens: `δn` is the index at the shortest less that at the longest of its own wavelengths
+//! that have a weight, rays and indices are those of its primary wavelength, whatever wavelength the other sums are taken at. A lens
+//! of one wavelength has no colour, and sums of 0.
 //! Not covered: orders above the third, tilted surfaces.
 
 use serde::Serialize;
@@ -27,7 +30,7 @@ pub struct Seidel {
     pub petzval: f64,
     /// `S_V`: positive for barrel distortion.
     pub distortion: f64,
-    /// `C_I` between the lens's first and last wavelength in order of length.
+    /// `C_I` between the shortest and the longest of the lens's wavelengths ([`super::Wavelengths::ends_nm`]).
     pub axial_colour: f64,
     /// `C_II`.
     pub lateral_colour: f64,
@@ -41,11 +44,23 @@ impl Seidel {
     }
 }
 
-/// One entry per surface, at `nm`, for the lens's own object distance, aperture and largest field.
+/// One entry per surface, at `nm` (colour: of the lens's own wavelengths), for the lens's own object distance, aperture and
+/// largest field.
 pub fn per_surface(lens: &Lens, nm: f64) -> Vec<Seidel> {
+    let mut sums = at(lens, nm);
+    if nm != lens.wavelengths.primary_nm {
+        for (sums, own) in sums.iter_mut().zip(at(lens, lens.wavelengths.primary_nm)) {
+            (sums.axial_colour, sums.lateral_colour) = (own.axial_colour, own.lateral_colour);
+        }
+    }
+    sums
+}
+
+/// All sums with rays and indices at `nm`.
+fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
     let n = lens.indices(nm);
     let first = paraxial::first_order(lens, nm);
-    let (short, long) = lens.wavelengths.nm.iter().fold((nm, nm), |(a, b), x| (a.min(*x), b.max(*x)));
+    let [short, long] = lens.wavelengths.ends_nm();
     let dispersion: Vec<f64> = lens.indices(short).iter().zip(lens.indices(long)).map(|(f, c)| f - c).collect();
     // Both rays at the first vertex: the marginal one from the axial object point, the chief one through the pupil.
     let v = lens.object_vergence;
@@ -157,11 +172,33 @@ mod tests {
     fn axial_colour_is_the_shift_of_the_paraxial_image() {
         let mut lens = builtin::lens("cooke_triplet").expect("shipped");
         // Small dispersion, so that the first order is all there is.
-        lens.wavelengths.nm = vec![587.0, 588.0];
+        (lens.wavelengths.nm, lens.wavelengths.weights) = (vec![587.0, 588.0], vec![1.0; 2]);
         let sums = total(&per_surface(&lens, 587.5));
         let first = paraxial::first_order(&lens, 587.5);
         let image = |nm: f64| paraxial::first_order(&lens, nm).paraxial_image_distance;
         let u = 0.5 * first.entrance_pupil_diameter / first.effective_focal_length;
         assert_rel((image(588.0) - image(587.0)) * u * u, sums.axial_colour, 1e-4, 0.0, "C_I");
+    }
+
+    /// At any wavelength of the other sums colour is the lens's own; those move.
+    #[test]
+    fn colour_sums_are_of_the_lenses_own_colours_at_any_wavelength() {
+        let lens = builtin::lens("cooke_triplet").expect("shipped");
+        let sums_at = |lens: &Lens, nm: f64| total(&per_surface(lens, nm));
+        let reference = sums_at(&lens, 587.5618);
+        assert_abs(reference.axial_colour, 0.80e-3, 0.005e-3, "C_I");
+        for nm in [400.0, 486.1327, 700.0, 900.0] {
+            let sums = sums_at(&lens, nm);
+            assert_eq!(sums.axial_colour, reference.axial_colour, "C_I at {nm}");
+            assert_eq!(sums.lateral_colour, reference.lateral_colour, "C_II at {nm}");
+            assert!((sums.spherical / reference.spherical - 1.0).abs() > 1e-3, "S_I at {nm}");
+        }
+        // A wavelength without weight is none of the lens's colours; one colour has no dispersion.
+        let mut other = lens.clone();
+        other.wavelengths.nm.push(900.0);
+        other.wavelengths.weights.push(0.0);
+        assert_eq!(sums_at(&other, 587.5618), reference);
+        (other.wavelengths.nm, other.wavelengths.weights) = (vec![587.5618], vec![1.0]);
+        assert_eq!(sums_at(&other, 900.0).axial_colour, 0.0);
     }
 }

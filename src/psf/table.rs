@@ -183,9 +183,10 @@ impl Table {
     /// Traces `lens`.
     ///
     /// # Errors
-    /// A lens without rotational symmetry; one whose sensor sees no light on the axis.
+    /// A lens without rotational symmetry; wavelengths at which its indices are not known; a sensor without light on the axis.
     pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
         lens.require_symmetry("a table of sensor radii")?;
+        spec.wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))?;
         let views = views(lens, &spec.wavelength_nm);
         let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
         let mut bases = Bases::new(spec.degree);

@@ -3,7 +3,7 @@
 //! The field of a kernel set runs upwards from the axis: a kernel stands as it is seen in the upright picture, its
 //! outward direction towards row 0.
 
-use ndarray::{Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
+use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
 
 use super::field::FieldLine;
 use crate::error::{Error, Result};
@@ -32,6 +32,8 @@ pub struct KernelRequest {
     pub depth_mm: Vec<f64>,
     /// Wavelengths, nm.
     pub wavelength_nm: Vec<f64>,
+    /// Relative weight of each in polychromatic figures, not all 0.
+    pub weights: Vec<f64>,
     /// Field points from the axis to the border.
     pub fields: usize,
     /// Kernel size in pixels, odd; `None` takes what holds 99.9 % of the light, up to 1023.
@@ -48,7 +50,8 @@ pub struct KernelRequest {
 pub fn bytes(kernels: usize, channels: usize, size: usize) -> u64 {
     let made = product(&[kernels, channels, size, size, 2 * size_of::<f32>()]);
     let making = product(&[threads(), channels, size, size, size_of::<f32>() + size_of::<f64>()]);
-    BASE.saturating_add(made).saturating_add(making)
+    let polychromatic = product(&[kernels, size, size, size_of::<f32>()]);
+    BASE.saturating_add(made).saturating_add(making).saturating_add(polychromatic)
 }
 
 /// Kernels of one wavelength each, with what belongs to them.
@@ -105,6 +108,41 @@ impl KernelSet {
         }
         set.kernels.iter_mut().zip(&tiles.kernels).for_each(|(a, b)| *a = *b);
         Ok(set)
+    }
+
+    /// Weights of the wavelengths, which sum to 1.
+    fn shares(&self) -> Array1<f64> {
+        let weights = Array1::from_vec(self.request.weights.clone());
+        let sum = weights.sum();
+        weights / sum
+    }
+
+    /// Irradiance of white relative to that on the axis over all wavelengths by their weights, `[depth, field]`.
+    pub fn polychromatic_illumination(&self) -> Array2<f64> {
+        let shares = self.shares();
+        self.relative_illumination.map_axis(Axis(2), |light| light.dot(&shares))
+    }
+
+    /// The kernel of all wavelengths at once, `[depth, field, row, col]`: the mean of theirs by weight and irradiance, so that it
+    /// sums to one less what fell outside. Zero where there is no light.
+    pub fn polychromatic_kernels(&self) -> Array4<f32> {
+        let shares = self.shares();
+        let (depths, fields, _, rows, cols) = self.kernels.dim();
+        let mut mean = Array4::zeros((depths, fields, rows, cols));
+        for d in 0..depths {
+            for f in 0..fields {
+                let light = &self.relative_illumination.slice(s![d, f, ..]) * &shares;
+                let sum = light.sum();
+                if sum > 0.0 {
+                    for (c, light) in light.iter().enumerate() {
+                        #[expect(clippy::cast_possible_truncation, reason = "kernels are f32")]
+                        let share = (light / sum) as f32;
+                        mean.slice_mut(s![d, f, .., ..]).scaled_add(share, &self.kernels.slice(s![d, f, c, .., ..]));
+                    }
+                }
+            }
+        }
+        mean
     }
 }
 
@@ -256,6 +294,7 @@ mod tests {
         KernelRequest {
             depth_mm: vec![1000.0, f64::INFINITY],
             wavelength_nm: vec![486.1, 587.6],
+            weights: vec![1.0, 3.0],
             fields: 3,
             size,
             pitch_mm: 0.012,

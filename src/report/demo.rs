@@ -136,14 +136,13 @@ pub struct MethodResult {
 }
 
 impl LensView {
-    /// Draws `lens` and computes its kernels for an object at `depth_mm`, `fields` of them from the axis to the border.
-    ///
-    /// # Errors
-    /// A lens that loses rays its field needs.
+    /// Draws `lens` and computes its kernels for an object at `depth_mm`, `fields` of them from the axis to the border. Fails for a
+    /// lens that loses rays its field needs.
     pub fn new(lens: &Lens, depth_mm: f64, fields: usize) -> Result<Self> {
         let request = KernelRequest {
             depth_mm: vec![depth_mm],
             wavelength_nm: Vec::new(),
+            weights: Vec::new(),
             fields,
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),

@@ -2,14 +2,13 @@
 
 use glam::DVec2;
 
-use super::field::max_slope;
+use super::field::slope_at;
 use super::svg::{Anchor, HUES, Svg, text_width};
 use super::table::significant;
 use crate::lens::Lens;
 use crate::trace::aim::{ParaxialPupil, aim};
-use crate::trace::exact::first_vignetted;
 use crate::trace::launch::launch;
-use crate::trace::sequential::trace;
+use crate::trace::sequential::{first_vignetted, trace};
 use crate::trace::{FieldPoint, System};
 
 /// Shares of the largest field that are drawn.
@@ -183,7 +182,7 @@ fn extent(lens: &Lens, fans: &[Vec<Path>]) -> (f64, f64) {
 /// Rays in the meridional plane through evenly spaced points of the stop.
 fn fan(lens: &Lens, field: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
     let vergence = lens.object_vergence;
-    let slope = if field == 0.0 { 0.0 } else { field * max_slope(lens, vergence) };
+    let slope = slope_at(lens, vergence, field * lens.max_field_deg.to_radians());
     let system = System::new(lens, lens.wavelengths.primary_nm);
     let point = FieldPoint { slope: DVec2::new(0.0, slope), vergence };
     let pupil = ParaxialPupil::new(lens);

@@ -81,11 +81,16 @@ fn slope_per_tangent(lens: &Lens, vergence: f64) -> f64 {
     if scale.is_nan() { f64::INFINITY } else { scale }
 }
 
-/// Object slope of the largest field angle, at most [`STEEPEST`]'s; a lens for the axis alone gets a thousandth, so that a scale exists.
-pub fn max_slope(lens: &Lens, vergence: f64) -> f64 {
+/// Object slope of the field angle `angle` at the entrance pupil (radians), at most [`STEEPEST`]'s.
+pub fn slope_at(lens: &Lens, vergence: f64, angle: f64) -> f64 {
     // Inside the edge of the light, which is found to a part of its radius.
-    let steepest = (0.97 * STEEPEST).atan();
-    lens.max_field_deg.to_radians().min(steepest).tan().max(1e-3) * slope_per_tangent(lens, vergence)
+    let tangent = angle.min((0.97 * STEEPEST).atan()).tan();
+    if tangent == 0.0 { 0.0 } else { tangent * slope_per_tangent(lens, vergence) }
+}
+
+/// Object slope of the largest field angle; a lens for the axis alone gets a thousandth, so that a scale exists.
+pub fn max_slope(lens: &Lens, vergence: f64) -> f64 {
+    slope_at(lens, vergence, lens.max_field_deg.to_radians().max(1e-3))
 }
 
 #[cfg(test)]

@@ -42,6 +42,17 @@ impl<'a> HealthReport<'a> {
         })
     }
 
+    /// The figures as comma-separated values.
+    pub fn csv(&self) -> String {
+        let mut table = Table::new(["key", "value", "limit", "verdict", "place"]);
+        for f in &self.health.figures {
+            let verdict = format!("{:?}", f.verdict).to_lowercase();
+            let limit = f.limit.map_or(String::new(), |l| l.to_string());
+            table.row([f.key.to_owned(), f.value.to_string(), limit, verdict, f.place.clone()]);
+        }
+        table.csv()
+    }
+
     fn figures(&self) -> Table {
         let mut table = Table::new(["check", "worst", "limit", "verdict", "where"]);
         for f in &self.health.figures {

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::table::{Table, significant};
 use crate::lens::paraxial::{FirstOrder, first_order};
 use crate::lens::seidel::{self, Seidel};
-use crate::lens::{Aperture, Lens, Medium};
+use crate::lens::{Aperture, Lens};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -65,6 +65,8 @@ impl<'a> Listing<'a> {
             "sha256": lens.sha256(),
             "wavelength_nm": self.wavelength_nm,
             "wavelengths_nm": lens.wavelengths.nm,
+            "weights": lens.wavelengths.weights,
+            "colour_nm": lens.wavelengths.ends_nm(),
             "stop_surface": lens.stop,
             "sensor": {
                 "columns": lens.sensor.columns,
@@ -89,7 +91,7 @@ impl<'a> Listing<'a> {
             "conic": s.shape.conic,
             "asphere": s.shape.asphere,
             "thickness_mm": s.thickness,
-            "medium": medium_name(&s.medium),
+            "medium": s.medium.to_string(),
             "index": s.medium.index(self.wavelength_nm),
             "semi_diameter_mm": s.semi_diameter,
             "stop": i == self.lens.stop,
@@ -135,7 +137,7 @@ impl<'a> Listing<'a> {
                 i.to_string(),
                 significant(1.0 / s.shape.curvature, 7),
                 significant(s.thickness, 7),
-                medium_name(&s.medium),
+                s.medium.to_string(),
                 format!("{:.6}", s.medium.index(self.wavelength_nm)),
                 significant(s.semi_diameter, 5),
                 form.join(", "),
@@ -155,6 +157,21 @@ impl<'a> Listing<'a> {
         table
     }
 
+    /// Surfaces with their sums (mm), one a row, to all digits.
+    pub fn csv(&self) -> String {
+        let own = ["surface", "radius_mm", "thickness_mm", "medium", "index", "semi_diameter_mm"];
+        let sums = SUMS.iter().map(|(key, _)| format!("{key}_mm"));
+        let mut table = Table::new(own.map(str::to_owned).into_iter().chain(sums));
+        for (i, (s, sums)) in self.lens.surfaces.iter().zip(&self.seidel).enumerate() {
+            let (radius, index) = (1.0 / s.shape.curvature, s.medium.index(self.wavelength_nm));
+            let own =
+                [i.to_string(), radius.to_string(), s.thickness.to_string(), s.medium.to_string(), index.to_string()];
+            let sums = std::iter::once(s.semi_diameter).chain(sums.to_array()).map(|v| v.to_string());
+            table.row(own.into_iter().chain(sums));
+        }
+        table.csv()
+    }
+
     /// First-order numbers, one a row.
     pub fn first_order_table(&self) -> Table {
         let mut table = Table::new(["first-order data", "value", "unit"]);
@@ -170,8 +187,9 @@ impl fmt::Display for Listing<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let lens = self.lens;
         writeln!(f, "{}\n{}\n", lens.name, lens.source)?;
-        let nm: Vec<String> = lens.wavelengths.nm.iter().map(|x| significant(*x, 7)).collect();
-        writeln!(f, "wavelengths {} nm; data at {} nm", nm.join(", "), significant(self.wavelength_nm, 7))?;
+        let listed = |list: &[f64], digits| list.iter().map(|x| significant(*x, digits)).collect::<Vec<_>>().join(", ");
+        let (nm, weights) = (listed(&lens.wavelengths.nm, 7), listed(&lens.wavelengths.weights, 4));
+        writeln!(f, "wavelengths {nm} nm, weights {weights}; data at {} nm", significant(self.wavelength_nm, 7))?;
         let aperture = match lens.aperture {
             Aperture::EntrancePupilDiameter(d) => {
                 format!("entrance pupil diameter {} mm", significant(d, 6))
@@ -182,7 +200,9 @@ impl fmt::Display for Listing<'_> {
         let s = &lens.sensor;
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
-        write!(f, "third-order sums at full aperture and field, µm\n{}", self.seidel_table())
+        let colours = listed(&lens.wavelengths.ends_nm(), 7);
+        writeln!(f, "third-order sums at full aperture and field, µm; colour between {colours} nm")?;
+        write!(f, "{}", self.seidel_table())
     }
 }
 
@@ -192,16 +212,6 @@ fn sums_json(sums: Seidel) -> Value {
         .map(|((key, _), v)| ((*key).to_owned(), json!(v)))
         .collect::<serde_json::Map<_, _>>()
         .into()
-}
-
-/// A medium in one short text.
-pub fn medium_name(medium: &Medium) -> String {
-    match medium {
-        Medium::Air => "air".into(),
-        Medium::Cauchy { n_d, v_d } => format!("n_d {n_d}, v_d {v_d}"),
-        Medium::Sellmeier { name, .. } => name.clone(),
-        Medium::Table { index, .. } => format!("table of {}", index.len()),
-    }
 }
 
 #[cfg(test)]

@@ -25,6 +25,15 @@ impl Table {
         self
     }
 
+    /// The same as comma-separated values, the heading first; cells with commas or quotes are quoted.
+    pub fn csv(&self) -> String {
+        let cell = |c: &String| {
+            if c.contains([',', '"', '\n']) { format!("\"{}\"", c.replace('"', "\"\"")) } else { c.clone() }
+        };
+        let line = |row: &Vec<String>| row.iter().map(cell).collect::<Vec<_>>().join(",") + "\n";
+        std::iter::once(&self.heading).chain(&self.rows).map(line).collect()
+    }
+
     /// Whether every filled cell of column `index` starts like a number, so that it is set to the right.
     pub fn is_numeric(&self, index: usize) -> bool {
         let numeric =
@@ -79,6 +88,8 @@ mod tests {
         let mut table = Table::new(["name", "value"]);
         table.row(["a", "1.5"]).row(["longer µ", "-10"]).row(["b"]);
         assert_eq!(table.to_string(), "name      value\na           1.5\nlonger µ    -10\nb\n");
+        table.row(["c, \"d\"", "0"]);
+        assert_eq!(table.csv(), "name,value\na,1.5\nlonger µ,-10\nb,\n\"c, \"\"d\"\"\",0\n");
     }
 
     #[test]

@@ -3,8 +3,8 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::sequential::{Hit, HitBar, trace, trace_vjp};
-use super::{Cause, Failure, Ray, System, SystemGradient};
+use super::sequential::{Hit, HitBar, first_vignetted, trace, trace_vjp};
+use super::{Ray, System, SystemGradient};
 use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient, Pose, Shape};
 
@@ -128,28 +128,11 @@ pub fn answer_in(lens: &Lens, system: &System, request: &Request, clip: bool, gr
                     surfaces,
                     gradient: gradient.then(|| landing_gradient(lens, system, &hits)),
                 },
-                Err(f) => AnswerRay { status: name(f.cause), surface: Some(f.surface), surfaces, gradient: None },
+                Err(f) => AnswerRay { status: f.cause.name(), surface: Some(f.surface), surfaces, gradient: None },
             }
         })
         .collect();
     Answer { rays }
-}
-
-/// First surface whose clear aperture the ray passes outside of.
-pub fn first_vignetted(system: &System, hits: &[Hit]) -> Option<Failure> {
-    hits.iter()
-        .zip(&system.surfaces)
-        .position(|(h, s)| h.at.point.truncate().length() > s.semi_diameter)
-        .map(|surface| Failure { cause: Cause::Vignetted, surface })
-}
-
-fn name(cause: Cause) -> &'static str {
-    match cause {
-        Cause::Missed => "missed",
-        Cause::Vignetted => "vignetted",
-        Cause::TotalReflection => "total_reflection",
-        Cause::NotConverged => "not_converged",
-    }
 }
 
 /// Names and derivatives of the polynomial terms, powers rising: `a2`, `a3`, …, `z1`, …, `x1y2`, ….

@@ -10,11 +10,10 @@ use std::collections::BTreeMap;
 use glam::{DVec2, DVec3};
 
 use super::aim::Aimer;
-use super::exact::first_vignetted;
 use super::first_root::crossings;
 use super::object::ObjectPoint;
 use super::precise::{PreciseSystem, reference};
-use super::sequential::{Hit, trace};
+use super::sequential::{Hit, first_vignetted, trace};
 use super::{Cause, Failure, Ray, System};
 use crate::lens::Lens;
 
@@ -120,10 +119,10 @@ fn pupil_points() -> Vec<DVec2> {
     points
 }
 
-/// Checks `lens` at its own wavelengths, over its own field.
+/// Checks `lens` at its own wavelengths that have a weight, over its own field.
 pub fn check(lens: &Lens) -> Health {
     let mut wavelengths = vec![lens.wavelengths.primary_nm];
-    wavelengths.extend(lens.wavelengths.nm.iter().filter(|nm| **nm != lens.wavelengths.primary_nm));
+    wavelengths.extend(lens.wavelengths.shares().map(|(nm, _)| nm).filter(|nm| *nm != lens.wavelengths.primary_nm));
     let systems: Vec<System> = wavelengths.iter().map(|nm| System::new(lens, *nm)).collect();
     let mut run = Run::default();
     // Without rotational symmetry the field is looked at on four sides.
@@ -152,13 +151,7 @@ struct Run {
 
 impl Run {
     fn count(&mut self, failure: Failure, label: &str) {
-        let name = match failure.cause {
-            Cause::Missed => "missed",
-            Cause::Vignetted => "vignetted",
-            Cause::TotalReflection => "total_reflection",
-            Cause::NotConverged => "not_converged",
-        };
-        *self.failed.entry(name).or_default() += 1;
+        *self.failed.entry(failure.cause.name()).or_default() += 1;
         let place = format!("surface {}, {label}", failure.surface);
         match failure.cause {
             Cause::TotalReflection => self.reflected = self.reflected.take().or(Some(place)),
@@ -168,10 +161,7 @@ impl Run {
     }
 
     fn bundle(&mut self, lens: &Lens, system: &System, index: usize, field_deg: f64, azimuth_deg: f64) {
-        // An object plane: farther along the slanted ray than on the axis.
-        let angle = field_deg.to_radians();
-        let vergence = lens.object_vergence * angle.cos().max(0.0);
-        let object = ObjectPoint::from_angle(angle, azimuth_deg.to_radians(), vergence);
+        let object = ObjectPoint::in_field(lens, field_deg.to_radians(), azimuth_deg.to_radians());
         let aimer = Aimer::new(system);
         for point in pupil_points() {
             self.rays += 1;
@@ -198,9 +188,7 @@ impl Run {
             self.iterations = self.iterations.max(aimed.iterations);
             let mut hits = Vec::new();
             let traced = trace(system, aimed.ray, system.image(), &mut hits);
-            // The rim of the stop itself is where these rays were sent.
-            let clipped = first_vignetted(system, &hits).filter(|f| f.surface != system.stop);
-            match (clipped, traced) {
+            match (first_vignetted(system, &hits), traced) {
                 (Some(f), _) => self.count(f, &label),
                 (None, Err(f)) => {
                     self.count(f, &label);

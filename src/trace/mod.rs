@@ -19,6 +19,7 @@ pub mod object;
 pub mod precise;
 pub mod pupil;
 pub mod refract;
+pub mod rims;
 pub mod sequential;
 pub mod system;
 #[cfg(test)]
@@ -52,6 +53,18 @@ pub enum Cause {
     TotalReflection,
     /// The intersection or the aiming did not converge.
     NotConverged,
+}
+
+impl Cause {
+    /// Its name in JSON.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Missed => "missed",
+            Self::Vignetted => "vignetted",
+            Self::TotalReflection => "total_reflection",
+            Self::NotConverged => "not_converged",
+        }
+    }
 }
 
 /// A failed ray: cause and surface (counted from 0; the image plane is the last).

@@ -15,6 +15,7 @@ use glam::{DVec2, DVec3};
 
 use super::launch::FieldPoint;
 use super::{Ray, System};
+use crate::lens::{Lens, paraxial};
 
 /// An object point: direction of the light and vergence.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,6 +59,24 @@ impl ObjectPoint {
     pub fn from_angle(angle: f64, azimuth: f64, vergence: f64) -> Self {
         let ((s, c), (sa, ca)) = (angle.sin_cos(), azimuth.sin_cos());
         Self { direction: DVec3::new(s * ca, s * sa, c), vergence }
+    }
+
+    /// The point of the object plane of `lens` whose light runs at `angle` to the axis through the middle of the paraxial
+    /// entrance pupil (primary wavelength), in the meridian `azimuth`: what a field angle means in a lens file. Radians.
+    /// From 90° on a plane has no such point, and the point is infinitely far; a lens that is telecentric in object space has
+    /// no such pupil, and the angle is that at the first vertex.
+    pub fn in_field(lens: &Lens, angle: f64, azimuth: f64) -> Self {
+        let d = Self::from_angle(angle, azimuth, 0.0).direction;
+        let pupil = paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
+        let v = lens.object_vergence * d.z.max(0.0);
+        // The object stands at P − d/w from the pupil's middle P, its plane 1/v before the first vertex.
+        let w = v / (1.0 + lens.object_vergence * pupil);
+        if v == 0.0 || !w.is_finite() || !pupil.is_finite() {
+            return Self { direction: d, vergence: v };
+        }
+        // A pupil before the object is looked back at: w is negative.
+        let g = (d - w * pupil * DVec3::Z) * w.signum();
+        Self { direction: g.normalize(), vergence: w.abs() / g.length() }
     }
 
     /// Pulls a cotangent on [`Self::from_angle`] back to the angle and the azimuth.
@@ -210,6 +229,28 @@ mod tests {
 
     fn vector(rng: &mut fastrand::Rng, w: f64) -> DVec3 {
         DVec3::new(between(rng, -w, w), between(rng, -w, w), between(rng, -w, w))
+    }
+
+    /// A field angle is that of the ray from the object plane through the middle of the entrance pupil.
+    #[test]
+    fn field_angles_are_counted_at_the_entrance_pupil() {
+        for (name, distance) in
+            [("two_element", 1000.0), ("two_element", 40.0), ("cooke_triplet", 90.0), ("phone", 25.0)]
+        {
+            let mut lens = builtin::lens(name).expect("shipped");
+            lens.object_vergence = 1.0 / distance;
+            let first = paraxial::first_order(&lens, lens.wavelengths.primary_nm);
+            for angle in [0.0f64, 0.2, 0.5, 1.2] {
+                let object = ObjectPoint::in_field(&lens, angle, 1.1);
+                let position = object.position().expect("a plane at a distance");
+                let height = -(distance + first.entrance_pupil_position) * angle.tan();
+                let expected = DVec3::new(height * 1.1f64.cos(), height * 1.1f64.sin(), -distance);
+                assert!((position - expected).length() < 1e-10 * expected.length(), "{name}, {angle}: {position}");
+                assert!(object.vergence > 0.0 && object.direction.z > 0.0);
+            }
+            lens.object_vergence = 0.0;
+            assert_eq!(ObjectPoint::in_field(&lens, 1.7, 0.3), ObjectPoint::from_angle(1.7, 0.3, 0.0));
+        }
     }
 
     #[test]

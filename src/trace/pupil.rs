@@ -10,8 +10,8 @@ use glam::{DVec2, DVec3};
 
 use super::aim::{Aimed, Aimer};
 use super::object::ObjectPoint;
-use super::sequential::{Hit, trace};
-use super::{Cause, Failure, Ray, System};
+use super::sequential::{Hit, first_vignetted, trace};
+use super::{Failure, Ray, System};
 
 /// An aimed ray followed to the image.
 #[derive(Clone, Debug, PartialEq)]
@@ -56,17 +56,6 @@ pub struct FieldPupil {
 /// Boundary points are found to this part of the stop's semi-diameter.
 const TOLERANCE: f64 = 1e-10;
 
-/// The first clear aperture, the stop's apart, that a traced ray passes outside of.
-///
-/// A ray aimed at the stop's rim meets it there to rounding, so the stop itself does not clip.
-pub fn first_clipped(system: &System, hits: &[Hit]) -> Option<Failure> {
-    let outside = |(i, (h, s)): (usize, (&Hit, &super::system::TraceSurface))| {
-        (i != system.stop && h.at.point.truncate().length() > s.semi_diameter).then_some(i)
-    };
-    let surface = hits.iter().zip(&system.surfaces).enumerate().find_map(outside)?;
-    Some(Failure { cause: Cause::Vignetted, surface })
-}
-
 impl PupilRay {
     /// Aims at `target` (mm in the stop) and follows the ray.
     pub fn new(aimer: &Aimer, object: ObjectPoint, target: DVec2, near: Option<&Aimed>) -> Result<Self, Failure> {
@@ -74,7 +63,7 @@ impl PupilRay {
         let system = aimer.system();
         let mut hits = Vec::with_capacity(system.surfaces.len());
         let traced = trace(system, aimed.ray, system.image(), &mut hits).map(|_| ());
-        let end = first_clipped(system, &hits).map_or(traced, Err);
+        let end = first_vignetted(system, &hits).map_or(traced, Err);
         Ok(Self { aimed, hits, end })
     }
 
@@ -233,7 +222,7 @@ mod tests {
     use super::*;
     use crate::lens::builtin;
     use crate::testing::{assert_abs, assert_rel};
-    use crate::trace::exact::first_vignetted;
+    use crate::trace::Cause;
     use crate::trace::test_lenses::nikkor_180;
 
     /// Counts surviving rays of a dense raster of the stop, each aimed and clipped by itself.

@@ -30,6 +30,17 @@ pub struct HitBar {
     pub optical_path: f64,
 }
 
+/// How far beyond the stop's rim a ray still passes, as a part of the stop's semi-diameter: rays that are aimed at the rim
+/// meet it to rounding (1e-12).
+const RIM: f64 = 1e-9;
+
+/// The first surface whose clear aperture a traced ray passes outside of, the stop's own included.
+pub fn first_vignetted(system: &System, hits: &[Hit]) -> Option<Failure> {
+    let limit = |i: usize| system.surfaces[i].semi_diameter * if i == system.stop { 1.0 + RIM } else { 1.0 };
+    let surface = hits.iter().enumerate().position(|(i, h)| h.at.point.truncate().length() > limit(i))?;
+    Some(Failure { cause: Cause::Vignetted, surface })
+}
+
 /// Traces `ray` (frame of the first vertex) through surfaces `0..=last`, filling `hits`. Not clipped by apertures.
 ///
 /// On failure `hits` holds the surfaces before it.

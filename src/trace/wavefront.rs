@@ -16,8 +16,7 @@ use glam::{DVec2, DVec3};
 use super::aim::{Aimed, Aimer, aimed_vjp};
 use super::exit_pupil::{ExitPupil, exit_pupil, exit_pupil_vjp};
 use super::object::{ObjectBar, ObjectPoint};
-use super::pupil::first_clipped;
-use super::sequential::{Hit, HitBar, trace, trace_vjp};
+use super::sequential::{Hit, HitBar, first_vignetted, trace, trace_vjp};
 use super::{Cause, Failure, System, SystemGradient};
 
 /// Centre of the reference sphere.
@@ -145,7 +144,7 @@ impl Wavefront {
         for point in points {
             let traced = Traced::new(aimer, object, *point * system.stop_semi_diameter, Some(&chief.aimed));
             let difference = traced.as_ref().map_err(|f| *f).and_then(|t| {
-                if clip && let Some(failure) = first_clipped(system, &t.hits) {
+                if clip && let Some(failure) = first_vignetted(system, &t.hits) {
                     return Err(failure);
                 }
                 let (at, d, path) = t.landing();

@@ -2,6 +2,7 @@
 
 mod adjoints;
 mod cli;
+mod commands;
 mod extremes;
 mod golden;
 mod gradients;
@@ -11,6 +12,7 @@ mod one_way;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod picture;
+mod prescriptions;
 mod renderers;
 mod skips;
 mod stiff;
@@ -18,6 +20,7 @@ mod support;
 mod throughput;
 #[cfg(feature = "train")]
 mod training;
+mod vignetting;
 mod white;
 mod white_axis;
 mod white_oracle;

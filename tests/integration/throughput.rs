@@ -7,8 +7,8 @@ use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_ord
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature};
 use isoplanat::testing::{assert_rel, central_difference};
 use isoplanat::trace::aim::{ParaxialPupil, SensorView, aim};
-use isoplanat::trace::exact::first_vignetted;
 use isoplanat::trace::launch::{FieldPoint, launch};
+use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{Ray, System};
 

@@ -8,7 +8,7 @@ use glam::DVec3;
 use isoplanat::lens::{Aperture, Lens, Medium, Shape, Surface, builtin};
 use isoplanat::psf::{Optics, OpticsSpec, Quadrature};
 use isoplanat::testing::assert_rel;
-use isoplanat::trace::exact::first_vignetted;
+use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{Ray, System};
 

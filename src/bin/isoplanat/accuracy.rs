@@ -109,16 +109,19 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for path in [&args.output, &args.svg, &args.csv].into_iter().flatten() {
         output::check_writable(path, args.force)?;
     }
+    let density = SpectralDensity::new(&Sensor::generic());
     if args.gradient {
-        return gradient::run(args, &args.place.place(&args.lens, &args.scene)?, out);
+        let placed = args.place.place(&args.lens, &args.scene)?;
+        crate::input::in_band(&placed.lens, &density, &args.lens)?;
+        return gradient::run(args, &placed, &density, out);
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
+    crate::input::in_band(&lens, &density, &args.lens)?;
     let (_, scene_rows, scene_cols) = plane.texture.dim();
     // Two halves and a picture of every way.
     let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene([scene_rows, scene_cols]));
     let what = format!("a comparison over {} × {} pixels", frame.columns, frame.rows);
     memory::limit().allow(&what, least, SMALLER)?;
-    let density = SpectralDensity::new(&Sensor::generic());
     let whole = Region::whole(&frame);
     let rays =
         |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };

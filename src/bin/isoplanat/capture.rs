@@ -7,7 +7,9 @@ use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 
+use crate::input;
 use crate::output;
 use crate::progress::Bar;
 use crate::scene::{Placed, SMALLER, SceneArgs};
@@ -36,6 +38,9 @@ pub(crate) struct Args {
     /// Seed of rays and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Figures as JSON.
+    #[arg(long)]
+    json: bool,
     /// Overwrite the file.
     #[arg(long)]
     force: bool,
@@ -46,13 +51,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
+    input::in_band(&lens, &SpectralDensity::new(&sensor), &args.lens)?;
     let (_, rows, cols) = plane.texture.dim();
     let bytes = estimate::rays(&frame).saturating_add(estimate::scene([rows, cols]));
     let what = format!("a capture of {} × {} pixels", frame.columns, frame.rows);
     crate::memory::limit().allow(&what, bytes, SMALLER)?;
     let bar = Bar::new("capture");
     let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };
-    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;
+    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))
+        .map_err(|e| input::in_lens(e, &lens, &args.lens))?;
     bar.done(String::new());
     let info = DngInfo {
         software: concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into(),
@@ -61,6 +68,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         model: String::new(),
     };
     write_dng(&args.output, taken.dn.view(), &sensor, &info)?;
+    if args.json {
+        let figures = serde_json::json!({ "schema": 1, "capture": args.output, "columns": frame.columns, "rows": frame.rows,
+            "rays": taken.rays, "seconds": taken.seconds, "render_noise": taken.render_noise,
+            "sensor_noise": taken.sensor_noise });
+        return Ok(writeln!(out, "{figures}")?);
+    }
     writeln!(
         out,
         "{}: {} × {} pixels, {} rays in {:.1} s; noise of the rendering {:.1e} beside the sensor's {:.1e}",

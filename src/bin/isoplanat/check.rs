@@ -1,6 +1,7 @@
 //! `isoplanat check`: numerical health of a lens.
 
 use std::io::Write;
+use std::path::PathBuf;
 
 use isoplanat::report::health::HealthReport;
 use isoplanat::trace::health::Verdict;
@@ -10,15 +11,27 @@ use isoplanat::trace::health::Verdict;
 pub(crate) struct Args {
     /// Lens file (TOML), or the name of a shipped lens
     lens: String,
+    /// Figures to write as comma-separated values
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
     /// Machine-readable output
     #[arg(long)]
     json: bool,
+    /// Overwrite the file
+    #[arg(long)]
+    force: bool,
 }
 
 /// Runs the command; the result goes to `out`. A failed check is an error (exit code 1) that names the first failure.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    if let Some(path) = &args.csv {
+        crate::output::check_writable(path, args.force)?;
+    }
     let lens = crate::input::lens(&args.lens)?;
     let report = HealthReport::new(&lens);
+    if let Some(path) = &args.csv {
+        crate::output::put(&report.csv(), Some(path), out)?;
+    }
     if args.json {
         writeln!(out, "{:#}", report.json())?;
     } else {

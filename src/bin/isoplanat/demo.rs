@@ -47,6 +47,9 @@ pub(crate) struct Args {
     /// The ONNX Runtime library to use.
     #[arg(long)]
     onnxruntime: Option<PathBuf>,
+    /// Figures as JSON, as in the folder's summary.json.
+    #[arg(long)]
+    json: bool,
     /// Overwrite the folder.
     #[arg(long)]
     force: bool,
@@ -55,6 +58,9 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let report = atomic::write_folder(&args.output, MARKER, args.force, |folder| chain(args, folder))?;
+    if args.json {
+        return Ok(writeln!(out, "{}", report.summary_json())?);
+    }
     for s in &report.scenes {
         writeln!(
             out,

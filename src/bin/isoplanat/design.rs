@@ -39,6 +39,7 @@ pub(crate) struct Args {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, MARKER, args.force)?;
     let task = Task::load(&args.task)?;
+    crate::input::of_task(&task)?;
     let settings = JointSettings::of(&task).map_err(|e| e.in_file(&args.task))?;
     let bytes = memory::of_design(&task)?;
     let instead = "a smaller patch_px, batch, base_width or folder";

@@ -8,7 +8,6 @@ use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;
-use isoplanat::lens::prescription;
 use isoplanat::network::Reconstructor;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
@@ -71,7 +70,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::check_folder(folder, MARKER, args.force)?;
     }
     let task = Task::load(&args.run.join("task.toml"))?;
-    let lens = prescription::load(&args.run.join("lens.toml"))?;
+    let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let pictures = match &args.photos {
         Some(folder) => Pictures::Photos(Photos::open(folder)?),

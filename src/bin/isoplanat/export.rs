@@ -9,9 +9,8 @@ use isoplanat::design::task::Task;
 use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::lens::prescription;
 use isoplanat::math::memory::{BASE, product, words};
-use isoplanat::network::card::{ModelCard, Weights};
+use isoplanat::network::card::Weights;
 use isoplanat::network::{Reconstructor, onnx};
 use isoplanat::{Result, atomic};
 use ndarray::{Array4, Axis};
@@ -32,6 +31,9 @@ pub(crate) struct Args {
     /// Largest side of the camera's tiles, pixels; chosen by the network's size where left out.
     #[arg(long, value_name = "PX")]
     tile: Option<usize>,
+    /// Figures as JSON.
+    #[arg(long)]
+    json: bool,
     /// Overwrite the kit.
     #[arg(long)]
     force: bool,
@@ -44,7 +46,7 @@ const JUDGED: usize = 384;
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.force)?;
     let task = Task::load(&args.run.join("task.toml"))?;
-    let lens = prescription::load(&args.run.join("lens.toml"))?;
+    let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
@@ -60,7 +62,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let whole = model;
         card.weights = Weights::F16;
         model = onnx::encode(&network, &card).map_err(|e| e.in_file(&args.run.join("network.safetensors")))?;
-        Some(cost_of_halves(&whole, &model, &card)?)
+        Some(cost_of_halves(&whole, &model)?)
     } else {
         None
     };
@@ -68,24 +70,51 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, tile)?;
     kit.save(&args.output, args.force)?;
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
+    let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);
+    if args.json {
+        let figures = serde_json::json!({ "schema": 1, "kit": args.output, "lens_sha256": lens.sha256(),
+            "distortion_residual_px": residual, "distortion_radius_mm": seen_mm, "corner_mm": frame.max_radius_mm(),
+            "memory_bytes": bytes, "f16": cost });
+        return Ok(writeln!(out, "{figures}")?);
+    }
     writeln!(
         out,
         "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays out to {:.3} mm (the \
          frame's corner: {:.3} mm); memory: at most {}",
         args.output.display(),
         &lens.sha256()[..12],
-        calibration.distortion.sensor_from_slope(calibration.distortion.max_slope),
+        seen_mm,
         frame.max_radius_mm(),
         words(bytes)
     )?;
     if let Some(cost) = cost {
-        writeln!(out, "{cost}")?;
+        writeln!(
+            out,
+            "weights as {}: {:.1} KiB instead of {:.1}; on a built-in scene the output differs from f32 weights' by {:.1e} rms \
+             and {:.1e} at most (white is 1): {:.1} dB",
+            card.weights.name(),
+            cost.kib,
+            cost.f32_kib,
+            cost.rms,
+            cost.largest,
+            cost.psnr_db
+        )?;
     }
     Ok(())
 }
 
+/// What weights with 16 bits save, and cost on a built-in scene (white is 1).
+#[derive(serde::Serialize)]
+struct Halves {
+    kib: f64,
+    f32_kib: f64,
+    rms: f64,
+    largest: f32,
+    psnr_db: f64,
+}
+
 /// Sizes of the two files, and how far their outputs differ on a built-in scene, both as the camera would run them.
-fn cost_of_halves(whole: &[u8], halves: &[u8], card: &ModelCard) -> Result<String> {
+fn cost_of_halves(whole: &[u8], halves: &[u8]) -> Result<Halves> {
     let picture = generate(SceneKind::Facades, 16, JUDGED, JUDGED).insert_axis(Axis(0));
     let output = |model: &[u8]| -> Result<Array4<f32>> {
         Session::open(model, Path::new("model.onnx"), &Options::default())?.run(picture.view())
@@ -96,13 +125,6 @@ fn cost_of_halves(whole: &[u8], halves: &[u8], card: &ModelCard) -> Result<Strin
     let mean_square = difference.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>() / difference.len() as f64;
     #[expect(clippy::cast_precision_loss, reason = "bytes for a reader")]
     let kib = |bytes: &[u8]| bytes.len() as f64 / 1024.0;
-    Ok(format!(
-        "weights as {}: {:.1} KiB instead of {:.1}; on a built-in scene the output differs from f32 weights' by {:.1e} rms and \
-         {largest:.1e} at most (white is 1): {:.1} dB",
-        card.weights.name(),
-        kib(halves),
-        kib(whole),
-        mean_square.sqrt(),
-        decibel(mean_square)
-    ))
+    let (kib, f32_kib) = (kib(halves), kib(whole));
+    Ok(Halves { kib, f32_kib, rms: mean_square.sqrt(), largest, psnr_db: decibel(mean_square) })
 }

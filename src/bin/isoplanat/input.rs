@@ -1,19 +1,56 @@
-//! What commands read: texts from a file or from stdin, and the lens behind `LENS`.
+//! What commands read: texts from a file or from stdin, and the lens behind `LENS`; stderr is told what is doubtful about it.
 
 use std::io::Read;
 use std::path::Path;
 
-use isoplanat::lens::{Lens, builtin};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::lens::{Lens, builtin, prescription};
+use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Result};
 
 /// The lens named on the command line: a TOML file, or a shipped lens by its bare name.
 ///
 /// # Errors
-/// A file that cannot be read or is no lens; where neither a file nor a shipped lens has that name, both are said.
+/// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
 pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
     let path = Path::new(name_or_path);
     let bare = path.extension().is_none() && path.components().count() == 1;
-    if bare && !path.exists() { builtin::lens(name_or_path) } else { builtin::lens_or_file(name_or_path) }
+    let (lens, limited) = if bare && !path.exists() {
+        (builtin::lens(name_or_path)?, None)
+    } else {
+        prescription::load_with_warning(path)?
+    };
+    for warning in limited.into_iter().chain(overlapping_rims(&lens, name_or_path)?) {
+        eprintln!("warning: {warning}");
+    }
+    Ok(lens)
+}
+
+/// Refuses a lens that is made for other light than the picture's, and says which of its wavelengths the picture lacks;
+/// `argument` named the lens.
+pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) -> Result<()> {
+    density.require(lens).map_err(|e| in_lens(e, lens, argument))?;
+    let [short, long] = density.ends_nm();
+    let unseen: Vec<String> = lens
+        .wavelengths
+        .shares()
+        .filter(|(nm, _)| !(short..=long).contains(nm))
+        .map(|(nm, _)| nm.to_string())
+        .collect();
+    if !unseen.is_empty() {
+        eprintln!(
+            "warning: {argument}: wavelengths.nm: {} nm: the picture shows {short} to {long} nm, what the sensor responds to",
+            unseen.join(", ")
+        );
+    }
+    Ok(())
+}
+
+/// Says what is doubtful about the lens of a task, and refuses one made for other light than its sensor's.
+#[cfg(feature = "train")]
+pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
+    let read = lens(&task.lens)?;
+    in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens)
 }
 
 /// The same error with the argument that named the lens in place of the lens's own name.

@@ -4,6 +4,8 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::imaging::files::{write_atomic, write_png8};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
 use isoplanat::report::atlas;
@@ -11,6 +13,7 @@ use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use ndarray::ArrayView1;
 use ndarray_npy::NpzWriter;
+use serde_json::{Value, json};
 
 /// Arguments of `psf`.
 #[derive(Debug, clap::Args)]
@@ -26,7 +29,7 @@ pub(crate) struct Args {
     /// Object distances before the first surface, mm, comma separated; `inf` is allowed [default: the lens's own]
     #[arg(long, value_delimiter = ',', allow_negative_numbers = true, value_name = "MM")]
     depth_mm: Vec<f64>,
-    /// Wavelengths, nm, comma separated [default: the lens's own]
+    /// Wavelengths of equal weight, nm, comma separated [default: the lens's own, by their weights]
     #[arg(long, value_delimiter = ',', allow_negative_numbers = true, value_name = "NM")]
     wavelength_nm: Vec<f64>,
     /// Field points from the axis to the border
@@ -41,6 +44,12 @@ pub(crate) struct Args {
     /// Rays per kernel and wavelength
     #[arg(long, default_value_t = 16384, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     rays: u32,
+    /// Rows of the summary to write as comma-separated values
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    /// The summary as JSON
+    #[arg(long)]
+    json: bool,
     /// Overwrite outputs
     #[arg(long)]
     force: bool,
@@ -48,11 +57,14 @@ pub(crate) struct Args {
 
 /// Runs the command; a summary goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in std::iter::once(&args.output).chain(&args.png) {
+    for path in std::iter::once(&args.output).chain(&args.png).chain(&args.csv) {
         crate::output::check_writable(path, args.force)?;
     }
     let lens = crate::input::lens(&args.lens)?;
     let request = request(args, &lens)?;
+    if args.png.is_some() {
+        crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
+    }
     let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(Path::new(&args.lens));
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
     save(&kernels, &args.output)?;
@@ -61,26 +73,55 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?;
         write_png8(path, &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
-    let mut table = Table::new(["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%"]);
-    for (d, depth) in request.depth_mm.iter().enumerate() {
-        for f in 0..kernels.request.fields {
-            let lost = kernels.outside.slice(ndarray::s![d, f, ..]).fold(0.0, |m: f64, x| m.max(*x));
-            table.row([
-                significant(*depth, 6),
-                format!("{:.3}", kernels.angle_deg[[d, f]]),
-                format!("{:.4}", kernels.radius_mm[[d, f]]),
-                format!("{:.4}", kernels.relative_illumination[[d, f, 0]]),
-                format!("{:.3}", 100.0 * lost),
-            ]);
+    let rows = rows(&kernels);
+    if let Some(path) = &args.csv {
+        let mut table = Table::new(COLUMNS);
+        for row in &rows {
+            table.row(row.map(|v| v.to_string()));
         }
+        crate::output::put(&table.csv(), Some(path), out)?;
+    }
+    let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
+    let count = request.depth_mm.len() * kernels.request.fields;
+    let drawn = if args.png.is_some() { 4 * atlas::bytes(count, 3, size) } else { 0 };
+    let bytes = atlas::bytes(count, nm, size) + drawn;
+    if args.json {
+        let named = |row: &[f64; 5]| {
+            COLUMNS.map(String::from).into_iter().zip(row.map(Value::from)).collect::<serde_json::Map<_, _>>()
+        };
+        let value = json!({ "schema": 1, "size_px": size, "pitch_um": request.pitch_mm * 1e3,
+            "wavelength_nm": request.wavelength_nm, "weight": request.weights, "memory_bytes": bytes,
+            "rows": rows.iter().map(named).collect::<Vec<_>>() });
+        writeln!(out, "{value}")?;
+        return Ok(());
+    }
+    let mut table = Table::new(["depth/mm", "field/deg", "sensor radius/mm", "relative illumination", "outside/%"]);
+    for [depth, angle, radius, light, lost] in rows {
+        table.row([
+            significant(depth, 6),
+            format!("{angle:.3}"),
+            format!("{radius:.4}"),
+            format!("{light:.4}"),
+            format!("{:.3}", 100.0 * lost),
+        ]);
     }
     write!(out, "{table}")?;
-    let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
     writeln!(out, "{size} × {size} pixels of {} µm, {nm} wavelengths", significant(request.pitch_mm * 1e3, 6))?;
-    let kernels = request.depth_mm.len() * kernels.request.fields;
-    let drawn = if args.png.is_some() { 4 * atlas::bytes(kernels, 3, size) } else { 0 };
-    writeln!(out, "memory: at most {}", words(atlas::bytes(kernels, nm, size) + drawn))?;
+    writeln!(out, "memory: at most {}", words(bytes))?;
     Ok(())
+}
+
+/// Columns of the summary. The illumination is over all wavelengths by their weights; what falls outside is the most of any.
+const COLUMNS: [&str; 5] = ["depth_mm", "field_angle_deg", "sensor_radius_mm", "relative_illumination", "outside"];
+
+/// Rows of the summary.
+fn rows(set: &atlas::KernelSet) -> Vec<[f64; 5]> {
+    let light = set.polychromatic_illumination();
+    let row = |((d, f), light): ((usize, usize), &f64)| {
+        let lost = set.outside.slice(ndarray::s![d, f, ..]).fold(0.0, |m: f64, x| m.max(*x));
+        [set.request.depth_mm[d], set.angle_deg[[d, f]], set.radius_mm[[d, f]], *light, lost]
+    };
+    light.indexed_iter().map(row).collect()
 }
 
 /// The checked request.
@@ -90,7 +131,10 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
     if let Some(d) = depth_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
         return Err(Error::bad("--depth-mm", "value", d.to_string(), "positive distances, or inf"));
     }
-    let wavelength_nm = own(&args.wavelength_nm, lens.wavelengths.nm.clone());
+    let (wavelength_nm, weights) = match &args.wavelength_nm[..] {
+        [] => lens.wavelengths.shares().unzip(),
+        given => (given.to_vec(), vec![1.0; given.len()]),
+    };
     if let Some(nm) = wavelength_nm.iter().find(|nm| !(200.0..=20_000.0).contains(*nm)) {
         return Err(Error::bad("--wavelength-nm", "value", nm.to_string(), "200 to 20000 nm"));
     }
@@ -104,6 +148,7 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
     Ok(atlas::KernelRequest {
         depth_mm,
         wavelength_nm,
+        weights,
         fields: usize::from(args.fields),
         size: args.size.map(usize::from),
         pitch_mm: pitch_um * 1e-3,
@@ -127,7 +172,9 @@ fn save(set: &atlas::KernelSet, path: &Path) -> Result<()> {
         for (name, array) in places {
             npz.add_array(name, array).map_err(failed)?;
         }
-        for (name, values) in [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm)] {
+        npz.add_array("polychromatic", &set.polychromatic_kernels()).map_err(failed)?;
+        let lists = [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];
+        for (name, values) in lists {
             npz.add_array(name, &ArrayView1::from(values)).map_err(failed)?;
         }
         npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm)).map_err(failed)?;

@@ -184,6 +184,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
+    let density = SpectralDensity::new(&Sensor::generic());
+    crate::input::in_band(&stage.lens, &density, &args.lens)?;
     let least = match args.method {
         Method::PsfGrid => estimate::planes(&stage.frame),
         Method::MonteCarlo => estimate::rays(&stage.frame),
@@ -191,13 +193,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let what = format!("a picture of {} × {} pixels", stage.frame.columns, stage.frame.rows);
     memory::limit().allow(&what, least.saturating_add(stage.generated(&args.scenes)), SMALLER)?;
     let clock = Instant::now();
-    let way = Way::of(args, &stage, SpectralDensity::new(&Sensor::generic()))?;
+    let way = Way::of(args, &stage, density)?;
     let bar = Bar::new("render");
     let count = args.scenes.len();
     #[expect(clippy::cast_precision_loss, reason = "a share")]
     let one = |k: usize, scene: &str| {
         let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_owned());
-        way.make(&stage, scene, &progress)
+        way.make(&stage, scene, &progress).map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))
     };
     let mut all = Vec::with_capacity(count);
     if many {

@@ -19,6 +19,9 @@ pub(crate) struct Args {
     /// Add the derivative of each landing with respect to every number of the lens
     #[arg(long)]
     gradient: bool,
+    /// Machine-readable output: what is written without it too
+    #[arg(long)]
+    json: bool,
     /// Write here instead of stdout
     #[arg(short, long)]
     output: Option<PathBuf>,
@@ -35,7 +38,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let (text, name) = crate::input::text(&args.rays)?;
     let request = exact::request_from_json(&text, &name)?;
+    lens.require_indices(request.wavelength_nm, &args.lens)?;
     let answer = exact::answer(&lens, &request, args.clip, args.gradient);
+    // Rays have one form: JSON, with `--json` or without.
+    let _ = args.json;
     let mut json = serde_json::to_string_pretty(&answer)?;
     json.push('\n');
     crate::output::put(&json, args.output.as_deref(), out)

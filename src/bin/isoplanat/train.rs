@@ -56,6 +56,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut training = match &args.task {
         Some(path) => {
             let task = task(args, path)?;
+            crate::input::of_task(&task)?;
             let instead = "a smaller patch_px, batch, base_width, region_px or folder";
             crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
             Training::create(task, &args.output, args.force, args.device)?

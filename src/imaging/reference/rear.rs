@@ -60,10 +60,11 @@ impl RearView {
     /// No room between the rear surface and the sensor, no finite rear aperture, no light on the axis.
     pub fn new(lens: &Lens, density: &SpectralDensity, radius_mm: f64) -> Result<Self> {
         lens.require_symmetry("rendering")?;
+        density.require(lens)?;
         let system = System::new(lens, lens.wavelengths.primary_nm).reversed();
         let (distance, disk_radius) = rim(&system.surfaces[1], radius_mm).ok_or_else(|| {
             let found = "its rear surface reaches the sensor or its clear aperture has no end";
-            Error::bad("", "lens", found, "room before the sensor, a finite clear semi-diameter")
+            Error::bad(lens.name.as_str(), "surfaces", found, "room before the sensor, a finite clear semi-diameter")
         })?;
         let grid = Grid::of(density);
         let (mut ratios, mut index_square) = (Vec::new(), Vec::new());
@@ -86,7 +87,7 @@ impl RearView {
             return Ok(view);
         }
         let found = "no rays reach the sensor: no ray from its axial point passes the lens";
-        Err(Error::bad("", "lens", found, "a stop and clear apertures that let light through"))
+        Err(Error::bad(lens.name.as_str(), "surfaces", found, "a stop and clear apertures that let light through"))
     }
 
     /// The wavelength of `channel` that holds the share `u` (`0 ≤ u < 1`) of its light.

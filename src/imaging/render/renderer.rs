@@ -72,6 +72,7 @@ impl Renderer {
         vergences: &[f64],
         settings: Settings,
     ) -> Result<Self> {
+        density.require(lens)?;
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
         let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
         let optics = Optics::compute(lens, &spec)?;

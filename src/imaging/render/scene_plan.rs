@@ -87,6 +87,7 @@ pub fn plan(
     explain: bool,
 ) -> Result<ScenePlan> {
     let vergence = common_vergence(scenes)?;
+    density.require(lens)?;
     let draft = Draft::new(lens, scenes, frame, density, (request, explain), vergence)?;
     let (target, probing) = match request {
         Request::Psnr(db) => (10f64.powf(-0.1 * db), true),

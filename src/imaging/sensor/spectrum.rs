@@ -14,6 +14,7 @@
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::illuminant::Illuminant;
+use crate::lens::Lens;
 
 /// A quadrature over wavelength, common nodes and one set of weights a channel.
 #[derive(Clone, Debug, PartialEq)]
@@ -90,6 +91,26 @@ impl SpectralDensity {
             sums
         });
         Self { nm, density, cumulative }
+    }
+
+    /// Shortest and longest wavelength at which a channel has light, nm.
+    pub fn ends_nm(&self) -> [f64; 2] {
+        let lit = |i: &usize| self.density.iter().any(|p| p[*i] > 0.0);
+        let (first, last) = ((0..self.nm.len()).find(lit), (0..self.nm.len()).rev().find(lit));
+        // The pieces beside them have light as well.
+        [first.unwrap_or(0).saturating_sub(1), (last.unwrap_or(0) + 1).min(self.nm.len() - 1)].map(|i| self.nm[i])
+    }
+
+    /// Refuses to image with `lens` where it states only wavelengths that these densities do not hold, or where they hold
+    /// wavelengths at which the index of one of its media is not known.
+    pub fn require(&self, lens: &Lens) -> Result<()> {
+        let ([short, long], [first, last]) = (self.ends_nm(), lens.wavelengths.ends_nm());
+        if first > long || last < short {
+            let found = format!("{first} to {last} nm");
+            let allowed = format!("wavelengths within {short} to {long} nm, what the sensor responds to");
+            return Err(Error::bad(lens.name.as_str(), "wavelengths.nm", found, allowed));
+        }
+        [short, long].iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))
     }
 
     /// The wavelength in nm at which channel `channel` has collected the share `u` (`0 ≤ u < 1`) of its light.

@@ -3,7 +3,7 @@
 use super::{FileElement, FileXy, FileZernike};
 use crate::error::{Error, Result};
 use crate::lens::freeform::{MAX_NOLL, MAX_XY_DEGREE, Xy, Zernike};
-use crate::lens::{Element, Pose};
+use crate::lens::{Element, Pose, Shape};
 
 fn radius(mm: f64, place: &str, file: &str) -> Result<f64> {
     super::positive(mm, &format!("{place}.radius_mm"), file)
@@ -40,6 +40,39 @@ pub(super) fn xy(p: FileXy, place: &str, file: &str) -> Result<Xy> {
         return Err(Error::bad(file, format!("{place}.terms"), "no terms", "at least one"));
     }
     Ok(Xy::new(radius, &terms))
+}
+
+/// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
+/// semi-diameters wide stay within 1e50, and their derivatives with them.
+const RADII: f64 = 1e3;
+/// Bound of the slope of the polynomial terms: 1000 is 89.94°. Aspheres whose terms cancel stay far below.
+const STEEPEST: f64 = 1e3;
+
+/// Refuses polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or
+/// their derivatives would leave the numbers.
+pub(super) fn require_moderate(shape: &Shape, semi_diameter: f64, place: &str, file: &str) -> Result<()> {
+    let radii = [("zernike", shape.zernike.as_ref().map(Zernike::radius)), ("xy", shape.xy.as_ref().map(Xy::radius))];
+    for (key, radius) in radii {
+        if let Some(r) = radius.filter(|r| !(semi_diameter / RADII..=semi_diameter * RADII).contains(r)) {
+            let allowed = format!(
+                "{:e} to {:e} mm, 1/1000 to 1000 semi_diameter_mm",
+                semi_diameter / RADII,
+                semi_diameter * RADII
+            );
+            return Err(Error::bad(file, format!("{place}{key}.radius_mm"), format!("{r:e}"), allowed));
+        }
+    }
+    let slope = Shape { curvature: 0.0, conic: 0.0, ..shape.clone() }.steepest(semi_diameter);
+    if slope.is_finite() && slope <= STEEPEST {
+        return Ok(());
+    }
+    let found = format!("a slope of up to {slope:e} within the clear semi-diameter");
+    Err(Error::bad(
+        file,
+        format!("{place}asphere, zernike, xy"),
+        found,
+        format!("terms whose slopes add to at most {STEEPEST}"),
+    ))
 }
 
 pub(super) fn write_xy(p: &Xy) -> FileXy {

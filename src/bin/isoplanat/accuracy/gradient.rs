@@ -4,7 +4,6 @@ use std::io::Write;
 
 use isoplanat::imaging::render::Settings;
 use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches};
-use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::gradient_accuracy::{GradientAccuracy, Row};
 
@@ -48,9 +47,8 @@ fn settings() -> Vec<(&'static str, String, Settings)> {
 }
 
 /// Measures all of them on patches of `placed`.
-pub(super) fn run(args: &Args, placed: &Placed, out: &mut dyn Write) -> anyhow::Result<()> {
-    let density = SpectralDensity::new(&Sensor::generic());
-    let patches = Patches::even(&placed.lens, &placed.frame, &density, &placed.plane, PATCHES);
+pub(super) fn run(args: &Args, placed: &Placed, density: &SpectralDensity, out: &mut dyn Write) -> anyhow::Result<()> {
+    let patches = Patches::even(&placed.lens, &placed.frame, density, &placed.plane, PATCHES);
     let bar = Bar::new("gradients");
     let converged = patches.measure(CONVERGED)?;
     let noise = converged.noise();

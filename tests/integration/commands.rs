@@ -1,0 +1,73 @@
+//! Every command answers to the same flags: `--json`, and `--force` where it writes files.
+
+use serde_json::Value;
+
+use crate::support::Workplace;
+
+/// Commands of this build, from the program's own help.
+fn commands(place: &Workplace) -> Vec<String> {
+    let help = place.run("--help").done();
+    let listed = help.lines().skip_while(|l| *l != "Commands:").skip(1).take_while(|l| !l.trim().is_empty());
+    let names = listed.filter(|l| !l.contains("(needs the feature")).filter_map(|l| l.split_whitespace().next());
+    names.filter(|n| *n != "help").map(str::to_owned).collect()
+}
+
+/// The line of `--help` that starts with an option, and whether it is there.
+fn has(help: &str, option: &str) -> bool {
+    help.lines().any(|l| l.split([' ', ',']).any(|word| word == option) && l.trim_start().starts_with('-'))
+}
+
+#[test]
+fn every_command_has_help_json_and_force() {
+    let place = Workplace::new();
+    let commands = commands(&place);
+    assert!(commands.len() >= 7, "{commands:?}");
+    for command in &commands {
+        let help = place.run(&format!("{command} --help")).done();
+        assert!(help.contains(&format!("isoplanat {command}")), "{help}");
+        for option in ["--json", "--force", "--memory-gib", "--help"] {
+            assert!(has(&help, option), "{command} {option}:\n{help}");
+        }
+        // What prints rows of a table writes them as well.
+        let rows = ["inspect", "check", "psf", "accuracy", "evaluate"].contains(&command.as_str());
+        assert_eq!(has(&help, "--csv"), rows, "{command} --csv");
+        assert_eq!(place.run(&format!("{command} --frobnicate")).code, 2, "{command}");
+    }
+}
+
+/// One JSON object on stdout, whatever the command; files appear where they are named, and are not overwritten.
+#[test]
+fn json_is_one_object_and_files_need_force() {
+    let place = Workplace::new();
+    let ray = r#"{"wavelength_nm": 550.0, "rays": [{"origin_mm": [0.0, 0.2, -5.0], "direction": [0, 0, 1]}]}"#;
+    place.write("rays.json", ray);
+    let frame = "--columns 24 --rows 16 --pitch-um 60";
+    let psf = "--fields 2 --size 9 --pitch-um 30 --rays 100";
+    for (command, files) in [
+        ("inspect cooke_triplet --csv s.csv".to_owned(), vec!["s.csv"]),
+        ("check cooke_triplet --csv f.csv".to_owned(), vec!["f.csv"]),
+        ("trace cooke_triplet --rays rays.json".to_owned(), vec![]),
+        (format!("psf cooke_triplet -o k.npz --csv k.csv {psf}"), vec!["k.npz", "k.csv"]),
+        (format!("render cooke_triplet text -o a.png --min-psnr-db 30 {frame}"), vec!["a.png"]),
+        (format!("capture cooke_triplet text -o a.dng --samples 2 {frame}"), vec!["a.dng"]),
+    ] {
+        let text = place.run(&format!("{command} --json")).done();
+        let value: Value = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{command}: {e}: {text}"));
+        assert!(value.is_object(), "{command}: {value}");
+        for file in &files {
+            assert!(place.path(file).is_file(), "{command}: {file}");
+        }
+        if let Some(first) = files.first() {
+            place.run(&command).refused(&[first, "--force"]);
+            place.run(&format!("{command} --force")).done();
+        }
+        for csv in files.iter().filter(|f| f.ends_with(".csv")) {
+            let text = std::fs::read_to_string(place.path(csv)).expect("written");
+            let columns: Vec<usize> = text.lines().map(|l| l.split(',').count()).collect();
+            assert!(columns.len() > 2 && columns[0] > 4, "{text}");
+        }
+    }
+    // Rays have one form.
+    let plain = place.run("trace cooke_triplet --rays rays.json").done();
+    assert_eq!(place.run("trace cooke_triplet --rays rays.json --json").done(), plain);
+}
