@@ -8,6 +8,7 @@ use glam::DVec2;
 use ndarray::Array2;
 
 use crate::math::least_squares::fit_operator;
+use crate::math::wide::{Work, wide};
 
 /// Parity in x of a function over the stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -52,21 +53,36 @@ pub(super) fn apply_transposed(matrix: &Array2<f64>, v: &[f64]) -> Vec<f64> {
     out
 }
 
-/// Adds `Mᵀ v`, four rows at a time, so that the sums are loaded and stored a quarter as often.
+/// Adds `Mᵀ v`.
 pub(super) fn add_transposed(matrix: &Array2<f64>, v: &[f64], out: &mut [f64]) {
-    let count = out.len();
-    let all = matrix.as_slice().unwrap_or_default();
-    for (rows, c) in all.chunks(4 * count.max(1)).zip(v.chunks(4)) {
-        if let [a, b, d, e] = *c {
-            let (r0, rest) = rows.split_at(count);
-            let (r1, rest) = rest.split_at(count);
-            let (r2, r3) = rest.split_at(count);
-            for ((((o, v0), v1), v2), v3) in out.iter_mut().zip(r0).zip(r1).zip(r2).zip(r3) {
-                *o += (a * v0 + b * v1) + (d * v2 + e * v3);
-            }
-        } else {
-            for (row, c) in rows.chunks(count.max(1)).zip(c) {
-                out.iter_mut().zip(row).for_each(|(o, v)| *o += c * v);
+    wide(AddTransposed { all: matrix.as_slice().unwrap_or_default(), v, out });
+}
+
+/// `out += Mᵀ v`, four rows at a time, so that the sums are loaded and stored a quarter as often.
+struct AddTransposed<'a> {
+    all: &'a [f64],
+    v: &'a [f64],
+    out: &'a mut [f64],
+}
+
+impl Work for AddTransposed<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        let Self { all, v, out } = self;
+        let count = out.len();
+        for (rows, c) in all.chunks(4 * count.max(1)).zip(v.chunks(4)) {
+            if let [a, b, d, e] = *c {
+                let (r0, rest) = rows.split_at(count);
+                let (r1, rest) = rest.split_at(count);
+                let (r2, r3) = rest.split_at(count);
+                for ((((o, v0), v1), v2), v3) in out.iter_mut().zip(r0).zip(r1).zip(r2).zip(r3) {
+                    *o += (a * v0 + b * v1) + (d * v2 + e * v3);
+                }
+            } else {
+                for (row, c) in rows.chunks(count.max(1)).zip(c) {
+                    out.iter_mut().zip(row).for_each(|(o, v)| *o += c * v);
+                }
             }
         }
     }
@@ -77,17 +93,30 @@ pub(super) fn add_transposed(matrix: &Array2<f64>, v: &[f64], out: &mut [f64]) {
 pub struct Evaluation {
     /// `[term, point]` of the value and both derivatives.
     rows: [Array2<f64>; 3],
+    /// Largest absolute derivatives of every term over the points.
+    steepest: [Vec<f64>; 2],
 }
 
 impl Evaluation {
     /// At `points` of the unit stop.
     pub fn new(points: &[DVec2], degree: usize, parity: Parity) -> Self {
-        Self { rows: basis(points, degree, parity) }
+        let rows = basis(points, degree, parity);
+        let largest = |rows: &Array2<f64>| -> Vec<f64> {
+            rows.rows().into_iter().map(|row| row.iter().fold(0.0, |m: f64, v| m.max(v.abs()))).collect()
+        };
+        let steepest = [largest(&rows[1]), largest(&rows[2])];
+        Self { rows, steepest }
     }
 
     /// Values or derivatives at the points.
     pub fn at(&self, of: Of, coefficients: &[f64]) -> Vec<f64> {
         apply_transposed(&self.rows[of as usize], coefficients)
+    }
+
+    /// A bound on the length of the gradient at every point.
+    pub fn steepest(&self, coefficients: &[f64]) -> f64 {
+        let along = |terms: &[f64]| terms.iter().zip(coefficients).map(|(t, c)| t * c.abs()).sum::<f64>();
+        along(&self.steepest[0]).hypot(along(&self.steepest[1]))
     }
 
     /// Adds a cotangent on values or derivatives to that of the coefficients.
@@ -100,15 +129,25 @@ impl Evaluation {
 
 /// `Σ a b`, eight partial sums in a fixed order.
 pub(super) fn dot(a: &[f64], b: &[f64]) -> f64 {
-    let mut sums = [0.0; 8];
-    let (mut a, mut b) = (a.chunks_exact(8), b.chunks_exact(8));
-    for (x, y) in a.by_ref().zip(b.by_ref()) {
-        for (s, (x, y)) in sums.iter_mut().zip(x.iter().zip(y)) {
-            *s += x * y;
+    wide(Dot(a, b))
+}
+
+struct Dot<'a>(&'a [f64], &'a [f64]);
+
+impl Work for Dot<'_> {
+    type Output = f64;
+    #[inline(always)]
+    fn run(self) -> f64 {
+        let mut sums = [0.0; 8];
+        let (mut a, mut b) = (self.0.chunks_exact(8), self.1.chunks_exact(8));
+        for (x, y) in a.by_ref().zip(b.by_ref()) {
+            for (s, (x, y)) in sums.iter_mut().zip(x.iter().zip(y)) {
+                *s += x * y;
+            }
         }
+        let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(x, y)| x * y).sum();
+        sums.iter().sum::<f64>() + rest
     }
-    let rest: f64 = a.remainder().iter().zip(b.remainder()).map(|(x, y)| x * y).sum();
-    sums.iter().sum::<f64>() + rest
 }
 
 /// Values and derivatives of the basis, `[term, point]`.

@@ -51,6 +51,11 @@ fn tensors(folder: &Path) -> Vec<u8> {
     bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
 }
 
+/// When the last checkpoint was written.
+fn written(folder: &Path) -> Option<std::time::SystemTime> {
+    std::fs::metadata(folder.join("network.safetensors")).and_then(|m| m.modified()).ok()
+}
+
 /// The checkpoint as a file: its bytes, where there is one.
 fn checkpoint(folder: &Path) -> Option<Vec<u8>> {
     std::fs::read(folder.join("network.safetensors")).ok()
@@ -78,11 +83,22 @@ fn a_training_killed_twenty_times_ends_with_the_same_bits() {
     while kills < KILLS {
         let arguments = if killed.join("task.toml").is_file() { vec!["--resume"] } else { vec![task] };
         let mut child = train(&arguments, &killed);
-        let life = startup.mul_f64(0.5) + (startup.mul_f64(0.5) + work.mul_f64(2.0 / 30.0)).mul_f64(rng.f64());
-        let end = Instant::now() + life;
-        while Instant::now() < end && child.try_wait().expect("waits").is_none() {
-            std::thread::sleep(Duration::from_millis(1));
+        // Two of three lives end some time after their first checkpoint, however busy the machine; the others at any moment before.
+        let before = written(&killed);
+        let after_progress = kills % 3 != 0;
+        let wait = |child: &mut Child, end: Instant, progress: bool| {
+            while Instant::now() < end && child.try_wait().expect("waits").is_none() {
+                if progress && written(&killed) != before {
+                    break;
+                }
+                std::thread::sleep(Duration::from_millis(1));
+            }
+        };
+        if after_progress {
+            wait(&mut child, Instant::now() + Duration::from_secs(60), true);
         }
+        let life = if after_progress { work / 40 } else { startup };
+        wait(&mut child, Instant::now() + life.mul_f64(rng.f64()), false);
         if child.try_wait().expect("waits").is_some() {
             let output = child.wait_with_output().expect("ended");
             assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
