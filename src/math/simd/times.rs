@@ -1,4 +1,4 @@
-//! Vectors side by side.
+//! Vectors side by side. Loops count by hand: iterators are functions that are not always inlined.
 
 use super::F64;
 
@@ -43,22 +43,28 @@ impl<S: F64, const U: usize> F64 for Times<S, U> {
     #[inline(always)]
     fn load(self, from: &[S::Array; U]) -> Self::V {
         let mut out = [self.0.load(&from[0]); U];
-        for (out, from) in out.iter_mut().zip(from).skip(1) {
-            *out = self.0.load(from);
+        let mut i = 1;
+        while i < U {
+            out[i] = self.0.load(&from[i]);
+            i += 1;
         }
         out
     }
     #[inline(always)]
     fn store(self, to: &mut [S::Array; U], v: Self::V) {
-        for (to, v) in to.iter_mut().zip(v) {
-            self.0.store(to, v);
+        let mut i = 0;
+        while i < U {
+            self.0.store(&mut to[i], v[i]);
+            i += 1;
         }
     }
     #[inline(always)]
     fn gather(self, table: &[f64], index: &[u32]) -> Self::V {
         let mut out = [self.0.gather(table, index); U];
-        for (i, out) in out.iter_mut().enumerate().skip(1) {
-            *out = self.0.gather(table, &index[i * S::LANES..]);
+        let mut i = 1;
+        while i < U {
+            out[i] = self.0.gather(table, &index[i * S::LANES..]);
+            i += 1;
         }
         out
     }
@@ -83,16 +89,20 @@ impl<S: F64, const U: usize> F64 for Times<S, U> {
     #[inline(always)]
     fn sqrt_and_inverse(self, a: Self::V) -> (Self::V, Self::V) {
         let (mut root, mut inverse) = (a, a);
-        for i in 0..U {
+        let mut i = 0;
+        while i < U {
             (root[i], inverse[i]) = self.0.sqrt_and_inverse(a[i]);
+            i += 1;
         }
         (root, inverse)
     }
     #[inline(always)]
     fn bits(self, m: Self::M) -> u64 {
         let mut bits = 0;
-        for (i, m) in m.into_iter().enumerate() {
-            bits |= self.0.bits(m) << (i * S::LANES);
+        let mut i = 0;
+        while i < U {
+            bits |= self.0.bits(m[i]) << (i * S::LANES);
+            i += 1;
         }
         bits
     }

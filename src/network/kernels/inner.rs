@@ -128,33 +128,16 @@ impl<const K: usize, const O: usize, const N: usize> Kernel for Tile<'_, '_, '_,
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         let Self { rows, weights, bias, to: Place { panel, row, at, n } } = self;
-        let zero = simd.splat(0.0);
-        let mut sums = [[zero; N]; O];
-        for (o, sums) in sums.iter_mut().enumerate() {
-            for (v, sum) in sums.iter_mut().enumerate() {
-                *sum = match bias {
+        let mut first = [[simd.splat(0.0); N]; O];
+        for (o, first) in first.iter_mut().enumerate() {
+            for (v, first) in first.iter_mut().enumerate() {
+                *first = match bias {
                     Some(bias) => simd.splat(bias[o]),
                     None => simd.load_first(&panel.row(row + o)[at..][..n][v * S::LANES..]),
                 };
             }
         }
-        for (channel, weights) in (0..rows.channels).zip(weights.chunks_exact(K * K * O)) {
-            for ky in 0..K {
-                let taps = &rows.from[channel * rows.channel_stride + ky * rows.row_stride..][..K - 1 + N * S::LANES];
-                for kx in 0..K {
-                    let mut x = [zero; N];
-                    for (v, x) in x.iter_mut().enumerate() {
-                        *x = simd.load_at(taps, kx + v * S::LANES);
-                    }
-                    for (o, sums) in sums.iter_mut().enumerate() {
-                        let weight = simd.splat(weights[(ky * K + kx) * O + o]);
-                        for (sum, x) in sums.iter_mut().zip(x) {
-                            *sum = simd.fma(weight, x, *sum);
-                        }
-                    }
-                }
-            }
-        }
+        let sums = sum_taps::<S, K, O, N>(simd, rows, weights, first);
         for (o, sums) in sums.iter().enumerate() {
             let to = &mut panel.row(row + o)[at..][..n];
             for (v, &sum) in sums.iter().enumerate() {
@@ -166,6 +149,35 @@ impl<const K: usize, const O: usize, const N: usize> Kernel for Tile<'_, '_, '_,
             }
         }
     }
+}
+
+/// Adds the products to the sums, which come and go by value: what is done with them elsewhere must not keep them out of
+/// the registers here.
+#[inline(always)]
+fn sum_taps<S: F32, const K: usize, const O: usize, const N: usize>(
+    simd: S,
+    rows: Rows,
+    weights: &[f32],
+    mut sums: [[S::V; N]; O],
+) -> [[S::V; N]; O] {
+    for (channel, weights) in (0..rows.channels).zip(weights.chunks_exact(K * K * O)) {
+        for ky in 0..K {
+            let taps = &rows.from[channel * rows.channel_stride + ky * rows.row_stride..][..K - 1 + N * S::LANES];
+            for kx in 0..K {
+                let mut x = [simd.splat(0.0); N];
+                for (v, x) in x.iter_mut().enumerate() {
+                    *x = simd.load_at(taps, kx + v * S::LANES);
+                }
+                for (o, sums) in sums.iter_mut().enumerate() {
+                    let weight = simd.splat(weights[(ky * K + kx) * O + o]);
+                    for (sum, x) in sums.iter_mut().zip(x) {
+                        *sum = simd.fma(weight, x, *sum);
+                    }
+                }
+            }
+        }
+    }
+    sums
 }
 
 /// Products of planes of `a` with three pictures, summed over `rows × n` pixels.
@@ -202,26 +214,8 @@ impl<const O: usize> Kernel for Correlate<'_, O> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { of: Correlation { a, b, b_row_stride, rows, n }, to, strides: (stride_o, stride_t) } = self;
-        let vectors = n.div_ceil(S::LANES);
-        let mut sums = [[simd.splat(0.0); PICTURES]; O];
-        for row in 0..rows {
-            let b = b.map(|b| &simd.cut(&b[row * b_row_stride..][..vectors * S::LANES]).0[..vectors]);
-            let mut planes = [b[0]; O];
-            for (o, plane) in planes.iter_mut().enumerate() {
-                let from = &a.from[o * a.channel_stride + row * a.row_stride..][..vectors * S::LANES];
-                *plane = &simd.cut(from).0[..vectors];
-            }
-            for x in 0..vectors {
-                let (b0, b1, b2) = (simd.load(&b[0][x]), simd.load(&b[1][x]), simd.load(&b[2][x]));
-                for (plane, sums) in planes.iter().zip(&mut sums) {
-                    let a = simd.load(&plane[x]);
-                    sums[0] = simd.fma(a, b0, sums[0]);
-                    sums[1] = simd.fma(a, b1, sums[1]);
-                    sums[2] = simd.fma(a, b2, sums[2]);
-                }
-            }
-        }
+        let Self { of, to, strides: (stride_o, stride_t) } = self;
+        let sums = sum_rows::<S, O>(simd, of, [[simd.splat(0.0); PICTURES]; O]);
         for (o, sums) in sums.iter().enumerate() {
             for (t, &sum) in sums.iter().enumerate() {
                 to[o * stride_o + t * stride_t] += simd.sum(sum);
@@ -230,12 +224,44 @@ impl<const O: usize> Kernel for Correlate<'_, O> {
     }
 }
 
-/// The transpose of a square of vectors: row `r` is `row(r)`, column `c` goes to `to[c·stride..]`.
+/// Adds the products to the sums, by value as in [`sum_taps`].
 #[inline(always)]
-pub(super) fn transpose<S: F32>(simd: S, row: impl Fn(usize) -> S::V, to: &mut [f32], stride: usize) {
+fn sum_rows<S: F32, const O: usize>(
+    simd: S,
+    Correlation { a, b, b_row_stride, rows, n }: Correlation,
+    mut sums: [[S::V; PICTURES]; O],
+) -> [[S::V; PICTURES]; O] {
+    let vectors = n.div_ceil(S::LANES);
+    for row in 0..rows {
+        let mut pictures = [&[][..]; PICTURES];
+        for (picture, b) in pictures.iter_mut().zip(b) {
+            *picture = &simd.cut(&b[row * b_row_stride..][..vectors * S::LANES]).0[..vectors];
+        }
+        let mut planes = [&[][..]; O];
+        for (o, plane) in planes.iter_mut().enumerate() {
+            let from = &a.from[o * a.channel_stride + row * a.row_stride..][..vectors * S::LANES];
+            *plane = &simd.cut(from).0[..vectors];
+        }
+        for x in 0..vectors {
+            let [b0, b1, b2] = pictures;
+            let (b0, b1, b2) = (simd.load(&b0[x]), simd.load(&b1[x]), simd.load(&b2[x]));
+            for (plane, sums) in planes.iter().zip(&mut sums) {
+                let a = simd.load(&plane[x]);
+                sums[0] = simd.fma(a, b0, sums[0]);
+                sums[1] = simd.fma(a, b1, sums[1]);
+                sums[2] = simd.fma(a, b2, sums[2]);
+            }
+        }
+    }
+    sums
+}
+
+/// The transpose of a square of vectors: row `r` is what `row(r)` starts with, column `c` goes to `to[c·stride..]`.
+#[inline(always)]
+pub(super) fn transpose<'a, S: F32>(simd: S, row: impl Fn(usize) -> &'a [f32], to: &mut [f32], stride: usize) {
     let mut rows = [simd.splat(0.0); 16];
     for (r, to) in rows.iter_mut().enumerate().take(S::LANES) {
-        *to = row(r);
+        *to = simd.load_at(row(r), 0);
     }
     // Every round of interleaving rows half the square apart turns the pair (row, column) by one bit.
     let mut rounds = 1;

@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::inner::{load_pairs, store_pairs};
-use super::strip::{activate, filled};
+use super::strip::{activate, filled, pull};
 use super::{Extent, Level, Source, SourceBar, recycle};
 use crate::math::simd::{Kernel, Simd};
 
@@ -92,7 +92,7 @@ impl Kernel for Backward<'_> {
     type Output = f32;
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> f32 {
-        let (zero, one, slope) = (simd.splat(0.0), simd.splat(1.0), simd.splat(self.slope));
+        let (zero, slope) = (simd.splat(0.0), simd.splat(self.slope));
         let n = self.columns / 2;
         let mut slope_bar = zero;
         let pairs = self.values.chunks_exact(2 * self.columns).zip(self.to.chunks_exact_mut(2 * self.columns));
@@ -113,8 +113,7 @@ impl Kernel for Backward<'_> {
                 for ((out, value), active) in out.iter_mut().zip(values).zip(active) {
                     let taken = simd.where_same(active, largest, bar, zero);
                     bar = simd.where_same(active, largest, zero, bar);
-                    slope_bar = simd.fma(taken, simd.below_zero(value), slope_bar);
-                    *out = simd.mul(taken, simd.choose(value, one, slope));
+                    *out = pull(simd, taken, value, slope, &mut slope_bar);
                 }
                 store_pairs(simd, &mut to_upper[2 * x..], out[0], out[1]);
                 store_pairs(simd, &mut to_lower[2 * x..], out[2], out[3]);

@@ -174,7 +174,7 @@ impl<'c, C: Fn(usize) -> &'c [f32]> Kernel for Strip<'_, C> {
             let pixels = step.min(self.n - pixel);
             for x in (0..self.count).step_by(S::LANES) {
                 for p in (0..pixels).step_by(S::LANES) {
-                    let row = |c: usize| simd.load_at((self.column)((self.first + x + c).min(last)), pixel + p);
+                    let row = |c: usize| &(self.column)((self.first + x + c).min(last))[pixel + p..];
                     transpose(simd, row, &mut panel[p * PANEL + x..], PANEL);
                 }
             }

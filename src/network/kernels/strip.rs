@@ -136,22 +136,26 @@ pub(super) fn activate<S: F32>(simd: S, x: S::V, slope: S::V) -> S::V {
 /// the slope.
 #[inline(always)]
 pub(super) fn activate_vjp<S: F32>(simd: S, bar: &mut [f32], values: &[f32], slope: f32) -> f32 {
-    let (one, slope) = (simd.splat(1.0), simd.splat(slope));
+    let slope = simd.splat(slope);
     let mut slope_bar = simd.splat(0.0);
-    let mut pull = |b: S::V, v: S::V| {
-        slope_bar = simd.fma(b, simd.below_zero(v), slope_bar);
-        simd.mul(b, simd.choose(v, one, slope))
-    };
     let (bars, bars_rest) = simd.cut_mut(bar);
     let (values, values_rest) = simd.cut(values);
     for (bar, value) in bars.iter_mut().zip(values) {
-        simd.store(bar, pull(simd.load(bar), simd.load(value)));
+        let pulled = pull(simd, simd.load(bar), simd.load(value), slope, &mut slope_bar);
+        simd.store(bar, pulled);
     }
     if !bars_rest.is_empty() {
-        let pulled = pull(simd.load_first(bars_rest), simd.load_first(values_rest));
+        let pulled = pull(simd, simd.load_first(bars_rest), simd.load_first(values_rest), slope, &mut slope_bar);
         simd.store_first(bars_rest, pulled);
     }
     simd.sum(slope_bar)
+}
+
+/// Cotangent of `value` before its PReLU; adds to that of the slope.
+#[inline(always)]
+pub(super) fn pull<S: F32>(simd: S, bar: S::V, value: S::V, slope: S::V, slope_bar: &mut S::V) -> S::V {
+    *slope_bar = simd.fma(bar, simd.below_zero(value), *slope_bar);
+    simd.mul(bar, simd.choose(value, simd.splat(1.0), slope))
 }
 
 /// A buffer whose values start at a cache line; keeps its memory for the next strip.

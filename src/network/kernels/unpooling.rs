@@ -253,8 +253,8 @@ fn separate<S: F32>(
             let (to_left, to_right) = bars[at..].split_at_mut(layout.channel_stride);
             let to_left = simd.cut_mut(&mut to_left[..width]).0.iter_mut();
             let to_right = simd.cut_mut(&mut to_right[..width]).0.iter_mut();
-            for ((to_left, to_right), x) in to_left.zip(to_right).zip((0..).step_by(S::LANES)) {
-                let (even, odd) = load_pairs(simd, &from[2 * x..]);
+            for ((to_left, to_right), from) in to_left.zip(to_right).zip(from.chunks(2 * S::LANES)) {
+                let (even, odd) = load_pairs(simd, from);
                 simd.store(to_left, even);
                 simd.store(to_right, odd);
                 left = simd.add(left, even);

@@ -11,7 +11,7 @@
 use super::mend::{Known, mend};
 use super::program::Step;
 use super::tile::{Bundle, Status, TILE};
-use super::vector::{Lanes, Truth};
+use super::vector::{At, Lanes, Truth};
 use crate::math::simd::{F64, Simd, fresh};
 
 /// What a kernel computes beside the rays.
@@ -135,10 +135,10 @@ struct Near<S: F64> {
 
 impl<S: F64> Near<S> {
     #[inline(always)]
-    fn load(simd: S, step: &Step, from: &Bundle, at: usize) -> Self {
-        let load = |array: &[f64; TILE]| Lanes::load(simd, array, at);
-        let (x, y, z) = (load(&from.x), load(&from.y), load(&from.z) - Lanes::splat(simd, step.surface.distance));
-        let (l, m, n) = (load(&from.l), load(&from.m), load(&from.n));
+    fn load(here: At<S>, step: &Step, from: &Bundle) -> Self {
+        let (x, y, z) =
+            (here.load(&from.x), here.load(&from.y), here.load(&from.z) - here.splat(step.surface.distance));
+        let (l, m, n) = (here.load(&from.l), here.load(&from.m), here.load(&from.n));
         let back = x.fma(l, y.fma(m, z * n));
         Self { x: back.fnma(l, x), y: back.fnma(m, y), z: back.fnma(n, z), l, m, n, t: -back }
     }
@@ -185,22 +185,21 @@ fn finish<S: Simd, M: Mode, const UNIT: bool, const PROVE: bool>(
     met: Met<S::Wide>,
     limit_sq: f64,
 ) {
-    let (wide, lane) = (simd.wide(), at * S::Wide::LANES);
-    let splat = |value| Lanes::splat(wide, value);
+    let (here, lane) = (At { simd: simd.wide(), at }, at * S::Wide::LANES);
     let Met { nx, ny, phi, q, inverse_q, sound, root: found, missed } = met;
     // What every root has to pass; with those that are certain already, unless others may be proved.
-    let limit = splat(limit_sq);
+    let limit = here.splat(limit_sq);
     let mut through = if PROVE { ray.rho().at_most(limit) } else { sound.and_at_most(ray.rho(), limit) };
-    let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
+    let (mut gamma, mut inverse_r) = (here.splat(0.0), here.splat(0.0));
     if step.refracts {
         let (mu, mu_sq, under, over);
         if M::SPECTRAL {
-            mu = Lanes::gather(wide, &step.ratios, &run.colour[lane..]);
+            mu = here.gather(&step.ratios, &run.colour[lane..]);
             mu_sq = mu * mu;
-            (under, over) = (splat(1.0) - mu_sq, mu_sq - splat(1.0));
+            (under, over) = (here.splat(1.0) - mu_sq, mu_sq - here.splat(1.0));
         } else {
-            (mu, mu_sq) = (splat(step.mu), splat(step.mu_sq));
-            (under, over) = (splat(step.under), splat(step.over));
+            (mu, mu_sq) = (here.splat(step.mu), here.splat(step.mu_sq));
+            (under, over) = (here.splat(step.under), here.splat(step.over));
         }
         let root;
         if UNIT {
@@ -216,27 +215,27 @@ fn finish<S: Simd, M: Mode, const UNIT: bool, const PROVE: bool>(
             }
             gamma = over / mu.fma(q, root);
         }
-        through = through.and_less(splat(0.0), root);
+        through = through.and_less(here.splat(0.0), root);
         ray.l = mu.fma(ray.l, gamma * nx);
         ray.m = mu.fma(ray.m, gamma * ny);
         ray.n = gamma.fnma(phi, mu * ray.n);
     }
-    ray.x.store(&mut run.to.x, at);
-    ray.y.store(&mut run.to.y, at);
-    ray.z.store(&mut run.to.z, at);
-    ray.l.store(&mut run.to.l, at);
-    ray.m.store(&mut run.to.m, at);
-    ray.n.store(&mut run.to.n, at);
+    here.store(ray.x, &mut run.to.x);
+    here.store(ray.y, &mut run.to.y);
+    here.store(ray.z, &mut run.to.z);
+    here.store(ray.l, &mut run.to.l);
+    here.store(ray.m, &mut run.to.m);
+    here.store(ray.n, &mut run.to.n);
     if M::PATH {
-        let before = Lanes::load(wide, &run.from.path, at);
-        splat(step.surface.index_before).fma(ray.t, before).store(&mut run.to.path, at);
+        let before = here.load(&run.from.path);
+        here.store(here.splat(step.surface.index_before).fma(ray.t, before), &mut run.to.path);
     }
     if M::RECORD {
-        ray.t.store(&mut run.to.t, at);
+        here.store(ray.t, &mut run.to.t);
         let extra = run.extra();
-        gamma.store(&mut extra.gamma, at);
-        inverse_r.store(&mut extra.inverse_r, at);
-        inverse_q.store(&mut extra.inverse_q, at);
+        here.store(gamma, &mut extra.gamma);
+        here.store(inverse_r, &mut extra.inverse_r);
+        here.store(inverse_q, &mut extra.inverse_q);
     }
     let through = through.bits();
     let fine = if PROVE { through & sound.bits() } else { through };
@@ -257,16 +256,15 @@ const fn lanes_mask(lanes: usize) -> u64 {
 #[inline(always)]
 pub(super) fn plane<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let wide = simd.wide();
-    let splat = |value| Lanes::splat(wide, value);
     for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        let (zero, one) = (splat(0.0), splat(1.0));
-        let mut ray = Near::load(wide, step, run.from, at);
+        let (zero, one) = (here.splat(0.0), here.splat(1.0));
+        let mut ray = Near::load(here, step, run.from);
         let inverse_q = one / ray.n;
         ray.advance(-(ray.z * inverse_q));
         ray.z = zero;
-        keep_flat::<_, M>(wide, step, run, at, zero);
+        keep_flat::<_, M>(here, step, run, zero);
         // Only light that goes on crosses a plane from before to behind.
         let sound = zero.less(ray.n);
         let missed = ray.n.less(zero);
@@ -277,11 +275,11 @@ pub(super) fn plane<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run) {
 
 /// The record of a conic whose cotangent has polynomial terms: `w = z`, no slope.
 #[inline(always)]
-fn keep_flat<S: F64, M: Mode>(simd: S, step: &Step, run: &mut Run, at: usize, w: Lanes<S>) {
+fn keep_flat<S: F64, M: Mode>(here: At<S>, step: &Step, run: &mut Run, w: Lanes<S>) {
     if M::RECORD && !step.surface.shape.asphere.is_empty() {
         let extra = run.extra();
-        w.store(&mut extra.w, at);
-        Lanes::splat(simd, 0.0).store(&mut extra.slope, at);
+        here.store(w, &mut extra.w);
+        here.store(here.splat(0.0), &mut extra.slope);
     }
 }
 
@@ -289,28 +287,27 @@ fn keep_flat<S: F64, M: Mode>(simd: S, step: &Step, run: &mut Run, at: usize, w:
 #[inline(always)]
 pub(super) fn conic<S: Simd, M: Mode, const SPHERE: bool>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let wide = simd.wide();
-    let splat = |value| Lanes::splat(wide, value);
     for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        let (zero, c, v) = (splat(0.0), splat(step.c), splat(step.v));
-        let mut ray = Near::load(wide, step, run.from, at);
+        let (zero, c, v) = (here.splat(0.0), here.splat(step.c), here.splat(step.v));
+        let mut ray = Near::load(here, step, run.from);
         // A s² − 2B s + C = 0 from the point nearest the vertex, where p·d = 0.
         let (a, b, cc);
         if SPHERE {
             (a, b) = (c, ray.n);
-            cc = c.fma(ray.z.fma(ray.z, ray.rho()), splat(-2.0) * ray.z);
+            cc = c.fma(ray.z.fma(ray.z, ray.rho()), here.splat(-2.0) * ray.z);
         } else {
-            let excess = splat(step.excess);
+            let excess = here.splat(step.excess);
             a = excess.fma(ray.n * ray.n, c);
             b = (excess * ray.z).fnma(ray.n, ray.n);
-            cc = c.fma(ray.rho(), v.fma(ray.z, splat(-2.0)) * ray.z);
+            cc = c.fma(ray.rho(), v.fma(ray.z, here.splat(-2.0)) * ray.z);
         }
         let disc = a.fnma(cc, b * b);
         let (q, inverse_q) = disc.sqrt_and_inverse();
         ray.advance(cc / (b + q));
-        let phi = v.fnma(ray.z, splat(1.0));
-        keep_flat::<_, M>(wide, step, run, at, ray.z);
+        let phi = v.fnma(ray.z, here.splat(1.0));
+        keep_flat::<_, M>(here, step, run, ray.z);
         // The crossing from before to behind on the sheet of the vertex; B < 0 is left to the plain trace.
         let mut sound = zero.less(b).and_less(zero, phi);
         let missed = zero.less(b).and_less(disc, zero);
@@ -330,17 +327,16 @@ const ITERATIONS: u32 = 8;
 #[inline(always)]
 pub(super) fn even<S: Simd, M: Mode, const N: usize>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let wide = simd.wide();
-    let splat = |value| Lanes::splat(wide, value);
     for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        let mut ray = Near::load(wide, step, run.from, at);
+        let mut ray = Near::load(here, step, run.from);
         // The start: near enough, so rough roots and inverses will do.
         let [u, s, excess] = step.start;
-        let b = (splat(excess) * ray.z).fnma(ray.n, ray.n);
-        let cc = splat(u).fma(ray.rho(), splat(s).fma(ray.z, splat(-2.0)) * ray.z);
-        let a = splat(excess).fma(ray.n * ray.n, splat(u));
-        let disc = a.fnma(cc, b * b).max(splat(f64::MIN_POSITIVE));
+        let b = (here.splat(excess) * ray.z).fnma(ray.n, ray.n);
+        let cc = here.splat(u).fma(ray.rho(), here.splat(s).fma(ray.z, here.splat(-2.0)) * ray.z);
+        let a = here.splat(excess).fma(ray.n * ray.n, here.splat(u));
+        let disc = a.fnma(cc, b * b).max(here.splat(f64::MIN_POSITIVE));
         ray.advance(cc * disc.fma(disc.rough_inverse_sqrt(), b).rough_inverse());
         let dead = !*run.alive >> (at * S::Wide::LANES);
         let full = lanes_mask(S::Wide::LANES);
@@ -348,20 +344,20 @@ pub(super) fn even<S: Simd, M: Mode, const N: usize>(simd: S, step: &Step, run: 
         let (mut w, mut slope, mut a, mut dot, mut q, mut g, mut phi, mut done, mut rho);
         loop {
             rho = ray.rho();
-            let mut p = splat(step.terms[N - 1]);
-            slope = splat(step.terms1[N - 1]);
+            let mut p = here.splat(step.terms[N - 1]);
+            slope = here.splat(step.terms1[N - 1]);
             for i in (0..N - 1).rev() {
-                p = p.fma(rho, splat(step.terms[i]));
-                slope = slope.fma(rho, splat(step.terms1[i]));
+                p = p.fma(rho, here.splat(step.terms[i]));
+                slope = slope.fma(rho, here.splat(step.terms1[i]));
             }
             w = rho.fnma(p, ray.z);
-            phi = splat(step.v).fnma(w, splat(1.0));
-            g = splat(step.half_v).fma(w, splat(-1.0)).fma(w, splat(step.half_c) * rho);
-            a = slope.fma(phi, splat(step.c));
+            phi = here.splat(step.v).fnma(w, here.splat(1.0));
+            g = here.splat(step.half_v).fma(w, here.splat(-1.0)).fma(w, here.splat(step.half_c) * rho);
+            a = slope.fma(phi, here.splat(step.c));
             dot = ray.x.fma(ray.l, ray.y * ray.m);
             q = a.fnma(dot, phi * ray.n);
             let forth = g * q.rough_inverse();
-            done = forth.abs().at_most(splat(step.small));
+            done = forth.abs().at_most(here.splat(step.small));
             if (done.bits() | dead) & full == full || rounds == ITERATIONS {
                 break;
             }
@@ -371,37 +367,37 @@ pub(super) fn even<S: Simd, M: Mode, const N: usize>(simd: S, step: &Step, run: 
         }
         // The last step is small: everything follows it to first order.
         let rough = q.rough_inverse();
-        let forth = g * (rough * q.fnma(rough, splat(2.0)));
-        let mut bend = splat(step.terms2[N - 1]);
+        let forth = g * (rough * q.fnma(rough, here.splat(2.0)));
+        let mut bend = here.splat(step.terms2[N - 1]);
         for i in (1..N - 1).rev() {
-            bend = bend.fma(rho, splat(step.terms2[i]));
+            bend = bend.fma(rho, here.splat(step.terms2[i]));
         }
         ray.advance(forth);
         let half_d_rho = dot * forth;
         w = slope.fnma(half_d_rho, forth.fma(ray.n, w));
         slope = bend.fma(half_d_rho + half_d_rho, slope);
-        phi = splat(step.v).fnma(w, splat(1.0));
-        a = slope.fma(phi, splat(step.c));
+        phi = here.splat(step.v).fnma(w, here.splat(1.0));
+        a = slope.fma(phi, here.splat(step.c));
         let sideways = ray.l.fma(ray.l, ray.m * ray.m);
         dot = forth.fma(sideways, dot);
         q = a.fnma(dot, phi * ray.n);
         // On the vertex's sheet, and certainly the only root in the cylinder.
-        let root = done.and_less(splat(0.0), phi).and_less(splat(0.0), ray.n);
+        let root = done.and_less(here.splat(0.0), phi).and_less(here.splat(0.0), ray.n);
         let mut sound = root
-            .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n)
-            .and_at_most(ray.rho(), splat(step.domain_sq));
+            .and_less(here.splat(step.steepest_sq) * sideways, ray.n * ray.n)
+            .and_at_most(ray.rho(), here.splat(step.domain_sq));
         if step.from_within {
-            let (x, y) = (Lanes::load(wide, &run.from.x, at), Lanes::load(wide, &run.from.y, at));
-            sound = sound.and_at_most(x.fma(x, y * y), splat(step.domain_sq));
+            let (x, y) = (here.load(&run.from.x), here.load(&run.from.y));
+            sound = sound.and_at_most(x.fma(x, y * y), here.splat(step.domain_sq));
         }
-        let mut inverse_q = splat(0.0);
+        let mut inverse_q = here.splat(0.0);
         if M::RECORD {
-            inverse_q = splat(1.0) / q;
+            inverse_q = here.splat(1.0) / q;
             let extra = run.extra();
-            w.store(&mut extra.w, at);
-            slope.store(&mut extra.slope, at);
+            here.store(w, &mut extra.w);
+            here.store(slope, &mut extra.slope);
         }
-        let missed = splat(1.0).less(splat(0.0));
+        let missed = here.splat(1.0).less(here.splat(0.0));
         let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, root, missed };
         finish::<S, M, false, true>(simd, step, run, at, ray, met, step.limit_sq);
     }

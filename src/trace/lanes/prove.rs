@@ -10,7 +10,7 @@
 use super::forward::Run;
 use super::program::Step;
 use super::tile::TILE;
-use super::vector::Lanes;
+use super::vector::{At, Lanes};
 use crate::lens::Shape;
 use crate::math::simd::{F64, Simd};
 
@@ -101,7 +101,7 @@ pub(super) fn prove<S: Simd, const N: usize>(simd: S, step: &Step, run: &Run, at
     for first in (0..TILE - at).step_by(lanes) {
         let asked = (unsure >> first) & (u64::MAX >> (u64::BITS as usize - lanes));
         if asked != 0 {
-            let chord = Chord::load(simd, bends, step, run, (at + first) / lanes);
+            let chord = Chord::load(At { simd, at: (at + first) / lanes }, bends, step, run);
             proved |= chord.prove::<N>(simd, bends, step, asked) << first;
         }
     }
@@ -127,18 +127,17 @@ struct Chord<S: F64> {
 
 impl<S: F64> Chord<S> {
     #[inline(always)]
-    fn load(simd: S, bends: &Bends, step: &Step, run: &Run, at: usize) -> Self {
+    fn load(here: At<S>, bends: &Bends, step: &Step, run: &Run) -> Self {
         let (from, to) = (&*run.from, &*run.to);
-        let load = |array: &[f64; TILE]| Lanes::load(simd, array, at);
-        let (x, y, z) = (load(&to.x), load(&to.y), load(&to.z));
-        let (l, m, n) = (load(&from.l), load(&from.m), load(&from.n));
-        let [dx, dy] = [x - load(&from.x), y - load(&from.y)];
-        let dz = z - (load(&from.z) - Lanes::splat(simd, step.surface.distance));
+        let (x, y, z) = (here.load(&to.x), here.load(&to.y), here.load(&to.z));
+        let (l, m, n) = (here.load(&from.l), here.load(&from.m), here.load(&from.n));
+        let [dx, dy] = [x - here.load(&from.x), y - here.load(&from.y)];
+        let dz = z - (here.load(&from.z) - here.splat(step.surface.distance));
         let full = dx.fma(l, dy.fma(m, dz * n));
         // Where the ray, seen from the root, leaves the domain on both sides: `ρ(τ) = ρ − 2bτ + |d_xy|²τ²`.
         let sideways = l.fma(l, m * m);
         let (rho, b) = (x.fma(x, y * y), x.fma(l, y * m));
-        let domain_sq = Lanes::splat(simd, bends.domain_sq);
+        let domain_sq = here.splat(bends.domain_sq);
         let root = b.fma(b, sideways * (domain_sq - rho)).sqrt();
         let (back, forth) = ((b + root) / sideways, (root - b) / sideways);
         // Without a way sideways there are no such places, and `max` gives its second argument.
@@ -166,10 +165,10 @@ impl<S: F64> Chord<S> {
     /// Lanes in which `F` falls along the piece, or, where it is not the first from the root, has no zero on it.
     #[inline(always)]
     fn piece<const N: usize>(&self, simd: S, bends: &Bends, step: &Step, piece: u32, pieces: u32) -> u64 {
-        let splat = |value| Lanes::splat(simd, value);
-        let (one, widened) = (splat(1.0), splat(1.0 + MARGIN));
+        let here = At { simd, at: 0 };
+        let (one, widened) = (here.splat(1.0), here.splat(1.0 + MARGIN));
         let place = |share: f64| {
-            let back = self.length * splat(share);
+            let back = self.length * here.splat(share);
             (back.fnma(self.l, self.x), back.fnma(self.m, self.y), back.fnma(self.n, self.z))
         };
         let share = f64::from(pieces).recip();
@@ -181,25 +180,25 @@ impl<S: F64> Chord<S> {
         let bend = bound(simd, bends, end(piece).max(end(piece + 1)));
         let (x, y, z) = place((f64::from(piece) + 0.5) * share);
         let rho = x.fma(x, y * y);
-        let (phi, inverse_phi) = splat(bends.alpha).fnma(rho, one).sqrt_and_inverse();
-        let mut p = splat(step.terms[N - 1]);
-        let mut slope = splat(step.terms1[N - 1]);
+        let (phi, inverse_phi) = here.splat(bends.alpha).fnma(rho, one).sqrt_and_inverse();
+        let mut p = here.splat(step.terms[N - 1]);
+        let mut slope = here.splat(step.terms1[N - 1]);
         for i in (0..N - 1).rev() {
-            p = p.fma(rho, splat(step.terms[i]));
-            slope = slope.fma(rho, splat(step.terms1[i]));
+            p = p.fma(rho, here.splat(step.terms[i]));
+            slope = slope.fma(rho, here.splat(step.terms1[i]));
         }
-        slope = splat(step.c).fma(inverse_phi, slope);
+        slope = here.splat(step.c).fma(inverse_phi, slope);
         let falls = slope.fma(x.fma(self.l, y * self.m), -self.n);
         // Half the piece, and how far the slope may turn on it.
-        let half = (self.length * splat(0.5 * share)).abs();
+        let half = (self.length * here.splat(0.5 * share)).abs();
         let turn = bend * self.sideways * half * widened;
-        let mut sure = (falls + turn).less(splat(-MARGIN)).bits();
+        let mut sure = (falls + turn).less(here.splat(-MARGIN)).bits();
         if piece > 0 {
-            let f = (splat(step.c) / (one + phi) + p).fma(rho, -z);
+            let f = (here.splat(step.c) / (one + phi) + p).fma(rho, -z);
             // Before the surface where the ray comes from before it, behind it where it starts there.
             let sign = self.length / self.length.abs();
             let reach = (falls.abs() + turn) * half;
-            sure |= (reach * widened + splat(MARGIN * bends.domain_sq.sqrt())).less(f * sign).bits();
+            sure |= (reach * widened + here.splat(MARGIN * bends.domain_sq.sqrt())).less(f * sign).bits();
         }
         sure
     }
@@ -209,7 +208,8 @@ impl<S: F64> Chord<S> {
 #[inline(always)]
 fn bound<S: F64>(simd: S, bends: &Bends, rho: Lanes<S>) -> Lanes<S> {
     let mut all = [0.0; TILE];
-    rho.store(&mut all, 0);
+    let here = At { simd, at: 0 };
+    here.store(rho, &mut all);
     all[..S::LANES].iter_mut().for_each(|value| *value = bends.up_to(*value));
-    Lanes::load(simd, &all, 0)
+    here.load(&all)
 }

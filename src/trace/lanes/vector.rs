@@ -32,37 +32,49 @@ impl<S: F64> Truth<S> {
     }
 }
 
-impl<S: F64> Lanes<S> {
+/// Vector number `at` of arrays, and constants beside it.
+///
+/// Methods, not closures: those are inlined only where the compiler thinks it worth while, and elsewhere they are functions
+/// without the instruction set.
+#[derive(Clone, Copy)]
+pub(super) struct At<S> {
+    pub(super) simd: S,
+    pub(super) at: usize,
+}
+
+impl<S: F64> At<S> {
     /// `value` in every lane.
     #[inline(always)]
-    pub(super) fn splat(simd: S, value: f64) -> Self {
-        Self(simd.splat(value), simd)
+    pub(super) fn splat(self, value: f64) -> Lanes<S> {
+        Lanes(self.simd.splat(value), self.simd)
     }
 
-    /// Vector number `at` of `values`.
+    /// The vector of `values`.
     ///
     /// # Panics
     /// If there is none.
     #[inline(always)]
-    pub(super) fn load(simd: S, values: &[f64], at: usize) -> Self {
-        Self(simd.load(&simd.cut(values)[at]), simd)
+    pub(super) fn load(self, values: &[f64]) -> Lanes<S> {
+        Lanes(self.simd.load(&self.simd.cut(values)[self.at]), self.simd)
     }
 
-    /// Stores the lanes as vector number `at` of `values`.
+    /// Stores `v` as the vector of `values`.
     ///
     /// # Panics
     /// If there is none.
     #[inline(always)]
-    pub(super) fn store(self, values: &mut [f64], at: usize) {
-        self.1.store(&mut self.1.cut_mut(values)[at], self.0);
+    pub(super) fn store(self, v: Lanes<S>, values: &mut [f64]) {
+        self.simd.store(&mut self.simd.cut_mut(values)[self.at], v.0);
     }
 
     /// `table[index[i]]` for every lane; see [`F64::gather`].
     #[inline(always)]
-    pub(super) fn gather(simd: S, table: &[f64], index: &[u32]) -> Self {
-        Self(simd.gather(table, index), simd)
+    pub(super) fn gather(self, table: &[f64], index: &[u32]) -> Lanes<S> {
+        Lanes(self.simd.gather(table, index), self.simd)
     }
+}
 
+impl<S: F64> Lanes<S> {
     /// `self b + c`.
     #[inline(always)]
     pub(super) fn fma(self, b: Self, c: Self) -> Self {
