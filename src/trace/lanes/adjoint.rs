@@ -60,7 +60,7 @@ pub(super) struct Back<'a> {
 
 /// A tile back through a conic with `N` even terms.
 #[inline(always)]
-pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: Back) {
+pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: &mut Back) {
     AlignedFrame::hold();
     let simd = simd.doubles();
     let sum = At { simd, at: 0 };
@@ -71,7 +71,7 @@ pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: B
     for (term, from) in term_sums.iter_mut().zip(&sums.terms) {
         *term = sum.load(from);
     }
-    for at in vectors::<S::Doubles>(len) {
+    for at in vectors::<S::Doubles>(*len) {
         let here = At { simd, at };
         let step = fresh(step);
         let (one, half, c, v, mu) =

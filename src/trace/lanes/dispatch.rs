@@ -42,7 +42,7 @@ pub(super) fn prove<S: Simd>(simd: S, step: &Step, run: &Run, at: usize, unsure:
 }
 
 /// A tile back through a surface.
-pub(super) fn back<S: Simd>(simd: S, step: &Step, back: Back) {
+pub(super) fn back<S: Simd>(simd: S, step: &Step, back: &mut Back) {
     if step.count == 0 {
         return simd.run(Vjp::<0> { step, back });
     }
@@ -106,12 +106,12 @@ impl<const N: usize> Kernel for Sure<'_, '_, N> {
     }
 }
 
-struct Vjp<'a, const N: usize> {
+struct Vjp<'a, 'b, const N: usize> {
     step: &'a Step,
-    back: Back<'a>,
+    back: &'a mut Back<'b>,
 }
 
-impl<const N: usize> Kernel for Vjp<'_, N> {
+impl<const N: usize> Kernel for Vjp<'_, '_, N> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {

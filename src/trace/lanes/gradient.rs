@@ -153,7 +153,7 @@ impl Kernel for Home<'_> {
     fn run<S: Simd>(self, simd: S) {
         let Self(program, len, record) = self;
         for (i, step) in program.steps.iter().enumerate().rev() {
-            let back = Back {
+            let mut back = Back {
                 before: &record.rays[i],
                 after: &record.rays[i + 1],
                 extra: &record.extras[i],
@@ -161,7 +161,7 @@ impl Kernel for Home<'_> {
                 sums: &mut record.sums[i],
                 len,
             };
-            dispatch::back(simd, step, back);
+            dispatch::back(simd, step, &mut back);
         }
     }
 }
