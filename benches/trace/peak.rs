@@ -47,7 +47,7 @@ mod x86 {
     const CHAINS: usize = 12;
 
     #[target_feature(enable = "avx512f")]
-    pub(super) unsafe fn avx512(rounds: usize) -> usize {
+    pub(super) fn avx512(rounds: usize) -> usize {
         let (a, b) = (_mm512_set1_pd(0.999_999), _mm512_set1_pd(1e-9));
         let mut sums = [_mm512_set1_pd(1.0); CHAINS];
         for _ in 0..rounds {
@@ -60,7 +60,7 @@ mod x86 {
     }
 
     #[target_feature(enable = "avx2,fma")]
-    pub(super) unsafe fn avx2(rounds: usize) -> usize {
+    pub(super) fn avx2(rounds: usize) -> usize {
         let (a, b) = (_mm256_set1_pd(0.999_999), _mm256_set1_pd(1e-9));
         let mut sums = [_mm256_set1_pd(1.0); CHAINS];
         for _ in 0..rounds {

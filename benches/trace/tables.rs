@@ -36,7 +36,7 @@ fn peaks() {
 
 /// Fewer runs for the slow levels.
 fn runs(level: Level) -> u32 {
-    if level == Level::Portable { 10 } else { 40 }
+    if level == Level::Plain { 10 } else { 40 }
 }
 
 fn lenses() {

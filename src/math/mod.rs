@@ -4,4 +4,5 @@ pub mod fft;
 pub mod least_squares;
 pub mod memory;
 pub mod real;
+pub mod simd;
 pub mod wide;

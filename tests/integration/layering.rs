@@ -24,6 +24,16 @@ const CRATES: [(&[&str], &[&str]); 5] = [
 /// Files over 600 lines, each with its reason.
 const LONG: [(&str, &str); 1] = [("src/network/reconstructor.rs", "400 lines of one type, the rest its tests")];
 
+/// Files that may hold unsafe code: vector instructions, columns of one output for several threads, a shared library.
+const UNSAFE: [&str; 6] = [
+    "src/math/simd/avx2.rs",
+    "src/math/simd/avx512.rs",
+    "src/math/simd/hint.rs",
+    "src/math/simd/mod.rs",
+    "src/network/kernels/panel.rs",
+    "src/deploy/onnxruntime.rs",
+];
+
 /// Methods called `vjp` whose test stands in `tests/`: their file, and the test.
 const TESTED_ELSEWHERE: [(&str, &str); 2] = [
     ("src/imaging/render/renderer.rs", "fn a_rendered_region_pulls_back_to_the_lens()"),
@@ -246,6 +256,25 @@ fn no_file_is_long_without_a_reason() {
         .map(|(file, lines)| format!("{file}: {lines} lines"))
         .collect();
     assert!(long.is_empty(), "split these, or list them with a reason:\n{}", long.join("\n"));
+}
+
+/// Clippy holds that each block has its note.
+#[test]
+fn unsafe_code_is_little_and_in_its_places() {
+    let mut blocks = 0;
+    let mut wrong = Vec::new();
+    for (file, text) in sources("src") {
+        let code = code(&text);
+        let unsafe_here = |line: &str| line.split(|c: char| !c.is_alphanumeric() && c != '_').any(|w| w == "unsafe");
+        if let Some(line) = code.lines().position(unsafe_here)
+            && !UNSAFE.contains(&file.as_str())
+        {
+            wrong.push(format!("{file}:{}: unsafe code; only {UNSAFE:?} may", line + 1));
+        }
+        blocks += code.matches("unsafe {").count();
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!((1..=40).contains(&blocks), "{blocks} unsafe blocks");
 }
 
 /// The camera binary's dependencies, as cargo resolves them.

@@ -80,6 +80,7 @@ fn say(text: &str) {
 }
 
 fn work(arguments: &Arguments) -> Result<u8> {
+    isoplanat::math::simd::check_environment()?;
     let kit = arguments.kit.as_deref().map(Kit::load).transpose()?;
     if let (true, Some(kit)) = (arguments.show_kit, &kit) {
         show_kit(kit, arguments.json)?;

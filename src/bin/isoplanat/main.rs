@@ -37,6 +37,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use isoplanat::Error;
+use isoplanat::math::simd::check_environment;
 
 /// Designs a camera lens and its reconstruction network together, and runs the result on real captures.
 #[derive(Parser)]
@@ -128,7 +129,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
 fn main() -> ExitCode {
     let Cli { command, memory_gib } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let ready = memory::set(memory_gib).map_err(anyhow::Error::from);
+    let ready = check_environment().and_then(|()| memory::set(memory_gib)).map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;
     };

@@ -2,7 +2,6 @@
 //!
 //! Both are plain loops over the lanes, compiled for each instruction set. No operation is contracted, so every
 //! instruction set gives the same bits, and a lane's numbers depend on that lane alone.
-#![allow(unsafe_code, reason = "functions compiled for an instruction set; `Level` says that the processor has it")]
 
 use glam::DVec2;
 
@@ -11,7 +10,8 @@ use super::rear::RearView;
 use super::sampler::{DIMENSIONS, disk_from_square, unit};
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::Plane;
-use crate::trace::lanes::{Bundle, Level, TILE};
+use crate::math::wide::{Work, wide};
+use crate::trace::lanes::{Bundle, TILE};
 
 /// What a tile of rays is drawn from, and what comes of it beside the rays.
 pub(super) struct Draw {
@@ -46,7 +46,6 @@ pub(super) struct Draws<'a> {
     /// The whole rear aperture.
     disk: Ellipse,
     footprints: Option<&'a Footprints>,
-    level: Level,
 }
 
 impl<'a> Draws<'a> {
@@ -54,7 +53,7 @@ impl<'a> Draws<'a> {
     pub(super) fn new(frame: &Frame, rear: &RearView, footprints: Option<&'a Footprints>) -> Self {
         let disk = Ellipse { centre: 0.0, across: rear.disk_radius, along: rear.disk_radius };
         let (pitch, axis, distance) = (frame.pitch_mm, frame.axis_px, rear.distance);
-        Self { pitch, axis, distance, disk, footprints, level: Level::detect() }
+        Self { pitch, axis, distance, disk, footprints }
     }
 }
 
@@ -91,28 +90,22 @@ impl Draw {
 
     /// Draws all lanes: points, targets, weights and the rays themselves.
     pub(super) fn place(&mut self, from: &Draws<'_>, rays: &mut Bundle) {
-        match from.level {
-            // SAFETY: the level was detected.
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => unsafe { place_avx512(self, from, rays) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => unsafe { place_avx2(self, from, rays) },
-            _ => place(self, from, rays),
-        }
+        wide(Place { draw: self, from, rays });
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
-fn place_avx512(draw: &mut Draw, from: &Draws<'_>, rays: &mut Bundle) {
-    place(draw, from, rays);
+struct Place<'a> {
+    draw: &'a mut Draw,
+    from: &'a Draws<'a>,
+    rays: &'a mut Bundle,
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn place_avx2(draw: &mut Draw, from: &Draws<'_>, rays: &mut Bundle) {
-    place(draw, from, rays);
+impl Work for Place<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        place(self.draw, self.from, self.rays);
+    }
 }
 
 #[inline(always)]
@@ -165,7 +158,6 @@ pub(super) struct Texels<'a> {
     per_slope: f64,
     axis: [f64; 2],
     vergence: f64,
-    level: Level,
 }
 
 /// Where a tile of rays meets the scene.
@@ -187,20 +179,12 @@ impl<'a> Texels<'a> {
     pub(super) fn new(scene: &'a Plane, texture: &'a [f32]) -> Self {
         let (channels, rows, cols) = scene.texture.dim();
         let (per_slope, axis, vergence) = (scene.texels_per_slope, scene.axis_texel, scene.vergence);
-        Self { texture, channels, rows, cols, per_slope, axis, vergence, level: Level::detect() }
+        Self { texture, channels, rows, cols, per_slope, axis, vergence }
     }
 
     /// Where rays that left the lens towards the object meet the scene; see [`super::gradient::object_slope`].
     pub(super) fn meet(&self, rays: &Bundle, met: &mut Met) {
-        match self.level {
-            // SAFETY: the level was detected.
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx512 => unsafe { meet_avx512(self, rays, met) },
-            // SAFETY: as above.
-            #[cfg(target_arch = "x86_64")]
-            Level::Avx2 => unsafe { meet_avx2(self, rays, met) },
-            _ => meet(self, rays, met),
-        }
+        wide(Meet { texels: self, rays, met });
     }
 
     /// Bilinear radiance of `channel` (of the only one, where there is one) for `lane`: as [`Plane::sample`].
@@ -218,16 +202,18 @@ impl<'a> Texels<'a> {
     }
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx512f,avx512vl,avx512dq,avx512bw,avx2,fma")]
-fn meet_avx512(texels: &Texels<'_>, rays: &Bundle, met: &mut Met) {
-    meet(texels, rays, met);
+struct Meet<'a> {
+    texels: &'a Texels<'a>,
+    rays: &'a Bundle,
+    met: &'a mut Met,
 }
 
-#[cfg(target_arch = "x86_64")]
-#[target_feature(enable = "avx2,fma")]
-fn meet_avx2(texels: &Texels<'_>, rays: &Bundle, met: &mut Met) {
-    meet(texels, rays, met);
+impl Work for Meet<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run(self) {
+        meet(self.texels, self.rays, self.met);
+    }
 }
 
 #[inline(always)]

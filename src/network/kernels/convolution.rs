@@ -1,11 +1,12 @@
 //! 3×3 convolution with zero padding over several sources, and its cotangents.
-#![allow(unsafe_code, reason = "strips of one output written by several threads; see each Safety note")]
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Rows, Simd, blocks, convolve_row, dispatch};
-use super::strip::{Layout, Scratch, Shared, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
+use super::inner::{Correlation, Place, blocks, convolve_row, correlate, largest};
+use super::panel::Panel;
+use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
+use crate::math::simd::{F32, Kernel, Simd};
 
 const TAPS: usize = 9;
 
@@ -15,11 +16,6 @@ const GROUPS: usize = 16;
 /// Pixels of the block of rows whose weight gradient is summed in one go: eight channels of it fit the first-level cache.
 const CORRELATED: usize = 1024;
 
-/// Largest block of output channels in packed weights.
-fn block(level: Level) -> usize {
-    if level == Level::Avx512 { 8 } else { 4 }
-}
-
 /// Output `[batch, bias.len(), rows, columns]` of the convolution of all sources' channels in turn.
 ///
 /// `weight` is `[out, in, 3, 3]`.
@@ -27,27 +23,21 @@ pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight:
     let inputs: usize = sources.iter().map(|s| s.channels).sum();
     let outputs = bias.len();
     assert_eq!(weight.len(), inputs * outputs * TAPS);
-    let packed = pack(outputs, inputs, block(level), |o, i, tap| weight[(o * inputs + i) * TAPS + tap]);
+    let packed = pack(outputs, inputs, largest(level), |o, i, tap| weight[(o * inputs + i) * TAPS + tap]);
     let rows = rows_of_strip(extent, inputs);
     filled(extent.batch * outputs * extent.plane(), |to| {
-        strips(extent, rows).into_par_iter().for_each(|strip| {
-            with_scratch(|scratch| {
-                dispatch(
-                    level,
-                    &Forward {
-                        sources,
-                        extent,
-                        strip,
-                        packed: &packed,
-                        bias,
-                        inputs,
-                        to,
-                        scratch: scratch.as_mut_ptr(),
-                    },
-                );
+        let parts = parts(to, outputs, extent.plane(), rows * extent.columns);
+        strips(extent, rows).into_par_iter().zip(parts).for_each(|(strip, to)| {
+            with_scratch(|[scratch, ..]| {
+                level.run(Forward { sources, extent, strip, packed: &packed, bias, inputs, to, scratch });
             });
         });
     })
+}
+
+/// The strips of an output `[batch, channels, plane]`, `part` values of every plane each, in order.
+pub(super) fn parts(to: &mut [f32], channels: usize, plane: usize, part: usize) -> Vec<Panel<'_>> {
+    to.chunks_mut(channels * plane).flat_map(|image| Panel::cut(image, plane, part)).collect()
 }
 
 /// Whole rows of one picture.
@@ -92,55 +82,29 @@ struct Forward<'a> {
     packed: &'a [f32],
     bias: &'a [f32],
     inputs: usize,
-    to: Shared,
-    scratch: *mut Scratch,
+    to: Panel<'a>,
+    scratch: &'a mut Scratch,
 }
 
 impl Kernel for Forward<'_> {
+    type Output = ();
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self) {
+    fn run<S: Simd>(mut self, simd: S) {
         let Strip { image, first, rows } = self.strip;
-        let layout = Layout::new(self.inputs, rows + 2, self.extent.columns);
-        // SAFETY: this thread's scratch, borrowed for the call.
-        let buffer = unsafe { &mut *self.scratch }.get(layout.len());
-        unsafe { load_activated::<S>(self.sources, self.extent, image, first as isize - 1, &layout, buffer) };
-        let plane = self.extent.plane();
-        let outputs = self.bias.len();
-        // SAFETY: the strip's rows of picture `image`, which no other strip writes.
-        let to = unsafe { self.to.0.add(image * outputs * plane + first * self.extent.columns) };
-        unsafe { convolve_strip::<S>(&layout, buffer, rows, self.packed, self.bias, to, plane, self.extent.columns) };
-    }
-}
-
-/// All output channels of a strip whose scratch has one more row above and below.
-#[inline(always)]
-#[allow(clippy::too_many_arguments, reason = "one inner loop, called from two kernels")]
-unsafe fn convolve_strip<S: Simd>(
-    layout: &Layout,
-    buffer: &[f32],
-    rows: usize,
-    packed: &[f32],
-    bias: &[f32],
-    to: *mut f32,
-    plane: usize,
-    columns: usize,
-) {
-    let mut weights = packed.as_ptr();
-    for (first, size) in blocks(bias.len(), S::BLOCK) {
-        for row in 0..rows {
-            let from = layout.rows_from(buffer, 0, row, 1);
-            unsafe {
-                let (bias, to) = (bias.as_ptr().add(first), to.add(first * plane + row * columns));
-                match size {
-                    8 => convolve_row::<S, 3, 8>(from, weights, bias, to, plane, columns),
-                    4 => convolve_row::<S, 3, 4>(from, weights, bias, to, plane, columns),
-                    3 => convolve_row::<S, 3, 3>(from, weights, bias, to, plane, columns),
-                    2 => convolve_row::<S, 3, 2>(from, weights, bias, to, plane, columns),
-                    _ => convolve_row::<S, 3, 1>(from, weights, bias, to, plane, columns),
-                }
+        let columns = self.extent.columns;
+        let layout = Layout::new(self.inputs, rows + 2, columns);
+        let buffer = self.scratch.get(layout.len());
+        load_activated(simd, self.sources, self.extent, image, first as isize - 1, &layout, buffer);
+        let mut weights = self.packed;
+        for (first, size) in blocks(self.bias.len(), S::BLOCK) {
+            let bias = &self.bias[first..][..size];
+            for row in 0..rows {
+                let from = layout.rows_from(buffer, 0, row, 1);
+                let to = Place { panel: &mut self.to, row: first, at: row * columns, n: columns };
+                convolve_row::<S, 3>(simd, size, from, weights, Some(bias), to);
             }
+            weights = &weights[size * layout.channels * TAPS..];
         }
-        weights = unsafe { weights.add(size * layout.channels * TAPS) };
     }
 }
 
@@ -160,51 +124,51 @@ pub(super) fn convolve_vjp(
     let mut turned = Vec::with_capacity(weight.len());
     for source in sources {
         let before = turned.len() / (outputs * TAPS);
-        turned.extend(pack(source.channels, outputs, block(level), |i, o, tap| {
+        turned.extend(pack(source.channels, outputs, largest(level), |i, o, tap| {
             weight[(o * inputs + before + i) * TAPS + TAPS - 1 - tap]
         }));
     }
-    let all = strips(extent, rows_of_strip(extent, inputs + outputs));
-    let groups: Vec<&[Strip]> = all.chunks(all.len().div_ceil(GROUPS)).collect();
+    let rows = rows_of_strip(extent, inputs + outputs);
+    let mut jobs: Vec<(Strip, Vec<Panel>)> = strips(extent, rows).into_iter().map(|strip| (strip, vec![])).collect();
     let zeros = vec![0.0; inputs];
 
     let mut bars: Vec<Vec<f32>> =
         sources.iter().map(|s| recycle::take(if wanted.inputs { s.values.len() } else { 0 })).collect();
-    let to: Vec<Shared> = bars.iter_mut().map(|bar| Shared(bar.as_mut_ptr())).collect();
-    let mut sums: Vec<Sums> = groups
-        .par_iter()
-        .map(|strips| {
+    if wanted.inputs {
+        for (bar, source) in bars.iter_mut().zip(sources) {
+            let parts = parts(bar, source.channels, extent.plane(), rows * extent.columns);
+            jobs.iter_mut().zip(parts).for_each(|((_, to), part)| to.push(part));
+        }
+    }
+    let group = jobs.len().div_ceil(GROUPS);
+    let mut sums: Vec<Sums> = jobs
+        .par_chunks_mut(group)
+        .map(|jobs| {
             let mut sums = Sums {
                 weight: recycle::zeros(if wanted.weights { weight.len() } else { 0 }),
                 bias: vec![0.0; if wanted.weights { outputs } else { 0 }],
                 slope: vec![0.0; inputs],
             };
-            for &strip in *strips {
+            for (strip, to) in jobs {
                 with_scratch(|[a, b, _]| {
-                    let job = Backward {
+                    level.run(Backward {
                         sources,
                         extent,
-                        strip,
+                        strip: *strip,
                         turned: &turned,
                         zeros: &zeros,
                         output_bar: Source { values: output_bar, channels: outputs, slope: None },
                         wanted,
-                        to: &to,
-                        sums: &raw mut sums,
+                        to,
+                        sums: &mut sums,
                         scratch: (a, b),
-                    };
-                    dispatch(level, &job);
+                    });
                 });
             }
             sums
         })
         .collect();
-    if wanted.inputs {
-        for (bar, source) in bars.iter_mut().zip(sources) {
-            // SAFETY: the strips have written every value.
-            unsafe { bar.set_len(source.values.len()) };
-        }
-    }
+    drop(jobs);
     let mut total = |part: fn(&mut Sums) -> &mut Vec<f32>| {
         let mut total = std::mem::take(part(&mut sums[0]));
         for more in &mut sums[1..] {
@@ -236,7 +200,7 @@ struct Sums {
     slope: Vec<f32>,
 }
 
-struct Backward<'a> {
+struct Backward<'a, 'p> {
     sources: &'a [Source<'a>],
     extent: Extent,
     strip: Strip,
@@ -244,79 +208,78 @@ struct Backward<'a> {
     zeros: &'a [f32],
     output_bar: Source<'a>,
     wanted: Wanted,
-    to: &'a [Shared],
-    sums: *mut Sums,
-    scratch: (*mut Scratch, *mut Scratch),
+    to: &'a mut [Panel<'p>],
+    sums: &'a mut Sums,
+    scratch: (&'a mut Scratch, &'a mut Scratch),
 }
 
-impl Kernel for Backward<'_> {
+impl Kernel for Backward<'_, '_> {
+    type Output = ();
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self) {
-        let Strip { image, first, rows } = self.strip;
-        let (extent, outputs, inputs) = (self.extent, self.output_bar.channels, self.zeros.len());
+    fn run<S: Simd>(self, simd: S) {
+        let Self { sources, extent, strip, turned, zeros, output_bar, wanted, to, sums, scratch } = self;
+        let Strip { image, first, rows } = strip;
+        let (outputs, inputs) = (output_bar.channels, zeros.len());
         let above = first as isize - 1;
-        // SAFETY: this group's sums and this thread's scratch, borrowed for the call.
-        let (sums, bars, values) = unsafe { (&mut *self.sums, &mut *self.scratch.0, &mut *self.scratch.1) };
         let bar_layout = Layout::new(outputs, rows + 2, extent.columns);
-        let bars = bars.get(bar_layout.len());
-        unsafe { load_activated::<S>(&[self.output_bar], extent, image, above, &bar_layout, bars) };
-        if self.wanted.inputs {
-            unsafe { self.inputs::<S>(&bar_layout, bars, sums) };
-        }
-        if self.wanted.weights {
-            let layout = Layout::new(inputs, rows + 2, extent.columns);
-            let values = values.get(layout.len());
-            unsafe {
-                load_activated::<S>(self.sources, extent, image, above, &layout, values);
-                weight_strip::<S>((&bar_layout, bars), (&layout, values), rows, extent.columns, &mut sums.weight);
-                bias_strip::<S>(&bar_layout, bars, rows, extent.columns, &mut sums.bias);
+        let bars = scratch.0.get(bar_layout.len());
+        load_activated(simd, &[output_bar], extent, image, above, &bar_layout, bars);
+        if wanted.inputs {
+            let mut weights = turned;
+            let mut channel = 0;
+            for (source, to) in sources.iter().zip(to) {
+                let slope_bars = &mut sums.slope[channel..][..source.channels];
+                input_strip(simd, (extent, strip), *source, (&bar_layout, bars), weights, zeros, to, slope_bars);
+                weights = &weights[source.channels * outputs * TAPS..];
+                channel += source.channels;
             }
+        }
+        if wanted.weights {
+            let layout = Layout::new(inputs, rows + 2, extent.columns);
+            let values = scratch.1.get(layout.len());
+            load_activated(simd, sources, extent, image, above, &layout, values);
+            weight_strip(simd, (&bar_layout, bars), (&layout, values), rows, extent.columns, &mut sums.weight);
+            bias_strip(simd, &bar_layout, bars, rows, extent.columns, &mut sums.bias);
         }
     }
 }
 
-impl Backward<'_> {
-    /// Cotangents of the sources' rows, through their PReLU.
-    #[inline(always)]
-    unsafe fn inputs<S: Simd>(&self, layout: &Layout, bars: &[f32], sums: &mut Sums) {
-        let Strip { image, first, rows } = self.strip;
-        let (plane, columns) = (self.extent.plane(), self.extent.columns);
-        let mut weights = self.turned.as_ptr();
-        let mut channel = 0;
-        for (source, to) in self.sources.iter().zip(self.to) {
-            let offset = image * source.channels * plane + first * columns;
-            for (start, size) in blocks(source.channels, S::BLOCK) {
-                for row in 0..rows {
-                    let from = layout.rows_from(bars, 0, row, 1);
-                    unsafe {
-                        let at = offset + start * plane + row * columns;
-                        let (bias, to) = (self.zeros.as_ptr(), to.0.add(at));
-                        match size {
-                            8 => convolve_row::<S, 3, 8>(from, weights, bias, to, plane, columns),
-                            4 => convolve_row::<S, 3, 4>(from, weights, bias, to, plane, columns),
-                            3 => convolve_row::<S, 3, 3>(from, weights, bias, to, plane, columns),
-                            2 => convolve_row::<S, 3, 2>(from, weights, bias, to, plane, columns),
-                            _ => convolve_row::<S, 3, 1>(from, weights, bias, to, plane, columns),
-                        }
-                        if let Some(slope) = source.slope {
-                            for o in 0..size {
-                                let values = source.values.as_ptr().add(at + o * plane);
-                                sums.slope[channel + start + o] +=
-                                    activate_vjp::<S>(to.add(o * plane), values, slope[start + o], columns);
-                            }
-                        }
-                    }
+/// Cotangents of one source's rows, through their PReLU.
+#[inline(always)]
+#[allow(clippy::too_many_arguments, reason = "one part of a kernel")]
+fn input_strip<S: Simd>(
+    simd: S,
+    (extent, strip): (Extent, Strip),
+    source: Source,
+    (layout, bars): (&Layout, &[f32]),
+    mut weights: &[f32],
+    zeros: &[f32],
+    to: &mut Panel,
+    slope_bars: &mut [f32],
+) {
+    let Strip { image, first, rows } = strip;
+    let (plane, columns) = (extent.plane(), extent.columns);
+    for (start, size) in blocks(source.channels, S::BLOCK) {
+        for row in 0..rows {
+            let from = layout.rows_from(bars, 0, row, 1);
+            let place = Place { panel: &mut *to, row: start, at: row * columns, n: columns };
+            convolve_row::<S, 3>(simd, size, from, weights, Some(zeros), place);
+            if let Some(slope) = source.slope {
+                for o in start..start + size {
+                    let at = (image * source.channels + o) * plane + (first + row) * columns;
+                    let bar = &mut to.row(o)[row * columns..][..columns];
+                    slope_bars[o] += activate_vjp(simd, bar, &source.values[at..][..columns], slope[o]);
                 }
-                weights = unsafe { weights.add(size * layout.channels * TAPS) };
             }
-            channel += source.channels;
         }
+        weights = &weights[size * layout.channels * TAPS..];
     }
 }
 
 /// Adds a strip's part of the weight gradient `[out, in, 3, 3]`.
 #[inline(always)]
-unsafe fn weight_strip<S: Simd>(
+fn weight_strip<S: Simd>(
+    simd: S,
     (bar_layout, bars): (&Layout, &[f32]),
     (layout, values): (&Layout, &[f32]),
     rows: usize,
@@ -332,12 +295,11 @@ unsafe fn weight_strip<S: Simd>(
             let a = bar_layout.rows_from(bars, output, row + 1, 0);
             for input in 0..inputs {
                 for ky in 0..3 {
-                    let b = layout.rows_from(values, input, row + ky, 1);
-                    unsafe {
-                        let b = [b.from, b.from.add(1), b.from.add(2)];
-                        let to = sums.as_mut_ptr().add((output * inputs + input) * TAPS + 3 * ky);
-                        correlate_block::<S>(size, a, b, layout.row_stride, chunk, columns, to, (inputs * TAPS, 1));
-                    }
+                    let b = layout.rows_from(values, input, row + ky, 1).from;
+                    let b = [b, &b[1..], &b[2..]];
+                    let of = Correlation { a, b, b_row_stride: layout.row_stride, rows: chunk, n: columns };
+                    let to = &mut sums[(output * inputs + input) * TAPS + 3 * ky..];
+                    correlate(simd, size, of, to, (inputs * TAPS, 1));
                 }
             }
             row += chunk;
@@ -345,43 +307,17 @@ unsafe fn weight_strip<S: Simd>(
     }
 }
 
-/// [`Simd::correlate`] for a block size known at run time.
-#[inline(always)]
-#[allow(clippy::too_many_arguments, reason = "one inner loop, forwarded")]
-pub(super) unsafe fn correlate_block<S: Simd>(
-    size: usize,
-    a: Rows,
-    b: [*const f32; 3],
-    b_row_stride: usize,
-    rows: usize,
-    n: usize,
-    to: *mut f32,
-    strides: (usize, usize),
-) {
-    unsafe {
-        match size {
-            8 => S::correlate::<8>(&a, &b, b_row_stride, rows, n, to, strides),
-            4 => S::correlate::<4>(&a, &b, b_row_stride, rows, n, to, strides),
-            3 => S::correlate::<3>(&a, &b, b_row_stride, rows, n, to, strides),
-            2 => S::correlate::<2>(&a, &b, b_row_stride, rows, n, to, strides),
-            _ => S::correlate::<1>(&a, &b, b_row_stride, rows, n, to, strides),
-        }
-    }
-}
-
 /// Adds a strip's part of the bias gradient: the sum of every channel's rows.
 #[inline(always)]
-unsafe fn bias_strip<S: Simd>(layout: &Layout, bars: &[f32], rows: usize, columns: usize, sums: &mut [f32]) {
+fn bias_strip<S: F32>(simd: S, layout: &Layout, bars: &[f32], rows: usize, columns: usize, sums: &mut [f32]) {
     for (channel, sum) in sums.iter_mut().enumerate() {
-        let mut total = unsafe { S::zero() };
+        let mut total = simd.splat(0.0);
         for row in 0..rows {
-            let from = layout.rows_from(bars, channel, row + 1, 0).from;
-            let mut x = 0;
-            while x < columns {
-                total = unsafe { S::add(total, S::load(from.add(x))) };
-                x += S::LANES;
+            let from = &bars[layout.at(channel, row + 1)..][..columns.next_multiple_of(S::LANES)];
+            for from in simd.cut(from).0 {
+                total = simd.add(total, simd.load(from));
             }
         }
-        *sum += unsafe { S::sum(total) };
+        *sum += simd.sum(total);
     }
 }

@@ -2,13 +2,13 @@
 //!
 //! Behind every row stands one zero and behind every picture a row of zeros, so that each tap of a 3×3 convolution is
 //! the same line read from another place: lanes run on over the ends of rows, and a plane of 4 × 4 still fills vectors.
-#![allow(unsafe_code, reason = "vector loads and stores within buffers whose size is checked on entry")]
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Rows, Simd, dispatch};
+use super::inner::Rows;
 use super::strip::{activate, filled};
 use super::{Extent, Level, Source, recycle};
+use crate::math::simd::{Kernel, Simd};
 
 /// Values between the end of one channel's line and the next, at least; a vector reads over the end.
 const SLACK: usize = 16;
@@ -72,13 +72,10 @@ impl Lines {
         let mut lines = Self::empty(Line::new(extent, side), channels.len());
         let Self { line, lead, stride, .. } = lines;
         lines.values = filled(lines.capacity(), |to| {
-            let end = channels.len() * stride;
-            // SAFETY: what lies behind the last channel.
-            unsafe { to.at(end).write_bytes(0, lines.capacity() - end) };
-            channels.par_iter().enumerate().for_each(|(at, &(source, channel))| {
-                // SAFETY: this channel's line, which no other task writes.
-                let to = unsafe { to.at(at * stride) };
-                dispatch(level, &Load { source, channel, line, lead, stride, to });
+            let (to, behind) = to.split_at_mut(channels.len() * stride);
+            behind.fill(0.0);
+            to.par_chunks_mut(stride).zip(&channels).for_each(|(to, &(source, channel))| {
+                level.run(Load { source, channel, line, lead, to });
             });
         });
         lines
@@ -106,12 +103,10 @@ impl Lines {
         self.channels * self.stride + self.lead + SLACK
     }
 
-    /// The first pixel of `channel`.
-    pub(super) fn pixel(&self, channel: usize) -> *const f32 {
-        let first = channel * self.stride + self.lead;
-        assert!(first < self.values.len());
-        // From the buffer's own pointer: whoever steps back to a tap stays within what it points to.
-        self.values.as_ptr().wrapping_add(first)
+    /// What lies from `offset` behind the first pixel of `channel` on, or before it, up to the line's reach.
+    #[inline]
+    pub(super) fn from(&self, channel: usize, offset: isize) -> &[f32] {
+        &self.values[(channel * self.stride + self.lead).strict_add_signed(offset)..]
     }
 
     /// The line of `channel`.
@@ -120,9 +115,9 @@ impl Lines {
     }
 
     /// All pixels of `channels` from `first` on, with their taps, as the inner loops read them.
-    pub(super) fn rows(&self, first: usize, channels: usize) -> Rows {
+    pub(super) fn rows(&self, first: usize, channels: usize) -> Rows<'_> {
         Rows {
-            from: self.values[first * self.stride + self.lead - self.line.reach()..].as_ptr(),
+            from: &self.values[first * self.stride + self.lead - self.line.reach()..],
             channel_stride: self.stride,
             row_stride: self.line.row_stride(),
             channels,
@@ -141,30 +136,23 @@ struct Load<'a> {
     channel: usize,
     line: Line,
     lead: usize,
-    stride: usize,
-    to: *mut f32,
+    to: &'a mut [f32],
 }
 
 impl Kernel for Load<'_> {
+    type Output = ();
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self) {
+    fn run<S: Simd>(self, simd: S) {
         let Extent { batch, rows, columns } = self.line.extent;
         let plane = rows * columns;
-        // SAFETY: `stride` values belong to this channel; rows lie within them, and within the plane of the source.
-        unsafe {
-            self.to.write_bytes(0, self.stride);
-            let slope = S::splat(self.source.slope.map_or(1.0, |slope| slope[self.channel]));
-            for image in 0..batch {
-                let plane_at = (image * self.source.channels + self.channel) * plane;
-                let from = self.source.values[plane_at..][..plane].as_ptr();
-                for row in 0..rows {
-                    let (from, to) = (from.add(row * columns), self.to.add(self.lead + self.line.at(image, row)));
-                    let mut x = 0;
-                    while x < columns {
-                        let n = columns - x;
-                        S::store_first(to.add(x), n, activate::<S>(S::load_first(from.add(x), n), slope));
-                        x += S::LANES;
-                    }
+        self.to.fill(0.0);
+        let slope = simd.splat(self.source.slope.map_or(1.0, |slope| slope[self.channel]));
+        for image in 0..batch {
+            let plane_at = (image * self.source.channels + self.channel) * plane;
+            for (row, from) in self.source.values[plane_at..][..plane].chunks_exact(columns).enumerate() {
+                let to = &mut self.to[self.lead + self.line.at(image, row)..][..columns];
+                for x in (0..columns).step_by(S::LANES) {
+                    simd.store_first(&mut to[x..], activate(simd, simd.load_first(&from[x..]), slope));
                 }
             }
         }

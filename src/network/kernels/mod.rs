@@ -2,58 +2,27 @@
 //!
 //! Every operation works through its picture in *strips* of whole rows. A strip's inputs are copied, activated, into a
 //! scratch buffer with a border of zeros ([`strip`]), small enough for the second-level cache; the register-blocked
-//! loops of [`simd`] then run without any border case. Strips go to rayon's threads. How the picture is cut, and so the
+//! loops of [`inner`] then run without any border case. Strips go to rayon's threads. How the picture is cut, and so the
 //! order of every sum, depends on its shape alone: results do not depend on the number of threads.
 //!
 //! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]).
 
 mod convolution;
 mod flat;
+mod inner;
+mod panel;
 mod pooling;
 mod product;
 mod recycle;
-mod simd;
 mod small;
 mod strip;
 #[cfg(test)]
 mod tests;
 mod unpooling;
-#[cfg(target_arch = "x86_64")]
-mod x86;
 
+pub(super) use crate::math::simd::Level;
 pub(super) use pooling::{pool, pool_vjp};
 pub(super) use recycle::give;
-
-/// Which code runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Level {
-    /// burn's own operations, on any processor.
-    Plain,
-    /// Eight lanes: AVX2 with FMA.
-    Avx2,
-    /// Sixteen lanes: AVX-512 (F, VL, DQ, BW).
-    Avx512,
-}
-
-impl Level {
-    /// The best this processor runs.
-    pub(super) fn detect() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        {
-            if std::arch::is_x86_feature_detected!("avx512f")
-                && std::arch::is_x86_feature_detected!("avx512vl")
-                && std::arch::is_x86_feature_detected!("avx512dq")
-                && std::arch::is_x86_feature_detected!("avx512bw")
-            {
-                return Self::Avx512;
-            }
-            if std::arch::is_x86_feature_detected!("avx2") && std::arch::is_x86_feature_detected!("fma") {
-                return Self::Avx2;
-            }
-        }
-        Self::Plain
-    }
-}
 
 /// A batch of planes `[batch, channels, rows, columns]` in row-major order, and the PReLU to apply when it is read.
 #[derive(Clone, Copy, Debug)]

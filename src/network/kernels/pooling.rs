@@ -1,58 +1,52 @@
-//! Largest of each 2×2 block of an activated picture, and its cotangent, which goes to the first largest value.
-#![allow(unsafe_code, reason = "vectors whose every value has been written get their length")]
-
-use std::mem::MaybeUninit;
+//! Largest of each 2×2 block of an activated picture, and its cotangent, which goes to the first largest value. NaN counts
+//! as the largest.
 
 use rayon::prelude::*;
 
-use super::simd::{Kernel, Simd, dispatch, load_pairs, store_pairs};
-use super::strip::activate;
+use super::inner::{load_pairs, store_pairs};
+use super::strip::{activate, filled, pull};
 use super::{Extent, Level, Source, SourceBar, recycle};
+use crate::math::simd::{Kernel, Simd};
 
 /// Output `[batch, channels, rows / 2, columns / 2]`; rows and columns are even.
 pub(in super::super) fn pool(level: Level, source: Source, extent: Extent) -> Vec<f32> {
-    let quarter = extent.plane() / 4;
-    let n = source.values.len() / 4;
-    let mut output = recycle::take(n);
-    output.spare_capacity_mut()[..n].par_chunks_mut(quarter).enumerate().for_each(|(plane, to)| {
-        let values = &source.values[plane * extent.plane()..][..extent.plane()];
-        let slope = source.slope.map_or(1.0, |slope| slope[plane % source.channels]);
-        dispatch(level, &Forward { values, slope, columns: extent.columns, to: to.as_mut_ptr() });
-    });
-    // SAFETY: the planes have written all values.
-    unsafe { output.set_len(n) };
-    output
+    check(source, extent);
+    filled(source.values.len() / 4, |output| {
+        output.par_chunks_mut(extent.plane() / 4).enumerate().for_each(|(plane, to)| {
+            let values = &source.values[plane * extent.plane()..][..extent.plane()];
+            let slope = source.slope.map_or(1.0, |slope| slope[plane % source.channels]);
+            level.run(Forward { values, slope, columns: extent.columns, to });
+        });
+    })
+}
+
+/// Whole planes of even sides.
+fn check(source: Source, extent: Extent) {
+    assert_eq!(source.values.len(), extent.batch * source.channels * extent.plane());
+    assert!(extent.rows.is_multiple_of(2) && extent.columns.is_multiple_of(2), "{extent:?}");
 }
 
 struct Forward<'a> {
     values: &'a [f32],
     slope: f32,
     columns: usize,
-    to: *mut MaybeUninit<f32>,
+    to: &'a mut [f32],
 }
 
 impl Kernel for Forward<'_> {
+    type Output = ();
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self) {
+    fn run<S: Simd>(self, simd: S) {
+        let slope = simd.splat(self.slope);
         let n = self.columns / 2;
-        let rows = self.values.len() / self.columns;
-        // SAFETY: even rows and columns of the plane, and a quarter as many outputs, which this call alone writes.
-        unsafe {
-            let slope = S::splat(self.slope);
-            for row in 0..rows / 2 {
-                let upper = self.values.as_ptr().add(2 * row * self.columns);
-                let lower = upper.add(self.columns);
-                let to = self.to.cast::<f32>().add(row * n);
-                let mut x = 0;
-                while x < n {
-                    let left = n - x;
-                    let (a, b) = load_pairs::<S>(upper.add(2 * x), left);
-                    let (c, d) = load_pairs::<S>(lower.add(2 * x), left);
-                    let upper = S::max(activate::<S>(a, slope), activate::<S>(b, slope));
-                    let lower = S::max(activate::<S>(c, slope), activate::<S>(d, slope));
-                    S::store_first(to.add(x), left, S::max(upper, lower));
-                    x += S::LANES;
-                }
+        for (from, to) in self.values.chunks_exact(2 * self.columns).zip(self.to.chunks_exact_mut(n)) {
+            let (upper, lower) = from.split_at(self.columns);
+            for x in (0..n).step_by(S::LANES) {
+                let (a, b) = load_pairs(simd, &upper[2 * x..]);
+                let (c, d) = load_pairs(simd, &lower[2 * x..]);
+                let upper = simd.max(activate(simd, a, slope), activate(simd, b, slope));
+                let lower = simd.max(activate(simd, c, slope), activate(simd, d, slope));
+                simd.store_first(&mut to[x..], simd.max(upper, lower));
             }
         }
     }
@@ -60,28 +54,23 @@ impl Kernel for Forward<'_> {
 
 /// Cotangent of [`pool`]'s source.
 pub(in super::super) fn pool_vjp(level: Level, source: Source, extent: Extent, output_bar: &[f32]) -> SourceBar {
+    check(source, extent);
     let n = source.values.len();
     assert_eq!(output_bar.len(), n / 4);
     let mut values = recycle::take(n);
-    let slopes: Vec<f32> = values.spare_capacity_mut()[..n]
+    let slopes: Vec<f32> = values
         .par_chunks_mut(extent.plane())
         .enumerate()
         .map(|(plane, to)| {
-            let mut slope_bar = 0.0;
-            let job = Backward {
+            level.run(Backward {
                 values: &source.values[plane * extent.plane()..][..extent.plane()],
                 output_bar: &output_bar[plane * extent.plane() / 4..][..extent.plane() / 4],
                 slope: source.slope.map_or(1.0, |slope| slope[plane % source.channels]),
                 columns: extent.columns,
-                to: to.as_mut_ptr(),
-                slope_bar: &raw mut slope_bar,
-            };
-            dispatch(level, &job);
-            slope_bar
+                to,
+            })
         })
         .collect();
-    // SAFETY: the planes have written all values.
-    unsafe { values.set_len(n) };
     let slope = if source.slope.is_some() {
         (0..source.channels).map(|c| slopes.iter().skip(c).step_by(source.channels).sum()).collect()
     } else {
@@ -95,48 +84,41 @@ struct Backward<'a> {
     output_bar: &'a [f32],
     slope: f32,
     columns: usize,
-    to: *mut MaybeUninit<f32>,
-    slope_bar: *mut f32,
+    to: &'a mut [f32],
 }
 
 impl Kernel for Backward<'_> {
+    /// The slope's cotangent.
+    type Output = f32;
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self) {
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        let (zero, slope) = (simd.splat(0.0), simd.splat(self.slope));
         let n = self.columns / 2;
-        let rows = self.values.len() / self.columns;
-        // SAFETY: even rows and columns of the plane; the cotangent has as many values, which this call alone writes.
-        unsafe {
-            let (one, slope) = (S::splat(1.0), S::splat(self.slope));
-            let mut slope_bar = S::zero();
-            for row in 0..rows / 2 {
-                let corner = 2 * row * self.columns;
-                let (from, to) = (self.values.as_ptr().add(corner), self.to.cast::<f32>().add(corner));
-                let bars = self.output_bar.as_ptr().add(row * n);
-                let mut x = 0;
-                while x < n {
-                    let left = n - x;
-                    let (a, b) = load_pairs::<S>(from.add(2 * x), left);
-                    let (c, d) = load_pairs::<S>(from.add(self.columns + 2 * x), left);
-                    let values = [a, b, c, d];
-                    let mut active = values;
-                    for active in &mut active {
-                        *active = activate::<S>(*active, slope);
-                    }
-                    let largest = S::max(S::max(active[0], active[1]), S::max(active[2], active[3]));
-                    let mut bar = S::load_first(bars.add(x), left);
-                    let mut out = values;
-                    for ((out, value), active) in out.iter_mut().zip(values).zip(active) {
-                        let taken = S::where_equal(active, largest, bar, S::zero());
-                        bar = S::where_equal(active, largest, S::zero(), bar);
-                        slope_bar = S::fma(taken, S::below_zero(value), slope_bar);
-                        *out = S::mul(taken, S::choose(value, one, slope));
-                    }
-                    store_pairs::<S>(to.add(2 * x), left, out[0], out[1]);
-                    store_pairs::<S>(to.add(self.columns + 2 * x), left, out[2], out[3]);
-                    x += S::LANES;
+        let mut slope_bar = zero;
+        let pairs = self.values.chunks_exact(2 * self.columns).zip(self.to.chunks_exact_mut(2 * self.columns));
+        for ((from, to), bars) in pairs.zip(self.output_bar.chunks_exact(n)) {
+            let (upper, lower) = from.split_at(self.columns);
+            let (to_upper, to_lower) = to.split_at_mut(self.columns);
+            for x in (0..n).step_by(S::LANES) {
+                let (a, b) = load_pairs(simd, &upper[2 * x..]);
+                let (c, d) = load_pairs(simd, &lower[2 * x..]);
+                let values = [a, b, c, d];
+                let mut active = values;
+                for active in &mut active {
+                    *active = activate(simd, *active, slope);
                 }
+                let largest = simd.max(simd.max(active[0], active[1]), simd.max(active[2], active[3]));
+                let mut bar = simd.load_first(&bars[x..]);
+                let mut out = values;
+                for ((out, value), active) in out.iter_mut().zip(values).zip(active) {
+                    let taken = simd.where_same(active, largest, bar, zero);
+                    bar = simd.where_same(active, largest, zero, bar);
+                    *out = pull(simd, taken, value, slope, &mut slope_bar);
+                }
+                store_pairs(simd, &mut to_upper[2 * x..], out[0], out[1]);
+                store_pairs(simd, &mut to_lower[2 * x..], out[2], out[3]);
             }
-            *self.slope_bar = S::sum(slope_bar);
         }
+        simd.sum(slope_bar)
     }
 }

@@ -12,20 +12,24 @@ const MOST: usize = 1 << 27;
 
 static KEPT: Mutex<Kept> = Mutex::new(Kept { buffers: BTreeMap::new(), total: 0 });
 
-/// An empty vector with room for `n` values.
+/// A vector of `n` values, whatever they were.
 pub(super) fn take(n: usize) -> Vec<f32> {
-    if n < SMALL {
-        return Vec::with_capacity(n);
-    }
-    let kept = KEPT.lock().unwrap_or_else(PoisonError::into_inner).take(n);
-    kept.unwrap_or_else(|| Vec::with_capacity(n))
+    kept(n).unwrap_or_else(|| vec![0.0; n])
 }
 
 /// A vector of `n` zeros.
 pub(super) fn zeros(n: usize) -> Vec<f32> {
-    let mut buffer = take(n);
-    buffer.resize(n, 0.0);
-    buffer
+    kept(n).map_or_else(
+        || vec![0.0; n],
+        |mut buffer| {
+            buffer.fill(0.0);
+            buffer
+        },
+    )
+}
+
+fn kept(n: usize) -> Option<Vec<f32>> {
+    (n >= SMALL).then(|| KEPT.lock().unwrap_or_else(PoisonError::into_inner).take(n)).flatten()
 }
 
 /// Keeps a vector's memory for [`take`]; when too much is kept, all of it is given back to the system.
@@ -43,20 +47,22 @@ struct Kept {
 }
 
 impl Kept {
-    /// The smallest buffer with room for `n`: what lies idle at one scale of the network serves the others.
+    /// `n` values in the smallest buffer with room for them: what lies idle at one scale of the network serves the others.
     fn take(&mut self, n: usize) -> Option<Vec<f32>> {
         let (&capacity, buffers) = self.buffers.range_mut(n..).next()?;
-        let buffer = buffers.pop();
+        let mut buffer = buffers.pop();
         if buffers.is_empty() {
             self.buffers.remove(&capacity);
         }
         self.total -= capacity;
+        if let Some(buffer) = &mut buffer {
+            buffer.resize(n, 0.0);
+        }
         buffer
     }
 
-    fn give(&mut self, mut buffer: Vec<f32>) {
+    fn give(&mut self, buffer: Vec<f32>) {
         let n = buffer.capacity();
-        buffer.clear();
         if self.total + n > MOST {
             self.buffers.clear();
             self.total = 0;
@@ -73,7 +79,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_smallest_buffer_that_is_large_enough_comes_back_empty() {
+    fn the_smallest_buffer_that_is_large_enough_comes_back() {
         let mut kept = Kept { buffers: BTreeMap::new(), total: 0 };
         let places = [300usize, 100, 200].map(|n| {
             let mut buffer = Vec::with_capacity(n);
@@ -84,10 +90,10 @@ mod tests {
         });
         let mut take = |n| kept.take(n).map(|b| (b.as_ptr(), b.len(), b.capacity()));
         assert_eq!(take(301), None);
-        assert_eq!(take(150), Some((places[2], 0, 200)));
-        assert_eq!(take(150), Some((places[0], 0, 300)));
+        assert_eq!(take(150), Some((places[2], 150, 200)));
+        assert_eq!(take(150), Some((places[0], 150, 300)));
         assert_eq!(take(150), None);
-        assert_eq!(take(100), Some((places[1], 0, 100)));
+        assert_eq!(take(100), Some((places[1], 100, 100)));
         assert_eq!((kept.total, kept.buffers.len()), (0, 0));
     }
 

@@ -1,12 +1,13 @@
 //! Convolution and transposed convolution of small planes with many channels, and their cotangents: lanes run along all
 //! rows of all pictures as one line ([`super::flat`]), so that a plane of 4 × 4 fills vectors too.
-#![allow(unsafe_code, reason = "tasks write disjoint parts of one output; see each Safety note")]
 
 use super::flat::{Line, Lines};
-use super::product::{Block, Finish, outer, product};
-use super::simd::{Simd, store_pairs};
-use super::strip::{Shared, activate_vjp, filled};
+use super::inner::store_pairs;
+use super::panel::Panel;
+use super::product::{Block, Finish, group, outer, product};
+use super::strip::{activate_vjp, filled};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
+use crate::math::simd::F32;
 
 /// Taps of the convolution.
 const TAPS: usize = 9;
@@ -39,8 +40,13 @@ pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight:
         interleave(size, |output| &weight[((first + output) * inputs + channels.start) * TAPS..][..n], to);
     };
     let output = filled(extent.batch * bias.len() * extent.plane(), |to| {
-        let targets = [Target { to, channels: bias.len(), source: None }];
-        product::<3>(level, &lines, bias, pack, &Store { targets: &targets, slope_bars: None });
+        let size = group(bias.len());
+        let groups = Panel::cut(to, bias.len() * extent.plane(), size * extent.plane()).map(|panel| Store {
+            pieces: vec![Piece { panel, source: None }],
+            extent,
+            slope_bars: &mut [],
+        });
+        product::<3>(level, &lines, bias, pack, groups.collect());
     });
     lines.release();
     output
@@ -65,7 +71,7 @@ pub(super) fn convolve_vjp(
                 turn(size, &weight[(output * inputs + first) * TAPS..][..size * TAPS], to);
             }
         };
-        pulled(sources, |store| product::<3>(level, &bars, &vec![0.0; inputs], pack, store))
+        pulled(sources, extent, |groups| product::<3>(level, &bars, &vec![0.0; inputs], pack, groups))
     } else {
         vec![SourceBar::default(); sources.len()]
     };
@@ -75,11 +81,10 @@ pub(super) fn convolve_vjp(
         let stride = values.line.row_stride() as isize;
         let column = |k: usize| {
             let (row, column) = ((k % TAPS / 3) as isize - 1, (k % 3) as isize - 1);
-            // Within the buffer: lines have their reach on both sides.
-            values.pixel(k / TAPS).wrapping_offset(row * stride + column)
+            // Lines have their reach and a vector's room on both sides.
+            values.from(k / TAPS, row * stride + column)
         };
-        // SAFETY: the line's reach and a vector's room on both sides.
-        weight_bar = unsafe { outer(level, &bars, inputs * TAPS, column) };
+        weight_bar = outer(level, &bars, inputs * TAPS, column);
         bias_bar = (0..outputs).map(|o| bars.of(o).iter().sum()).collect();
         values.release();
     }
@@ -99,7 +104,9 @@ pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32
         }
     };
     let output = filled(extent.batch * products * extent.plane(), |to| {
-        product::<1>(level, &lines, &spread, pack, &Interleave { to, channels: bias.len(), extent });
+        let fine = CORNERS * extent.plane();
+        let groups = Panel::cut(to, bias.len() * fine, group(products) / CORNERS * fine);
+        product::<1>(level, &lines, &spread, pack, groups.map(|to| Interleave { to, extent }).collect());
     });
     lines.release();
     output
@@ -132,13 +139,13 @@ pub(super) fn unpool_vjp(
             let n = channels.len();
             interleave(size, |input| &weight[(first + input) * products + channels.start..][..n], to);
         };
-        source_bar = pulled(&[source], |store| product::<1>(level, &bars, &vec![0.0; inputs], pack, store)).remove(0);
+        let product = |groups: Vec<Store>| product::<1>(level, &bars, &vec![0.0; inputs], pack, groups);
+        source_bar = pulled(&[source], extent, product).remove(0);
     }
     let (mut weight_bar, mut bias_bar) = (vec![], vec![]);
     if wanted.weights {
         let values = Lines::load(level, &[source], extent, 1);
-        // SAFETY: all lines have a vector's room behind them.
-        weight_bar = unsafe { outer(level, &values, products, |m| bars.pixel(m)) };
+        weight_bar = outer(level, &values, products, |m| bars.from(m, 0));
         let sum = |m: usize| bars.of(m).iter().sum::<f32>();
         bias_bar = (0..outputs).map(|o| (0..CORNERS).map(|c| sum(CORNERS * o + c)).sum()).collect();
         values.release();
@@ -184,106 +191,108 @@ fn turn(size: usize, from: &[f32], to: &mut [f32]) {
 }
 
 /// Cotangents of the sources, whose activated ones `product` computes as outputs of one list.
-fn pulled(sources: &[Source], product: impl FnOnce(&Store)) -> Vec<SourceBar> {
+fn pulled(sources: &[Source], extent: Extent, product: impl FnOnce(Vec<Store>)) -> Vec<SourceBar> {
+    let channels: usize = sources.iter().map(|s| s.channels).sum();
+    let (size, plane) = (group(channels), extent.plane());
     let mut bars: Vec<Vec<f32>> = sources.iter().map(|s| recycle::take(s.values.len())).collect();
-    let mut slopes = vec![0.0; sources.iter().map(|s| s.channels).sum()];
-    let targets: Vec<Target> = bars
-        .iter_mut()
-        .zip(sources)
-        .map(|(bar, source)| Target { to: Shared(bar.as_mut_ptr()), channels: source.channels, source: Some(*source) })
-        .collect();
-    product(&Store { targets: &targets, slope_bars: Some(Shared(slopes.as_mut_ptr())) });
+    let mut slopes = vec![0.0; channels];
+    let mut groups: Vec<Store> =
+        slopes.chunks_mut(size).map(|slope_bars| Store { pieces: vec![], extent, slope_bars }).collect();
+    let mut before = 0;
+    for (bar, &source) in bars.iter_mut().zip(sources) {
+        // Where the groups cut this source's channels.
+        let mut cuts = Vec::new();
+        let mut channel = 0;
+        while channel < source.channels {
+            let count = (size - (before + channel) % size).min(source.channels - channel);
+            cuts.push((channel, count));
+            channel += count;
+        }
+        let panels = Panel::cut_at(bar, source.channels * plane, cuts.iter().map(|(_, count)| count * plane));
+        for (panel, &(first, _)) in panels.zip(&cuts) {
+            groups[(before + first) / size].pieces.push(Piece { panel, source: Some((source, first)) });
+        }
+        before += source.channels;
+    }
+    product(groups);
     let mut slopes = slopes.into_iter();
-    let pulled = bars.into_iter().zip(sources).map(|(mut values, source)| {
-        // SAFETY: all channels have been written.
-        unsafe { values.set_len(source.values.len()) };
+    let pulled = bars.into_iter().zip(sources).map(|(values, source)| {
         let slope: Vec<f32> = slopes.by_ref().take(source.channels).collect();
         SourceBar { values, slope: if source.slope.is_some() { slope } else { vec![] } }
     });
     pulled.collect()
 }
 
-/// Pictures that some outputs go to.
-struct Target<'a> {
-    to: Shared,
-    channels: usize,
-    /// The picture whose cotangent this is.
-    source: Option<Source<'a>>,
+/// Some channels of pictures: a row a picture.
+struct Piece<'a> {
+    panel: Panel<'a>,
+    /// The pictures whose cotangent this is, and the first of the channels in them.
+    source: Option<(Source<'a>, usize)>,
 }
 
 /// Writes lines as rows of pictures; cotangents go through the PReLU of their source.
 struct Store<'a> {
-    targets: &'a [Target<'a>],
-    /// One value an output.
-    slope_bars: Option<Shared>,
+    pieces: Vec<Piece<'a>>,
+    extent: Extent,
+    /// One value an output, or none.
+    slope_bars: &'a mut [f32],
 }
 
 impl Finish for Store<'_> {
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self, line: &Line, first: usize, count: usize, lines: *const f32, stride: usize) {
+    fn run<S: F32>(&mut self, simd: S, line: &Line, lines: &[f32], stride: usize) {
+        // Of the line: without taps around it a plane is one row.
         let Extent { batch, rows, columns } = line.extent;
-        for output in 0..count {
-            let mut channel = first + output;
-            let mut targets = self.targets.iter();
-            let target = loop {
-                let Some(target) = targets.next() else { return };
-                if channel < target.channels {
-                    break target;
-                }
-                channel -= target.channels;
-            };
-            let activation = target.source.and_then(|s| Some((s.values.as_ptr(), s.slope?[channel])));
-            let mut slope_bar = 0.0;
-            for (image, row) in (0..batch).flat_map(|image| (0..rows).map(move |row| (image, row))) {
-                let at = ((image * target.channels + channel) * rows + row) * columns;
-                // SAFETY: a row of this output, which no other task writes; a line has all rows.
-                unsafe {
-                    let (from, to) = (lines.add(output * stride + line.at(image, row)), target.to.at(at));
-                    let mut x = 0;
-                    while x < columns {
-                        S::store_first(to.add(x), columns - x, S::load_first(from.add(x), columns - x));
-                        x += S::LANES;
+        let plane = self.extent.plane();
+        let mut lines = lines.chunks_exact(stride);
+        let mut slope_bars = self.slope_bars.iter_mut();
+        for Piece { panel, source } in &mut self.pieces {
+            let channels = panel.row(0).len() / plane;
+            for (channel, lines) in (0..channels).zip(&mut lines) {
+                let activation =
+                    source.as_ref().and_then(|(s, first)| Some((s, first + channel, s.slope?[first + channel])));
+                let mut slope_bar = 0.0;
+                for (image, row) in (0..batch).flat_map(|image| (0..rows).map(move |row| (image, row))) {
+                    let from = &lines[line.at(image, row)..][..columns];
+                    let to = &mut panel.row(image)[channel * plane + row * columns..][..columns];
+                    for x in (0..columns).step_by(S::LANES) {
+                        simd.store_first(&mut to[x..], simd.load_first(&from[x..]));
                     }
-                    if let Some((values, slope)) = activation {
-                        slope_bar += activate_vjp::<S>(to, values.add(at), slope, columns);
+                    if let Some((source, channel, slope)) = activation {
+                        let at = (image * source.channels + channel) * plane + row * columns;
+                        slope_bar += activate_vjp(simd, to, &source.values[at..][..columns], slope);
                     }
                 }
-            }
-            if let Some(slopes) = self.slope_bars {
-                // SAFETY: one value an output.
-                unsafe { slopes.at(first + output).write(slope_bar) };
+                if let Some(slope) = slope_bars.next() {
+                    *slope = slope_bar;
+                }
             }
         }
     }
 }
 
 /// Writes the four products of every channel into 2×2 blocks of the finer pictures.
-struct Interleave {
-    to: Shared,
-    channels: usize,
+struct Interleave<'a> {
+    /// Whole channels: a row a picture.
+    to: Panel<'a>,
     /// Of the coarse pictures.
     extent: Extent,
 }
 
-impl Finish for Interleave {
+impl Finish for Interleave<'_> {
     #[inline(always)]
-    unsafe fn run<S: Simd>(&self, _: &Line, first: usize, count: usize, lines: *const f32, stride: usize) {
+    fn run<S: F32>(&mut self, simd: S, _: &Line, lines: &[f32], stride: usize) {
         let Extent { batch, rows, columns } = self.extent;
-        for pair in 0..count / 2 {
-            let (channel, y) = ((first + 2 * pair) / CORNERS, (first + 2 * pair) % CORNERS / 2);
+        for (pair, lines) in lines.chunks_exact(2 * stride).enumerate() {
+            let (channel, y) = (2 * pair / CORNERS, 2 * pair % CORNERS / 2);
+            let (left, right) = lines.split_at(stride);
             for (image, row) in (0..batch).flat_map(|image| (0..rows).map(move |row| (image, row))) {
-                let at = ((image * self.channels + channel) * 2 * rows + 2 * row + y) * 2 * columns;
-                // SAFETY: a fine row of this task's channels; lines hold all rows of all pictures.
-                unsafe {
-                    let left = lines.add(2 * pair * stride + (image * rows + row) * columns);
-                    let to = self.to.at(at);
-                    let mut x = 0;
-                    while x < columns {
-                        let n = columns - x;
-                        let (even, odd) = (S::load_first(left.add(x), n), S::load_first(left.add(stride + x), n));
-                        store_pairs::<S>(to.add(2 * x), n, even, odd);
-                        x += S::LANES;
-                    }
+                let at = (image * rows + row) * columns;
+                let (left, right) = (&left[at..][..columns], &right[at..][..columns]);
+                let to = &mut self.to.row(image)[(channel * 2 * rows + 2 * row + y) * 2 * columns..][..2 * columns];
+                for x in (0..columns).step_by(S::LANES) {
+                    let (even, odd) = (simd.load_first(&left[x..]), simd.load_first(&right[x..]));
+                    store_pairs(simd, &mut to[2 * x..], even, odd);
                 }
             }
         }

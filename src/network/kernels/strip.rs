@@ -1,16 +1,19 @@
 //! Scratch rows: a strip of a picture's planes, activated, with a border of zeros around every row.
-#![allow(unsafe_code, reason = "vector loads and stores within buffers whose size is checked on entry")]
 
 use std::cell::RefCell;
 
-use super::simd::{Rows, Simd};
+use super::inner::Rows;
 use super::{Extent, Source, recycle};
+use crate::math::simd::F32;
 
 /// Zeros left of every row; the next row's are the zeros on the right.
 pub(super) const PAD: usize = 16;
 
 /// Readable values beyond the last row, for vectors that reach over the end.
 const SLACK: usize = 128;
+
+/// Most values that a thread keeps in each scratch buffer from one strip to the next: 16 MiB.
+const MOST: usize = 1 << 22;
 
 /// Where rows lie in a scratch buffer.
 #[derive(Clone, Copy, Debug)]
@@ -44,10 +47,9 @@ impl Layout {
     }
 
     /// Rows to read from `buffer` from `channel`, `row`, and column −`left` on.
-    pub(super) fn rows_from(&self, buffer: &[f32], channel: usize, row: usize, left: usize) -> Rows {
-        assert!(buffer.len() >= self.len() && left <= PAD);
+    pub(super) fn rows_from<'a>(&self, buffer: &'a [f32], channel: usize, row: usize, left: usize) -> Rows<'a> {
         Rows {
-            from: buffer[self.at(channel, row) - left..].as_ptr(),
+            from: &buffer[self.at(channel, row) - left..],
             channel_stride: self.channel_stride,
             row_stride: self.row_stride,
             channels: self.channels,
@@ -67,11 +69,9 @@ pub(super) fn rows_of_strip(extent: Extent, channels: usize) -> usize {
 
 /// Copies rows `first..first + layout.rows` (those outside the picture are zero) of picture `image` of all sources into
 /// `buffer`, through their PReLU, with zeros around.
-///
-/// # Safety
-/// The processor must have the instruction set of `S`.
 #[inline(always)]
-pub(super) unsafe fn load_activated<S: Simd>(
+pub(super) fn load_activated<S: F32>(
+    simd: S,
     sources: &[Source],
     extent: Extent,
     image: usize,
@@ -79,114 +79,83 @@ pub(super) unsafe fn load_activated<S: Simd>(
     layout: &Layout,
     buffer: &mut [f32],
 ) {
-    assert!(buffer.len() >= layout.len());
     let n = extent.columns;
+    let width = n.next_multiple_of(16);
     let mut channel = 0;
     for source in sources {
         let planes = &source.values[image * source.channels * extent.plane()..][..source.channels * extent.plane()];
-        for c in 0..source.channels {
+        for (c, plane) in planes.chunks_exact(extent.plane()).enumerate() {
             for row in 0..layout.rows {
-                let at = layout.at(channel, row);
-                // SAFETY: `at − PAD .. at + n rounded up` is within the layout, which fits the buffer; the plane has
-                // `extent.plane()` values.
-                unsafe {
-                    let to = buffer.as_mut_ptr().add(at);
-                    zero::<S>(to.sub(PAD), PAD);
-                    let y = first + row as isize;
-                    if y < 0 || y >= extent.rows as isize {
-                        zero::<S>(to, n.next_multiple_of(16));
-                        continue;
-                    }
-                    let from = planes.as_ptr().add(c * extent.plane() + y as usize * n);
-                    match source.slope {
-                        Some(slope) => {
-                            let slope = S::splat(slope[c]);
-                            let mut x = 0;
-                            while x + S::LANES <= n {
-                                S::store(to.add(x), activate::<S>(S::load(from.add(x)), slope));
-                                x += S::LANES;
-                            }
-                            if x < n {
-                                S::store(to.add(x), activate::<S>(S::load_first(from.add(x), n - x), slope));
-                            }
-                        }
-                        None => copy::<S>(from, to, n),
-                    }
-                    if S::LANES < 16 {
-                        zero::<S>(
-                            to.add(n.next_multiple_of(S::LANES)),
-                            n.next_multiple_of(16) - n.next_multiple_of(S::LANES),
-                        );
+                let (left, to) = buffer[layout.at(channel, row) - PAD..][..PAD + width].split_at_mut(PAD);
+                left.fill(0.0);
+                let y = first + row as isize;
+                if y < 0 || y >= extent.rows as isize {
+                    to.fill(0.0);
+                    continue;
+                }
+                let from = &plane[y as usize * n..][..n];
+                match source.slope {
+                    Some(slope) => activate_row(simd, from, to, slope[c]),
+                    None => {
+                        let (to, behind) = to.split_at_mut(n);
+                        to.copy_from_slice(from);
+                        behind.fill(0.0);
                     }
                 }
             }
-            // SAFETY: the slack behind a channel's last row is within the buffer.
-            unsafe {
-                zero::<S>(buffer.as_mut_ptr().add(layout.at(channel, layout.rows - 1) + n.next_multiple_of(16)), PAD)
-            };
+            // The slack behind the channel's last row.
+            buffer[layout.at(channel, layout.rows - 1) + width..][..PAD].fill(0.0);
             channel += 1;
         }
     }
 }
 
-/// Writes zeros over `n` values rounded up to vectors.
+/// A row through its PReLU, with zeros behind it.
 #[inline(always)]
-unsafe fn zero<S: Simd>(to: *mut f32, n: usize) {
-    let mut x = 0;
-    while x < n {
-        unsafe { S::store(to.add(x), S::zero()) };
-        x += S::LANES;
+fn activate_row<S: F32>(simd: S, from: &[f32], to: &mut [f32], slope: f32) {
+    let slope = simd.splat(slope);
+    let (whole, rest) = simd.cut(from);
+    let (to, behind) = simd.cut_mut(to).0.split_at_mut(whole.len());
+    for (to, from) in to.iter_mut().zip(whole) {
+        simd.store(to, activate(simd, simd.load(from), slope));
     }
-}
-
-/// Copies `n` values, zeros up to the full vector.
-#[inline(always)]
-unsafe fn copy<S: Simd>(from: *const f32, to: *mut f32, n: usize) {
-    let mut x = 0;
-    unsafe {
-        while x + S::LANES <= n {
-            S::store(to.add(x), S::load(from.add(x)));
-            x += S::LANES;
-        }
-        if x < n {
-            S::store(to.add(x), S::load_first(from.add(x), n - x));
-        }
+    let mut last = if rest.is_empty() { simd.splat(0.0) } else { activate(simd, simd.load_first(rest), slope) };
+    for to in behind {
+        simd.store(to, last);
+        last = simd.splat(0.0);
     }
 }
 
 /// PReLU.
-///
-/// # Safety
-/// The processor must have the instruction set of `S`.
 #[inline(always)]
-pub(super) unsafe fn activate<S: Simd>(x: S::V, slope: S::V) -> S::V {
-    unsafe { S::fma(slope, S::below_zero(x), S::above_zero(x)) }
+pub(super) fn activate<S: F32>(simd: S, x: S::V, slope: S::V) -> S::V {
+    simd.fma(slope, simd.below_zero(x), simd.above_zero(x))
 }
 
 /// Turns the cotangent of an activated row into that of the row before its PReLU, in place; returns the cotangent of
 /// the slope.
-///
-/// # Safety
-/// The processor must have the instruction set of `S`; `bar` and `values` must have `n` values.
 #[inline(always)]
-pub(super) unsafe fn activate_vjp<S: Simd>(bar: *mut f32, values: *const f32, slope: f32, n: usize) -> f32 {
-    unsafe {
-        let (one, slope) = (S::splat(1.0), S::splat(slope));
-        let mut slope_bar = S::zero();
-        let mut x = 0;
-        while x + S::LANES <= n {
-            let (b, v) = (S::load(bar.add(x)), S::load(values.add(x)));
-            slope_bar = S::fma(b, S::below_zero(v), slope_bar);
-            S::store(bar.add(x), S::mul(b, S::choose(v, one, slope)));
-            x += S::LANES;
-        }
-        if x < n {
-            let (b, v) = (S::load_first(bar.add(x), n - x), S::load_first(values.add(x), n - x));
-            slope_bar = S::fma(b, S::below_zero(v), slope_bar);
-            S::store_first(bar.add(x), n - x, S::mul(b, S::choose(v, one, slope)));
-        }
-        S::sum(slope_bar)
+pub(super) fn activate_vjp<S: F32>(simd: S, bar: &mut [f32], values: &[f32], slope: f32) -> f32 {
+    let slope = simd.splat(slope);
+    let mut slope_bar = simd.splat(0.0);
+    let (bars, bars_rest) = simd.cut_mut(bar);
+    let (values, values_rest) = simd.cut(values);
+    for (bar, value) in bars.iter_mut().zip(values) {
+        let pulled = pull(simd, simd.load(bar), simd.load(value), slope, &mut slope_bar);
+        simd.store(bar, pulled);
     }
+    if !bars_rest.is_empty() {
+        let pulled = pull(simd, simd.load_first(bars_rest), simd.load_first(values_rest), slope, &mut slope_bar);
+        simd.store_first(bars_rest, pulled);
+    }
+    simd.sum(slope_bar)
+}
+
+/// Cotangent of `value` before its PReLU; adds to that of the slope.
+#[inline(always)]
+pub(super) fn pull<S: F32>(simd: S, bar: S::V, value: S::V, slope: S::V, slope_bar: &mut S::V) -> S::V {
+    *slope_bar = simd.fma(bar, simd.below_zero(value), *slope_bar);
+    simd.mul(bar, simd.choose(value, simd.splat(1.0), slope))
 }
 
 /// A buffer whose values start at a cache line; keeps its memory for the next strip.
@@ -212,33 +181,18 @@ thread_local! {
 
 /// Gives `work` this thread's scratch buffers. `work` must not use rayon.
 pub(super) fn with_scratch<R>(work: impl FnOnce(&mut [Scratch; 3]) -> R) -> R {
-    SCRATCH.with_borrow_mut(work)
+    SCRATCH.with_borrow_mut(|buffers| {
+        let result = work(buffers);
+        for buffer in buffers.iter_mut().filter(|buffer| buffer.memory.len() > MOST) {
+            *buffer = Scratch::default();
+        }
+        result
+    })
 }
 
-/// A pointer into an output of which every strip writes its own rows.
-#[derive(Clone, Copy)]
-pub(super) struct Shared(pub(super) *mut f32);
-
-impl Shared {
-    /// The value number `n`; a closure that calls this captures all of `self`, which threads may share.
-    ///
-    /// # Safety
-    /// The output must have more than `n` values, or `n` where nothing is written.
-    pub(super) unsafe fn at(self, n: usize) -> *mut f32 {
-        unsafe { self.0.add(n) }
-    }
-}
-
-// SAFETY: strips write disjoint rows; whoever makes one sees to that.
-unsafe impl Send for Shared {}
-// SAFETY: as above.
-unsafe impl Sync for Shared {}
-
-/// A vector of `n` values that `fill` writes, every one of them.
-pub(super) fn filled(n: usize, fill: impl FnOnce(Shared)) -> Vec<f32> {
+/// A vector of `n` values that `fill` writes, every one of them: they are whatever they were before.
+pub(super) fn filled(n: usize, fill: impl FnOnce(&mut [f32])) -> Vec<f32> {
     let mut values = recycle::take(n);
-    fill(Shared(values.as_mut_ptr()));
-    // SAFETY: `fill` has written all `n`.
-    unsafe { values.set_len(n) };
+    fill(&mut values);
     values
 }

@@ -2,17 +2,6 @@
 
 use super::*;
 
-fn levels() -> Vec<Level> {
-    match Level::detect() {
-        Level::Avx512 => vec![Level::Avx512, Level::Avx2],
-        Level::Avx2 => vec![Level::Avx2],
-        Level::Plain => {
-            eprintln!("SKIPPED: this processor has neither AVX2 nor AVX-512");
-            vec![]
-        }
-    }
-}
-
 /// Leaves values that would be noticed in the scratch buffers of all threads.
 fn soil_scratch() {
     rayon::broadcast(|_| {
@@ -100,7 +89,6 @@ type UnpoolVjp = fn(Level, Source, Extent, &[f32], &[f32], Wanted) -> (SourceBar
 
 #[test]
 fn convolution_and_cotangents_match_plain_loops() {
-    let rng = &mut fastrand::Rng::with_seed(1);
     let cases = [
         (vec![3], 16, 1, 5, 7),
         (vec![16], 3, 2, 9, 33),
@@ -118,7 +106,8 @@ fn convolution_and_cotangents_match_plain_loops() {
         (vec![9], 512, 1, 8, 7),
         (vec![512], 16, 1, 16, 16),
     ];
-    for level in levels() {
+    for level in Level::available() {
+        let rng = &mut fastrand::Rng::with_seed(1);
         for (channels, outputs, batch, rows, columns) in &cases {
             let extent = Extent { batch: *batch, rows: *rows, columns: *columns };
             let (n, inputs) = (batch * extent.plane(), channels.iter().sum::<usize>());
@@ -171,8 +160,8 @@ fn convolution_and_cotangents_match_plain_loops() {
 
 #[test]
 fn unpooling_and_cotangents_match_plain_loops() {
-    let rng = &mut fastrand::Rng::with_seed(2);
-    for level in levels() {
+    for level in Level::available() {
+        let rng = &mut fastrand::Rng::with_seed(2);
         for (inputs, outputs, batch, rows, columns) in [
             (8, 4, 1, 4, 16),
             (5, 3, 2, 7, 9),
@@ -231,10 +220,33 @@ fn unpooling_and_cotangents_match_plain_loops() {
     }
 }
 
+/// Wherever it stands in its block, and in the last, shorter vector of a row as well.
+#[test]
+fn pooling_keeps_what_is_not_a_number() {
+    for level in Level::available() {
+        let extent = Extent { batch: 1, rows: 4, columns: 38 };
+        for at in 0..extent.plane() {
+            let mut values: Vec<f32> = (0..extent.plane()).map(|i| (i * 7 % 31) as f32 - 15.0).collect();
+            values[at] = f32::NAN;
+            let source = Source { values: &values, channels: 1, slope: Some(&[0.25]) };
+            let block = at / 76 * 19 + at % 38 / 2;
+            let output = pool(level, source, extent);
+            let kept: Vec<usize> = (0..output.len()).filter(|i| output[*i].is_nan()).collect();
+            assert_eq!(kept, [block], "{level:?} {at}");
+            // The cotangent goes to it, and to the slope.
+            let bars = pool_vjp(level, source, extent, &[1.0; 38]);
+            let corner = at / 76 * 76 + at % 38 / 2 * 2;
+            let shares = [0, 1, 38, 39].map(|i| (corner + i, bars.values[corner + i]));
+            assert!(shares.into_iter().all(|(i, bar)| (bar != 0.0) == (i == at)), "{level:?} {at}: {shares:?}");
+            assert!(bars.slope[0].is_nan());
+        }
+    }
+}
+
 #[test]
 fn pooling_and_cotangents_match_plain_loops() {
-    let rng = &mut fastrand::Rng::with_seed(3);
-    for level in levels() {
+    for level in Level::available() {
+        let rng = &mut fastrand::Rng::with_seed(3);
         for (channels, batch, rows, columns) in [(3, 2, 8, 38), (2, 1, 2, 2), (1, 1, 6, 64)] {
             let extent = Extent { batch, rows, columns };
             // Coarse values, so that there are ties, of which the first counts.
@@ -277,7 +289,7 @@ fn results_do_not_depend_on_the_number_of_threads() {
         let (weight, bias) = (draw(outputs * inputs * 9, rng), draw(outputs, rng));
         let bar = draw(8 * outputs * extent.plane(), rng);
         let wanted = Wanted { inputs: true, weights: true };
-        for level in levels() {
+        for level in Level::available() {
             let with = |threads| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
                 pool.install(|| {
@@ -368,7 +380,7 @@ fn speed_of_the_convolution() {
         let (weight, bias, slope) = (draw(inputs * outputs * 9, rng), draw(outputs, rng), draw(inputs, rng));
         let source = Source { values: &values, channels: inputs, slope: Some(&slope) };
         let operations = (2 * 9 * inputs * outputs * side * side) as f64;
-        for level in levels() {
+        for level in Level::available() {
             let time = |run: &dyn Fn()| {
                 let once = || {
                     let start = std::time::Instant::now();

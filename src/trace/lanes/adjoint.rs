@@ -4,12 +4,12 @@
 //! `g = (d̄'·N)/R`, `e = d̄' + g d'`, `N̄ = γe`, `μ̄ = e·d`, `d̄ = μ(e − μg d)`. Then `N̄` goes to the point and the shape
 //! through `N(x, y, z)`, and the point through the implicit function theorem on `G`: `Λ = (p̄·d + t̄)/q`, `ō = p̄ + ΛN`,
 //! `d̄ += tō`, and `Λ ∂G/∂θ` to every parameter. No root and no division: the forward trace left `γ`, `1/R`, `1/q`.
-#![allow(unsafe_code, reason = "vectors and raw pointers into a tile; see each Safety note")]
 
-use super::forward::{AlignedFrame, Extra, fresh};
+use super::forward::{AlignedFrame, Extra, vectors};
 use super::program::{Step, TERMS};
-use super::simd::{Lanes, Simd};
-use super::tile::{Bundle, TILE};
+use super::tile::Bundle;
+use super::vector::At;
+use crate::math::simd::{Simd, fresh};
 
 /// Most lanes of a vector of sums.
 pub(super) const WIDEST: usize = 8;
@@ -44,127 +44,119 @@ impl Sums {
 }
 
 /// A tile at one surface, on the way back.
-pub(super) struct Back {
+pub(super) struct Back<'a> {
     /// Rays before the surface, in the frame of the one before.
-    pub(super) before: *const Bundle,
+    pub(super) before: &'a Bundle,
     /// Rays behind it.
-    pub(super) after: *const Bundle,
-    pub(super) extra: *const Extra,
+    pub(super) after: &'a Bundle,
+    pub(super) extra: &'a Extra,
     /// Cotangents of the rays behind the surface; on return, of those before it.
-    pub(super) bars: *mut Bundle,
+    pub(super) bars: &'a mut Bundle,
     /// Added to.
-    pub(super) sums: *mut Sums,
+    pub(super) sums: &'a mut Sums,
     /// Lanes in use.
     pub(super) len: usize,
 }
 
 /// A tile back through a conic with `N` even terms.
-///
-/// # Safety
-/// The processor must have the instruction set of `S`; the pointers of `back` must be valid and apart.
 #[inline(always)]
-pub(super) unsafe fn surface_vjp<S: Simd, const N: usize>(step: &Step, back: &Back) {
+pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: &mut Back) {
     AlignedFrame::hold();
-    unsafe {
-        let splat = |value| Lanes::<S>::splat(value);
-        let (before, after, extra) = (&*back.before, &*back.after, &*back.extra);
-        let (bars, sums) = (&mut *back.bars, &mut *back.sums);
-        let total = |array: &[f64; WIDEST]| Lanes::<S>::load(array.as_ptr());
-        let (mut flat, mut bent, mut mu_sum) = (total(&sums.flat), total(&sums.bent), total(&sums.mu));
-        let (mut distance, mut path_sum) = (total(&sums.distance), total(&sums.index));
-        let mut term_sums = [splat(0.0); N];
-        for (sum, from) in term_sums.iter_mut().zip(&sums.terms) {
-            *sum = total(from);
-        }
-        let mut at = 0;
-        while at < back.len {
-            let step = fresh(step);
-            let (one, half, c, v, mu) = (splat(1.0), splat(0.5), splat(step.c), splat(step.v), splat(step.mu));
-            let index = splat(step.surface.index_before);
-            let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
-            let (x, y) = (load(&after.x), load(&after.y));
-            let (l, m, n, t) = (load(&before.l), load(&before.m), load(&before.n), load(&after.t));
-            let (mut px, mut py, mut pz) = (load(&bars.x), load(&bars.y), load(&bars.z));
-            let (mut dl, mut dm, mut dn) = (load(&bars.l), load(&bars.m), load(&bars.n));
-            let path = load(&bars.path);
-            let (w, slope) = if N > 0 { (load(&extra.w), load(&extra.slope)) } else { (load(&after.z), splat(0.0)) };
-            let rho = x.fma(x, y * y);
-            let phi = v.fnma(w, one);
-            let a = if N > 0 { slope.fma(phi, c) } else { c };
-            let (nx, ny) = (a * x, a * y);
-            // Cotangents through N: of A, φ, w.
-            let (mut a_bar, mut w_bar, mut slope_bar) = (splat(0.0), splat(0.0), splat(0.0));
-            if step.refracts {
-                let gamma = load(&extra.gamma);
-                let (l1, m1, n1) = (load(&after.l), load(&after.m), load(&after.n));
-                let g = phi.fnma(dn, dl.fma(nx, dm * ny)) * load(&extra.inverse_r);
-                let (el, em, en) = (g.fma(l1, dl), g.fma(m1, dm), g.fma(n1, dn));
-                mu_sum = el.fma(l, em.fma(m, en.fma(n, mu_sum)));
-                let mg = mu * g;
-                (dl, dm, dn) = (mu * mg.fnma(l, el), mu * mg.fnma(m, em), mu * mg.fnma(n, en));
-                let (nx_bar, ny_bar, phi_bar) = (gamma * el, gamma * em, gamma * en);
-                a_bar = x.fma(nx_bar, y * ny_bar);
-                // N_z = −φ, and A holds φ times the slope.
-                let phi_bar = if N > 0 { slope.fma(a_bar, -phi_bar) } else { -phi_bar };
-                slope_bar = phi * a_bar;
-                w_bar = -(v * phi_bar);
-                bent = w.fnma(phi_bar, bent);
-                (px, py, pz) = (a.fma(nx_bar, px), a.fma(ny_bar, py), pz + w_bar);
-                if N > 0 {
-                    // w = z − P: P̄ = −w̄; of x and y through ρ.
-                    let mut bend = splat(step.terms2[N - 1]);
-                    for i in (1..N - 1).rev() {
-                        bend = bend.fma(rho, splat(step.terms2[i]));
-                    }
-                    let rho_bar = bend.fma(slope_bar, -(half * slope * w_bar));
-                    let twice = rho_bar + rho_bar;
-                    (px, py) = (twice.fma(x, px), twice.fma(y, py));
-                }
-            } else {
-                // Equal media bend nothing, but would if one of them changed: `μ̄ = d̄·d + (d̄·N)/q`.
-                let across = phi.fnma(dn, dl.fma(nx, dm * ny));
-                let along = dl.fma(l, dm.fma(m, dn.fma(n, mu_sum)));
-                mu_sum = across.fma(load(&extra.inverse_q), along);
-            }
-            // Intersection.
-            let lambda = px.fma(l, py.fma(m, pz.fma(n, path * index))) * load(&extra.inverse_q);
-            (px, py, pz) = (lambda.fma(nx, px), lambda.fma(ny, py), lambda.fnma(phi, pz));
-            (dl, dm, dn) = (t.fma(px, dl), t.fma(py, dm), t.fma(pz, dn));
-            path_sum = path.fma(t, path_sum);
-            distance = distance - pz;
-            let half_lambda = half * lambda;
-            flat = flat + half_lambda.fma(rho, a_bar);
-            bent = (half_lambda * w).fma(w, bent);
+    let simd = simd.doubles();
+    let sum = At { simd, at: 0 };
+    let Back { before, after, extra, bars, sums, len } = back;
+    let (mut flat, mut bent, mut mu_sum) = (sum.load(&sums.flat), sum.load(&sums.bent), sum.load(&sums.mu));
+    let (mut distance, mut path_sum) = (sum.load(&sums.distance), sum.load(&sums.index));
+    let mut term_sums = [sum.splat(0.0); N];
+    for (term, from) in term_sums.iter_mut().zip(&sums.terms) {
+        *term = sum.load(from);
+    }
+    for at in vectors::<S::Doubles>(*len) {
+        let here = At { simd, at };
+        let step = fresh(step);
+        let (one, half, c, v, mu) =
+            (here.splat(1.0), here.splat(0.5), here.splat(step.c), here.splat(step.v), here.splat(step.mu));
+        let index = here.splat(step.surface.index_before);
+        let (x, y) = (here.load(&after.x), here.load(&after.y));
+        let (l, m, n, t) = (here.load(&before.l), here.load(&before.m), here.load(&before.n), here.load(&after.t));
+        let (mut px, mut py, mut pz) = (here.load(&bars.x), here.load(&bars.y), here.load(&bars.z));
+        let (mut dl, mut dm, mut dn) = (here.load(&bars.l), here.load(&bars.m), here.load(&bars.n));
+        let path = here.load(&bars.path);
+        let (w, slope) =
+            if N > 0 { (here.load(&extra.w), here.load(&extra.slope)) } else { (here.load(&after.z), here.splat(0.0)) };
+        let rho = x.fma(x, y * y);
+        let phi = v.fnma(w, one);
+        let a = if N > 0 { slope.fma(phi, c) } else { c };
+        let (nx, ny) = (a * x, a * y);
+        // Cotangents through N: of A, φ, w.
+        let (mut a_bar, mut w_bar, mut slope_bar) = (here.splat(0.0), here.splat(0.0), here.splat(0.0));
+        if step.refracts {
+            let gamma = here.load(&extra.gamma);
+            let (l1, m1, n1) = (here.load(&after.l), here.load(&after.m), here.load(&after.n));
+            let g = phi.fnma(dn, dl.fma(nx, dm * ny)) * here.load(&extra.inverse_r);
+            let (el, em, en) = (g.fma(l1, dl), g.fma(m1, dm), g.fma(n1, dn));
+            mu_sum = el.fma(l, em.fma(m, en.fma(n, mu_sum)));
+            let mg = mu * g;
+            (dl, dm, dn) = (mu * mg.fnma(l, el), mu * mg.fnma(m, em), mu * mg.fnma(n, en));
+            let (nx_bar, ny_bar, phi_bar) = (gamma * el, gamma * em, gamma * en);
+            a_bar = x.fma(nx_bar, y * ny_bar);
+            // N_z = −φ, and A holds φ times the slope.
+            let phi_bar = if N > 0 { slope.fma(a_bar, -phi_bar) } else { -phi_bar };
+            slope_bar = phi * a_bar;
+            w_bar = -(v * phi_bar);
+            bent = w.fnma(phi_bar, bent);
+            (px, py, pz) = (a.fma(nx_bar, px), a.fma(ny_bar, py), pz + w_bar);
             if N > 0 {
-                // ρ^i (2(i+1) φĀ + ρ(φΛ − w̄)).
-                let each = slope_bar + slope_bar;
-                let mut term = rho.fma(phi.fma(lambda, -w_bar), each);
-                let mut power = one;
-                for (i, sum) in term_sums.iter_mut().enumerate() {
-                    if i > 0 {
-                        power = power * rho;
-                        term = term + each;
-                    }
-                    *sum = term.fma(power, *sum);
+                // w = z − P: P̄ = −w̄; of x and y through ρ.
+                let mut bend = here.splat(step.terms2[N - 1]);
+                for i in (1..N - 1).rev() {
+                    bend = bend.fma(rho, here.splat(step.terms2[i]));
                 }
+                let rho_bar = bend.fma(slope_bar, -(half * slope * w_bar));
+                let twice = rho_bar + rho_bar;
+                (px, py) = (twice.fma(x, px), twice.fma(y, py));
             }
-            let store = |v: Lanes<S>, array: &mut [f64; TILE]| v.store(array.as_mut_ptr().add(at));
-            store(px, &mut bars.x);
-            store(py, &mut bars.y);
-            store(pz, &mut bars.z);
-            store(dl, &mut bars.l);
-            store(dm, &mut bars.m);
-            store(dn, &mut bars.n);
-            at += S::LANES;
+        } else {
+            // Equal media bend nothing, but would if one of them changed: `μ̄ = d̄·d + (d̄·N)/q`.
+            let across = phi.fnma(dn, dl.fma(nx, dm * ny));
+            let along = dl.fma(l, dm.fma(m, dn.fma(n, mu_sum)));
+            mu_sum = across.fma(here.load(&extra.inverse_q), along);
         }
-        let keep = |v: Lanes<S>, array: &mut [f64; WIDEST]| v.store(array.as_mut_ptr());
-        keep(flat, &mut sums.flat);
-        keep(bent, &mut sums.bent);
-        keep(mu_sum, &mut sums.mu);
-        keep(distance, &mut sums.distance);
-        keep(path_sum, &mut sums.index);
-        for (sum, to) in term_sums.into_iter().zip(&mut sums.terms) {
-            keep(sum, to);
+        // Intersection.
+        let lambda = px.fma(l, py.fma(m, pz.fma(n, path * index))) * here.load(&extra.inverse_q);
+        (px, py, pz) = (lambda.fma(nx, px), lambda.fma(ny, py), lambda.fnma(phi, pz));
+        (dl, dm, dn) = (t.fma(px, dl), t.fma(py, dm), t.fma(pz, dn));
+        path_sum = path.fma(t, path_sum);
+        distance = distance - pz;
+        let half_lambda = half * lambda;
+        flat = flat + half_lambda.fma(rho, a_bar);
+        bent = (half_lambda * w).fma(w, bent);
+        if N > 0 {
+            // ρ^i (2(i+1) φĀ + ρ(φΛ − w̄)).
+            let each = slope_bar + slope_bar;
+            let mut term = rho.fma(phi.fma(lambda, -w_bar), each);
+            let mut power = one;
+            for (i, sum) in term_sums.iter_mut().enumerate() {
+                if i > 0 {
+                    power = power * rho;
+                    term = term + each;
+                }
+                *sum = term.fma(power, *sum);
+            }
         }
+        here.store(px, &mut bars.x);
+        here.store(py, &mut bars.y);
+        here.store(pz, &mut bars.z);
+        here.store(dl, &mut bars.l);
+        here.store(dm, &mut bars.m);
+        here.store(dn, &mut bars.n);
+    }
+    sum.store(flat, &mut sums.flat);
+    sum.store(bent, &mut sums.bent);
+    sum.store(mu_sum, &mut sums.mu);
+    sum.store(distance, &mut sums.distance);
+    sum.store(path_sum, &mut sums.index);
+    for (term, to) in term_sums.into_iter().zip(&mut sums.terms) {
+        sum.store(term, to);
     }
 }

@@ -1,11 +1,14 @@
 //! Many rays: in place, or streamed through closures so that memory does not grow with their number.
-#![allow(unsafe_code, reason = "calls the kernels; `Level` says that the processor has their instruction set")]
+
+use std::marker::PhantomData;
 
 use rayon::prelude::*;
 
-use super::forward::{Extra, Run};
+use super::dispatch;
+use super::forward::{Lean, Mode, Run, Spectral, WithPath};
 use super::program::{Options, Program};
 use super::tile::{Rays, Status, TILE, Tile};
+use crate::math::simd::{Kernel, Simd};
 use crate::trace::System;
 
 /// Groups that streamed rays are cut into; each is worked on by one thread, in order.
@@ -76,25 +79,39 @@ impl Program {
         if self.colours > 0 {
             tile.colour.iter_mut().for_each(|i| *i = (*i).min(self.colours - 1));
         }
-        for step in &self.steps {
+        match (self.colours > 0, self.path) {
+            (true, _) => self.level.run(Through(self, tile, PhantomData::<Spectral>)),
+            (false, true) => self.level.run(Through(self, tile, PhantomData::<WithPath>)),
+            (false, false) => self.level.run(Through(self, tile, PhantomData::<Lean>)),
+        }
+        tile.settle();
+    }
+}
+
+/// A tile through all surfaces.
+struct Through<'a, M>(&'a Program, &'a mut Tile, PhantomData<M>);
+
+impl<M: Mode> Kernel for Through<'_, M> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self(program, tile, _) = self;
+        for step in &program.steps {
             if tile.alive == 0 {
                 break;
             }
-            let run = Run {
-                from: &raw mut *tile.rays,
-                to: &raw mut *tile.spare,
-                extra: std::ptr::null_mut::<Extra>(),
-                colour: tile.colour.as_ptr(),
-                alive: &raw mut tile.alive,
-                status: tile.status.as_mut_ptr(),
+            let mut run = Run {
+                from: &mut tile.rays,
+                to: &mut tile.spare,
+                extra: None,
+                colour: &tile.colour,
+                alive: &mut tile.alive,
+                status: &mut tile.status,
                 len: tile.len,
             };
-            // SAFETY: the level was detected; a tile's two bundles are apart, and no kernel without a record touches
-            // `extra`; wavelengths are below the length of every table.
-            unsafe { (step.forward)(step, &run) };
+            dispatch::forward::<S, M>(simd, step, &mut run);
             std::mem::swap(&mut tile.rays, &mut tile.spare);
         }
-        tile.settle();
     }
 }
 

@@ -7,13 +7,12 @@
 //!
 //! A lane's numbers never depend on the other lanes. Where a lane is not certain of the plain trace's root, the plain
 //! trace decides ([`mend`]): it stands for the accuracy and gives the failure's cause.
-#![allow(unsafe_code, reason = "vectors and raw pointers into a tile; see each Safety note")]
 
-pub(super) use super::mend::one_by_one;
 use super::mend::{Known, mend};
 use super::program::Step;
-use super::simd::{Lanes, Simd, Truth};
 use super::tile::{Bundle, Status, TILE};
+use super::vector::{At, Lanes, Truth};
+use crate::math::simd::{F64, Simd, fresh};
 
 /// What a kernel computes beside the rays.
 pub(super) trait Mode {
@@ -79,37 +78,35 @@ impl Extra {
 }
 
 /// A tile at one surface.
-pub(super) struct Run {
+pub(super) struct Run<'a> {
     /// Rays before the surface, in the frame of the one before.
-    pub(super) from: *mut Bundle,
+    pub(super) from: &'a mut Bundle,
     /// Rays behind it, in its own nominal frame.
-    pub(super) to: *mut Bundle,
-    /// Record; only touched by [`Recorded`].
-    pub(super) extra: *mut Extra,
+    pub(super) to: &'a mut Bundle,
+    /// Record; only touched, and only there, by [`Recorded`].
+    pub(super) extra: Option<&'a mut Extra>,
     /// Wavelengths; only read by [`Spectral`].
-    pub(super) colour: *const u32,
+    pub(super) colour: &'a [u32; TILE],
     /// One bit per lane that has not failed.
-    pub(super) alive: *mut u64,
+    pub(super) alive: &'a mut u64,
     /// Where failures are written.
-    pub(super) status: *mut Status,
+    pub(super) status: &'a mut [Status; TILE],
     /// Lanes in use.
     pub(super) len: usize,
 }
 
-/// `step` again, so that its constants are read from memory where they are used instead of taking registers over the loop.
-#[inline(always)]
-pub(super) fn fresh(step: &Step) -> &Step {
-    #[cfg(target_arch = "x86_64")]
-    {
-        let mut pointer: *const Step = step;
-        // SAFETY: no instruction; the pointer stays what it is.
-        unsafe {
-            std::arch::asm!("/* {0} */", inout(reg) pointer, options(readonly, nostack, preserves_flags));
-            &*pointer
-        }
+impl Run<'_> {
+    /// The record.
+    #[inline(always)]
+    pub(super) fn extra(&mut self) -> &mut Extra {
+        self.extra.as_deref_mut().expect("a kernel that records has a record")
     }
-    #[cfg(not(target_arch = "x86_64"))]
-    step
+}
+
+/// Numbers of the vectors that hold the first `len` lanes of a tile.
+#[inline(always)]
+pub(super) fn vectors<S: F64>(len: usize) -> std::ops::Range<usize> {
+    0..len.div_ceil(S::LANES).min(TILE / S::LANES)
 }
 
 /// Held by a kernel, makes its stack frame aligned: vectors that do not fit the registers then lie in whole cache lines.
@@ -125,7 +122,7 @@ impl AlignedFrame {
 }
 
 /// Rays in registers, at their points nearest the vertex.
-struct Near<S: Simd> {
+struct Near<S: F64> {
     x: Lanes<S>,
     y: Lanes<S>,
     z: Lanes<S>,
@@ -136,16 +133,14 @@ struct Near<S: Simd> {
     t: Lanes<S>,
 }
 
-impl<S: Simd> Near<S> {
+impl<S: F64> Near<S> {
     #[inline(always)]
-    unsafe fn load(step: &Step, from: &Bundle, at: usize) -> Self {
-        unsafe {
-            let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
-            let (x, y, z) = (load(&from.x), load(&from.y), load(&from.z) - Lanes::splat(step.surface.distance));
-            let (l, m, n) = (load(&from.l), load(&from.m), load(&from.n));
-            let back = x.fma(l, y.fma(m, z * n));
-            Self { x: back.fnma(l, x), y: back.fnma(m, y), z: back.fnma(n, z), l, m, n, t: -back }
-        }
+    fn load(here: At<S>, step: &Step, from: &Bundle) -> Self {
+        let (x, y, z) =
+            (here.load(&from.x), here.load(&from.y), here.load(&from.z) - here.splat(step.surface.distance));
+        let (l, m, n) = (here.load(&from.l), here.load(&from.m), here.load(&from.n));
+        let back = x.fma(l, y.fma(m, z * n));
+        Self { x: back.fnma(l, x), y: back.fnma(m, y), z: back.fnma(n, z), l, m, n, t: -back }
     }
 
     /// Moves on by `s`.
@@ -165,7 +160,7 @@ impl<S: Simd> Near<S> {
 }
 
 /// A point on the surface as [`finish`] takes it: `N = (nx, ny, −phi)`, `q = −N·d`, `1/q`, and which lanes are certain.
-struct Met<S: Simd> {
+struct Met<S: F64> {
     nx: Lanes<S>,
     ny: Lanes<S>,
     phi: Lanes<S>,
@@ -181,77 +176,74 @@ struct Met<S: Simd> {
 /// Stores rays behind a surface, refracted, and lets the plain trace mend the lanes that are not certain. `limit_sq`
 /// bounds `ρ`; `UNIT` says that `N` has length 1, `PROVE` that roots may be proved that are not certain yet.
 #[inline(always)]
-unsafe fn finish<S: Simd, M: Mode, const UNIT: bool, const PROVE: bool>(
+fn finish<S: Simd, M: Mode, const UNIT: bool, const PROVE: bool>(
+    simd: S,
     step: &Step,
-    run: &Run,
+    run: &mut Run,
     at: usize,
-    mut ray: Near<S>,
-    met: Met<S>,
+    mut ray: Near<S::Wide>,
+    met: Met<S::Wide>,
     limit_sq: f64,
 ) {
-    unsafe {
-        let splat = |value| Lanes::<S>::splat(value);
-        let Met { nx, ny, phi, q, inverse_q, sound, root: found, missed } = met;
-        // What every root has to pass; with those that are certain already, unless others may be proved.
-        let limit = splat(limit_sq);
-        let mut through = if PROVE { ray.rho().at_most(limit) } else { sound.and_at_most(ray.rho(), limit) };
-        let (from, to) = (&*run.from, &mut *run.to);
-        let (mut gamma, mut inverse_r) = (splat(0.0), splat(0.0));
-        if step.refracts {
-            let (mu, mu_sq, under, over);
-            if M::SPECTRAL {
-                mu = Lanes(S::gather(step.ratios.as_ptr(), run.colour.add(at)));
-                mu_sq = mu * mu;
-                (under, over) = (splat(1.0) - mu_sq, mu_sq - splat(1.0));
+    let (here, lane) = (At { simd: simd.wide(), at }, at * S::Wide::LANES);
+    let Met { nx, ny, phi, q, inverse_q, sound, root: found, missed } = met;
+    // What every root has to pass; with those that are certain already, unless others may be proved.
+    let limit = here.splat(limit_sq);
+    let mut through = if PROVE { ray.rho().at_most(limit) } else { sound.and_at_most(ray.rho(), limit) };
+    let (mut gamma, mut inverse_r) = (here.splat(0.0), here.splat(0.0));
+    if step.refracts {
+        let (mu, mu_sq, under, over);
+        if M::SPECTRAL {
+            mu = here.gather(&step.ratios, &run.colour[lane..]);
+            mu_sq = mu * mu;
+            (under, over) = (here.splat(1.0) - mu_sq, mu_sq - here.splat(1.0));
+        } else {
+            (mu, mu_sq) = (here.splat(step.mu), here.splat(step.mu_sq));
+            (under, over) = (here.splat(step.under), here.splat(step.over));
+        }
+        let root;
+        if UNIT {
+            (root, inverse_r) = (mu_sq * q).fma(q, under).sqrt_and_inverse();
+            gamma = mu * q - root;
+        } else {
+            let square = nx.fma(nx, ny.fma(ny, phi * phi));
+            let r_sq = (mu_sq * q).fma(q, under * square);
+            if M::RECORD {
+                (root, inverse_r) = r_sq.sqrt_and_inverse();
             } else {
-                (mu, mu_sq) = (splat(step.mu), splat(step.mu_sq));
-                (under, over) = (splat(step.under), splat(step.over));
+                root = r_sq.sqrt();
             }
-            let root;
-            if UNIT {
-                (root, inverse_r) = (mu_sq * q).fma(q, under).sqrt_and_inverse();
-                gamma = mu * q - root;
-            } else {
-                let square = nx.fma(nx, ny.fma(ny, phi * phi));
-                let r_sq = (mu_sq * q).fma(q, under * square);
-                if M::RECORD {
-                    (root, inverse_r) = r_sq.sqrt_and_inverse();
-                } else {
-                    root = r_sq.sqrt();
-                }
-                gamma = over / mu.fma(q, root);
-            }
-            through = through.and_less(splat(0.0), root);
-            ray.l = mu.fma(ray.l, gamma * nx);
-            ray.m = mu.fma(ray.m, gamma * ny);
-            ray.n = gamma.fnma(phi, mu * ray.n);
+            gamma = over / mu.fma(q, root);
         }
-        let store = |v: Lanes<S>, array: &mut [f64; TILE]| v.store(array.as_mut_ptr().add(at));
-        store(ray.x, &mut to.x);
-        store(ray.y, &mut to.y);
-        store(ray.z, &mut to.z);
-        store(ray.l, &mut to.l);
-        store(ray.m, &mut to.m);
-        store(ray.n, &mut to.n);
-        if M::PATH {
-            let before = Lanes::<S>::load(from.path.as_ptr().add(at));
-            store(splat(step.surface.index_before).fma(ray.t, before), &mut to.path);
-        }
-        if M::RECORD {
-            let extra = &mut *run.extra;
-            store(ray.t, &mut to.t);
-            store(gamma, &mut extra.gamma);
-            store(inverse_r, &mut extra.inverse_r);
-            store(inverse_q, &mut extra.inverse_q);
-        }
-        let through = through.bits();
-        let fine = if PROVE { through & sound.bits() } else { through };
-        let bad = (*run.alive >> at) & !fine & lanes_mask(S::LANES);
-        if bad != 0 {
-            let found = if PROVE { found.bits() } else { 0 };
-            let known = Known { sound: sound.bits(), found, through, missed: missed.bits() };
-            mend::<M>(step, run, at, bad, known);
-        }
+        through = through.and_less(here.splat(0.0), root);
+        ray.l = mu.fma(ray.l, gamma * nx);
+        ray.m = mu.fma(ray.m, gamma * ny);
+        ray.n = gamma.fnma(phi, mu * ray.n);
+    }
+    here.store(ray.x, &mut run.to.x);
+    here.store(ray.y, &mut run.to.y);
+    here.store(ray.z, &mut run.to.z);
+    here.store(ray.l, &mut run.to.l);
+    here.store(ray.m, &mut run.to.m);
+    here.store(ray.n, &mut run.to.n);
+    if M::PATH {
+        let before = here.load(&run.from.path);
+        here.store(here.splat(step.surface.index_before).fma(ray.t, before), &mut run.to.path);
+    }
+    if M::RECORD {
+        here.store(ray.t, &mut run.to.t);
+        let extra = run.extra();
+        here.store(gamma, &mut extra.gamma);
+        here.store(inverse_r, &mut extra.inverse_r);
+        here.store(inverse_q, &mut extra.inverse_q);
+    }
+    let through = through.bits();
+    let fine = if PROVE { through & sound.bits() } else { through };
+    let bad = (*run.alive >> lane) & !fine & lanes_mask(S::Wide::LANES);
+    if bad != 0 {
+        let found = if PROVE { found.bits() } else { 0 };
+        let known = Known { sound: sound.bits(), found, through, missed: missed.bits() };
+        mend::<S, M>(simd, step, run, lane, bad, known);
     }
 }
 
@@ -261,85 +253,70 @@ const fn lanes_mask(lanes: usize) -> u64 {
 }
 
 /// A tile through a plane.
-///
-/// # Safety
-/// The processor must have the instruction set of `S`; the pointers of `run` must be valid and apart.
 #[inline(always)]
-pub(super) unsafe fn plane<S: Simd, M: Mode>(step: &Step, run: &Run) {
+pub(super) fn plane<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let mut at = 0;
-    while at < run.len {
+    for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        unsafe {
-            let (zero, one) = (Lanes::<S>::splat(0.0), Lanes::<S>::splat(1.0));
-            let mut ray = Near::<S>::load(step, &*run.from, at);
-            let inverse_q = one / ray.n;
-            ray.advance(-(ray.z * inverse_q));
-            ray.z = zero;
-            keep_flat::<S, M>(step, run, at, zero);
-            // Only light that goes on crosses a plane from before to behind.
-            let sound = zero.less(ray.n);
-            let missed = ray.n.less(zero);
-            let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, root: sound, missed };
-            finish::<S, M, true, false>(step, run, at, ray, met, step.limit_sq);
-        }
-        at += S::LANES;
+        let (zero, one) = (here.splat(0.0), here.splat(1.0));
+        let mut ray = Near::load(here, step, run.from);
+        let inverse_q = one / ray.n;
+        ray.advance(-(ray.z * inverse_q));
+        ray.z = zero;
+        keep_flat::<_, M>(here, step, run, zero);
+        // Only light that goes on crosses a plane from before to behind.
+        let sound = zero.less(ray.n);
+        let missed = ray.n.less(zero);
+        let met = Met { nx: zero, ny: zero, phi: one, q: ray.n, inverse_q, sound, root: sound, missed };
+        finish::<S, M, true, false>(simd, step, run, at, ray, met, step.limit_sq);
     }
 }
 
 /// The record of a conic whose cotangent has polynomial terms: `w = z`, no slope.
 #[inline(always)]
-unsafe fn keep_flat<S: Simd, M: Mode>(step: &Step, run: &Run, at: usize, w: Lanes<S>) {
+fn keep_flat<S: F64, M: Mode>(here: At<S>, step: &Step, run: &mut Run, w: Lanes<S>) {
     if M::RECORD && !step.surface.shape.asphere.is_empty() {
-        unsafe {
-            let extra = &mut *run.extra;
-            w.store(extra.w.as_mut_ptr().add(at));
-            Lanes::<S>::splat(0.0).store(extra.slope.as_mut_ptr().add(at));
-        }
+        let extra = run.extra();
+        here.store(w, &mut extra.w);
+        here.store(here.splat(0.0), &mut extra.slope);
     }
 }
 
 /// A tile through a sphere or a conic.
-///
-/// # Safety
-/// As [`plane`].
 #[inline(always)]
-pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, run: &Run) {
+pub(super) fn conic<S: Simd, M: Mode, const SPHERE: bool>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let mut at = 0;
-    while at < run.len {
+    for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        unsafe {
-            let splat = |value| Lanes::<S>::splat(value);
-            let (zero, c, v) = (splat(0.0), splat(step.c), splat(step.v));
-            let mut ray = Near::<S>::load(step, &*run.from, at);
-            // A s² − 2B s + C = 0 from the point nearest the vertex, where p·d = 0.
-            let (a, b, cc);
-            if SPHERE {
-                (a, b) = (c, ray.n);
-                cc = c.fma(ray.z.fma(ray.z, ray.rho()), splat(-2.0) * ray.z);
-            } else {
-                let excess = splat(step.excess);
-                a = excess.fma(ray.n * ray.n, c);
-                b = (excess * ray.z).fnma(ray.n, ray.n);
-                cc = c.fma(ray.rho(), v.fma(ray.z, splat(-2.0)) * ray.z);
-            }
-            let disc = a.fnma(cc, b * b);
-            let (q, inverse_q) = disc.sqrt_and_inverse();
-            ray.advance(cc / (b + q));
-            let phi = v.fnma(ray.z, splat(1.0));
-            keep_flat::<S, M>(step, run, at, ray.z);
-            // The crossing from before to behind on the sheet of the vertex; B < 0 is left to the plain trace.
-            let mut sound = zero.less(b).and_less(zero, phi);
-            let missed = zero.less(b).and_less(disc, zero);
-            if M::RECORD {
-                // A ray that touches has no derivative.
-                sound = sound.and_less(zero, q);
-            }
-            let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, root: sound, missed };
-            finish::<S, M, SPHERE, false>(step, run, at, ray, met, step.limit_sq);
+        let (zero, c, v) = (here.splat(0.0), here.splat(step.c), here.splat(step.v));
+        let mut ray = Near::load(here, step, run.from);
+        // A s² − 2B s + C = 0 from the point nearest the vertex, where p·d = 0.
+        let (a, b, cc);
+        if SPHERE {
+            (a, b) = (c, ray.n);
+            cc = c.fma(ray.z.fma(ray.z, ray.rho()), here.splat(-2.0) * ray.z);
+        } else {
+            let excess = here.splat(step.excess);
+            a = excess.fma(ray.n * ray.n, c);
+            b = (excess * ray.z).fnma(ray.n, ray.n);
+            cc = c.fma(ray.rho(), v.fma(ray.z, here.splat(-2.0)) * ray.z);
         }
-        at += S::LANES;
+        let disc = a.fnma(cc, b * b);
+        let (q, inverse_q) = disc.sqrt_and_inverse();
+        ray.advance(cc / (b + q));
+        let phi = v.fnma(ray.z, here.splat(1.0));
+        keep_flat::<_, M>(here, step, run, ray.z);
+        // The crossing from before to behind on the sheet of the vertex; B < 0 is left to the plain trace.
+        let mut sound = zero.less(b).and_less(zero, phi);
+        let missed = zero.less(b).and_less(disc, zero);
+        if M::RECORD {
+            // A ray that touches has no derivative.
+            sound = sound.and_less(zero, q);
+        }
+        let met = Met { nx: c * ray.x, ny: c * ray.y, phi, q, inverse_q, sound, root: sound, missed };
+        finish::<S, M, SPHERE, false>(simd, step, run, at, ray, met, step.limit_sq);
     }
 }
 
@@ -347,89 +324,81 @@ pub(super) unsafe fn conic<S: Simd, M: Mode, const SPHERE: bool>(step: &Step, ru
 const ITERATIONS: u32 = 8;
 
 /// A tile through a conic with `N` even terms.
-///
-/// # Safety
-/// As [`plane`].
 #[inline(always)]
-pub(super) unsafe fn even<S: Simd, M: Mode, const N: usize>(step: &Step, run: &Run) {
+pub(super) fn even<S: Simd, M: Mode, const N: usize>(simd: S, step: &Step, run: &mut Run) {
     AlignedFrame::hold();
-    let mut at = 0;
-    while at < run.len {
+    for at in vectors::<S::Wide>(run.len) {
+        let here = At { simd: simd.wide(), at };
         let step = fresh(step);
-        unsafe {
-            let splat = |value| Lanes::<S>::splat(value);
-            let mut ray = Near::<S>::load(step, &*run.from, at);
-            // The start: near enough, so rough roots and inverses will do.
-            let [u, s, excess] = step.start;
-            let b = (splat(excess) * ray.z).fnma(ray.n, ray.n);
-            let cc = splat(u).fma(ray.rho(), splat(s).fma(ray.z, splat(-2.0)) * ray.z);
-            let a = splat(excess).fma(ray.n * ray.n, splat(u));
-            let disc = a.fnma(cc, b * b).max(splat(f64::MIN_POSITIVE));
-            ray.advance(cc * disc.fma(disc.rough_inverse_sqrt(), b).rough_inverse());
-            let dead = !*run.alive >> at;
-            let full = lanes_mask(S::LANES);
-            let mut rounds = 0;
-            let (mut w, mut slope, mut a, mut dot, mut q, mut g, mut phi, mut done, mut rho);
-            loop {
-                rho = ray.rho();
-                let mut p = splat(step.terms[N - 1]);
-                slope = splat(step.terms1[N - 1]);
-                for i in (0..N - 1).rev() {
-                    p = p.fma(rho, splat(step.terms[i]));
-                    slope = slope.fma(rho, splat(step.terms1[i]));
-                }
-                w = rho.fnma(p, ray.z);
-                phi = splat(step.v).fnma(w, splat(1.0));
-                g = splat(step.half_v).fma(w, splat(-1.0)).fma(w, splat(step.half_c) * rho);
-                a = slope.fma(phi, splat(step.c));
-                dot = ray.x.fma(ray.l, ray.y * ray.m);
-                q = a.fnma(dot, phi * ray.n);
-                let forth = g * q.rough_inverse();
-                done = forth.abs().at_most(splat(step.small));
-                if (done.bits() | dead) & full == full || rounds == ITERATIONS {
-                    break;
-                }
-                // Lanes that are done stay where they are, whatever their neighbours need.
-                ray.advance(forth.zero_where(done));
-                rounds += 1;
+        let mut ray = Near::load(here, step, run.from);
+        // The start: near enough, so rough roots and inverses will do.
+        let [u, s, excess] = step.start;
+        let b = (here.splat(excess) * ray.z).fnma(ray.n, ray.n);
+        let cc = here.splat(u).fma(ray.rho(), here.splat(s).fma(ray.z, here.splat(-2.0)) * ray.z);
+        let a = here.splat(excess).fma(ray.n * ray.n, here.splat(u));
+        let disc = a.fnma(cc, b * b).max(here.splat(f64::MIN_POSITIVE));
+        ray.advance(cc * disc.fma(disc.rough_inverse_sqrt(), b).rough_inverse());
+        let dead = !*run.alive >> (at * S::Wide::LANES);
+        let full = lanes_mask(S::Wide::LANES);
+        let mut rounds = 0;
+        let (mut w, mut slope, mut a, mut dot, mut q, mut g, mut phi, mut done, mut rho);
+        loop {
+            rho = ray.rho();
+            let mut p = here.splat(step.terms[N - 1]);
+            slope = here.splat(step.terms1[N - 1]);
+            for i in (0..N - 1).rev() {
+                p = p.fma(rho, here.splat(step.terms[i]));
+                slope = slope.fma(rho, here.splat(step.terms1[i]));
             }
-            // The last step is small: everything follows it to first order.
-            let rough = q.rough_inverse();
-            let forth = g * (rough * q.fnma(rough, splat(2.0)));
-            let mut bend = splat(step.terms2[N - 1]);
-            for i in (1..N - 1).rev() {
-                bend = bend.fma(rho, splat(step.terms2[i]));
-            }
-            ray.advance(forth);
-            let half_d_rho = dot * forth;
-            w = slope.fnma(half_d_rho, forth.fma(ray.n, w));
-            slope = bend.fma(half_d_rho + half_d_rho, slope);
-            phi = splat(step.v).fnma(w, splat(1.0));
-            a = slope.fma(phi, splat(step.c));
-            let sideways = ray.l.fma(ray.l, ray.m * ray.m);
-            dot = forth.fma(sideways, dot);
+            w = rho.fnma(p, ray.z);
+            phi = here.splat(step.v).fnma(w, here.splat(1.0));
+            g = here.splat(step.half_v).fma(w, here.splat(-1.0)).fma(w, here.splat(step.half_c) * rho);
+            a = slope.fma(phi, here.splat(step.c));
+            dot = ray.x.fma(ray.l, ray.y * ray.m);
             q = a.fnma(dot, phi * ray.n);
-            // On the vertex's sheet, and certainly the only root in the cylinder.
-            let root = done.and_less(splat(0.0), phi).and_less(splat(0.0), ray.n);
-            let mut sound = root
-                .and_less(splat(step.steepest_sq) * sideways, ray.n * ray.n)
-                .and_at_most(ray.rho(), splat(step.domain_sq));
-            if step.from_within {
-                let load = |array: &[f64; TILE]| Lanes::<S>::load(array.as_ptr().add(at));
-                let (x, y) = (load(&(*run.from).x), load(&(*run.from).y));
-                sound = sound.and_at_most(x.fma(x, y * y), splat(step.domain_sq));
+            let forth = g * q.rough_inverse();
+            done = forth.abs().at_most(here.splat(step.small));
+            if (done.bits() | dead) & full == full || rounds == ITERATIONS {
+                break;
             }
-            let mut inverse_q = splat(0.0);
-            if M::RECORD {
-                inverse_q = splat(1.0) / q;
-                let extra = &mut *run.extra;
-                w.store(extra.w.as_mut_ptr().add(at));
-                slope.store(extra.slope.as_mut_ptr().add(at));
-            }
-            let missed = splat(1.0).less(splat(0.0));
-            let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, root, missed };
-            finish::<S, M, false, true>(step, run, at, ray, met, step.limit_sq);
+            // Lanes that are done stay where they are, whatever their neighbours need.
+            ray.advance(forth.zero_where(done));
+            rounds += 1;
         }
-        at += S::LANES;
+        // The last step is small: everything follows it to first order.
+        let rough = q.rough_inverse();
+        let forth = g * (rough * q.fnma(rough, here.splat(2.0)));
+        let mut bend = here.splat(step.terms2[N - 1]);
+        for i in (1..N - 1).rev() {
+            bend = bend.fma(rho, here.splat(step.terms2[i]));
+        }
+        ray.advance(forth);
+        let half_d_rho = dot * forth;
+        w = slope.fnma(half_d_rho, forth.fma(ray.n, w));
+        slope = bend.fma(half_d_rho + half_d_rho, slope);
+        phi = here.splat(step.v).fnma(w, here.splat(1.0));
+        a = slope.fma(phi, here.splat(step.c));
+        let sideways = ray.l.fma(ray.l, ray.m * ray.m);
+        dot = forth.fma(sideways, dot);
+        q = a.fnma(dot, phi * ray.n);
+        // On the vertex's sheet, and certainly the only root in the cylinder.
+        let root = done.and_less(here.splat(0.0), phi).and_less(here.splat(0.0), ray.n);
+        let mut sound = root
+            .and_less(here.splat(step.steepest_sq) * sideways, ray.n * ray.n)
+            .and_at_most(ray.rho(), here.splat(step.domain_sq));
+        if step.from_within {
+            let (x, y) = (here.load(&run.from.x), here.load(&run.from.y));
+            sound = sound.and_at_most(x.fma(x, y * y), here.splat(step.domain_sq));
+        }
+        let mut inverse_q = here.splat(0.0);
+        if M::RECORD {
+            inverse_q = here.splat(1.0) / q;
+            let extra = run.extra();
+            here.store(w, &mut extra.w);
+            here.store(slope, &mut extra.slope);
+        }
+        let missed = here.splat(1.0).less(here.splat(0.0));
+        let met = Met { nx: a * ray.x, ny: a * ray.y, phi, q, inverse_q, sound, root, missed };
+        finish::<S, M, false, true>(simd, step, run, at, ray, met, step.limit_sq);
     }
 }

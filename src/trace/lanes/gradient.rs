@@ -1,14 +1,15 @@
 //! Many rays and their cotangents: forward and back, tile by tile, in memory that does not grow with the rays.
-#![allow(unsafe_code, reason = "calls the kernels; `Level` says that the processor has their instruction set")]
 
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
 use super::adjoint::{Back, Sums};
 use super::batch::groups;
-use super::forward::{Extra, Run};
+use super::dispatch;
+use super::forward::{Extra, Recorded, Run};
 use super::program::{Options, Program, Step};
 use super::tile::{Bundle, TILE, Tile};
+use crate::math::simd::{Kernel, Simd};
 use crate::trace::sequential::{HitBar, trace, trace_vjp};
 use crate::trace::{System, SystemGradient};
 
@@ -32,7 +33,7 @@ pub fn trace_gradient(
     landing: impl Fn(usize, &Tile, &mut Bundle) -> f64 + Sync,
     launch: Option<LaunchBars<'_>>,
 ) -> (f64, SystemGradient) {
-    let recorded = Program::recorded(system, options);
+    let recorded = Program::new(system, options);
     let in_lanes = recorded.in_lanes() == recorded.steps.len();
     let plain = Program::new(system, Options { path: true, ..options });
     let parts: Vec<(f64, SystemGradient)> = groups(count)
@@ -108,36 +109,59 @@ impl Program {
     fn forward_recorded(&self, tile: &mut Tile, record: &mut Record) {
         tile.start();
         std::mem::swap(&mut tile.rays, &mut record.rays[0]);
-        for (i, (step, extra)) in self.steps.iter().zip(&mut record.extras).enumerate() {
-            let run = Run {
-                from: &raw mut *record.rays[i],
-                to: &raw mut *record.rays[i + 1],
-                extra,
-                colour: tile.colour.as_ptr(),
-                alive: &raw mut tile.alive,
-                status: tile.status.as_mut_ptr(),
-                len: tile.len,
-            };
-            // SAFETY: every bundle is a box of its own; the level was detected.
-            unsafe { (step.forward)(step, &run) };
-        }
+        self.level.run(There(self, tile, record));
         std::mem::swap(&mut tile.rays, &mut record.rays[self.steps.len()]);
         tile.settle();
     }
 
     /// Pulls `record.bars` from behind the last surface back to the launch rays, adding to the sums.
     fn back(&self, len: usize, record: &mut Record) {
-        for (i, step) in self.steps.iter().enumerate().rev() {
-            let back = Back {
-                before: &raw const *record.rays[i],
-                after: &raw const *record.rays[i + 1],
-                extra: &raw const record.extras[i],
-                bars: &raw mut *record.bars,
-                sums: &raw mut record.sums[i],
+        self.level.run(Home(self, len, record));
+    }
+}
+
+/// A tile through all surfaces, with their records.
+struct There<'a>(&'a Program, &'a mut Tile, &'a mut Record);
+
+impl Kernel for There<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self(program, tile, record) = self;
+        for (i, (step, extra)) in program.steps.iter().zip(&mut record.extras).enumerate() {
+            let (before, after) = record.rays.split_at_mut(i + 1);
+            let mut run = Run {
+                from: &mut before[i],
+                to: &mut after[0],
+                extra: Some(extra),
+                colour: &tile.colour,
+                alive: &mut tile.alive,
+                status: &mut tile.status,
+                len: tile.len,
+            };
+            dispatch::forward::<S, Recorded>(simd, step, &mut run);
+        }
+    }
+}
+
+/// A tile's cotangents back through all surfaces.
+struct Home<'a>(&'a Program, usize, &'a mut Record);
+
+impl Kernel for Home<'_> {
+    type Output = ();
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        let Self(program, len, record) = self;
+        for (i, step) in program.steps.iter().enumerate().rev() {
+            let mut back = Back {
+                before: &record.rays[i],
+                after: &record.rays[i + 1],
+                extra: &record.extras[i],
+                bars: &mut record.bars,
+                sums: &mut record.sums[i],
                 len,
             };
-            // SAFETY: all of them are different allocations or elements; the level was detected.
-            unsafe { (step.adjoint)(step, &back) };
+            dispatch::back(simd, step, &mut back);
         }
     }
 }

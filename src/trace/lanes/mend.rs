@@ -1,11 +1,12 @@
 //! Rays that lanes cannot be certain of: proved to be right after all, or one by one through the plain trace.
-#![allow(unsafe_code, reason = "raw pointers into a tile; see each Safety note")]
 
 use glam::DVec3;
 
+use super::dispatch;
 use super::forward::{Mode, Run};
 use super::program::Step;
 use super::tile::AXIAL;
+use crate::math::simd::Simd;
 use crate::trace::intersect::{Intersection, gradient, intersect};
 use crate::trace::refract::refract;
 use crate::trace::{Cause, Failure, Ray};
@@ -25,32 +26,28 @@ pub(super) struct Known {
 
 /// Lanes `at + i` for every bit `i` of `bad`: the cause where it is known, the plain trace where it is not.
 ///
-/// # Safety
-/// The pointers of `run` must be valid; `from` must still hold the rays before the surface.
+/// `from` must still hold the rays before the surface.
 #[cold]
 #[inline(never)]
-pub(super) unsafe fn mend<M: Mode>(step: &Step, run: &Run, at: usize, bad: u64, known: Known) {
-    // SAFETY: the level was detected; the kernel has stored its lanes.
-    let proved = if step.bends.is_some() { unsafe { (step.prove)(step, run, at, bad & known.found) } } else { 0 };
+pub(super) fn mend<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run, at: usize, bad: u64, known: Known) {
+    let proved = if step.bends.is_some() { dispatch::prove(simd, step, run, at, bad & known.found) } else { 0 };
     let mut left = bad & !(proved & known.through);
     while left != 0 {
         let i = left.trailing_zeros() as usize;
         left &= left - 1;
-        unsafe {
-            let (x, y) = ((*run.to).x[at + i], (*run.to).y[at + i]);
-            let rho = x * x + y * y;
-            let sound = (known.sound >> i) & 1 == 1 && rho <= step.domain_sq && rho.is_finite();
-            let met = sound || (proved >> i) & 1 == 1;
-            if (known.missed >> i) & 1 == 1 {
-                fail::<M>(step, run, at + i, Cause::Missed);
-            } else if met && beyond(rho, step) {
-                fail::<M>(step, run, at + i, Cause::Vignetted);
-            } else if met {
-                // It lies within the aperture: what is left is the root of Snell's law.
-                fail::<M>(step, run, at + i, Cause::TotalReflection);
-            } else {
-                one_ray::<M>(step, run, at + i);
-            }
+        let (x, y) = (run.to.x[at + i], run.to.y[at + i]);
+        let rho = x * x + y * y;
+        let sound = (known.sound >> i) & 1 == 1 && rho <= step.domain_sq && rho.is_finite();
+        let met = sound || (proved >> i) & 1 == 1;
+        if (known.missed >> i) & 1 == 1 {
+            fail::<M>(step, run, at + i, Cause::Missed);
+        } else if met && beyond(rho, step) {
+            fail::<M>(step, run, at + i, Cause::Vignetted);
+        } else if met {
+            // It lies within the aperture: what is left is the root of Snell's law.
+            fail::<M>(step, run, at + i, Cause::TotalReflection);
+        } else {
+            one_ray::<M>(step, run, at + i);
         }
     }
 }
@@ -61,38 +58,30 @@ fn beyond(rho: f64, step: &Step) -> bool {
 }
 
 /// A surface that is not for lanes: every living ray through the plain trace.
-///
-/// # Safety
-/// The pointers of `run` must be valid and apart.
-pub(super) unsafe fn one_by_one<M: Mode>(step: &Step, run: &Run) {
+pub(super) fn one_by_one<M: Mode>(step: &Step, run: &mut Run) {
     for lane in 0..run.len {
-        unsafe {
-            if (*run.alive >> lane) & 1 == 1 {
-                one_ray::<M>(step, run, lane);
-            } else {
-                (*run.to).set(lane, AXIAL);
-            }
+        if (*run.alive >> lane) & 1 == 1 {
+            one_ray::<M>(step, run, lane);
+        } else {
+            run.to.set(lane, AXIAL);
         }
     }
 }
 
-unsafe fn one_ray<M: Mode>(step: &Step, run: &Run, lane: usize) {
-    unsafe {
-        let mu = if M::SPECTRAL { step.ratios[*run.colour.add(lane) as usize] } else { step.mu };
-        match through(step, mu, (*run.from).ray(lane)) {
-            Err(cause) => fail::<M>(step, run, lane, cause),
-            Ok((at, incoming, ray)) => {
-                let to = &mut *run.to;
-                to.set(lane, ray);
-                if M::PATH {
-                    to.path[lane] = (*run.from).path[lane] + step.surface.index_before * at.t;
-                }
-                if M::RECORD {
-                    record(step, run, lane, &at, incoming);
-                    if !(*run.extra).is_finite(lane) {
-                        // The ray touches the surface: it has no derivative.
-                        fail::<M>(step, run, lane, Cause::Missed);
-                    }
+fn one_ray<M: Mode>(step: &Step, run: &mut Run, lane: usize) {
+    let mu = if M::SPECTRAL { step.ratios[run.colour[lane] as usize] } else { step.mu };
+    match through(step, mu, run.from.ray(lane)) {
+        Err(cause) => fail::<M>(step, run, lane, cause),
+        Ok((at, incoming, ray)) => {
+            run.to.set(lane, ray);
+            if M::PATH {
+                run.to.path[lane] = run.from.path[lane] + step.surface.index_before * at.t;
+            }
+            if M::RECORD {
+                record(step, run, lane, &at, incoming);
+                if !run.extra().is_finite(lane) {
+                    // The ray touches the surface: it has no derivative.
+                    fail::<M>(step, run, lane, Cause::Missed);
                 }
             }
         }
@@ -130,7 +119,7 @@ fn through(step: &Step, mu: f64, ray: Ray) -> Result<(Intersection, DVec3, Ray),
 }
 
 /// Writes what the adjoint needs of a ray that the plain trace took through a surface with even terms.
-unsafe fn record(step: &Step, run: &Run, lane: usize, at: &Intersection, incoming: DVec3) {
+fn record(step: &Step, run: &mut Run, lane: usize, at: &Intersection, incoming: DVec3) {
     let (x, y, phi) = (at.point.x, at.point.y, at.local.sag.phi);
     let rho = x * x + y * y;
     let slope = step.terms1.iter().rev().fold(0.0, |sum, a| sum * rho + a);
@@ -139,15 +128,13 @@ unsafe fn record(step: &Step, run: &Run, lane: usize, at: &Intersection, incomin
     let q = -normal.dot(incoming);
     let mu = step.mu;
     let root = (step.mu_sq * q * q + step.under * normal.length_squared()).sqrt();
-    unsafe {
-        (*run.to).t[lane] = at.t;
-        let extra = &mut *run.extra;
-        extra.gamma[lane] = if step.refracts { step.over / (mu * q + root) } else { 0.0 };
-        extra.inverse_r[lane] = if step.refracts { 1.0 / root } else { 0.0 };
-        extra.inverse_q[lane] = 1.0 / q;
-        extra.w[lane] = at.local.sag.conic_h;
-        extra.slope[lane] = slope;
-    }
+    run.to.t[lane] = at.t;
+    let extra = run.extra();
+    extra.gamma[lane] = if step.refracts { step.over / (mu * q + root) } else { 0.0 };
+    extra.inverse_r[lane] = if step.refracts { 1.0 / root } else { 0.0 };
+    extra.inverse_q[lane] = 1.0 / q;
+    extra.w[lane] = at.local.sag.conic_h;
+    extra.slope[lane] = slope;
 }
 
 impl super::forward::Extra {
@@ -163,21 +150,18 @@ impl super::forward::Extra {
 }
 
 /// Notes the failure and leaves finite placeholders on both sides of the surface.
-unsafe fn fail<M: Mode>(step: &Step, run: &Run, lane: usize, cause: Cause) {
-    unsafe {
-        *run.alive &= !(1 << lane);
-        *run.status.add(lane) = Some(Failure { cause, surface: step.index });
-        let (from, to) = (&mut *run.from, &mut *run.to);
-        if !from.is_finite(lane) {
-            from.set(lane, AXIAL);
-        }
-        to.set(lane, AXIAL);
-        if M::PATH {
-            to.path[lane] = 0.0;
-        }
-        if M::RECORD {
-            to.t[lane] = 0.0;
-            (*run.extra).clear(lane);
-        }
+fn fail<M: Mode>(step: &Step, run: &mut Run, lane: usize, cause: Cause) {
+    *run.alive &= !(1 << lane);
+    run.status[lane] = Some(Failure { cause, surface: step.index });
+    if !run.from.is_finite(lane) {
+        run.from.set(lane, AXIAL);
+    }
+    run.to.set(lane, AXIAL);
+    if M::PATH {
+        run.to.path[lane] = 0.0;
+    }
+    if M::RECORD {
+        run.to.t[lane] = 0.0;
+        run.extra().clear(lane);
     }
 }

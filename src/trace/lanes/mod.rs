@@ -15,15 +15,13 @@ mod gradient;
 mod mend;
 mod program;
 mod prove;
-mod simd;
 #[cfg(test)]
 mod tests;
 mod tile;
-#[cfg(target_arch = "x86_64")]
-mod x86;
+mod vector;
 
+pub use crate::math::simd::Level;
 pub use batch::{GROUPS, trace_batch};
-pub use dispatch::Level;
 pub use gradient::{LaunchBars, trace_gradient};
 pub use program::{Options, Program, index_ratios};
 pub use tile::{Bundle, Rays, Status, TILE, Tile};

@@ -1,10 +1,9 @@
 //! A list of surfaces made ready for lanes: the constants of every surface, and the code that runs it.
 
-use super::dispatch::{self, Adjoint, Forward, Level, Prove};
-use super::forward::{Lean, Recorded, Spectral, WithPath};
 use super::prove::Bends;
 use crate::error::{Error, Result};
 use crate::lens::Shape;
+use crate::math::simd::Level;
 use crate::trace::System;
 use crate::trace::system::TraceSurface;
 
@@ -78,6 +77,8 @@ pub(super) struct Step {
     pub(super) ratios: Vec<f64>,
     /// Clear semi-diameter squared, mm²; infinite where rays are not clipped.
     pub(super) clip_sq: f64,
+    /// Number of even terms.
+    pub(super) count: usize,
     /// Even terms, padded with zeros: `a_i`, `2(i+1) a_i`, `2(i+1) i a_i`: of `P`, of `2P′`, of `2P″`.
     pub(super) terms: [f64; TERMS],
     pub(super) terms1: [f64; TERMS],
@@ -95,9 +96,6 @@ pub(super) struct Step {
     pub(super) small: f64,
     /// Of surfaces with terms: what proves roots that slopes do not.
     pub(super) bends: Option<Box<Bends>>,
-    pub(super) forward: Forward,
-    pub(super) prove: Prove,
-    pub(super) adjoint: Adjoint,
 }
 
 /// A list of surfaces, ready to be traced by lanes.
@@ -107,6 +105,8 @@ pub struct Program {
     pub(super) level: Level,
     /// Number of wavelengths; 0 for the one of the surfaces.
     pub(super) colours: u32,
+    /// Whether optical paths are kept.
+    pub(super) path: bool,
 }
 
 impl Program {
@@ -117,9 +117,7 @@ impl Program {
 
     /// A list of surfaces; the first one's `distance` counts from the frame of the launched rays.
     pub fn of(surfaces: &[TraceSurface], options: Options) -> Self {
-        let level = Level::at_most(options.level);
-        let forward = if options.path { dispatch::forward::<WithPath> } else { dispatch::forward::<Lean> };
-        Self::build(surfaces, options, level, |_| Vec::new(), forward)
+        Self::build(surfaces, options, |_| Vec::new())
     }
 
     /// The same for rays of several wavelengths: `ratios` holds `n/n'` of every surface, wavelength after wavelength.
@@ -134,32 +132,12 @@ impl Program {
             return Err(Error::bad("", "spectral trace", found, "whole wavelengths, at least one, and no paths"));
         }
         let of_surface = |i: usize| ratios.iter().skip(i).step_by(count).copied().collect();
-        let level = Level::at_most(options.level);
-        let mut program = Self::build(surfaces, options, level, of_surface, dispatch::forward::<Spectral>);
-        program.colours = colours as u32;
-        Ok(program)
+        Ok(Self { colours: colours as u32, ..Self::build(surfaces, options, of_surface) })
     }
 
-    /// The form that keeps what the adjoint needs.
-    pub(super) fn recorded(system: &System, options: Options) -> Self {
-        let level = Level::at_most(options.level);
-        Self::build(&system.surfaces, options, level, |_| Vec::new(), dispatch::forward::<Recorded>)
-    }
-
-    fn build(
-        surfaces: &[TraceSurface],
-        options: Options,
-        level: Level,
-        ratios: impl Fn(usize) -> Vec<f64>,
-        forward: impl Fn(Level, Kind, usize) -> Forward,
-    ) -> Self {
-        let steps = surfaces.iter().enumerate().map(|(i, s)| {
-            let kind = Kind::of(s);
-            let terms = s.shape.asphere.len();
-            let code = (forward(level, kind, terms), dispatch::prove(level, terms), dispatch::adjoint(level, terms));
-            Step::new(s, i, kind, ratios(i), options.clip, code)
-        });
-        Self { steps: steps.collect(), level, colours: 0 }
+    fn build(surfaces: &[TraceSurface], options: Options, ratios: impl Fn(usize) -> Vec<f64>) -> Self {
+        let steps = surfaces.iter().enumerate().map(|(i, s)| Step::new(s, i, Kind::of(s), ratios(i), options.clip));
+        Self { steps: steps.collect(), level: Level::at_most(options.level), colours: 0, path: options.path }
     }
 
     /// The instruction set that runs.
@@ -174,14 +152,7 @@ impl Program {
 }
 
 impl Step {
-    fn new(
-        surface: &TraceSurface,
-        index: usize,
-        kind: Kind,
-        ratios: Vec<f64>,
-        clip: bool,
-        (forward, prove, adjoint): (Forward, Prove, Adjoint),
-    ) -> Self {
+    fn new(surface: &TraceSurface, index: usize, kind: Kind, ratios: Vec<f64>, clip: bool) -> Self {
         let shape = &surface.shape;
         let equal = surface.index_before == surface.index_after;
         let mu = if equal { 1.0 } else { surface.index_before / surface.index_after };
@@ -213,6 +184,7 @@ impl Step {
             refracts,
             ratios,
             clip_sq,
+            count: shape.asphere.len(),
             terms,
             terms1,
             terms2,
@@ -223,9 +195,6 @@ impl Step {
             from_within: within,
             small: SMALL * surface.domain,
             bends: if kind == Kind::Even { Bends::new(shape, surface.domain).map(Box::new) } else { None },
-            forward,
-            prove,
-            adjoint,
         }
     }
 }

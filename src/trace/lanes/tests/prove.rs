@@ -2,10 +2,13 @@
 
 use glam::DVec3;
 
-use super::super::forward::{Extra, Run};
+use super::super::dispatch;
+use super::super::forward::Run;
+use super::super::program::Step;
 use super::super::{Level, Options, Program, Rays, TILE, Tile};
 use super::compare;
 use crate::lens::{Shape, builtin};
+use crate::math::simd::{Kernel, Simd};
 use crate::testing::between;
 use crate::trace::first_root::crossings;
 use crate::trace::intersect::intersect;
@@ -27,6 +30,20 @@ fn ray(rng: &mut fastrand::Rng) -> Ray {
     Ray { origin: from, direction: (to - from).normalize() }
 }
 
+struct Prove<'a> {
+    step: &'a Step,
+    run: Run<'a>,
+    asked: u64,
+}
+
+impl Kernel for Prove<'_> {
+    type Output = u64;
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> u64 {
+        dispatch::prove(simd, self.step, &self.run, 0, self.asked)
+    }
+}
+
 /// Of crossings `t` of each ray with the first surface of `program`: which are proved.
 fn proved(program: &Program, all: &[(Ray, f64)]) -> Vec<bool> {
     let step = &program.steps[0];
@@ -38,19 +55,17 @@ fn proved(program: &Program, all: &[(Ray, f64)]) -> Vec<bool> {
             let point = ray.origin + *t * ray.direction - step.surface.distance * DVec3::Z;
             after.rays.set(lane, Ray { origin: point, direction: ray.direction });
         }
+        let asked = u64::MAX >> (TILE - part.len());
         let run = Run {
-            from: &raw mut *before.rays,
-            to: &raw mut *after.rays,
-            extra: std::ptr::null_mut::<Extra>(),
-            colour: before.colour.as_ptr(),
-            alive: &raw mut before.alive,
-            status: before.status.as_mut_ptr(),
+            from: &mut before.rays,
+            to: &mut after.rays,
+            extra: None,
+            colour: &before.colour,
+            alive: &mut before.alive,
+            status: &mut before.status,
             len: part.len(),
         };
-        let asked = u64::MAX >> (TILE - part.len());
-        #[expect(unsafe_code, reason = "calls a kernel")]
-        // SAFETY: the level was detected; the bundles belong to two tiles.
-        let bits = unsafe { (step.prove)(step, &run, 0, asked) };
+        let bits = program.level.run(Prove { step, run, asked });
         assert_eq!(bits & !asked, 0);
         found.extend((0..part.len()).map(|lane| (bits >> lane) & 1 == 1));
     }
