@@ -192,13 +192,13 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     }
     let aperture = match &parsed.aperture {
         FileAperture { entrance_pupil_diameter_mm: Some(d), f_number: None, stop_semi_diameter_mm: None } => {
-            Aperture::EntrancePupilDiameter(positive(*d, "aperture.entrance_pupil_diameter_mm", file)?)
+            Aperture::EntrancePupilDiameter(size(*d, "aperture.entrance_pupil_diameter_mm", file)?)
         }
         FileAperture { entrance_pupil_diameter_mm: None, f_number: Some(f), stop_semi_diameter_mm: None } => {
             Aperture::FNumber(positive(*f, "aperture.f_number", file)?)
         }
         FileAperture { entrance_pupil_diameter_mm: None, f_number: None, stop_semi_diameter_mm: Some(r) } => {
-            Aperture::StopSemiDiameter(positive(*r, "aperture.stop_semi_diameter_mm", file)?)
+            Aperture::StopSemiDiameter(size(*r, "aperture.stop_semi_diameter_mm", file)?)
         }
         _ => {
             return Err(refuse(
@@ -268,6 +268,11 @@ fn positive(x: f64, place: &str, file: &str) -> Result<f64> {
     if x.is_finite() && x > 0.0 { Ok(x) } else { Err(Error::bad(file, place, x.to_string(), "a positive number")) }
 }
 
+/// A length from a nanometre to a kilometre: squares and fourth powers of such lengths and of their inverses are numbers.
+fn size(x: f64, place: &str, file: &str) -> Result<f64> {
+    if (1e-6..=1e6).contains(&x) { Ok(x) } else { Err(Error::bad(file, place, x.to_string(), "1e-6 to 1e6 mm")) }
+}
+
 fn read_wavelengths(w: FileWavelengths, file: &str) -> Result<Wavelengths> {
     if w.nm.is_empty() || w.nm.len() != w.weights.len() {
         let found = format!("{} wavelengths, {} weights", w.nm.len(), w.weights.len());
@@ -318,7 +323,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
         return Err(refuse("conic", s.conic.to_string(), "a finite number"));
     }
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
-    let semi_diameter = positive(s.semi_diameter_mm, &place("semi_diameter_mm"), file)?;
+    let semi_diameter = size(s.semi_diameter_mm, &place("semi_diameter_mm"), file)?;
     if semi_diameter >= shape.reach() {
         let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
         return Err(refuse("semi_diameter_mm", semi_diameter.to_string(), &allowed));

@@ -327,6 +327,9 @@ fn across(c: &[f64], [mut a, mut b]: [f64; 2], [(va, mut da), (vb, mut db)]: [(f
     for _ in 0..30 {
         let y = (a - da * (b - a) / (db - da)).clamp(a, b);
         let (v, d) = series(c, y);
+        if !(v.is_finite() && d.is_finite()) {
+            return None;
+        }
         if (v > 0.0) != (va > 0.0) {
             return Some((y, v));
         }

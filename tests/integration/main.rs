@@ -13,6 +13,8 @@ mod one_way;
 mod parity;
 mod picture;
 mod prescriptions;
+#[cfg(unix)]
+mod random_lenses;
 mod renderers;
 mod skips;
 mod stiff;

@@ -53,18 +53,26 @@ impl Workplace {
 
     /// The same with `input` on stdin.
     pub(crate) fn run_with_input(&self, arguments: &str, input: &str) -> Ran {
-        let mut child = self
-            .command(arguments)
-            .stdin(Stdio::piped())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::piped())
-            .spawn()
-            .expect("starts");
+        Self::finish(self.command(arguments), input)
+    }
+
+    /// The same under limits: seconds of processor time, KiB of addresses. A run that is ended by them has the exit code −1.
+    pub(crate) fn run_limited(&self, arguments: &str, seconds: u32, kib: u32) -> Ran {
+        let limits = format!("ulimit -t {seconds} -v {kib}; exec \"$0\" \"$@\"");
+        let mut command = Command::new("sh");
+        command.arg("-c").arg(limits).arg(env!("CARGO_BIN_EXE_isoplanat"));
+        command.args(arguments.split_whitespace()).current_dir(self.folder.path());
+        Self::finish(command, "")
+    }
+
+    fn finish(mut command: Command, input: &str) -> Ran {
+        let mut child =
+            command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
         // A program that does not read its input may have left already.
         let _ = child.stdin.take().expect("piped").write_all(input.as_bytes());
         let output = child.wait_with_output().expect("ends");
         Ran {
-            code: output.status.code().expect("no signal"),
+            code: output.status.code().unwrap_or(-1),
             out: String::from_utf8(output.stdout).expect("UTF-8"),
             err: String::from_utf8(output.stderr).expect("UTF-8"),
         }
