@@ -213,8 +213,8 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
         return Err(refuse("surface", format!("{} surfaces with stop = true", stops.len()), "exactly one"));
     };
     let distance = parsed.object.distance_mm;
-    if distance.is_nan() || distance <= 0.0 {
-        return Err(refuse("object.distance_mm", distance.to_string(), "a positive distance, or inf"));
+    if distance.is_nan() || distance < 1e-6 {
+        return Err(refuse("object.distance_mm", distance.to_string(), "a positive distance from 1e-6 mm on, or inf"));
     }
     let angle = parsed.field.max_angle_deg;
     if !(0.0..=MAX_FIELD_DEG).contains(&angle) {
@@ -319,8 +319,8 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
     let zernike = s.zernike.map(|z| freeform::zernike(z, &place("zernike"), file)).transpose()?;
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let pose = freeform::pose(s.tilt_deg, s.decentre_mm, &place("tilt_deg, decentre_mm"), file)?;
-    if !s.conic.is_finite() {
-        return Err(refuse("conic", s.conic.to_string(), "a finite number"));
+    if !(s.conic.abs() <= 1e9) {
+        return Err(refuse("conic", s.conic.to_string(), "-1e9 to 1e9"));
     }
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let semi_diameter = size(s.semi_diameter_mm, &place("semi_diameter_mm"), file)?;
@@ -328,8 +328,8 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
         let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
         return Err(refuse("semi_diameter_mm", semi_diameter.to_string(), &allowed));
     }
-    if !s.thickness_mm.is_finite() || s.thickness_mm < 0.0 {
-        return Err(refuse("thickness_mm", s.thickness_mm.to_string(), "not negative"));
+    if !(0.0..=1e6).contains(&s.thickness_mm) {
+        return Err(refuse("thickness_mm", s.thickness_mm.to_string(), "not negative, at most 1e6 mm"));
     }
     freeform::require_moderate(&shape, semi_diameter, &place(""), file)?;
     let medium = match s.medium {
@@ -338,7 +338,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
             other => other,
         })?,
         FileMedium::Model(FileModelGlass { n_d, v_d }) => {
-            if !(1.0..=5.0).contains(&n_d) || !v_d.is_finite() || v_d <= 0.0 {
+            if !(1.0..=5.0).contains(&n_d) || !(1e-3..=1e6).contains(&v_d) {
                 return Err(refuse("medium", format!("n_d = {n_d}, v_d = {v_d}"), "n_d from 1 to 5, v_d above 0"));
             }
             Medium::Cauchy { n_d, v_d }
