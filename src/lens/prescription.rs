@@ -339,7 +339,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
         })?,
         FileMedium::Model(FileModelGlass { n_d, v_d }) => {
             if !(1.0..=5.0).contains(&n_d) || !(1e-3..=1e6).contains(&v_d) {
-                return Err(refuse("medium", format!("n_d = {n_d}, v_d = {v_d}"), "n_d from 1 to 5, v_d above 0"));
+                return Err(refuse("medium", format!("n_d = {n_d}, v_d = {v_d}"), "n_d from 1 to 5, v_d from 1e-3 to 1e6"));
             }
             Medium::Cauchy { n_d, v_d }
         }
