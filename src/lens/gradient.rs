@@ -1,7 +1,7 @@
 //! One cotangent for every number of a lens.
 
 use super::numbers::lists;
-use super::{Aperture, Element, Lens, Medium, Surface};
+use super::{Aperture, Element, Lens, Surface};
 
 /// Cotangents of a whole lens, in the lens's own form: each stands where its number does. At the stop the size of the stop counts,
 /// which `aperture` states, and not the surface's own clear semi-diameter.
@@ -31,13 +31,10 @@ impl LensGradient {
         }
     }
 
-    /// Adds cotangents of the indices at `nm` (entry 0 is the object space), chained to `n_d` and `v_d`.
+    /// Adds cotangents of the indices at `nm` (entry 0 is the object space), chained to the glasses' numbers.
     pub fn add_indices(&mut self, lens: &Lens, nm: f64, index_bar: &[f64]) {
         for ((g, s), bar) in self.surfaces.iter_mut().zip(&lens.surfaces).zip(&index_bar[1..]) {
-            if let (Some((by_n, by_v)), Medium::Cauchy { n_d, v_d }) = (s.medium.index_gradient(nm), &mut g.medium) {
-                *n_d += bar * by_n;
-                *v_d += bar * by_v;
-            }
+            s.medium.index_vjp(nm, *bar, &mut g.medium);
         }
     }
 }

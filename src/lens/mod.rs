@@ -16,6 +16,8 @@ pub mod pose;
 pub mod prescription;
 pub mod seidel;
 pub mod shape;
+#[cfg(test)]
+pub(crate) mod test_lenses;
 pub mod variables;
 
 use crate::error::{Error, Result};

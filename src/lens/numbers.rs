@@ -202,23 +202,11 @@ pub(super) fn check(lens: &Lens, file: &str) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::prescription;
-
-    /// A lens that has every kind of number but those of the other two ways to state an aperture.
-    fn everything() -> Lens {
-        let text = include_str!("../../models/lenses/two_element.toml");
-        let form = "radius_mm = 18.5\ntilt_deg = [0.2, 0.0, 0.0]\nasphere = { a2 = 1e-5, a3 = 1e-6, a4 = 1e-7 }\n\
-             zernike = { radius_mm = 12.0, terms = [0.0, 0.001] }\nxy = { radius_mm = 12.0, terms = { x1y2 = 0.002 } }";
-        let element = "\n[[element]]\nfirst = 3\nlast = 4\ntilt_deg = [0.0, 0.1, 0.0]\n";
-        let text = text.replacen("radius_mm = 18.5", form, 1) + element;
-        let mut lens = prescription::from_toml(&text, "lens.toml").expect("valid");
-        lens.surfaces[1].medium = Medium::named("N-BK7").expect("in the catalogue");
-        lens
-    }
+    use crate::lens::test_lenses::every_kind;
 
     #[test]
     fn names_are_those_of_the_file_and_unique() {
-        let lens = everything();
+        let [lens, ..] = every_kind();
         let names: Vec<String> = Parameter::all(&lens).map(|p| p.name(&lens)).collect();
         for name in [
             "surface[0].curvature",
@@ -241,21 +229,22 @@ mod tests {
     /// Whatever is not a number is refused, whichever number it is, with its place in the file; so is it as a variable.
     #[test]
     fn no_number_may_be_nan() {
-        let lens = everything();
-        lens.check("lens.toml").expect("valid");
-        for p in Parameter::all(&lens) {
-            let mut bad = lens.clone();
-            p.kind.list_mut(&mut bad, p.of)[p.entry] = f64::NAN;
-            let error = bad.check("lens.toml").expect_err("not a number").to_string();
-            assert!(error.starts_with(&format!("lens.toml: {}: NaN; ", p.key(&lens))), "{error}");
-            assert!(p.scale(&lens) > 0.0, "{}", p.name(&lens));
+        for lens in every_kind() {
+            lens.check("lens.toml").expect("valid");
+            for p in Parameter::all(&lens) {
+                let mut bad = lens.clone();
+                p.kind.list_mut(&mut bad, p.of)[p.entry] = f64::NAN;
+                let error = bad.check("lens.toml").expect_err("not a number").to_string();
+                assert!(error.starts_with(&format!("lens.toml: {}: NaN; ", p.key(&lens))), "{error}");
+                assert!(p.scale(&lens) > 0.0, "{}", p.name(&lens));
+            }
         }
     }
 
     /// Sums go number by number, and zeros leave none out.
     #[test]
     fn gradients_add_every_number() {
-        let lens = everything();
+        let [_, lens, _] = every_kind();
         let mut sum = LensGradient::zeros(&lens);
         assert!(Parameter::all(&lens).all(|p| p.value(&sum) == Some(0.0)));
         let mut other = sum.clone();

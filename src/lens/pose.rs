@@ -141,6 +141,7 @@ pub fn placed_vjp(
         let arm_bar = back.z - bar.shift.z;
         vertex_bar[surface] += arm_bar;
         vertex_bar[element.first] -= arm_bar;
+        element_bars[*i].pivot -= arm_bar;
         bar = Motion { rotation: m.rotation.transpose() * bar.rotation, shift: back };
     }
     if let Some(own_bar) = own_bar {
@@ -213,7 +214,7 @@ mod tests {
                 m.shift.dot(bar.shift) + (0..3).map(|k| m.rotation.col(k).dot(bar.rotation.col(k))).sum::<f64>()
             };
             let mut element_bars = elements.clone();
-            element_bars.iter_mut().for_each(|e| e.pose = Pose::default());
+            element_bars.iter_mut().for_each(|e| (e.pose, e.pivot) = (Pose::default(), 0.0));
             let (mut own_bar, mut vertex_bar) = (Pose::default(), [0.0; 3]);
             placed_vjp(2, Some(&own), &elements, &vertex, &bar, Some(&mut own_bar), &mut element_bars, &mut vertex_bar);
             let dot = |a: &Pose, b: &Pose| {
