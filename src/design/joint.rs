@@ -14,8 +14,8 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::metrics::decibel;
 use crate::imaging::render::gradient_error::Chosen;
 use crate::imaging::render::{RenderPlan, Renderer};
+use crate::lens::Lens;
 use crate::lens::variables::Variables;
-use crate::lens::{Lens, prescription};
 use crate::network::Reconstructor;
 use crate::psf::OpticsBar;
 use crate::trace::rims::overlapping_rims;
@@ -187,9 +187,7 @@ impl Joint {
             self.adam.step(&mut self.values, &g, lens_rate * self.damping);
             self.damping = (self.damping * 1.02).min(1.0);
             let moved = self.variables.lens(&self.lens, &self.values);
-            // Only a lens that a file may hold is accepted.
-            let read = prescription::from_toml(&prescription::to_toml(&moved), &moved.name);
-            match read.and_then(|_| overlapping_rims(&moved, &moved.name)) {
+            match moved.check(&moved.name).and_then(|()| overlapping_rims(&moved, &moved.name)) {
                 Ok(_) => self.lens = moved,
                 Err(_) => self.take_back(),
             }

@@ -227,8 +227,8 @@ impl Task {
                 axis_px: s.axis_px.unwrap_or(centre),
             };
         }
-        // Through the file form once: what a file may not hold, a task may not either.
-        crate::lens::prescription::from_toml(&crate::lens::prescription::to_toml(&lens), &self.lens)
+        lens.check(&self.lens)?;
+        Ok(lens)
     }
 
     /// The sensor's calibration.

@@ -190,12 +190,6 @@ impl Zernike {
             }
         }
     }
-
-    /// A cotangent of the same form, all zero.
-    #[must_use]
-    pub fn zeros_like(&self) -> Self {
-        Self { terms: vec![0.0; self.terms.len()], ..self.clone() }
-    }
 }
 
 /// `Σ c_{ij} (x/R)^i (y/R)^j`, `1 ≤ i + j ≤ 10`.
@@ -262,12 +256,6 @@ impl Xy {
             let [h, hx, hy] = monomial(i, j);
             *b += h_bar * h + slope_bar[0] * hx + slope_bar[1] * hy;
         }
-    }
-
-    /// A cotangent of the same form, all zero.
-    #[must_use]
-    pub fn zeros_like(&self) -> Self {
-        Self { terms: vec![0.0; self.terms.len()], ..self.clone() }
     }
 }
 
@@ -356,7 +344,7 @@ mod tests {
             h_bar * l.h + slope_bar[0] * l.slope[0] + slope_bar[1] * l.slope[1]
         };
         let zernike = Zernike::new(4.0, vec![0.0; MAX_NOLL]);
-        let mut bar = zernike.zeros_like();
+        let mut bar = zernike.clone();
         zernike.terms_vjp(x, y, h_bar, slope_bar, &mut bar);
         for j in 0..MAX_NOLL {
             let mut terms = vec![0.0; MAX_NOLL];
@@ -366,7 +354,7 @@ mod tests {
         }
         let orders = [(1, 0), (0, 1), (2, 3), (10, 0), (4, 6)];
         let xy = Xy::new(3.0, &orders.map(|(i, j)| (i, j, 0.0)));
-        let mut bar = xy.zeros_like();
+        let mut bar = xy.clone();
         xy.terms_vjp(x, y, h_bar, slope_bar, &mut bar);
         for (k, (i, j)) in orders.into_iter().enumerate() {
             let shape = Shape { xy: Some(Xy::new(3.0, &[(i, j, 1.0)])), ..Shape::default() };

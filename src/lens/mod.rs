@@ -1,25 +1,31 @@
 //! What the lens is: validated numbers, no rays.
 //!
 //! A [`Lens`] is a list of [`Surface`]s in the order the light meets them, a stop, an object distance (as vergence) and
-//! the raster the image falls on. Surfaces and elements may be tilted and decentred ([`pose`]). Lengths mm, angles radians. The TOML form and all
-//! validation live in [`prescription`]; a `Lens` that exists is one that was checked.
+//! the raster the image falls on. Surfaces and elements may be tilted and decentred ([`pose`]). Lengths mm, angles radians. A `Lens` that exists is one
+//! that passed [`Lens::check`], whether it came from a file ([`prescription`]) or from a design step. [`numbers`] lists every number.
 
 pub mod builtin;
+mod check;
+pub mod clearance;
 pub mod freeform;
 pub mod glass;
 pub mod gradient;
+pub mod numbers;
 pub mod paraxial;
 pub mod pose;
 pub mod prescription;
 pub mod seidel;
 pub mod shape;
+#[cfg(test)]
+pub(crate) mod test_lenses;
 pub mod variables;
 
 use crate::error::{Error, Result};
 
 pub use freeform::{Xy, Zernike};
 pub use glass::Medium;
-pub use gradient::{LensGradient, SurfaceGradient};
+pub use gradient::LensGradient;
+pub use numbers::{Kind, Parameter};
 pub use pose::{Element, Pose};
 pub use shape::Shape;
 
@@ -47,6 +53,15 @@ pub enum Aperture {
     FNumber(f64),
     /// Semi-diameter of the stop surface, mm.
     StopSemiDiameter(f64),
+}
+
+impl Aperture {
+    /// The number that states it, to change.
+    pub fn number_mut(&mut self) -> &mut f64 {
+        match self {
+            Self::EntrancePupilDiameter(x) | Self::FNumber(x) | Self::StopSemiDiameter(x) => x,
+        }
+    }
 }
 
 /// Design wavelengths of the prescription.
@@ -139,7 +154,7 @@ impl Lens {
             if !(short..=long).contains(&nm) {
                 let found = format!("{} at {nm} nm", s.medium);
                 let allowed = format!("{short} to {long} nm, where its index is known");
-                return Err(Error::bad(file, format!("surface {i}: medium"), found, allowed));
+                return Err(Error::bad(file, format!("surface[{i}].medium"), found, allowed));
             }
         }
         Ok(())

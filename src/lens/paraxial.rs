@@ -139,14 +139,19 @@ pub fn first_order_vjp(lens: &Lens, nm: f64, efl_bar: f64, stop_bar: f64, g: &mu
     let (efl, height) = (-1.0 / wk, state[lens.stop][0]);
     let stop_bar = stop_bar * stop_from(lens, height, efl).signum();
     let (mut efl_bar, mut height_bar) = (efl_bar, 0.0);
-    match lens.aperture {
-        Aperture::StopSemiDiameter(_) => g.surfaces[lens.stop].semi_diameter += stop_bar,
-        Aperture::EntrancePupilDiameter(d) => height_bar = stop_bar * 0.5 * d,
+    let own = match lens.aperture {
+        Aperture::StopSemiDiameter(_) => stop_bar,
+        Aperture::EntrancePupilDiameter(d) => {
+            height_bar = stop_bar * 0.5 * d;
+            stop_bar * 0.5 * height
+        }
         Aperture::FNumber(f) => {
             height_bar = stop_bar * 0.5 * efl / f;
             efl_bar += stop_bar * 0.5 * height / f;
+            -stop_bar * 0.5 * efl * height / (f * f)
         }
-    }
+    };
+    *g.aperture.number_mut() += own;
     let mut bars = vec![[0.0; 2]; last + 1];
     bars[last][1] += efl_bar / (wk * wk);
     bars[lens.stop][0] += height_bar;

@@ -85,12 +85,6 @@ impl Pose {
             *b += (0..3).map(|k| d.col(k).dot(motion_bar.rotation.col(k))).sum::<f64>();
         }
     }
-
-    /// Adds the cotangent `other`.
-    pub fn add(&mut self, other: &Self) {
-        (0..2).for_each(|k| self.decentre[k] += other.decentre[k]);
-        (0..3).for_each(|k| self.tilt[k] += other.tilt[k]);
-    }
 }
 
 /// Where a surface stands relative to its nominal vertex frame: its own pose, then its elements' (first in the list
@@ -120,8 +114,8 @@ pub fn placed_vjp(
     elements: &[Element],
     vertex: &[f64],
     bar: &Motion,
-    own_bar: &mut Pose,
-    element_bars: &mut [Pose],
+    own_bar: Option<&mut Pose>,
+    element_bars: &mut [Element],
     vertex_bar: &mut [f64],
 ) {
     // The states on the way out.
@@ -142,14 +136,17 @@ pub fn placed_vjp(
         let lever = before.shift + arm;
         let outer = DMat3::from_cols(bar.shift * lever.x, bar.shift * lever.y, bar.shift * lever.z);
         let motion_bar = Motion { rotation: bar.rotation * before.rotation.transpose() + outer, shift: bar.shift };
-        element.pose.motion_vjp(&motion_bar, &mut element_bars[*i]);
+        element.pose.motion_vjp(&motion_bar, &mut element_bars[*i].pose);
         let back = m.rotation.transpose() * bar.shift;
         let arm_bar = back.z - bar.shift.z;
         vertex_bar[surface] += arm_bar;
         vertex_bar[element.first] -= arm_bar;
+        element_bars[*i].pivot -= arm_bar;
         bar = Motion { rotation: m.rotation.transpose() * bar.rotation, shift: back };
     }
-    own.motion_vjp(&bar, own_bar);
+    if let Some(own_bar) = own_bar {
+        own.motion_vjp(&bar, own_bar);
+    }
 }
 
 #[cfg(test)]
@@ -216,13 +213,15 @@ mod tests {
                 let m = placed(2, Some(&moved(&own, &own_dot, h)), &e, &v).expect("moved");
                 m.shift.dot(bar.shift) + (0..3).map(|k| m.rotation.col(k).dot(bar.rotation.col(k))).sum::<f64>()
             };
-            let (mut own_bar, mut element_bars, mut vertex_bar) = (Pose::default(), [Pose::default(); 2], [0.0; 3]);
-            placed_vjp(2, Some(&own), &elements, &vertex, &bar, &mut own_bar, &mut element_bars, &mut vertex_bar);
+            let mut element_bars = elements.clone();
+            element_bars.iter_mut().for_each(|e| (e.pose, e.pivot) = (Pose::default(), 0.0));
+            let (mut own_bar, mut vertex_bar) = (Pose::default(), [0.0; 3]);
+            placed_vjp(2, Some(&own), &elements, &vertex, &bar, Some(&mut own_bar), &mut element_bars, &mut vertex_bar);
             let dot = |a: &Pose, b: &Pose| {
                 a.decentre.iter().zip(&b.decentre).chain(a.tilt.iter().zip(&b.tilt)).map(|(x, y)| x * y).sum::<f64>()
             };
             let pulled = dot(&own_bar, &own_dot)
-                + element_bars.iter().zip(&dots).map(|(a, b)| dot(a, b)).sum::<f64>()
+                + element_bars.iter().zip(&dots).map(|(a, b)| dot(&a.pose, b)).sum::<f64>()
                 + vertex_bar.iter().zip(&vertex_dot).map(|(a, b)| a * b).sum::<f64>();
             assert_rel(pulled, central_difference(f, 1e-4), 1e-9, 1e-2, &format!("seed {seed}"));
         }

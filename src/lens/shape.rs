@@ -7,6 +7,7 @@
 //! rotationally symmetric part.
 
 use super::freeform::{Xy, Zernike};
+use super::numbers::Kind;
 
 /// Shape of a surface; also the type of its own cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -216,31 +217,14 @@ impl Shape {
     /// A cotangent of the same form, all zero.
     #[must_use]
     pub fn zeros_like(&self) -> Self {
-        Self {
-            curvature: 0.0,
-            conic: 0.0,
-            asphere: vec![0.0; self.asphere.len()],
-            odd: vec![0.0; self.odd.len()],
-            zernike: self.zernike.as_ref().map(Zernike::zeros_like),
-            xy: self.xy.as_ref().map(Xy::zeros_like),
-        }
+        let mut zeros = self.clone();
+        Kind::each_of(&mut zeros, |_, _, list| list.fill(0.0));
+        zeros
     }
 
     /// Adds the cotangent `other` of the same form.
     pub fn add(&mut self, other: &Self) {
-        fn add(a: &mut [f64], b: &[f64]) {
-            a.iter_mut().zip(b).for_each(|(x, y)| *x += y);
-        }
-        self.curvature += other.curvature;
-        self.conic += other.conic;
-        add(&mut self.asphere, &other.asphere);
-        add(&mut self.odd, &other.odd);
-        if let (Some(a), Some(b)) = (&mut self.zernike, &other.zernike) {
-            add(a.terms_mut(), b.terms());
-        }
-        if let (Some(a), Some(b)) = (&mut self.xy, &other.xy) {
-            add(a.terms_mut(), b.terms());
-        }
+        Kind::each_of(self, |_, of, list| list.iter_mut().zip(of(other)).for_each(|(a, b)| *a += b));
     }
 
     /// Brings the freeform polynomials up to date after their terms were changed.
@@ -256,21 +240,12 @@ impl Shape {
     /// The same surface met from the other side: z changes sign, x and y stay.
     #[must_use]
     pub fn reversed(&self) -> Self {
-        let flip = |list: &[f64]| list.iter().map(|a| -a).collect();
-        let mut reversed = Self {
-            curvature: -self.curvature,
-            conic: self.conic,
-            asphere: flip(&self.asphere),
-            odd: flip(&self.odd),
-            zernike: self.zernike.clone(),
-            xy: self.xy.clone(),
-        };
-        if let Some(z) = &mut reversed.zernike {
-            z.terms_mut().iter_mut().for_each(|t| *t = -*t);
-        }
-        if let Some(p) = &mut reversed.xy {
-            p.terms_mut().iter_mut().for_each(|t| *t = -*t);
-        }
+        let mut reversed = self.clone();
+        Kind::each_of(&mut reversed, |kind, _, list| {
+            if kind != Kind::Conic {
+                list.iter_mut().for_each(|a| *a = -*a);
+            }
+        });
         reversed.refresh();
         reversed
     }
@@ -353,11 +328,8 @@ mod tests {
             let mut bar = shape.zeros_like();
             shape.at_vjp(x, y, &local, bars[0], [bars[1], bars[2]], &mut bar);
             let numbers = |s: &Shape| -> Vec<f64> {
-                let mut v = vec![s.curvature, s.conic];
-                v.extend(s.asphere.iter().chain(&s.odd));
-                v.extend(
-                    s.zernike.as_ref().expect("present").terms().iter().chain(s.xy.as_ref().expect("present").terms()),
-                );
+                let mut v = Vec::new();
+                Kind::each_of(&mut s.clone(), |_, _, list| v.extend_from_slice(list));
                 v
             };
             let pulled = numbers(&bar).iter().zip(numbers(&step)).map(|(a, b)| a * b).sum::<f64>()
@@ -365,15 +337,8 @@ mod tests {
                 + dy * (bars[0] * local.slope[1] + bars[1] * local.second[1] + bars[2] * local.second[2]);
             let moved = |t: f64| {
                 let mut s = shape.clone();
-                let scaled = {
-                    let mut d = step.clone();
-                    d.curvature *= t;
-                    d.conic *= t;
-                    d.asphere.iter_mut().chain(&mut d.odd).for_each(|a| *a *= t);
-                    d.zernike.as_mut().expect("present").terms_mut().iter_mut().for_each(|a| *a *= t);
-                    d.xy.as_mut().expect("present").terms_mut().iter_mut().for_each(|a| *a *= t);
-                    d
-                };
+                let mut scaled = step.clone();
+                Kind::each_of(&mut scaled, |_, _, list| list.iter_mut().for_each(|a| *a *= t));
                 s.add(&scaled);
                 s.refresh();
                 let l = s.at(x + t * dx, y + t * dy).expect("inside");

@@ -3,10 +3,10 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
-use super::sequential::{Hit, HitBar, first_vignetted, trace, trace_vjp};
-use super::{Ray, System, SystemGradient};
+use super::sequential::{first_vignetted, trace};
+use super::{Ray, System, landing};
 use crate::error::{Error, Result};
-use crate::lens::{Lens, LensGradient, Pose, Shape};
+use crate::lens::Lens;
 
 /// Rays to trace.
 #[derive(Clone, Debug, Deserialize)]
@@ -102,6 +102,11 @@ pub fn answer(lens: &Lens, request: &Request, clip: bool, gradient: bool) -> Ans
 
 /// [`answer`] in a `system` made from `lens` and changed since (another medium before the lens).
 pub fn answer_in(lens: &Lens, system: &System, request: &Request, clip: bool, gradient: bool) -> Answer {
+    let columns = if gradient { landing::columns(lens) } else { Vec::new() };
+    let listed = |derivatives: Vec<[f64; 2]>| {
+        let entry = |(c, [dx, dy]): (&landing::Column, [f64; 2])| AnswerGradient { parameter: c.name.clone(), dx, dy };
+        columns.iter().zip(derivatives).map(entry).collect()
+    };
     let mut hits = Vec::new();
     let rays = request
         .rays
@@ -126,80 +131,11 @@ pub fn answer_in(lens: &Lens, system: &System, request: &Request, clip: bool, gr
                     status: "ok",
                     surface: None,
                     surfaces,
-                    gradient: gradient.then(|| landing_gradient(lens, system, &hits)),
+                    gradient: gradient.then(|| listed(landing::gradient(lens, system, &hits, &columns))),
                 },
                 Err(f) => AnswerRay { status: f.cause.name(), surface: Some(f.surface), surfaces, gradient: None },
             }
         })
         .collect();
     Answer { rays }
-}
-
-/// Names and derivatives of the polynomial terms, powers rising: `a2`, `a3`, …, `z1`, …, `x1y2`, ….
-fn named_terms(x: &Shape, y: &Shape) -> Vec<(String, f64, f64)> {
-    let mut powers: Vec<(usize, f64, f64)> = Vec::new();
-    powers.extend((0..x.asphere.len()).map(|j| (2 * j + 2, x.asphere[j], y.asphere[j])));
-    powers.extend((0..x.odd.len()).map(|j| (2 * j + 3, x.odd[j], y.odd[j])));
-    powers.sort_by_key(|p| p.0);
-    let mut terms: Vec<_> = powers.into_iter().map(|(power, x, y)| (format!("a{power}"), x, y)).collect();
-    if let (Some(x), Some(y)) = (&x.zernike, &y.zernike) {
-        terms.extend(x.terms().iter().zip(y.terms()).enumerate().map(|(j, (x, y))| (format!("z{}", j + 1), *x, *y)));
-    }
-    if let (Some(x), Some(y)) = (&x.xy, &y.xy) {
-        let values = x.terms().iter().zip(y.terms());
-        terms.extend(x.orders().iter().zip(values).map(|((i, j), (x, y))| (format!("x{i}y{j}"), *x, *y)));
-    }
-    terms
-}
-
-fn pose_terms(x: &Pose, y: &Pose, push: &mut impl FnMut(String, f64, f64)) {
-    for (k, axis) in ["x", "y", "z"].iter().enumerate() {
-        push(format!("tilt_{axis}"), x.tilt[k], y.tilt[k]);
-    }
-    for (k, axis) in ["x", "y"].iter().enumerate() {
-        push(format!("decentre_{axis}"), x.decentre[k], y.decentre[k]);
-    }
-}
-
-fn landing_gradient(lens: &Lens, system: &System, hits: &[Hit]) -> Vec<AnswerGradient> {
-    let image = system.image();
-    let [gx, gy] = [DVec3::X, DVec3::Y].map(|bar| {
-        let mut g = SystemGradient::zeros(system);
-        let mut bars = vec![HitBar::default(); image + 1];
-        bars[image].point = bar;
-        trace_vjp(system, hits, &bars, &mut g);
-        g
-    });
-    let [lx, ly] = [&gx, &gy].map(|g| {
-        let mut lens_gradient = LensGradient::zeros(lens);
-        g.add_to(lens, system.wavelength_nm, &mut lens_gradient);
-        lens_gradient
-    });
-    let mut list = Vec::new();
-    for i in 0..image {
-        let mut push = |what: String, dx: f64, dy: f64| {
-            list.push(AnswerGradient { parameter: format!("surface[{i}].{what}"), dx, dy });
-        };
-        let (sx, sy) = (&gx.shapes[i], &gy.shapes[i]);
-        push("curvature".into(), sx.curvature, sy.curvature);
-        push("conic".into(), sx.conic, sy.conic);
-        for (name, x, y) in named_terms(sx, sy) {
-            push(name, x, y);
-        }
-        if lens.surfaces[i].pose.is_some() {
-            let (x, y) = (&lx.surfaces[i].pose, &ly.surfaces[i].pose);
-            pose_terms(x, y, &mut push);
-        }
-        push("thickness".into(), lx.surfaces[i].thickness, ly.surfaces[i].thickness);
-        // The image plane stands in the last space: its index is that of the last surface.
-        let index = |g: &SystemGradient| g.indices[i + 1] + if i + 1 == image { g.indices[image + 1] } else { 0.0 };
-        push("index".into(), index(&gx), index(&gy));
-    }
-    for (i, (x, y)) in lx.elements.iter().zip(&ly.elements).enumerate() {
-        let mut push = |what: String, dx: f64, dy: f64| {
-            list.push(AnswerGradient { parameter: format!("element[{i}].{what}"), dx, dy });
-        };
-        pose_terms(x, y, &mut push);
-    }
-    list
 }

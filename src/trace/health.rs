@@ -152,7 +152,7 @@ struct Run {
 impl Run {
     fn count(&mut self, failure: Failure, label: &str) {
         *self.failed.entry(failure.cause.name()).or_default() += 1;
-        let place = format!("surface {}, {label}", failure.surface);
+        let place = format!("surface[{}], {label}", failure.surface);
         match failure.cause {
             Cause::TotalReflection => self.reflected = self.reflected.take().or(Some(place)),
             Cause::NotConverged => self.not_converged = self.not_converged.take().or(Some(place)),
@@ -210,7 +210,7 @@ impl Run {
                 _ => Some((i, v)),
             };
             let found = surfaces.iter().map(value).enumerate().fold(None, pick);
-            found.map_or((f64::NAN, String::new()), |(i, v)| (v, format!("surface {i}")))
+            found.map_or((f64::NAN, String::new()), |(i, v)| (v, format!("surface[{i}]")))
         };
         let size = lens.length().max(lens.surfaces[lens.stop].semi_diameter);
         let (rounding, single) = self.precision(systems);

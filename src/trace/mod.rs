@@ -13,6 +13,7 @@ pub mod exit_pupil;
 pub mod first_root;
 pub mod health;
 pub mod intersect;
+mod landing;
 pub mod lanes;
 pub mod launch;
 pub mod object;

@@ -12,8 +12,7 @@ use twofloat::TwoFloat;
 
 use super::sequential::Hit;
 use super::{Ray, System};
-use crate::lens::variables::Parameter;
-use crate::lens::{Lens, Pose};
+use crate::lens::{Kind, Lens, Parameter, Pose};
 
 /// What a trace needs of its numbers.
 pub trait Scalar:
@@ -200,37 +199,37 @@ impl<S: Scalar> PreciseSystem<S> {
                     add(&mut self.surfaces[last].indices[1]);
                 }
             }
-            Number::Of(parameter) => match parameter {
-                Parameter::Curvature(i) => add(&mut self.surfaces[i].curvature),
-                Parameter::Conic(i) => add(&mut self.surfaces[i].conic),
-                Parameter::Asphere(i, j) => add(&mut self.surfaces[i].even[j]),
-                Parameter::Odd(i, j) => add(&mut self.surfaces[i].odd[j]),
+            Number::Of(Parameter { kind, of: i, entry }) => match kind {
+                Kind::Curvature => add(&mut self.surfaces[i].curvature),
+                Kind::Conic => add(&mut self.surfaces[i].conic),
+                Kind::Even => add(&mut self.surfaces[i].even[entry]),
+                Kind::Odd => add(&mut self.surfaces[i].odd[entry]),
                 // Inside an element a thickness moves the lever arms as well: not done here.
-                Parameter::Thickness(i) if lens.elements.iter().any(|e| e.first <= i && i < e.last) => return false,
-                Parameter::Thickness(i) => add(&mut self.surfaces[i + 1].distance),
-                Parameter::Zernike(i, j) => {
+                Kind::Thickness if lens.elements.iter().any(|e| e.first <= i && i < e.last) => return false,
+                Kind::Thickness => add(&mut self.surfaces[i + 1].distance),
+                Kind::Zernike => {
                     let Some(z) = &lens.surfaces[i].shape.zernike else { return false };
                     let (_, terms) = &mut self.surfaces[i].freeform[0];
-                    for (a, b, c) in z.monomials(j) {
+                    for (a, b, c) in z.monomials(entry) {
                         match terms.iter_mut().find(|t| (t.0, t.1) == (*a, *b)) {
                             Some(term) => term.2 = term.2 + h * S::of(*c),
                             None => terms.push((*a, *b, h * S::of(*c))),
                         }
                     }
                 }
-                Parameter::Xy(i, j) => {
+                Kind::Xy => {
                     let Some((_, terms)) = self.surfaces[i].freeform.last_mut() else { return false };
-                    add(&mut terms[j].2);
+                    add(&mut terms[entry].2);
                 }
-                Parameter::Decentre(i, k) if !in_element(lens, i) => {
+                Kind::Decentre if !in_element(lens, i) => {
                     let Some((_, shift)) = &mut self.surfaces[i].motion else { return false };
-                    add(&mut shift[k]);
+                    add(&mut shift[entry]);
                 }
-                Parameter::Tilt(i, k) if !in_element(lens, i) => {
+                Kind::Tilt if !in_element(lens, i) => {
                     let (Some(motion), Some(pose)) = (&mut self.surfaces[i].motion, &lens.surfaces[i].pose) else {
                         return false;
                     };
-                    motion.0 = tilted(pose, k, h);
+                    motion.0 = tilted(pose, entry, h);
                 }
                 _ => return false,
             },

@@ -8,7 +8,7 @@ use super::sequential::{first_vignetted, trace};
 use super::{Ray, System};
 use crate::error::Result;
 use crate::lens::Lens;
-use crate::lens::prescription::overlaps;
+use crate::lens::clearance::overlaps;
 
 /// Points of the stop's rim that rays are aimed at.
 const RIM_POINTS: u32 = 16;
@@ -30,7 +30,7 @@ pub fn overlapping_rims(lens: &Lens, file: &str) -> Result<Vec<String>> {
             return Err(o.refused(file));
         }
         warnings.push(format!(
-            "{file}: surfaces {} and {}: their rims overlap by {:.4} mm from {:.4} mm off the axis on; the beam ends at \
+            "{file}: surface[{}] and surface[{}]: their rims overlap by {:.4} mm from {:.4} mm off the axis on; the beam ends at \
              {widest:.4} mm",
             o.surface,
             o.surface + 1,

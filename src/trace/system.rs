@@ -1,6 +1,6 @@
 //! A lens at one wavelength: what a ray meets, image plane included.
 
-use crate::lens::pose::{Motion, Pose, placed, placed_vjp};
+use crate::lens::pose::{Motion, placed, placed_vjp};
 use crate::lens::{Lens, LensGradient, Shape, paraxial};
 
 /// One surface as a ray meets it.
@@ -207,19 +207,16 @@ impl SystemGradient {
             if self.motions[i] == Motion::ZERO {
                 continue;
             }
-            let mut own = Pose::default();
-            let bar = &self.motions[i];
             placed_vjp(
                 i,
                 s.pose.as_ref(),
                 &lens.elements,
                 &vertices,
-                bar,
-                &mut own,
+                &self.motions[i],
+                gradient.surfaces[i].pose.as_mut(),
                 &mut gradient.elements,
                 &mut vertex_bar,
             );
-            gradient.surfaces[i].pose.add(&own);
         }
         // A vertex lies behind all thicknesses before it.
         let mut behind = 0.0;

@@ -118,7 +118,7 @@ fn displaced_and_freeform_surfaces_are_traced_and_not_imaged() {
     for (from, to, said) in [
         ("x1y2", "x9y9", "x9y9"),
         ("a3", "a21", "a21"),
-        ("last = 4", "last = 9", "element 0"),
+        ("last = 4", "last = 9", "element[0]"),
         ("tilt_deg = [0.2", "tilt_deg = [120.0", "tilt_deg"),
     ] {
         let text = std::fs::read_to_string(place.path("lens.toml")).expect("readable");
@@ -191,12 +191,12 @@ fn bad_lenses_are_refused_by_file_place_and_value() {
     let cases = [
         ("radius_mm = 18.5", "radius_mm = 18.5\ncolour = 3", vec!["line 14", "colour"]),
         ("thickness_mm = 8.0", "thickness = 8.0", vec!["line", "thickness"]),
-        ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", vec!["surface 0", "semi_diameter_mm", "19", "18.5"]),
-        ("thickness_mm = 8.0", "thickness_mm = 0.1", vec!["surfaces 0 and 1", "cross"]),
-        ("radius_mm = 18.5", "radius_mm = 0.0", vec!["surface 0", "radius_mm", "0"]),
+        ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", vec!["surface[0]", "semi_diameter_mm", "19", "18.5"]),
+        ("thickness_mm = 8.0", "thickness_mm = 0.1", vec!["surface[0] and surface[1]", "cross"]),
+        ("radius_mm = 18.5", "radius_mm = 0.0", vec!["surface[0]", "radius_mm", "0"]),
         ("schema = 1", "schema = 9", vec!["schema", "9"]),
         ("schema = 1", "schema = ", vec!["line"]),
-        ("\"air\"", "\"N-BK8\"", vec!["surface 1", "N-BK8"]),
+        ("\"air\"", "\"N-BK8\"", vec!["surface[1]", "N-BK8"]),
     ];
     for (from, to, mut expected) in cases {
         let place = Workplace::new();

@@ -16,7 +16,8 @@ use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Renderer, Settings as Fineness};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::variables::{Parameter, Variables};
+use isoplanat::lens::Kind;
+use isoplanat::lens::variables::Variables;
 use isoplanat::lens::{Aperture, Lens, builtin, paraxial};
 use isoplanat::testing::central_difference;
 use ndarray::{Array3, Axis};
@@ -134,10 +135,18 @@ fn fast_and_reference_gradients_agree_with_the_nodes_of_the_plan() {
 }
 
 fn before_the_stop(spacing: Option<usize>, model: f64) {
-    use Parameter::{Abbe, Conic, Curvature, Index, Thickness};
+    use Kind::{Abbe, Conic, Curvature, Index, Thickness};
     let task = Task::new();
-    let parameters =
-        vec![Curvature(0), Conic(0), Thickness(0), Index(0), Abbe(0), Curvature(1), Conic(1), Thickness(1)];
+    let parameters = vec![
+        Curvature.at(0),
+        Conic.at(0),
+        Thickness.at(0),
+        Index.at(0),
+        Abbe.at(0),
+        Curvature.at(1),
+        Conic.at(1),
+        Thickness.at(1),
+    ];
     let variables = Variables::new(&task.lens, parameters);
     let fast = task.fast(&variables, spacing);
     let how = Settings { samples: 512, seed: 11, channels: Channels::All, sampling: Sampling::Bounded };
@@ -147,7 +156,9 @@ fn before_the_stop(spacing: Option<usize>, model: f64) {
     let norm = components.iter().map(|c| c.mean.abs()).fold(0.0, f64::max);
     eprintln!("parameter                  fast          reference     standard error  (fast − reference)/largest");
     let mut worst = 0.0f64;
-    for (k, ((p, fast), c)) in variables.parameters.iter().zip(&fast).zip(&components).enumerate() {
+    for (k, ((p, fast), c)) in
+        variables.parameters.iter().map(|p| p.name(&task.lens)).zip(&fast).zip(&components).enumerate()
+    {
         let white = task.white(&variables, k);
         assert!(white.abs() < 1e-6 * norm, "{p}: white moves by {white:e} with what stands before the stop");
         let mean = c.mean + white;
@@ -167,10 +178,18 @@ const SPACING: usize = 16;
 
 #[test]
 fn fast_gradient_agrees_with_differences_of_the_reference_behind_the_stop() {
-    use Parameter::{Conic, Curvature, Index, Thickness};
+    use Kind::{Conic, Curvature, Index, Thickness};
     let task = Task::new();
-    let parameters =
-        vec![Thickness(2), Curvature(3), Thickness(3), Index(3), Curvature(4), Conic(4), Thickness(4), Curvature(0)];
+    let parameters = vec![
+        Thickness.at(2),
+        Curvature.at(3),
+        Thickness.at(3),
+        Index.at(3),
+        Curvature.at(4),
+        Conic.at(4),
+        Thickness.at(4),
+        Curvature.at(0),
+    ];
     let variables = Variables::new(&task.lens, parameters);
     let fast = task.fast(&variables, Some(SPACING));
     let how = Settings { samples: 512, seed: 11, channels: Channels::All, sampling: Sampling::Bounded };
@@ -182,7 +201,8 @@ fn fast_gradient_agrees_with_differences_of_the_reference_behind_the_stop() {
     let norm = differences.iter().map(|d| d.0.abs()).fold(0.0, f64::max);
     eprintln!("parameter                  fast          difference    standard error  interior      standard error");
     let mut worst = 0.0f64;
-    let each = variables.parameters.iter().zip(&fast).zip(&differences).zip(&interior).enumerate();
+    let each =
+        variables.parameters.iter().map(|p| p.name(&task.lens)).zip(&fast).zip(&differences).zip(&interior).enumerate();
     for (k, (((p, fast), (mean, error)), c)) in each {
         // For comparison: the interior term with white's derivative.
         let with_white = c.mean + task.white(&variables, k);

@@ -1,14 +1,12 @@
 //! What each variable does to the landings, and how well the adjoint says so.
 
-use glam::DVec3;
 use nalgebra::DMatrix;
 
 use super::Good;
-use crate::lens::variables::{Parameter, Variables};
-use crate::lens::{Lens, LensGradient};
-use crate::trace::precise::{Number, derivative};
-use crate::trace::sequential::{HitBar, trace_vjp};
-use crate::trace::{System, SystemGradient};
+use crate::lens::Lens;
+use crate::trace::System;
+use crate::trace::landing::{self, Column};
+use crate::trace::precise::derivative;
 
 /// One variable of the lens.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
@@ -33,59 +31,11 @@ pub(super) struct Conditioning {
     pub(super) condition: f64,
 }
 
-/// A variable, its name and its scale.
-struct Column {
-    number: Number,
-    name: String,
-    scale: f64,
-}
-
-fn columns(lens: &Lens) -> Vec<Column> {
-    let variables = Variables::all(lens);
-    let mut columns: Vec<Column> = variables
-        .parameters
-        .iter()
-        .zip(&variables.scales)
-        // Glass is looked at as the index itself, whatever formula it comes from.
-        .filter(|(p, _)| !matches!(p, Parameter::Index(_) | Parameter::Abbe(_)))
-        .map(|(p, s)| Column { number: Number::Of(*p), name: p.to_string(), scale: *s })
-        .collect();
-    for i in 0..lens.surfaces.len() {
-        columns.push(Column { number: Number::IndexBehind(i), name: format!("surface[{i}].index"), scale: 1.0 });
-    }
-    columns
-}
-
-/// Landing derivatives of one ray by the adjoint: for each column `[dx, dy]`.
-fn adjoint(lens: &Lens, system: &System, good: &Good, columns: &[Column]) -> Vec<[f64; 2]> {
-    let image = system.image();
-    let rows = [DVec3::X, DVec3::Y].map(|bar| {
-        let mut g = SystemGradient::zeros(system);
-        let mut bars = vec![HitBar::default(); image + 1];
-        bars[image].point = bar;
-        trace_vjp(system, &good.hits, &bars, &mut g);
-        let mut of_lens = LensGradient::zeros(lens);
-        g.add_to(lens, system.wavelength_nm, &mut of_lens);
-        (g, of_lens)
-    });
-    columns
-        .iter()
-        .map(|c| {
-            std::array::from_fn(|k| match c.number {
-                Number::IndexBehind(i) => {
-                    rows[k].0.indices[i + 1] + if i + 1 == image { rows[k].0.indices[image + 1] } else { 0.0 }
-                }
-                Number::Of(p) => Variables { parameters: vec![p], scales: vec![1.0] }.gradient(&rows[k].1)[0],
-            })
-        })
-        .collect()
-}
-
 pub(super) fn conditioning(lens: &Lens, system: &System, good: &[Good]) -> Conditioning {
-    let columns = columns(lens);
+    let columns = landing::columns(lens);
     // Rays of the first system, the primary wavelength.
     let rays: Vec<&Good> = good.iter().filter(|g| g.system == 0).collect();
-    let rows: Vec<Vec<[f64; 2]>> = rays.iter().map(|g| adjoint(lens, system, g, &columns)).collect();
+    let rows: Vec<Vec<[f64; 2]>> = rays.iter().map(|g| landing::gradient(lens, system, &g.hits, &columns)).collect();
     let mut errors: Vec<Option<f64>> = vec![None; columns.len()];
     let mut worst = (if rays.is_empty() { f64::INFINITY } else { 0.0 }, String::new());
     // Effects in mm for one scaled unit, and their sizes over all rays.

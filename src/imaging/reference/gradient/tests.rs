@@ -7,7 +7,7 @@ use super::super::pixels::Row;
 use super::super::{Sampling, Settings};
 use super::*;
 use crate::imaging::sensor::Sensor;
-use crate::lens::variables::Parameter;
+use crate::lens::Kind;
 use crate::lens::{Aperture, builtin, paraxial};
 use crate::testing::{assert_rel, between, central_difference};
 
@@ -78,25 +78,25 @@ fn elements_before_the_stop_agree_with_differences_of_the_renderer() {
         (
             "two_element",
             vec![
-                Parameter::Curvature(0),
-                Parameter::Conic(0),
-                Parameter::Thickness(0),
-                Parameter::Index(0),
-                Parameter::Abbe(0),
-                Parameter::Curvature(1),
-                Parameter::Conic(1),
-                Parameter::Thickness(1),
+                Kind::Curvature.at(0),
+                Kind::Conic.at(0),
+                Kind::Thickness.at(0),
+                Kind::Index.at(0),
+                Kind::Abbe.at(0),
+                Kind::Curvature.at(1),
+                Kind::Conic.at(1),
+                Kind::Thickness.at(1),
             ],
         ),
         (
             "cooke_triplet",
             vec![
-                Parameter::Curvature(0),
-                Parameter::Conic(0),
-                Parameter::Thickness(0),
-                Parameter::Curvature(1),
-                Parameter::Thickness(1),
-                Parameter::Curvature(2),
+                Kind::Curvature.at(0),
+                Kind::Conic.at(0),
+                Kind::Thickness.at(0),
+                Kind::Curvature.at(1),
+                Kind::Thickness.at(1),
+                Kind::Curvature.at(2),
             ],
         ),
     ] {
@@ -118,7 +118,7 @@ fn elements_before_the_stop_agree_with_differences_of_the_renderer() {
         let (x, components) = (variables.values(&lens), gradient.components(&variables));
         let (_, white, passed) = picture(&lens, &scene, &frame, region, own, None);
         let norm = components.iter().map(|c| c.mean.abs()).fold(0.0, f64::max);
-        for (k, parameter) in variables.parameters.iter().enumerate() {
+        for (k, parameter) in variables.parameters.iter().map(|p| p.name(&lens)).enumerate() {
             let f = |h: f64| {
                 let mut moved = x.clone();
                 moved[k] += h;
@@ -194,7 +194,7 @@ fn one_ray_agrees_with_differences() {
                 0.7 * radiance * area * n * n * z * z / offset.length_squared().powi(2)
             };
             let norm = pulled.iter().map(|v| v.abs()).fold(0.0, f64::max);
-            for (k, parameter) in variables.parameters.iter().enumerate() {
+            for (k, parameter) in variables.parameters.iter().map(|p| p.name(&lens)).enumerate() {
                 let f = |h: f64| {
                     let mut moved = x.clone();
                     moved[k] += h;

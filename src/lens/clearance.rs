@@ -1,6 +1,6 @@
-//! What the surfaces of a file must leave each other, the stop and the sensor.
+//! What the surfaces of a lens must leave each other, the stop and the sensor.
 
-use super::super::{Aperture, Lens, Surface, paraxial};
+use super::{Aperture, Lens, Surface, paraxial};
 use crate::error::{Error, Result};
 
 /// Gaps are held to this, mm: elements may touch.
@@ -27,7 +27,7 @@ impl Overlap {
         let Self { surface, from_mm, depth_mm } = self;
         Error::bad(
             file,
-            format!("surfaces {surface} and {}", surface + 1),
+            format!("surface[{surface}] and surface[{}]", surface + 1),
             format!("they cross: from {from_mm:.4} mm off the axis on, by up to {depth_mm:.4} mm"),
             format!("a gap of at least 0 where light goes, and at the rims no overlap above {DEEPEST_MM} mm"),
         )
@@ -48,8 +48,12 @@ pub fn overlaps(lens: &Lens) -> Vec<Overlap> {
 /// Refuses surfaces that overlap where the light of the axis goes, or by more than rims do, and a last surface that reaches
 /// the sensor's plane.
 pub(super) fn check(lens: &Lens, file: &str) -> Result<()> {
+    let found = overlaps(lens);
+    // A stop that asks for more light than its surface lets through gets what goes through.
+    let narrowed = narrowed_stop(lens).map(|aperture| Lens { aperture, ..lens.clone() });
+    let lens = narrowed.as_ref().unwrap_or(lens);
     let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
-    for overlap in overlaps(lens) {
+    for overlap in found {
         let axial = beam[overlap.surface].max(beam[overlap.surface + 1]);
         if overlap.depth_mm > DEEPEST_MM || overlap.from_mm <= axial {
             return Err(overlap.refused(file));
@@ -61,7 +65,7 @@ pub(super) fn check(lens: &Lens, file: &str) -> Result<()> {
     if room <= TOUCHING_MM {
         return Err(Error::bad(
             file,
-            format!("surface {last}"),
+            format!("surface[{last}]"),
             format!(
                 "within its clear semi-diameter it comes to {room:.4} mm from the sensor's plane, which it must stand before"
             ),
@@ -112,16 +116,20 @@ fn gap(surface: &Surface, next: Option<&Surface>, r: f64) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
+/// The stop's own clear aperture, where `aperture` asks for more.
+fn narrowed_stop(lens: &Lens) -> Option<Aperture> {
+    let own = lens.surfaces[lens.stop].semi_diameter;
+    // A number of the file against one that was computed: rounding is no difference.
+    (paraxial::stop_semi_diameter(lens) > own * (1.0 + 1e-9)).then_some(Aperture::StopSemiDiameter(own))
+}
+
 /// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more, and says so.
 pub(super) fn limit_stop(lens: &mut Lens, file: &str) -> Option<String> {
-    let (stated, own) = (paraxial::stop_semi_diameter(lens), lens.surfaces[lens.stop].semi_diameter);
-    // A number of the file against one that was computed: rounding is no difference.
-    if stated <= own * (1.0 + 1e-9) {
-        return None;
-    }
-    lens.aperture = Aperture::StopSemiDiameter(own);
+    let narrowed = narrowed_stop(lens)?;
+    let (stated, stop) = (paraxial::stop_semi_diameter(lens), lens.stop);
+    lens.aperture = narrowed;
     Some(format!(
-        "{file}: surface {}: semi_diameter_mm: {own}; `aperture` asks for a stop of {stated:.6} mm: the smaller counts",
-        lens.stop
+        "{file}: surface[{stop}].semi_diameter_mm: {}; `aperture` asks for a stop of {stated:.6} mm: the smaller counts",
+        lens.surfaces[stop].semi_diameter
     ))
 }
