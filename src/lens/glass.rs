@@ -196,7 +196,7 @@ fn catalog() -> Vec<Glass> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_abs, assert_rel, shared};
+    use crate::testing::{assert_abs, assert_rel, central_difference, shared};
 
     /// Cauchy reproduces n_d and V by definition.
     #[test]
@@ -207,6 +207,19 @@ mod tests {
         assert_rel(v, 57.4, 1e-12, 0.0, "V");
         // The paper states 1.493 at 550 nm; the D line of the pair leaves 3.1e-4.
         assert_abs(pmma.index(550.0), 1.493, 3.2e-4, "PMMA at 550 nm");
+    }
+
+    /// `index_vjp` of each form against differences, number by number; lenses of every kind test it through rays too.
+    #[test]
+    fn index_vjp_agrees_with_differences() {
+        let table = |h: f64| Medium::Table { wavelength_nm: vec![450.0, 550.0], index: vec![1.63 + h, 1.62] };
+        let mut bar = table(0.0);
+        if let Medium::Table { index, .. } = &mut bar {
+            index.fill(0.0);
+        }
+        table(0.0).index_vjp(480.0, 0.7, &mut bar);
+        let Medium::Table { index, .. } = bar else { unreachable!("a table stays one") };
+        assert_rel(index[0], central_difference(|h| 0.7 * table(h).index(480.0), 1e-3), 1e-9, 0.0, "entry");
     }
 
     /// Within its range a medium's index is a number above 1 that falls with wavelength; beyond, formulas have poles.
