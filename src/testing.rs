@@ -41,11 +41,16 @@ pub fn between(rng: &mut fastrand::Rng, a: f64, b: f64) -> f64 {
 }
 
 /// The shared reference data beside the checkout, or `None` after a visible message.
+///
+/// # Panics
+/// Where it is absent and `ISOPLANAT_REQUIRE_SHARED` is 1: a comparison that was skipped shall not look like one that held.
 pub fn shared(relative: &str) -> Option<PathBuf> {
     let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(relative);
     if path.exists() {
         Some(path)
     } else {
+        let required = std::env::var("ISOPLANAT_REQUIRE_SHARED").is_ok_and(|v| v == "1");
+        assert!(!required, "ISOPLANAT_REQUIRE_SHARED: {} is not there", path.display());
         eprintln!("SKIPPED: {} is not there", path.display());
         None
     }

@@ -214,7 +214,8 @@ impl Joint {
 mod tests {
     use super::*;
     use crate::design::data::Textures;
-    use crate::design::run::{Budget, JointSettings, Scenery, joint_stage, network};
+    use crate::design::run::{JointSettings, Scenery, joint_stage, network};
+    use crate::design::schedule::Budget;
     use crate::design::task::Task;
     use crate::imaging::render::{Settings, frame_of};
     use crate::imaging::sensor::Sensor;

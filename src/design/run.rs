@@ -2,7 +2,7 @@
 //!
 //! A budget in steps is deterministic (same seed, machine, thread count: same bits); one in seconds is for people who wait.
 
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use ndarray::Axis;
 
@@ -10,6 +10,7 @@ use super::chain::{Patch, forward};
 use super::constraint::Constraints;
 use super::data::Textures;
 use super::joint::{Joint, Report, l1_and_psnr};
+use super::schedule::Budget;
 use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
@@ -21,25 +22,6 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::lens::variables::Variables;
 use crate::network::{Reconstructor, UnetConfig};
-
-/// When the joint stage ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Budget {
-    /// After so many steps.
-    Steps(usize),
-    /// After so much time.
-    Time(Duration),
-}
-
-impl Budget {
-    /// Share of the budget used, 0 to 1.
-    fn used(self, step: usize, started: Instant) -> f64 {
-        match self {
-            Self::Steps(n) => step as f64 / n.max(1) as f64,
-            Self::Time(t) => started.elapsed().as_secs_f64() / t.as_secs_f64().max(1e-9),
-        }
-    }
-}
 
 /// What is trained on.
 #[derive(Clone, Debug)]

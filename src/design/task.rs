@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde::{Deserialize, Serialize};
 
 use super::data::{TEXTURE, Textures};
-use super::run::Budget;
+use super::schedule::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;

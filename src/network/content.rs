@@ -100,17 +100,13 @@ mod tests {
 
     use super::super::kernels::Level;
     use super::*;
-    use crate::testing::assert_rel;
+    use crate::testing::{assert_rel, shared};
 
     fn contents() -> Vec<Content> {
         let mut all = vec![Content::L1, Content::Structure];
-        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
-            .join("../shared/data/vgg19/vgg19_normalised_to_relu3_1.safetensors");
-        if path.is_file() {
+        if let Some(path) = shared("data/vgg19/vgg19_normalised_to_relu3_1.safetensors") {
             let device = Device::flex().autodiff();
             all.push(Content::Features(Box::new(Vgg::load(&path, Level::detect(), &device).expect("loads"))));
-        } else {
-            eprintln!("SKIPPED: {} is absent", path.display());
         }
         all
     }

@@ -149,21 +149,12 @@ mod tests {
     use super::super::tensors::{Named, write};
     use super::*;
     use crate::imaging::files::{Encoding, read_picture};
-    use crate::testing::assert_rel;
-
-    fn shared() -> Option<std::path::PathBuf> {
-        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data");
-        if folder.is_dir() {
-            return Some(folder);
-        }
-        eprintln!("SKIPPED: ../shared/data is absent");
-        None
-    }
+    use crate::testing::{assert_rel, shared};
 
     /// The partial file's layers against activations that another program recorded in f64.
     #[test]
     fn activations_are_those_that_were_recorded() {
-        let Some(data) = shared() else { return };
+        let Some(data) = shared("data") else { return };
         let path = data.join("vgg19/vgg19_normalised_to_relu3_1.safetensors");
         let device = Device::flex();
         let picture = read_picture(&data.join("photos/eval/23.png"), Encoding::Linear).expect("reads");

@@ -41,7 +41,7 @@ const TESTED_ELSEWHERE: [(&str, &str); 2] = [
 ];
 
 /// Every source file: path from the root, text.
-fn sources(folder: &str) -> BTreeMap<String, String> {
+pub(crate) fn sources(folder: &str) -> BTreeMap<String, String> {
     fn walk(folder: &Path, found: &mut BTreeMap<String, String>) {
         for entry in std::fs::read_dir(folder).expect("lists") {
             let path = entry.expect("entry").path();
@@ -59,7 +59,7 @@ fn sources(folder: &str) -> BTreeMap<String, String> {
 }
 
 /// Source without comments and without the contents of strings, line by line as it was.
-fn code(text: &str) -> String {
+pub(crate) fn code(text: &str) -> String {
     let (mut out, mut chars) = (String::new(), text.chars().peekable());
     while let Some(c) = chars.next() {
         match (c, chars.peek()) {
@@ -124,7 +124,7 @@ fn paths(code: &str, prefix: &str) -> Vec<(String, String, usize)> {
 }
 
 /// `a::b`, `{a::{b, c}, d}` → `a::b`; `a::b`, `a::c`, `d`.
-fn spelled(text: &str) -> Vec<String> {
+pub(crate) fn spelled(text: &str) -> Vec<String> {
     let text = text.trim_start();
     let Some(group) = text.strip_prefix('{') else {
         let name: String = text.chars().take_while(|c| c.is_alphanumeric() || *c == '_').collect();

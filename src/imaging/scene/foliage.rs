@@ -3,8 +3,8 @@
 use fastrand::Rng;
 
 use super::canvas::{Canvas, Frame, scaled};
-use super::facades::View;
 use super::palette::{between, normal};
+use super::view::View;
 
 /// Paints a tree at a foot point: trunk, branches, and leaves from the dark inside to the lit outside.
 pub(super) fn tree(rng: &mut Rng, canvas: &mut Canvas, view: &View, foot: [f32; 3], sun_side: f32) {

@@ -20,6 +20,7 @@ mod palette;
 pub mod photos;
 mod text;
 mod texture;
+mod view;
 
 use std::fmt;
 

@@ -17,12 +17,22 @@ use super::frame::{Frame, Place};
 use super::lines::{part, weigh};
 use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
-use super::record::Keep;
 use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
 use crate::math::real::Real;
 use crate::math::wide::prefetch;
+
+/// What a blur keeps for the cotangents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Keep {
+    /// Nothing: there will be none.
+    Nothing,
+    /// The spectra of blocks with light and of the nodes that they use.
+    Lit,
+    /// Those of all nodes.
+    All,
+}
 
 /// A block's source spectra, `[phase][column frequency][row frequency]`.
 pub(super) type Kept<T> = Vec<Complex<T>>;

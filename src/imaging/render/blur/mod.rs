@@ -91,15 +91,8 @@ pub fn blur<T: Real>(
     match method {
         Method::Cells { block } => {
             let frame = frame::Frame::new(grid, shape, region, block);
-            cells::blur_cells(
-                &frame,
-                kernels,
-                source,
-                &mut spectra::NodeSpectra::new(),
-                record::Keep::Nothing,
-                progress,
-            )
-            .0
+            cells::blur_cells(&frame, kernels, source, &mut spectra::NodeSpectra::new(), cells::Keep::Nothing, progress)
+                .0
         }
         Method::Direct => direct::blur_direct(grid, kernels, source, region, progress),
     }

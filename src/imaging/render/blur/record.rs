@@ -3,24 +3,13 @@
 use ndarray::Array3;
 use rustfft::num_complex::Complex;
 
-use super::cells::{Kept, blur_cells};
+use super::cells::{Keep, Kept, blur_cells};
 use super::frame::{Frame, Shape};
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
 use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::real::Real;
-
-/// What a blur keeps for the cotangents.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Keep {
-    /// Nothing: there will be none.
-    Nothing,
-    /// The spectra of blocks with light and of the nodes that they use.
-    Lit,
-    /// Those of all nodes.
-    All,
-}
 
 /// What [`blur_recorded`] keeps for the cotangents.
 ///
