@@ -31,7 +31,7 @@ impl Lens {
             }
         }
         // Minus zero is the reciprocal of minus infinity.
-        if !(self.object_vergence <= 1e6) || self.object_vergence.is_sign_negative() {
+        if !(0.0..=1e6).contains(&self.object_vergence) || self.object_vergence.is_sign_negative() {
             let distance = self.object_vergence.recip().to_string();
             return refuse("object.distance_mm", distance, "a positive distance from 1e-6 mm on, or inf");
         }
