@@ -231,7 +231,7 @@ pub(super) fn unplaced(
 /// Width and nodes for one object distance, over the part `region` of the frame.
 ///
 /// # Errors
-/// As [`unplaced`].
+/// A blur that even the coarsest cells leave wider than any window.
 pub fn depth_plan(
     optics: &Optics,
     frame: &Frame,

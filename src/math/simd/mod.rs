@@ -1,7 +1,7 @@
 //! The processor's vectors behind safe functions.
 //!
-//! [`Level::run`] runs a [`Kernel`] compiled for an instruction set and hands it a token, whose methods are the vector
-//! operations: [`F32`] on the token itself, [`F64`] on the two that it gives. A token exists only where the processor has
+//! `Level::run` runs a `Kernel` compiled for an instruction set and hands it a token, whose methods are the vector
+//! operations: `F32` on the token itself, `F64` on the two that it gives. A token exists only where the processor has
 //! its instructions, and values are read and written through slices and arrays, so kernels need no unsafe code; what is
 //! left of it stands in `avx2`, `avx512` and `hint`.
 
@@ -22,7 +22,7 @@ pub use level::{Level, check_environment};
 pub(crate) trait Kernel {
     /// What the work gives.
     type Output;
-    /// Does the work. Implementations, and all that they call and is not a [`Simd::run`], must be `#[inline(always)]`: only
+    /// Does the work. Implementations, and all that they call and is not a `Simd::run`, must be `#[inline(always)]`: only
     /// then are they compiled for the instruction set.
     fn run<S: Simd>(self, simd: S) -> Self::Output;
 }
