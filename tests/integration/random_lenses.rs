@@ -1,5 +1,5 @@
 //! Mutated prescriptions through `inspect`, `check`, `trace` and `psf`: an answer or one clear error; no panic, no number that is none,
-//! at most ten seconds and a gibibyte each.
+//! at most ten seconds of processor time and two gibibytes of addresses each.
 //!
 //! `ISOPLANAT_RANDOM_LENSES=N` takes N lenses in place of 500, `ISOPLANAT_RANDOM_SEED` another first seed.
 
@@ -136,7 +136,7 @@ fn random_lenses_are_answered_or_refused() {
                 "trace lens.toml --rays rays.json --gradient",
                 "psf lens.toml -o k.npz --fields 3",
             ] {
-                // Ten seconds of processor time; addresses of two gibibytes hold less than one of memory.
+                // Seconds of processor time; KiB of addresses, stacks and what the allocator sets aside included.
                 let ran = place.run_limited(command, 10, 2 << 20);
                 if let Some(fault) = fault(&ran) {
                     return (format!("seed {seed}: `{command}` {fault}: {}\n{}\n{text}", ran.code, ran.err), answered);

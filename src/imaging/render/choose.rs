@@ -153,7 +153,7 @@ impl Measuring<'_, '_> {
         let probing = self.probing;
         let count = |k: usize| probing.scenes[0][k].samples();
         let square = |k: usize| (count(k) as f32).powi(-2);
-        let mut values: Vec<Vec<Values>> = Vec::new();
+        let mut values: Vec<Vec<Values>> = vec![self.probes.iter().map(|p| p.coarse.clone()).collect()];
         // Differences of sampling `k` to the last, made those to none at all.
         let off = |values: &[Vec<Values>], k: usize| -> Vec<Values> {
             let fine = values.len() - 1;
@@ -165,10 +165,10 @@ impl Measuring<'_, '_> {
             let pairs = values[from].iter().zip(&values[fine]).zip(self.probes);
             pairs.map(|((a, b), p)| p.less(a.clone(), b).into_iter().map(|v| v * scale).collect()).collect()
         };
-        for which in 0..probing.scenes[0].len() {
+        for which in 1..probing.scenes[0].len() {
             let form = probing.form(probing.optics, probing.dense, count(which));
             values.push(self.each(&|p| probing.sampled(p, which, &form)));
-            if which > 0 && mean_square(&[&off(&values, which)]).0 < LEFT * budget {
+            if mean_square(&[&off(&values, which)]).0 < LEFT * budget {
                 break;
             }
         }

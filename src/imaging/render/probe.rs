@@ -230,11 +230,8 @@ impl Probing<'_> {
         stands.par_iter().map(of).collect()
     }
 
-    /// Values with sampling `which` of the scenes', by the kernels of `form` at so many samples.
+    /// Values with sampling `which` of the scenes' (0, the coarsest, a probe has), by the kernels of `form` at so many samples.
     pub fn sampled(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
-        if which == 0 {
-            return probe.coarse.clone();
-        }
         let patch = Patch::sample(&self.scenes[probe.scene][which], probe.region, self.size);
         let at = self.centre(probe.region);
         let kernels = flipped(self.optics, self.depth, form, at);

@@ -227,9 +227,9 @@ impl Renderer {
                 Method::Cells { block } => block,
                 Method::Direct => around.rows.max(around.cols),
             };
-            let planes = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
-            let keeping = Kept { source: &source, region, planes: Mutex::new(planes) };
             let (cells, kept) = if d.samples * d.bin == 1 {
+                let planes = Array3::from_elem((channels.sources(), region.rows, region.cols), T::zero());
+                let keeping = Kept { source: &source, region, planes: Mutex::new(planes) };
                 let blurred = blur_recorded::<T>(&grid, &kernels, &keeping, around, block, dark);
                 let planes = keeping.planes.into_inner().unwrap_or_else(PoisonError::into_inner);
                 channels.spread(&planes, &mut truth);

@@ -185,7 +185,6 @@ impl<'a> Draft<'a> {
             each.reduce(Needs::and).expect("at least one scene")
         };
         let region = reached(&needs, &first, whole);
-
         Ok(Self { scenes, frame, density, base, light, colours, table_error, widths, first, needs, region })
     }
 
