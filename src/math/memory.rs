@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 /// Bytes of a gibibyte.
 pub const GIB: u64 = 1 << 30;
 /// What a process takes that does nothing large: code, tables of rays, stacks, what each thread's allocator holds back.
-pub const BASE: u64 = 24 << 20;
+pub const BASE: u64 = 32 << 20;
 /// Part of the available memory that may be used, in hundredths.
 const PART: u64 = 80;
 /// The limit where the system does not tell what is available.
