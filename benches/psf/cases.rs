@@ -170,23 +170,21 @@ impl Grid<'_> {
     }
 
     fn kernels_of(&self, optics: &Optics) -> f64 {
-        let one = |place: &Place| {
-            let mut kernel = vec![0.0; self.bar.len()];
-            optics.kernels(&self.form, 0, *place, &mut kernel);
-            kernel[SIZE * SIZE / 2]
-        };
-        self.nodes.par_iter().map(one).sum()
+        let middle = |_: usize, kernel: &[f64], _: &[f64]| kernel[SIZE * SIZE / 2];
+        optics.kernels_each(&self.form, 0, &self.nodes, middle).iter().sum()
     }
 
     /// All kernels and the lens's gradient of one cotangent for each.
     pub(crate) fn both(&self) -> f64 {
         let optics = self.optics();
         let middles = self.kernels_of(&optics);
-        let back: Vec<_> =
-            self.nodes.par_iter().map(|place| optics.kernels_vjp(&self.form, 0, *place, &self.bar)).collect();
+        let written = |_: usize, to: &mut [f64]| {
+            to.copy_from_slice(&self.bar);
+            true
+        };
         let mut bar = OpticsBar::zeros(&optics);
-        for (place, back) in self.nodes.iter().zip(&back) {
-            bar.add_kernel(&optics, 0, place.radius_mm, back);
+        for back in optics.kernels_vjp(&self.form, 0, &self.nodes, written) {
+            bar.add_kernel(&optics, 0, &back);
         }
         middles + optics.vjp(self.lens, &bar).surfaces[0].shape.curvature
     }

@@ -71,7 +71,31 @@ pub struct Rays {
     edges: Vec<(usize, [Vec<f64>; 3])>,
 }
 
-/// Cotangents of one wavelength's part of a kernel.
+/// The light that arrives at one radius, which all kernels of that radius are made of.
+#[derive(Clone, Debug)]
+pub struct Pencil {
+    /// Radius, mm, with light.
+    radius_mm: f64,
+    taps: Taps,
+    /// Share of each wavelength in each channel's light, `[channel][wavelength]`.
+    shares: Vec<Vec<f64>>,
+    /// Irradiance of each channel.
+    levels: Vec<f64>,
+    /// By wavelength; none that no channel sees.
+    colours: Vec<Option<Colour>>,
+}
+
+/// One wavelength of a pencil.
+#[derive(Clone, Debug)]
+struct Colour {
+    /// Channels that it feeds, with its share of each.
+    fed: Vec<(usize, f64)>,
+    row: Row,
+    rays: Rays,
+}
+
+/// Cotangents of one wavelength's rays.
+#[derive(Clone, Debug)]
 struct RaysBar {
     x: Vec<f64>,
     y: Vec<f64>,
@@ -79,9 +103,31 @@ struct RaysBar {
     share: Vec<f64>,
 }
 
-/// Cotangents that leave [`KernelForm::kernels_vjp`].
+/// Cotangents of a pencil, added up over its kernels.
+#[derive(Clone, Debug)]
+pub struct PencilBar {
+    /// By wavelength; empty where the pencil has none.
+    rays: Vec<RaysBar>,
+    /// `[channel][wavelength]`.
+    shares: Vec<Vec<f64>>,
+}
+
+impl PencilBar {
+    /// All zero, in the form of `pencil`.
+    pub fn zeros(pencil: &Pencil) -> Self {
+        let none = |count: usize| RaysBar { x: vec![0.0; count], y: vec![0.0; count], share: vec![0.0; count] };
+        Self {
+            rays: pencil.colours.iter().map(|c| none(c.as_ref().map_or(0, |c| c.rays.x.len()))).collect(),
+            shares: pencil.shares.iter().map(|s| vec![0.0; s.len()]).collect(),
+        }
+    }
+}
+
+/// Cotangents that leave [`KernelForm::pencil_vjp`].
 #[derive(Clone, Debug)]
 pub struct KernelBar {
+    /// Of the pencil, mm.
+    pub(super) radius_mm: f64,
     /// By wavelength: of the table's polynomials.
     pub(super) rows: Vec<(usize, RowBar)>,
     pub(super) taps: Taps,
@@ -209,107 +255,85 @@ impl KernelForm {
         shares.iter().enumerate().map(|(c, s)| (c, s[l])).filter(|(_, s)| *s != 0.0).collect()
     }
 
-    fn moves<'a>(&self, place: Place, rays: &'a Rays) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
-        let [c, r] = place.outward.map(|v| v / self.cell_mm);
+    fn moves<'a>(&self, outward: [f64; 2], rays: &'a Rays) -> impl Iterator<Item = ([f64; 2], f64)> + 'a {
+        let [c, r] = outward.map(|v| v / self.cell_mm);
         let one = move |x: f64, y: f64| [y * c - x * r, y * r + x * c];
         let all = rays.x.iter().zip(&rays.y).zip(&rays.share).filter(|(_, w)| **w != 0.0);
         all.flat_map(move |((x, y), w)| [(one(*x, *y), *w), (one(-*x, *y), *w)])
     }
 
-    /// Writes the fine kernels of all channels at `place`, `[channel][row][col]` on the raster; returns the share of each
-    /// channel's light that falls outside the window. Beyond the last radius with light its kernel goes on, so that
+    /// The light that arrives at `radius_mm` from the axis. Beyond the last radius with light that of the last goes on, so that
     /// what is interpolated towards a place in the dark is right up to the edge.
-    pub fn kernels(
-        &self,
-        table: &Table,
-        illumination: &Illumination,
-        map: &SensorMap,
-        place: Place,
-        out: &mut [f64],
-    ) -> Vec<f64> {
-        out.fill(0.0);
-        let place = Place { radius_mm: illumination.held(place.radius_mm), ..place };
-        let taps = table.taps(place.radius_mm);
-        let (shares, _) = self.shares(illumination, place.radius_mm);
-        let mut outside = vec![0.0; self.channels()];
-        for l in 0..table.spec.wavelength_nm.len() {
+    pub fn pencil(&self, table: &Table, illumination: &Illumination, map: &SensorMap, radius_mm: f64) -> Pencil {
+        let radius_mm = illumination.held(radius_mm);
+        let taps = table.taps(radius_mm);
+        let (shares, levels) = self.shares(illumination, radius_mm);
+        let of = |l: usize| {
             let fed = Self::fed(&shares, l);
-            if fed.is_empty() {
-                continue;
-            }
-            let rays = self.rays_of(table, map, &table.row(l, &taps), place.radius_mm);
-            let missed = self.raster.splat(out, &fed, self.moves(place, &rays));
+            (!fed.is_empty()).then(|| {
+                let row = table.row(l, &taps);
+                let rays = self.rays_of(table, map, &row, radius_mm);
+                Colour { fed, row, rays }
+            })
+        };
+        let colours = (0..table.spec.wavelength_nm.len()).map(of).collect();
+        Pencil { radius_mm, taps, shares, levels, colours }
+    }
+
+    /// Writes the fine kernels of all channels where the radius of `pencil` grows along `outward`, `[channel][row][col]` on the
+    /// raster; returns the share of each channel's light that falls outside the window.
+    pub fn kernels(&self, pencil: &Pencil, outward: [f64; 2], out: &mut [f64]) -> Vec<f64> {
+        out.fill(0.0);
+        let mut outside = vec![0.0; self.channels()];
+        for Colour { fed, rays, .. } in pencil.colours.iter().flatten() {
+            let missed = self.raster.splat(out, fed, self.moves(outward, rays));
             fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
         }
         outside
     }
 
-    /// Pulls cotangents on [`Self::kernels`] back.
-    pub fn kernels_vjp(
-        &self,
-        table: &Table,
-        illumination: &Illumination,
-        map: &SensorMap,
-        place: Place,
-        bar: &[f64],
-    ) -> KernelBar {
-        let place = Place { radius_mm: illumination.held(place.radius_mm), ..place };
-        let taps = table.taps(place.radius_mm);
-        let (shares, levels) = self.shares(illumination, place.radius_mm);
-        let colours = table.spec.wavelength_nm.len();
+    /// Adds the pull-back of cotangents on [`Self::kernels`] to that of the pencil.
+    pub fn kernels_vjp(&self, pencil: &Pencil, outward: [f64; 2], bar: &[f64], to: &mut PencilBar) {
+        let [c, r] = outward.map(|v| v / self.cell_mm);
+        for (l, colour) in pencil.colours.iter().enumerate() {
+            let Some(Colour { fed, rays, .. }) = colour else { continue };
+            let lit: Vec<usize> = (0..rays.x.len()).filter(|q| rays.share[*q] != 0.0).collect();
+            let (out, shares) = (&mut to.rays[l], &mut to.shares);
+            self.raster.splat_vjp(bar, fed, self.moves(outward, rays), |k, u_bar, values| {
+                let (q, sign) = (lit[k / 2], if k % 2 == 0 { 1.0 } else { -1.0 });
+                out.x[q] += sign * (u_bar[1] * c - u_bar[0] * r);
+                out.y[q] += u_bar[0] * c + u_bar[1] * r;
+                for ((channel, scale), value) in fed.iter().zip(values) {
+                    out.share[q] += scale * value;
+                    shares[*channel][l] += rays.share[q] * value;
+                }
+            });
+        }
+    }
+
+    /// Pulls cotangents on [`Self::pencil`] back.
+    pub fn pencil_vjp(&self, table: &Table, map: &SensorMap, pencil: &Pencil, bar: &PencilBar) -> KernelBar {
         let mut back = KernelBar {
+            radius_mm: pencil.radius_mm,
             rows: Vec::new(),
-            irradiance: vec![0.0; colours],
+            irradiance: vec![0.0; pencil.colours.len()],
             map: vec![0.0; map.coefficients.len()],
-            taps,
+            taps: pencil.taps.clone(),
         };
-        // Of the shares, [channel][wavelength].
-        let mut shares_bar = vec![vec![0.0; colours]; self.channels()];
-        for l in 0..colours {
-            let fed = Self::fed(&shares, l);
-            if fed.is_empty() {
-                continue;
-            }
-            let row = table.row(l, &back.taps);
-            let rays = self.rays_of(table, map, &row, place.radius_mm);
-            let rays_bar = self.splat_vjp(place, &rays, &fed, bar, l, &mut shares_bar);
+        for (l, colour) in pencil.colours.iter().enumerate() {
+            let Some(Colour { row, rays, .. }) = colour else { continue };
             let mut row_bar = RowBar::zeros(table);
-            self.rays_vjp(table, map, (&row, place.radius_mm), (&rays, &rays_bar), &mut row_bar, &mut back.map);
+            self.rays_vjp(table, map, (row, pencil.radius_mm), (rays, &bar.rays[l]), &mut row_bar, &mut back.map);
             back.rows.push((l, row_bar));
         }
         // share = w E / Σ w E.
-        for (c, w) in self.weight.iter().enumerate().filter(|(c, _)| levels[*c] > 0.0) {
-            let mean: f64 = shares[c].iter().zip(&shares_bar[c]).map(|(s, b)| s * b).sum();
-            for l in 0..colours {
-                back.irradiance[l] += w[l] / levels[c] * (shares_bar[c][l] - mean);
+        for (c, w) in self.weight.iter().enumerate().filter(|(c, _)| pencil.levels[*c] > 0.0) {
+            let mean: f64 = pencil.shares[c].iter().zip(&bar.shares[c]).map(|(s, b)| s * b).sum();
+            for (to, (w, b)) in back.irradiance.iter_mut().zip(w.iter().zip(&bar.shares[c])) {
+                *to += w / pencil.levels[c] * (b - mean);
             }
         }
         back
-    }
-
-    fn splat_vjp(
-        &self,
-        place: Place,
-        rays: &Rays,
-        fed: &[(usize, f64)],
-        bar: &[f64],
-        l: usize,
-        shares_bar: &mut [Vec<f64>],
-    ) -> RaysBar {
-        let [c, r] = place.outward.map(|v| v / self.cell_mm);
-        let count = rays.x.len();
-        let lit: Vec<usize> = (0..count).filter(|q| rays.share[*q] != 0.0).collect();
-        let mut out = RaysBar { x: vec![0.0; count], y: vec![0.0; count], share: vec![0.0; count] };
-        self.raster.splat_vjp(bar, fed, self.moves(place, rays), |k, u_bar, values| {
-            let (q, sign) = (lit[k / 2], if k % 2 == 0 { 1.0 } else { -1.0 });
-            out.x[q] += sign * (u_bar[1] * c - u_bar[0] * r);
-            out.y[q] += u_bar[0] * c + u_bar[1] * r;
-            for ((channel, scale), value) in fed.iter().zip(values) {
-                out.share[q] += scale * value;
-                shares_bar[*channel][l] += rays.share[q] * value;
-            }
-        });
-        out
     }
 
     fn rays_vjp(

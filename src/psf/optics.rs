@@ -19,8 +19,12 @@
 //! # Ok::<(), isoplanat::error::Error>(())
 //! ```
 
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
 use super::illumination::{Illumination, IlluminationBar};
-use super::kernel::{KernelBar, KernelForm, Place};
+use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place};
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::{StopNodes, StopPoints};
@@ -95,12 +99,11 @@ impl OpticsBar {
     }
 
     /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
-    pub fn add_kernel(&mut self, optics: &Optics, depth: usize, radius_mm: f64, back: &KernelBar) {
-        let radius_mm = optics.illumination.held(radius_mm);
+    pub fn add_kernel(&mut self, optics: &Optics, depth: usize, back: &KernelBar) {
         for (l, row) in &back.rows {
             optics.table.row_vjp(*l, &back.taps, &row.0, &mut self.table);
         }
-        optics.illumination.at_vjp(radius_mm, &back.irradiance, &mut self.illumination);
+        optics.illumination.at_vjp(back.radius_mm, &back.irradiance, &mut self.illumination);
         self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
     }
 
@@ -195,20 +198,71 @@ impl Optics {
         }
     }
 
-    /// The kernels of all channels at `place` for object distance `depth`; see [`KernelForm::kernels`].
-    pub fn kernels(&self, form: &KernelForm, depth: usize, place: Place, out: &mut [f64]) -> Vec<f64> {
-        form.kernels(&self.table, &self.illumination, &self.maps[depth], place, out)
+    fn pencil(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Pencil {
+        form.pencil(&self.table, &self.illumination, &self.maps[depth], radius_mm)
     }
 
-    /// Pulls cotangents on [`Self::kernels`] back; [`OpticsBar::add_kernel`] takes what comes.
-    pub fn kernels_vjp(&self, form: &KernelForm, depth: usize, place: Place, bar: &[f64]) -> KernelBar {
-        form.kernels_vjp(&self.table, &self.illumination, &self.maps[depth], place, bar)
+    /// Writes the fine kernels of all channels at `place` for object distance `depth`, `[channel][row][col]` on the form's raster;
+    /// returns the share of each channel's light that falls outside the window.
+    pub fn kernels(&self, form: &KernelForm, depth: usize, place: Place, out: &mut [f64]) -> Vec<f64> {
+        form.kernels(&self.pencil(form, depth, place.radius_mm), place.outward, out)
+    }
+
+    /// What `with` makes of each place's number, kernels and light outside, as of [`Self::kernels`], in the order of `places`;
+    /// places at the same distance from the axis share its rays.
+    pub fn kernels_each<R: Send>(
+        &self,
+        form: &KernelForm,
+        depth: usize,
+        places: &[Place],
+        with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
+    ) -> Vec<R> {
+        let of_radius = |group: &Vec<usize>| -> Vec<(usize, R)> {
+            let pencil = self.pencil(form, depth, places[group[0]].radius_mm);
+            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
+            let one = |i: &usize| {
+                let outside = form.kernels(&pencil, places[*i].outward, &mut kernel);
+                (*i, with(*i, &kernel, &outside))
+            };
+            group.iter().map(one).collect()
+        };
+        let mut made: Vec<(usize, R)> = by_radius(places).par_iter().flat_map_iter(of_radius).collect();
+        made.sort_unstable_by_key(|(i, _)| *i);
+        made.into_iter().map(|(_, r)| r).collect()
+    }
+
+    /// Pulls cotangents on the kernels of `places` back, one result a distance from the axis; `bar` writes those of a place
+    /// over zeros, or says that there are none. [`OpticsBar::add_kernel`] takes what comes.
+    pub fn kernels_vjp(
+        &self,
+        form: &KernelForm,
+        depth: usize,
+        places: &[Place],
+        bar: impl Fn(usize, &mut [f64]) -> bool + Sync,
+    ) -> Vec<KernelBar> {
+        let of_radius = |group: &Vec<usize>| {
+            let mut pulled: Option<(Pencil, PencilBar)> = None;
+            let mut fine = vec![0.0; form.channels() * form.raster.len()];
+            for i in group {
+                fine.fill(0.0);
+                if !bar(*i, &mut fine) {
+                    continue;
+                }
+                let (pencil, to) = pulled.get_or_insert_with(|| {
+                    let pencil = self.pencil(form, depth, places[*i].radius_mm);
+                    let none = PencilBar::zeros(&pencil);
+                    (pencil, none)
+                });
+                form.kernels_vjp(pencil, places[*i].outward, &fine, to);
+            }
+            pulled.map(|(pencil, bar)| form.pencil_vjp(&self.table, &self.maps[depth], &pencil, &bar))
+        };
+        by_radius(places).par_iter().filter_map(of_radius).collect()
     }
 
     /// Half-widths in pixels of the square windows that hold all but each of `shares` of the light of every channel at
     /// every traced radius, for object distance `depth`; two pixels for box and tent added.
     pub fn half_widths(&self, form: &KernelForm, depth: usize, shares: &[f64], radii_mm: [f64; 2]) -> Vec<usize> {
-        use rayon::prelude::*;
         let [low, high] = radii_mm;
         // As kernels are made: those of dim places are those of the last place with light.
         let edge = self.table.edge_mm.min(self.illumination.held(f64::INFINITY));
@@ -255,6 +309,20 @@ impl Optics {
         }
         self.table.vjp(lens, &table)
     }
+}
+
+/// Numbers of places at the same distance from the axis, in the order of the first of each.
+fn by_radius(places: &[Place]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    let mut known: HashMap<u64, usize> = HashMap::new();
+    for (i, place) in places.iter().enumerate() {
+        let group = *known.entry(place.radius_mm.to_bits()).or_insert_with(|| {
+            groups.push(Vec::new());
+            groups.len() - 1
+        });
+        groups[group].push(i);
+    }
+    groups
 }
 
 #[cfg(test)]

@@ -11,7 +11,6 @@ use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::Spectrum;
 use crate::lens::Lens;
 use crate::math::memory::{BASE, Limit, product, threads};
-use rayon::prelude::*;
 
 use crate::psf::table::{Tolerance, knots};
 use crate::psf::{Optics, OpticsSpec, Place, Quadrature};
@@ -197,21 +196,15 @@ fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result
     let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
     request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes(count, channels, size), instead)?;
     let form = optics.form(request.rays, size, 1, request.pitch_mm);
-    let places: Vec<(usize, Place)> = lines
-        .iter()
-        .enumerate()
-        .flat_map(|(d, l)| l.radius_mm.iter().map(move |r| (d, Place { radius_mm: *r, outward: [0.0, -1.0] })))
-        .collect();
-    let made: Vec<(Vec<f32>, Vec<f64>)> = places
-        .par_iter()
-        .map(|(depth, place)| {
-            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
-            let outside = optics.kernels(&form, *depth, *place, &mut kernel);
-            #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
-            let kernel = kernel.into_iter().map(|v| v as f32).collect();
-            (kernel, outside)
-        })
-        .collect();
+    let of_line = |(depth, line): (usize, &FieldLine)| {
+        let places: Vec<Place> = line.radius_mm.iter().map(|r| Place { radius_mm: *r, outward: [0.0, -1.0] }).collect();
+        #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
+        let single = |_: usize, kernel: &[f64], outside: &[f64]| {
+            (kernel.iter().map(|v| *v as f32).collect::<Vec<f32>>(), outside.to_vec())
+        };
+        optics.kernels_each(&form, depth, &places, single)
+    };
+    let made: Vec<(Vec<f32>, Vec<f64>)> = lines.iter().enumerate().flat_map(of_line).collect();
     let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) = made.into_iter().unzip();
     Ok(Tiles { optics, lines, size, kernels: kernels.concat(), outside })
 }

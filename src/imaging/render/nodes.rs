@@ -155,17 +155,10 @@ impl<'a> Nodes<'a> {
         let mut missing: Vec<(isize, isize)> = places.filter(|p| !self.cache.contains_key(p)).collect();
         missing.sort_unstable();
         missing.dedup();
-        let (optics, depth, raster, form) = (self.optics, self.depth, self.raster, &self.form);
-        let new: Vec<((isize, isize), Vec<f32>)> = missing
-            .into_par_iter()
-            .map(|at| {
-                let mut out = vec![0.0; form.channels() * form.raster.len()];
-                optics.kernels(form, depth, place(raster, at.0, at.1), &mut out);
-                #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
-                let out = out.into_iter().map(|v| v as f32).collect();
-                (at, out)
-            })
-            .collect();
+        let places: Vec<Place> = missing.iter().map(|(row, col)| place(self.raster, *row, *col)).collect();
+        #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
+        let single = |i: usize, kernel: &[f64], _: &[f64]| (missing[i], kernel.iter().map(|v| *v as f32).collect());
+        let new: Vec<((isize, isize), Vec<f32>)> = self.optics.kernels_each(&self.form, self.depth, &places, single);
         self.sharpest = new.iter().map(|(_, k)| norm(k)).fold(self.sharpest, f64::max);
         self.cache.extend(new);
     }

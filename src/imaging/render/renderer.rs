@@ -8,7 +8,6 @@ use std::borrow::Cow;
 use std::sync::{Mutex, PoisonError};
 
 use ndarray::{Array3, Array4, ArrayView3, ArrayView4, Axis, s};
-use rayon::prelude::*;
 
 use super::coarse::{cells, to_pixels, to_pixels_vjp};
 use super::inputs::{Kept, NodeKernels, Seen};
@@ -27,7 +26,7 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
 use crate::math::real::Real;
 use crate::psf::splat::phase_of_vjp;
-use crate::psf::{KernelForm, Optics, OpticsBar};
+use crate::psf::{KernelForm, Optics, OpticsBar, Place};
 
 /// A lens on a frame, ready for scenes.
 #[derive(Debug)]
@@ -310,29 +309,22 @@ impl Renderer {
         let form = &*self.form(depth, &rendered.channels);
         let (raster, m) = (form.raster, form.raster.samples);
         let bars: Vec<_> = bars.collect();
-        let parts: Vec<_> = bars
-            .par_iter()
-            .enumerate()
-            .filter(|(_, b)| b.iter().any(|v| *v != T::zero()))
-            .map(|(node, b)| {
-                let mut fine = vec![0.0; form.channels() * raster.len()];
-                for (k, plane) in fine.chunks_exact_mut(raster.len()).enumerate() {
-                    for phase in 0..m * m {
-                        phase_of_vjp(
-                            b.slice(s![k, phase, .., ..]),
-                            raster,
-                            [phase / m, phase % m],
-                            plane,
-                            T::to_double,
-                        );
-                    }
+        let places: Vec<Place> = (0..bars.len()).map(|node| self.node_place(depth, &rendered.grid, node)).collect();
+        let fine_of = |node: usize, fine: &mut [f64]| {
+            let b = &bars[node];
+            if b.iter().all(|v| *v == T::zero()) {
+                return false;
+            }
+            for (k, plane) in fine.chunks_exact_mut(raster.len()).enumerate() {
+                for phase in 0..m * m {
+                    let at = [phase / m, phase % m];
+                    phase_of_vjp(b.slice(s![k, phase, .., ..]), raster, at, plane, T::to_double);
                 }
-                let at = self.node_place(depth, &rendered.grid, node);
-                (at.radius_mm, self.optics.kernels_vjp(form, depth, at, &fine))
-            })
-            .collect();
-        for (radius_mm, back) in &parts {
-            bar.add_kernel(&self.optics, depth, *radius_mm, back);
+            }
+            true
+        };
+        for back in self.optics.kernels_vjp(form, depth, &places, fine_of) {
+            bar.add_kernel(&self.optics, depth, &back);
         }
     }
 
@@ -342,14 +334,14 @@ impl Renderer {
         let d = &self.plan.depths[depth];
         let size = 2 * d.half_width * d.bin + 1;
         let form = self.optics.form(self.plan.settings.dense, size, 1, self.plan.frame.pitch_mm);
-        let mut out = Array4::from_elem((grid.len(), form.channels(), size, size), T::zero());
-        out.outer_iter_mut().into_par_iter().enumerate().for_each(|(node, mut to)| {
+        let at = |node: usize| {
             let (row, col) = grid.pixel(node);
-            let mut fine = vec![0.0; to.len()];
-            self.optics.kernels(&form, depth, place(&self.plan.frame, row, col), &mut fine);
-            to.iter_mut().zip(fine).for_each(|(a, b)| *a = T::real(b));
-        });
-        out
+            place(&self.plan.frame, row, col)
+        };
+        let places: Vec<Place> = (0..grid.len()).map(at).collect();
+        let real = |_: usize, kernel: &[f64], _: &[f64]| kernel.iter().map(|v| T::real(*v)).collect::<Vec<T>>();
+        let all = self.optics.kernels_each(&form, depth, &places, real).concat();
+        Array4::from_shape_vec((grid.len(), form.channels(), size, size), all).expect("as many as nodes")
     }
 
     /// Pulls cotangents on the optics back to the lens that they were traced from.

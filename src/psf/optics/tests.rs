@@ -18,6 +18,45 @@ fn spec(radius_mm: f64, vergences: Vec<f64>) -> OpticsSpec {
     OpticsSpec { radii_mm, vergences, quadrature: rgb(), degree: 7, illuminations: 24 }
 }
 
+fn written(to: &mut [f64], bar: &[f64]) -> bool {
+    to.copy_from_slice(bar);
+    true
+}
+
+/// Places that share a distance from the axis have the kernels, to the bit, and the pull-back that they have alone; one without
+/// a cotangent adds nothing.
+#[test]
+fn places_that_share_a_radius_are_the_places_alone() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let o = Optics::compute(&lens, &spec(18.0, vec![lens.object_vergence])).expect("traces");
+    let form = o.form(120, 15, 2, 0.02);
+    let at = |x: f64, y: f64| Place::at([x, y]);
+    let places = [at(9.0, 12.0), at(-2.0, 5.0), at(12.0, -9.0), at(5.0, 2.0), at(0.0, 15.0), at(0.0, 0.0)];
+    assert_eq!(by_radius(&places), [vec![0, 2, 4], vec![1, 3], vec![5]]);
+    let len = 3 * form.raster.len();
+    let rng = &mut fastrand::Rng::with_seed(3);
+    let bars: Vec<Vec<f64>> = places.iter().map(|_| (0..len).map(|_| rng.f64() - 0.5).collect()).collect();
+    let together = o.kernels_each(&form, 0, &places, |i, k, outside| (i, k.to_vec(), outside.to_vec()));
+    let mut alone = OpticsBar::zeros(&o);
+    for (i, place) in places.iter().enumerate() {
+        let mut kernel = vec![0.0; len];
+        let outside = o.kernels(&form, 0, *place, &mut kernel);
+        assert_eq!(together[i], (i, kernel, outside), "place {i}");
+        // The last has no cotangent.
+        let bar = |_: usize, to: &mut [f64]| i + 1 < places.len() && written(to, &bars[i]);
+        o.kernels_vjp(&form, 0, &[*place], bar).iter().for_each(|b| alone.add_kernel(&o, 0, b));
+    }
+    let mut shared = OpticsBar::zeros(&o);
+    let bar = |i: usize, to: &mut [f64]| i + 1 < places.len() && written(to, &bars[i]);
+    let back = o.kernels_vjp(&form, 0, &places, bar);
+    assert_eq!(back.len(), 2, "one a radius with a cotangent");
+    back.iter().for_each(|b| shared.add_kernel(&o, 0, b));
+    let variables = Variables::all(&lens);
+    let [a, b] = [&shared, &alone].map(|bar| variables.gradient(&o.vjp(&lens, bar)));
+    let scale = b.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+    a.iter().zip(&b).for_each(|(a, b)| assert_abs(*a, *b, 1e-12 * scale, "gradient"));
+}
+
 /// Kernels, illumination and maps at two depths at once, against differences of every number of the lens: 1e-6.
 #[test]
 fn the_pull_back_agrees_with_differences() {
@@ -47,8 +86,9 @@ fn the_pull_back_agrees_with_differences() {
         let form = o.form(120, size, 1, cell);
         let mut bar = OpticsBar::zeros(&o);
         for (depth, (place, b)) in places.iter().zip(&bars).enumerate() {
-            let back = o.kernels_vjp(&form, depth, *place, b);
-            bar.add_kernel(&o, depth, place.radius_mm, &back);
+            for back in o.kernels_vjp(&form, depth, &[*place], |_, to| written(to, b)) {
+                bar.add_kernel(&o, depth, &back);
+            }
         }
         o.relative_illumination_vjp(std::iter::once((0.93 * radius, &light_bar[..])), &mut bar);
         o.maps[1].slope_vjp(0.8 * radius, 3.0, &mut bar.maps[1]);
