@@ -134,8 +134,10 @@ mod tests {
                 let rng = &mut fastrand::Rng::with_seed(100 + seed);
                 let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
                 let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
-                let at =
-                    |h: f64| loss(&vars.lens(&lens, &x.iter().zip(&dx).map(|(a, b)| a + h * b).collect::<Vec<_>>()));
+                let at = |h: f64| {
+                    let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                    loss(&vars.lens(&lens, &moved).expect("a lens"))
+                };
                 let steps = (0..12).map(|k| 6e-7 * 1.15f64.powi(k));
                 let numeric = steady_difference(|h| (at(h) - at(-h)) / (2.0 * h), steps);
                 worst = worst.max((pulled - numeric).abs() / numeric.abs());

@@ -119,7 +119,7 @@ mod tests {
             let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
             let f = |h: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                let l = vars.lens(&lens, &moved);
+                let l = vars.lens(&lens, &moved).expect("a lens");
                 c.penalty(&l, &mut LensGradient::zeros(&l))
             };
             assert_rel(pulled, central_difference(f, 1e-6), 1e-7, 1e-3, &format!("seed {seed}"));

@@ -61,7 +61,7 @@ pub struct Joint {
     /// How finely it was rendered: settings with their gradient's error, and the step from which on they were used.
     pub fineness: Vec<(usize, Chosen)>,
     values: Vec<f64>,
-    good: Vec<f64>,
+    good: (Vec<f64>, Lens),
     adam: Adam,
     damping: f64,
 }
@@ -102,13 +102,13 @@ impl Joint {
         let values = variables.values(&lens);
         let adam = Adam::new(values.len());
         Self {
+            good: (values.clone(), lens.clone()),
             lens,
             network,
             variables,
             constraints,
             rejected: 0,
             fineness: Vec::new(),
-            good: values.clone(),
             values,
             adam,
             damping: 1.0,
@@ -125,7 +125,7 @@ impl Joint {
             return Ok(renderer);
         }
         match Renderer::new(&self.lens, plan) {
-            Err(_) if self.values != self.good => {
+            Err(_) if self.values != self.good.0 => {
                 self.take_back();
                 Renderer::new(&self.lens, plan)
             }
@@ -183,12 +183,12 @@ impl Joint {
         let g = self.variables.gradient(&gradient);
         let finite = s.loss.is_finite() && g.iter().all(|v| v.is_finite());
         if finite {
-            self.good.clone_from(&self.values);
+            self.good = (self.values.clone(), self.lens.clone());
             self.adam.step(&mut self.values, &g, lens_rate * self.damping);
             self.damping = (self.damping * 1.02).min(1.0);
-            let moved = self.variables.lens(&self.lens, &self.values);
-            match moved.check(&moved.name).and_then(|()| overlapping_rims(&moved, &moved.name)) {
-                Ok(_) => self.lens = moved,
+            let clear = |moved: Lens| overlapping_rims(&moved, &moved.name).map(|_| moved);
+            match self.variables.lens(&self.lens, &self.values).and_then(clear) {
+                Ok(moved) => self.lens = moved,
                 Err(_) => self.take_back(),
             }
         }
@@ -204,8 +204,7 @@ impl Joint {
     fn take_back(&mut self) {
         self.rejected += 1;
         self.damping *= 0.5;
-        self.values.clone_from(&self.good);
-        self.lens = self.variables.lens(&self.lens, &self.values);
+        (self.values, self.lens) = self.good.clone();
         self.adam.first.fill(0.0);
     }
 }
@@ -277,7 +276,7 @@ mod tests {
             let h = 2e-4;
             let mut at = |t: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();
-                loss(&vars.lens(&lens, &moved)).0
+                loss(&vars.lens(&lens, &moved).expect("a lens")).0
             };
             let numeric = (at(h) - at(-h)) / (2.0 * h);
             crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("direction {seed}"));

@@ -10,7 +10,7 @@ use super::schedule::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
-use crate::lens::{Lens, SensorRaster, builtin};
+use crate::lens::{Lens, Prescription, SensorRaster, builtin};
 use crate::trace::rims::overlapping_rims;
 
 /// The form of task files this program reads.
@@ -215,20 +215,13 @@ impl Task {
 
     /// The lens, on the task's raster.
     pub fn lens(&self) -> Result<Lens> {
-        let mut lens = builtin::lens_or_file(&self.lens)?;
+        let lens = builtin::lens_or_file(&self.lens)?;
         overlapping_rims(&lens, &self.lens)?;
-        if let Some(s) = self.sensor {
-            #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
-            let centre = [s.columns as f64 / 2.0, s.rows as f64 / 2.0];
-            lens.sensor = SensorRaster {
-                columns: s.columns,
-                rows: s.rows,
-                pitch_um: s.pitch_um,
-                axis_px: s.axis_px.unwrap_or(centre),
-            };
-        }
-        lens.check(&self.lens)?;
-        Ok(lens)
+        let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
+        #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
+        let centre = [columns as f64 / 2.0, rows as f64 / 2.0];
+        let raster = SensorRaster { columns, rows, pitch_um, axis_px: axis_px.unwrap_or(centre) };
+        Lens::new(Prescription { sensor: raster, ..(*lens).clone() }, &self.lens)
     }
 
     /// The sensor's calibration.

@@ -1,6 +1,6 @@
 //! What every lens must be, whether a file states it or a design step made it.
 
-use super::{Aperture, Lens, Medium, Shape, Surface, clearance, numbers, paraxial};
+use super::{Aperture, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
 use crate::error::{Error, Result};
 
 /// Largest half field angle. Work on a flat image asks for less than 90.
@@ -11,9 +11,9 @@ const RADII: f64 = 1e3;
 /// Bound of the slope of the polynomial terms: 1000 is 89.94°. Aspheres whose terms cancel stay far below.
 const STEEPEST: f64 = 1e3;
 
-impl Lens {
-    /// Refuses what is no lens; `file` names it. Readers and design steps ask here and nowhere else.
-    pub fn check(&self, file: &str) -> Result<()> {
+impl Prescription {
+    /// Refuses what is no lens; `file` names it. [`super::Lens::new`] asks here, and nothing else does.
+    pub(super) fn check(&self, file: &str) -> Result<()> {
         let refuse =
             |place: &str, found: String, allowed: &str| -> Result<()> { Err(Error::bad(file, place, found, allowed)) };
         if self.stop >= self.surfaces.len() {

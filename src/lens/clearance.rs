@@ -1,6 +1,6 @@
 //! What the surfaces of a lens must leave each other, the stop and the sensor.
 
-use super::{Aperture, Lens, Surface, paraxial};
+use super::{Aperture, Prescription, Surface, paraxial};
 use crate::error::{Error, Result};
 
 /// Gaps are held to this, mm: elements may touch.
@@ -35,7 +35,7 @@ impl Overlap {
 }
 
 /// Overlaps of neighbouring surfaces within the clear semi-diameters that both have.
-pub fn overlaps(lens: &Lens) -> Vec<Overlap> {
+pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
     let overlap = |(i, pair): (usize, &[Surface])| {
         let rim = pair[0].semi_diameter.min(pair[1].semi_diameter);
         let gap = |r: f64| gap(&pair[0], Some(&pair[1]), r);
@@ -47,10 +47,10 @@ pub fn overlaps(lens: &Lens) -> Vec<Overlap> {
 
 /// Refuses surfaces that overlap where the light of the axis goes, or by more than rims do, and a last surface that reaches
 /// the sensor's plane.
-pub(super) fn check(lens: &Lens, file: &str) -> Result<()> {
+pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     let found = overlaps(lens);
     // A stop that asks for more light than its surface lets through gets what goes through.
-    let narrowed = narrowed_stop(lens).map(|aperture| Lens { aperture, ..lens.clone() });
+    let narrowed = narrowed_stop(lens).map(|aperture| Prescription { aperture, ..lens.clone() });
     let lens = narrowed.as_ref().unwrap_or(lens);
     let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
     for overlap in found {
@@ -117,19 +117,19 @@ fn gap(surface: &Surface, next: Option<&Surface>, r: f64) -> f64 {
 }
 
 /// The stop's own clear aperture, where `aperture` asks for more.
-fn narrowed_stop(lens: &Lens) -> Option<Aperture> {
+fn narrowed_stop(lens: &Prescription) -> Option<Aperture> {
     let own = lens.surfaces[lens.stop].semi_diameter;
     // A number of the file against one that was computed: rounding is no difference.
     (paraxial::stop_semi_diameter(lens) > own * (1.0 + 1e-9)).then_some(Aperture::StopSemiDiameter(own))
 }
 
-/// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more, and says so.
-pub(super) fn limit_stop(lens: &mut Lens, file: &str) -> Option<String> {
+/// The stop as small as its surface's own clear aperture where `aperture` asks for more, with a line that says so.
+pub(super) fn limited_stop(lens: &Prescription, file: &str) -> Option<(Aperture, String)> {
     let narrowed = narrowed_stop(lens)?;
     let (stated, stop) = (paraxial::stop_semi_diameter(lens), lens.stop);
-    lens.aperture = narrowed;
-    Some(format!(
-        "{file}: surface[{stop}].semi_diameter_mm: {}; `aperture` asks for a stop of {stated:.6} mm: the smaller counts",
-        lens.surfaces[stop].semi_diameter
-    ))
+    let own = lens.surfaces[stop].semi_diameter;
+    let warning = format!(
+        "{file}: surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {stated:.6} mm: the smaller counts"
+    );
+    Some((narrowed, warning))
 }

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use super::shape::Local;
+use super::sag::Local;
 
 /// Highest Noll index: all terms up to radial order 10.
 pub const MAX_NOLL: usize = 66;

@@ -1,7 +1,7 @@
 //! One cotangent for every number of a lens.
 
 use super::numbers::lists;
-use super::{Aperture, Element, Lens, Surface};
+use super::{Aperture, Element, Prescription, Surface};
 
 /// Cotangents of a whole lens, in the lens's own form: each stands where its number does. At the stop the size of the stop counts,
 /// which `aperture` states, and not the surface's own clear semi-diameter.
@@ -17,7 +17,7 @@ pub struct LensGradient {
 
 impl LensGradient {
     /// All zero, in the form of `lens`.
-    pub fn zeros(lens: &Lens) -> Self {
+    pub fn zeros(lens: &Prescription) -> Self {
         let mut zeros =
             Self { surfaces: lens.surfaces.clone(), elements: lens.elements.clone(), aperture: lens.aperture };
         lists(lens).for_each(|(kind, of)| kind.list_mut(&mut zeros, of).fill(0.0));
@@ -32,7 +32,7 @@ impl LensGradient {
     }
 
     /// Adds cotangents of the indices at `nm` (entry 0 is the object space), chained to the glasses' numbers.
-    pub fn add_indices(&mut self, lens: &Lens, nm: f64, index_bar: &[f64]) {
+    pub fn add_indices(&mut self, lens: &Prescription, nm: f64, index_bar: &[f64]) {
         for ((g, s), bar) in self.surfaces.iter_mut().zip(&lens.surfaces).zip(&index_bar[1..]) {
             s.medium.index_vjp(nm, *bar, &mut g.medium);
         }

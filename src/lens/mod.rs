@@ -1,8 +1,23 @@
 //! What the lens is: validated numbers, no rays.
 //!
 //! A [`Lens`] is a list of [`Surface`]s in the order the light meets them, a stop, an object distance (as vergence) and
-//! the raster the image falls on. Surfaces and elements may be tilted and decentred ([`pose`]). Lengths mm, angles radians. A `Lens` that exists is one
-//! that passed [`Lens::check`], whether it came from a file ([`prescription`]) or from a design step. [`numbers`] lists every number.
+//! the raster the image falls on. Surfaces and elements may be tilted and decentred ([`pose`]). Lengths mm, angles radians. The numbers are those
+//! of a [`Prescription`]; a `Lens` is one that passed the check, and is read, not written: [`Lens::changed`] makes another, whether its
+//! numbers come from a file ([`prescription`]), a command line or a design step. [`numbers`] lists every number.
+//!
+//! ```
+//! use isoplanat::lens::{builtin, paraxial};
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let closer = lens.changed(|l| l.object_vergence = 1.0 / 500.0)?;
+//! let bent = lens.changed(|l| l.surfaces[0].shape.curvature *= 1.01)?;
+//! let focal_length = |lens| paraxial::first_order(lens, 587.6).effective_focal_length;
+//! assert!((focal_length(&closer) - 50.0).abs() < 0.1 && focal_length(&bent) < focal_length(&lens));
+//! // What is no lens is refused with the number that is wrong.
+//! let error = lens.changed(|l| l.surfaces[2].thickness = -1.0).unwrap_err();
+//! assert!(error.to_string().contains("surface[2].thickness_mm: -1"));
+//! # Ok::<(), isoplanat::error::Error>(())
+//! ```
 
 pub mod builtin;
 mod check;
@@ -14,6 +29,7 @@ pub mod numbers;
 pub mod paraxial;
 pub mod pose;
 pub mod prescription;
+mod sag;
 pub mod seidel;
 pub mod shape;
 #[cfg(test)]
@@ -101,9 +117,9 @@ pub struct SensorRaster {
     pub axis_px: [f64; 2],
 }
 
-/// A validated lens.
+/// The numbers of a lens as somebody states them: they may not be a lens.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Lens {
+pub struct Prescription {
     /// Name, for reports.
     pub name: String,
     /// Where the numbers come from.
@@ -141,7 +157,52 @@ impl SensorRaster {
     }
 }
 
+/// A prescription that passed the check: it has a stop, its numbers are within their bounds, its surfaces leave each other and the
+/// sensor room, its media have an index at its wavelengths.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lens(Prescription);
+
+impl std::ops::Deref for Lens {
+    type Target = Prescription;
+    fn deref(&self) -> &Prescription {
+        &self.0
+    }
+}
+
 impl Lens {
+    /// The lens of these numbers; `file` names it in errors.
+    ///
+    /// # Errors
+    /// The first number that is not allowed, with what is.
+    pub fn new(mut numbers: Prescription, file: &str) -> Result<Self> {
+        numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
+        numbers.check(file)?;
+        Ok(Self(numbers))
+    }
+
+    /// This lens with other numbers.
+    ///
+    /// # Errors
+    /// Numbers that are no lens, under this lens's name.
+    pub fn changed(&self, change: impl FnOnce(&mut Prescription)) -> Result<Self> {
+        let mut numbers = self.0.clone();
+        change(&mut numbers);
+        Self::new(numbers, &self.name)
+    }
+}
+
+/// `lens` with other numbers that no check has seen: for tests of what work does with numbers that are no lens, and for nothing
+/// else (a test holds it).
+#[doc(hidden)]
+#[must_use]
+pub fn unchecked(lens: &Lens, change: impl FnOnce(&mut Prescription)) -> Lens {
+    let mut numbers = lens.0.clone();
+    change(&mut numbers);
+    numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
+    Lens(numbers)
+}
+
+impl Prescription {
     /// Refractive index of every space at `nm`: entry 0 is the object space (air), entry `i + 1` follows surface `i`.
     pub fn indices(&self, nm: f64) -> Vec<f64> {
         std::iter::once(1.0).chain(self.surfaces.iter().map(|s| s.medium.index(nm))).collect()

@@ -8,7 +8,7 @@
 
 use std::slice::{from_mut, from_ref};
 
-use super::{Aperture, Element, Lens, LensGradient, Medium, Shape, Surface};
+use super::{Aperture, Element, LensGradient, Medium, Prescription, Shape, Surface};
 use crate::error::{Error, Result};
 
 mod table;
@@ -40,7 +40,7 @@ enum At {
 struct Line {
     at: At,
     /// Name of an entry, without surface or element.
-    name: fn(&Lens, Parameter) -> String,
+    name: fn(&Prescription, Parameter) -> String,
     /// Key in the file; one that ends with a dot is followed by the name.
     key: &'static str,
     /// The file's number.
@@ -48,7 +48,7 @@ struct Line {
     /// Which values may stand there, and how that is said.
     allowed: (fn(f64) -> bool, &'static str),
     /// Size of one scaled unit.
-    scale: fn(&Lens, Parameter) -> f64,
+    scale: fn(&Prescription, Parameter) -> f64,
     /// Whether it is a variable of a design.
     free: bool,
 }
@@ -59,7 +59,7 @@ pub(crate) trait Numbered {
     fn parts_mut(&mut self) -> (&mut [Surface], &mut [Element], &mut Aperture);
 }
 
-impl Numbered for Lens {
+impl Numbered for Prescription {
     fn parts(&self) -> (&[Surface], &[Element], &Aperture) {
         (&self.surfaces, &self.elements, &self.aperture)
     }
@@ -161,17 +161,17 @@ pub(super) fn lists<T: Numbered>(lens: &T) -> impl Iterator<Item = (Kind, usize)
 
 impl Parameter {
     /// Every number of `lens`.
-    pub fn all(lens: &Lens) -> impl Iterator<Item = Self> {
+    pub fn all(lens: &Prescription) -> impl Iterator<Item = Self> {
         lists(lens).flat_map(|(kind, of)| (0..kind.list(lens, of).len()).map(move |entry| Self { kind, of, entry }))
     }
 
     /// Path without units, such as `surface[2].thickness`.
-    pub fn name(self, lens: &Lens) -> String {
+    pub fn name(self, lens: &Prescription) -> String {
         format!("{}.{}", self.kind.place(self.of), (self.kind.line().name)(lens, self))
     }
 
     /// Path in the file, such as `surface[2].thickness_mm`.
-    pub fn key(self, lens: &Lens) -> String {
+    pub fn key(self, lens: &Prescription) -> String {
         let (place, line) = (self.kind.place(self.of), self.kind.line());
         let name = if line.key.ends_with('.') { (line.name)(lens, self) } else { String::new() };
         format!("{place}.{}{name}", line.key)
@@ -183,13 +183,13 @@ impl Parameter {
     }
 
     /// Size of one scaled unit; see [`super::variables`].
-    pub(super) fn scale(self, lens: &Lens) -> f64 {
+    pub(super) fn scale(self, lens: &Prescription) -> f64 {
         if self.value(lens).is_some() { (self.kind.line().scale)(lens, self) } else { 1.0 }
     }
 }
 
 /// Refuses a number that may not stand where it does, each for itself; `file` names the lens.
-pub(super) fn check(lens: &Lens, file: &str) -> Result<()> {
+pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     for parameter in Parameter::all(lens) {
         let Line { in_file, allowed: (holds, said), .. } = parameter.kind.line();
         if let Some(value) = parameter.value(lens).filter(|v| !holds(*v)) {
@@ -230,12 +230,10 @@ mod tests {
     #[test]
     fn no_number_may_be_nan() {
         for lens in every_kind() {
-            lens.check("lens.toml").expect("valid");
             for p in Parameter::all(&lens) {
-                let mut bad = lens.clone();
-                p.kind.list_mut(&mut bad, p.of)[p.entry] = f64::NAN;
-                let error = bad.check("lens.toml").expect_err("not a number").to_string();
-                assert!(error.starts_with(&format!("lens.toml: {}: NaN; ", p.key(&lens))), "{error}");
+                let bad = lens.changed(|l| p.kind.list_mut(l, p.of)[p.entry] = f64::NAN);
+                let error = bad.expect_err("not a number").to_string();
+                assert!(error.starts_with(&format!("{}: {}: NaN; ", lens.name, p.key(&lens))), "{error}");
                 assert!(p.scale(&lens) > 0.0, "{}", p.name(&lens));
             }
         }

@@ -3,7 +3,7 @@
 //! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
 //! belongs to the paraxial power and is folded in.
 
-use super::{Aperture, Lens, LensGradient};
+use super::{Aperture, LensGradient, Prescription};
 
 /// First-order data at one wavelength, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -27,7 +27,7 @@ pub struct FirstOrder {
 }
 
 /// `(y, w)` arriving at every surface and, last, after the last surface; starts from `(y, w)` at the first vertex.
-fn sweep(lens: &Lens, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
+fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
     let mut state = vec![[y, w]];
     let (mut y, mut w) = (y, w);
     for (i, s) in lens.surfaces.iter().enumerate() {
@@ -41,7 +41,14 @@ fn sweep(lens: &Lens, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
 }
 
 /// Pulls cotangents on the states of [`sweep`] back to the lens and the indices.
-fn sweep_vjp(lens: &Lens, n: &[f64], state: &[[f64; 2]], bars: &[[f64; 2]], g: &mut LensGradient, n_bar: &mut [f64]) {
+fn sweep_vjp(
+    lens: &Prescription,
+    n: &[f64],
+    state: &[[f64; 2]],
+    bars: &[[f64; 2]],
+    g: &mut LensGradient,
+    n_bar: &mut [f64],
+) {
     let count = lens.surfaces.len();
     let [mut y_bar, mut w_bar] = bars[count];
     for i in (0..count).rev() {
@@ -68,17 +75,17 @@ fn sweep_vjp(lens: &Lens, n: &[f64], state: &[[f64; 2]], bars: &[[f64; 2]], g: &
     }
 }
 
-fn vertex_curvature(lens: &Lens, i: usize) -> f64 {
+fn vertex_curvature(lens: &Prescription, i: usize) -> f64 {
     let shape = &lens.surfaces[i].shape;
     shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0)
 }
 
-fn power(lens: &Lens, n: &[f64], i: usize) -> f64 {
+fn power(lens: &Prescription, n: &[f64], i: usize) -> f64 {
     (n[i + 1] - n[i]) * vertex_curvature(lens, i)
 }
 
 /// First-order data at `nm`. An afocal lens has infinite focal length; callers that need one check it.
-pub fn first_order(lens: &Lens, nm: f64) -> FirstOrder {
+pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let n = lens.indices(nm);
     let last = lens.surfaces.len();
     let (parallel, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
@@ -108,7 +115,7 @@ pub fn first_order(lens: &Lens, nm: f64) -> FirstOrder {
     }
 }
 
-fn stop_from(lens: &Lens, height_at_stop: f64, efl: f64) -> f64 {
+fn stop_from(lens: &Prescription, height_at_stop: f64, efl: f64) -> f64 {
     match lens.aperture {
         Aperture::StopSemiDiameter(r) => r,
         Aperture::EntrancePupilDiameter(d) => 0.5 * d * height_at_stop,
@@ -117,12 +124,12 @@ fn stop_from(lens: &Lens, height_at_stop: f64, efl: f64) -> f64 {
 }
 
 /// Semi-diameter of the stop, mm, from the stated aperture at the primary wavelength.
-pub fn stop_semi_diameter(lens: &Lens) -> f64 {
+pub fn stop_semi_diameter(lens: &Prescription) -> f64 {
     first_order(lens, lens.wavelengths.primary_nm).stop_semi_diameter
 }
 
 /// Heights at which the marginal ray from the axial object point meets every surface, mm.
-pub fn marginal_heights(lens: &Lens, nm: f64) -> Vec<f64> {
+pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
     let (first, v) = (first_order(lens, nm), lens.object_vergence);
     let y = 0.5 * first.entrance_pupil_diameter / (1.0 + v * first.entrance_pupil_position);
     let mut heights: Vec<f64> = sweep(lens, &lens.indices(nm), y, v * y).into_iter().map(|[y, _]| y.abs()).collect();
@@ -131,7 +138,7 @@ pub fn marginal_heights(lens: &Lens, nm: f64) -> Vec<f64> {
 }
 
 /// Pulls cotangents on the effective focal length and the stop's semi-diameter back to the lens.
-pub fn first_order_vjp(lens: &Lens, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
+pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
     let n = lens.indices(nm);
     let last = lens.surfaces.len();
     let state = sweep(lens, &n, 1.0, 0.0);
@@ -181,9 +188,9 @@ mod tests {
     #[test]
     fn first_order_vjp_agrees_with_differences() {
         for name in ["two_element", "three_element", "double_gauss"] {
-            let mut lens = builtin::lens(name).expect("shipped");
+            let lens = builtin::lens(name).expect("shipped");
             for aperture in [Aperture::EntrancePupilDiameter(9.0), Aperture::FNumber(4.0)] {
-                lens.aperture = aperture;
+                let lens = lens.changed(|l| l.aperture = aperture).expect("a lens");
                 let vars = Variables::all(&lens);
                 let mut g = LensGradient::zeros(&lens);
                 first_order_vjp(&lens, 550.0, 0.7, 1.3, &mut g);
@@ -193,7 +200,7 @@ mod tests {
                 let pulled: f64 = vars.gradient(&g).iter().zip(&dx).map(|(a, b)| a * b).sum();
                 let f = |h: f64| {
                     let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                    let p = first_order(&vars.lens(&lens, &moved), 550.0);
+                    let p = first_order(&vars.lens(&lens, &moved).expect("a lens"), 550.0);
                     0.7 * p.effective_focal_length + 1.3 * p.stop_semi_diameter
                 };
                 assert_rel(pulled, central_difference(f, 1e-4), 1e-8, 1e-3, name);

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Aperture, Lens, Medium, SensorRaster, Shape, Surface, Wavelengths, clearance};
+use super::{Aperture, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
 use crate::error::{Error, Result};
 
 mod freeform;
@@ -214,7 +214,7 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
     let surfaces =
         parsed.surface.into_iter().enumerate().map(|(i, s)| read_surface(i, s, file)).collect::<Result<Vec<_>>>()?;
-    let mut lens = Lens {
+    let numbers = Prescription {
         name: parsed.name,
         source: parsed.source,
         surfaces,
@@ -230,9 +230,9 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
         },
         sensor: SensorRaster { columns, rows, pitch_um, axis_px },
     };
-    lens.check(file)?;
-    let warning = clearance::limit_stop(&mut lens, file);
-    Ok((lens, warning))
+    let lens = Lens::new(numbers, file)?;
+    let Some((aperture, warning)) = clearance::limited_stop(&lens, file) else { return Ok((lens, None)) };
+    Ok((lens.changed(|l| l.aperture = aperture)?, Some(warning)))
 }
 
 fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
@@ -274,7 +274,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
 }
 
 /// The canonical TOML form: reading it gives the same lens to the last bit.
-pub fn to_toml(lens: &Lens) -> String {
+pub fn to_toml(lens: &Prescription) -> String {
     let mut aperture = FileAperture::default();
     match lens.aperture {
         Aperture::EntrancePupilDiameter(d) => aperture.entrance_pupil_diameter_mm = Some(d),

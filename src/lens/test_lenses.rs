@@ -19,8 +19,9 @@ pub(crate) fn every_kind() -> [Lens; 3] {
         Aperture::FNumber(4.5),
         Aperture::StopSemiDiameter(0.9 * paraxial::stop_semi_diameter(&lens)),
     ];
-    let mut lenses = sizes.map(|aperture| Lens { aperture, ..lens.clone() });
-    lenses[1].surfaces[3].medium = named("N-BK7");
-    lenses[2].surfaces[3].medium = table;
-    lenses
+    let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table];
+    let mut each = sizes.into_iter().zip(media).map(|(aperture, medium)| {
+        lens.changed(|l| (l.aperture, l.surfaces[3].medium) = (aperture, medium)).expect("a lens")
+    });
+    std::array::from_fn(|_| each.next().expect("three"))
 }

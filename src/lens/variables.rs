@@ -6,7 +6,8 @@
 //! with `R` the clear semi-diameter **when the set was made**. The table of [`super::numbers`] holds them.
 
 use super::numbers::{Kind, Parameter};
-use super::{Lens, LensGradient};
+use super::{Lens, LensGradient, Prescription};
+use crate::error::Result;
 
 /// An ordered set of free numbers with their scales.
 #[derive(Clone, Debug, PartialEq)]
@@ -39,20 +40,24 @@ impl Variables {
 
     /// Scaled values of `lens`; 0 for what it has no number of.
     pub fn values(&self, lens: &Lens) -> Vec<f64> {
-        self.parameters.iter().zip(&self.scales).map(|(p, s)| p.value(lens).unwrap_or(0.0) / s).collect()
+        self.parameters.iter().zip(&self.scales).map(|(p, s)| p.value(&**lens).unwrap_or(0.0) / s).collect()
     }
 
-    /// `base` with the scaled `values` put in. [`Lens::check`] says whether that is a lens.
-    #[must_use]
-    pub fn lens(&self, base: &Lens, values: &[f64]) -> Lens {
-        let mut lens = base.clone();
+    /// `base` with the scaled `values` put in.
+    ///
+    /// # Errors
+    /// Values that are no lens.
+    pub fn lens(&self, base: &Lens, values: &[f64]) -> Result<Lens> {
+        base.changed(|lens| self.put(lens, values))
+    }
+
+    /// Puts the scaled `values` into the numbers of a lens.
+    pub fn put(&self, lens: &mut Prescription, values: &[f64]) {
         for ((p, s), v) in self.parameters.iter().zip(&self.scales).zip(values) {
-            if let Some(number) = p.kind.list_mut(&mut lens, p.of).get_mut(p.entry) {
+            if let Some(number) = p.kind.list_mut(lens, p.of).get_mut(p.entry) {
                 *number = v * s;
             }
         }
-        lens.surfaces.iter_mut().for_each(|s| s.shape.refresh());
-        lens
     }
 
     /// Gradient with respect to the scaled values.

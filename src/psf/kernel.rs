@@ -427,3 +427,57 @@ impl Rays {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::psf::{Optics, OpticsSpec, Quadrature};
+    use crate::testing::{assert_rel, central_difference};
+
+    /// Of kernels at one radius and three azimuths, against differences in what a pencil is read from beside the table: every
+    /// coefficient of the sensor map, every wavelength's irradiance.
+    #[test]
+    fn pencil_vjp_agrees_with_differences() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let weight = vec![vec![0.1, 0.3, 0.6], vec![0.2, 0.7, 0.1], vec![0.8, 0.2, 0.0]];
+        let quadrature = Quadrature { nm: vec![470.0, 540.0, 610.0], weight };
+        let o = Optics::compute(&lens, &OpticsSpec::even(20.0, vec![1e-3], quadrature)).expect("traces");
+        let form = o.form(120, 31, 1, 0.02);
+        let azimuths = [[1.0, 0.0], [0.6, -0.8], [0.0, 1.0]];
+        let rng = &mut fastrand::Rng::with_seed(8);
+        let bars: Vec<Vec<f64>> =
+            azimuths.iter().map(|_| (0..3 * 31 * 31).map(|_| rng.f64() - 0.5).collect()).collect();
+        let value = |illumination: &Illumination, map: &SensorMap| {
+            let pencil = form.pencil(&o.table, illumination, map, 13.0);
+            let mut kernel = vec![0.0; 3 * 31 * 31];
+            let one = |(outward, bar): (&[f64; 2], &Vec<f64>)| {
+                form.kernels(&pencil, *outward, &mut kernel);
+                kernel.iter().zip(bar).map(|(a, b)| a * b).sum::<f64>()
+            };
+            azimuths.iter().zip(&bars).map(one).sum::<f64>()
+        };
+        let pencil = form.pencil(&o.table, &o.illumination, &o.maps[0], 13.0);
+        let mut bar = PencilBar::zeros(&pencil);
+        azimuths.iter().zip(&bars).for_each(|(outward, b)| form.kernels_vjp(&pencil, *outward, b, &mut bar));
+        let back = form.pencil_vjp(&o.table, &o.maps[0], &pencil, &bar);
+        let largest = back.map.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
+        for (i, pulled) in back.map.iter().enumerate() {
+            let moved = |h: f64| {
+                let mut map = o.maps[0].clone();
+                map.coefficients[i] += h;
+                value(&o.illumination, &map)
+            };
+            // Rays that pass from one cell to the next make kinks of the second order: they err as the step.
+            assert_rel(*pulled, central_difference(moved, 1e-10), 1e-6, 1e-2 * largest, &format!("coefficient {i}"));
+        }
+        for (l, pulled) in back.irradiance.iter().enumerate() {
+            let moved = |h: f64| {
+                let mut light = o.illumination.clone();
+                light.irradiance[l].iter_mut().for_each(|e| *e += h);
+                value(&light, &o.maps[0])
+            };
+            assert_rel(*pulled, central_difference(moved, 1e-5), 1e-7, 0.1, &format!("irradiance {l}"));
+        }
+    }
+}

@@ -58,9 +58,10 @@ pub fn trace_jvp(system: &System, hits: &[Hit], launch: RayDot) -> RayDot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::{Pose, builtin};
+    use crate::lens::builtin;
     use crate::testing::{assert_rel, between};
     use crate::trace::sequential::{HitBar, trace, trace_vjp};
+    use crate::trace::test_lenses::tilt;
     use crate::trace::{Ray, SystemGradient};
 
     /// ⟨bar, J dot⟩ = ⟨Jᵀ bar, dot⟩ with the trace's own pull-back, on tilted aspheres too.
@@ -69,14 +70,8 @@ mod tests {
         let rng = &mut fastrand::Rng::with_seed(5);
         for name in ["two_element", "double_gauss", "phone"] {
             for tilted in [false, true] {
-                let mut lens = builtin::lens(name).expect("shipped");
-                if tilted {
-                    for s in &mut lens.surfaces {
-                        let mut draw = |w: f64| between(rng, -w, w);
-                        s.pose =
-                            Some(Pose { decentre: [draw(0.1), draw(0.1)], tilt: [draw(0.03), draw(0.03), draw(1.0)] });
-                    }
-                }
+                let lens = builtin::lens(name).expect("shipped");
+                let lens = if tilted { tilt(&lens, rng, 1.5) } else { lens };
                 let system = System::new(&lens, 550.0);
                 for _ in 0..20 {
                     let mut vector = |w: f64| DVec3::new(between(rng, -w, w), between(rng, -w, w), between(rng, -w, w));

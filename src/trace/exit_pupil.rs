@@ -99,7 +99,7 @@ mod tests {
                 let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
                 let f = |h: f64| {
                     let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                    let p = exit_pupil(&System::new(&variables.lens(&lens, &moved), 550.0));
+                    let p = exit_pupil(&System::new(&variables.lens(&lens, &moved).expect("a lens"), 550.0));
                     0.3 * p.y - 20.0 * p.w
                 };
                 let pulled: f64 = g.iter().zip(&dx).map(|(a, b)| a * b).sum();

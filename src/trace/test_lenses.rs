@@ -1,6 +1,8 @@
 //! Wide-angle lenses for tests: published prescriptions as plain numbers.
 
-use crate::lens::{Aperture, Lens, Medium, Pose, SensorRaster, Shape, Surface, Wavelengths};
+use crate::lens::{
+    Aperture, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin, unchecked,
+};
 use crate::testing::between;
 
 /// Radius (0 is a plane), distance to the next vertex, `n_d`, `v_d` (0 is air), clear semi-diameter; mm.
@@ -17,7 +19,7 @@ fn lens(name: &str, source: &str, rows: &[Row], unit: f64, stop: usize, aperture
             pose: None,
         })
         .collect();
-    Lens {
+    let numbers = Prescription {
         name: name.into(),
         source: source.into(),
         surfaces,
@@ -28,7 +30,8 @@ fn lens(name: &str, source: &str, rows: &[Row], unit: f64, stop: usize, aperture
         max_field_deg: field_deg,
         wavelengths: Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 },
         sensor: SensorRaster { columns: 100, rows: 100, pitch_um: 5.0, axis_px: [50.0, 50.0] },
-    }
+    };
+    unchecked(&builtin::lens("cooke_triplet").expect("shipped"), |l| *l = numbers)
 }
 
 /// 100° wide-angle lens, inches: M. Laikin, *Lens Design*, the sample prescription "100 deg Laikin wide angle lens"
@@ -127,7 +130,10 @@ pub(crate) fn meniscus_200() -> Lens {
 
 /// The lens made `scale` times as large.
 pub(crate) fn scaled(lens: &Lens, scale: f64) -> Lens {
-    let mut lens = lens.clone();
+    unchecked(lens, |lens| enlarge(lens, scale))
+}
+
+fn enlarge(lens: &mut Prescription, scale: f64) {
     for s in &mut lens.surfaces {
         s.shape.curvature /= scale;
         let (mut even, mut odd) = (1.0 / scale, 1.0 / (scale * scale));
@@ -150,13 +156,14 @@ pub(crate) fn scaled(lens: &Lens, scale: f64) -> Lens {
         Aperture::EntrancePupilDiameter(d) | Aperture::StopSemiDiameter(d) => *d *= scale,
         Aperture::FNumber(_) => {}
     }
-    lens
 }
 
 /// Random tilts and decentres of every surface.
-pub(crate) fn tilt(lens: &mut Lens, rng: &mut fastrand::Rng, size: f64) {
-    for s in &mut lens.surfaces {
-        let mut draw = |w: f64| between(rng, -w, w) * size;
-        s.pose = Some(Pose { decentre: [draw(0.1), draw(0.1)], tilt: [draw(0.02), draw(0.02), draw(0.5)] });
-    }
+pub(crate) fn tilt(lens: &Lens, rng: &mut fastrand::Rng, size: f64) -> Lens {
+    unchecked(lens, |lens| {
+        for s in &mut lens.surfaces {
+            let mut draw = |w: f64| between(rng, -w, w) * size;
+            s.pose = Some(Pose { decentre: [draw(0.1), draw(0.1)], tilt: [draw(0.02), draw(0.02), draw(0.5)] });
+        }
+    })
 }

@@ -28,9 +28,9 @@ const REGION: Region = Region { row: 70, col: 120, rows: 12, cols: 12 };
 
 /// The two-element lens with its stop's size held.
 fn two_element() -> Lens {
-    let mut lens = builtin::lens("two_element").expect("shipped");
-    lens.aperture = Aperture::StopSemiDiameter(paraxial::stop_semi_diameter(&lens));
-    lens
+    let lens = builtin::lens("two_element").expect("shipped");
+    let stop = paraxial::stop_semi_diameter(&lens);
+    lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(stop)).expect("a lens")
 }
 
 /// Waves of tens of pixels' period; eight texels a pixel, so that the bilinear kinks are small.
@@ -93,7 +93,7 @@ impl Task {
         let level = |h: f64, c: usize| {
             let mut moved = x.clone();
             moved[k] += h;
-            let lens = variables.lens(&self.lens, &moved);
+            let lens = variables.lens(&self.lens, &moved).expect("a lens");
             let parts = rule.wavelength_nm.iter().zip(&rule.weight[c]);
             parts.map(|(nm, w)| w * on_axis(&lens, *nm)).sum::<f64>()
         };
@@ -109,7 +109,7 @@ impl Task {
         let value = |h: f64, seed: u64| {
             let mut moved = x.clone();
             moved[k] += h;
-            let lens = variables.lens(&self.lens, &moved);
+            let lens = variables.lens(&self.lens, &moved).expect("a lens");
             // Plain: its directions move with the lens, where those of the ellipses jump.
             let how = Settings { samples, seed, channels: Channels::All, sampling: Sampling::RearAperture };
             let image = render(&lens, &self.scene, &self.density, &self.frame, REGION, how, None).expect("renders");

@@ -247,6 +247,19 @@ fn every_adjoint_has_a_test_that_names_it() {
     assert!(missing.is_empty(), "adjoints without a test:\n{}", missing.join("\n"));
 }
 
+/// What makes a lens without its check is named by tests alone: everything else that is a lens is valid.
+#[test]
+fn only_tests_leave_the_check_of_a_lens_out() {
+    let named = |(file, text): (String, String)| {
+        let code = code(&text);
+        let body = code.split("#[cfg(test)]\nmod tests").next().unwrap_or_default();
+        let tests = file.ends_with("tests.rs") || file.contains("/tests/") || file.ends_with("test_lenses.rs");
+        (!tests && body.contains("unchecked")).then_some(file)
+    };
+    let found: Vec<String> = sources("src").into_iter().filter_map(named).collect();
+    assert_eq!(found, ["src/lens/mod.rs"], "the function itself and no other");
+}
+
 #[test]
 fn no_file_is_long_without_a_reason() {
     let all = sources("src").into_iter().chain(sources("tests")).chain(sources("benches"));

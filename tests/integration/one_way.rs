@@ -7,7 +7,7 @@ use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::variables::Variables;
-use isoplanat::lens::{Aperture, Lens, Medium, Shape, Surface, builtin, paraxial};
+use isoplanat::lens::{Aperture, Lens, Medium, Prescription, Shape, Surface, builtin, paraxial, unchecked};
 use isoplanat::psf::OpticsBar;
 use ndarray::{Array3, s};
 
@@ -226,18 +226,14 @@ fn grey_and_black_scenes_are_the_full_computation() {
 
 /// A bare hole of radius 0.05 mm, 20 mm before the sensor.
 fn pinhole() -> Lens {
-    let mut lens = builtin::lens("cooke_triplet").expect("shipped");
-    lens.surfaces = vec![Surface {
-        shape: Shape::default(),
-        thickness: 20.0,
-        medium: Medium::Air,
-        semi_diameter: 0.05,
-        pose: None,
-    }];
-    lens.stop = 0;
-    lens.aperture = Aperture::StopSemiDiameter(0.05);
-    lens.object_vergence = 0.0;
-    lens
+    let hole =
+        Surface { shape: Shape::default(), thickness: 20.0, medium: Medium::Air, semi_diameter: 0.05, pose: None };
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let alone = |l: &mut Prescription| {
+        (l.surfaces, l.stop, l.aperture) = (vec![hole], 0, Aperture::StopSemiDiameter(0.05));
+        l.object_vergence = 0.0;
+    };
+    lens.changed(alone).expect("a lens")
 }
 
 /// White through a hole, to 40° on either side: the disk's view factor (cos⁴ to 1e-5), and no distortion.
@@ -331,10 +327,9 @@ fn stiff_kernels_end_as_stated() {
     assert!(2 * depth.half_width * depth.bin > 48, "{depth:?}");
     outcome("far out of focus", &achromat, &small, 1.0 / 80.0, QUICK);
     // Within the caustic: between the marginal and the paraxial focus of a plano-convex lens's like.
-    let mut inside = achromat.clone();
-    let last = inside.surfaces.len() - 1;
+    let last = achromat.surfaces.len() - 1;
     for step in [-1.5, -0.7, -0.3, 0.3] {
-        inside.surfaces[last].thickness = achromat.surfaces[last].thickness + step;
+        let inside = achromat.changed(|l| l.surfaces[last].thickness += step).expect("a lens");
         outcome(&format!("{step} mm from focus"), &inside, &small, achromat.object_vergence, QUICK);
     }
 }
@@ -353,9 +348,10 @@ fn stiff_places_end_as_stated() {
         let far = Frame::centred(96, 64, 3.0 * pitch).expect("valid");
         outcome(&format!("{name}, far beyond the image"), &lens, &far, lens.object_vergence, settings);
         // A stop three times as large.
-        let mut fast = lens.clone();
-        fast.aperture = Aperture::StopSemiDiameter(3.0 * paraxial::stop_semi_diameter(&lens));
-        fast.surfaces[fast.stop].semi_diameter *= 3.0;
+        let fast = unchecked(&lens, |l| {
+            l.aperture = Aperture::StopSemiDiameter(3.0 * paraxial::stop_semi_diameter(&lens));
+            l.surfaces[lens.stop].semi_diameter *= 3.0;
+        });
         let frame = Frame::centred(48, 32, lens.sensor.pitch_mm() * 8.0).expect("valid");
         outcome(&format!("{name}, stop × 3"), &fast, &frame, lens.object_vergence, settings);
     }

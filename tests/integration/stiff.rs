@@ -4,7 +4,7 @@
 use std::time::Instant;
 
 use glam::{DVec2, DVec3};
-use isoplanat::lens::{Aperture, Element, Lens, Medium, Pose, Shape, Surface, Xy, Zernike, builtin};
+use isoplanat::lens::{Aperture, Element, Lens, Medium, Pose, Shape, Surface, Xy, Zernike, builtin, unchecked};
 use isoplanat::trace::aim::Aimer;
 use isoplanat::trace::exact::{Answer, Request, answer_in};
 use isoplanat::trace::first_root::crossings;
@@ -78,8 +78,7 @@ fn shape(s: &Value) -> Shape {
 
 /// The lens of a case, and the index before it.
 pub(crate) fn lens(case: &Value) -> (Lens, f64) {
-    let mut lens = builtin::lens("cooke_triplet").expect("shipped");
-    lens.surfaces = list(&case["surfaces"])
+    let surfaces: Vec<Surface> = list(&case["surfaces"])
         .iter()
         .map(|s| Surface {
             shape: shape(s),
@@ -89,7 +88,7 @@ pub(crate) fn lens(case: &Value) -> (Lens, f64) {
             pose: pose(s),
         })
         .collect();
-    lens.elements = list(&case["elements"])
+    let elements = list(&case["elements"])
         .iter()
         .map(|e| Element {
             first: size(&e["first"]),
@@ -98,10 +97,13 @@ pub(crate) fn lens(case: &Value) -> (Lens, f64) {
             pivot: e.get("pivot_mm").map_or(0.0, number),
         })
         .collect();
-    lens.stop = list(&case["surfaces"]).iter().position(|s| s["stop"] == true).unwrap_or(0);
-    lens.aperture = Aperture::StopSemiDiameter(lens.surfaces[lens.stop].semi_diameter);
-    lens.object_vergence = 0.0;
-    lens.wavelengths.primary_nm = NM;
+    let stop = list(&case["surfaces"]).iter().position(|s| s["stop"] == true).unwrap_or(0);
+    let lens = unchecked(&builtin::lens("cooke_triplet").expect("shipped"), |lens| {
+        lens.aperture = Aperture::StopSemiDiameter(surfaces[stop].semi_diameter);
+        (lens.surfaces, lens.elements, lens.stop) = (surfaces, elements, stop);
+        lens.object_vergence = 0.0;
+        lens.wavelengths.primary_nm = NM;
+    });
     (lens, number(&case["index_before"]))
 }
 

@@ -5,7 +5,7 @@
 
 use glam::DVec3;
 
-use isoplanat::lens::{Aperture, Lens, Medium, Shape, Surface, builtin};
+use isoplanat::lens::{Aperture, Lens, Medium, Prescription, Shape, Surface, builtin};
 use isoplanat::psf::{Optics, OpticsSpec, Quadrature};
 use isoplanat::testing::assert_rel;
 use isoplanat::trace::sequential::first_vignetted;
@@ -52,11 +52,13 @@ pub(crate) fn on_axis(lens: &Lens, nm: f64) -> f64 {
 /// A hole of radius 3 at 20 mm: `π sin²θ`; the closed form to rounding of the bisection.
 #[test]
 fn a_hole_lets_through_what_it_subtends() {
-    let mut lens = builtin::lens("cooke_triplet").expect("shipped");
-    lens.surfaces =
-        vec![Surface { shape: Shape::default(), thickness: 20.0, medium: Medium::Air, semi_diameter: 3.0, pose: None }];
-    lens.stop = 0;
-    lens.aperture = Aperture::StopSemiDiameter(3.0);
+    let hole =
+        Surface { shape: Shape::default(), thickness: 20.0, medium: Medium::Air, semi_diameter: 3.0, pose: None };
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let alone = |l: &mut Prescription| {
+        (l.surfaces, l.stop, l.aperture) = (vec![hole], 0, Aperture::StopSemiDiameter(3.0));
+    };
+    let lens = lens.changed(alone).expect("a lens");
     let exact = std::f64::consts::PI * 9.0 / 409.0;
     assert!((on_axis(&lens, 550.0) - exact).abs() < 1e-12 * exact);
 }

@@ -117,8 +117,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
     })?;
     bar.done(format!("{} steps taken back", joint.rejected));
-    let mut lens = joint.lens;
-    lens.name = format!("{}, designed", start.name);
+    let lens = joint.lens.changed(|l| l.name = format!("{}, designed", start.name))?;
     #[expect(clippy::cast_precision_loss, reason = "step counts")]
     let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
     report.loss.push(LossCurve { name: "lens and network".into(), points });

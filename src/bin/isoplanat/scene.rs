@@ -7,7 +7,7 @@ use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{frame_of, memory};
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::lens::{Lens, SensorRaster};
+use isoplanat::lens::{Lens, Prescription, SensorRaster};
 use isoplanat::psf::table::chief_slopes;
 use isoplanat::{Error, Result};
 
@@ -101,8 +101,7 @@ pub(crate) struct Placed {
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
     pub(crate) fn stage(&self, argument: &str) -> Result<Stage> {
-        let mut lens = input::lens(argument)?;
-        self.apply(&mut lens)?;
+        let lens = self.applied(input::lens(argument)?, argument)?;
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
             Some(part) => cut(&whole, part)?,
@@ -158,15 +157,16 @@ impl SceneArgs {
         Ok(Placed { frame: cut(frame, part)?, ..placed })
     }
 
-    /// Puts the raster and the depth of the command line into `lens`.
-    fn apply(&self, lens: &mut Lens) -> Result<()> {
+    /// `lens` with the raster and the depth of the command line.
+    fn applied(&self, lens: Lens, argument: &str) -> Result<Lens> {
+        let mut object_vergence = lens.object_vergence;
         if let Some(depth) = self.depth_mm {
             if depth.is_nan() || depth <= 0.0 {
                 return Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf"));
             }
-            lens.object_vergence = 1.0 / depth;
+            object_vergence = 1.0 / depth;
         }
-        let raster = &mut lens.sensor;
+        let raster = lens.sensor;
         let changed = self.columns.is_some() || self.rows.is_some();
         let (columns, rows) = (self.columns.unwrap_or(raster.columns), self.rows.unwrap_or(raster.rows));
         #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
@@ -178,8 +178,8 @@ impl SceneArgs {
         } else {
             raster.axis_px
         };
-        *raster = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(raster.pitch_um), axis_px };
-        Ok(())
+        let sensor = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(raster.pitch_um), axis_px };
+        Lens::new(Prescription { sensor, object_vergence, ..(*lens).clone() }, argument)
     }
 }
 

@@ -7,7 +7,7 @@ use ndarray::{Array3, s};
 
 use super::*;
 use crate::imaging::sensor::Sensor;
-use crate::lens::{Aperture, Medium, Shape, Surface, builtin};
+use crate::lens::{Aperture, Medium, Shape, Surface, builtin, unchecked};
 use crate::trace::lanes::{Options, Rays, trace_batch};
 use crate::trace::launch::launch;
 use crate::trace::{FieldPoint, System};
@@ -35,12 +35,11 @@ fn density() -> SpectralDensity {
 
 /// A hole of `radius` mm, `distance` mm before the sensor.
 fn pinhole(radius: f64, distance: f64) -> Lens {
-    let mut lens = builtin::lens("two_element").expect("shipped");
     let shape = Shape::default();
-    lens.surfaces =
-        vec![Surface { shape, thickness: distance, medium: Medium::Air, semi_diameter: radius, pose: None }];
-    (lens.stop, lens.aperture) = (0, Aperture::StopSemiDiameter(radius));
-    lens
+    let hole = Surface { shape, thickness: distance, medium: Medium::Air, semi_diameter: radius, pose: None };
+    unchecked(&builtin::lens("two_element").expect("shipped"), |l| {
+        (l.surfaces, l.stop, l.aperture) = (vec![hole], 0, Aperture::StopSemiDiameter(radius));
+    })
 }
 
 /// Irradiance of a disk of radiance 1 and radius `a` at the distance `z` and the offset `r` (P. D. Foote, 1915).
@@ -252,11 +251,9 @@ fn no_light_and_bad_requests_are_errors() {
     // Far outside the image circle.
     let far = Region { row: 500_000, col: 0, rows: 2, cols: 2 };
     refused(&lens, &white(0.0), far, settings(8), "no rays reach the sensor");
-    let mut closed = lens.clone();
-    closed.aperture = Aperture::StopSemiDiameter(f64::NAN);
+    let closed = unchecked(&lens, |l| l.aperture = Aperture::StopSemiDiameter(f64::NAN));
     refused(&closed, &white(0.0), region, settings(8), "no rays reach the sensor");
-    let mut touching = lens.clone();
-    touching.surfaces[4].thickness = 0.0;
+    let touching = unchecked(&lens, |l| l.surfaces[4].thickness = 0.0);
     refused(&touching, &white(0.0), region, settings(8), "room before the sensor");
     refused(&lens, &white(0.0), region, settings(1), "2 or more");
     refused(&lens, &white(0.0), Region { rows: 0, ..region }, settings(8), "at least one pixel");

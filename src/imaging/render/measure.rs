@@ -7,19 +7,17 @@ use ndarray::Axis;
 
 use super::choose::{Choice, Ladders, Measuring, cheapest};
 use super::cost::{Work, convolution, seconds};
+use super::draft::{Draft, FINE_WAVELENGTHS};
 use super::needs::Channels;
 use super::nodes::Nodes;
 use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
 use super::probe::{Probing, Values};
 use super::renderer::Renderer;
-use super::scene_plan::Draft;
 use super::source::WarpedScene;
 use super::stands::{SIDE, Stand, stands};
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::node_grid::NodeGrid;
 
-/// Wavelengths of the fine rule while probing.
-pub(super) const FINE_WAVELENGTHS: usize = 9;
 /// Dense points of the kernels that probes and nodes are looked at with.
 const DENSE: usize = 600;
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are

@@ -114,6 +114,11 @@ impl Needs {
         Self { channels: self.channels.and(other.channels), lit, lit_share: self.lit_share.max(other.lit_share) }
     }
 
+    /// The part of the frame `whole` that light can reach which goes `reach` pixels at most.
+    pub fn reached(&self, reach: usize, whole: Region) -> Option<Region> {
+        self.lit.map(|lit| lit.grown(reach).common(whole)).filter(|r| r.rows > 0 && r.cols > 0)
+    }
+
     /// Looks at `scene` through a lens with `map` over the frame and `margin` pixels around it.
     pub fn of(scene: &Plane, map: &SensorMap, frame: &Frame, margin: usize) -> Self {
         let warped = WarpedScene::new(scene, map, frame, (1, 1), vec![0]);

@@ -1,6 +1,6 @@
 //! The table: one line for each kind of number.
 
-use super::{Aperture, At, Lens, Line, Medium, Parameter, from_mut, from_ref};
+use super::{Aperture, At, Line, Medium, Parameter, Prescription, from_mut, from_ref};
 use crate::lens::prescription::degrees;
 use crate::lens::{Xy, Zernike};
 
@@ -55,12 +55,12 @@ const ANGLE: (fn(f64) -> bool, &str) = (|x| x.abs() < std::f64::consts::FRAC_PI_
 const AXES: [&str; 3] = ["x", "y", "z"];
 
 /// Clear semi-diameter of the surface that has `p`.
-fn radius(lens: &Lens, p: Parameter) -> f64 {
+fn radius(lens: &Prescription, p: Parameter) -> f64 {
     lens.surfaces[p.of].semi_diameter
 }
 
 /// `r^-power` there: one unit is 1 mm of sag at the rim.
-fn at_rim(lens: &Lens, p: Parameter, power: usize) -> f64 {
+fn at_rim(lens: &Prescription, p: Parameter, power: usize) -> f64 {
     radius(lens, p).powi(-i32::try_from(power).unwrap_or(20))
 }
 

@@ -100,7 +100,7 @@ fn the_pull_back_agrees_with_differences() {
             let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
             let f = |h: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                value(&variables.lens(&lens, &moved))
+                value(&variables.lens(&lens, &moved).expect("a lens"))
             };
             let found: f64 = pulled.iter().zip(&dx).map(|(a, b)| a * b).sum();
             // Kinks of the splats' second derivatives, and the aiming's last digits.

@@ -39,7 +39,7 @@ fn rows_and_chief_rays_pull_back_to_the_lens() {
             let found: f64 = pulled.iter().zip(&dx).map(|(a, b)| a * b).sum();
             let f = |h: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                value(&variables.lens(&lens, &moved))
+                value(&variables.lens(&lens, &moved).expect("a lens"))
             };
             assert_rel(found, central_difference(f, 1e-5), 1e-6, 1e-3 * norm, &format!("{name}, direction {seed}"));
         }

@@ -432,7 +432,7 @@ mod tests {
                 let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
                 let f = |h: f64| {
                     let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-                    run(&variables.lens(&lens, &moved)).0
+                    run(&variables.lens(&lens, &moved).expect("a lens")).0
                 };
                 let expected = central_difference(f, 1e-5);
                 let found: f64 = pulled.iter().zip(&dx).map(|(a, b)| a * b).sum();

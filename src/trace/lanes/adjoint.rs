@@ -5,8 +5,8 @@
 //! through `N(x, y, z)`, and the point through the implicit function theorem on `G`: `Λ = (p̄·d + t̄)/q`, `ō = p̄ + ΛN`,
 //! `d̄ += tō`, and `Λ ∂G/∂θ` to every parameter. No root and no division: the forward trace left `γ`, `1/R`, `1/q`.
 
-use super::forward::{AlignedFrame, Extra, vectors};
 use super::program::{Step, TERMS};
+use super::run::{AlignedFrame, Extra, vectors};
 use super::tile::Bundle;
 use super::vector::At;
 use crate::math::simd::{Simd, fresh};

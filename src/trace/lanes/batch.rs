@@ -5,8 +5,8 @@ use std::marker::PhantomData;
 use rayon::prelude::*;
 
 use super::dispatch;
-use super::forward::{Lean, Mode, Run, Spectral, WithPath};
 use super::program::{Options, Program};
+use super::run::{Lean, Mode, Run, Spectral, WithPath};
 use super::tile::{Rays, Status, TILE, Tile};
 use crate::math::simd::{Kernel, Simd};
 use crate::trace::System;

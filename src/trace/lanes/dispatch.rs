@@ -3,26 +3,12 @@
 use std::marker::PhantomData;
 
 use super::adjoint::{Back, surface_vjp};
-use super::forward::{Mode, Run, conic, even, plane};
+use super::forward::{conic, even, plane};
 use super::mend::one_by_one;
 use super::program::{Kind, Step};
-use super::prove;
+use super::run::{Mode, Run};
+use super::terms::with_terms;
 use crate::math::simd::{Kernel, Simd};
-
-/// Calls `$call` with the constant `$n`, the least of those compiled that is not below `$terms`.
-macro_rules! with_terms {
-    ($terms:expr, $n:ident => $call:expr) => {
-        with_terms!(@ $terms, $n => $call; 0..=2, 2; 3, 3; 4, 4; 5, 5; 6, 6; 7..=8, 8; _, 10)
-    };
-    (@ $terms:expr, $n:ident => $call:expr; $($some:pat, $value:literal);+) => {
-        match $terms {
-            $($some => {
-                const $n: usize = $value;
-                $call
-            })+
-        }
-    };
-}
 
 /// A tile through a surface.
 pub(super) fn forward<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run) {
@@ -34,11 +20,6 @@ pub(super) fn forward<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run) {
         Kind::Conic => simd.run(Conic::<_, false> { step, run, mode }),
         Kind::Even => with_terms!(step.count, N => simd.run(Even::<_, N> { step, run, mode })),
     }
-}
-
-/// Which of some lanes' roots are certain; see [`prove::prove`].
-pub(super) fn prove<S: Simd>(simd: S, step: &Step, run: &Run, at: usize, unsure: u64) -> u64 {
-    with_terms!(step.count, N => simd.run(Sure::<N> { step, run, at, unsure }))
 }
 
 /// A tile back through a surface.
@@ -88,21 +69,6 @@ impl<M: Mode, const N: usize> Kernel for Even<'_, '_, M, N> {
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
         even::<S, M, N>(simd, self.step, self.run);
-    }
-}
-
-struct Sure<'a, 'b, const N: usize> {
-    step: &'a Step,
-    run: &'a Run<'b>,
-    at: usize,
-    unsure: u64,
-}
-
-impl<const N: usize> Kernel for Sure<'_, '_, N> {
-    type Output = u64;
-    #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> u64 {
-        prove::prove::<S, N>(simd, self.step, self.run, self.at, self.unsure)
     }
 }
 

@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
-use super::dispatch;
-use super::forward::{Mode, Run};
 use super::program::Step;
+use super::prove::prove;
+use super::run::{Extra, Mode, Run};
 use super::tile::AXIAL;
 use crate::math::simd::Simd;
 use crate::trace::intersect::{Intersection, gradient, intersect};
@@ -30,7 +30,7 @@ pub(super) struct Known {
 #[cold]
 #[inline(never)]
 pub(super) fn mend<S: Simd, M: Mode>(simd: S, step: &Step, run: &mut Run, at: usize, bad: u64, known: Known) {
-    let proved = if step.bends.is_some() { dispatch::prove(simd, step, run, at, bad & known.found) } else { 0 };
+    let proved = if step.bends.is_some() { prove(simd, step, run, at, bad & known.found) } else { 0 };
     let mut left = bad & !(proved & known.through);
     while left != 0 {
         let i = left.trailing_zeros() as usize;
@@ -137,7 +137,7 @@ fn record(step: &Step, run: &mut Run, lane: usize, at: &Intersection, incoming: 
     extra.slope[lane] = slope;
 }
 
-impl super::forward::Extra {
+impl Extra {
     fn is_finite(&self, lane: usize) -> bool {
         let all = [&self.gamma, &self.inverse_r, &self.inverse_q, &self.w, &self.slope];
         all.into_iter().all(|array| array[lane].is_finite())

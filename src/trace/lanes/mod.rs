@@ -9,12 +9,15 @@
 
 mod adjoint;
 mod batch;
+mod bends;
 mod dispatch;
 mod forward;
 mod gradient;
 mod mend;
 mod program;
 mod prove;
+mod run;
+mod terms;
 #[cfg(test)]
 mod tests;
 mod tile;

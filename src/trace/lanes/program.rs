@@ -1,6 +1,6 @@
 //! A list of surfaces made ready for lanes: the constants of every surface, and the code that runs it.
 
-use super::prove::Bends;
+use super::bends::Bends;
 use crate::error::{Error, Result};
 use crate::lens::Shape;
 use crate::math::simd::Level;
@@ -204,7 +204,7 @@ impl Step {
 /// A root is the only one in a cylinder in which the slope stays below the ray's own. Where the surface's whole domain is
 /// too steep at its rim for that, the clear aperture serves: between an origin and a root that both lie in a cylinder the
 /// ray does not leave it, so the root is the first one on its way. Lanes that this does not settle are looked at ray by
-/// ray ([`super::prove`]).
+/// ray (`prove.rs`).
 fn certificate(surface: &TraceSurface, kind: Kind) -> (f64, f64, bool) {
     const STEEP: f64 = 1.0;
     if kind != Kind::Even {

@@ -3,97 +3,44 @@
 //! The plain trace takes the crossing nearest the ray's origin, or nearest the place where the ray enters the surface's
 //! domain ([`crate::trace::first_root`]). Between a root and that start the ray is cut into pieces. On a piece
 //! `F = h − z` along the ray has the second derivative `dᵀ∇∇h d`, which is at most the largest principal curvature of
-//! `h` up to the piece's larger radius ([`bends`]) times `|d_xy|²`; with value and slope in its middle that bounds `F`
+//! `h` up to the piece's larger radius ([`Bends`]) times `|d_xy|²`; with value and slope in its middle that bounds `F`
 //! and `F'` on all of it. The root is the nearest one if the piece that ends there falls all the way and every other
 //! piece either falls or keeps the sign that `F` has before the root. What is not proved so is left to the plain trace.
 
-use super::forward::Run;
+use super::bends::{Bends, MARGIN};
 use super::program::Step;
+use super::run::Run;
+use super::terms::with_terms;
 use super::tile::TILE;
 use super::vector::{At, Lanes};
-use crate::lens::Shape;
-use crate::math::simd::{F64, Simd};
-
-/// Rings of equal area that the domain's disk is cut into.
-const RINGS: usize = 64;
+use crate::math::simd::{F64, Kernel, Simd};
 
 /// Numbers of pieces that are tried.
 const PIECES: [u32; 3] = [1, 4, 16];
 
-/// Bounds are widened by this part: far more than the rounding of their sums, far less than matters.
-const MARGIN: f64 = 1e-9;
-
-/// Bounds of an even asphere's curvature.
-#[derive(Clone, Debug)]
-pub(super) struct Bends {
-    /// `(1+κ)c²`.
-    alpha: f64,
-    /// Radius squared of the surface's domain, mm².
-    domain_sq: f64,
-    /// Rings in a mm².
-    per_square: f64,
-    /// Largest `|h_rr|` and `|h_r/r|` from the axis up to the outer edge of every ring, 1/mm.
-    rings: [f64; RINGS],
-}
-
-impl Bends {
-    /// Of `shape` with even terms, up to `domain`; none where that has no end.
-    pub(super) fn new(shape: &Shape, domain: f64) -> Option<Self> {
-        let alpha = (1.0 + shape.conic) * shape.curvature * shape.curvature;
-        let domain_sq = domain * domain;
-        if !(domain_sq.is_finite() && domain_sq > 0.0) {
-            return None;
-        }
-        let edge = |i: usize| domain_sq * i as f64 / RINGS as f64;
-        let mut largest = 0.0f64;
-        let rings = std::array::from_fn(|i| {
-            largest = largest.max(ring(shape, alpha, [edge(i), edge(i + 1) * (1.0 + MARGIN)]));
-            largest * (1.0 + MARGIN)
-        });
-        Some(Self { alpha, domain_sq, per_square: RINGS as f64 / domain_sq, rings })
-    }
-
-    /// The bound up to `ρ`.
-    #[inline(always)]
-    fn up_to(&self, rho: f64) -> f64 {
-        self.rings[((rho * self.per_square) as usize).min(RINGS - 1)]
-    }
-}
-
-/// Bound of both principal curvatures of `h`, `h_r/r` and `h_rr`, for `ρ` in `a..=b`.
-///
-/// Those of the conic are monotonic, and so are the terms of each sign.
-fn ring(shape: &Shape, alpha: f64, [a, b]: [f64; 2]) -> f64 {
-    let inverse = |rho: f64| {
-        let square = 1.0 - alpha * rho;
-        if square > 0.0 { square.sqrt().recip() } else { f64::INFINITY }
-    };
-    // Σ 2i f(i) a_i ρ^{i−1} over the terms of one sign.
-    let terms = |rho: f64, sign: f64, across: bool| {
-        let (mut sum, mut power) = (0.0, 1.0);
-        for (i, term) in shape.asphere.iter().enumerate() {
-            let order = 2.0 * (i + 1) as f64;
-            let factor = if across { order } else { order * (order - 1.0) };
-            sum += factor * (term * sign).max(0.0) * power;
-            power *= rho;
-        }
-        sum
-    };
-    let bound = |across: bool| {
-        let conic = |rho: f64| shape.curvature * inverse(rho).powi(if across { 1 } else { 3 });
-        let (c_a, c_b) = if shape.curvature == 0.0 { (0.0, 0.0) } else { (conic(a), conic(b)) };
-        let high = c_a.max(c_b) + terms(b, 1.0, across) - terms(a, -1.0, across);
-        let low = c_a.min(c_b) + terms(a, 1.0, across) - terms(b, -1.0, across);
-        // Sums beyond f64 bound nothing.
-        if high.is_nan() || low.is_nan() { f64::INFINITY } else { high.abs().max(low.abs()) }
-    };
-    bound(true).max(bound(false))
-}
-
 /// Lanes `at + i`, for bits `i` of `unsure`, whose root, stored behind the surface, lies within the domain and is
 /// certainly the one that the plain trace takes. `at` is the first lane of a vector.
+pub(super) fn prove<S: Simd>(simd: S, step: &Step, run: &Run, at: usize, unsure: u64) -> u64 {
+    with_terms!(step.count, N => simd.run(Sure::<N> { step, run, at, unsure }))
+}
+
+struct Sure<'a, 'b, const N: usize> {
+    step: &'a Step,
+    run: &'a Run<'b>,
+    at: usize,
+    unsure: u64,
+}
+
+impl<const N: usize> Kernel for Sure<'_, '_, N> {
+    type Output = u64;
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> u64 {
+        chords::<S, N>(simd, self.step, self.run, self.at, self.unsure)
+    }
+}
+
 #[inline(always)]
-pub(super) fn prove<S: Simd, const N: usize>(simd: S, step: &Step, run: &Run, at: usize, unsure: u64) -> u64 {
+fn chords<S: Simd, const N: usize>(simd: S, step: &Step, run: &Run, at: usize, unsure: u64) -> u64 {
     let Some(bends) = &step.bends else { return 0 };
     let simd = simd.doubles();
     let lanes = <S::Doubles as F64>::LANES;

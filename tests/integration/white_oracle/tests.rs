@@ -3,17 +3,17 @@
 use std::f64::consts::PI;
 
 use isoplanat::lens::paraxial::first_order;
-use isoplanat::lens::{Aperture, Medium, Shape, Surface, Wavelengths, builtin};
+use isoplanat::lens::{Aperture, Medium, Shape, Surface, Wavelengths, builtin, unchecked};
 
 use super::*;
 use crate::white_axis::on_axis;
 
 fn of_surfaces(name: &str, surfaces: Vec<Surface>, stop: usize, aperture: Aperture) -> Lens {
-    let mut lens = builtin::lens("cooke_triplet").expect("shipped");
-    lens.name = name.into();
-    lens.wavelengths = Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 };
-    (lens.surfaces, lens.stop, lens.aperture) = (surfaces, stop, aperture);
-    lens
+    unchecked(&builtin::lens("cooke_triplet").expect("shipped"), |lens| {
+        lens.name = name.into();
+        lens.wavelengths = Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 };
+        (lens.surfaces, lens.stop, lens.aperture) = (surfaces, stop, aperture);
+    })
 }
 
 fn laikin_100() -> Lens {
@@ -143,10 +143,11 @@ fn up_to_the_first_onset_the_stop_alone_bounds_the_light() {
         eprintln!("{}: onsets {onsets:?} of {largest:.3} mm", lens.name);
         assert!(onsets.windows(2).all(|pair| pair[0] <= pair[1]), "{onsets:?}");
         let Some(first) = onsets.first().copied().filter(|first| 1.02 * first < largest) else { continue };
-        let mut wide = lens.clone();
-        wide.aperture = Aperture::StopSemiDiameter(System::new(&lens, 587.5618).stop_semi_diameter);
-        let stop = wide.stop;
-        wide.surfaces.iter_mut().enumerate().filter(|(i, _)| *i != stop).for_each(|(_, s)| s.semi_diameter *= 1.01);
+        let stop = lens.stop;
+        let wide = unchecked(&lens, |l| {
+            l.aperture = Aperture::StopSemiDiameter(System::new(&lens, 587.5618).stop_semi_diameter);
+            l.surfaces.iter_mut().enumerate().filter(|(i, _)| *i != stop).for_each(|(_, s)| s.semi_diameter *= 1.01);
+        });
         let lost =
             |radius: f64| 1.0 - irradiance(&lens, 587.5618, radius, 1000) / irradiance(&wide, 587.5618, radius, 1000);
         let [before, behind] = [0.99 * first, 1.02 * first].map(lost);

@@ -2,9 +2,9 @@
 
 use glam::DVec3;
 
-use super::super::dispatch;
-use super::super::forward::Run;
 use super::super::program::Step;
+use super::super::prove::prove;
+use super::super::run::Run;
 use super::super::{Level, Options, Program, Rays, TILE, Tile};
 use super::compare;
 use crate::lens::{Shape, builtin};
@@ -40,7 +40,7 @@ impl Kernel for Prove<'_> {
     type Output = u64;
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) -> u64 {
-        dispatch::prove(simd, self.step, &self.run, 0, self.asked)
+        prove(simd, self.step, &self.run, 0, self.asked)
     }
 }
 
