@@ -19,8 +19,8 @@ use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::Lens;
 use crate::lens::variables::Variables;
-use crate::lens::{Lens, Prescription};
 use crate::network::{Reconstructor, UnetConfig};
 
 /// What is trained on.
@@ -177,10 +177,6 @@ pub fn joint_stage(
             recent.clear();
         }
         progress(used.min(1.0), &entry);
-    }
-    // A stop that follows the entrance pupil may have grown; where its surface has no room for it, it is limited as in a file.
-    if let Ok(open) = joint.lens.changed(Prescription::open_stop) {
-        joint.lens = open;
     }
     Ok((joint, history))
 }

@@ -49,9 +49,6 @@ pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
 /// the sensor's plane.
 pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     let found = overlaps(lens);
-    // A stop that asks for more light than its surface lets through gets what goes through.
-    let narrowed = narrowed_stop(lens).map(|aperture| Prescription { aperture, ..lens.clone() });
-    let lens = narrowed.as_ref().unwrap_or(lens);
     let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
     for overlap in found {
         let axial = beam[overlap.surface].max(beam[overlap.surface + 1]);
@@ -116,20 +113,27 @@ fn gap(surface: &Surface, next: Option<&Surface>, r: f64) -> f64 {
         .fold(f64::INFINITY, f64::min)
 }
 
-/// The stop's own clear aperture, where `aperture` asks for more.
-fn narrowed_stop(lens: &Prescription) -> Option<Aperture> {
-    let own = lens.surfaces[lens.stop].semi_diameter;
+/// The stop's own clear aperture, and what `aperture` asks for where that is more.
+fn asked_for_more(lens: &Prescription) -> Option<[f64; 2]> {
+    let own = lens.surfaces.get(lens.stop)?.semi_diameter;
+    let asked = paraxial::stop_semi_diameter(lens);
     // A number of the file against one that was computed: rounding is no difference.
-    (paraxial::stop_semi_diameter(lens) > own * (1.0 + 1e-9)).then_some(Aperture::StopSemiDiameter(own))
+    (asked.is_finite() && asked > own * (1.0 + 1e-9)).then_some([own, asked])
 }
 
-/// The stop as small as its surface's own clear aperture where `aperture` asks for more, with a line that says so.
-pub(super) fn limited_stop(lens: &Prescription, file: &str) -> Option<(Aperture, String)> {
-    let narrowed = narrowed_stop(lens)?;
-    let (stated, stop) = (paraxial::stop_semi_diameter(lens), lens.stop);
-    let own = lens.surfaces[stop].semi_diameter;
-    let warning = format!(
-        "{file}: surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {stated:.6} mm: the smaller counts"
-    );
-    Some((narrowed, warning))
+/// Makes the stop's surface clear as far as the stop reaches.
+pub(super) fn open_stop(lens: &mut Prescription) {
+    if let Some([_, asked]) = asked_for_more(lens) {
+        lens.surfaces[lens.stop].semi_diameter = asked;
+    }
+}
+
+/// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more; the line that says so.
+pub(super) fn limit_stop(lens: &mut Prescription, file: &str) -> Option<String> {
+    let [own, asked] = asked_for_more(lens)?;
+    lens.aperture = Aperture::StopSemiDiameter(own);
+    let stop = lens.stop;
+    Some(format!(
+        "{file}: surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts"
+    ))
 }

@@ -170,12 +170,14 @@ impl std::ops::Deref for Lens {
 }
 
 impl Lens {
-    /// The lens of these numbers; `file` names it in errors.
+    /// The lens of these numbers; `file` names it in errors. The stop's surface is made clear as far as the stop reaches: its size
+    /// may follow from an entrance pupil or an f-number. (A file that states less gets less: [`prescription`].)
     ///
     /// # Errors
     /// The first number that is not allowed, with what is.
     pub fn new(mut numbers: Prescription, file: &str) -> Result<Self> {
         numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
+        clearance::open_stop(&mut numbers);
         numbers.check(file)?;
         Ok(Self(numbers))
     }
@@ -224,13 +226,6 @@ impl Prescription {
     /// Axial distance from the first vertex to the sensor, mm.
     pub fn length(&self) -> f64 {
         self.surfaces.iter().map(|s| s.thickness).sum()
-    }
-
-    /// Makes the stop's surface clear as far as the stop reaches: a stop that follows the entrance pupil may have grown.
-    pub fn open_stop(&mut self) {
-        let reach = paraxial::stop_semi_diameter(self);
-        let clear = &mut self.surfaces[self.stop].semi_diameter;
-        *clear = clear.max(reach);
     }
 
     /// Nominal positions of the vertices along the axis, mm from the first.

@@ -214,7 +214,7 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
     let surfaces =
         parsed.surface.into_iter().enumerate().map(|(i, s)| read_surface(i, s, file)).collect::<Result<Vec<_>>>()?;
-    let numbers = Prescription {
+    let mut numbers = Prescription {
         name: parsed.name,
         source: parsed.source,
         surfaces,
@@ -230,9 +230,8 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
         },
         sensor: SensorRaster { columns, rows, pitch_um, axis_px },
     };
-    let lens = Lens::new(numbers, file)?;
-    let Some((aperture, warning)) = clearance::limited_stop(&lens, file) else { return Ok((lens, None)) };
-    Ok((lens.changed(|l| l.aperture = aperture)?, Some(warning)))
+    let warning = clearance::limit_stop(&mut numbers, file);
+    Ok((Lens::new(numbers, file)?, warning))
 }
 
 fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {

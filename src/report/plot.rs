@@ -76,6 +76,16 @@ const HEIGHT: f64 = 340.0;
 /// Left, right, top, bottom of the drawn area, px.
 const FRAME: [f64; 4] = [66.0, 544.0, 56.0, 288.0];
 
+/// Height of the first row of names.
+const FIRST_ROW: f64 = 40.0;
+
+/// A series' name and where it stands.
+struct Name<'a> {
+    series: &'a Series,
+    hue: &'static str,
+    at: [f64; 2],
+}
+
 /// One axis: its ends and ticks, in transformed values.
 struct Axis {
     scale: Scale,
@@ -90,10 +100,14 @@ impl Plot {
         let shown: Vec<Vec<[f64; 2]>> = self.series.iter().map(|s| self.shown(s)).collect();
         let values = |k: usize| shown.iter().flatten().map(move |p| p[k]).collect::<Vec<f64>>();
         let (x_axis, y_axis) = (Axis::new(self.x_scale, &values(0)), Axis::new(self.y_scale, &values(1)));
-        let [left, right, top, bottom] = FRAME;
+        let names = self.names();
+        // Every row of names but the first moves the area down.
+        let down = names.last().map_or(0.0, |n| n.at[1] - FIRST_ROW);
+        let ([left, right, top, bottom], height) =
+            ([FRAME[0], FRAME[1], FRAME[2] + down, FRAME[3] + down], HEIGHT + down);
         let at =
             |p: [f64; 2]| [left + x_axis.share(p[0]) * (right - left), bottom - y_axis.share(p[1]) * (bottom - top)];
-        let mut svg = Svg::new(WIDTH, HEIGHT);
+        let mut svg = Svg::new(WIDTH, height);
         svg.text([left, 20.0], Anchor::Start, 15.0, &self.title);
         let grid = "stroke=\"currentColor\" stroke-opacity=\".14\"";
         for t in &x_axis.ticks {
@@ -107,7 +121,7 @@ impl Plot {
             svg.text([left - 7.0, y + 4.0], Anchor::End, 12.0, &y_axis.label(*t));
         }
         svg.polyline(&[[left, top], [left, bottom], [right, bottom]], "stroke=\"currentColor\" stroke-opacity=\".6\"");
-        svg.text([0.5 * (left + right), HEIGHT - 12.0], Anchor::Middle, 13.0, &self.x_label);
+        svg.text([0.5 * (left + right), height - 12.0], Anchor::Middle, 13.0, &self.x_label);
         svg.turned_text([16.0, 0.5 * (top + bottom)], Anchor::Middle, 13.0, -90.0, &self.y_label);
         if shown.iter().all(Vec::is_empty) {
             svg.text([0.5 * (left + right), 0.5 * (top + bottom)], Anchor::Middle, 13.0, "no data");
@@ -121,19 +135,7 @@ impl Plot {
                 placed.iter().for_each(|p| svg.dot(*p, 3.6, hue));
             }
         }
-        self.legend(&mut svg);
-        svg.finish(&self.title)
-    }
-
-    /// Names above the area, as many as fit.
-    fn legend(&self, svg: &mut Svg) {
-        let mut x = FRAME[0];
-        for (series, hue) in self.series.iter().zip(self.hues()).filter(|(s, _)| !s.name.is_empty()) {
-            let width = 34.0 + text_width(&series.name, 12.0);
-            if x + width > WIDTH + 14.0 {
-                break;
-            }
-            let y = 40.0;
+        for Name { series, hue, at: [x, y] } in names {
             if let Some(dashes) = series.mark.dashes() {
                 svg.line([x, y], [x + 16.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\"{dashes}"));
             }
@@ -141,8 +143,25 @@ impl Plot {
                 svg.dot([x + 8.0, y], 3.6, hue);
             }
             svg.text([x + 21.0, y + 4.0], Anchor::Start, 12.0, &series.name);
-            x += width;
         }
+        svg.finish(&self.title)
+    }
+
+    /// Places of the names above the area, row by row.
+    fn names(&self) -> Vec<Name<'_>> {
+        let [mut x, mut y] = [FRAME[0], FIRST_ROW];
+        let named = self.series.iter().zip(self.hues()).filter(|(s, _)| !s.name.is_empty());
+        let place = |(series, hue): (_, _)| {
+            let series: &Series = series;
+            let width = 34.0 + text_width(&series.name, 12.0);
+            if x + width > WIDTH + 14.0 && x > FRAME[0] {
+                [x, y] = [FRAME[0], y + 18.0];
+            }
+            let at = [x, y];
+            x += width;
+            Name { series, hue, at }
+        };
+        named.map(place).collect()
     }
 
     /// Colour of each series: in order, dashed ones as the one before.
@@ -200,6 +219,9 @@ impl Axis {
         let value = self.value(tick);
         if self.scale == Scale::Linear && value.abs() < 1e-9 * (self.high - self.low) {
             return "0".into();
+        }
+        if self.scale == Scale::Log && value < 9e-4 {
+            return format!("{value:.0e}");
         }
         significant(value, 4)
     }

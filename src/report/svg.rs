@@ -6,7 +6,8 @@
 use std::fmt::Write;
 
 /// Colours of fields and series, in order.
-pub const HUES: [&str; 6] = ["#3b82d6", "#2f9e5f", "#d9572b", "#9b6dd0", "#b58900", "#2a9d9d"];
+pub const HUES: [&str; 10] =
+    ["#3b82d6", "#2f9e5f", "#d9572b", "#9b6dd0", "#b58900", "#2a9d9d", "#c94f8c", "#7d838b", "#a0703a", "#6f7fe0"];
 
 /// Colours only where the drawing is a document of its own.
 const STYLE: &str = "svg:root{background:#fff;color:#1d2329}\

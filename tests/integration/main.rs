@@ -14,6 +14,7 @@ mod one_way;
 mod parity;
 mod picture;
 mod prescriptions;
+mod properties;
 #[cfg(unix)]
 mod random_lenses;
 mod renderers;
