@@ -5,6 +5,32 @@
 //! ([`launch`]), or at any angle from a plane before the lens ([`object`]), and aimed at the real stop ([`aim`]).
 //! [`pupil`] finds what apertures leave of it, [`wavefront`] the optical path difference in it. All of it is f64. A ray
 //! that fails is data: [`Failure`].
+//!
+//! ```
+//! use glam::{DVec2, DVec3};
+//! use isoplanat::lens::{LensGradient, builtin};
+//! use isoplanat::trace::aim::Aimer;
+//! use isoplanat::trace::sequential::{HitBar, trace, trace_vjp};
+//! use isoplanat::trace::{ObjectPoint, System, SystemGradient};
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let system = System::new(&lens, 587.6);
+//! // The chief ray of 14°: where it meets the sensor, mm.
+//! let object = ObjectPoint::in_field(&lens, 14f64.to_radians(), std::f64::consts::FRAC_PI_2);
+//! let aimed = Aimer::new(&system).and_then(|a| a.aim(object, DVec2::ZERO, None)).expect("light");
+//! let mut hits = Vec::new();
+//! let height = trace(&system, aimed.ray, system.image(), &mut hits).expect("lands").at.point.y.abs();
+//! assert!((height - 12.4).abs() < 0.1, "{height}");
+//! // How the height of this ray (held before the lens) answers to the first curvature.
+//! let mut bars = vec![HitBar::default(); hits.len()];
+//! bars[system.image()].point = DVec3::Y;
+//! let mut back = SystemGradient::zeros(&system);
+//! trace_vjp(&system, &hits, &bars, &mut back);
+//! let mut gradient = LensGradient::zeros(&lens);
+//! back.add_to(&lens, 587.6, &mut gradient);
+//! assert!(gradient.surfaces[0].shape.curvature != 0.0);
+//! # Ok::<(), isoplanat::error::Error>(())
+//! ```
 
 pub mod aim;
 pub mod differential;

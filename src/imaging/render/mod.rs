@@ -4,6 +4,34 @@
 //! the nodes around every pixel ([`crate::imaging::render::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
 //! distortion and illumination are read from one value, [`crate::psf::Optics`]; a [`mod@plan`] says how finely, [`renderer`] does
 //! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
+//!
+//! ```
+//! use isoplanat::imaging::frame::Frame;
+//! use isoplanat::imaging::plane::{Plane, Region};
+//! use isoplanat::imaging::render::{Request, plan};
+//! use isoplanat::imaging::scene::{SceneKind, generate};
+//! use isoplanat::imaging::sensor::{Sensor, spectrum::SpectralDensity};
+//! use isoplanat::lens::builtin;
+//! use ndarray::Array3;
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let frame = Frame::centred(48, 32, 0.2)?;
+//! // A painted wall at the lens's object distance, a texel a pixel.
+//! let texture = generate(SceneKind::Text, 1, 48, 64);
+//! let scene = Plane { texture, texels_per_slope: 250.0, axis_texel: [32.0, 24.0], vergence: lens.object_vergence };
+//! let density = SpectralDensity::new(&Sensor::generic());
+//! let planned = plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), false)?;
+//! assert!(planned.holds);
+//! let (picture, _) = planned.picture::<f32>(&scene, &|_| ())?;
+//! assert_eq!(picture.dim(), (3, 32, 48));
+//! // A region that can be pulled back: from a cotangent on its pixels to every number of the lens.
+//! let region = Region { row: 8, col: 8, rows: 16, cols: 16 };
+//! let rendered = planned.renderer.record::<f32>(&scene, 0, region);
+//! let (ones, zeros) = (Array3::ones((3, 16, 16)), Array3::zeros((3, 16, 16)));
+//! let bar = planned.renderer.vjp(&scene, &rendered, ones.view(), zeros.view(), zeros.view());
+//! assert!(planned.renderer.lens_gradient(&lens, &bar).surfaces[0].shape.curvature != 0.0);
+//! # Ok::<(), isoplanat::error::Error>(())
+//! ```
 
 pub mod blur;
 pub mod choose;
