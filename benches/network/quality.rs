@@ -9,6 +9,7 @@ use std::time::Instant;
 use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
+use isoplanat::lens::catalogue::Glasses;
 use isoplanat::network::{Compute, Reconstructor};
 use isoplanat::report::plot::{Mark, Plot, Series};
 use ndarray::Array4;
@@ -19,7 +20,7 @@ const NETWORKS: [(usize, usize); 6] = [(8, 3), (16, 3), (32, 3), (16, 2), (16, 5
 /// Trains and judges everything; `steps` each. Writes a table to stdout and a plot to `benches/results`.
 pub(crate) fn print(steps: u64) {
     let task = task(steps);
-    let (lens, sensor) = (task.lens().expect("shipped"), task.sensor().expect("generic"));
+    let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
     let pictures = Pictures::BuiltIn(8);
     let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS };
     println!(
@@ -32,7 +33,7 @@ pub(crate) fn print(steps: u64) {
         let run = place.path().join("run");
         let mut task = task.clone();
         (task.train.base_width, task.train.scales) = (Some(base_width), scales);
-        let mut training = Training::create(task, &run, false, Compute::Cpu).expect("a task");
+        let mut training = Training::create(task, &run, false, Compute::Cpu, Glasses::shipped()).expect("a task");
         let clock = Instant::now();
         training.run(&mut |_| true).expect("trains");
         let a_step = clock.elapsed().as_secs_f64() / steps as f64;

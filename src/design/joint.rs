@@ -220,6 +220,7 @@ mod tests {
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::noise::Noise;
     use crate::imaging::sensor::spectrum::SpectralDensity;
+    use crate::lens::catalogue::Glasses;
 
     const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 
@@ -234,7 +235,7 @@ mod tests {
     #[test]
     fn the_lens_gradient_through_the_network_agrees_with_differences() {
         let task = task();
-        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
         let frame = frame_of(&lens).expect("valid");
         let textures = Textures::built_in(3, 5, 400);
         let v = lens.object_vergence;
@@ -287,7 +288,7 @@ mod tests {
     #[test]
     fn a_joint_stage_repeats_to_the_bit() {
         let task = task();
-        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
         let textures = Textures::built_in(3, 5, 400);
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let settings = JointSettings {
@@ -314,7 +315,7 @@ mod tests {
     #[test]
     fn a_scene_without_light_leaves_the_lens_alone() {
         let task = task();
-        let (lens, sensor) = (task.lens().expect("shipped"), Sensor::generic());
+        let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
         let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
         let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
         let electronics = Electronics { noise: Noise::NONE, ..Electronics::of(&sensor) };

@@ -10,6 +10,7 @@ use super::schedule::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
+use crate::lens::catalogue::Glasses;
 use crate::lens::{Lens, Prescription, SensorRaster, builtin};
 use crate::trace::rims::overlapping_rims;
 
@@ -214,8 +215,8 @@ impl Task {
     }
 
     /// The lens, on the task's raster.
-    pub fn lens(&self) -> Result<Lens> {
-        let lens = builtin::lens_or_file(&self.lens)?;
+    pub fn lens(&self, glasses: &Glasses) -> Result<Lens> {
+        let lens = builtin::lens_or_file(&self.lens, glasses)?;
         overlapping_rims(&lens, &self.lens)?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]

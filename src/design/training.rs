@@ -27,6 +27,7 @@ use crate::imaging::plane::Region;
 use crate::imaging::render::frame_of;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::catalogue::Glasses;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
 
@@ -129,13 +130,13 @@ struct Parts {
 }
 
 impl Training {
-    /// A new training in `folder`, which must not be there, or with `replace` may be another run.
+    /// A new training of the task's lens, with `glasses`, in `folder`, which must not be there, or with `replace` may be another run.
     ///
     /// # Errors
     /// A task that cannot be trained; nothing is written then.
-    pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute) -> Result<Self> {
+    pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute, glasses: &Glasses) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
-        let (lens, network, textures) = (task.lens()?, start(&task, compute)?, task.textures()?);
+        let (lens, network, textures) = (task.lens(glasses)?, start(&task, compute)?, task.textures()?);
         Self::begin(task, &lens, network, textures, folder, replace)
     }
 
@@ -483,13 +484,14 @@ mod tests {
     fn a_training_in_pieces_is_the_training_in_one_go() {
         let place = tempfile::tempdir().expect("temporary folder");
         let (whole, pieces) = (place.path().join("whole"), place.path().join("pieces"));
-        let mut one = Training::create(task(), &whole, false, Compute::Cpu).expect("new");
+        let mut one = Training::create(task(), &whole, false, Compute::Cpu, Glasses::shipped()).expect("new");
         one.run(&mut |_| true).expect("trains");
         assert!(!whole.join("cache").exists() && whole.join("samples/step-0000010.png").is_file());
-        let mut training = Training::create(task(), &pieces, false, Compute::Cpu).expect("new");
+        let mut training = Training::create(task(), &pieces, false, Compute::Cpu, Glasses::shipped()).expect("new");
         let second = Training::resume(&pieces, Compute::Cpu).expect_err("locked").to_string();
         assert!(second.contains("another process"), "{second}");
-        let replaced = Training::create(task(), &pieces, true, Compute::Cpu).expect_err("locked").to_string();
+        let replaced =
+            Training::create(task(), &pieces, true, Compute::Cpu, Glasses::shipped()).expect_err("locked").to_string();
         assert!(replaced.contains("another process"), "{replaced}");
         fs::write(pieces.join("network.safetensors.1.part"), b"half a checkpoint").expect("written");
         for stop in [1, 3, 9, 10, 17] {
@@ -514,7 +516,8 @@ mod tests {
     fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
         let place = tempfile::tempdir().expect("temporary folder");
         let (first, second) = (place.path().join("first"), place.path().join("second"));
-        let create = |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu);
+        let create =
+            |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu, Glasses::shipped());
         create(task(), &first).expect("new").run(&mut |_| true).expect("trains");
         let mut deeper = task();
         (deeper.train.start, deeper.train.scales, deeper.train.base_width) = (Some(first.clone()), 4, None);
@@ -540,7 +543,7 @@ mod tests {
         let run = place.path().join("run");
         let mut long = task();
         (long.train.steps, long.train.checkpoint_seconds) = (Some(100), 0.0);
-        let mut training = Training::create(long, &run, false, Compute::Cpu).expect("new");
+        let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
         let ended = training.run(&mut |s| s.step < 5);
         assert!(matches!(ended, Err(Error::Interrupted)));
         let before = weights(&run);

@@ -1,5 +1,6 @@
 //! The lenses shipped in `models/lenses/`, compiled in so that every command works without files.
 
+use super::catalogue::Glasses;
 use super::{Lens, prescription};
 use crate::error::{Error, Result};
 
@@ -23,13 +24,13 @@ pub fn lens(name: &str) -> Result<Lens> {
     prescription::from_toml(text, &format!("models/lenses/{name}.toml"))
 }
 
-/// A lens from a path, or a shipped one where `name_or_path` is its bare name and no such file exists.
-pub fn lens_or_file(name_or_path: &str) -> Result<Lens> {
+/// A lens from a path with `glasses`, or a shipped one where `name_or_path` is its bare name and no such file exists.
+pub fn lens_or_file(name_or_path: &str, glasses: &Glasses) -> Result<Lens> {
     let path = std::path::Path::new(name_or_path);
     if !path.exists() && LENSES.iter().any(|(n, _)| *n == name_or_path) {
         return lens(name_or_path);
     }
-    prescription::load(path)
+    Ok(prescription::load_with(path, glasses)?.0)
 }
 
 #[cfg(test)]

@@ -6,14 +6,17 @@
 //!   prescription that must hold to the digit names its glass or gives a table.
 //!   Taken from 350 to 1100 nm. Two numbers hold the visible; against the catalogue's glasses the index is off by up to
 //!   5e-3 (SF10, 400 nm), 2e-3 (crowns, 1100 nm) and 2e-2 (SF10, 350 nm).
-//! - Sellmeier, three terms: `n² = 1 + Σ K_i λ²/(λ² − L_i)`; known over the range that the catalogue states.
+//! - A glass of a catalogue ([`super::catalogue`]) by its dispersion formula ([`super::dispersion`]); known over the range that the
+//!   catalogue states.
 //! - A table of wavelengths and indices: exact at its entries, between them a Cauchy curve through the two
 //!   neighbours (linear in 1/λ²); known up to 5 nm past its ends.
 //!
 //! [`Medium::index`] evaluates the formula anywhere; whoever takes a wavelength from a file or a command line asks
 //! [`crate::lens::Lens::require_indices`] first. Not covered: absorption, temperature, pressure.
 
-use crate::error::{Error, Result};
+use super::catalogue::Glasses;
+use super::dispersion::Dispersion;
+use crate::error::Result;
 use crate::units::um_from_nm;
 
 /// Lines of eq. 8, nm.
@@ -37,14 +40,16 @@ pub enum Medium {
         /// Abbe number.
         v_d: f64,
     },
-    /// Sellmeier glass of a catalogue.
-    Sellmeier {
-        /// Catalogue name, such as `N-SK16`.
+    /// Glass of a catalogue.
+    Glass {
+        /// Name in the catalogue, such as `N-SK16`.
         name: String,
-        /// `K₁, L₁, K₂, L₂, K₃, L₃` (L in µm²).
-        coefficients: [f64; 6],
-        /// Wavelengths that the coefficients hold for, nm.
+        /// Formula and coefficients.
+        dispersion: Dispersion,
+        /// Wavelengths that they hold for, nm.
         range_nm: [f64; 2],
+        /// Where they come from.
+        source: String,
     },
     /// Tabulated index.
     Table {
@@ -70,8 +75,18 @@ impl Medium {
         match self {
             Self::Air => [0.0, f64::INFINITY],
             Self::Cauchy { .. } => CAUCHY_NM,
-            Self::Sellmeier { range_nm, .. } => *range_nm,
+            Self::Glass { range_nm, .. } => *range_nm,
             Self::Table { wavelength_nm: nm, .. } => [nm[0] - PAST_TABLE_NM, nm[nm.len() - 1] + PAST_TABLE_NM],
+        }
+    }
+
+    /// Where its index comes from, in words.
+    pub fn source(&self) -> String {
+        match self {
+            Self::Air => "1 by definition".into(),
+            Self::Cauchy { .. } => "two numbers of the lens file (n_d, v_d)".into(),
+            Self::Glass { source, dispersion, .. } => format!("{source}, formula {}", dispersion.formula().name()),
+            Self::Table { index, .. } => format!("a table of {} indices in the lens file", index.len()),
         }
     }
 
@@ -83,10 +98,7 @@ impl Medium {
                 let b = (n_d - 1.0) / v_d * cauchy_span();
                 n_d + b * (inverse_square(nm) - inverse_square(D_NM))
             }
-            Self::Sellmeier { coefficients: [k1, l1, k2, l2, k3, l3], .. } => {
-                let w = um_from_nm(nm).powi(2);
-                (1.0 + k1 * w / (w - l1) + k2 * w / (w - l2) + k3 * w / (w - l3)).sqrt()
-            }
+            Self::Glass { dispersion, .. } => dispersion.index(um_from_nm(nm)),
             Self::Table { wavelength_nm, index } => {
                 if let Some(i) = wavelength_nm.iter().position(|w| (w - nm).abs() < 1e-9) {
                     return index[i];
@@ -111,14 +123,8 @@ impl Medium {
                 *n_bar += index_bar * (1.0 + span / v_d);
                 *v_bar += index_bar * (-(n_d - 1.0) / (v_d * v_d) * span);
             }
-            (Self::Sellmeier { coefficients, .. }, Self::Sellmeier { coefficients: bars, .. }) => {
-                // n² = 1 + Σ K w/(w − L).
-                let (w, scale) = (um_from_nm(nm).powi(2), 0.5 * index_bar / self.index(nm));
-                for (pair, bars) in coefficients.chunks_exact(2).zip(bars.chunks_exact_mut(2)) {
-                    let inverse = 1.0 / (w - pair[1]);
-                    bars[0] += scale * w * inverse;
-                    bars[1] += scale * pair[0] * w * inverse * inverse;
-                }
+            (Self::Glass { dispersion, .. }, Self::Glass { dispersion: bar, .. }) => {
+                dispersion.index_vjp(um_from_nm(nm), index_bar, bar);
             }
             (Self::Table { .. }, Self::Table { index: bars, .. }) => {
                 // The index is linear in the entries: each by what it alone would give.
@@ -135,24 +141,11 @@ impl Medium {
     }
 
     /// A glass of the shipped catalogue (`models/glasses/catalog.toml`) by its exact name.
+    ///
+    /// # Errors
+    /// See [`Glasses::find`].
     pub fn named(name: &str) -> Result<Self> {
-        if name.eq_ignore_ascii_case("air") {
-            return Ok(Self::Air);
-        }
-        let catalog = catalog();
-        if let Some(Glass { sellmeier: coefficients, range_nm, .. }) = catalog.iter().find(|g| g.name == name) {
-            return Ok(Self::Sellmeier { name: name.to_owned(), coefficients: *coefficients, range_nm: *range_nm });
-        }
-        let known: Vec<&str> = catalog.iter().map(|g| g.name.as_str()).collect();
-        Err(Error::bad(
-            "",
-            "medium",
-            format!("unknown glass `{name}`"),
-            format!(
-                "known: air, {}; or {{ n_d = …, v_d = … }}, or {{ wavelength_nm = […], index = […] }}",
-                known.join(", ")
-            ),
-        ))
+        Glasses::shipped().find(name, &[])
     }
 }
 
@@ -162,41 +155,16 @@ impl std::fmt::Display for Medium {
         match self {
             Self::Air => f.write_str("air"),
             Self::Cauchy { n_d, v_d } => write!(f, "n_d {n_d}, v_d {v_d}"),
-            Self::Sellmeier { name, .. } => f.write_str(name),
+            Self::Glass { name, .. } => f.write_str(name),
             Self::Table { index, .. } => write!(f, "table of {}", index.len()),
         }
     }
 }
 
-/// An entry of the shipped catalogue.
-#[derive(serde::Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Glass {
-    name: String,
-    sellmeier: [f64; 6],
-    range_nm: [f64; 2],
-    #[expect(dead_code, reason = "for the reader of the file")]
-    source: String,
-}
-
-/// The shipped catalogue.
-fn catalog() -> Vec<Glass> {
-    #[derive(serde::Deserialize)]
-    #[serde(deny_unknown_fields)]
-    struct File {
-        #[expect(dead_code, reason = "checked for presence only")]
-        schema: u32,
-        glass: Vec<Glass>,
-    }
-    let file: File =
-        toml::from_str(include_str!("../../models/glasses/catalog.toml")).expect("the shipped catalogue is tested");
-    file.glass
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_abs, assert_rel, central_difference, shared};
+    use crate::testing::{assert_abs, assert_rel, central_difference};
 
     /// Cauchy reproduces n_d and V by definition.
     #[test]
@@ -225,9 +193,9 @@ mod tests {
     /// Within its range a medium's index is a number above 1 that falls with wavelength; beyond, formulas have poles.
     #[test]
     fn indices_are_normal_within_their_range() {
-        let names = catalog().into_iter().map(|g| Medium::named(&g.name).expect("shipped"));
         let table = Medium::Table { wavelength_nm: vec![486.0, 588.0, 656.0], index: vec![1.63, 1.62, 1.615] };
-        for medium in names.chain([Medium::Cauchy { n_d: 1.5849, v_d: 29.9 }, table.clone()]) {
+        let cauchy = Medium::Cauchy { n_d: 1.5849, v_d: 29.9 };
+        for medium in [Medium::named("N-BK7").expect("shipped"), cauchy, table.clone()] {
             let [a, b] = medium.range_nm();
             let indices: Vec<f64> = (0..=500).map(|k| medium.index(a + (b - a) * f64::from(k) / 500.0)).collect();
             assert!(indices.windows(2).all(|n| n[0] > n[1] && n[1] > 1.0), "{medium}");
@@ -235,23 +203,5 @@ mod tests {
         assert_eq!(table.range_nm(), [481.0, 661.0]);
         let bk7 = Medium::named("N-BK7").expect("shipped");
         assert!(bk7.index(10_100.0).is_nan() && bk7.range_nm()[1] < 10_100.0);
-    }
-
-    /// Every shipped glass against an independent evaluation of the manufacturer's coefficients.
-    #[test]
-    fn catalogue_agrees_with_reference_indices() {
-        assert!(catalog().len() >= 6);
-        let Some(path) = shared("data/glass/reference_indices.json") else { return };
-        let all: serde_json::Value = serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON");
-        for Glass { name, range_nm, .. } in catalog() {
-            let medium = Medium::named(&name).expect("shipped");
-            let Some(entry) = all.get(format!("schott.agf/{name}")) else { continue };
-            let range: [f64; 2] = serde_json::from_value(entry["range_um"].clone()).expect("two numbers");
-            assert_eq!(range.map(|um| (um * 1e3).round()), range_nm, "{name}");
-            for (um, n) in entry["n"].as_object().expect("object") {
-                let nm = um.parse::<f64>().expect("number") * 1e3;
-                assert_abs(medium.index(nm), n.as_f64().expect("number"), 1e-7, &format!("{name} at {nm}"));
-            }
-        }
     }
 }

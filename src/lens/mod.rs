@@ -20,8 +20,10 @@
 //! ```
 
 pub mod builtin;
+pub mod catalogue;
 mod check;
 pub mod clearance;
+pub mod dispersion;
 pub mod freeform;
 pub mod glass;
 pub mod gradient;

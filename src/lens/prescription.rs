@@ -4,6 +4,8 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use super::catalogue::{self, Glasses};
+use super::dispersion::Formula;
 use super::{Aperture, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
 use crate::error::{Error, Result};
 
@@ -137,6 +139,19 @@ enum FileMedium {
     Name(String),
     Model(FileModelGlass),
     Table(FileTableGlass),
+    Formula(FileGlass),
+}
+
+/// A glass that the shipped catalogue does not have, whole: the file stays readable where its catalogue is not at hand.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileGlass {
+    name: String,
+    formula: Formula,
+    coefficients: Vec<f64>,
+    range_nm: [f64; 2],
+    #[serde(default)]
+    source: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -153,23 +168,23 @@ struct FileTableGlass {
     index: Vec<f64>,
 }
 
-/// Reads and checks a lens file.
+/// Reads and checks a lens file; glasses are those of the shipped catalogue.
 pub fn load(path: &Path) -> Result<Lens> {
-    Ok(load_with_warning(path)?.0)
+    Ok(load_with(path, Glasses::shipped())?.0)
 }
 
-/// [`load`], with one line on what was taken otherwise than the file says.
-pub fn load_with_warning(path: &Path) -> Result<(Lens, Option<String>)> {
+/// [`load`] with `glasses`, and one line on what was taken otherwise than the file says.
+pub fn load_with(path: &Path, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
-    parse(&text, &path.display().to_string())
+    parse(&text, &path.display().to_string(), glasses)
 }
 
-/// Parses and checks the TOML form; `file` names it in errors.
+/// Parses and checks the TOML form; `file` names it in errors, glasses are those of the shipped catalogue.
 pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
-    Ok(parse(text, file)?.0)
+    Ok(parse(text, file, Glasses::shipped())?.0)
 }
 
-fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
+fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     // Read the schema first: a newer file is refused by that name, not by its unknown keys.
     if let Ok(table) = text.parse::<toml::Table>()
@@ -212,8 +227,12 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     let FileSensor { columns, rows, pitch_um, axis_px } = parsed.sensor;
     #[expect(clippy::cast_precision_loss, reason = "refused beyond 65,536")]
     let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
-    let surfaces =
-        parsed.surface.into_iter().enumerate().map(|(i, s)| read_surface(i, s, file)).collect::<Result<Vec<_>>>()?;
+    let surfaces = parsed
+        .surface
+        .into_iter()
+        .enumerate()
+        .map(|(i, s)| read_surface(i, s, file, glasses))
+        .collect::<Result<Vec<_>>>()?;
     let mut numbers = Prescription {
         name: parsed.name,
         source: parsed.source,
@@ -234,7 +253,7 @@ fn parse(text: &str, file: &str) -> Result<(Lens, Option<String>)> {
     Ok((Lens::new(numbers, file)?, warning))
 }
 
-fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
+fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Result<Surface> {
     let place = |key: &str| format!("surface[{i}].{key}");
     let refuse = |key: &str, found: String, allowed: &str| Error::bad(file, place(key), found, allowed);
     let curvature = match (s.radius_mm, s.curvature_per_mm) {
@@ -261,11 +280,16 @@ fn read_surface(i: usize, s: FileSurface, file: &str) -> Result<Surface> {
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let medium = match s.medium {
-        FileMedium::Name(name) => Medium::named(&name).map_err(|e| match e {
+        FileMedium::Name(name) => glasses.find(&name, &[]).map_err(|e| match e {
             Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
             other => other,
         })?,
         FileMedium::Model(FileModelGlass { n_d, v_d }) => Medium::Cauchy { n_d, v_d },
+        FileMedium::Formula(FileGlass { name, formula, coefficients, range_nm, source }) => {
+            catalogue::glass(&name, &source, formula, coefficients, range_nm).map_err(|why| {
+                refuse("medium", format!("glass `{name}`: {why}"), "a dispersion that holds within its range")
+            })?
+        }
         FileMedium::Table(FileTableGlass { wavelength_nm, index }) => Medium::Table { wavelength_nm, index },
     };
     let pose = freeform::pose(s.tilt_deg, s.decentre_mm);
@@ -323,7 +347,17 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
         medium: match &s.medium {
             Medium::Air => FileMedium::Name("air".into()),
             Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
-            Medium::Sellmeier { name, .. } => FileMedium::Name(name.clone()),
+            // A name says enough where the shipped catalogue says the same of it.
+            Medium::Glass { name, .. } if Medium::named(name).is_ok_and(|m| m == s.medium) => {
+                FileMedium::Name(name.clone())
+            }
+            Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {
+                name: name.clone(),
+                formula: dispersion.formula(),
+                coefficients: dispersion.coefficients().to_vec(),
+                range_nm: *range_nm,
+                source: source.clone(),
+            }),
             Medium::Table { wavelength_nm, index } => {
                 FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
             }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use super::table::{Table, significant};
 use crate::lens::paraxial::{FirstOrder, first_order};
 use crate::lens::seidel::{self, Seidel};
-use crate::lens::{Aperture, Lens};
+use crate::lens::{Aperture, Lens, Medium};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -92,6 +92,7 @@ impl<'a> Listing<'a> {
             "asphere": s.shape.asphere,
             "thickness_mm": s.thickness,
             "medium": s.medium.to_string(),
+            "medium_source": s.medium.source(),
             "index": s.medium.index(self.wavelength_nm),
             "semi_diameter_mm": s.semi_diameter,
             "stop": i == self.lens.stop,
@@ -142,6 +143,21 @@ impl<'a> Listing<'a> {
                 significant(s.semi_diameter, 5),
                 form.join(", "),
             ]);
+        }
+        table
+    }
+
+    /// Media other than air, in the order of the light: where their indices come from, and the wavelengths that they hold for.
+    pub fn media_table(&self) -> Table {
+        let mut table = Table::new(["medium", "index", "known, nm", "source"]);
+        let mut seen: Vec<String> = Vec::new();
+        for medium in self.lens.surfaces.iter().map(|s| &s.medium).filter(|m| **m != Medium::Air) {
+            let ([short, long], name) = (medium.range_nm(), medium.to_string());
+            if !seen.contains(&name) {
+                let index = format!("{:.6}", medium.index(self.wavelength_nm));
+                table.row([name.clone(), index, format!("{short} to {long}"), medium.source()]);
+                seen.push(name);
+            }
         }
         table
     }
@@ -200,6 +216,7 @@ impl fmt::Display for Listing<'_> {
         let s = &lens.sensor;
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;
         writeln!(f, "{}\n{}", self.first_order_table(), self.surface_table())?;
+        writeln!(f, "{}", self.media_table())?;
         let colours = listed(&lens.wavelengths.ends_nm(), 7);
         writeln!(f, "third-order sums at full aperture and field, µm; colour between {colours} nm")?;
         write!(f, "{}", self.seidel_table())

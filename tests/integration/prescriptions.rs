@@ -23,6 +23,49 @@ fn json_of(ran: Ran) -> Value {
     serde_json::from_str(&ran.done()).expect("JSON")
 }
 
+/// Catalogues and pages that the command line gives: on every command, by `ISOPLANAT_GLASSES` too; a lens file that the program writes holds
+/// such a glass whole; bad ones and unknown names are one line.
+#[test]
+fn glasses_come_from_catalogues_of_the_command_line() {
+    let place = Workplace::new();
+    // N-SK16 and F2 under other names, the one by its maker's formula, the other as a table.
+    let agf = "CC a catalogue\nNM CROWN 2 620603 1.62041 60.32 0 1\nCD 1.34317774 0.00704687339 0.241144399 0.0229005 0.994317969 92.7508526 0 0\nLD 0.31 2.5\n";
+    let page = "DATA:\n  - type: tabulated nk\n    data: |\n        0.40 1.652 0\n        0.4861327 1.63208 0\n        0.5875618 1.62004 0\n        0.6562725 1.61503 0\n        0.71 1.6121 0\n";
+    let utf16: Vec<u8> = std::iter::once(0xfeff).chain(agf.encode_utf16()).flat_map(u16::to_le_bytes).collect();
+    place.write("mine.agf", utf16).write("flint.yml", page).write("rays.json", RAYS);
+    place
+        .write("cooke.toml", COOKE)
+        .write("own.toml", with(COOKE, &[("\"N-SK16\"", "\"CROWN\""), ("\"F2\"", "\"page/flint\"")]));
+    place.run("inspect own.toml").refused(&["own.toml", "surface[0].medium", "unknown glass `CROWN`", "--glass FILE"]);
+    let given = "--glass mine.agf --glass flint.yml";
+    let [own, shipped] = ["own.toml", "cooke.toml"].map(|l| json_of(place.run(&format!("inspect {l} --json {given}"))));
+    assert_eq!(own["surfaces"][0]["index"], shipped["surfaces"][0]["index"]);
+    assert_eq!(own["surfaces"][0]["medium_source"], "mine.agf, formula sellmeier");
+    let focal = |v: &Value| v["effective_focal_length_mm"].as_f64().expect("a number");
+    assert!((focal(&own) - focal(&shipped)).abs() < 2e-3, "{} and {}", focal(&own), focal(&shipped));
+    let text = place.run(&format!("inspect own.toml {given}")).done();
+    assert!(text.contains("mine.agf, formula sellmeier") && text.contains("a table of 5 indices"), "{text}");
+    place.run(&format!("{given} check own.toml")).done();
+    place.run(&format!("trace own.toml --rays rays.json --gradient {given}")).done();
+    // A folder, on the command line and in the environment.
+    std::fs::create_dir(place.path("glasses")).expect("made");
+    for file in ["mine.agf", "flint.yml"] {
+        std::fs::copy(place.path(file), place.path("glasses").join(file)).expect("copied");
+    }
+    place.run("inspect own.toml --glass glasses").done();
+    let configured =
+        place.command("inspect own.toml").env("ISOPLANAT_GLASSES", place.path("glasses")).output().expect("runs");
+    assert!(configured.status.success(), "{}", String::from_utf8_lossy(&configured.stderr));
+    // Bad ones.
+    place.write("bad.agf", "NM A 2\nCD 1 2 x\n").write("a.txt", "");
+    place.run("inspect cooke.toml --glass bad.agf").refused(&["bad.agf", "line 2", "CD 1 2 x"]);
+    place.run("inspect cooke.toml --glass a.txt").refused(&["a.txt", ".agf"]);
+    place.run("inspect cooke.toml --glass none.agf").refused(&["none.agf"]);
+    let near = with(COOKE, &[("\"F2\"", "\"N-F3\"")]);
+    place.write("near.toml", near);
+    place.run("inspect near.toml").refused(&["near.toml", "unknown glass `N-F3`", "near names: N-F2"]);
+}
+
 /// A wavelength at which an index is not known, in a file or on the command line: glass, wavelength and range are named.
 #[test]
 fn wavelengths_outside_a_glass_are_refused() {

@@ -88,7 +88,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let settings = Settings::new(args.quick, args.seed, args.photos.clone());
     let task = &settings.task;
     eprintln!("about {} on two cores", if args.quick { "50 seconds" } else { "9 minutes" });
-    let start = task.lens()?;
+    let start = task.lens(crate::glasses::all())?;
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
     let stages = memory::of_design(task)?.max(memory::of_training(task)?);
     let tiles = task.train.config()?.forward_bytes(settings.tile).saturating_mul(threads() as u64);

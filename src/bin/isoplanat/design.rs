@@ -44,7 +44,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let bytes = memory::of_design(&task)?;
     let instead = "a smaller patch_px, batch, base_width or folder";
     crate::memory::limit().allow("the design", bytes, instead)?;
-    let (lens, sensor) = (task.lens()?, task.sensor()?);
+    let (lens, sensor) = (task.lens(crate::glasses::all())?, task.sensor()?);
     let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
     let frame = frame_of(&lens)?;
     let textures = task.textures()?;

@@ -8,6 +8,8 @@ use isoplanat::lens::{Lens, builtin, prescription};
 use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Result};
 
+use crate::glasses;
+
 /// The lens named on the command line: a TOML file, or a shipped lens by its bare name.
 ///
 /// # Errors
@@ -18,7 +20,7 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
     let (lens, limited) = if bare && !path.exists() {
         (builtin::lens(name_or_path)?, None)
     } else {
-        prescription::load_with_warning(path)?
+        prescription::load_with(path, glasses::all())?
     };
     for warning in limited.into_iter().chain(overlapping_rims(&lens, name_or_path)?) {
         eprintln!("warning: {warning}");

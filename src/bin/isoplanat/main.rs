@@ -15,6 +15,7 @@ mod design;
 mod evaluate;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod export;
+mod glasses;
 mod input;
 mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
@@ -48,6 +49,10 @@ struct Cli {
     /// Memory that the command may take, GiB; work that needs more is refused [default: 80 % of what is available]
     #[arg(long, global = true, value_name = "GIB", allow_negative_numbers = true)]
     memory_gib: Option<f64>,
+    /// Glasses beside the shipped ones: an AGF catalogue, a page of refractiveindex.info (.yml) or a folder of them; as often as wanted.
+    /// The folder that ISOPLANAT_GLASSES names is read too
+    #[arg(long, global = true, value_name = "FILE")]
+    glass: Vec<std::path::PathBuf>,
 }
 
 #[derive(clap::Subcommand)]
@@ -127,9 +132,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 fn main() -> ExitCode {
-    let Cli { command, memory_gib } = Cli::parse();
+    let Cli { command, memory_gib, glass } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let ready = check_environment().and_then(|()| memory::set(memory_gib)).map_err(anyhow::Error::from);
+    let ready = check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass));
+    let ready = ready.map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;
     };

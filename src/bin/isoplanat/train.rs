@@ -59,7 +59,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             crate::input::of_task(&task)?;
             let instead = "a smaller patch_px, batch, base_width, region_px or folder";
             crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
-            Training::create(task, &args.output, args.force, args.device)?
+            Training::create(task, &args.output, args.force, args.device, crate::glasses::all())?
         }
         None => {
             let training = Training::resume(&args.output, args.device)?;

@@ -1,5 +1,6 @@
 use super::*;
 use crate::design::task::{Task, TaskSensor};
+use crate::lens::catalogue::Glasses;
 use crate::network::UnetConfig;
 
 fn settings(fields: usize, patch: usize) -> Settings {
@@ -8,7 +9,7 @@ fn settings(fields: usize, patch: usize) -> Settings {
 
 fn lens() -> Lens {
     let sensor = Some(TaskSensor { columns: 240, rows: 160, pitch_um: 80.0, axis_px: Some([0.0, 0.0]) });
-    Task { sensor, ..Task::demo() }.lens().expect("valid")
+    Task { sensor, ..Task::demo() }.lens(Glasses::shipped()).expect("valid")
 }
 
 /// A network whose last layer is nought returns its input.

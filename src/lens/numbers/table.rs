@@ -182,14 +182,14 @@ kinds! {
         scale: |_, _| 100.0,
         ..PLAIN
     },
-    /// Dispersion coefficients of a catalogue's glass, K₁, L₁, K₂, ….
-    Sellmeier => Line {
+    /// Dispersion coefficients of a catalogue's glass, in the order of its formula.
+    Dispersion => Line {
         at: At::Medium(
-            |m| if let Medium::Sellmeier { coefficients, .. } = m { coefficients } else { &[] },
-            |m| if let Medium::Sellmeier { coefficients, .. } = m { coefficients } else { &mut [] },
+            |m| if let Medium::Glass { dispersion, .. } = m { dispersion.coefficients() } else { &[] },
+            |m| if let Medium::Glass { dispersion, .. } = m { dispersion.coefficients_mut() } else { &mut [] },
         ),
-        name: |_, p| format!("sellmeier_{}", p.entry),
-        key: "medium.",
+        name: |_, p| format!("dispersion_{}", p.entry),
+        key: "medium.coefficients.",
         free: false,
         ..PLAIN
     },

@@ -384,7 +384,9 @@ mod tests {
             let (mut hits, mut chief_hits) = (Vec::new(), Vec::new());
             let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits).expect("aims");
             let starts: Vec<DVec2> = targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect();
-            let bundle = view.bundle(at, &targets, &starts, (chief, &chief_hits)).expect("arrives");
+            let bundle = view
+                .bundle(at, &targets, &starts, (chief, &chief_hits))
+                .unwrap_or_else(|| panic!("{}: a ray does not arrive", lens.name));
             for (found, target) in bundle.iter().zip(&targets) {
                 let p = view.aim(at, *target, None, &mut hits).expect("aims");
                 let ray = view.follow(at, p, &mut hits).expect("leaves the lens");
