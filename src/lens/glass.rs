@@ -12,7 +12,7 @@
 //!   neighbours (linear in 1/λ²); known up to 5 nm past its ends.
 //!
 //! [`Medium::index`] evaluates the formula anywhere; whoever takes a wavelength from a file or a command line asks
-//! [`crate::lens::Lens::require_indices`] first. Not covered: absorption, temperature, pressure.
+//! [`crate::lens::Prescription::require_indices`] first. Not covered: absorption, temperature, pressure.
 
 use super::catalogue::Glasses;
 use super::dispersion::Dispersion;
