@@ -127,3 +127,55 @@ fn catalogues_agree_with_reference_indices() {
         assert_abs(page.index(nm), catalogue.index(nm), 1e-12, "N-BK7");
     }
 }
+
+/// Catalogues and pages cut and changed at random: an answer or one error, never a panic, and no glass without sense.
+#[test]
+fn mutated_catalogues_are_read_or_refused() {
+    let agf = "CC made\nNM CROWN 2 620603 1.62 60.3 0 1\nGC\nED 7 0 2.5 0\nCD 1.34 0.007 0.24 0.023 0.99 92.8 0 0\nLD 0.31 2.5\nIT 0.4 0.99 10\n\
+               NM HEAVY 13 0 0 0\nCD 3.2 -0.013 -1e-4 0.03 6e-4 1e-5 1e-6 0 0 0\nLD 0.38 1.5\n";
+    let page = "REFERENCES: |\n    somebody\nDATA:\n  - type: formula 2\n    wavelength_range: 0.44 1.05\n    coefficients: 0 1.18 0.0113\n\
+                \x20 - type: tabulated nk\n    data: |\n        0.4 1.5 0\n        0.5 1.49 0\nCONDITIONS:\n    temperature: 293\n";
+    let folder = tempfile::tempdir().expect("made");
+    let rng = &mut fastrand::Rng::with_seed(11);
+    let (mut read, mut refused) = (0, 0);
+    for i in 0..4000 {
+        let (text, name) = if i % 2 == 0 { (agf, "a.agf") } else { (page, "p.yml") };
+        let mut bytes = text.as_bytes().to_vec();
+        for _ in 0..rng.usize(1..6) {
+            let at = rng.usize(..bytes.len());
+            match rng.u8(..5) {
+                0 => bytes.truncate(at.max(1)),
+                1 => bytes[at] = rng.u8(..),
+                2 => drop(bytes.drain(at..(at + rng.usize(..9)).min(bytes.len()))),
+                3 => bytes.splice(at..at, *b" 1e999 ").for_each(drop),
+                _ => bytes
+                    .splice(
+                        at..at,
+                        rng.choice([&b"-"[..], b"nan", b"\n", b"NM X 5\n", b"0", b": ["]).expect("some").to_vec(),
+                    )
+                    .for_each(drop),
+            }
+            if bytes.is_empty() {
+                bytes.push(b'\n');
+            }
+        }
+        let path = folder.path().join(name);
+        std::fs::write(&path, &bytes).expect("written");
+        let mut glasses = Glasses { catalogues: Vec::new() };
+        match glasses.add(&path) {
+            Err(e) => {
+                refused += 1;
+                assert!(e.exit_code() == 2 && e.to_string().contains(name), "{e}");
+            }
+            Ok(()) => {
+                read += 1;
+                for entry in glasses.catalogues.iter().flat_map(|c| &c.entries) {
+                    let Ok(medium) = &entry.medium else { continue };
+                    let ([a, b], middle) = (medium.range_nm(), |a: f64, b: f64| medium.index(0.5 * (a + b)));
+                    assert!(INDICES.contains(&middle(a, b)), "{medium}: {} in {a} to {b}", middle(a, b));
+                }
+            }
+        }
+    }
+    assert!(read > 500 && refused > 500, "{read} read, {refused} refused");
+}
