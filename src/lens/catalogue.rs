@@ -102,6 +102,11 @@ fn decoded(bytes: &[u8]) -> String {
     }
 }
 
+/// The numbers of a line; none where a word is no finite number.
+fn finite(line: &str) -> Option<Vec<f64>> {
+    line.split_whitespace().map(|word| word.parse::<f64>().ok().filter(|x| x.is_finite())).collect()
+}
+
 /// What a catalogue's file is called, without its ending.
 fn stem(path: &Path) -> String {
     path.file_stem().map_or_else(String::new, |s| s.to_string_lossy().into_owned())

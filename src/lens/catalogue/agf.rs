@@ -1,6 +1,6 @@
 //! AGF catalogues: a glass is a line `NM name formula …`, with its coefficients in `CD` and its range in `LD` (µm).
 
-use super::{Entry, glass};
+use super::{Entry, finite, glass};
 use crate::error::{Error, Result};
 use crate::lens::dispersion::Formula;
 
@@ -58,11 +58,7 @@ pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
         let line = line.trim_start_matches('\u{feff}').trim();
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
         let refuse = |found: &str, allowed: &str| Error::bad(file, format!("line {}", i + 1), found, allowed);
-        let numbers = |what: &str| {
-            let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());
-            let all: Option<Vec<f64>> = rest.split_whitespace().map(number).collect();
-            all.ok_or_else(|| refuse(line, &format!("{what}: finite numbers")))
-        };
+        let numbers = |what: &str| finite(rest).ok_or_else(|| refuse(line, &format!("{what}: finite numbers")));
         match (key, &mut open) {
             ("NM", _) => {
                 let mut words = rest.split_whitespace();

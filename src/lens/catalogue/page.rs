@@ -2,7 +2,7 @@
 
 use yaml_rust2::{Yaml, YamlLoader};
 
-use super::{Entry, glass};
+use super::{Entry, finite, glass};
 use crate::error::{Error, Result};
 use crate::lens::Medium;
 use crate::lens::dispersion::Formula;
@@ -38,11 +38,8 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
         Yaml::Integer(n) => n.to_string(),
         _ => String::new(),
     };
-    let numbers = |place: &str, text: &str| -> Result<Vec<f64>> {
-        let number = |word: &str| word.parse::<f64>().ok().filter(|x| x.is_finite());
-        let all: Option<Vec<f64>> = text.split_whitespace().map(number).collect();
-        all.ok_or_else(|| refuse(place, text.to_owned(), "finite numbers"))
-    };
+    let numbers =
+        |place: &str, text: &str| finite(text).ok_or_else(|| refuse(place, text.to_owned(), "finite numbers"));
     // What says nothing of the index (extinction) is passed over; the first that does counts.
     for block in blocks {
         let kind = words(&block["type"]);
