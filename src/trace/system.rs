@@ -1,7 +1,7 @@
 //! A lens at one wavelength: what a ray meets, image plane included.
 
 use crate::lens::pose::{Motion, placed, placed_vjp};
-use crate::lens::{Lens, LensGradient, Shape, paraxial};
+use crate::lens::{Lens, LensGradient, Prescription, Shape, paraxial};
 
 /// One surface as a ray meets it.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,7 +75,7 @@ pub struct System {
 
 impl System {
     /// `lens` at `nm`.
-    pub fn new(lens: &Lens, nm: f64) -> Self {
+    pub fn new(lens: &Prescription, nm: f64) -> Self {
         let n = lens.indices(nm);
         let stop_semi_diameter = paraxial::stop_semi_diameter(lens);
         let mut surfaces = Vec::with_capacity(lens.surfaces.len() + 1);
