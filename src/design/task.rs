@@ -10,8 +10,9 @@ use super::schedule::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::Sensor;
+use crate::interchange;
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Prescription, SensorRaster, builtin};
+use crate::lens::{Lens, Prescription, SensorRaster};
 use crate::trace::rims::overlapping_rims;
 
 /// The form of task files this program reads.
@@ -216,7 +217,7 @@ impl Task {
 
     /// The lens, on the task's raster.
     pub fn lens(&self, glasses: &Glasses) -> Result<Lens> {
-        let lens = builtin::lens_or_file(&self.lens, glasses)?;
+        let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
         overlapping_rims(&lens, &self.lens)?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]

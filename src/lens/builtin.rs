@@ -1,6 +1,5 @@
 //! The lenses shipped in `models/lenses/`, compiled in so that every command works without files.
 
-use super::catalogue::Glasses;
 use super::{Lens, prescription};
 use crate::error::{Error, Result};
 
@@ -22,15 +21,6 @@ pub fn lens(name: &str) -> Result<Lens> {
         return Err(Error::bad("built-in lens", "name", format!("`{name}`"), format!("one of {}", known.join(", "))));
     };
     prescription::from_toml(text, &format!("models/lenses/{name}.toml"))
-}
-
-/// A lens from a path with `glasses`, or a shipped one where `name_or_path` is its bare name and no such file exists.
-pub fn lens_or_file(name_or_path: &str, glasses: &Glasses) -> Result<Lens> {
-    let path = std::path::Path::new(name_or_path);
-    if !path.exists() && LENSES.iter().any(|(n, _)| *n == name_or_path) {
-        return lens(name_or_path);
-    }
-    Ok(prescription::load_with(path, glasses)?.0)
 }
 
 #[cfg(test)]

@@ -40,6 +40,8 @@ struct Catalogue {
 #[derive(Clone, Debug)]
 pub struct Glasses {
     catalogues: Vec<Catalogue>,
+    /// Names that stand for others because somebody said so.
+    instead: Vec<(String, String)>,
 }
 
 /// Checks a formula over its range: what stands in a catalogue may be no glass.
@@ -89,7 +91,7 @@ fn normal(dispersion: &Dispersion, [short, long]: [f64; 2]) -> Option<[f64; 2]> 
 }
 
 /// The text of a catalogue: UTF-16 with its mark, UTF-8, else Latin-1.
-fn decoded(bytes: &[u8]) -> String {
+pub(crate) fn decoded(bytes: &[u8]) -> String {
     let wide = |pairs: &[u8], unit: fn([u8; 2]) -> u16| {
         let units: Vec<u16> = pairs.chunks_exact(2).map(|p| unit([p[0], p[1]])).collect();
         String::from_utf16_lossy(&units)
@@ -139,7 +141,7 @@ impl Glasses {
         }
         let file: File =
             toml::from_str(include_str!("../../models/glasses/catalog.toml")).expect("the shipped catalogue is tested");
-        let mut all = Self { catalogues: Vec::new() };
+        let mut all = Self { catalogues: Vec::new(), instead: Vec::new() };
         for Glass { name, catalogue, formula, coefficients, range_nm, source } in file.glass {
             let medium = glass(&name, &source, formula, coefficients, range_nm);
             all.catalogue(&catalogue).entries.push(Entry { name, medium });
@@ -195,6 +197,23 @@ impl Glasses {
         Ok(())
     }
 
+    /// Takes `glass` wherever a lens names `name`; refused where `glass` is none.
+    ///
+    /// # Errors
+    /// An unknown glass in the place of the other.
+    pub fn take_instead(&mut self, name: &str, glass: &str) -> Result<()> {
+        self.find_spelled(glass, &[])?;
+        self.instead.push((name.to_owned(), glass.to_owned()));
+        Ok(())
+    }
+
+    /// What is looked up for `name`: without its catalogue, too.
+    fn instead_of(&self, name: &str) -> Option<&str> {
+        let short = name.rsplit('/').next().unwrap_or(name);
+        let is = |stated: &String| stated.eq_ignore_ascii_case(name) || stated.eq_ignore_ascii_case(short);
+        self.instead.iter().find(|(stated, _)| is(stated)).map(|(_, glass)| glass.as_str())
+    }
+
     /// The glass `name`, or `catalogue/name`; of different glasses of one name that of the first catalogue in `preferred`.
     ///
     /// # Errors
@@ -202,6 +221,10 @@ impl Glasses {
     pub fn find(&self, name: &str, preferred: &[String]) -> Result<Medium> {
         if name.eq_ignore_ascii_case("air") {
             return Ok(Medium::Air);
+        }
+        if let Some(glass) = self.instead_of(name) {
+            let plain = Self { catalogues: self.catalogues.clone(), instead: Vec::new() };
+            return plain.find_spelled(glass, &[]);
         }
         let bad = |found: String, allowed: String| Error::bad("", "medium", found, allowed);
         let (of, short) = match name.split_once('/') {
@@ -228,9 +251,59 @@ impl Glasses {
         })
     }
 
+    /// [`Self::find`]; a name that is none is taken for the one glass that differs from it by case and hyphens alone, as CODE V and
+    /// other programs spell: `SCHOTT/NSK16` is N-SK16.
+    ///
+    /// # Errors
+    /// As [`Self::find`].
+    pub fn find_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
+        if self.instead_of(name).is_some() {
+            return self.find(name, preferred);
+        }
+        let (of, short) = match name.split_once('/') {
+            Some((of, short)) => (self.catalogues.iter().find(|c| c.name.eq_ignore_ascii_case(of)), short),
+            None => (None, name),
+        };
+        if let (Some((stated, _)), None) = (name.split_once('/'), of) {
+            let found = format!("glass `{short}` of the catalogue `{stated}`, which is not at hand");
+            return Err(Error::bad(
+                "",
+                "medium",
+                found,
+                format!("that catalogue by --glass FILE, or {}", self.near(short)),
+            ));
+        }
+        let exact = of.map_or_else(|| short.to_owned(), |c| format!("{}/{short}", c.name));
+        let result = self.find(&exact, preferred);
+        if result.is_ok() || name.is_empty() {
+            return result;
+        }
+        let key = spelled(short);
+        let among = self.catalogues.iter().filter(|c| of.is_none_or(|of| of.name == c.name));
+        let mut names: Vec<&str> = among
+            .flat_map(|c| &c.entries)
+            .map(|e| e.name.as_str())
+            .filter(|n| spelled(n) == key && *n != short)
+            .collect();
+        names.sort_unstable();
+        names.dedup();
+        match names[..] {
+            [one] => self.find(&of.map_or_else(|| one.to_owned(), |c| format!("{}/{one}", c.name)), preferred),
+            _ => result,
+        }
+    }
+
+    /// Catalogue and name by which a medium is found again; `None` where no catalogue has it.
+    pub fn named_as(&self, medium: &Medium) -> Option<(String, String)> {
+        let Medium::Glass { name, .. } = medium else { return None };
+        let holds = |e: &Entry| e.name == *name && e.medium.as_ref() == Ok(medium);
+        let catalogue = self.catalogues.iter().find(|c| c.entries.iter().any(holds))?;
+        Some((catalogue.name.clone(), name.clone()))
+    }
+
     /// Near names, in words.
     fn near(&self, name: &str) -> String {
-        let key = |n: &str| n.to_ascii_uppercase().replace(['-', '_', ' '], "");
+        let key = spelled;
         let mut all: Vec<(usize, &str)> = self
             .catalogues
             .iter()
@@ -246,6 +319,11 @@ impl Glasses {
             self.catalogues.iter().map(|c| c.name.as_str()).collect::<Vec<_>>().join(", ")
         )
     }
+}
+
+/// A name without what programs write differently.
+fn spelled(name: &str) -> String {
+    name.to_ascii_uppercase().replace(['-', '_', ' '], "")
 }
 
 /// Whether two entries give the same indices.

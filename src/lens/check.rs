@@ -3,6 +3,8 @@
 use super::{Aperture, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
 use crate::error::{Error, Result};
 
+/// Most surfaces that a lens has: the largest published ones have some sixty.
+pub(crate) const MAX_SURFACES: usize = 400;
 /// Largest half field angle. Work on a flat image asks for less than 90.
 const MAX_FIELD_DEG: f64 = 110.0;
 /// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
@@ -14,8 +16,26 @@ const STEEPEST: f64 = 1e3;
 impl Prescription {
     /// Refuses what is no lens; `file` names it. [`super::Lens::new`] asks here, and nothing else does.
     pub(super) fn check(&self, file: &str) -> Result<()> {
+        self.check_numbers(file)?;
+        for (i, s) in self.surfaces.iter().enumerate() {
+            check_surface(s, &format!("surface[{i}]"), file)?;
+        }
+        let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
+        if matches!(self.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
+            let allowed = "state stop_semi_diameter_mm instead";
+            return Err(Error::bad(file, "aperture.f_number", "the lens is afocal", allowed));
+        }
+        clearance::check(self, file)
+    }
+
+    /// Refuses numbers that may not stand where they do, each for itself: what paraxial and real rays need to be asked at all.
+    pub(crate) fn check_numbers(&self, file: &str) -> Result<()> {
         let refuse =
             |place: &str, found: String, allowed: &str| -> Result<()> { Err(Error::bad(file, place, found, allowed)) };
+        if self.surfaces.len() > MAX_SURFACES {
+            let found = format!("{} surfaces", self.surfaces.len());
+            return refuse("surface", found, &format!("at most {MAX_SURFACES}"));
+        }
         if self.stop >= self.surfaces.len() {
             return refuse(
                 "surface",
@@ -43,16 +63,12 @@ impl Prescription {
         self.check_sensor(file)?;
         numbers::check(self, file)?;
         for (i, s) in self.surfaces.iter().enumerate() {
-            check_surface(s, &format!("surface[{i}]"), file)?;
+            check_table(&s.medium, &format!("surface[{i}]"), file)?;
         }
         for nm in self.wavelengths.nm.iter().chain([&self.wavelengths.primary_nm]) {
             self.require_indices(*nm, file)?;
         }
-        let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
-        if matches!(self.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
-            return refuse("aperture.f_number", "the lens is afocal".into(), "state stop_semi_diameter_mm instead");
-        }
-        clearance::check(self, file)
+        Ok(())
     }
 
     fn check_wavelengths(&self, file: &str) -> Result<()> {
@@ -90,14 +106,9 @@ impl Prescription {
     }
 }
 
-/// What the numbers of a surface must be to each other.
-fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
-    let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
-    if semi_diameter >= shape.reach() {
-        let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
-        return Err(Error::bad(file, format!("{place}.semi_diameter_mm"), semi_diameter.to_string(), allowed));
-    }
-    if let Medium::Table { wavelength_nm, index } = &s.medium {
+/// What a table of indices must be.
+fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
+    if let Medium::Table { wavelength_nm, index } = medium {
         let ascending = wavelength_nm.windows(2).all(|w| w[0] < w[1]);
         if index.is_empty()
             || index.len() != wavelength_nm.len()
@@ -108,6 +119,16 @@ fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
             let allowed = "ascending wavelengths, as many indices from 1 to 5";
             return Err(Error::bad(file, format!("{place}.medium"), found, allowed));
         }
+    }
+    Ok(())
+}
+
+/// What the numbers of a surface must be to each other.
+fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
+    let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
+    if semi_diameter >= shape.reach() {
+        let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
+        return Err(Error::bad(file, format!("{place}.semi_diameter_mm"), semi_diameter.to_string(), allowed));
     }
     // Polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their
     // derivatives would leave the numbers.

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 /// Gaps are held to this, mm: elements may touch.
 const TOUCHING_MM: f64 = 1e-9;
 /// Published prescriptions round and enlarge their semi-diameters; rims that overlap by more are another lens, mm.
-const DEEPEST_MM: f64 = 0.05;
+pub(crate) const DEEPEST_MM: f64 = 0.05;
 /// Points of a radius that are looked at.
 const STEPS: u32 = 64;
 
@@ -129,7 +129,7 @@ pub(super) fn open_stop(lens: &mut Prescription) {
 }
 
 /// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more; the line that says so.
-pub(super) fn limit_stop(lens: &mut Prescription, file: &str) -> Option<String> {
+pub(crate) fn limit_stop(lens: &mut Prescription, file: &str) -> Option<String> {
     let [own, asked] = asked_for_more(lens)?;
     lens.aperture = Aperture::StopSemiDiameter(own);
     let stop = lens.stop;

@@ -21,7 +21,7 @@
 
 pub mod builtin;
 pub mod catalogue;
-mod check;
+pub(crate) mod check;
 pub mod clearance;
 pub mod dispersion;
 pub mod freeform;

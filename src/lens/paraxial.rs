@@ -24,6 +24,24 @@ pub struct FirstOrder {
     pub paraxial_image_distance: f64,
     /// Semi-diameter of the stop.
     pub stop_semi_diameter: f64,
+    /// First vertex to the front focal point; negative before the lens.
+    pub front_focal_length: f64,
+    /// First vertex to the front principal point.
+    pub front_principal_point: f64,
+    /// Last vertex to the rear principal point.
+    pub rear_principal_point: f64,
+    /// First vertex to the front nodal point.
+    pub front_nodal_point: f64,
+    /// Last vertex to the rear nodal point.
+    pub rear_nodal_point: f64,
+    /// Exit-pupil diameter.
+    pub exit_pupil_diameter: f64,
+    /// Height of the image over that of the object; 0 for an object at infinity.
+    pub magnification: f64,
+    /// `1/(2 n′ |u′|)` of the marginal ray from the axial object point.
+    pub working_f_number: f64,
+    /// `n (u ȳ − ū y)` of the marginal and the chief ray of the largest field, absolute.
+    pub lagrange_invariant: f64,
 }
 
 /// `(y, w)` arriving at every surface and, last, after the last surface; starts from `(y, w)` at the first vertex.
@@ -103,13 +121,26 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let v = lens.object_vergence;
     let axial: [f64; 2] = std::array::from_fn(|k| parallel[last][k] + v * skew[last][k]);
     let epd = 2.0 * stop / a;
+    let exit_pupil_position = image(chief[0], chief[1]);
+    let (bfl, ffl) = (image(yk, wk), skew[last][1] / wk);
+    // The marginal ray's height at the first vertex, by which the axial ray is to be multiplied.
+    let marginal = 0.5 * epd / (1.0 + v * entrance_pupil_position);
     FirstOrder {
+        front_focal_length: ffl,
+        front_principal_point: ffl + efl,
+        rear_principal_point: bfl - n_last * efl,
+        front_nodal_point: ffl + n_last * efl,
+        rear_nodal_point: bfl - efl,
+        exit_pupil_diameter: (epd * (yk + exit_pupil_position / n_last * wk)).abs(),
+        magnification: v / axial[1],
+        working_f_number: (0.5 / (marginal * axial[1])).abs(),
+        lagrange_invariant: (0.5 * epd * lens.max_field_deg.to_radians().tan()).abs(),
         effective_focal_length: efl,
-        back_focal_length: image(yk, wk),
+        back_focal_length: bfl,
         f_number: (efl / epd).abs(),
         entrance_pupil_position,
         entrance_pupil_diameter: epd.abs(),
-        exit_pupil_position: image(chief[0], chief[1]),
+        exit_pupil_position,
         paraxial_image_distance: image(axial[0], axial[1]),
         stop_semi_diameter: stop.abs(),
     }

@@ -170,13 +170,8 @@ struct FileTableGlass {
 
 /// Reads and checks a lens file; glasses are those of the shipped catalogue.
 pub fn load(path: &Path) -> Result<Lens> {
-    Ok(load_with(path, Glasses::shipped())?.0)
-}
-
-/// [`load`] with `glasses`, and one line on what was taken otherwise than the file says.
-pub fn load_with(path: &Path, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
     let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
-    parse(&text, &path.display().to_string(), glasses)
+    from_toml(&text, &path.display().to_string())
 }
 
 /// Parses and checks the TOML form; `file` names it in errors, glasses are those of the shipped catalogue.
@@ -184,7 +179,8 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
     Ok(parse(text, file, Glasses::shipped())?.0)
 }
 
-fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
+/// Parses and checks the TOML form with `glasses`; beside the lens one line on what was taken otherwise than the file says.
+pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     // Read the schema first: a newer file is refused by that name, not by its unknown keys.
     if let Ok(table) = text.parse::<toml::Table>()

@@ -165,17 +165,26 @@ fn follow(lens: &Prescription, aimer: &Aimer, marked: &[bool], beam: &Beam, heig
     (arrives, whole)
 }
 
+/// Where the chief ray of the field angle `angle` (radians) lands, mm from the axis, primary wavelength; marked surfaces are open.
+pub fn image_height(lens: &Prescription, marked: &[bool], angle: f64) -> Option<f64> {
+    let system = opened(lens, marked, lens.wavelengths.primary_nm, 2.5);
+    landing(lens, &Aimer::new(&system).ok()?, angle)
+}
+
+fn landing(lens: &Prescription, aimer: &Aimer, angle: f64) -> Option<f64> {
+    let object = ObjectPoint::in_field(lens, angle, TAU / 4.0);
+    let ray = PupilRay::new(aimer, object, DVec2::ZERO, None).ok()?;
+    let image = aimer.system().image();
+    ray.hits.get(image).map(|h| h.at.point.truncate().length())
+}
+
 /// The field angle (radians) whose chief ray lands at `height` (mm) from the axis, primary wavelength; `None` where no angle below
 /// 89° lands so far out. Marked surfaces are open.
 pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<f64> {
     let wide = Prescription { max_field_deg: 75.0, ..lens.clone() };
     let system = opened(&wide, marked, lens.wavelengths.primary_nm, 2.5);
     let aimer = Aimer::new(&system).ok()?;
-    let landing = |angle: f64| -> Option<f64> {
-        let object = ObjectPoint::in_field(lens, angle, TAU / 4.0);
-        let ray = PupilRay::new(&aimer, object, DVec2::ZERO, None).ok()?;
-        (ray.hits.len() == system.surfaces.len()).then(|| ray.hits[system.image()].at.point.y.abs())
-    };
+    let landing = |angle: f64| landing(lens, &aimer, angle);
     // Outwards until it is passed, then between.
     let (mut low, mut high) = (0.0f64, None);
     for k in 1..=178 {

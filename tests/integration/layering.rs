@@ -7,8 +7,20 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 13] = [
-    "error", "atomic", "units", "testing", "math", "lens", "trace", "psf", "imaging", "report", "network", "design",
+const ORDER: [&str; 14] = [
+    "error",
+    "atomic",
+    "units",
+    "testing",
+    "math",
+    "lens",
+    "trace",
+    "interchange",
+    "psf",
+    "imaging",
+    "report",
+    "network",
+    "design",
     "deploy",
 ];
 

@@ -3,23 +3,34 @@
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
-use isoplanat::Result;
 use isoplanat::lens::catalogue::Glasses;
+use isoplanat::{Error, Result};
 
 static GLASSES: OnceLock<Glasses> = OnceLock::new();
 
-/// Reads the catalogues and pages of this run of the program: those in the folder that `ISOPLANAT_GLASSES` names, then `files`.
+/// Reads the catalogues and pages of this run of the program: those in the folder that `ISOPLANAT_GLASSES` names, then `files`; `instead` has
+/// pairs `NAME=GLASS`.
 ///
 /// # Errors
 /// A file that cannot be read or is no catalogue.
-pub(crate) fn set(files: &[PathBuf]) -> Result<()> {
+pub(crate) fn set(files: &[PathBuf], instead: &[String]) -> Result<()> {
     let configured = std::env::var_os("ISOPLANAT_GLASSES").filter(|f| !f.is_empty()).map(PathBuf::from);
-    if configured.is_none() && files.is_empty() {
+    if configured.is_none() && files.is_empty() && instead.is_empty() {
         return Ok(());
     }
     let mut all = Glasses::shipped().clone();
     for path in configured.iter().chain(files) {
         all.add(path)?;
+    }
+    for pair in instead {
+        let bad = |found: String, allowed: &str| Error::bad("--glass-for", "value", found, allowed);
+        let Some((name, glass)) = pair.split_once('=').filter(|(n, g)| !n.is_empty() && !g.is_empty()) else {
+            return Err(bad(format!("`{pair}`"), "NAME=GLASS, such as SSK4=SSK4A"));
+        };
+        all.take_instead(name, glass).map_err(|e| match e {
+            Error::BadInput { found, allowed, .. } => bad(found, &allowed),
+            other => other,
+        })?;
     }
     // The first value stays: the program sets it once.
     let _ = GLASSES.set(all);

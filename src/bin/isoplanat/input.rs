@@ -4,25 +4,25 @@ use std::io::Read;
 use std::path::Path;
 
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::{Lens, builtin, prescription};
+use isoplanat::interchange::{self, Imported};
+use isoplanat::lens::Lens;
 use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Result};
 
 use crate::glasses;
 
-/// The lens named on the command line: a TOML file, or a shipped lens by its bare name.
+/// The lens named on the command line: a file of any form that is read, or a shipped lens by its bare name.
 ///
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
 pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
-    let path = Path::new(name_or_path);
-    let bare = path.extension().is_none() && path.components().count() == 1;
-    let (lens, limited) = if bare && !path.exists() {
-        (builtin::lens(name_or_path)?, None)
-    } else {
-        prescription::load_with(path, glasses::all())?
-    };
-    for warning in limited.into_iter().chain(overlapping_rims(&lens, name_or_path)?) {
+    let Imported { lens, notes } = interchange::lens_or_file(name_or_path, glasses::all())?;
+    let toml = Path::new(name_or_path).extension().is_none_or(|e| e == "toml");
+    for note in notes {
+        // What another program's file leaves open is no fault of it.
+        eprintln!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
+    }
+    for warning in overlapping_rims(&lens, name_or_path)? {
         eprintln!("warning: {warning}");
     }
     Ok(lens)

@@ -7,6 +7,7 @@
 mod accuracy;
 mod capture;
 mod check;
+mod convert;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod demo;
 #[cfg(feature = "train")]
@@ -53,6 +54,9 @@ struct Cli {
     /// The folder that ISOPLANAT_GLASSES names is read too
     #[arg(long, global = true, value_name = "FILE")]
     glass: Vec<std::path::PathBuf>,
+    /// A glass to take where a lens names one that no catalogue has, such as SSK4=SSK4A; as often as wanted
+    #[arg(long, global = true, value_name = "NAME=GLASS")]
+    glass_for: Vec<String>,
 }
 
 #[derive(clap::Subcommand)]
@@ -61,6 +65,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Numerical health of a lens: intersections, aiming, derivatives, precision
     Check(check::Args),
+    /// A lens file in another form: TOML, Zemax, CODE V
+    Convert(convert::Args),
     /// Exact rays through every surface, as JSON
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
@@ -107,6 +113,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     match command {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Check(args) => check::run(&args, out),
+        Command::Convert(args) => convert::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
         Command::Render(args) => render::run(&args, out),
@@ -132,9 +139,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 fn main() -> ExitCode {
-    let Cli { command, memory_gib, glass } = Cli::parse();
+    let Cli { command, memory_gib, glass, glass_for } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
-    let ready = check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass));
+    let ready =
+        check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;

@@ -1,0 +1,44 @@
+//! `isoplanat convert`: a lens file in another form.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isoplanat::interchange::{Form, text_of};
+
+/// Arguments of `convert`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
+    input: String,
+    /// File to write, by its ending: .toml, .zmx (Zemax OpticStudio), .seq (CODE V)
+    output: PathBuf,
+    /// Machine-readable output: what was written, and the notes on it
+    #[arg(long)]
+    json: bool,
+    /// Overwrite the file
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; a line on what was written goes to `out`.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let form = Form::of(&args.output)?;
+    crate::output::check_writable(&args.output, args.force)?;
+    let lens = crate::input::lens(&args.input)?;
+    let (text, notes) =
+        text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.input))?;
+    crate::output::put(&text, Some(&args.output), out)?;
+    let output = args.output.display();
+    if args.json {
+        let value = serde_json::json!({
+            "schema": 1, "input": args.input, "output": output.to_string(), "surfaces": lens.surfaces.len(), "notes": notes,
+        });
+        writeln!(out, "{value:#}")?;
+        return Ok(());
+    }
+    for note in notes {
+        eprintln!("note: {output}: {note}");
+    }
+    writeln!(out, "{output}: {} surfaces", lens.surfaces.len())?;
+    Ok(())
+}
