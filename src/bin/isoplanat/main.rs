@@ -20,6 +20,7 @@ mod input;
 mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
+mod lenses;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
@@ -59,6 +60,8 @@ struct Cli {
 enum Command {
     /// First-order data, aberration sums and surfaces of a lens
     Inspect(inspect::Args),
+    /// The shipped lenses: a table, or a folder with their files and drawings
+    Lenses(lenses::Args),
     /// Numerical health of a lens: intersections, aiming, derivatives, precision
     Check(check::Args),
     /// Exact rays through every surface, as JSON
@@ -106,6 +109,7 @@ enum Command {
 fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     match command {
         Command::Inspect(args) => inspect::run(&args, out),
+        Command::Lenses(args) => lenses::run(&args, out),
         Command::Check(args) => check::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
