@@ -4,7 +4,7 @@ use super::{Lens, prescription};
 use crate::error::{Error, Result};
 
 /// Name and TOML text of every shipped lens.
-pub const LENSES: [(&str, &str); 7] = [
+pub const LENSES: [(&str, &str); 17] = [
     ("two_element", include_str!("../../models/lenses/two_element.toml")),
     ("three_element", include_str!("../../models/lenses/three_element.toml")),
     ("cooke_triplet", include_str!("../../models/lenses/cooke_triplet.toml")),
@@ -12,6 +12,16 @@ pub const LENSES: [(&str, &str); 7] = [
     ("al2550_a", include_str!("../../models/lenses/al2550_a.toml")),
     ("ac254_050_a", include_str!("../../models/lenses/ac254_050_a.toml")),
     ("phone", include_str!("../../models/lenses/phone.toml")),
+    ("petzval", include_str!("../../models/lenses/petzval.toml")),
+    ("telephoto", include_str!("../../models/lenses/telephoto.toml")),
+    ("tessar", include_str!("../../models/lenses/tessar.toml")),
+    ("retrofocus", include_str!("../../models/lenses/retrofocus.toml")),
+    ("landscape", include_str!("../../models/lenses/landscape.toml")),
+    ("heliar", include_str!("../../models/lenses/heliar.toml")),
+    ("sonnar", include_str!("../../models/lenses/sonnar.toml")),
+    ("biotar", include_str!("../../models/lenses/biotar.toml")),
+    ("wide_angle", include_str!("../../models/lenses/wide_angle.toml")),
+    ("hologon", include_str!("../../models/lenses/hologon.toml")),
 ];
 
 /// A shipped lens by name.
@@ -39,6 +49,15 @@ mod tests {
             ("double_gauss", 27.442_734_010_6, 1e-6),
             ("al2550_a", 50.0016 * 0.511_183_3 / 0.5168, 1e-2),
             ("ac254_050_a", 50.0, 0.5),
+            ("petzval", 100.0, 0.03),
+            ("telephoto", 5.0 * 25.4, 0.02),
+            ("tessar", 50.0, 0.006),
+            ("retrofocus", 35.0, 0.001),
+            ("heliar", 100.0, 0.12),
+            ("sonnar", 50.0, 0.013),
+            ("biotar", 50.0, 0.046),
+            ("wide_angle", 100.0, 0.09),
+            ("hologon", 15.0, 0.001),
         ];
         for (name, efl, tol) in published {
             let l = lens(name).expect(name);
@@ -48,5 +67,20 @@ mod tests {
             assert_eq!(prescription::from_toml(&text, "again").expect("round trip"), l, "{name}");
         }
         lens("phone").expect("phone");
+        let known = |name: &str| published.iter().any(|(n, ..)| *n == name) || ["phone", "landscape"].contains(&name);
+        assert!(LENSES.iter().all(|(name, _)| known(name)), "a focal length for every lens");
+    }
+
+    /// The landscape lens has a focal length of 10 mm at its own reference wavelength; of three others the back focal length is known.
+    #[test]
+    fn shipped_lenses_have_their_other_published_numbers() {
+        let of = |name: &str, nm: f64| paraxial::first_order(&lens(name).expect(name), nm);
+        assert_abs(of("landscape", 550.0).effective_focal_length, 10.0, 1e-6, "landscape");
+        assert_abs(of("landscape", 550.0).back_focal_length, 10.150_245, 1e-6, "landscape");
+        for (name, bfl, tol) in
+            [("retrofocus", 35.0 * 1.0493, 4e-3), ("petzval", 56.5, 6e-3), ("hologon", 15.0 * 0.3030, 2e-3)]
+        {
+            assert_abs(of(name, 587.5618).back_focal_length, bfl, tol, name);
+        }
     }
 }

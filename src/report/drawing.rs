@@ -19,6 +19,8 @@ const RAYS: i32 = 7;
 const LEAD: f64 = 0.16;
 /// Largest size, px.
 const SIZE: [f64; 2] = [960.0, 460.0];
+/// Size of letters, px.
+const LETTERS: f64 = 13.0;
 const MARGIN: f64 = 16.0;
 /// Room below the lens for scale bar and legend, px.
 const FOOT: f64 = 34.0;
@@ -33,6 +35,11 @@ struct Path {
 ///
 /// Fields whose rays cannot be aimed are left out: a drawing is for looking at bad lenses, too.
 pub fn lens_svg(lens: &Lens) -> String {
+    lens_svg_within(lens, SIZE)
+}
+
+/// The same, at most `size` (width, height, px) large, but as wide as its legend.
+pub fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
     let length = lens.length();
     let vertices = vertices(lens);
     let lead =
@@ -40,9 +47,12 @@ pub fn lens_svg(lens: &Lens) -> String {
     let fans: Vec<Vec<Path>> = FIELDS.iter().map(|f| fan(lens, *f, lead, &vertices)).collect();
     let (low, high) = extent(lens, &fans);
     let (z_low, z_high) = (-lead, length.max(1e-9) * 1.01);
-    let scale = ((SIZE[0] - 2.0 * MARGIN) / (z_high - z_low)).min((SIZE[1] - 2.0 * MARGIN - FOOT) / (high - low));
-    let (width, height) = ((z_high - z_low) * scale + 2.0 * MARGIN, (high - low) * scale + 2.0 * MARGIN + FOOT);
-    let at = |[z, y]: [f64; 2]| [MARGIN + (z - z_low) * scale, MARGIN + (high - y) * scale];
+    let scale = ((size[0] - 2.0 * MARGIN) / (z_high - z_low)).min((size[1] - 2.0 * MARGIN - FOOT) / (high - low));
+    let foot = Foot::new(lens, scale);
+    let drawn = (z_high - z_low) * scale;
+    let (width, height) = (drawn.max(foot.width) + 2.0 * MARGIN, (high - low) * scale + 2.0 * MARGIN + FOOT);
+    let left = 0.5 * (width - drawn);
+    let at = |[z, y]: [f64; 2]| [left + (z - z_low) * scale, MARGIN + (high - y) * scale];
     let place = |points: &[[f64; 2]]| points.iter().map(|p| at(*p)).collect::<Vec<_>>();
 
     let mut svg = Svg::new(width.ceil(), height.ceil());
@@ -86,27 +96,44 @@ pub fn lens_svg(lens: &Lens) -> String {
         at([length, top]),
         "stroke=\"currentColor\" stroke-width=\"3\" stroke-linecap=\"butt\"",
     );
-    foot(&mut svg, lens, scale, height);
+    foot.draw(&mut svg, height - MARGIN);
     svg.finish(&format!("Cross-section of {}", lens.name))
 }
 
 /// Scale bar and legend.
-fn foot(svg: &mut Svg, lens: &Lens, scale: f64, height: f64) {
-    let y = height - MARGIN;
-    let bar = round_length(110.0 / scale);
-    let (from, to) = (MARGIN, MARGIN + bar * scale);
-    svg.line([from, y], [to, y], "stroke=\"currentColor\" stroke-width=\"1.5\"");
-    for x in [from, to] {
-        svg.line([x, y - 4.0], [x, y + 4.0], "stroke=\"currentColor\" stroke-width=\"1.5\"");
+struct Foot {
+    /// Length of the bar, px, and what stands beside it.
+    bar: (f64, String),
+    /// Names of the fields.
+    fields: [String; 3],
+    /// Width of all of it, px.
+    width: f64,
+}
+
+impl Foot {
+    fn new(lens: &Lens, scale: f64) -> Self {
+        let bar = round_length(110.0 / scale);
+        let label = format!("{} mm", significant(bar, 3));
+        let fields = FIELDS.map(|field| format!("{}°", significant(field * lens.max_field_deg, 3)));
+        let names: f64 = fields.iter().map(|f| 46.0 + text_width(f, LETTERS)).sum();
+        let width = bar * scale + 34.0 + text_width(&label, LETTERS) + names - 22.0;
+        Self { bar: (bar * scale, label), fields, width }
     }
-    let label = format!("{} mm", significant(bar, 3));
-    svg.text([to + 8.0, y + 4.5], Anchor::Start, 13.0, &label);
-    let mut x = to + 34.0 + text_width(&label, 13.0);
-    for (field, hue) in FIELDS.iter().zip(HUES) {
-        svg.line([x, y], [x + 18.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\""));
-        let label = format!("{}°", significant(field * lens.max_field_deg, 3));
-        svg.text([x + 24.0, y + 4.5], Anchor::Start, 13.0, &label);
-        x += 46.0 + text_width(&label, 13.0);
+
+    fn draw(&self, svg: &mut Svg, y: f64) {
+        let (bar, label) = &self.bar;
+        let (from, to) = (MARGIN, MARGIN + bar);
+        svg.line([from, y], [to, y], "stroke=\"currentColor\" stroke-width=\"1.5\"");
+        for x in [from, to] {
+            svg.line([x, y - 4.0], [x, y + 4.0], "stroke=\"currentColor\" stroke-width=\"1.5\"");
+        }
+        svg.text([to + 8.0, y + 4.5], Anchor::Start, LETTERS, label);
+        let mut x = to + 34.0 + text_width(label, LETTERS);
+        for (name, hue) in self.fields.iter().zip(HUES) {
+            svg.line([x, y], [x + 18.0, y], &format!("stroke=\"{hue}\" stroke-width=\"2.5\""));
+            svg.text([x + 24.0, y + 4.5], Anchor::Start, LETTERS, name);
+            x += 46.0 + text_width(name, LETTERS);
+        }
     }
 }
 

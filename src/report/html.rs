@@ -107,6 +107,16 @@ impl Page {
         self.grid(&figures, min_px)
     }
 
+    /// Drawings with captions and, below each caption, notes of one line; side by side where there is room for `min_px` each.
+    pub fn noted_drawings(&mut self, drawings: &[(String, String, Vec<String>)], min_px: u32) -> &mut Self {
+        let figures = drawings.iter().map(|(svg, caption, notes)| {
+            let notes: String = notes.iter().map(|n| format!("<span>{}</span>", escape(n))).collect();
+            format!("<figure>{svg}<figcaption><b>{}</b>{notes}</figcaption></figure>", escape(caption))
+        });
+        let figures: String = figures.collect();
+        self.grid(&figures, min_px)
+    }
+
     /// Pictures side by side where there is room for `min_px` each.
     ///
     /// # Errors

@@ -1,6 +1,6 @@
 //! Results a person looks at: text, tables, drawings, plots, pages. Plain data in, text or pixels out; no physics.
 //!
-//! [`listing`] prints a prescription with its first-order data, [`table`] aligns it. [`drawing`] and [`plot`] make SVG
+//! [`listing`] prints a prescription with its first-order data, [`library`] many lenses beside each other, [`table`] aligns them. [`drawing`] and [`plot`] make SVG
 //! that is readable on light and dark pages, [`atlas`] makes one picture of many kernels, [`html`] binds all of it into
 //! one self-contained page, and [`demo`] is the page of the demonstration. [`field`] picks the places along the field
 //! that the others show.
@@ -14,6 +14,7 @@ pub mod field;
 pub mod gradient_accuracy;
 pub mod health;
 pub mod html;
+pub mod library;
 pub mod listing;
 pub mod plot;
 pub mod svg;

@@ -29,7 +29,7 @@ fn every_command_has_help_json_and_force() {
             assert!(has(&help, option), "{command} {option}:\n{help}");
         }
         // What prints rows of a table writes them as well.
-        let rows = ["inspect", "check", "psf", "accuracy", "evaluate"].contains(&command.as_str());
+        let rows = ["inspect", "lenses", "check", "psf", "accuracy", "evaluate"].contains(&command.as_str());
         assert_eq!(has(&help, "--csv"), rows, "{command} --csv");
         assert_eq!(place.run(&format!("{command} --frobnicate")).code, 2, "{command}");
     }
@@ -45,6 +45,7 @@ fn json_is_one_object_and_files_need_force() {
     let psf = "--fields 2 --size 9 --pitch-um 30 --rays 100";
     for (command, files) in [
         ("inspect cooke_triplet --csv s.csv".to_owned(), vec!["s.csv"]),
+        ("lenses --csv l.csv".to_owned(), vec!["l.csv"]),
         ("check cooke_triplet --csv f.csv".to_owned(), vec!["f.csv"]),
         ("trace cooke_triplet --rays rays.json".to_owned(), vec![]),
         (format!("psf cooke_triplet -o k.npz --csv k.csv {psf}"), vec!["k.npz", "k.csv"]),

@@ -21,6 +21,7 @@ mod input;
 mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
+mod lenses;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
@@ -63,6 +64,8 @@ struct Cli {
 enum Command {
     /// First-order data, aberration sums and surfaces of a lens
     Inspect(inspect::Args),
+    /// The shipped lenses: a table, or a folder with their files and drawings
+    Lenses(lenses::Args),
     /// Numerical health of a lens: intersections, aiming, derivatives, precision
     Check(check::Args),
     /// A lens file in another form: TOML, Zemax, CODE V
@@ -112,6 +115,7 @@ enum Command {
 fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     match command {
         Command::Inspect(args) => inspect::run(&args, out),
+        Command::Lenses(args) => lenses::run(&args, out),
         Command::Check(args) => check::run(&args, out),
         Command::Convert(args) => convert::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
