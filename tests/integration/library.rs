@@ -28,7 +28,7 @@ fn axial_spot(name: &str) -> f64 {
     f64::sqrt(sum / count)
 }
 
-/// Of lenses for distant objects: the sensor stands in focus, and the rms spot stays below a thousandth of the focal length.
+/// Lenses for distant objects: the sensor stands in focus, and the spot is what such a lens makes.
 #[test]
 fn shipped_lenses_are_sharp_on_the_axis() {
     for (name, _) in LENSES {
@@ -39,8 +39,8 @@ fn shipped_lenses_are_sharp_on_the_axis() {
         let focal = first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
         let share = axial_spot(name) / focal;
         eprintln!("{name}: {:.5} %", 100.0 * share);
-        // A singlet of f/4 in three colours, and focused for another.
-        let limit = if name == "al2550_a" { 2e-3 } else { 1e-3 };
+        // A singlet of f/4 in three colours, focused for another; a lens of 5.6 mm, published with a spot of 6 µm.
+        let limit = if ["al2550_a", "phone"].contains(&name) { 2e-3 } else { 8e-4 };
         assert!(share < limit, "{name}: rms {share} of the focal length");
     }
 }
