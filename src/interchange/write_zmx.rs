@@ -17,6 +17,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     for (i, s) in lens.surfaces.iter().enumerate() {
         let _ = write!(body, "SURF {}\n{}", i + 1, surface(lens, i, s, glasses, &mut catalogues, &mut notes)?);
     }
+    let catalogues = ordered(lens, glasses, catalogues)?;
     let mut out = String::from("VERS 190513 0 0\nMODE SEQ\n");
     let name: String = lens.name.split_whitespace().collect::<Vec<_>>().join(" ");
     let _ = writeln!(out, "NAME {name}\nUNIT MM X W X CM MR CPMM");
@@ -49,6 +50,39 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n", lens.surfaces.len() + 1);
     notes.push("a Zemax file states no sensor: its pixels are left out".into());
     Ok((out, notes))
+}
+
+/// The catalogues in an order in which every glass is found as itself: several have glasses of one name.
+fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec<String>> {
+    // Each wrong find moves the right catalogue before the wrong one; a circle ends it.
+    for _ in 0..=names.len() * names.len() {
+        let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
+            let (catalogue, name) = glasses.named_as(&s.medium)?;
+            (!glasses.find_spelled(&name, &names).is_ok_and(|m| m == s.medium)).then_some((i, catalogue))
+        });
+        let Some((i, catalogue)) = wrong else { return Ok(names) };
+        match names.iter().position(|n| *n == catalogue) {
+            Some(at) if at > 0 => {
+                let moved = names.remove(at);
+                names.insert(0, moved);
+            }
+            _ => {
+                let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
+                return Err(Error::bad(
+                    lens.name.as_str(),
+                    format!("surface[{i}].medium"),
+                    found,
+                    "glasses that one list of catalogues tells apart",
+                ));
+            }
+        }
+    }
+    Err(Error::bad(
+        lens.name.as_str(),
+        "medium",
+        "glasses of one name",
+        "glasses that one list of catalogues tells apart",
+    ))
 }
 
 /// The number of µm that a reader turns into exactly `nm`.

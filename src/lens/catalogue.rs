@@ -251,6 +251,17 @@ impl Glasses {
         })
     }
 
+    /// The glass that a lens file of this program's own form means by `name`: that of the shipped catalogues, whatever others are at
+    /// hand; of those where the shipped ones have none.
+    ///
+    /// # Errors
+    /// As [`Self::find`].
+    pub fn find_own(&self, name: &str) -> Result<Medium> {
+        let own = Self::shipped();
+        let known = own.catalogues.iter().any(|c| c.entries.iter().any(|e| e.name == name));
+        if known && self.instead_of(name).is_none() { own.find(name, &[]) } else { self.find(name, &[]) }
+    }
+
     /// [`Self::find`]; a name that is none is taken for the one glass that differs from it by case and hyphens alone, as CODE V and
     /// other programs spell: `SCHOTT/NSK16` is N-SK16.
     ///

@@ -276,7 +276,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let medium = match s.medium {
-        FileMedium::Name(name) => glasses.find(&name, &[]).map_err(|e| match e {
+        FileMedium::Name(name) => glasses.find_own(&name).map_err(|e| match e {
             Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
             other => other,
         })?,

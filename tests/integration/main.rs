@@ -8,6 +8,7 @@ mod extremes;
 mod golden;
 mod gradients;
 mod layering;
+mod lens_files;
 mod library;
 mod memory;
 mod one_way;

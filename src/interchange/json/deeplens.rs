@@ -12,6 +12,9 @@ use crate::lens::check::MAX_SURFACES;
 /// The colours that DeepLens traces, nm.
 const COLOURS_NM: [f64; 3] = [486.0, 587.0, 656.0];
 
+/// Where DeepLens looks its names up.
+const CATALOGUES: [&str; 4] = ["SCHOTT", "CDGM", "PLASTIC", "MISC"];
+
 pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
     let whole = Part::new(value, file);
     let mut draft = Draft::new("DeepLens file");
@@ -36,6 +39,7 @@ pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
         }
         draft.notes.push("no stop is stated: the first surface is it".into());
     }
+    draft.catalogues = CATALOGUES.map(str::to_owned).into();
     draft.field = FieldKind::ImageHeight;
     let corner = whole.need("r_sensor")?.number()?;
     draft.points = [0.0, 0.7, 1.0].map(|share| Point { y: share * corner, ..Point::default() }).into();

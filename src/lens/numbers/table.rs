@@ -81,6 +81,8 @@ kinds! {
         at: scalar!(Shape.curvature),
         name: |_, _| "curvature".into(),
         key: "curvature_per_mm",
+        // A hyperboloid of any vertex curvature reaches all clear semi-diameters; powers of this one are numbers.
+        allowed: (|x| x.abs() <= 1e6, "-1e6 to 1e6 per mm: radii from 1e-6 mm"),
         scale: |lens, p| 2.0 / radius(lens, p).powi(2),
         ..PLAIN
     },
