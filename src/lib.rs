@@ -26,6 +26,8 @@ pub mod lens;
 
 pub mod trace;
 
+pub mod optimize;
+
 pub mod psf;
 
 pub mod imaging;

@@ -7,9 +7,9 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 13] = [
-    "error", "atomic", "units", "testing", "math", "lens", "trace", "psf", "imaging", "report", "network", "design",
-    "deploy",
+const ORDER: [&str; 14] = [
+    "error", "atomic", "units", "testing", "math", "lens", "trace", "optimize", "psf", "imaging", "report", "network",
+    "design", "deploy",
 ];
 
 /// Crates, and the only places that may name them.
