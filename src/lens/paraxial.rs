@@ -137,6 +137,13 @@ pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
     heights
 }
 
+/// Heights up to which a paraxial beam whose chief ray has the slope `slope` at the entrance pupil meets every surface, mm.
+pub fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
+    let at = first_order(lens, nm).entrance_pupil_position;
+    let chief = sweep(lens, &lens.indices(nm), -at * slope, slope);
+    marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()
+}
+
 /// Pulls cotangents on the effective focal length and the stop's semi-diameter back to the lens.
 pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
     let n = lens.indices(nm);

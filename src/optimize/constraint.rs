@@ -5,6 +5,9 @@ use super::rays::{Rays, Slopes, Traced};
 use crate::lens::variables::Variables;
 use crate::lens::{Kind, Prescription};
 
+/// Slope and place of the line above which there are no glasses.
+const GLASS: [f64; 2] = [0.0085, 2.23];
+
 /// A number of a lens that may be held or bounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Quantity {
@@ -27,6 +30,8 @@ pub enum Quantity {
     Reach(usize),
     /// Chief ray's height over the paraxial one, less 1, at the object point of that number.
     Distortion(usize),
+    /// `n_d + 0.0085 v_d − 2.23` of the two-number glass behind a surface: below 0 there are glasses (between LASF and FK types).
+    GlassLine(usize),
 }
 
 /// A quantity with its bounds; equal bounds hold it.
@@ -51,13 +56,14 @@ impl Quantity {
             Self::Slope(i) => format!("surface[{i}].slope"),
             Self::Reach(i) => format!("surface[{i}].reach"),
             Self::Distortion(k) => format!("distortion[{k}]"),
+            Self::GlassLine(i) => format!("surface[{i}].glass_line"),
         }
     }
 
     /// Its unit, for tables.
     pub fn unit(self) -> &'static str {
         match self {
-            Self::FNumber | Self::Slope(_) | Self::Reach(_) | Self::Distortion(_) => "",
+            Self::FNumber | Self::Slope(_) | Self::Reach(_) | Self::Distortion(_) | Self::GlassLine(_) => "",
             _ => "mm",
         }
     }
@@ -136,6 +142,16 @@ impl Held<'_> {
                 value
             }
             Quantity::Distortion(k) => self.distortion(k),
+            Quantity::GlassLine(i) => {
+                let [n_d, v_d] = surfaces[i].medium.pair();
+                let slope = |(p, s): (&crate::lens::Parameter, &f64)| match p.kind {
+                    Kind::Index if p.of == i => *s,
+                    Kind::Abbe if p.of == i => GLASS[0] * s,
+                    _ => 0.0,
+                };
+                let by = self.variables.parameters.iter().zip(&self.variables.scales).map(slope).collect();
+                Value { value: n_d + GLASS[0] * v_d - GLASS[1], by }
+            }
         }
     }
 

@@ -127,10 +127,6 @@ pub(super) enum Role {
 pub(super) struct Point {
     pub(super) plane: LaunchPlane,
     pub(super) weight: f64,
-    /// Share of the largest field, and the field angle, radians.
-    pub(super) field: f64,
-    pub(super) angle: f64,
-    pub(super) vergence: f64,
     /// On the axis of a symmetric lens: the centroid stays on it.
     pub(super) axial: bool,
 }
@@ -172,9 +168,6 @@ pub(super) fn rays(merit: &Merit, lens: &Lens, share: f64) -> (Vec<Point>, Vec<C
                 points.push(Point {
                     plane: LaunchPlane::new(&system, object),
                     weight: weight * depth_weight / f64::from(azimuths),
-                    field: *field,
-                    angle,
-                    vergence: *vergence,
                     axial: symmetric && angle == 0.0,
                 });
             }

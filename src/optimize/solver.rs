@@ -236,8 +236,6 @@ impl<'a> Solver<'a> {
         let stated: Vec<f64> = start.surfaces.iter().map(|s| s.semi_diameter).collect();
         let n = problem.variables.parameters.len();
         let mut x = problem.variables.values(start);
-        let inside = x.iter().zip(&self.bounds).all(|(x, [a, b])| (a..=b).contains(&x));
-        let _ = inside;
         x.iter_mut().for_each(|x| *x = if x.is_finite() { *x } else { 0.0 });
         let r = residuals(&self.rays, &traced);
         let half = half_square(&r);
@@ -248,7 +246,8 @@ impl<'a> Solver<'a> {
         let mut stop = Stop::Iterations;
         let mut best: Option<(f64, f64, Prescription, Vec<f64>)> = None;
         let mut last: Option<(Vec<Kept>, Minimum)> = None;
-        let (mut calm, mut iterations, mut torn) = (0, 0, false);
+        let (mut calm, mut iterations) = (0, 0);
+        let mut torn;
         'outer: while iterations < limits.iterations && n > 0 {
             let Ok(slopes) = self.rays.slopes(&point.numbers, &mut point.traced) else {
                 stop = Stop::Stalled;

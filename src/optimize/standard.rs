@@ -123,7 +123,7 @@ impl Problem {
             let name = c.quantity.name();
             let known = match c.quantity {
                 Quantity::Edge(i) => i + 1 < surfaces,
-                Quantity::Centre(i) | Quantity::Slope(i) | Quantity::Reach(i) => i < surfaces,
+                Quantity::Centre(i) | Quantity::Slope(i) | Quantity::Reach(i) | Quantity::GlassLine(i) => i < surfaces,
                 _ => true,
             };
             if !known {

@@ -33,6 +33,7 @@
 //! ```
 
 pub mod aim;
+pub mod apertures;
 pub mod differential;
 pub mod exact;
 pub mod exit_pupil;

@@ -15,7 +15,7 @@ use glam::{DVec2, DVec3};
 
 use super::launch::FieldPoint;
 use super::{Ray, System};
-use crate::lens::{Lens, paraxial};
+use crate::lens::{Prescription, paraxial};
 
 /// An object point: direction of the light and vergence.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +65,7 @@ impl ObjectPoint {
     /// entrance pupil (primary wavelength), in the meridian `azimuth`: what a field angle means in a lens file. Radians.
     /// From 90° on a plane has no such point, and the point is infinitely far; a lens that is telecentric in object space has
     /// no such pupil, and the angle is that at the first vertex.
-    pub fn in_field(lens: &Lens, angle: f64, azimuth: f64) -> Self {
+    pub fn in_field(lens: &Prescription, angle: f64, azimuth: f64) -> Self {
         let d = Self::from_angle(angle, azimuth, 0.0).direction;
         let pupil = paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
         let v = lens.object_vergence * d.z.max(0.0);
