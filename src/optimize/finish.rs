@@ -1,7 +1,6 @@
 //! From numbers to a lens that stands on its own, and what is told of it.
 
-use super::constraint::{Held, Quantity};
-use super::first_order::FirstOrder;
+use super::constraint::Quantity;
 use super::merit::Apertures;
 use super::solver::{KEPT, Problem, Solved, Stop};
 use crate::error::Result;
@@ -120,12 +119,7 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         }
     }
     active.sort_by(|a, b| b.cost.abs().total_cmp(&a.cost.abs()));
-    let rims: Vec<f64> = match problem.merit.apertures {
-        Apertures::Stated => lens.surfaces.iter().map(|s| s.semi_diameter).collect(),
-        Apertures::Automatic => solved.heights.clone(),
-    };
-    let held = Held { numbers: &lens, variables, first: FirstOrder::new(&lens, variables), rims: &rims, rays: None };
-    let held = problem.constraints.iter().map(|c| (c.quantity, c.bounds, held.value(c.quantity).value)).collect();
+    let held = problem.constraints.iter().zip(&solved.values).map(|(c, v)| (c.quantity, c.bounds, *v)).collect();
     let stop =
         if solved.stop == Stop::Converged && solved.violation > KEPT { Stop::Contradiction } else { solved.stop };
     Outcome {

@@ -41,6 +41,7 @@ mod residuals;
 pub mod sampling;
 pub mod search;
 mod solver;
+pub mod spec;
 mod standard;
 
 pub use constraint::{Constraint, Quantity};

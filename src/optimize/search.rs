@@ -96,7 +96,9 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
     // The best once more with all rays.
     let polished: Vec<Outcome> = found
         .par_iter()
-        .filter_map(|o| optimize(&Problem { lens: o.lens.clone(), ..problem.clone() }, full, &mut |_| true).ok().filter(kept))
+        .filter_map(|o| {
+            optimize(&Problem { lens: o.lens.clone(), ..problem.clone() }, full, &mut |_| true).ok().filter(kept)
+        })
         .collect();
     found.clear();
     merge(&mut found, polished, plan.keep);
@@ -143,8 +145,7 @@ fn same(a: &Outcome, b: &Outcome) -> bool {
     let near = |(s, t): (&crate::lens::Surface, &crate::lens::Surface)| {
         (s.shape.curvature - t.shape.curvature).abs() * s.semi_diameter.max(t.semi_diameter) < SAME_BEND
     };
-    (a.rms_mm[1] - b.rms_mm[1]).abs() < SAME_RMS * a.rms_mm[1]
-        && a.lens.surfaces.iter().zip(&b.lens.surfaces).all(near)
+    (a.rms_mm[1] - b.rms_mm[1]).abs() < SAME_RMS * a.rms_mm[1] && a.lens.surfaces.iter().zip(&b.lens.surfaces).all(near)
 }
 
 /// The best of many drawn lenses by sums that cost no rays; `None` where no draw is a lens.
@@ -166,7 +167,9 @@ fn start(problem: &Problem, seed: u64) -> Option<Lens> {
 fn focal_length(problem: &Problem) -> f64 {
     let held = problem.constraints.iter().find(|c| c.quantity == Quantity::FocalLength);
     let bound = held.and_then(|c| c.bounds.into_iter().find(|b| b.is_finite()));
-    bound.unwrap_or_else(|| paraxial::first_order(&problem.lens, problem.lens.wavelengths.primary_nm).effective_focal_length)
+    bound.unwrap_or_else(|| {
+        paraxial::first_order(&problem.lens, problem.lens.wavelengths.primary_nm).effective_focal_length
+    })
 }
 
 /// Which of the problem's variables a number is.

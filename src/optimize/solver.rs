@@ -104,6 +104,8 @@ pub(super) struct Multiplier {
 pub(super) struct Solved {
     pub(super) numbers: Prescription,
     pub(super) heights: Vec<f64>,
+    /// Of the constraints.
+    pub(super) values: Vec<f64>,
     /// Root of the merit before and after, mm.
     pub(super) rms: [f64; 2],
     pub(super) violation: f64,
@@ -120,6 +122,9 @@ struct Point {
     residuals: Vec<f64>,
     half: f64,
 }
+
+/// Violation, root of the merit, the lens and its rays.
+type Best = (f64, f64, Prescription, Traced);
 
 /// A row of the program: which constraint or variable, which bound.
 struct Kept {
@@ -244,7 +249,7 @@ impl<'a> Solver<'a> {
         let (mut damping, mut growth) = (1e-3, 2.0);
         let mut scales = vec![0.0f64; n];
         let mut stop = Stop::Iterations;
-        let mut best: Option<(f64, f64, Prescription, Vec<f64>)> = None;
+        let mut best: Option<Best> = None;
         let mut last: Option<(Vec<Kept>, Minimum)> = None;
         let (mut calm, mut iterations) = (0, 0);
         let mut torn;
@@ -337,10 +342,16 @@ impl<'a> Solver<'a> {
         let rims = self.rims(&stated, &point.traced).to_vec();
         let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
         remember(&mut best, &point, relative);
-        let (violation, rms, numbers, heights) =
-            best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced.heights));
+        let (violation, rms, numbers, traced) =
+            best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
+        let variables = &problem.variables;
+        let rims = self.rims(&stated, &traced);
+        let first = FirstOrder::new(&numbers, variables);
+        let held = Held { numbers: &numbers, variables, first, rims, rays: Some((&self.rays, &traced, None)) };
+        let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
+        let heights = traced.heights.clone();
         let multipliers = last.map_or_else(Vec::new, |(kept, step)| multipliers(&kept, &step));
-        Solved { numbers, heights, rms: [before, rms], violation, iterations, stop, multipliers }
+        Solved { numbers, heights, values, rms: [before, rms], violation, iterations, stop, multipliers }
     }
 
     /// Largest violation, relative to the bound or to 1, of constraints and of variables' bounds.
@@ -427,7 +438,7 @@ fn half_square(r: &[f64]) -> f64 {
 }
 
 /// Keeps the best lens: the smallest merit among those that keep the constraints, the smallest violation where none does.
-fn remember(best: &mut Option<(f64, f64, Prescription, Vec<f64>)>, point: &Point, violation: f64) {
+fn remember(best: &mut Option<Best>, point: &Point, violation: f64) {
     let rms = (2.0 * point.half).sqrt();
     let kept = violation <= KEPT;
     let better = best.as_ref().is_none_or(|(v, r, _, _)| match (kept, *v <= KEPT) {
@@ -435,7 +446,7 @@ fn remember(best: &mut Option<(f64, f64, Prescription, Vec<f64>)>, point: &Point
         (a, b) => a && !b || !a && !b && violation < *v,
     });
     if better {
-        *best = Some((violation, rms, point.numbers.clone(), point.traced.heights.clone()));
+        *best = Some((violation, rms, point.numbers.clone(), point.traced.clone()));
     }
 }
 

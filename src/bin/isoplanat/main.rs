@@ -23,6 +23,7 @@ mod kit;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
+mod optimize;
 mod output;
 mod peak;
 mod progress;
@@ -61,6 +62,8 @@ enum Command {
     Inspect(inspect::Args),
     /// Numerical health of a lens: intersections, aiming, derivatives, precision
     Check(check::Args),
+    /// A better lens by damped least squares with constraints, from where it stands or from anywhere
+    Optimize(Box<optimize::Args>),
     /// Exact rays through every surface, as JSON
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
@@ -107,6 +110,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     match command {
         Command::Inspect(args) => inspect::run(&args, out),
         Command::Check(args) => check::run(&args, out),
+        Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
         Command::Render(args) => render::run(&args, out),
