@@ -134,11 +134,12 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
     Ok(finish::outcome(problem, lens, solved, finish::Spent { iterations, rays, reached, first_rms, started }))
 }
 
-/// Root of the merit of `lens`, mm: the rms over object points of the rms distance (or path difference).
+/// The residuals of `lens`, mm: wavelength by wavelength, object point by object point, ring by ring; `x` and `y` of spots. The sum of
+/// their squares is the merit.
 ///
 /// # Errors
 /// A merit that is none; a ray that fails.
-pub fn merit_of(lens: &Lens, merit: &Merit) -> Result<f64> {
+pub fn residuals_of(lens: &Lens, merit: &Merit) -> Result<Vec<f64>> {
     merit.check(&lens.name)?;
     let variables = crate::lens::variables::Variables::new(lens, Vec::new());
     let clip = merit.apertures == Apertures::Stated;
@@ -146,7 +147,15 @@ pub fn merit_of(lens: &Lens, merit: &Merit) -> Result<f64> {
         let found = format!("{} at surface {}", f.cause.name(), f.surface);
         Error::bad(lens.name.as_str(), "rays", found, "a lens whose stop all rays of its fields pass")
     })?;
-    Ok(residuals::residuals(&rays, &traced).iter().map(|r| r * r).sum::<f64>().sqrt())
+    Ok(residuals::residuals(&rays, &traced))
+}
+
+/// Root of the merit of `lens`, mm: the rms over object points of the rms distance (or path difference).
+///
+/// # Errors
+/// As [`residuals_of`].
+pub fn merit_of(lens: &Lens, merit: &Merit) -> Result<f64> {
+    Ok(residuals_of(lens, merit)?.iter().map(|r| r * r).sum::<f64>().sqrt())
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ mod gradients;
 mod layering;
 mod memory;
 mod one_way;
+mod optimize;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod picture;

@@ -79,11 +79,11 @@ def rays_of(lens):
     x, w = np.polynomial.legendre.leggauss(RINGS)
     radius, share = np.sqrt(0.5 * (1 + x)), 0.5 * w
     slope, target, weight, point, colour = [], [], [], [], []
-    for p, f in enumerate(FIELDS):
-        a = f * lens.field
-        s = np.tan(a) * (1 + lens.v * lens.pupil())
-        angles = [0.0] if f == 0 else [np.pi * (k + 0.5) / ARMS for k in range(ARMS)]
-        for c in range(len(lens.nm)):
+    for c in range(len(lens.nm)):
+        for p, f in enumerate(FIELDS):
+            a = f * lens.field
+            s = np.tan(a) * (1 + lens.v * lens.pupil())
+            angles = [0.0] if f == 0 else [np.pi * (k + 0.5) / ARMS for k in range(ARMS)]
             for r, u in zip(radius, share):
                 for b in angles:
                     slope.append(s)
@@ -220,7 +220,7 @@ def run(lens, curvatures, conics, bounds):
         "seconds": total,
         "evaluations": len(log),
         "jacobians": int(solved.njev),
-        "first_residuals": [float(r) for r in first[:40]],
+        "first_residuals": [float(r) for r in first],
         "curvatures": lens.c.tolist(),
         "conics": lens.k.tolist(),
         "thicknesses": lens.t.tolist(),
