@@ -120,8 +120,8 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
     }
     active.sort_by(|a, b| b.cost.abs().total_cmp(&a.cost.abs()));
     let held = problem.constraints.iter().zip(&solved.values).map(|(c, v)| (c.quantity, c.bounds, *v)).collect();
-    let stop =
-        if solved.stop == Stop::Converged && solved.violation > KEPT { Stop::Contradiction } else { solved.stop };
+    let ended = matches!(solved.stop, Stop::Converged | Stop::Stalled) && solved.violation > KEPT;
+    let stop = if ended { Stop::Contradiction } else { solved.stop };
     Outcome {
         lens,
         rms_mm: [spent.first_rms.unwrap_or(solved.rms[0]), rms],

@@ -323,7 +323,7 @@ fn aimed(lens: &Lens, points: &[Point], colour: &Colour, clip: bool) -> Result<(
         let landed = found.and_then(|a| trace(&system, a.ray, system.image(), &mut hits).map(|_| a));
         let aimed = match landed {
             Ok(aimed) => aimed,
-            Err(_) if clip && sample.role != Role::Chief => continue,
+            Err(_) if clip => continue,
             Err(failure) => return Err(failure),
         };
         if clip && sample.role != Role::Chief && first_vignetted(&system, &hits).is_some() {

@@ -275,8 +275,13 @@ impl<'a> Solver<'a> {
             scales.iter_mut().enumerate().for_each(|(k, s)| *s = s.max(normal[(k, k)]));
             let floor = 1e-9 * scales.iter().copied().fold(1e-300, f64::max);
             let kept = self.rows(&point, Some(&slopes), &rims);
-            let rows: Vec<Row> = kept.iter().map(|k| k.row.clone()).collect();
+            // What is asked of violated rows: less of it where steps that would satisfy them are refused, however short they are meant
+            // to be.
+            let (mut asked, mut refused) = (1.0, 0);
             loop {
+                let part = |b: f64, equal: bool| if b > 0.0 || equal { asked * b } else { b };
+                let rows: Vec<Row> =
+                    kept.iter().map(|k| Row { b: part(k.row.b, k.row.equal), ..k.row.clone() }).collect();
                 iterations += 1;
                 let mut h = normal.clone();
                 for k in 0..n {
@@ -304,7 +309,8 @@ impl<'a> Solver<'a> {
                     last = Some((kept, step));
                     break 'outer;
                 }
-                let corrected = self.corrected(&point, &h, &g, &kept, &rims, &step);
+                let corrected =
+                    if asked < 1.0 { step.d.clone() } else { self.corrected(&point, &h, &g, &kept, &rims, &step) };
                 let trial = self.trial(&point, &slopes, &corrected);
                 let mut accepted = false;
                 if let Some(trial) = trial {
@@ -330,6 +336,10 @@ impl<'a> Solver<'a> {
                 }
                 damping = (damping * growth).max(1e-9);
                 growth *= 2.0;
+                refused += 1;
+                if refused > 2 && relative > KEPT {
+                    asked *= 0.3;
+                }
                 if damping > 1e14 {
                     stop = if torn { Stop::Contradiction } else { Stop::Stalled };
                     break 'outer;
