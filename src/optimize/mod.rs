@@ -134,20 +134,33 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
     Ok(finish::outcome(problem, lens, solved, finish::Spent { iterations, rays, reached, first_rms, started }))
 }
 
+/// The rays of `merit` through `lens`.
+fn traced(lens: &Lens, merit: &Merit) -> Result<(rays::Rays, rays::Traced)> {
+    merit.check(&lens.name)?;
+    let variables = crate::lens::variables::Variables::new(lens, Vec::new());
+    let clip = merit.apertures == Apertures::Stated;
+    rays::Rays::new(merit, lens, &variables, 1.0, clip).map_err(|f| {
+        let found = format!("{} at surface {}", f.cause.name(), f.surface);
+        Error::bad(lens.name.as_str(), "rays", found, "a lens whose stop all rays of its fields pass")
+    })
+}
+
 /// The residuals of `lens`, mm: wavelength by wavelength, object point by object point, ring by ring; `x` and `y` of spots. The sum of
 /// their squares is the merit.
 ///
 /// # Errors
 /// A merit that is none; a ray that fails.
 pub fn residuals_of(lens: &Lens, merit: &Merit) -> Result<Vec<f64>> {
-    merit.check(&lens.name)?;
-    let variables = crate::lens::variables::Variables::new(lens, Vec::new());
-    let clip = merit.apertures == Apertures::Stated;
-    let (rays, traced) = rays::Rays::new(merit, lens, &variables, 1.0, clip).map_err(|f| {
-        let found = format!("{} at surface {}", f.cause.name(), f.surface);
-        Error::bad(lens.name.as_str(), "rays", found, "a lens whose stop all rays of its fields pass")
-    })?;
+    let (rays, traced) = traced(lens, merit)?;
     Ok(residuals::residuals(&rays, &traced))
+}
+
+/// How much of each object point's light gets through the stated clear semi-diameters of `lens`: 1 where they follow the beam.
+///
+/// # Errors
+/// As [`residuals_of`].
+pub fn light_of(lens: &Lens, merit: &Merit) -> Result<Vec<f64>> {
+    Ok(traced(lens, merit)?.0.light)
 }
 
 /// Root of the merit of `lens`, mm: the rms over object points of the rms distance (or path difference).

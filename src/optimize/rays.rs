@@ -33,6 +33,8 @@ struct Place {
 /// The rays of a merit on one lens.
 pub(super) struct Rays {
     pub(super) points: Vec<Point>,
+    /// Of every object point: how much of its light is traced; the rest ends at stated apertures.
+    pub(super) light: Vec<f64>,
     colours: Vec<Colour>,
     pub(super) quality: Quality,
     pub(super) reference: Reference,
@@ -83,12 +85,17 @@ impl Rays {
             colour.samples = kept;
             places.push(at);
         }
+        let mut light = vec![0.0; points.len()];
+        for s in colours.iter().flat_map(|c| &c.samples) {
+            light[s.point] += s.weight / points[s.point].weight.max(f64::MIN_POSITIVE);
+        }
         balance(&points, &mut colours);
         let surfaces = lens.surfaces.len() + 1;
         let count = variables.parameters.len();
         let columns = std::array::from_fn(|_| Columns::new(count));
         let mut rays = Self {
             points,
+            light,
             colours,
             quality: merit.quality,
             reference: merit.reference,
