@@ -79,12 +79,13 @@ pub(super) fn lens_of(problem: &Problem, solved: &Solved) -> Result<Lens> {
 
 fn finished(problem: &Problem, solved: &Solved) -> Prescription {
     let mut numbers = solved.numbers.clone();
-    if problem.merit.apertures == Apertures::Automatic {
-        for (i, (s, h)) in numbers.surfaces.iter_mut().zip(&solved.heights).enumerate() {
-            if i != numbers.stop && *h > 0.0 {
-                s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
-            }
+    let automatic = problem.merit.apertures == Apertures::Automatic;
+    for (i, (s, h)) in numbers.surfaces.iter_mut().zip(&solved.heights).enumerate() {
+        if i != numbers.stop && *h > 0.0 && (automatic || *h > s.semi_diameter) {
+            s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
         }
+    }
+    if automatic {
         // The stop's own surface follows the stop.
         let stop = crate::lens::paraxial::stop_semi_diameter(&numbers);
         if stop.is_finite() && stop > 0.0 {

@@ -33,7 +33,7 @@ pub enum Reference {
 /// Which light counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Apertures {
-    /// What the stated clear semi-diameters let through, which stay as they are.
+    /// What the stated clear semi-diameters let through at the start; they grow where that light comes to need more room.
     #[default]
     Stated,
     /// All light through the stop; clear semi-diameters follow the beam when the work is done.

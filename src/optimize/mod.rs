@@ -56,9 +56,6 @@ use solver::{Solved, Solver};
 /// Shares of aperture and field that are tried for a start whose rays fail.
 const SHARES: [f64; 6] = [1.0, 0.8, 0.6, 0.4, 0.2, 0.1];
 
-/// Times that the rays which stated apertures let through are chosen anew.
-const ROUNDS: usize = 2;
-
 /// Improves the lens of `problem`; `watch` is told of every step and may end the work by `false`.
 ///
 /// # Errors
@@ -75,7 +72,7 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
     // The largest share all of whose rays arrive, then larger ones, each from the lens before.
     let mut trials = SHARES.iter().copied();
     let mut share = trials.next().unwrap_or(1.0);
-    let (mut increase, mut rounds) = (0.2, 0);
+    let mut increase = 0.2;
     loop {
         match Solver::new(problem, &lens, share) {
             Ok((mut solver, traced)) => {
@@ -93,25 +90,13 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
                 last = Some(solved);
                 let Ok(next) = next else { break };
                 lens = next;
-                if share >= 1.0 {
-                    // What stated apertures let through moves with the lens: once more, until it stays.
-                    let settled = problem.merit.apertures == Apertures::Automatic || rounds >= ROUNDS;
-                    if stopped || settled {
-                        break;
-                    }
-                    rounds += 1;
-                    continue;
-                }
-                if stopped {
+                if share >= 1.0 || stopped {
                     break;
                 }
                 share = (share + increase).min(1.0);
             }
             // Not yet: nearer to what the lens lets through.
-            Err(_) if last.is_some() && share < 1.0 + f64::EPSILON => {
-                if reached >= 1.0 {
-                    break;
-                }
+            Err(_) if last.is_some() => {
                 increase *= 0.5;
                 share = (reached + increase).min(1.0);
                 if increase < 0.02 {

@@ -165,8 +165,12 @@ impl<'a> Solver<'a> {
         numbers
     }
 
-    fn rims<'b>(&'b self, stated: &'b [f64], traced: &'b Traced) -> &'b [f64] {
-        if self.problem.merit.apertures == Apertures::Stated { stated } else { &traced.heights }
+    /// How far each surface has to reach: as far as the light, and no less than stated.
+    fn rims(&self, stated: &[f64], traced: &Traced) -> Vec<f64> {
+        match self.problem.merit.apertures {
+            Apertures::Stated => stated.iter().zip(&traced.heights).map(|(s, h)| s.max(*h)).collect(),
+            Apertures::Automatic => traced.heights.clone(),
+        }
     }
 
     /// Violations of the constraints, relative to nothing: in their own units. Infinite where one is no number.
@@ -258,7 +262,7 @@ impl<'a> Solver<'a> {
                 stop = Stop::Stalled;
                 break;
             };
-            let rims = self.rims(&stated, &point.traced).to_vec();
+            let rims = self.rims(&stated, &point.traced);
             let violations = self.violations(&point.numbers, &point.traced, &rims);
             let relative = self.relative(&violations, &point.x);
             remember(&mut best, &point, relative);
@@ -349,13 +353,13 @@ impl<'a> Solver<'a> {
                 }
             }
         }
-        let rims = self.rims(&stated, &point.traced).to_vec();
+        let rims = self.rims(&stated, &point.traced);
         let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
         remember(&mut best, &point, relative);
         let (violation, rms, numbers, traced) =
             best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
         let variables = &problem.variables;
-        let rims = self.rims(&stated, &traced);
+        let rims = &self.rims(&stated, &traced);
         let first = FirstOrder::new(&numbers, variables);
         let held = Held { numbers: &numbers, variables, first, rims, rays: Some((&self.rays, &traced, None)) };
         let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();

@@ -4,8 +4,8 @@ use isoplanat::lens::{Aperture, Kind, Lens, Medium, Parameter, Prescription, bui
 use isoplanat::optimize::search::{Plan, search};
 use isoplanat::optimize::spec::{Range, Spec};
 use isoplanat::optimize::{
-    Apertures, Constraint, Limits, Merit, Outcome, Problem, Quality, Quantity, Stop, glass, merit_of, optimize,
-    residuals_of,
+    Apertures, Constraint, Limits, Merit, Outcome, Problem, Quality, Quantity, Stop, glass, light_of, merit_of,
+    optimize, residuals_of,
 };
 
 fn shipped(name: &str) -> Lens {
@@ -45,6 +45,9 @@ fn shipped_lenses_get_better() {
         assert!(found.violation < 1e-6, "{name}: {:e}", found.violation);
         let [before, after] = found.rms_mm;
         assert!(after < before, "{name}: {before} to {after}");
+        // No better for letting less light through.
+        let light = [&lens, &found.lens].map(|l| light_of(l, &problem.merit).expect("light"));
+        assert!(light[0].iter().zip(&light[1]).all(|(a, b)| *b > 0.95 * a), "{name}: {light:?}");
         for (quantity, [low, high], value) in &found.held {
             let near = 1e-5 * value.abs().max(1.0);
             assert!(*value > low - near && *value < high + near, "{name}: {}: {value}", quantity.name());

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use isoplanat::lens::{Lens, Medium, prescription};
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, glasses};
-use isoplanat::optimize::{Apertures, Limits, Merit, Outcome, Quality, glass, light_of, optimize};
+use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::{Error, Result, atomic};
 
@@ -44,7 +44,8 @@ pub(crate) struct Args {
     /// Spots about the `centroid` or the `chief` ray
     #[arg(long)]
     reference: Option<String>,
-    /// Which light counts: what `stated` clear semi-diameters let through, or all of the stop's (`automatic`: they follow the beam)
+    /// Which light counts: what `stated` clear semi-diameters let through at the start (they grow where it needs room), or all of the
+    /// stop's (`automatic`: they follow the beam)
     #[arg(long)]
     apertures: Option<String>,
     /// Object distance, mm; as often as wanted [default: the lens's]
@@ -146,7 +147,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
     prescription::save(&outcome.lens, &args.output)?;
-    warn_of_shade(&lens, &outcome.lens, &problem.merit);
     if let Some(path) = &args.svg {
         crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), out)?;
     }
@@ -155,24 +155,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     if args.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
-}
-
-/// Says where stated apertures stop more light than before: what they stop does not count in the merit.
-fn warn_of_shade(before: &Lens, after: &Lens, merit: &Merit) {
-    if merit.apertures == Apertures::Automatic {
-        return;
-    }
-    let (Ok(a), Ok(b)) = (light_of(before, merit), light_of(after, merit)) else {
-        eprintln!("warning: not all chief rays get through the result; try --apertures automatic");
-        return;
-    };
-    let worst = a.iter().zip(&b).map(|(a, b)| b / a).fold(1.0, f64::min);
-    if worst < 0.98 {
-        eprintln!(
-            "warning: stated apertures leave an object point {:.0} % of its light before; try --apertures automatic",
-            100.0 * worst
-        );
-    }
 }
 
 /// The table of a search's folder; its presence makes the folder one.
