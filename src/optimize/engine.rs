@@ -40,7 +40,7 @@ pub(super) struct Engine {
 
 enum Way {
     Lanes { program: Program, moves: Vec<Moves> },
-    Plain { numbers: Prescription, variables: Variables },
+    Plain { numbers: Box<Prescription>, variables: Variables },
 }
 
 /// Memory of a tile, kept from trace to trace.
@@ -64,7 +64,7 @@ impl Engine {
         let moves = variables.parameters.iter().zip(&variables.scales).map(|(p, s)| moves(numbers, &system, *p, *s));
         let way = match moves.collect::<Option<Vec<Moves>>>() {
             Some(moves) if program.in_lanes() == system.surfaces.len() => Way::Lanes { program, moves },
-            _ => Way::Plain { numbers: numbers.clone(), variables: variables.clone() },
+            _ => Way::Plain { numbers: Box::new(numbers.clone()), variables: variables.clone() },
         };
         Self { system, way }
     }

@@ -89,9 +89,10 @@ pub fn choose(
             let Ok(lens) = best.lens.changed(|l| l.surfaces[i].medium = medium.clone()) else { continue };
             let trial = fixed(&free, &lens, i);
             let Ok(outcome) = optimize(&trial, limits, watch) else { continue };
+            let broken = |o: &Outcome| u8::from(o.violation > super::solver::KEPT);
             let better = |o: &Outcome| {
-                let rank = |o: &Outcome| (o.violation > super::solver::KEPT, o.rms_mm[1]);
-                rank(&outcome).0 < rank(o).0 || rank(&outcome).0 == rank(o).0 && outcome.rms_mm[1] < o.rms_mm[1]
+                let less = outcome.rms_mm[1].total_cmp(&o.rms_mm[1]);
+                broken(&outcome).cmp(&broken(o)).then(less).is_lt()
             };
             if chosen.as_ref().is_none_or(|(_, o)| better(o)) {
                 chosen = Some((trial, outcome));

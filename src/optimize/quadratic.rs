@@ -64,8 +64,13 @@ pub(super) fn minimum(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> Optio
             if violated <= tolerance {
                 continue;
             }
-            let (relative, first) = (violated / y.norm(), worst.is_none_or(|w| !rows[w.0].equal));
-            if worst.is_none_or(|w| relative > w.1 && !(rows[w.0].equal && !row.equal)) || row.equal && first {
+            let relative = violated / y.norm();
+            let ahead = worst.is_none_or(|w| match (row.equal, rows[w.0].equal) {
+                (true, false) => true,
+                (false, true) => false,
+                _ => relative > w.1,
+            });
+            if ahead {
                 worst = Some((k, relative, if row.equal && s > 0.0 { -1.0 } else { 1.0 }));
             }
         }

@@ -228,7 +228,8 @@ fn drawn(problem: &Problem, rng: &mut fastrand::Rng) -> Option<Prescription> {
     while high < 3.0 && power(high) < 1.0 / f {
         (low, high) = (high, 1.2 * high);
     }
-    if !(power(high) >= 1.0 / f) {
+    let reached = power(high);
+    if reached.is_nan() || reached < 1.0 / f {
         return None;
     }
     for _ in 0..30 {

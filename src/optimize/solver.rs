@@ -180,20 +180,12 @@ impl<'a> Solver<'a> {
         let held = Held { numbers, variables, first, rims, rays: Some((&self.rays, traced, None)) };
         let violation = |c: &Constraint| {
             let [low, high] = c.bounds.map(|b| (b, if b.is_finite() { held.near(c.quantity, b).value } else { b }));
-            let all = (low.0 - low.1).max(high.1 - high.0).max(0.0);
-            let none = low.0 == f64::NEG_INFINITY && high.0 == f64::INFINITY;
-            if none {
-                0.0
-            } else if low.0.is_finite() && !low.1.is_finite() || all.is_nan() {
-                f64::INFINITY
-            } else if high.0.is_finite() && !high.1.is_finite() {
-                f64::INFINITY
-            } else {
-                // One-sided bounds compare infinities, which are equal.
-                let below = if low.0.is_finite() { low.0 - low.1 } else { 0.0 };
-                let above = if high.0.is_finite() { high.1 - high.0 } else { 0.0 };
-                below.max(above).max(0.0)
-            }
+            let beyond = |bound: f64, by: f64| match (bound.is_finite(), by.is_finite()) {
+                (true, true) => by.max(0.0),
+                (true, false) => f64::INFINITY,
+                (false, _) => 0.0,
+            };
+            beyond(low.0, low.0 - low.1).max(beyond(high.0, high.1 - high.0))
         };
         self.problem.constraints.iter().map(violation).collect()
     }
@@ -457,7 +449,8 @@ fn remember(best: &mut Option<Best>, point: &Point, violation: f64) {
     let kept = violation <= KEPT;
     let better = best.as_ref().is_none_or(|(v, r, _, _)| match (kept, *v <= KEPT) {
         (true, true) => rms < *r,
-        (a, b) => a && !b || !a && !b && violation < *v,
+        (false, false) => violation < *v,
+        (now, _) => now,
     });
     if better {
         *best = Some((violation, rms, point.numbers.clone(), point.traced.clone()));
@@ -502,6 +495,6 @@ fn program(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> (Option<Minimum>
 }
 
 fn multipliers(kept: &[Kept], step: &Minimum) -> Vec<Multiplier> {
-    let active = |(k, u): (&Kept, &f64)| (*u != 0.0).then(|| Multiplier { of: k.of, upper: k.upper, value: *u });
+    let active = |(k, u): (&Kept, &f64)| (*u != 0.0).then_some(Multiplier { of: k.of, upper: k.upper, value: *u });
     kept.iter().zip(&step.multipliers).filter_map(active).collect()
 }
