@@ -92,7 +92,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad("--best", "value", "given", "together with --search").into());
     }
     let minutes = args.minutes.unwrap_or(f64::INFINITY);
-    if !(minutes > 0.0) {
+    if minutes.is_nan() || minutes <= 0.0 {
         return Err(Error::bad("--minutes", "value", minutes.to_string(), "a positive number").into());
     }
     if args.iterations == 0 || args.search == Some(0) {
