@@ -28,6 +28,8 @@ pub mod trace;
 
 pub mod interchange;
 
+pub mod optimize;
+
 pub mod psf;
 
 pub mod imaging;

@@ -115,6 +115,11 @@ fn stem(path: &Path) -> String {
 }
 
 impl Glasses {
+    /// Every glass that is a medium, catalogue by catalogue.
+    pub fn media(&self) -> impl Iterator<Item = &Medium> {
+        self.catalogues.iter().flat_map(|c| &c.entries).filter_map(|e| e.medium.as_ref().ok())
+    }
+
     /// The catalogue of `models/glasses`, read once.
     pub fn shipped() -> &'static Self {
         static SHIPPED: LazyLock<Glasses> = LazyLock::new(Glasses::read_shipped);

@@ -140,6 +140,12 @@ impl Medium {
         }
     }
 
+    /// `[n_d, v_d]` as the two-number medium has them, at the lines of eq. 8.
+    pub fn pair(&self) -> [f64; 2] {
+        let [d, f, c] = [D_NM, F_NM, C_NM].map(|nm| self.index(nm));
+        [d, (d - 1.0) / (f - c)]
+    }
+
     /// A glass of the shipped catalogue (`models/glasses/catalog.toml`) by its exact name.
     ///
     /// # Errors

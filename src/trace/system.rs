@@ -1,7 +1,7 @@
 //! A lens at one wavelength: what a ray meets, image plane included.
 
 use crate::lens::pose::{Motion, placed, placed_vjp};
-use crate::lens::{Lens, LensGradient, Prescription, Shape, paraxial};
+use crate::lens::{LensGradient, Prescription, Shape, paraxial};
 
 /// One surface as a ray meets it.
 #[derive(Clone, Debug, PartialEq)]
@@ -180,7 +180,7 @@ impl SystemGradient {
     }
 
     /// Adds these cotangents to `gradient` of `lens`, glasses and stop size included.
-    pub fn add_to(&self, lens: &Lens, wavelength_nm: f64, gradient: &mut LensGradient) {
+    pub fn add_to(&self, lens: &Prescription, wavelength_nm: f64, gradient: &mut LensGradient) {
         for (i, g) in gradient.surfaces.iter_mut().enumerate() {
             g.shape.add(&self.shapes[i]);
             g.thickness += self.distances[i + 1];
@@ -200,7 +200,7 @@ impl SystemGradient {
         }
     }
 
-    fn add_poses_to(&self, lens: &Lens, gradient: &mut LensGradient) {
+    fn add_poses_to(&self, lens: &Prescription, gradient: &mut LensGradient) {
         let vertices = lens.vertices();
         let mut vertex_bar = vec![0.0; vertices.len()];
         for (i, s) in lens.surfaces.iter().enumerate() {

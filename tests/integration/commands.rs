@@ -48,6 +48,7 @@ fn json_is_one_object_and_files_need_force() {
         ("lenses --csv l.csv".to_owned(), vec!["l.csv"]),
         ("check cooke_triplet --csv f.csv".to_owned(), vec!["f.csv"]),
         ("trace cooke_triplet --rays rays.json".to_owned(), vec![]),
+        ("optimize cooke_triplet -o o.toml --svg o.svg".to_owned(), vec!["o.toml", "o.svg"]),
         (format!("psf cooke_triplet -o k.npz --csv k.csv {psf}"), vec!["k.npz", "k.csv"]),
         (format!("render cooke_triplet text -o a.png --min-psnr-db 30 {frame}"), vec!["a.png"]),
         (format!("capture cooke_triplet text -o a.dng --samples 2 {frame}"), vec!["a.dng"]),

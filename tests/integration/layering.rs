@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 14] = [
+const ORDER: [&str; 15] = [
     "error",
     "atomic",
     "units",
@@ -16,6 +16,7 @@ const ORDER: [&str; 14] = [
     "lens",
     "trace",
     "interchange",
+    "optimize",
     "psf",
     "imaging",
     "report",

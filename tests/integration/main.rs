@@ -12,6 +12,7 @@ mod lens_files;
 mod library;
 mod memory;
 mod one_way;
+mod optimize;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod picture;

@@ -25,6 +25,7 @@ mod lenses;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
+mod optimize;
 mod output;
 mod peak;
 mod progress;
@@ -70,6 +71,8 @@ enum Command {
     Check(check::Args),
     /// A lens file in another form: TOML, Zemax, CODE V
     Convert(convert::Args),
+    /// A better lens by damped least squares with constraints, from where it stands or from anywhere
+    Optimize(Box<optimize::Args>),
     /// Exact rays through every surface, as JSON
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
@@ -118,6 +121,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Lenses(args) => lenses::run(&args, out),
         Command::Check(args) => check::run(&args, out),
         Command::Convert(args) => convert::run(&args, out),
+        Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
         Command::Render(args) => render::run(&args, out),

@@ -7,7 +7,7 @@
 
 use super::program::{Step, TERMS};
 use super::run::{AlignedFrame, Extra, vectors};
-use super::tile::Bundle;
+use super::tile::{Bundle, TILE};
 use super::vector::At;
 use crate::math::simd::{Simd, fresh};
 
@@ -43,6 +43,29 @@ impl Sums {
     };
 }
 
+/// The same, ray by ray instead of summed.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(super) struct Each {
+    pub(super) flat: [f64; TILE],
+    pub(super) bent: [f64; TILE],
+    pub(super) mu: [f64; TILE],
+    pub(super) distance: [f64; TILE],
+    pub(super) index: [f64; TILE],
+    pub(super) terms: [[f64; TILE]; TERMS],
+}
+
+impl Each {
+    pub(super) const ZERO: Self = Self {
+        flat: [0.0; TILE],
+        bent: [0.0; TILE],
+        mu: [0.0; TILE],
+        distance: [0.0; TILE],
+        index: [0.0; TILE],
+        terms: [[0.0; TILE]; TERMS],
+    };
+}
+
 /// A tile at one surface, on the way back.
 pub(super) struct Back<'a> {
     /// Rays before the surface, in the frame of the one before.
@@ -54,6 +77,8 @@ pub(super) struct Back<'a> {
     pub(super) bars: &'a mut Bundle,
     /// Added to.
     pub(super) sums: &'a mut Sums,
+    /// Where every ray's own part is written instead, if it is asked for.
+    pub(super) each: Option<&'a mut Each>,
     /// Lanes in use.
     pub(super) len: usize,
 }
@@ -64,7 +89,7 @@ pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: &
     AlignedFrame::hold();
     let simd = simd.doubles();
     let sum = At { simd, at: 0 };
-    let Back { before, after, extra, bars, sums, len } = back;
+    let Back { before, after, extra, bars, sums, each, len } = back;
     let (mut flat, mut bent, mut mu_sum) = (sum.load(&sums.flat), sum.load(&sums.bent), sum.load(&sums.mu));
     let (mut distance, mut path_sum) = (sum.load(&sums.distance), sum.load(&sums.index));
     let mut term_sums = [sum.splat(0.0); N];
@@ -150,6 +175,19 @@ pub(super) fn surface_vjp<S: Simd, const N: usize>(simd: S, step: &Step, back: &
         here.store(dl, &mut bars.l);
         here.store(dm, &mut bars.m);
         here.store(dn, &mut bars.n);
+        if let Some(each) = each {
+            here.store(flat, &mut each.flat);
+            here.store(bent, &mut each.bent);
+            here.store(mu_sum, &mut each.mu);
+            here.store(distance, &mut each.distance);
+            here.store(path_sum, &mut each.index);
+            let zero = here.splat(0.0);
+            (flat, bent, mu_sum, distance, path_sum) = (zero, zero, zero, zero, zero);
+            for (term, to) in term_sums.iter_mut().zip(&mut each.terms) {
+                here.store(*term, to);
+                *term = zero;
+            }
+        }
     }
     sum.store(flat, &mut sums.flat);
     sum.store(bent, &mut sums.bent);

@@ -85,16 +85,16 @@ pub fn trace_gradient(
 }
 
 /// What one tile leaves on its way forward, and the sums over tiles.
-struct Record {
+pub(super) struct Record {
     /// Rays before the first surface and behind every one.
-    rays: Vec<Box<Bundle>>,
-    extras: Vec<Extra>,
-    bars: Box<Bundle>,
-    sums: Vec<Sums>,
+    pub(super) rays: Vec<Box<Bundle>>,
+    pub(super) extras: Vec<Extra>,
+    pub(super) bars: Box<Bundle>,
+    pub(super) sums: Vec<Sums>,
 }
 
 impl Record {
-    fn new(surfaces: usize) -> Self {
+    pub(super) fn new(surfaces: usize) -> Self {
         Self {
             rays: vec![Box::new(Bundle::ZERO); surfaces + 1],
             extras: vec![Extra::ZERO; surfaces],
@@ -106,7 +106,7 @@ impl Record {
 
 impl Program {
     /// Traces a tile and keeps every surface's record; the last bundle stands in the tile.
-    fn forward_recorded(&self, tile: &mut Tile, record: &mut Record) {
+    pub(super) fn forward_recorded(&self, tile: &mut Tile, record: &mut Record) {
         tile.start();
         std::mem::swap(&mut tile.rays, &mut record.rays[0]);
         self.level.run(There(self, tile, record));
@@ -159,6 +159,7 @@ impl Kernel for Home<'_> {
                 extra: &record.extras[i],
                 bars: &mut record.bars,
                 sums: &mut record.sums[i],
+                each: None,
                 len,
             };
             dispatch::back(simd, step, &mut back);

@@ -16,6 +16,7 @@ mod gradient;
 mod mend;
 mod program;
 mod prove;
+mod rows;
 mod run;
 mod terms;
 #[cfg(test)]
@@ -27,4 +28,5 @@ pub use crate::math::simd::Level;
 pub use batch::{GROUPS, trace_batch};
 pub use gradient::{LaunchBars, trace_gradient};
 pub use program::{Options, Program, index_ratios};
+pub use rows::{Number, Rows};
 pub use tile::{Bundle, Rays, Status, TILE, Tile};

@@ -1,0 +1,304 @@
+//! `isoplanat optimize`: a lens made better by damped least squares, from where it stands or from anywhere.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use isoplanat::lens::{Lens, Medium, prescription};
+use isoplanat::optimize::search::{Plan, Progress, search};
+use isoplanat::optimize::spec::{Range, Spec, glasses};
+use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
+use isoplanat::report::drawing::lens_svg;
+use isoplanat::{Error, Result, atomic};
+
+use crate::progress::Bar;
+
+/// Arguments of `optimize`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (TOML), or the name of a shipped lens such as `cooke_triplet`
+    lens: String,
+    /// Where the better lens goes (TOML)
+    #[arg(short, long, value_name = "OUT.toml")]
+    output: PathBuf,
+    /// What to judge, move and hold (TOML); flags count more
+    #[arg(long, value_name = "FILE")]
+    merit: Option<PathBuf>,
+    /// Numbers that move, by name or pattern: `surface[*].curvature`, `surface[2].a4`, `surface[0..3].n_d`; as often as wanted
+    /// [default: curvatures of refracting surfaces, all thicknesses]
+    #[arg(long, value_name = "PATTERN")]
+    vary: Vec<String>,
+    /// Numbers that do not move
+    #[arg(long, value_name = "PATTERN")]
+    fix: Vec<String>,
+    /// Bounds of variables: `surface[*].thickness=1..8`
+    #[arg(long, value_name = "PATTERN=RANGE")]
+    bound: Vec<String>,
+    /// What is held or bounded: `focal_length=50`, `track=..60`, `back_focus=35..`, `distortion=-0.02..0.02`, `edge_glass=1..`,
+    /// `edge_air=0.1..`, `slope=-1..1`, `surface[2].edge=1..`; `..` takes a standard one away
+    #[arg(long, value_name = "NAME=RANGE")]
+    constraint: Vec<String>,
+    /// `spot` or `wavefront`
+    #[arg(long)]
+    quality: Option<String>,
+    /// Spots about the `centroid` or the `chief` ray
+    #[arg(long)]
+    reference: Option<String>,
+    /// Which light counts: what `stated` clear semi-diameters let through at the start (they grow where it needs room), or all of the
+    /// stop's (`automatic`: they follow the beam)
+    #[arg(long)]
+    apertures: Option<String>,
+    /// Object distance, mm; as often as wanted [default: the lens's]
+    #[arg(long, value_name = "MM")]
+    depth_mm: Vec<f64>,
+    /// Steps at most
+    #[arg(long, default_value_t = 400)]
+    iterations: usize,
+    /// Minutes at most
+    #[arg(long, value_name = "MINUTES", allow_negative_numbers = true)]
+    minutes: Option<f64>,
+    /// Search globally: start from this many lenses drawn by thin-lens powers and bendings, then hop from the best
+    #[arg(long, value_name = "STARTS")]
+    search: Option<usize>,
+    /// Seed of the search
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+    /// Folder for the ten best lenses of a search, with drawings
+    #[arg(long, value_name = "FOLDER")]
+    best: Option<PathBuf>,
+    /// Choose real glasses: `*` or patterns such as `surface[2].medium`
+    #[arg(long, value_name = "PATTERN")]
+    choose_glass: Vec<String>,
+    /// Drawing of the lens before and after
+    #[arg(long, value_name = "OUT.svg")]
+    svg: Option<PathBuf>,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+    /// Overwrite files
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; the result goes to `out`.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    for path in std::iter::once(&args.output).chain(&args.svg) {
+        crate::output::check_writable(path, args.force)?;
+    }
+    if let Some(folder) = &args.best {
+        atomic::check_folder(folder, MARKER, args.force)?;
+    }
+    if args.best.is_some() && args.search.is_none() {
+        return Err(Error::bad("--best", "value", "given", "together with --search").into());
+    }
+    let minutes = args.minutes.unwrap_or(f64::INFINITY);
+    if minutes.is_nan() || minutes <= 0.0 {
+        return Err(Error::bad("--minutes", "value", minutes.to_string(), "a positive number").into());
+    }
+    if args.iterations == 0 || args.search == Some(0) {
+        return Err(Error::bad("--iterations, --search", "value", "0", "at least 1").into());
+    }
+    let until = Duration::try_from_secs_f64(60.0 * minutes).ok().and_then(|d| Instant::now().checked_add(d));
+    let lens = crate::input::lens(&args.lens)?;
+    let (spec, file) = spec(args)?;
+    let problem = spec.problem(&lens, &file)?;
+    let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
+    let bar = Bar::new("optimize");
+    let started = Instant::now();
+    let mut found: Vec<Outcome> = Vec::new();
+    if let Some(starts) = args.search {
+        let plan = Plan { starts, seed: args.seed, until, ..Plan::default() };
+        let mut tell = |p: Progress| {
+            let timed = until.map_or(0.0, |_| started.elapsed().as_secs_f64() / (60.0 * minutes));
+            bar.set(p.share.max(timed), format!("rms {:.3} µm, {} minima", p.rms * 1e3, p.minima));
+            true
+        };
+        found = search(&problem, &plan, &mut tell)?;
+    }
+    let mut from = problem.clone();
+    if args.search.is_some() {
+        let Some(best) = found.first() else {
+            let allowed = "more starts, or constraints that leave room";
+            return Err(Error::bad(args.lens.as_str(), "--search", "no lens keeps the constraints", allowed).into());
+        };
+        from.lens = best.lens.clone();
+    }
+    let mut tell = |s: isoplanat::optimize::Step| {
+        #[expect(clippy::cast_precision_loss, reason = "a share")]
+        let share = s.iteration as f64 / args.iterations as f64;
+        let timed = until.map_or(0.0, |_| started.elapsed().as_secs_f64() / (60.0 * minutes));
+        bar.set(share.max(timed), format!("rms {:.4} µm", s.rms * 1e3));
+        true
+    };
+    let outcome = if args.choose_glass.is_empty() {
+        match found.first() {
+            Some(best) => best.clone(),
+            None => optimize(&from, limits, &mut tell)?,
+        }
+    } else {
+        let mut surfaces = Vec::new();
+        for pattern in &args.choose_glass {
+            surfaces.extend(glasses(&lens, pattern, "--choose-glass")?);
+        }
+        surfaces.sort_unstable();
+        surfaces.dedup();
+        let media: Vec<Medium> = crate::glasses::all().media().cloned().collect();
+        glass::choose(&from, &surfaces, &media, limits, &mut tell)?
+    };
+    bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
+    prescription::save(&outcome.lens, &args.output)?;
+    if let Some(path) = &args.svg {
+        crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), out)?;
+    }
+    if let Some(folder) = &args.best {
+        atomic::write_folder(folder, MARKER, args.force, |folder| keep(folder, &found))?;
+    }
+    let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
+    if args.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+}
+
+/// The table of a search's folder; its presence makes the folder one.
+const MARKER: &str = "lenses.csv";
+
+fn keep(folder: &Path, found: &[Outcome]) -> Result<()> {
+    let mut table = String::from("rank,rms_um,track_mm,last_distance_mm,stop\n");
+    for (k, o) in found.iter().enumerate() {
+        let name = format!("{:02}", k + 1);
+        prescription::save(&o.lens, &folder.join(format!("{name}.toml")))?;
+        atomic::write_bytes(&folder.join(format!("{name}.svg")), lens_svg(&o.lens).as_bytes())?;
+        let last = o.lens.surfaces.last().map_or(0.0, |s| s.thickness);
+        table += &format!("{name},{},{},{last},{:?}\n", o.rms_mm[1] * 1e3, o.lens.length(), o.stop);
+    }
+    atomic::write_bytes(&folder.join(MARKER), table.as_bytes())
+}
+
+/// The file's spec with the flags put over it.
+fn spec(args: &Args) -> Result<(Spec, String)> {
+    let (mut spec, file) = match &args.merit {
+        Some(path) => {
+            let (text, name) = crate::input::text(path)?;
+            (Spec::from_toml(&text, &name)?, name)
+        }
+        None => (Spec::default(), "command line".to_owned()),
+    };
+    if !args.vary.is_empty() {
+        spec.vary.clone_from(&args.vary);
+    }
+    spec.fix.extend(args.fix.iter().cloned());
+    for (flag, list, map) in
+        [("--bound", &args.bound, &mut spec.bounds), ("--constraint", &args.constraint, &mut spec.constraints)]
+    {
+        for text in list {
+            let Some((name, range)) = text.rsplit_once('=') else {
+                return Err(Error::bad(flag, "value", text.as_str(), "NAME=RANGE, such as track=..60"));
+            };
+            map.insert(name.trim().to_owned(), Range::parse(range, flag)?);
+        }
+    }
+    for (to, from) in [
+        (&mut spec.quality, &args.quality),
+        (&mut spec.reference, &args.reference),
+        (&mut spec.apertures, &args.apertures),
+    ] {
+        if from.is_some() {
+            to.clone_from(from);
+        }
+    }
+    if !args.depth_mm.is_empty() {
+        spec.depths_mm = Some(args.depth_mm.clone());
+        spec.depth_weights = None;
+    }
+    Ok((spec, file))
+}
+
+/// Both lenses in one drawing, one below the other.
+fn pair_svg(before: &Lens, after: &Lens) -> String {
+    let [a, b] = [before, after].map(lens_svg);
+    let size = |svg: &str, key: &str| -> f64 {
+        let at = svg.find(&format!(" {key}=\"")).map(|i| i + key.len() + 3);
+        at.and_then(|i| svg[i..].split('"').next()?.parse().ok()).unwrap_or(960.0)
+    };
+    let (wa, ha, wb, hb) = (size(&a, "width"), size(&a, "height"), size(&b, "width"), size(&b, "height"));
+    let (width, height) = (wa.max(wb), ha + hb + 48.0);
+    let inner = |svg: &str, y: f64| svg.replacen("<svg ", &format!("<svg x=\"0\" y=\"{y}\" "), 1);
+    format!(
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" width=\"{width}\" height=\"{height}\" viewBox=\"0 0 {width} {height}\">\n\
+         <text x=\"16\" y=\"18\" font-size=\"15\" fill=\"currentColor\">before</text>\n{}\n\
+         <text x=\"16\" y=\"{}\" font-size=\"15\" fill=\"currentColor\">after</text>\n{}\n</svg>\n",
+        inner(&a, 24.0),
+        ha + 42.0,
+        inner(&b, ha + 48.0)
+    )
+}
+
+fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn Write) -> anyhow::Result<()> {
+    writeln!(out, "{} -> {}", args.lens, args.output.display())?;
+    writeln!(
+        out,
+        "rms {unit}  {:.4} µm -> {:.4} µm   {} steps of {} rays in {:.3} s",
+        o.rms_mm[0] * 1e3,
+        o.rms_mm[1] * 1e3,
+        o.iterations,
+        o.rays,
+        o.seconds
+    )?;
+    writeln!(out, "stopped: {}", o.stop.reason())?;
+    if o.share < 1.0 {
+        writeln!(out, "rays arrive up to {:.0} % of aperture and field only", o.share * 100.0)?;
+    }
+    if o.violation > 1e-6 {
+        writeln!(out, "constraints are violated by up to {:.3e} (relative)", o.violation)?;
+    }
+    writeln!(out, "\n{:32} {:>14} {:>14}   allowed", "moved", "before", "after")?;
+    for m in &o.moved {
+        writeln!(out, "{:32} {:>14.7} {:>14.7}   {}", m.name, m.values[0], m.values[1], allowed(m.bounds))?;
+    }
+    writeln!(out, "\n{:32} {:>14}   allowed", "held", "value")?;
+    for (quantity, bounds, value) in &o.held {
+        writeln!(out, "{:32} {:>14.6}   {} {}", quantity.name(), value, allowed(*bounds), quantity.unit())?;
+    }
+    writeln!(out, "\n{:32} {:>14}   what it costs", "active", "bound")?;
+    for a in &o.active {
+        let unit = if a.unit.is_empty() { "unit" } else { a.unit };
+        writeln!(out, "{:32} {:>14.6}   {:+.4e} µm rms a {unit}", a.name, a.bound, -a.cost.abs() * 1e3)?;
+    }
+    if !found.is_empty() {
+        writeln!(out, "\n{:>4} {:>12} {:>10} {:>14}", "rank", "rms, µm", "track, mm", "last gap, mm")?;
+        for (k, f) in found.iter().enumerate() {
+            let last = f.lens.surfaces.last().map_or(0.0, |s| s.thickness);
+            writeln!(out, "{:>4} {:>12.4} {:>10.3} {:>14.3}", k + 1, f.rms_mm[1] * 1e3, f.lens.length(), last)?;
+        }
+    }
+    Ok(())
+}
+
+fn allowed([a, b]: [f64; 2]) -> String {
+    match (a.is_finite(), b.is_finite()) {
+        (true, true) if a == b => format!("= {a:.6}"),
+        (true, true) => format!("{a:.4} to {b:.4}"),
+        (true, false) => format!("from {a:.4}"),
+        (false, true) => format!("to {b:.4}"),
+        (false, false) => "any".into(),
+    }
+}
+
+fn json(o: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<()> {
+    let finite = |x: f64| x.is_finite().then_some(x);
+    let pair = |b: [f64; 2]| b.map(finite);
+    let value = serde_json::json!({
+        "rms_mm": o.rms_mm,
+        "stop": format!("{:?}", o.stop),
+        "reason": o.stop.reason(),
+        "violation": finite(o.violation),
+        "share": o.share,
+        "iterations": o.iterations,
+        "rays": o.rays,
+        "seconds": o.seconds,
+        "moved": o.moved.iter().map(|m| serde_json::json!({"name": m.name, "before": m.values[0], "after": m.values[1], "bounds": pair(m.bounds)})).collect::<Vec<_>>(),
+        "held": o.held.iter().map(|(q, b, v)| serde_json::json!({"name": q.name(), "value": finite(*v), "bounds": pair(*b)})).collect::<Vec<_>>(),
+        "active": o.active.iter().map(|a| serde_json::json!({"name": a.name, "bound": a.bound, "upper": a.upper, "rms_mm_per_unit": a.cost})).collect::<Vec<_>>(),
+        "found": found.iter().map(|f| f.rms_mm[1]).collect::<Vec<_>>(),
+    });
+    writeln!(out, "{value:#}")?;
+    Ok(())
+}

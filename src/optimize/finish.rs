@@ -1,0 +1,139 @@
+//! From numbers to a lens that stands on its own, and what is told of it.
+
+use super::constraint::Quantity;
+use super::merit::Apertures;
+use super::solver::{KEPT, Problem, Solved, Stop};
+use crate::error::Result;
+use crate::lens::{Lens, Parameter, Prescription};
+
+/// Clear semi-diameters that follow the beam are this much wider.
+const WIDER: f64 = 1.0 + 1e-3;
+
+/// A number that moved.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Moved {
+    /// Which.
+    pub parameter: Parameter,
+    /// Its name.
+    pub name: String,
+    /// Before and after.
+    pub values: [f64; 2],
+    /// What it may be.
+    pub bounds: [f64; 2],
+}
+
+/// A bound or a held number, and what it costs.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Active {
+    /// What is held.
+    pub name: String,
+    /// Its unit; empty for plain numbers.
+    pub unit: &'static str,
+    /// Its bound.
+    pub bound: f64,
+    /// Whether that is the upper one.
+    pub upper: bool,
+    /// How much the rms falls, mm, for each unit that the bound gives way (for equalities: by which the number grows).
+    pub cost: f64,
+}
+
+/// What came out.
+#[derive(Clone, Debug)]
+pub struct Outcome {
+    /// The best lens.
+    pub lens: Lens,
+    /// Root of the merit before and after, mm. Before: of the start, at the part of aperture and field at which its rays arrive.
+    pub rms_mm: [f64; 2],
+    /// Largest violation of a constraint, relative to its bound or to 1.
+    pub violation: f64,
+    /// Why the work ended.
+    pub stop: Stop,
+    /// Part of aperture and field at which all rays arrive: 1 but for lenses that never got there.
+    pub share: f64,
+    /// Steps tried, rays of each.
+    pub iterations: usize,
+    /// Rays traced in each.
+    pub rays: usize,
+    /// Time, s.
+    pub seconds: f64,
+    /// Every variable.
+    pub moved: Vec<Moved>,
+    /// Bounds that hold the lens back, the costliest first.
+    pub active: Vec<Active>,
+    /// Constraints with their values in the result.
+    pub held: Vec<(Quantity, [f64; 2], f64)>,
+}
+
+pub(super) struct Spent {
+    pub(super) iterations: usize,
+    pub(super) rays: usize,
+    pub(super) reached: f64,
+    pub(super) first_rms: Option<f64>,
+    pub(super) started: std::time::Instant,
+}
+
+/// The lens of solved numbers, its clear semi-diameters after the beam where they are automatic.
+pub(super) fn lens_of(problem: &Problem, solved: &Solved) -> Result<Lens> {
+    Lens::new(finished(problem, solved), &problem.lens.name)
+}
+
+fn finished(problem: &Problem, solved: &Solved) -> Prescription {
+    let mut numbers = solved.numbers.clone();
+    let automatic = problem.merit.apertures == Apertures::Automatic;
+    for (i, (s, h)) in numbers.surfaces.iter_mut().zip(&solved.heights).enumerate() {
+        if i != numbers.stop && *h > 0.0 && (automatic || *h > s.semi_diameter) {
+            s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
+        }
+    }
+    if automatic {
+        // The stop's own surface follows the stop.
+        let stop = crate::lens::paraxial::stop_semi_diameter(&numbers);
+        if stop.is_finite() && stop > 0.0 {
+            numbers.surfaces[numbers.stop].semi_diameter = stop;
+        }
+    }
+    numbers
+}
+
+pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spent) -> Outcome {
+    let variables = &problem.variables;
+    let moved = variables.parameters.iter().zip(&problem.bounds).map(|(p, bounds)| Moved {
+        parameter: *p,
+        name: p.name(&lens),
+        values: [p.value(&*problem.lens).unwrap_or(0.0), p.value(&*lens).unwrap_or(0.0)],
+        bounds: *bounds,
+    });
+    let moved: Vec<Moved> = moved.collect();
+    let rms = solved.rms[1];
+    let mut active: Vec<Active> = Vec::new();
+    for m in &solved.multipliers {
+        // Half the sum of squares falls by the multiplier a unit; the root of the sum by that over itself.
+        let cost = m.value / rms.max(f64::MIN_POSITIVE);
+        if let Some(c) = problem.constraints.get(m.of) {
+            let bound = c.bounds[usize::from(m.upper)];
+            active.push(Active { name: c.quantity.name(), unit: c.quantity.unit(), bound, upper: m.upper, cost });
+        } else {
+            let j = m.of - problem.constraints.len();
+            let bound = problem.bounds[j][usize::from(m.upper)];
+            let cost = cost / variables.scales[j];
+            active.push(Active { name: moved[j].name.clone(), unit: "", bound, upper: m.upper, cost });
+        }
+    }
+    active.sort_by(|a, b| b.cost.abs().total_cmp(&a.cost.abs()));
+    let held = problem.constraints.iter().zip(&solved.values).map(|(c, v)| (c.quantity, c.bounds, *v)).collect();
+    let ended = matches!(solved.stop, Stop::Converged | Stop::Stalled) && solved.violation > KEPT;
+    let stop = if ended { Stop::Contradiction } else { solved.stop };
+    Outcome {
+        lens,
+        rms_mm: [spent.first_rms.unwrap_or(solved.rms[0]), rms],
+        violation: solved.violation,
+        stop,
+        share: spent.reached,
+        iterations: spent.iterations,
+        rays: spent.rays,
+        seconds: spent.started.elapsed().as_secs_f64(),
+        moved,
+        active,
+        held,
+    }
+}

@@ -1,0 +1,500 @@
+//! Damped least squares with constraints: Gauss–Newton with Marquardt's damping as a sequence of quadratic programs, an active set and
+//! its multipliers, an exact penalty as judge of steps, and a second-order correction before any ray is traced.
+
+use std::time::Instant;
+
+use nalgebra::{DMatrix, DVector};
+
+use super::constraint::{Constraint, Held};
+use super::first_order::FirstOrder;
+use super::merit::{Apertures, Merit};
+use super::quadratic::{Minimum, Row, minimum};
+use super::rays::{Rays, Slopes, Traced};
+use super::residuals::{jacobian, residuals};
+use crate::lens::variables::Variables;
+use crate::lens::{Lens, Prescription};
+use crate::trace::Failure;
+
+/// Constraints count as kept within this, relative to the bound (or to 1).
+pub(super) const KEPT: f64 = 1e-6;
+
+/// What is solved.
+#[derive(Clone, Debug)]
+pub struct Problem {
+    /// The lens to start from.
+    pub lens: Lens,
+    /// What may move.
+    pub variables: Variables,
+    /// Smallest and largest value of every variable, in the lens's own units.
+    pub bounds: Vec<[f64; 2]>,
+    /// What is held.
+    pub constraints: Vec<Constraint>,
+    /// What is judged.
+    pub merit: Merit,
+}
+
+/// When to stop at the latest.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// Accepted and refused steps.
+    pub iterations: usize,
+    /// Relative improvement that is not worth another step.
+    pub tolerance: f64,
+    /// When to stop.
+    pub until: Option<Instant>,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { iterations: 200, tolerance: 1e-6, until: None }
+    }
+}
+
+/// Why the work ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stop {
+    /// No step promises more.
+    Converged,
+    /// As many steps as were allowed.
+    Iterations,
+    /// The time is over, or the caller said so.
+    Time,
+    /// No shorter step helps: rounding, or derivatives that say nothing.
+    Stalled,
+    /// Constraints contradict each other; the least violation was sought.
+    Contradiction,
+}
+
+impl Stop {
+    /// In words.
+    pub fn reason(self) -> &'static str {
+        match self {
+            Self::Converged => "converged: no step promises more",
+            Self::Iterations => "the number of steps allowed is used up",
+            Self::Time => "the time is over",
+            Self::Stalled => "no shorter step helps: the derivatives promise what rays do not keep",
+            Self::Contradiction => "the constraints contradict each other: the smallest violation was sought",
+        }
+    }
+}
+
+/// Where the solver is.
+#[derive(Clone, Copy, Debug)]
+pub struct Step {
+    /// Steps tried.
+    pub iteration: usize,
+    /// Root of the merit, mm.
+    pub rms: f64,
+    /// Largest violation, relative.
+    pub violation: f64,
+}
+
+/// A bound that holds the lens back.
+#[derive(Clone, Debug)]
+pub(super) struct Multiplier {
+    /// Constraint, or variable behind the last constraint.
+    pub(super) of: usize,
+    /// Whether it is the upper bound.
+    pub(super) upper: bool,
+    /// Of half the sum of squares, by the bound in its own unit.
+    pub(super) value: f64,
+}
+
+/// What came out.
+pub(super) struct Solved {
+    pub(super) numbers: Prescription,
+    pub(super) heights: Vec<f64>,
+    /// Of the constraints.
+    pub(super) values: Vec<f64>,
+    /// Root of the merit before and after, mm.
+    pub(super) rms: [f64; 2],
+    pub(super) violation: f64,
+    pub(super) iterations: usize,
+    pub(super) stop: Stop,
+    pub(super) multipliers: Vec<Multiplier>,
+}
+
+/// A lens on the way.
+struct Point {
+    x: Vec<f64>,
+    numbers: Prescription,
+    traced: Traced,
+    residuals: Vec<f64>,
+    half: f64,
+}
+
+/// Violation, root of the merit, the lens and its rays.
+type Best = (f64, f64, Prescription, Traced);
+
+/// A row of the program: which constraint or variable, which bound.
+struct Kept {
+    of: usize,
+    upper: bool,
+    row: Row,
+}
+
+pub(super) struct Solver<'a> {
+    problem: &'a Problem,
+    rays: Rays,
+    /// Weights of violations in the judge of steps.
+    weights: Vec<f64>,
+    bounds: Vec<[f64; 2]>,
+}
+
+impl<'a> Solver<'a> {
+    /// From `lens` at `share` of aperture and field.
+    pub(super) fn new(problem: &'a Problem, lens: &Lens, share: f64) -> Result<(Self, Traced), Failure> {
+        let clip = problem.merit.apertures == Apertures::Stated;
+        let (rays, traced) = Rays::new(&problem.merit, lens, &problem.variables, share, clip)?;
+        let scaled = |(b, s): (&[f64; 2], &f64)| {
+            let [a, b] = b.map(|v| v / s);
+            [a.min(b), a.max(b)]
+        };
+        let bounds = problem.bounds.iter().zip(&problem.variables.scales).map(scaled).collect();
+        Ok((Self { problem, rays, weights: vec![0.0; problem.constraints.len()], bounds }, traced))
+    }
+
+    pub(super) fn rays(&self) -> usize {
+        self.rays.count()
+    }
+
+    fn put(&self, x: &[f64]) -> Prescription {
+        let mut numbers: Prescription = (*self.problem.lens).clone();
+        self.problem.variables.put(&mut numbers, x);
+        numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
+        numbers
+    }
+
+    /// How far each surface has to reach: as far as the light, and no less than stated.
+    fn rims(&self, stated: &[f64], traced: &Traced) -> Vec<f64> {
+        match self.problem.merit.apertures {
+            Apertures::Stated => stated.iter().zip(&traced.heights).map(|(s, h)| s.max(*h)).collect(),
+            Apertures::Automatic => traced.heights.clone(),
+        }
+    }
+
+    /// Violations of the constraints, relative to nothing: in their own units. Infinite where one is no number.
+    fn violations(&self, numbers: &Prescription, traced: &Traced, rims: &[f64]) -> Vec<f64> {
+        let variables = &self.problem.variables;
+        let first = FirstOrder::new(numbers, variables);
+        let held = Held { numbers, variables, first, rims, rays: Some((&self.rays, traced, None)) };
+        let violation = |c: &Constraint| {
+            let [low, high] = c.bounds.map(|b| (b, if b.is_finite() { held.near(c.quantity, b).value } else { b }));
+            let beyond = |bound: f64, by: f64| match (bound.is_finite(), by.is_finite()) {
+                (true, true) => by.max(0.0),
+                (true, false) => f64::INFINITY,
+                (false, _) => 0.0,
+            };
+            beyond(low.0, low.0 - low.1).max(beyond(high.0, high.1 - high.0))
+        };
+        self.problem.constraints.iter().map(violation).collect()
+    }
+
+    /// The rows of the program at a point.
+    fn rows(&self, point: &Point, slopes: Option<&Slopes>, rims: &[f64]) -> Vec<Kept> {
+        let variables = &self.problem.variables;
+        let n = variables.parameters.len();
+        let first = FirstOrder::new(&point.numbers, variables);
+        let held =
+            Held { numbers: &point.numbers, variables, first, rims, rays: Some((&self.rays, &point.traced, slopes)) };
+        let mut rows = Vec::new();
+        for (of, c) in self.problem.constraints.iter().enumerate() {
+            let [low, high] = c.bounds;
+            let equal = low == high;
+            for (upper, bound) in [(false, low), (true, high)] {
+                if !bound.is_finite() || upper && equal {
+                    continue;
+                }
+                let v = held.near(c.quantity, bound);
+                let sign = if upper { -1.0 } else { 1.0 };
+                let a = v.by.iter().map(|d| sign * d).collect();
+                rows.push(Kept { of, upper, row: Row { a, b: sign * (bound - v.value), equal } });
+            }
+        }
+        for (j, [low, high]) in self.bounds.iter().enumerate() {
+            for (upper, bound) in [(false, *low), (true, *high)] {
+                if bound.is_finite() {
+                    let sign = if upper { -1.0 } else { 1.0 };
+                    let mut a = vec![0.0; n];
+                    a[j] = sign;
+                    let b = sign * (bound - point.x[j]);
+                    rows.push(Kept { of: self.problem.constraints.len() + j, upper, row: Row { a, b, equal: false } });
+                }
+            }
+        }
+        rows
+    }
+
+    /// Runs from the start of `new`.
+    pub(super) fn run(
+        &mut self,
+        start: &Lens,
+        traced: Traced,
+        limits: Limits,
+        watch: &mut dyn FnMut(Step) -> bool,
+    ) -> Solved {
+        let problem = self.problem;
+        let stated: Vec<f64> = start.surfaces.iter().map(|s| s.semi_diameter).collect();
+        let n = problem.variables.parameters.len();
+        let mut x = problem.variables.values(start);
+        x.iter_mut().for_each(|x| *x = if x.is_finite() { *x } else { 0.0 });
+        let r = residuals(&self.rays, &traced);
+        let half = half_square(&r);
+        let mut point = Point { x, numbers: self.put(&problem.variables.values(start)), traced, residuals: r, half };
+        let before = (2.0 * half).sqrt();
+        let (mut damping, mut growth) = (1e-3, 2.0);
+        let mut scales = vec![0.0f64; n];
+        let mut stop = Stop::Iterations;
+        let mut best: Option<Best> = None;
+        let mut last: Option<(Vec<Kept>, Minimum)> = None;
+        let (mut calm, mut iterations) = (0, 0);
+        let mut torn;
+        'outer: while iterations < limits.iterations && n > 0 {
+            let Ok(slopes) = self.rays.slopes(&point.numbers, &mut point.traced) else {
+                stop = Stop::Stalled;
+                break;
+            };
+            let rims = self.rims(&stated, &point.traced);
+            let violations = self.violations(&point.numbers, &point.traced, &rims);
+            let relative = self.relative(&violations, &point.x);
+            remember(&mut best, &point, relative);
+            if !watch(Step { iteration: iterations, rms: (2.0 * point.half).sqrt(), violation: relative })
+                || limits.until.is_some_and(|t| Instant::now() >= t)
+            {
+                stop = Stop::Time;
+                break;
+            }
+            let j = jacobian(&self.rays, &point.traced, &slopes, n);
+            let r = DVector::from_column_slice(&point.residuals);
+            let (jt, g) = (j.transpose(), j.tr_mul(&r));
+            let normal = &jt * &j;
+            scales.iter_mut().enumerate().for_each(|(k, s)| *s = s.max(normal[(k, k)]));
+            let floor = 1e-9 * scales.iter().copied().fold(1e-300, f64::max);
+            let kept = self.rows(&point, Some(&slopes), &rims);
+            // What is asked of violated rows: less of it where steps that would satisfy them are refused, however short they are meant
+            // to be.
+            let (mut asked, mut refused) = (1.0, 0);
+            loop {
+                let part = |b: f64, equal: bool| if b > 0.0 || equal { asked * b } else { b };
+                let rows: Vec<Row> =
+                    kept.iter().map(|k| Row { b: part(k.row.b, k.row.equal), ..k.row.clone() }).collect();
+                iterations += 1;
+                let mut h = normal.clone();
+                for k in 0..n {
+                    h[(k, k)] += damping * scales[k].max(floor);
+                }
+                let (step, elastic) = program(&h, &g, &rows);
+                torn = elastic;
+                let Some(step) = step else {
+                    stop = Stop::Stalled;
+                    break 'outer;
+                };
+                for (k, u) in kept.iter().zip(&step.multipliers) {
+                    if let Some(w) = self.weights.get_mut(k.of) {
+                        *w = w.max(1.5 * u.abs());
+                    }
+                }
+                let d = DVector::from_column_slice(&step.d);
+                let model = 0.5 * (&r + &j * &d).norm_squared();
+                let promised: Vec<f64> = self.promised(&kept, &step.d);
+                let judge = |half: f64, v: &[f64], w: &[f64]| half + v.iter().zip(w).map(|(v, w)| v * w).sum::<f64>();
+                let here = judge(point.half, &violations, &self.weights);
+                let gain = here - judge(model, &promised, &self.weights);
+                if gain <= limits.tolerance * 0.01 * here && (relative <= KEPT || torn) {
+                    stop = if torn && relative > KEPT { Stop::Contradiction } else { Stop::Converged };
+                    last = Some((kept, step));
+                    break 'outer;
+                }
+                let corrected =
+                    if asked < 1.0 { step.d.clone() } else { self.corrected(&point, &h, &g, &kept, &rims, &step) };
+                let trial = self.trial(&point, &slopes, &corrected);
+                let mut accepted = false;
+                if let Some(trial) = trial {
+                    let v = self.violations(&trial.numbers, &trial.traced, &rims);
+                    let real = here - judge(trial.half, &v, &self.weights);
+                    let ratio = real / gain;
+                    if ratio > 1e-4 && real.is_finite() {
+                        accepted = true;
+                        damping = (damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(0.2)).max(1e-12);
+                        growth = 2.0;
+                        calm = if real <= limits.tolerance * here && relative <= KEPT { calm + 1 } else { 0 };
+                        point = trial;
+                    }
+                }
+                last =
+                    Some((kept.iter().map(|k| Kept { of: k.of, upper: k.upper, row: k.row.clone() }).collect(), step));
+                if accepted {
+                    if calm >= 3 {
+                        stop = if torn { Stop::Contradiction } else { Stop::Converged };
+                        break 'outer;
+                    }
+                    break;
+                }
+                damping = (damping * growth).max(1e-9);
+                growth *= 2.0;
+                refused += 1;
+                if refused > 2 && relative > KEPT {
+                    asked *= 0.3;
+                }
+                if damping > 1e14 {
+                    stop = if torn { Stop::Contradiction } else { Stop::Stalled };
+                    break 'outer;
+                }
+                if iterations >= limits.iterations || limits.until.is_some_and(|t| Instant::now() >= t) {
+                    break 'outer;
+                }
+            }
+        }
+        let rims = self.rims(&stated, &point.traced);
+        let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
+        remember(&mut best, &point, relative);
+        let (violation, rms, numbers, traced) =
+            best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
+        let variables = &problem.variables;
+        let rims = &self.rims(&stated, &traced);
+        let first = FirstOrder::new(&numbers, variables);
+        let held = Held { numbers: &numbers, variables, first, rims, rays: Some((&self.rays, &traced, None)) };
+        let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
+        let heights = traced.heights.clone();
+        let multipliers = last.map_or_else(Vec::new, |(kept, step)| multipliers(&kept, &step));
+        Solved { numbers, heights, values, rms: [before, rms], violation, iterations, stop, multipliers }
+    }
+
+    /// Largest violation, relative to the bound or to 1, of constraints and of variables' bounds.
+    fn relative(&self, violations: &[f64], x: &[f64]) -> f64 {
+        let of = |(v, c): (&f64, &Constraint)| {
+            let size = c.bounds.iter().filter(|b| b.is_finite()).fold(0.0f64, |m, b| m.max(b.abs()));
+            v / size.max(1.0)
+        };
+        let outside = x.iter().zip(&self.bounds).map(|(x, [a, b])| (a - x).max(x - b).max(0.0));
+        violations.iter().zip(&self.problem.constraints).map(of).chain(outside).fold(0.0, f64::max)
+    }
+
+    /// Violations that the linearised constraints promise after `d`.
+    fn promised(&self, kept: &[Kept], d: &[f64]) -> Vec<f64> {
+        let mut out = vec![0.0f64; self.problem.constraints.len()];
+        for k in kept {
+            if let Some(out) = out.get_mut(k.of) {
+                let left = k.row.b - k.row.a.iter().zip(d).map(|(a, d)| a * d).sum::<f64>();
+                *out = out.max(if k.row.equal { left.abs() } else { left.max(0.0) });
+            }
+        }
+        out
+    }
+
+    /// The step with what constraints do beyond first order taken into account; distortion, which takes rays, is left out.
+    fn corrected(
+        &self,
+        point: &Point,
+        h: &DMatrix<f64>,
+        g: &DVector<f64>,
+        kept: &[Kept],
+        rims: &[f64],
+        step: &Minimum,
+    ) -> Vec<f64> {
+        let mut d = step.d.clone();
+        let variables = &self.problem.variables;
+        for _ in 0..2 {
+            let x: Vec<f64> = point.x.iter().zip(&d).map(|(x, d)| x + d).collect();
+            let numbers = self.put(&x);
+            let first = FirstOrder::new(&numbers, variables);
+            let held = Held { numbers: &numbers, variables, first, rims, rays: None };
+            let mut off = 0.0f64;
+            let mut rows = Vec::with_capacity(kept.len());
+            for k in kept {
+                let mut row = k.row.clone();
+                if let Some(c) = self.problem.constraints.get(k.of)
+                    && !matches!(c.quantity, super::constraint::Quantity::Distortion(_))
+                {
+                    let bound = c.bounds[usize::from(k.upper)];
+                    let sign = if k.upper { -1.0 } else { 1.0 };
+                    let left = sign * (bound - held.near(c.quantity, bound).value);
+                    let linear: f64 = row.a.iter().zip(&d).map(|(a, d)| a * d).sum();
+                    let b = left + linear;
+                    if !b.is_finite() {
+                        return step.d.clone();
+                    }
+                    let size = bound.abs().max(1.0);
+                    off = off.max(if row.equal { left.abs() } else { left } / size);
+                    row.b = b;
+                }
+                rows.push(row);
+            }
+            if off <= 0.1 * KEPT {
+                break;
+            }
+            let Some(better) = minimum(h, g, &rows) else { break };
+            d = better.d;
+        }
+        d
+    }
+
+    fn trial(&mut self, point: &Point, slopes: &Slopes, d: &[f64]) -> Option<Point> {
+        let x: Vec<f64> = point.x.iter().zip(d).map(|(x, d)| x + d).collect();
+        let numbers = self.put(&x);
+        let traced = self.rays.trace(&numbers, &point.traced, slopes, d).ok()?;
+        let residuals = residuals(&self.rays, &traced);
+        let half = half_square(&residuals);
+        half.is_finite().then_some(Point { x, numbers, traced, residuals, half })
+    }
+}
+
+fn half_square(r: &[f64]) -> f64 {
+    0.5 * r.iter().map(|r| r * r).sum::<f64>()
+}
+
+/// Keeps the best lens: the smallest merit among those that keep the constraints, the smallest violation where none does.
+fn remember(best: &mut Option<Best>, point: &Point, violation: f64) {
+    let rms = (2.0 * point.half).sqrt();
+    let kept = violation <= KEPT;
+    let better = best.as_ref().is_none_or(|(v, r, _, _)| match (kept, *v <= KEPT) {
+        (true, true) => rms < *r,
+        (false, false) => violation < *v,
+        (now, _) => now,
+    });
+    if better {
+        *best = Some((violation, rms, point.numbers.clone(), point.traced.clone()));
+    }
+}
+
+/// The step of one program. Where rows contradict each other those that are violated are sought by least squares, far above the merit,
+/// and the others kept; the second value says so.
+fn program(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> (Option<Minimum>, bool) {
+    if let Some(found) = minimum(h, g, rows) {
+        return (Some(found), false);
+    }
+    let (mut h, mut g) = (h.clone(), g.clone());
+    let size = h.diagonal().max();
+    let mut kept = Vec::new();
+    for row in rows {
+        let length: f64 = row.a.iter().map(|a| a * a).sum();
+        if !(row.b > 0.0 || row.equal && row.b != 0.0) {
+            kept.push(Row { b: row.b.min(0.0), ..row.clone() });
+            continue;
+        }
+        // A row that is satisfied by the step for all of the variables: never asked for.
+        kept.push(Row { a: vec![0.0; row.a.len()], b: 0.0, equal: false });
+        if length > 0.0 {
+            let a = DVector::from_column_slice(&row.a);
+            let weight = 1e4 * size / length;
+            h.ger(weight, &a, &a, 1.0);
+            g.axpy(-weight * row.b, &a, 1.0);
+        }
+    }
+    let mut found = minimum(&h, &g, &kept);
+    if let Some(found) = &mut found {
+        for ((row, u), d) in rows.iter().zip(&mut found.multipliers).zip(std::iter::repeat(found.d.clone())) {
+            if row.b > 0.0 || row.equal && row.b != 0.0 {
+                let length: f64 = row.a.iter().map(|a| a * a).sum();
+                let left = row.b - row.a.iter().zip(&d).map(|(a, d)| a * d).sum::<f64>();
+                *u = if length > 0.0 { 1e4 * size / length * left } else { 0.0 };
+            }
+        }
+    }
+    (found, true)
+}
+
+fn multipliers(kept: &[Kept], step: &Minimum) -> Vec<Multiplier> {
+    let active = |(k, u): (&Kept, &f64)| (*u != 0.0).then_some(Multiplier { of: k.of, upper: k.upper, value: *u });
+    kept.iter().zip(&step.multipliers).filter_map(active).collect()
+}

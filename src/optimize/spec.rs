@@ -1,0 +1,238 @@
+//! What to optimise, as a file and a command line say it.
+
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+
+use super::constraint::{Constraint, Quantity};
+use super::merit::{Apertures, Merit, Quality, Reference};
+use super::pattern::parameters;
+use super::solver::Problem;
+use crate::error::{Error, Result};
+use crate::lens::{Kind, Lens, Parameter};
+
+/// A number, or its smallest and largest value.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(untagged)]
+pub enum Range {
+    /// Held.
+    One(f64),
+    /// Bounded; infinite where it is not.
+    Two([f64; 2]),
+}
+
+impl Range {
+    fn bounds(self) -> [f64; 2] {
+        match self {
+            Self::One(x) => [x, x],
+            Self::Two(b) => b,
+        }
+    }
+
+    /// `12`, `10..12`, `10..` or `..12`.
+    ///
+    /// # Errors
+    /// Anything else; `file` names the argument.
+    pub fn parse(text: &str, file: &str) -> Result<Self> {
+        let number = |t: &str, none: f64| if t.trim().is_empty() { Ok(none) } else { t.trim().parse::<f64>() };
+        let all = match text.split_once("..") {
+            Some((a, b)) => number(a, f64::NEG_INFINITY).and_then(|a| Ok(Self::Two([a, number(b, f64::INFINITY)?]))),
+            None => text.trim().parse().map(Self::One),
+        };
+        all.map_err(|_| Error::bad(file, "range", text, "a number, or LOW..HIGH with either left out"))
+    }
+}
+
+/// The file of `isoplanat optimize --merit`; everything has a default, and what a command line says counts more.
+#[derive(Clone, Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Spec {
+    /// Patterns of numbers that move; none: curvatures of refracting surfaces and thicknesses.
+    pub vary: Vec<String>,
+    /// Patterns of numbers that do not.
+    pub fix: Vec<String>,
+    /// Bounds by pattern, in the units of the names (mm, 1/mm, radians).
+    pub bounds: BTreeMap<String, Range>,
+    /// Constraints by name.
+    pub constraints: BTreeMap<String, Range>,
+    /// Shares of the largest field.
+    pub fields: Option<Vec<f64>>,
+    /// Their weights.
+    pub field_weights: Option<Vec<f64>>,
+    /// Object distances, mm.
+    pub depths_mm: Option<Vec<f64>>,
+    /// Their weights.
+    pub depth_weights: Option<Vec<f64>>,
+    /// Radii in the stop.
+    pub rings: Option<usize>,
+    /// Angles in half the stop.
+    pub arms: Option<usize>,
+    /// `spot` or `wavefront`.
+    pub quality: Option<String>,
+    /// `centroid` or `chief`.
+    pub reference: Option<String>,
+    /// `stated` or `automatic`.
+    pub apertures: Option<String>,
+}
+
+/// Names of constraints that stand for many.
+const GROUPS: &str = "focal_length, f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
+                      surface[i].centre, surface[i].slope, surface[i].reach";
+
+impl Spec {
+    /// From TOML; `file` names it.
+    ///
+    /// # Errors
+    /// What is no such file, with its line.
+    pub fn from_toml(text: &str, file: &str) -> Result<Self> {
+        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "the keys of `isoplanat optimize --merit`"))
+    }
+
+    /// The problem for `lens`; `file` names where the spec comes from.
+    ///
+    /// # Errors
+    /// Patterns that name nothing, constraints that are none, numbers that are not allowed.
+    pub fn problem(&self, lens: &Lens, file: &str) -> Result<Problem> {
+        let mut problem = Problem::standard(lens);
+        let mut chosen: Vec<Parameter> = problem.variables.parameters.clone();
+        if !self.vary.is_empty() {
+            chosen.clear();
+            for pattern in &self.vary {
+                let more = parameters(lens, pattern, file)?;
+                chosen.extend(more.into_iter().filter(|p| !chosen.contains(p)).collect::<Vec<_>>());
+            }
+        }
+        for pattern in &self.fix {
+            let fixed = parameters(lens, pattern, file)?;
+            chosen.retain(|p| !fixed.contains(p));
+        }
+        if chosen.is_empty() {
+            return Err(Error::bad(file, "fix", self.fix.join(", "), "patterns that leave something to move"));
+        }
+        let mut constraints = problem.constraints.clone();
+        let merit = self.merit(file)?;
+        for (name, range) in &self.constraints {
+            constrain(lens, &merit, &mut constraints, name, range.bounds(), file)?;
+        }
+        constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
+        problem = Problem::new(lens, chosen, constraints, merit);
+        for (pattern, range) in &self.bounds {
+            let named = parameters(lens, pattern, file)?;
+            for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
+                if named.contains(p) {
+                    *b = range.bounds();
+                }
+            }
+        }
+        problem.check().map_err(|e| match e {
+            Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
+            other => other,
+        })?;
+        Ok(problem)
+    }
+
+    fn merit(&self, file: &str) -> Result<Merit> {
+        let mut merit = Merit::default();
+        let word = |place: &str, found: &Option<String>, words: [&str; 2]| match found.as_deref() {
+            None => Ok(false),
+            Some(w) if w == words[0] => Ok(false),
+            Some(w) if w == words[1] => Ok(true),
+            Some(w) => Err(Error::bad(file, place, w, words.join(" or "))),
+        };
+        if word("quality", &self.quality, ["spot", "wavefront"])? {
+            merit.quality = Quality::Wavefront;
+        }
+        if word("reference", &self.reference, ["centroid", "chief"])? {
+            merit.reference = Reference::Chief;
+        }
+        if word("apertures", &self.apertures, ["stated", "automatic"])? {
+            merit.apertures = Apertures::Automatic;
+        }
+        let weighed = |place: &str, values: &[f64], weights: &Option<Vec<f64>>| {
+            let weights = weights.clone().unwrap_or_else(|| vec![1.0; values.len()]);
+            if weights.len() != values.len() {
+                let found = format!("{} weights for {} values", weights.len(), values.len());
+                return Err(Error::bad(file, place, found, "as many weights as values"));
+            }
+            Ok(values.iter().zip(weights).map(|(v, w)| [*v, w]).collect::<Vec<_>>())
+        };
+        let own: Vec<f64> = merit.fields.iter().map(|f| f[0]).collect();
+        merit.fields = weighed("field_weights", self.fields.as_deref().unwrap_or(&own), &self.field_weights)?;
+        if let Some(depths) = &self.depths_mm {
+            let vergences: Vec<f64> = depths.iter().map(|d| d.recip()).collect();
+            merit.depths = weighed("depth_weights", &vergences, &self.depth_weights)?;
+        }
+        merit.rings = self.rings.unwrap_or(merit.rings);
+        merit.arms = self.arms.unwrap_or(merit.arms);
+        merit.check(file)?;
+        Ok(merit)
+    }
+}
+
+/// Puts a constraint in, in the place of the one of the same quantity.
+fn constrain(
+    lens: &Lens,
+    merit: &Merit,
+    all: &mut Vec<Constraint>,
+    name: &str,
+    bounds: [f64; 2],
+    file: &str,
+) -> Result<()> {
+    let n = lens.indices(lens.wavelengths.primary_nm);
+    let count = lens.surfaces.len();
+    let glass = |i: &usize| n[i + 1] > 1.0;
+    let refracts = |i: &usize| n[*i] != n[i + 1];
+    let places = 0..count;
+    let quantities: Vec<Quantity> = match name {
+        "focal_length" => vec![Quantity::FocalLength],
+        "f_number" => vec![Quantity::FNumber],
+        "track" => vec![Quantity::Track],
+        "back_focus" => vec![Quantity::BackFocus],
+        "edge_glass" => places.take(count - 1).filter(glass).map(Quantity::Edge).collect(),
+        "edge_air" => places.take(count - 1).filter(|i| !glass(i)).map(Quantity::Edge).collect(),
+        "slope" => places.filter(refracts).map(Quantity::Slope).collect(),
+        "reach" => places.filter(refracts).map(Quantity::Reach).collect(),
+        "distortion" => {
+            let depths = merit.depths.len().max(1);
+            let off_axis = |(_, f): &(usize, [f64; 2])| f[0] != 0.0;
+            let of = |d: usize| {
+                let fields = merit.fields.iter().copied().enumerate().filter(off_axis);
+                fields.map(move |(k, _)| Quantity::Distortion(d * merit.fields.len() + k))
+            };
+            (0..depths).flat_map(of).collect()
+        }
+        _ => {
+            let inner = name.strip_prefix("surface[").and_then(|r| r.split_once("]."));
+            let found = inner.and_then(|(i, what)| Some((i.parse::<usize>().ok().filter(|i| *i < count)?, what)));
+            match found {
+                Some((i, "edge")) if i + 1 < count => vec![Quantity::Edge(i)],
+                Some((i, "centre")) => vec![Quantity::Centre(i)],
+                Some((i, "slope")) => vec![Quantity::Slope(i)],
+                Some((i, "reach")) => vec![Quantity::Reach(i)],
+                _ => return Err(Error::bad(file, "constraint", name, GROUPS)),
+            }
+        }
+    };
+    for quantity in quantities {
+        all.retain(|c| c.quantity != quantity);
+        all.push(Constraint { quantity, bounds });
+    }
+    Ok(())
+}
+
+/// The surfaces with glass behind them that patterns of media name: `surface[2].medium`, `surface[*].medium`.
+///
+/// # Errors
+/// A pattern that names no glass.
+pub fn glasses(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<usize>> {
+    let n = lens.indices(lens.wavelengths.primary_nm);
+    let named: Vec<usize> = match pattern.replace("medium", "thickness") {
+        p if p == "*" => (0..lens.surfaces.len()).collect(),
+        p => parameters(lens, &p, file)?.into_iter().filter(|p| p.kind == Kind::Thickness).map(|p| p.of).collect(),
+    };
+    let glass: Vec<usize> = named.into_iter().filter(|i| n[i + 1] > 1.0).collect();
+    if glass.is_empty() {
+        return Err(Error::bad(file, "glass", pattern, "`*` or a pattern such as surface[2].medium that names glass"));
+    }
+    Ok(glass)
+}

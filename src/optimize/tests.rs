@@ -1,0 +1,143 @@
+use super::rays::Rays;
+use super::residuals::{jacobian, residuals};
+use super::*;
+use crate::lens::test_lenses::every_kind;
+use crate::lens::variables::Variables;
+use crate::lens::{Kind, Parameter, builtin};
+
+/// Residuals of a lens whose numbers are `values`, rays followed from the lens at `at`.
+fn moved(merit: &Merit, lens: &Lens, variables: &Variables, step: &[f64]) -> Vec<f64> {
+    let clip = merit.apertures == Apertures::Stated;
+    let (mut rays, mut traced) = Rays::new(merit, lens, variables, 1.0, clip).expect("light");
+    let slopes = rays.slopes(lens, &mut traced).expect("derivatives");
+    let x = variables.values(lens);
+    let there: Vec<f64> = x.iter().zip(step).map(|(x, d)| x + d).collect();
+    let mut numbers = (**lens).clone();
+    variables.put(&mut numbers, &there);
+    numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
+    let traced = rays.trace(&numbers, &traced, &slopes, step).expect("light");
+    residuals(&rays, &traced)
+}
+
+/// Every column of the Jacobian against fourth-order differences of re-aimed rays: through lanes and ray by ray, near and far, spots
+/// about both references and path differences.
+#[test]
+fn jacobians_agree_with_differences() {
+    let cooke = builtin::lens("cooke_triplet").expect("shipped");
+    let two = builtin::lens("two_element").expect("shipped");
+    let three = builtin::lens("three_element").expect("shipped");
+    let free = |lens: &Lens| -> Vec<Parameter> {
+        let wanted = |p: &Parameter| p.kind.is_free() || p.kind == Kind::EntrancePupilDiameter;
+        Parameter::all(lens).filter(wanted).collect()
+    };
+    let spot = Merit { rings: 2, arms: 2, fields: vec![[0.0, 1.0], [0.7, 2.0]], ..Merit::default() };
+    let chief = Merit { reference: Reference::Chief, ..spot.clone() };
+    let waves = Merit { quality: Quality::Wavefront, ..spot.clone() };
+    let depths = Merit { depths: vec![[0.0, 1.0], [1e-3, 1.0]], ..spot.clone() };
+    let mut cases = vec![(cooke.clone(), spot.clone()), (cooke.clone(), chief), (cooke, waves.clone()), (two, depths)];
+    cases.extend([(three.clone(), spot.clone()), (three, waves)]);
+    let general = |lens: Lens| lens.changed(|l| l.max_field_deg = 4.0).expect("a lens");
+    cases.extend(every_kind().into_iter().map(|lens| (general(lens), spot.clone())));
+    for (lens, merit) in cases {
+        let variables = Variables::new(&lens, free(&lens));
+        let n = variables.parameters.len();
+        let clip = merit.apertures == Apertures::Stated;
+        let (mut rays, mut traced) = Rays::new(&merit, &lens, &variables, 1.0, clip).expect("light");
+        let slopes = rays.slopes(&lens, &mut traced).expect("derivatives");
+        let j = jacobian(&rays, &traced, &slopes, n);
+        let size = j.norm();
+        for k in 0..n {
+            let at = |h: f64| {
+                let mut step = vec![0.0; n];
+                step[k] = h;
+                moved(&merit, &lens, &variables, &step)
+            };
+            let h = 1e-3;
+            let [a, b, c, d] = [h, -h, 2.0 * h, -2.0 * h].map(at);
+            let column = j.column(k);
+            let mut worst = 0.0f64;
+            for row in 0..j.nrows() {
+                let numeric = (8.0 * (a[row] - b[row]) - (c[row] - d[row])) / (12.0 * h);
+                worst = worst.max((numeric - column[row]).abs());
+            }
+            let name = variables.parameters[k].name(&lens);
+            assert!(
+                worst < 1e-7 * (column.norm() + 1e-3 * size),
+                "{}: {name}: {worst:e} of {:e}",
+                lens.name,
+                column.norm()
+            );
+        }
+    }
+}
+
+/// Constraints' gradients against differences.
+#[test]
+fn gradients_of_constraints_agree_with_differences() {
+    use super::constraint::Held;
+    use super::first_order::FirstOrder;
+    for name in ["three_element", "cooke_triplet", "phone"] {
+        let lens = builtin::lens(name).expect("shipped");
+        let variables = Variables::all(&lens);
+        let n = variables.parameters.len();
+        let merit = Merit { rings: 1, arms: 1, fields: vec![[0.0, 1.0], [0.6, 1.0]], ..Merit::default() };
+        let (mut rays, mut traced) = Rays::new(&merit, &lens, &variables, 1.0, false).expect("light");
+        let slopes = rays.slopes(&lens, &mut traced).expect("derivatives");
+        let rims: Vec<f64> = lens.surfaces.iter().map(|s| 0.9 * s.semi_diameter).collect();
+        let mut all = vec![
+            Quantity::FocalLength,
+            Quantity::FNumber,
+            Quantity::Track,
+            Quantity::BackFocus,
+            Quantity::Distortion(1),
+        ];
+        for i in 0..lens.surfaces.len() {
+            all.extend([Quantity::Centre(i), Quantity::Slope(i), Quantity::Reach(i)]);
+            if i + 1 < lens.surfaces.len() {
+                all.push(Quantity::Edge(i));
+            }
+        }
+        let x = variables.values(&lens);
+        let mut rng = fastrand::Rng::with_seed(3);
+        let direction: Vec<f64> = (0..n).map(|_| 0.1 * (rng.f64() - 0.5)).collect();
+        let mut value = |h: f64, quantity: Quantity, near: bool| {
+            let step: Vec<f64> = direction.iter().map(|d| h * d).collect();
+            let there: Vec<f64> = x.iter().zip(&step).map(|(x, d)| x + d).collect();
+            let mut numbers = (*lens).clone();
+            variables.put(&mut numbers, &there);
+            let traced = rays.trace(&numbers, &traced, &slopes, &step).expect("light");
+            let first = FirstOrder::new(&numbers, &variables);
+            let held = Held {
+                numbers: &numbers,
+                variables: &variables,
+                first,
+                rims: &rims,
+                rays: Some((&rays, &traced, None)),
+            };
+            if near { held.near(quantity, 47.0) } else { held.value(quantity) }.value
+        };
+        let mut numeric = Vec::new();
+        for quantity in &all {
+            for near in [false, true] {
+                numeric.push(crate::testing::central_difference(|h| value(h, *quantity, near), 1e-3));
+            }
+        }
+        let first = FirstOrder::new(&lens, &variables);
+        let held = Held {
+            numbers: &lens,
+            variables: &variables,
+            first,
+            rims: &rims,
+            rays: Some((&rays, &traced, Some(&slopes))),
+        };
+        let mut numeric = numeric.into_iter();
+        for quantity in &all {
+            for near in [false, true] {
+                let by = if near { held.near(*quantity, 47.0) } else { held.value(*quantity) }.by;
+                let found: f64 = by.iter().zip(&direction).map(|(a, b)| a * b).sum();
+                let numeric = numeric.next().expect("as many");
+                crate::testing::assert_rel(found, numeric, 1e-6, 1e-3, &format!("{name}: {}", quantity.name()));
+            }
+        }
+    }
+}

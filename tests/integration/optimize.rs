@@ -1,0 +1,198 @@
+//! Lenses made better: against another program's residuals, from hopeless starts, with every kind of end.
+
+use isoplanat::lens::{Aperture, Kind, Lens, Medium, Parameter, Prescription, builtin, catalogue::Glasses};
+use isoplanat::optimize::search::{Plan, search};
+use isoplanat::optimize::spec::{Range, Spec};
+use isoplanat::optimize::{
+    Apertures, Constraint, Limits, Merit, Outcome, Problem, Quality, Quantity, Stop, glass, light_of, merit_of,
+    optimize, residuals_of,
+};
+
+fn shipped(name: &str) -> Lens {
+    builtin::lens(name).expect("shipped")
+}
+
+fn automatic() -> Merit {
+    Merit { apertures: Apertures::Automatic, ..Merit::default() }
+}
+
+fn run(problem: &Problem) -> Outcome {
+    optimize(problem, Limits::default(), &mut |_| true).expect("an end")
+}
+
+/// NumPy's rays, written independently (`tests/peers/optimize_scipy.py`), leave the same residuals.
+#[test]
+fn residuals_are_those_of_the_peer() {
+    let text = include_str!("../peers/optimize_scipy.json");
+    let peer: serde_json::Value = serde_json::from_str(text).expect("results");
+    for name in ["two_element", "three_element"] {
+        let ours = residuals_of(&shipped(name), &automatic()).expect("light");
+        let theirs: Vec<f64> =
+            peer[name]["first_residuals"].as_array().expect("a list").iter().filter_map(|r| r.as_f64()).collect();
+        assert_eq!(ours.len(), theirs.len(), "{name}");
+        let worst = ours.iter().zip(&theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        assert!(worst < 1e-9, "{name}: {worst:e}");
+    }
+}
+
+/// Every shipped lens gets better, keeps its focal length and its constraints, and is a lens.
+#[test]
+fn shipped_lenses_get_better() {
+    for (name, _) in builtin::LENSES {
+        let lens = shipped(name);
+        let problem = Problem::standard(&lens);
+        let found = run(&problem);
+        assert!(found.violation < 1e-6, "{name}: {:e}", found.violation);
+        let [before, after] = found.rms_mm;
+        assert!(after < before, "{name}: {before} to {after}");
+        // No better for letting less light through.
+        let light = [&lens, &found.lens].map(|l| light_of(l, &problem.merit).expect("light"));
+        assert!(light[0].iter().zip(&light[1]).all(|(a, b)| *b > 0.95 * a), "{name}: {light:?}");
+        for (quantity, [low, high], value) in &found.held {
+            let near = 1e-5 * value.abs().max(1.0);
+            assert!(*value > low - near && *value < high + near, "{name}: {}: {value}", quantity.name());
+        }
+    }
+}
+
+/// A multiplier is what giving way brings: against the merit with the bound moved.
+#[test]
+fn multipliers_say_what_bounds_cost() {
+    let lens = shipped("cooke_triplet");
+    let at = |track: f64| {
+        let mut problem = Problem::standard(&lens);
+        problem.merit = automatic();
+        // Edges move with the beam, which multipliers do not know.
+        problem.constraints = Problem::focal_length(&lens);
+        problem.constraints.push(Constraint { quantity: Quantity::Track, bounds: [0.0, track] });
+        optimize(&problem, Limits { tolerance: 1e-10, ..Limits::default() }, &mut |_| true).expect("an end")
+    };
+    let (a, b, c) = (at(52.0), at(52.05), at(51.95));
+    let cost = a.active.iter().find(|a| a.name == "track").expect("active").cost.abs();
+    let numeric = (c.rms_mm[1] - b.rms_mm[1]) / 0.1;
+    assert!((cost - numeric).abs() < 0.03 * numeric, "{cost} {numeric}");
+}
+
+#[test]
+fn constraints_that_contradict_end_in_the_smallest_violation() {
+    let lens = shipped("cooke_triplet");
+    let mut problem = Problem::standard(&lens);
+    problem.merit = automatic();
+    problem.constraints.push(Constraint { quantity: Quantity::Track, bounds: [0.0, 40.0] });
+    problem.constraints.push(Constraint { quantity: Quantity::BackFocus, bounds: [45.0, 90.0] });
+    let found = run(&problem);
+    assert_eq!(found.stop, Stop::Contradiction);
+    assert!(found.violation > 0.05 && found.violation < 1.0, "{}", found.violation);
+}
+
+/// Variables without influence, and more variables than the merit can tell apart.
+#[test]
+fn singular_jacobians_do_no_harm() {
+    let lens = shipped("cooke_triplet");
+    let wanted = |p: &Parameter| matches!(p.kind, Kind::Curvature | Kind::Thickness | Kind::Conic);
+    let flat = lens.changed(|l| l.surfaces[1].shape.curvature = 0.0).expect("a lens");
+    let merit = Merit { fields: vec![[0.0, 1.0]], rings: 2, ..automatic() };
+    let problem = Problem::new(&flat, Parameter::all(&flat).filter(wanted).collect(), Problem::room(&flat), merit);
+    let found = run(&problem);
+    assert!(found.rms_mm[1] < 0.2 * found.rms_mm[0] && found.violation < 1e-6, "{:?}", found.rms_mm);
+}
+
+/// Rays that fail at the start: smaller apertures first, and an end that says how far it came.
+#[test]
+fn failing_rays_are_walked_around() {
+    let merit = automatic();
+    let wide = |d: f64| {
+        let wide = |l: &mut Prescription| l.aperture = Aperture::EntrancePupilDiameter(d);
+        shipped("cooke_triplet").changed(wide).expect("a lens")
+    };
+    let fails = |lens: &Lens| merit_of(lens, &merit).is_err();
+    let lens = [20.0, 24.0, 28.0, 32.0].map(wide).into_iter().find(fails).expect("rays fail at the start");
+    let mut problem = Problem::standard(&lens);
+    problem.merit = merit;
+    let found = run(&problem);
+    assert!(found.share > 0.5, "{}", found.share);
+    assert!(found.rms_mm[1].is_finite() && found.violation < 1e-6);
+}
+
+#[test]
+fn path_differences_get_smaller() {
+    let lens = shipped("three_element");
+    let mut problem = Problem::standard(&lens);
+    problem.merit = Merit { quality: Quality::Wavefront, ..automatic() };
+    let found = run(&problem);
+    assert!(found.rms_mm[1] < 0.2 * found.rms_mm[0], "{:?}", found.rms_mm);
+}
+
+/// Three plane plates of a triplet's glasses.
+fn plates() -> Problem {
+    let lens = shipped("cooke_triplet")
+        .changed(|l| {
+            l.aperture = Aperture::EntrancePupilDiameter(12.5);
+            l.surfaces.iter_mut().for_each(|s| s.shape.curvature = 0.0);
+        })
+        .expect("plates");
+    let mut problem = Problem::standard(&lens);
+    problem.merit = automatic();
+    problem.constraints.push(Constraint { quantity: Quantity::FocalLength, bounds: [50.0, 50.0] });
+    problem.constraints.push(Constraint { quantity: Quantity::Track, bounds: [0.0, 60.0] });
+    problem
+}
+
+/// A triplet comes out of plane plates, the same one with one thread and with two.
+#[test]
+fn plane_plates_become_a_triplet_whatever_the_threads() {
+    let plan = Plan { starts: 32, hops: 1, ..Plan::default() };
+    let found = [1, 2].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+        pool.install(|| search(&plates(), &plan, &mut |_| true)).expect("a search")
+    });
+    let best = found[0].first().expect("a lens");
+    assert!(best.rms_mm[1] < 0.02, "{}", best.rms_mm[1]);
+    let [one, two] = found.each_ref().map(|f| f.iter().map(|o| o.lens.clone()).collect::<Vec<_>>());
+    assert_eq!(one, two);
+}
+
+#[test]
+fn glasses_end_as_real_ones() {
+    let lens = shipped("cooke_triplet");
+    let mut problem = Problem::standard(&lens);
+    problem.merit = automatic();
+    let media: Vec<Medium> = Glasses::shipped().media().cloned().collect();
+    let found = glass::choose(&problem, &[0, 2, 4], &media, Limits::default(), &mut |_| true).expect("glasses");
+    let kept = run(&problem);
+    for i in [0, 2, 4] {
+        assert!(matches!(found.lens.surfaces[i].medium, Medium::Glass { .. }), "{}", found.lens.surfaces[i].medium);
+    }
+    assert!(found.rms_mm[1] < kept.rms_mm[1], "{:?} {:?}", found.rms_mm, kept.rms_mm);
+}
+
+/// What a file may say wrongly is one error that names place and value.
+#[test]
+fn files_are_read_or_refused() {
+    let lens = shipped("three_element");
+    let refused = |text: &str| {
+        Spec::from_toml(text, "m.toml").and_then(|s| s.problem(&lens, "m.toml")).expect_err(text).to_string()
+    };
+    for (text, said) in [
+        ("vary = ['surface[*].radius']", "surface[*].radius"),
+        ("quality = 'blur'", "blur; spot or wavefront"),
+        ("fields = [0.0, 2.0]", "fields: 2"),
+        ("rings = 0", "rings: 0"),
+        ("constraints = { weight = 3.0 }", "weight"),
+        ("constraints = { track = [5.0, 1.0] }", "track: 5 to 1"),
+        ("bounds = { 'surface[0].thickness' = [3.0, 2.0] }", "surface[0].thickness: 3 to 2"),
+        ("depths_mm = [-1.0]", "depths"),
+        ("ring = 3", "line 1"),
+        ("fix = ['surface[*].curvature', 'surface[*].thickness']", "fix"),
+    ] {
+        let error = refused(text);
+        assert!(error.starts_with("m.toml: ") && error.contains(said), "{text}: {error}");
+    }
+    let text = "vary = ['surface[*].curvature', 'surface[1].a4', 'surface[0].n_d']\nconstraints = { focal_length = 50.0, \
+                distortion = [-0.02, 0.02] }\nbounds = { 'surface[0].n_d' = [1.48, 1.6] }\ndepths_mm = [1000.0, inf]";
+    let problem = Spec::from_toml(text, "m.toml").and_then(|s| s.problem(&lens, "m.toml")).expect("a problem");
+    assert_eq!(problem.variables.parameters.len(), 9);
+    assert!(problem.merit.depths.len() == 2 && problem.bounds.contains(&[1.48, 1.6]));
+    assert_eq!(Range::parse("..3", "f").expect("a range"), Range::Two([f64::NEG_INFINITY, 3.0]));
+    assert!(Range::parse("a..b", "f").is_err());
+}
