@@ -72,6 +72,8 @@ pub fn choose(
     }
     let mut free = freed(problem, surfaces)?;
     let mut best = optimize(&free, limits, watch)?;
+    // Before: the start with its glasses as pairs of numbers.
+    let first = best.rms_mm[0];
     let mut left = surfaces.to_vec();
     while let Some(i) = left.pop() {
         let [n, v] = best.lens.surfaces[i].medium.pair();
@@ -104,6 +106,7 @@ pub fn choose(
         };
         (free, best) = (Problem { lens: outcome.lens.clone(), ..trial }, outcome);
     }
+    best.rms_mm[0] = first;
     Ok(best)
 }
 
