@@ -138,7 +138,7 @@ fn surface(
             };
             let (n, v) = lines_of(medium);
             let _ = writeln!(out, "  GLAS {name} 0 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
-            if !catalogues.iter().any(|c| *c == catalogue) {
+            if !catalogues.contains(&catalogue) {
                 catalogues.push(catalogue);
             }
         }

@@ -37,7 +37,7 @@ struct Catalogue {
 }
 
 /// The catalogues that names are looked up in.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Glasses {
     catalogues: Vec<Catalogue>,
     /// Names that stand for others because somebody said so.

@@ -9,7 +9,7 @@ use isoplanat::trace::health::Verdict;
 /// Arguments of `check`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (TOML), or the name of a shipped lens
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
     lens: String,
     /// Figures to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]

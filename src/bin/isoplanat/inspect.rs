@@ -8,7 +8,7 @@ use isoplanat::report::listing::Listing;
 /// Arguments of `inspect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (TOML), or the name of a shipped lens such as `cooke_triplet`
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
     lens: String,
     /// Wavelength of the first-order data, nm [default: the lens's primary wavelength]
     #[arg(long, allow_negative_numbers = true, value_name = "NM")]

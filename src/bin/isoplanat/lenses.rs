@@ -3,10 +3,10 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::atomic;
-use isoplanat::lens::{Lens, builtin};
+use isoplanat::lens::{Lens, builtin, prescription};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::library::Library;
+use isoplanat::{Result, atomic};
 
 /// The file that tells a folder of this command.
 const MARKER: &str = "lenses.csv";
@@ -14,6 +14,8 @@ const MARKER: &str = "lenses.csv";
 /// Arguments of `lenses`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
+    /// Lens files (.toml, .zmx, .seq, .json, .txt) or names of shipped lenses [default: all shipped lenses]
+    lens: Vec<String>,
     /// Folder for the lens files, a drawing (SVG) of each, the table as lenses.csv, and index.html that shows all of it
     #[arg(short, long, value_name = "DIR")]
     output: Option<PathBuf>,
@@ -36,8 +38,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.output {
         atomic::check_folder(folder, MARKER, args.force)?;
     }
-    let lenses = builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), builtin::lens(name)?)));
-    let lenses = lenses.collect::<isoplanat::Result<Vec<(String, Lens)>>>()?;
+    let lenses = if args.lens.is_empty() { shipped()? } else { given(&args.lens)? };
     let library = Library::new(lenses.iter().cloned());
     if let Some(folder) = &args.output {
         atomic::write_folder(folder, MARKER, args.force, |folder| fill(folder, &library, &lenses))?;
@@ -53,11 +54,29 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
+fn shipped() -> Result<Vec<(String, Lens)>> {
+    builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), builtin::lens(name)?))).collect()
+}
+
+/// The named lenses, each called as its file; files of one name are told apart by numbers.
+fn given(names: &[String]) -> Result<Vec<(String, Lens)>> {
+    let mut all: Vec<(String, Lens)> = Vec::new();
+    for name in names {
+        let stem = Path::new(name).file_stem().map_or_else(|| name.clone(), |s| s.to_string_lossy().into_owned());
+        let taken = |n: &str| all.iter().any(|(other, _)| other.eq_ignore_ascii_case(n));
+        let free = (1..).map(|k| if k == 1 { stem.clone() } else { format!("{stem}-{k}") }).find(|n| !taken(n));
+        all.push((free.unwrap_or(stem), crate::input::lens(name)?));
+    }
+    Ok(all)
+}
+
 /// Writes everything of the lenses into `folder`.
-fn fill(folder: &Path, library: &Library, lenses: &[(String, Lens)]) -> isoplanat::Result<()> {
+fn fill(folder: &Path, library: &Library, lenses: &[(String, Lens)]) -> Result<()> {
     let put = |name: &str, text: &str| atomic::write_bytes(&folder.join(name), text.as_bytes());
-    for ((name, lens), (_, text)) in lenses.iter().zip(builtin::LENSES) {
-        put(&format!("{name}.toml"), text)?;
+    for (name, lens) in lenses {
+        // A shipped file has comments beside its numbers.
+        let own = builtin::LENSES.iter().find(|(n, _)| n == name && builtin::lens(n).is_ok_and(|l| l == *lens));
+        put(&format!("{name}.toml"), &own.map_or_else(|| prescription::to_toml(lens), |(_, text)| (*text).to_owned()))?;
         put(&format!("{name}.svg"), &lens_svg(lens))?;
     }
     put("index.html", &library.page())?;

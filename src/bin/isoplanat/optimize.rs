@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use isoplanat::interchange::{Form, text_of};
 use isoplanat::lens::{Lens, Medium, prescription};
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, glasses};
@@ -16,10 +17,10 @@ use crate::progress::Bar;
 /// Arguments of `optimize`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (TOML), or the name of a shipped lens such as `cooke_triplet`
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
     lens: String,
-    /// Where the better lens goes (TOML)
-    #[arg(short, long, value_name = "OUT.toml")]
+    /// Where the better lens goes (.toml, .zmx, .seq)
+    #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// What to judge, move and hold (TOML); flags count more
     #[arg(long, value_name = "FILE")]
@@ -82,6 +83,11 @@ pub(crate) struct Args {
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let form = Form::of(&args.output)?;
+    if matches!(form, Form::Json | Form::Txt) {
+        let file = args.output.display().to_string();
+        return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
+    }
     for path in std::iter::once(&args.output).chain(&args.svg) {
         crate::output::check_writable(path, args.force)?;
     }
@@ -100,6 +106,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let until = Duration::try_from_secs_f64(60.0 * minutes).ok().and_then(|d| Instant::now().checked_add(d));
     let lens = crate::input::lens(&args.lens)?;
+    // What the form cannot say is told before the work.
+    text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
     let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
@@ -146,7 +154,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         glass::choose(&from, &surfaces, &media, limits, &mut tell)?
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
-    prescription::save(&outcome.lens, &args.output)?;
+    let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
+    crate::output::put(&better, Some(&args.output), out)?;
     if let Some(path) = &args.svg {
         crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), out)?;
     }

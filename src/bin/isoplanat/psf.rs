@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 /// Arguments of `psf`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (TOML), or the name of a shipped lens
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
     lens: String,
     /// Where to put the kernels (NumPy `.npz`)
     #[arg(short, long, value_name = "OUT.npz")]

@@ -8,7 +8,7 @@ use isoplanat::trace::exact;
 /// Arguments of `trace`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (TOML), or the name of a shipped lens
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
     lens: String,
     /// Launch rays (JSON, see models/README.md); `-` reads stdin
     #[arg(long, value_name = "RAYS.json")]

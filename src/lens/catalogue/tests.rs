@@ -62,7 +62,7 @@ fn names_are_found_or_refused() {
     // A range beyond a pole of the formula (0.9 µm) is the part that holds the most.
     let text = "NM EP 2 0 0 0\nCD 1.49489608 0.0197146484 0.154736328 0.0885113938 -9.57877767e-06 0.811138467\nLD 0.404656 1.08303\n";
     std::fs::write(folder.path().join("pole.agf"), text).expect("written");
-    let mut poles = Glasses { catalogues: Vec::new() };
+    let mut poles = Glasses::default();
     poles.add(&folder.path().join("pole.agf")).expect("read");
     let [short, long] = poles.find("EP", &[]).expect("a glass").range_nm();
     assert!(short == 404.656 && (880.0..900.6).contains(&long), "{short} to {long}");
@@ -98,7 +98,7 @@ fn catalogues_agree_with_reference_indices() {
     let (mut compared, mut worst) = (0, 0.0f64);
     for (key, entry) in all.as_object().expect("object") {
         let (file, name) = key.split_once('/').expect("file and glass");
-        let mut glasses = Glasses { catalogues: Vec::new() };
+        let mut glasses = Glasses::default();
         glasses.add(&folder.join("agf").join(file)).expect(file);
         let medium = glasses.find(name, &[]).expect(key);
         for (um, n) in entry["n"].as_object().expect("object") {
@@ -109,7 +109,7 @@ fn catalogues_agree_with_reference_indices() {
     }
     eprintln!("{compared} indices, off by {worst:.1e} at most");
     assert!(compared > 600 && worst < 5.1e-8, "{compared} indices, {worst:e}");
-    let (mut glasses, mut refused) = (Glasses { catalogues: Vec::new() }, Vec::new());
+    let (mut glasses, mut refused) = (Glasses::default(), Vec::new());
     glasses.add(&folder.join("agf")).expect("all catalogues");
     glasses.add(&folder.join("refractiveindex_info")).expect("all pages");
     for c in &glasses.catalogues {
@@ -161,7 +161,7 @@ fn mutated_catalogues_are_read_or_refused() {
         }
         let path = folder.path().join(name);
         std::fs::write(&path, &bytes).expect("written");
-        let mut glasses = Glasses { catalogues: Vec::new() };
+        let mut glasses = Glasses::default();
         match glasses.add(&path) {
             Err(e) => {
                 refused += 1;
