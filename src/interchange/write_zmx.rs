@@ -54,11 +54,15 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
 
 /// The catalogues in an order in which every glass is found as itself: several have glasses of one name.
 fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec<String>> {
+    let colours: Vec<f64> = lens.wavelengths.nm.iter().copied().chain([lens.wavelengths.primary_nm]).collect();
     // Each wrong find moves the right catalogue before the wrong one; a circle ends it.
     for _ in 0..=names.len() * names.len() {
         let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
             let (catalogue, name) = glasses.named_as(&s.medium)?;
-            (!glasses.find_spelled(&name, &names).is_ok_and(|m| m == s.medium)).then_some((i, catalogue))
+            let found = glasses.find_spelled(&name, &names);
+            // A newer edition of a catalogue may give the glass another range, and the same indices.
+            let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - s.medium.index(*nm)).abs() <= 1e-12);
+            (!found.is_ok_and(alike)).then_some((i, catalogue))
         });
         let Some((i, catalogue)) = wrong else { return Ok(names) };
         match names.iter().position(|n| *n == catalogue) {

@@ -15,13 +15,15 @@ const AIR: f64 = 0.002;
 /// Thickest glass and air, in focal lengths, and by how much a thicker start may grow.
 const THICKEST: f64 = 0.3;
 const GROWTH: f64 = 1.5;
+/// How much longer a lens may become.
+const LONGER: f64 = 1.2;
 /// Steepest surface (56°), and how far a conic may go towards its edge.
 const SLOPE: f64 = 1.5;
 const REACH: f64 = 0.9;
 
 impl Problem {
-    /// Curvatures of refracting surfaces and all thicknesses within [`Self::bounds_of`]; the focal length held; glass and air kept open
-    /// ([`Self::room`]); spots over the field.
+    /// Curvatures of refracting surfaces and all thicknesses within [`Self::bounds_of`]; the focal length held, the length to 1.2 of the
+    /// start's; glass and air kept open ([`Self::room`]); spots over the field.
     pub fn standard(lens: &Lens) -> Self {
         let n = lens.indices(lens.wavelengths.primary_nm);
         let chosen = |p: &Parameter| match p.kind {
@@ -30,6 +32,11 @@ impl Problem {
             _ => false,
         };
         let mut constraints = Self::focal_length(lens);
+        if !constraints.is_empty() {
+            // Left alone, lenses grow without end.
+            let bounds = [f64::NEG_INFINITY, LONGER * lens.length()];
+            constraints.push(Constraint { quantity: Quantity::Track, bounds });
+        }
         constraints.extend(Self::room(lens));
         Self::new(lens, Parameter::all(lens).filter(chosen).collect(), constraints, Merit::default())
     }
