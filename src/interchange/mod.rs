@@ -1,7 +1,7 @@
 //! Lens files of other programs: Zemax OpticStudio `.zmx`, CODE V `.seq`, JSON of DeepLens and Optiland, DiffOptics `.txt`.
 //!
-//! A reader makes a [`draft::Draft`]: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
-//! those without effect on rays, or is refused with its line. [`finish`] makes the lens of a draft: glasses are looked up in the file's own
+//! A reader makes a `Draft`: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
+//! those without effect on rays, or is refused with its line. `finish` makes the lens of a draft: glasses are looked up in the file's own
 //! catalogues first, planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
 //! clear semi-diameters that the file leaves to its program follow from the beam ([`crate::trace::apertures`]). What was left out or
 //! assumed is returned as notes, one line each, for the program to print.

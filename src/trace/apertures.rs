@@ -21,6 +21,8 @@ const RIM_POINTS: u32 = 32;
 const GENEROUS: [f64; 4] = [1.5, 2.5, 5.0, 10.0];
 /// Steepest chief ray of the paraxial estimate: 76°.
 const STEEPEST: f64 = 4.0;
+/// Rays that fail are sought long: after so many of them, beams that end early are taken as they are.
+const FAILURES: u32 = 500;
 /// The rim's own rays pass, whatever the rounding.
 const MARGIN: f64 = 1.0 + 1e-6;
 
@@ -83,6 +85,7 @@ fn opened(lens: &Prescription, marked: &[bool], nm: f64, generous: f64) -> Syste
 pub fn open(lens: &mut Prescription, marked: &[bool], beams: &[Beam]) -> Vec<f64> {
     let mut dark = Vec::new();
     let mut heights = Vec::new();
+    let mut failures = 0;
     for generous in GENEROUS {
         let [short, long] = lens.wavelengths.ends_nm();
         (heights, dark) = (vec![0.0f64; lens.surfaces.len()], Vec::new());
@@ -91,14 +94,14 @@ pub fn open(lens: &mut Prescription, marked: &[bool], beams: &[Beam]) -> Vec<f64
             let system = opened(lens, marked, nm, generous);
             let Ok(aimer) = Aimer::new(&system) else { continue };
             for beam in beams {
-                let (arrives, whole) = follow(lens, &aimer, marked, beam, &mut heights);
+                let (arrives, whole) = follow(lens, &aimer, marked, beam, &mut heights, &mut failures);
                 lost |= !whole;
                 if !arrives && !dark.contains(&beam.angle) {
                     dark.push(beam.angle);
                 }
             }
         }
-        if !lost {
+        if !lost || failures > FAILURES {
             break;
         }
     }
@@ -112,7 +115,14 @@ pub fn open(lens: &mut Prescription, marked: &[bool], beams: &[Beam]) -> Vec<f64
 
 /// Raises `heights` to where the rays of `beam` meet the surfaces; whether any ray arrives, and whether every one ended at an aperture
 /// that the lens states, if it ended.
-fn follow(lens: &Prescription, aimer: &Aimer, marked: &[bool], beam: &Beam, heights: &mut [f64]) -> (bool, bool) {
+fn follow(
+    lens: &Prescription,
+    aimer: &Aimer,
+    marked: &[bool],
+    beam: &Beam,
+    heights: &mut [f64],
+    failures: &mut u32,
+) -> (bool, bool) {
     let system = aimer.system();
     let object = ObjectPoint::in_field(lens, beam.angle, beam.azimuth);
     let aim =
@@ -147,16 +157,20 @@ fn follow(lens: &Prescription, aimer: &Aimer, marked: &[bool], beam: &Beam, heig
             other => {
                 let why = other.map_or_else(Some, |r| r.end.err());
                 whole &= why.is_some_and(|f| stated(&f));
+                *failures += 1;
                 // The last point that arrives on the way from the middle.
                 let (mut low, mut high) = (0.0, 1.0);
-                for _ in 0..12 {
+                for _ in 0..if *failures > FAILURES { 0 } else { 12 } {
                     let at = 0.5 * (low + high);
                     match aim(middle + at * (rim - middle), Some(&centre.aimed)) {
                         Ok(ray) if ray.end.is_ok() => {
                             count(&ray);
                             low = at;
                         }
-                        _ => high = at,
+                        _ => {
+                            *failures += 1;
+                            high = at;
+                        }
                     }
                 }
             }

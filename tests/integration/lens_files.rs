@@ -45,11 +45,8 @@ fn by_rays(lens: &Lens) -> f64 {
     -y / (landed.direction.y / landed.direction.z)
 }
 
-const REFUSED: [(&str, &str); 3] = [
-    ("HoO-V2C18Ex03.zmx", "mirror"),
-    ("US05331467-1_photo_prime.zmx", "obscuration"),
-    ("edmund_37992.zmx", "coordinate break"),
-];
+const REFUSED: [(&str, &str); 3] =
+    [("HoO-V2C18Ex03.zmx", "mirror"), ("US05331467-1_photo_prime.zmx", "mirror"), ("edmund_37992.zmx", "mirror")];
 
 #[test]
 fn published_files_have_their_focal_lengths() {
@@ -160,9 +157,12 @@ fn written_files_give_the_same_rays() {
                     same_rays(lens, &again.lens, &format!("{name} as {form:?}"));
                     written[k] += 1;
                 }
-                // What a form cannot say is refused with a reason: r² and odd terms in CODE V, tables in Zemax.
+                // What a form cannot say is refused with a reason: r² and odd terms in CODE V, in Zemax tables and two glasses that
+                // bear the names of two catalogues crosswise.
                 Err(e) => {
-                    assert!(e.to_string().contains("r² term") || e.to_string().contains("no tables"), "{name}: {e}")
+                    let reasons = ["r² term", "no tables", "one list of catalogues"];
+                    assert!(reasons.iter().any(|r| e.to_string().contains(r)), "{name}: {e}");
+                    eprintln!("{e}");
                 }
             }
         }

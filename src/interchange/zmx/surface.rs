@@ -166,9 +166,6 @@ impl Raw {
 
     /// The surface in mm.
     fn stage(&self, scale: f64, file: &str, notes: &mut Vec<String>) -> Result<Stage> {
-        if self.mirror {
-            return Err(self.refused(file, "a mirror (GLAS MIRROR)", "refracting surfaces"));
-        }
         if self.tilted {
             return Err(self.refused(file, "a tilted or decentred surface (SCBD)", "surfaces on one axis"));
         }
@@ -206,6 +203,10 @@ pub(super) fn put(draft: &mut Draft, surfaces: Vec<Raw>, scale: f64, file: &str)
         if s.curvature != 0.0 || !["STANDARD"].contains(&s.kind.as_str()) {
             return Err(s.refused(file, format!("a curved {what}"), &format!("a plane {what}")));
         }
+    }
+    // What a mirror brings along (breaks, holes, distances backwards) is not the reason.
+    if let Some(s) = middle.iter().find(|s| s.mirror) {
+        return Err(s.refused(file, "a mirror (GLAS MIRROR)", "refracting surfaces"));
     }
     draft.object_mm = object.thickness * scale;
     if object.glass.is_some() {

@@ -26,7 +26,7 @@ fn formula(number: &str) -> Option<Formula> {
 pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     let form = "a page of refractiveindex.info with a list DATA";
-    let pages = YamlLoader::load_from_str(text).map_err(|e| refuse("form", e.to_string(), form))?;
+    let pages = YamlLoader::load_from_str(text).map_err(|e| refuse("form", e.to_string().replace('\n', " "), form))?;
     let page = pages.first().unwrap_or(&Yaml::BadValue);
     let blocks = page["DATA"].as_vec().ok_or_else(|| refuse("DATA", "no list".into(), form))?;
     if page["CONDITIONS"]["n_is_absolute"].as_bool() == Some(true) {
@@ -38,8 +38,11 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
         Yaml::Integer(n) => n.to_string(),
         _ => String::new(),
     };
-    let numbers =
-        |place: &str, text: &str| finite(text).ok_or_else(|| refuse(place, text.to_owned(), "finite numbers"));
+    let numbers = |place: &str, text: &str| {
+        let no_number = |w: &&str| !w.parse::<f64>().is_ok_and(f64::is_finite);
+        let word = || text.split_whitespace().find(no_number).unwrap_or("").chars().take(40).collect::<String>();
+        finite(text).ok_or_else(|| refuse(place, format!("`{}`", word()), "finite numbers"))
+    };
     // What says nothing of the index (extinction) is passed over; the first that does counts.
     for block in blocks {
         let kind = words(&block["type"]);

@@ -179,3 +179,14 @@ fn mutated_catalogues_are_read_or_refused() {
     }
     assert!(read > 500 && refused > 500, "{read} read, {refused} refused");
 }
+
+/// A page whose table has a word that is no number: one line that names the word (found by fuzzing).
+#[test]
+fn a_page_with_a_word_among_its_numbers_is_one_line() {
+    let folder = tempfile::tempdir().expect("made");
+    let path = folder.path().join("a.yml");
+    std::fs::write(&path, "DATA:\n  - type: tabulated n\n    data: |\n        0.40 1.50\n        0.41 1x4\n")
+        .expect("written");
+    let error = Glasses::default().add(&path).expect_err("a word").to_string();
+    assert!(error.contains("DATA.data: `1x4`; finite numbers") && !error.contains('\n'), "{error}");
+}

@@ -66,7 +66,7 @@ impl Rows {
         &self.record.rays[surface + 1]
     }
 
-    /// Pulls cotangents of the rays behind the surface `last` back; `fill` writes them (zero before). [`Self::row`] has the
+    /// Pulls cotangents of the rays behind the surface `last` back; `fill` writes them (zero before). `row` has the
     /// derivatives afterwards, and what is returned those by the launch rays.
     ///
     /// # Panics
