@@ -6,6 +6,7 @@ use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::{Imported, order};
 use crate::error::{Error, Result};
 use crate::lens::catalogue::Glasses;
+use crate::lens::check::check_surface;
 use crate::lens::{Aperture, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial};
 use crate::trace::apertures::{self, Beam};
 
@@ -53,6 +54,11 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     };
     // Each number by itself, before rays go through them.
     numbers.check_numbers(file).map_err(|e| placed(e, &stages))?;
+    for (i, (s, stage)) in numbers.surfaces.iter().zip(&stages).enumerate() {
+        if stage.semi_diameter.is_some() {
+            check_surface(s, &format!("surface[{i}]"), file).map_err(|e| placed(e, &stages))?;
+        }
+    }
     let mut notes = std::mem::take(&mut draft.notes);
     let marked: Vec<bool> = stages.iter().map(|s| s.semi_diameter.is_none()).collect();
     meet(&mut numbers, &stages, &marked, &mut notes);

@@ -124,7 +124,7 @@ fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
 }
 
 /// What the numbers of a surface must be to each other.
-fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
+pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
     let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
     if semi_diameter >= shape.reach() {
         let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());

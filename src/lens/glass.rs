@@ -76,7 +76,10 @@ impl Medium {
             Self::Air => [0.0, f64::INFINITY],
             Self::Cauchy { .. } => CAUCHY_NM,
             Self::Glass { range_nm, .. } => *range_nm,
-            Self::Table { wavelength_nm: nm, .. } => [nm[0] - PAST_TABLE_NM, nm[nm.len() - 1] + PAST_TABLE_NM],
+            Self::Table { wavelength_nm: nm, .. } => match nm[..] {
+                [] => [f64::INFINITY, f64::NEG_INFINITY],
+                [first, ..] => [first - PAST_TABLE_NM, nm[nm.len() - 1] + PAST_TABLE_NM],
+            },
         }
     }
 
@@ -100,13 +103,16 @@ impl Medium {
             }
             Self::Glass { dispersion, .. } => dispersion.index(um_from_nm(nm)),
             Self::Table { wavelength_nm, index } => {
+                // Lists of two lengths are refused by the check; before it the shorter one counts.
+                let count = wavelength_nm.len().min(index.len());
+                let (wavelength_nm, index) = (&wavelength_nm[..count], &index[..count]);
                 if let Some(i) = wavelength_nm.iter().position(|w| (w - nm).abs() < 1e-9) {
                     return index[i];
                 }
-                if index.len() == 1 {
-                    return index[0];
+                if count < 2 {
+                    return index.first().copied().unwrap_or(f64::NAN);
                 }
-                let i = wavelength_nm.partition_point(|w| *w < nm).clamp(1, index.len() - 1);
+                let i = wavelength_nm.partition_point(|w| *w < nm).clamp(1, count - 1);
                 let (u0, u1) = (inverse_square(wavelength_nm[i - 1]), inverse_square(wavelength_nm[i]));
                 let t = (inverse_square(nm) - u0) / (u1 - u0);
                 index[i - 1] + t * (index[i] - index[i - 1])

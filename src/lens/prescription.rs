@@ -396,6 +396,9 @@ mod tests {
             ("distance_mm = 1000.0", "distance_mm = -3.0", "distance_mm"),
             ("entrance_pupil_diameter_mm = 12.5", "", "aperture"),
             ("columns = 4096", "columns = 0", "columns"),
+            // Found by fuzzing: the index was asked for before the lists' lengths.
+            ("\"air\"", "{ wavelength_nm = [400.0, 500.0, 700.0], index = [1.6, 1.5] }", "as many indices"),
+            ("\"air\"", "{ wavelength_nm = [], index = [] }", "as many indices"),
             ("nm = [486.1327, ", "nm = [", "as many weights"),
         ];
         for (from, to, expected) in cases {

@@ -160,11 +160,24 @@ mod tests {
             let Some(path) = shared(&format!("golden/{name}.json")) else { return };
             let golden: serde_json::Value =
                 serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON");
-            let sums = per_surface(&golden_lens(&golden), 587.5618);
+            let lens = golden_lens(&golden);
+            let sums = per_surface(&lens, 587.5618);
             let largest = sums.iter().flat_map(|s| s.to_array()).fold(0.0, |m: f64, x| m.max(x.abs()));
             let expected = golden["seidel"]["reference_SI_SV"].as_array().expect("list");
             for (k, (a, b)) in total(&sums).to_array().iter().zip(expected).enumerate() {
                 assert_abs(*a, number(b), 1e-13 * largest, &format!("{name} S{}", k + 1));
+            }
+            let (f, reference) =
+                (paraxial::first_order(&lens, 587.5618), &golden["paraxial_d_line"]["reference_40digit"]);
+            for (key, value) in [
+                ("efl", f.effective_focal_length),
+                ("bfl", f.back_focal_length),
+                ("fno", f.f_number),
+                ("entrance_pupil_from_first_vertex", f.entrance_pupil_position),
+                ("exit_pupil_from_last_vertex", f.exit_pupil_position),
+            ] {
+                let expected = number(&reference[key]);
+                assert_rel(value, expected, 1e-12, 1e-3 * f.effective_focal_length.abs(), &format!("{name} {key}"));
             }
         }
     }

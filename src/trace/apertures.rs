@@ -22,7 +22,7 @@ const GENEROUS: [f64; 4] = [1.5, 2.5, 5.0, 10.0];
 /// Steepest chief ray of the paraxial estimate: 76°.
 const STEEPEST: f64 = 4.0;
 /// Rays that fail are sought long: after so many of them, beams that end early are taken as they are.
-const FAILURES: u32 = 500;
+const FAILURES: u32 = 150;
 /// The rim's own rays pass, whatever the rounding.
 const MARGIN: f64 = 1.0 + 1e-6;
 
