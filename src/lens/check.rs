@@ -113,10 +113,10 @@ fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
         if index.is_empty()
             || index.len() != wavelength_nm.len()
             || !ascending
-            || !wavelength_nm.iter().all(|w| *w > 0.0)
+            || !wavelength_nm.iter().all(|w| (100.0..=1e5).contains(w))
         {
             let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
-            let allowed = "ascending wavelengths, as many indices from 1 to 5";
+            let allowed = "ascending wavelengths from 100 to 100000 nm, as many indices from 1 to 5";
             return Err(Error::bad(file, format!("{place}.medium"), found, allowed));
         }
     }

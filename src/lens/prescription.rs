@@ -399,6 +399,7 @@ mod tests {
             // Found by fuzzing: the index was asked for before the lists' lengths.
             ("\"air\"", "{ wavelength_nm = [400.0, 500.0, 700.0], index = [1.6, 1.5] }", "as many indices"),
             ("\"air\"", "{ wavelength_nm = [], index = [] }", "as many indices"),
+            ("\"air\"", "{ wavelength_nm = [1e-155, 700.0], index = [1.6, 1.5] }", "as many indices"),
             ("nm = [486.1327, ", "nm = [", "as many weights"),
         ];
         for (from, to, expected) in cases {
