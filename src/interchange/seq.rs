@@ -231,13 +231,12 @@ impl Reader<'_> {
     }
 
     fn private_glass(&mut self, keyword: &str, name: &str, line: &Line) -> Result<()> {
-        let numbers = |line: &Line| few(line);
         match keyword {
             "END" => self.private = None,
-            "PWL" => self.private = Some(numbers(line)?),
+            "PWL" => self.private = Some(few(line)?),
             _ => {
                 let wavelengths = self.private.clone().unwrap_or_default();
-                let indices = numbers(line)?;
+                let indices = few(line)?;
                 if wavelengths.is_empty() || wavelengths.len() != indices.len() {
                     let found = format!("{} indices of `{}`", indices.len(), shown(name));
                     return Err(

@@ -205,8 +205,11 @@ impl Glasses {
     /// Takes `glass` wherever a lens names `name`; refused where `glass` is none.
     ///
     /// # Errors
-    /// An unknown glass in the place of the other.
+    /// An unknown glass in the place of the other; a glass in the place of air.
     pub fn take_instead(&mut self, name: &str, glass: &str) -> Result<()> {
+        if name.eq_ignore_ascii_case("air") {
+            return Err(Error::bad("", "medium", "a glass for air", "the name of a glass"));
+        }
         self.find_spelled(glass, &[])?;
         self.instead.push((name.to_owned(), glass.to_owned()));
         Ok(())
@@ -224,12 +227,16 @@ impl Glasses {
     /// # Errors
     /// An unknown name (with near ones), several glasses of that name, an entry that is no dispersion. The error names no file.
     pub fn find(&self, name: &str, preferred: &[String]) -> Result<Medium> {
+        match self.instead_of(name) {
+            Some(glass) => self.listed_spelled(glass, &[]),
+            None => self.listed(name, preferred),
+        }
+    }
+
+    /// [`Self::find`] by the catalogues alone, whatever is taken instead.
+    fn listed(&self, name: &str, preferred: &[String]) -> Result<Medium> {
         if name.eq_ignore_ascii_case("air") {
             return Ok(Medium::Air);
-        }
-        if let Some(glass) = self.instead_of(name) {
-            let plain = Self { catalogues: self.catalogues.clone(), instead: Vec::new() };
-            return plain.find_spelled(glass, &[]);
         }
         let bad = |found: String, allowed: String| Error::bad("", "medium", found, allowed);
         let (of, short) = match name.split_once('/') {
@@ -273,9 +280,14 @@ impl Glasses {
     /// # Errors
     /// As [`Self::find`].
     pub fn find_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
-        if self.instead_of(name).is_some() {
-            return self.find(name, preferred);
+        match self.instead_of(name) {
+            Some(glass) => self.listed_spelled(glass, &[]),
+            None => self.listed_spelled(name, preferred),
         }
+    }
+
+    /// [`Self::find_spelled`] by the catalogues alone.
+    fn listed_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
         let (of, short) = match name.split_once('/') {
             Some((of, short)) => (self.catalogues.iter().find(|c| c.name.eq_ignore_ascii_case(of)), short),
             None => (None, name),
@@ -290,7 +302,7 @@ impl Glasses {
             ));
         }
         let exact = of.map_or_else(|| short.to_owned(), |c| format!("{}/{short}", c.name));
-        let result = self.find(&exact, preferred);
+        let result = self.listed(&exact, preferred);
         if result.is_ok() || name.is_empty() {
             return result;
         }
@@ -304,7 +316,7 @@ impl Glasses {
         names.sort_unstable();
         names.dedup();
         match names[..] {
-            [one] => self.find(&of.map_or_else(|| one.to_owned(), |c| format!("{}/{one}", c.name)), preferred),
+            [one] => self.listed(&of.map_or_else(|| one.to_owned(), |c| format!("{}/{one}", c.name)), preferred),
             _ => result,
         }
     }

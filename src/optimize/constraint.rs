@@ -43,6 +43,17 @@ pub struct Constraint {
     pub bounds: [f64; 2],
 }
 
+/// A quantity that is wanted near a value without being held: its deviation counts beside the rays.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Target {
+    /// What is wanted.
+    pub quantity: Quantity,
+    /// Near which value.
+    pub value: f64,
+    /// By how many mm of rms a unit of deviation counts.
+    pub weight: f64,
+}
+
 impl Quantity {
     /// As messages and files call it.
     pub fn name(self) -> String {
@@ -58,6 +69,11 @@ impl Quantity {
             Self::Distortion(k) => format!("distortion[{k}]"),
             Self::GlassLine(i) => format!("surface[{i}].glass_line"),
         }
+    }
+
+    /// Whether the solver sees it as a function of the power, which a value of 0 has not.
+    pub(super) fn is_inverse(self) -> bool {
+        matches!(self, Self::FocalLength | Self::FNumber)
     }
 
     /// Its unit, for tables.
@@ -100,6 +116,12 @@ impl Held<'_> {
             }
             _ => self.value(quantity),
         }
+    }
+
+    /// What a target adds to the residuals, mm.
+    pub(super) fn residual(&self, target: &Target) -> Value {
+        let value = self.near(target.quantity, target.value);
+        value.map(target.weight * (value.value - target.value), target.weight)
     }
 
     /// The value of `quantity` and its derivatives.

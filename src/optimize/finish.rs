@@ -1,8 +1,9 @@
 //! From numbers to a lens that stands on its own, and what is told of it.
 
-use super::constraint::Quantity;
+use super::constraint::{Quantity, Target};
 use super::merit::Apertures;
-use super::solver::{KEPT, Problem, Solved, Stop};
+use super::problem::{KEPT, Problem, Stop};
+use super::solver::Solved;
 use crate::error::Result;
 use crate::lens::{Lens, Parameter, Prescription};
 
@@ -33,7 +34,7 @@ pub struct Active {
     pub bound: f64,
     /// Whether that is the upper one.
     pub upper: bool,
-    /// How much the rms falls, mm, for each unit that the bound gives way (for equalities: by which the number grows).
+    /// How much the root of the merit falls, mm, for each unit that the bound gives way (for equalities: by which the number grows).
     pub cost: f64,
 }
 
@@ -42,8 +43,11 @@ pub struct Active {
 pub struct Outcome {
     /// The best lens.
     pub lens: Lens,
-    /// Root of the merit before and after, mm. Before: of the start, at the part of aperture and field at which its rays arrive.
+    /// Root of the rays' part of the merit before and after, mm. Before: of the start, at the part of aperture and field at which its
+    /// rays arrive.
     pub rms_mm: [f64; 2],
+    /// Root of the merit after, mm: with what targets add.
+    pub merit_mm: f64,
     /// Largest violation of a constraint, relative to its bound or to 1.
     pub violation: f64,
     /// Why the work ended.
@@ -62,6 +66,8 @@ pub struct Outcome {
     pub active: Vec<Active>,
     /// Constraints with their values in the result.
     pub held: Vec<(Quantity, [f64; 2], f64)>,
+    /// Targets with their values in the result.
+    pub wanted: Vec<(Target, f64)>,
 }
 
 pub(super) struct Spent {
@@ -104,11 +110,11 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         bounds: *bounds,
     });
     let moved: Vec<Moved> = moved.collect();
-    let rms = solved.rms[1];
+    let merit = solved.merit;
     let mut active: Vec<Active> = Vec::new();
     for m in &solved.multipliers {
         // Half the sum of squares falls by the multiplier a unit; the root of the sum by that over itself.
-        let cost = m.value / rms.max(f64::MIN_POSITIVE);
+        let cost = m.value / merit.max(f64::MIN_POSITIVE);
         if let Some(c) = problem.constraints.get(m.of) {
             let bound = c.bounds[usize::from(m.upper)];
             active.push(Active { name: c.quantity.name(), unit: c.quantity.unit(), bound, upper: m.upper, cost });
@@ -121,11 +127,13 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
     }
     active.sort_by(|a, b| b.cost.abs().total_cmp(&a.cost.abs()));
     let held = problem.constraints.iter().zip(&solved.values).map(|(c, v)| (c.quantity, c.bounds, *v)).collect();
+    let wanted = problem.targets.iter().cloned().zip(solved.wanted.iter().copied()).collect();
     let ended = matches!(solved.stop, Stop::Converged | Stop::Stalled) && solved.violation > KEPT;
     let stop = if ended { Stop::Contradiction } else { solved.stop };
     Outcome {
         lens,
-        rms_mm: [spent.first_rms.unwrap_or(solved.rms[0]), rms],
+        rms_mm: [spent.first_rms.unwrap_or(solved.rms[0]), solved.rms[1]],
+        merit_mm: merit,
         violation: solved.violation,
         stop,
         share: spent.reached,
@@ -135,5 +143,6 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         moved,
         active,
         held,
+        wanted,
     }
 }

@@ -3,7 +3,7 @@
 
 use super::constraint::{Constraint, Quantity};
 use super::finish::Outcome;
-use super::solver::{Limits, Problem};
+use super::problem::{KEPT, Limits, Problem};
 use super::{Step, optimize};
 use crate::error::{Error, Result};
 use crate::lens::{Kind, Lens, Medium, Parameter};
@@ -45,7 +45,7 @@ pub fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
         constraints.push(Constraint { quantity: Quantity::GlassLine(*i), bounds: [f64::NEG_INFINITY, 0.0] });
     }
     let free = Problem::new(&lens, parameters, constraints, problem.merit.clone());
-    Ok(Problem { bounds, ..free })
+    Ok(Problem { bounds, targets: problem.targets.clone(), ..free })
 }
 
 /// The lens with the glasses behind `surfaces` chosen among `glasses`.
@@ -91,9 +91,9 @@ pub fn choose(
             let Ok(lens) = best.lens.changed(|l| l.surfaces[i].medium = medium.clone()) else { continue };
             let trial = fixed(&free, &lens, i);
             let Ok(outcome) = optimize(&trial, limits, watch) else { continue };
-            let broken = |o: &Outcome| u8::from(o.violation > super::solver::KEPT);
+            let broken = |o: &Outcome| u8::from(o.violation > KEPT);
             let better = |o: &Outcome| {
-                let less = outcome.rms_mm[1].total_cmp(&o.rms_mm[1]);
+                let less = outcome.merit_mm.total_cmp(&o.merit_mm);
                 broken(&outcome).cmp(&broken(o)).then(less).is_lt()
             };
             if chosen.as_ref().is_none_or(|(_, o)| better(o)) {
@@ -117,5 +117,6 @@ fn fixed(problem: &Problem, lens: &Lens, surface: usize) -> Problem {
     let (parameters, bounds): (Vec<Parameter>, Vec<[f64; 2]>) = all.map(|(p, b)| (*p, *b)).unzip();
     let constraints =
         problem.constraints.iter().filter(|c| c.quantity != Quantity::GlassLine(surface)).cloned().collect();
-    Problem { bounds, ..Problem::new(lens, parameters, constraints, problem.merit.clone()) }
+    let targets = problem.targets.clone();
+    Problem { bounds, targets, ..Problem::new(lens, parameters, constraints, problem.merit.clone()) }
 }

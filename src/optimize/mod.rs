@@ -15,6 +15,9 @@
 //! the multipliers (Nocedal and Wright, Numerical Optimization, 2nd ed., chapters 10, 16, 18). Constraints that contradict each other
 //! end in the smallest violation, and say so.
 //!
+//! **Targets** ([`Target`]) are for what is wanted without being held: their deviations, times weights that say how many mm of rms a
+//! unit of them is worth, are further residuals.
+//!
 //! **Starts whose rays fail** are improved at a smaller aperture and field first, which grow while all rays arrive.
 //!
 //! ```
@@ -35,6 +38,7 @@ pub mod first_order;
 pub mod glass;
 pub mod merit;
 pub mod pattern;
+mod problem;
 mod quadratic;
 mod rays;
 mod residuals;
@@ -44,10 +48,10 @@ mod solver;
 pub mod spec;
 mod standard;
 
-pub use constraint::{Constraint, Quantity};
+pub use constraint::{Constraint, Quantity, Target};
 pub use finish::{Active, Moved, Outcome};
 pub use merit::{Apertures, Merit, Quality, Reference};
-pub use solver::{Limits, Problem, Step, Stop};
+pub use problem::{Limits, Problem, Step, Stop};
 
 use crate::error::{Error, Result};
 use crate::lens::Lens;
@@ -85,7 +89,7 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
                 if first_rms.is_none() {
                     first_rms = Some(solved.rms[0]);
                 }
-                let stopped = solved.stop == Stop::Time;
+                let stopped = matches!(solved.stop, Stop::Time | Stop::Asked);
                 let next = finish::lens_of(problem, &solved);
                 last = Some(solved);
                 let Ok(next) = next else { break };

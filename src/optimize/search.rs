@@ -11,7 +11,7 @@ use rayon::prelude::*;
 
 use super::constraint::Quantity;
 use super::finish::Outcome;
-use super::solver::{KEPT, Limits, Problem, Stop};
+use super::problem::{KEPT, Limits, Problem, Stop};
 use super::{Apertures, Merit, optimize};
 use crate::error::Result;
 use crate::lens::{Kind, Lens, Medium, Parameter, Prescription, paraxial};
@@ -125,13 +125,13 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
 
 /// Whether a lens is worth keeping: all its rays arrive and all constraints hold.
 fn kept(o: &Outcome) -> bool {
-    o.share >= 1.0 && o.violation <= KEPT && o.stop != Stop::Contradiction && o.rms_mm[1].is_finite()
+    o.share >= 1.0 && o.violation <= KEPT && o.stop != Stop::Contradiction && o.merit_mm.is_finite()
 }
 
 /// Adds lenses, the same minimum once, the best first, at most `keep`.
 fn merge(found: &mut Vec<Outcome>, more: Vec<Outcome>, keep: usize) {
     found.extend(more);
-    found.sort_by(|a, b| a.rms_mm[1].total_cmp(&b.rms_mm[1]));
+    found.sort_by(|a, b| a.merit_mm.total_cmp(&b.merit_mm));
     let mut different: Vec<Outcome> = Vec::new();
     for o in found.drain(..) {
         if different.len() < keep && !different.iter().any(|d| same(d, &o)) {
@@ -145,7 +145,7 @@ fn same(a: &Outcome, b: &Outcome) -> bool {
     let near = |(s, t): (&crate::lens::Surface, &crate::lens::Surface)| {
         (s.shape.curvature - t.shape.curvature).abs() * s.semi_diameter.max(t.semi_diameter) < SAME_BEND
     };
-    (a.rms_mm[1] - b.rms_mm[1]).abs() < SAME_RMS * a.rms_mm[1] && a.lens.surfaces.iter().zip(&b.lens.surfaces).all(near)
+    (a.merit_mm - b.merit_mm).abs() < SAME_RMS * a.merit_mm && a.lens.surfaces.iter().zip(&b.lens.surfaces).all(near)
 }
 
 /// The best of many drawn lenses by sums that cost no rays; `None` where no draw is a lens.

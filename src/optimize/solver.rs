@@ -6,88 +6,14 @@ use std::time::Instant;
 use nalgebra::{DMatrix, DVector};
 
 use super::constraint::{Constraint, Held};
-use super::first_order::FirstOrder;
-use super::merit::{Apertures, Merit};
+use super::first_order::{FirstOrder, Value};
+use super::merit::Apertures;
+use super::problem::{KEPT, Limits, Problem, Step, Stop};
 use super::quadratic::{Minimum, Row, minimum};
 use super::rays::{Rays, Slopes, Traced};
 use super::residuals::{jacobian, residuals};
-use crate::lens::variables::Variables;
 use crate::lens::{Lens, Prescription};
 use crate::trace::Failure;
-
-/// Constraints count as kept within this, relative to the bound (or to 1).
-pub(super) const KEPT: f64 = 1e-6;
-
-/// What is solved.
-#[derive(Clone, Debug)]
-pub struct Problem {
-    /// The lens to start from.
-    pub lens: Lens,
-    /// What may move.
-    pub variables: Variables,
-    /// Smallest and largest value of every variable, in the lens's own units.
-    pub bounds: Vec<[f64; 2]>,
-    /// What is held.
-    pub constraints: Vec<Constraint>,
-    /// What is judged.
-    pub merit: Merit,
-}
-
-/// When to stop at the latest.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    /// Accepted and refused steps.
-    pub iterations: usize,
-    /// Relative improvement that is not worth another step.
-    pub tolerance: f64,
-    /// When to stop.
-    pub until: Option<Instant>,
-}
-
-impl Default for Limits {
-    fn default() -> Self {
-        Self { iterations: 200, tolerance: 1e-6, until: None }
-    }
-}
-
-/// Why the work ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Stop {
-    /// No step promises more.
-    Converged,
-    /// As many steps as were allowed.
-    Iterations,
-    /// The time is over, or the caller said so.
-    Time,
-    /// No shorter step helps: rounding, or derivatives that say nothing.
-    Stalled,
-    /// Constraints contradict each other; the least violation was sought.
-    Contradiction,
-}
-
-impl Stop {
-    /// In words.
-    pub fn reason(self) -> &'static str {
-        match self {
-            Self::Converged => "converged: no step promises more",
-            Self::Iterations => "the number of steps allowed is used up",
-            Self::Time => "the time is over",
-            Self::Stalled => "no shorter step helps: the derivatives promise what rays do not keep",
-            Self::Contradiction => "the constraints contradict each other: the smallest violation was sought",
-        }
-    }
-}
-
-/// Where the solver is.
-#[derive(Clone, Copy, Debug)]
-pub struct Step {
-    /// Steps tried.
-    pub iteration: usize,
-    /// Root of the merit, mm.
-    pub rms: f64,
-    /// Largest violation, relative.
-    pub violation: f64,
-}
 
 /// A bound that holds the lens back.
 #[derive(Clone, Debug)]
@@ -106,8 +32,12 @@ pub(super) struct Solved {
     pub(super) heights: Vec<f64>,
     /// Of the constraints.
     pub(super) values: Vec<f64>,
-    /// Root of the merit before and after, mm.
+    /// Of the targets.
+    pub(super) wanted: Vec<f64>,
+    /// Root of the rays' part of the merit before and after, mm.
     pub(super) rms: [f64; 2],
+    /// Root of the merit, mm.
+    pub(super) merit: f64,
     pub(super) violation: f64,
     pub(super) iterations: usize,
     pub(super) stop: Stop,
@@ -119,8 +49,11 @@ struct Point {
     x: Vec<f64>,
     numbers: Prescription,
     traced: Traced,
+    /// The rays', then the targets'.
     residuals: Vec<f64>,
+    /// Half the sum of their squares, and the rays' part of it.
     half: f64,
+    of_rays: f64,
 }
 
 /// Violation, root of the merit, the lens and its rays.
@@ -136,6 +69,8 @@ struct Kept {
 pub(super) struct Solver<'a> {
     problem: &'a Problem,
     rays: Rays,
+    /// Clear semi-diameters of the start.
+    stated: Vec<f64>,
     /// Weights of violations in the judge of steps.
     weights: Vec<f64>,
     bounds: Vec<[f64; 2]>,
@@ -151,7 +86,8 @@ impl<'a> Solver<'a> {
             [a.min(b), a.max(b)]
         };
         let bounds = problem.bounds.iter().zip(&problem.variables.scales).map(scaled).collect();
-        Ok((Self { problem, rays, weights: vec![0.0; problem.constraints.len()], bounds }, traced))
+        let stated = lens.surfaces.iter().map(|s| s.semi_diameter).collect();
+        Ok((Self { problem, rays, stated, weights: vec![0.0; problem.constraints.len()], bounds }, traced))
     }
 
     pub(super) fn rays(&self) -> usize {
@@ -166,9 +102,9 @@ impl<'a> Solver<'a> {
     }
 
     /// How far each surface has to reach: as far as the light, and no less than stated.
-    fn rims(&self, stated: &[f64], traced: &Traced) -> Vec<f64> {
+    fn rims(&self, traced: &Traced) -> Vec<f64> {
         match self.problem.merit.apertures {
-            Apertures::Stated => stated.iter().zip(&traced.heights).map(|(s, h)| s.max(*h)).collect(),
+            Apertures::Stated => self.stated.iter().zip(&traced.heights).map(|(s, h)| s.max(*h)).collect(),
             Apertures::Automatic => traced.heights.clone(),
         }
     }
@@ -234,14 +170,11 @@ impl<'a> Solver<'a> {
         watch: &mut dyn FnMut(Step) -> bool,
     ) -> Solved {
         let problem = self.problem;
-        let stated: Vec<f64> = start.surfaces.iter().map(|s| s.semi_diameter).collect();
         let n = problem.variables.parameters.len();
         let mut x = problem.variables.values(start);
         x.iter_mut().for_each(|x| *x = if x.is_finite() { *x } else { 0.0 });
-        let r = residuals(&self.rays, &traced);
-        let half = half_square(&r);
-        let mut point = Point { x, numbers: self.put(&problem.variables.values(start)), traced, residuals: r, half };
-        let before = (2.0 * half).sqrt();
+        let mut point = self.point(x, self.put(&problem.variables.values(start)), traced);
+        let before = (2.0 * point.of_rays).sqrt();
         let (mut damping, mut growth) = (1e-3, 2.0);
         let mut scales = vec![0.0f64; n];
         let mut stop = Stop::Iterations;
@@ -254,17 +187,16 @@ impl<'a> Solver<'a> {
                 stop = Stop::Stalled;
                 break;
             };
-            let rims = self.rims(&stated, &point.traced);
+            let rims = self.rims(&point.traced);
             let violations = self.violations(&point.numbers, &point.traced, &rims);
             let relative = self.relative(&violations, &point.x);
             remember(&mut best, &point, relative);
-            if !watch(Step { iteration: iterations, rms: (2.0 * point.half).sqrt(), violation: relative })
-                || limits.until.is_some_and(|t| Instant::now() >= t)
-            {
-                stop = Stop::Time;
+            let asked = !watch(Step { iteration: iterations, rms: (2.0 * point.of_rays).sqrt(), violation: relative });
+            if asked || limits.until.is_some_and(|t| Instant::now() >= t) {
+                stop = if asked { Stop::Asked } else { Stop::Time };
                 break;
             }
-            let j = jacobian(&self.rays, &point.traced, &slopes, n);
+            let j = self.jacobian(&point, &slopes);
             let r = DVector::from_column_slice(&point.residuals);
             let (jt, g) = (j.transpose(), j.tr_mul(&r));
             let normal = &jt * &j;
@@ -345,19 +277,21 @@ impl<'a> Solver<'a> {
                 }
             }
         }
-        let rims = self.rims(&stated, &point.traced);
+        let rims = self.rims(&point.traced);
         let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
         remember(&mut best, &point, relative);
-        let (violation, rms, numbers, traced) =
+        let (violation, merit, numbers, traced) =
             best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
+        let rms = [before, (2.0 * half_square(&residuals(&self.rays, &traced))).sqrt()];
         let variables = &problem.variables;
-        let rims = &self.rims(&stated, &traced);
+        let rims = &self.rims(&traced);
         let first = FirstOrder::new(&numbers, variables);
         let held = Held { numbers: &numbers, variables, first, rims, rays: Some((&self.rays, &traced, None)) };
         let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
+        let wanted = problem.targets.iter().map(|t| held.value(t.quantity).value).collect();
         let heights = traced.heights.clone();
         let multipliers = last.map_or_else(Vec::new, |(kept, step)| multipliers(&kept, &step));
-        Solved { numbers, heights, values, rms: [before, rms], violation, iterations, stop, multipliers }
+        Solved { numbers, heights, values, wanted, rms, merit, violation, iterations, stop, multipliers }
     }
 
     /// Largest violation, relative to the bound or to 1, of constraints and of variables' bounds.
@@ -433,9 +367,41 @@ impl<'a> Solver<'a> {
         let x: Vec<f64> = point.x.iter().zip(d).map(|(x, d)| x + d).collect();
         let numbers = self.put(&x);
         let traced = self.rays.trace(&numbers, &point.traced, slopes, d).ok()?;
-        let residuals = residuals(&self.rays, &traced);
+        let point = self.point(x, numbers, traced);
+        point.half.is_finite().then_some(point)
+    }
+
+    /// A lens with its residuals.
+    fn point(&self, x: Vec<f64>, numbers: Prescription, traced: Traced) -> Point {
+        let mut residuals = residuals(&self.rays, &traced);
+        let of_rays = half_square(&residuals);
+        residuals.extend(self.wanted(&numbers, &traced, None).iter().map(|v| v.value));
         let half = half_square(&residuals);
-        half.is_finite().then_some(Point { x, numbers, traced, residuals, half })
+        Point { x, numbers, traced, residuals, half, of_rays }
+    }
+
+    /// The targets' residuals with their derivatives (how far surfaces have to reach is taken as it is).
+    fn wanted(&self, numbers: &Prescription, traced: &Traced, slopes: Option<&Slopes>) -> Vec<Value> {
+        let (problem, rims) = (self.problem, self.rims(traced));
+        if problem.targets.is_empty() {
+            return Vec::new();
+        }
+        let first = FirstOrder::new(numbers, &problem.variables);
+        let rays = Some((&self.rays, traced, slopes));
+        let held = Held { numbers, variables: &problem.variables, first, rims: &rims, rays };
+        problem.targets.iter().map(|t| held.residual(t)).collect()
+    }
+
+    /// The Jacobian of a lens's residuals.
+    fn jacobian(&self, point: &Point, slopes: &Slopes) -> DMatrix<f64> {
+        let of_rays = jacobian(&self.rays, &point.traced, slopes, point.x.len());
+        let wanted = self.wanted(&point.numbers, &point.traced, Some(slopes));
+        let mut all = of_rays.insert_rows(point.residuals.len() - wanted.len(), wanted.len(), 0.0);
+        for (k, value) in wanted.iter().enumerate() {
+            let row = point.residuals.len() - wanted.len() + k;
+            value.by.iter().enumerate().for_each(|(j, d)| all[(row, j)] = *d);
+        }
+        all
     }
 }
 

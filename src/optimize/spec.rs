@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use super::constraint::{Constraint, Quantity};
+use super::constraint::{Constraint, Quantity, Target};
 use super::merit::{Apertures, Merit, Quality, Reference};
 use super::pattern::parameters;
-use super::solver::Problem;
+use super::problem::Problem;
 use crate::error::{Error, Result};
 use crate::lens::{Kind, Lens, Parameter};
 
@@ -43,6 +43,29 @@ impl Range {
     }
 }
 
+/// What a quantity should be near, and how many mm of rms a unit of deviation counts.
+#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wanted {
+    /// The value.
+    pub value: f64,
+    /// mm of rms a unit.
+    pub weight: f64,
+}
+
+impl Wanted {
+    /// `50@0.01`.
+    ///
+    /// # Errors
+    /// Anything else; `file` names the argument.
+    pub fn parse(text: &str, file: &str) -> Result<Self> {
+        let numbers = text.split_once('@').and_then(|(v, w)| Some((v.trim().parse().ok()?, w.trim().parse().ok()?)));
+        let (value, weight) =
+            numbers.ok_or_else(|| Error::bad(file, "value", text, "VALUE@WEIGHT, the weight in mm of rms a unit"))?;
+        Ok(Self { value, weight })
+    }
+}
+
 /// The file of `isoplanat optimize --merit`; everything has a default, and what a command line says counts more.
 #[derive(Clone, Debug, Default, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -55,6 +78,8 @@ pub struct Spec {
     pub bounds: BTreeMap<String, Range>,
     /// Constraints by name.
     pub constraints: BTreeMap<String, Range>,
+    /// Targets by name. A quantity that is a target is not held at its start's value.
+    pub targets: BTreeMap<String, Wanted>,
     /// Shares of the largest field.
     pub fields: Option<Vec<f64>>,
     /// Their weights.
@@ -75,7 +100,7 @@ pub struct Spec {
     pub apertures: Option<String>,
 }
 
-/// Names of constraints that stand for many.
+/// Names of constraints and targets; some stand for many.
 const GROUPS: &str = "focal_length, f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
                       surface[i].centre, surface[i].slope, surface[i].reach";
 
@@ -111,11 +136,21 @@ impl Spec {
         }
         let mut constraints = problem.constraints.clone();
         let merit = self.merit(file)?;
+        let mut targets = Vec::new();
+        for (name, Wanted { value, weight }) in &self.targets {
+            for quantity in quantities(lens, &merit, "target", name, file)? {
+                constraints.retain(|c| c.quantity != quantity || c.bounds[0] != c.bounds[1]);
+                targets.push(Target { quantity, value: *value, weight: *weight });
+            }
+        }
         for (name, range) in &self.constraints {
-            constrain(lens, &merit, &mut constraints, name, range.bounds(), file)?;
+            for quantity in quantities(lens, &merit, "constraint", name, file)? {
+                constraints.retain(|c| c.quantity != quantity);
+                constraints.push(Constraint { quantity, bounds: range.bounds() });
+            }
         }
         constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
-        problem = Problem::new(lens, chosen, constraints, merit);
+        problem = Problem { targets, ..Problem::new(lens, chosen, constraints, merit) };
         for (pattern, range) in &self.bounds {
             let named = parameters(lens, pattern, file)?;
             for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
@@ -169,21 +204,14 @@ impl Spec {
     }
 }
 
-/// Puts a constraint in, in the place of the one of the same quantity.
-fn constrain(
-    lens: &Lens,
-    merit: &Merit,
-    all: &mut Vec<Constraint>,
-    name: &str,
-    bounds: [f64; 2],
-    file: &str,
-) -> Result<()> {
+/// The quantities that a name of a constraint or target (`place`) stands for.
+fn quantities(lens: &Lens, merit: &Merit, place: &str, name: &str, file: &str) -> Result<Vec<Quantity>> {
     let n = lens.indices(lens.wavelengths.primary_nm);
     let count = lens.surfaces.len();
     let glass = |i: &usize| n[i + 1] > 1.0;
     let refracts = |i: &usize| n[*i] != n[i + 1];
     let places = 0..count;
-    let quantities: Vec<Quantity> = match name {
+    Ok(match name {
         "focal_length" => vec![Quantity::FocalLength],
         "f_number" => vec![Quantity::FNumber],
         "track" => vec![Quantity::Track],
@@ -209,15 +237,10 @@ fn constrain(
                 Some((i, "centre")) => vec![Quantity::Centre(i)],
                 Some((i, "slope")) => vec![Quantity::Slope(i)],
                 Some((i, "reach")) => vec![Quantity::Reach(i)],
-                _ => return Err(Error::bad(file, "constraint", name, GROUPS)),
+                _ => return Err(Error::bad(file, place, name, GROUPS)),
             }
         }
-    };
-    for quantity in quantities {
-        all.retain(|c| c.quantity != quantity);
-        all.push(Constraint { quantity, bounds });
-    }
-    Ok(())
+    })
 }
 
 /// The surfaces with glass behind them that patterns of media name: `surface[2].medium`, `surface[*].medium`.

@@ -3,7 +3,7 @@
 use super::constraint::{Constraint, Held, Quantity};
 use super::first_order::FirstOrder;
 use super::merit::Merit;
-use super::solver::Problem;
+use super::problem::Problem;
 use crate::error::{Error, Result};
 use crate::lens::variables::Variables;
 use crate::lens::{Kind, Lens, Parameter, paraxial};
@@ -45,7 +45,7 @@ impl Problem {
     pub fn new(lens: &Lens, parameters: Vec<Parameter>, constraints: Vec<Constraint>, merit: Merit) -> Self {
         let variables = Variables::new(lens, parameters);
         let bounds = variables.parameters.iter().map(|p| Self::bounds_of(lens, *p)).collect();
-        Self { lens: lens.clone(), variables, bounds, constraints, merit }
+        Self { lens: lens.clone(), variables, bounds, constraints, targets: Vec::new(), merit }
     }
 
     /// The focal length as it is; nothing for an afocal lens.
@@ -124,25 +124,26 @@ impl Problem {
                 return Err(Error::bad(file, p.name(&self.lens), format!("{a} to {b}"), allowed));
             }
         }
-        let surfaces = self.lens.surfaces.len();
         for c in &self.constraints {
             let [a, b] = c.bounds;
             let name = c.quantity.name();
-            let known = match c.quantity {
-                Quantity::Edge(i) => i + 1 < surfaces,
-                Quantity::Centre(i) | Quantity::Slope(i) | Quantity::Reach(i) | Quantity::GlassLine(i) => i < surfaces,
-                _ => true,
-            };
-            if !known {
-                return Err(Error::bad(file, name, "no such surface", format!("surfaces 0 to {}", surfaces - 1)));
-            }
+            self.known(c.quantity)?;
             if a.is_nan() || b.is_nan() || a > b || a == f64::INFINITY || b == f64::NEG_INFINITY {
                 let allowed = "a smallest value not above the largest";
                 return Err(Error::bad(file, name, format!("{a} to {b}"), allowed));
             }
-            let inverse = matches!(c.quantity, Quantity::FocalLength | Quantity::FNumber);
-            if inverse && (a == 0.0 || b == 0.0) {
+            if c.quantity.is_inverse() && (a == 0.0 || b == 0.0) {
                 return Err(Error::bad(file, name, "0", "bounds other than 0"));
+            }
+        }
+        for t in &self.targets {
+            self.known(t.quantity)?;
+            let refuse = |found: f64, allowed: &str| Err(Error::bad(file, t.quantity.name(), found.to_string(), allowed));
+            if !t.value.is_finite() || t.quantity.is_inverse() && t.value == 0.0 {
+                return refuse(t.value, "a finite value, of focal length and f-number other than 0");
+            }
+            if !(t.weight.is_finite() && t.weight >= 0.0) {
+                return refuse(t.weight, "a weight from 0 on, mm of rms a unit");
             }
         }
         if self.bounds.len() != self.variables.parameters.len() {
@@ -153,6 +154,18 @@ impl Problem {
             return Err(Error::bad(file, "variables", "none", "at least one"));
         }
         Ok(())
+    }
+
+    /// Refuses a quantity of a surface that the lens has not.
+    fn known(&self, quantity: Quantity) -> Result<()> {
+        let surfaces = self.lens.surfaces.len();
+        let known = match quantity {
+            Quantity::Edge(i) => i + 1 < surfaces,
+            Quantity::Centre(i) | Quantity::Slope(i) | Quantity::Reach(i) | Quantity::GlassLine(i) => i < surfaces,
+            _ => true,
+        };
+        let allowed = || format!("surfaces 0 to {}", surfaces - 1);
+        if known { Ok(()) } else { Err(Error::bad(&self.lens.name, quantity.name(), "no such surface", allowed())) }
     }
 }
 

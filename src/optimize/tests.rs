@@ -141,3 +141,31 @@ fn gradients_of_constraints_agree_with_differences() {
         }
     }
 }
+
+/// A heavier target is met more nearly, at the price of spots; one of weight 0 changes nothing.
+#[test]
+fn targets_pull_by_their_weights() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let mut problem = Problem::standard(&lens);
+    problem.constraints.retain(|c| c.quantity != Quantity::FocalLength);
+    let solved = |targets: Vec<Target>| {
+        let problem = Problem { targets, ..problem.clone() };
+        optimize(&problem, Limits::default(), &mut |_| true).expect("a lens")
+    };
+    let target = |weight: f64| Target { quantity: Quantity::FocalLength, value: 52.0, weight };
+    let none = solved(Vec::new());
+    assert_eq!(solved(vec![target(0.0)]).rms_mm, none.rms_mm);
+    assert_eq!(none.merit_mm, none.rms_mm[1]);
+    let mut last = (f64::INFINITY, 0.0);
+    for weight in [1e-4, 1e-3, 1e-2, 1.0] {
+        let found = solved(vec![target(weight)]);
+        let off = (found.wanted[0].1 - 52.0).abs();
+        assert!(off < last.0 && found.rms_mm[1] >= 0.999 * last.1, "{weight}: {off} mm, {:?}", found.rms_mm);
+        // Residuals of power, equal to those of the focal length to first order.
+        let added = found.merit_mm.powi(2) - found.rms_mm[1].powi(2);
+        let bent = weight * off * 52.0 / found.wanted[0].1;
+        assert!((added - bent.powi(2)).abs() <= 1e-6 * found.merit_mm.powi(2), "{weight}: {added} of {bent}");
+        last = (off, found.rms_mm[1]);
+    }
+    assert!(last.0 < 1e-3, "{}", last.0);
+}

@@ -86,11 +86,13 @@ pub fn open(lens: &mut Prescription, marked: &[bool], beams: &[Beam]) -> Vec<f64
     let mut dark = Vec::new();
     let mut heights = Vec::new();
     let mut failures = 0;
+    let [short, long] = lens.wavelengths.ends_nm();
+    let mut wavelengths = vec![lens.wavelengths.primary_nm, short, long];
+    wavelengths.dedup();
     for generous in GENEROUS {
-        let [short, long] = lens.wavelengths.ends_nm();
         (heights, dark) = (vec![0.0f64; lens.surfaces.len()], Vec::new());
         let mut lost = false;
-        for nm in [lens.wavelengths.primary_nm, short, long] {
+        for &nm in &wavelengths {
             let system = opened(lens, marked, nm, generous);
             let Ok(aimer) = Aimer::new(&system) else { continue };
             for beam in beams {

@@ -19,6 +19,7 @@ mod export;
 mod glasses;
 mod input;
 mod inspect;
+mod interrupt;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
 mod lenses;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use isoplanat::interchange::{Form, text_of};
 use isoplanat::lens::{Lens, Medium, prescription};
 use isoplanat::optimize::search::{Plan, Progress, search};
-use isoplanat::optimize::spec::{Range, Spec, glasses};
+use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
 use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::{Error, Result, atomic};
@@ -39,6 +39,10 @@ pub(crate) struct Args {
     /// `edge_air=0.1..`, `slope=-1..1`, `surface[2].edge=1..`; `..` takes a standard one away
     #[arg(long, value_name = "NAME=RANGE")]
     constraint: Vec<String>,
+    /// What is wanted without being held, and how many mm of rms a unit of deviation counts: `focal_length=50@0.01`,
+    /// `distortion=0@0.1`; names as of constraints
+    #[arg(long, value_name = "NAME=VALUE@WEIGHT")]
+    target: Vec<String>,
     /// `spot` or `wavefront`
     #[arg(long)]
     quality: Option<String>,
@@ -111,6 +115,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
+    // Ctrl-C asks for an end; the best lens so far is written.
+    let asked = crate::interrupt::asked()?;
     let bar = Bar::new("optimize");
     let started = Instant::now();
     let mut found: Vec<Outcome> = Vec::new();
@@ -119,7 +125,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let mut tell = |p: Progress| {
             let timed = until.map_or(0.0, |_| started.elapsed().as_secs_f64() / (60.0 * minutes));
             bar.set(p.share.max(timed), format!("rms {:.3} µm, {} minima", p.rms * 1e3, p.minima));
-            true
+            !asked()
         };
         found = search(&problem, &plan, &mut tell)?;
     }
@@ -136,7 +142,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let share = s.iteration as f64 / args.iterations as f64;
         let timed = until.map_or(0.0, |_| started.elapsed().as_secs_f64() / (60.0 * minutes));
         bar.set(share.max(timed), format!("rms {:.4} µm", s.rms * 1e3));
-        true
+        !asked()
     };
     let outcome = if args.choose_glass.is_empty() {
         match found.first() {
@@ -204,6 +210,12 @@ fn spec(args: &Args) -> Result<(Spec, String)> {
             map.insert(name.trim().to_owned(), Range::parse(range, flag)?);
         }
     }
+    for text in &args.target {
+        let Some((name, wanted)) = text.rsplit_once('=') else {
+            return Err(Error::bad("--target", "value", text.as_str(), "NAME=VALUE@WEIGHT, such as track=60@0.001"));
+        };
+        spec.targets.insert(name.trim().to_owned(), Wanted::parse(wanted, "--target")?);
+    }
     for (to, from) in [
         (&mut spec.quality, &args.quality),
         (&mut spec.reference, &args.reference),
@@ -266,6 +278,13 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
     for (quantity, bounds, value) in &o.held {
         writeln!(out, "{:32} {:>14.6}   {} {}", quantity.name(), value, allowed(*bounds), quantity.unit())?;
     }
+    if !o.wanted.is_empty() {
+        writeln!(out, "\n{:32} {:>14}   target", "wanted", "value")?;
+    }
+    for (t, value) in &o.wanted {
+        let unit = t.quantity.unit();
+        writeln!(out, "{:32} {value:>14.6}   {:.6} {unit} at {} mm rms a unit", t.quantity.name(), t.value, t.weight)?;
+    }
     writeln!(out, "\n{:32} {:>14}   what it costs", "active", "bound")?;
     for a in &o.active {
         let unit = if a.unit.is_empty() { "unit" } else { a.unit };
@@ -305,6 +324,8 @@ fn json(o: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<(
         "seconds": o.seconds,
         "moved": o.moved.iter().map(|m| serde_json::json!({"name": m.name, "before": m.values[0], "after": m.values[1], "bounds": pair(m.bounds)})).collect::<Vec<_>>(),
         "held": o.held.iter().map(|(q, b, v)| serde_json::json!({"name": q.name(), "value": finite(*v), "bounds": pair(*b)})).collect::<Vec<_>>(),
+        "merit_mm": o.merit_mm,
+        "wanted": o.wanted.iter().map(|(t, v)| serde_json::json!({"name": t.quantity.name(), "value": finite(*v), "target": t.value, "weight_mm_per_unit": t.weight})).collect::<Vec<_>>(),
         "active": o.active.iter().map(|a| serde_json::json!({"name": a.name, "bound": a.bound, "upper": a.upper, "rms_mm_per_unit": a.cost})).collect::<Vec<_>>(),
         "found": found.iter().map(|f| f.rms_mm[1]).collect::<Vec<_>>(),
     });

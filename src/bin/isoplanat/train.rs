@@ -2,8 +2,6 @@
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use isoplanat::design::memory;
 use isoplanat::design::task::Task;
@@ -74,9 +72,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         eprintln!("resumed at step {}", training.step());
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let ended = Arc::new(AtomicBool::new(false));
-    let asked = Arc::clone(&ended);
-    ctrlc::set_handler(move || asked.store(true, Ordering::Relaxed))?;
+    let asked = crate::interrupt::asked()?;
     let bar = Bar::new("training");
     let mut last = None;
     let trained = training.run(&mut |status| {
@@ -84,7 +80,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
         bar.set(status.share, format!("step {}{of}  loss {:.4}  {:.2} dB", status.step, e.content, e.psnr_db));
         last = Some(*status);
-        !ended.load(Ordering::Relaxed)
+        !asked()
     });
     bar.done(format!("{} steps", training.step()));
     if matches!(trained, Err(Error::Interrupted)) {
