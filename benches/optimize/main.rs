@@ -36,8 +36,8 @@ fn shipped(name: &str) -> Lens {
     builtin::lens(name).expect("shipped")
 }
 
-/// The problem that `tests/peers/optimize_scipy.py` solves.
-fn problem(lens: &Lens, conics: bool) -> Problem {
+/// The problem that `tests/peers/optimize_scipy.py` solves; the least thicknesses of glass and air, mm.
+fn problem(lens: &Lens, conics: bool, [glass, air]: [f64; 2]) -> Problem {
     let n = lens.indices(lens.wavelengths.primary_nm);
     let chosen = |p: &Parameter| match p.kind {
         Kind::Curvature => n[p.of] != n[p.of + 1],
@@ -51,8 +51,8 @@ fn problem(lens: &Lens, conics: bool) -> Problem {
     for (p, bound) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
         *bound = match p.kind {
             Kind::Thickness if p.of + 1 == lens.surfaces.len() => [20.0, 100.0],
-            Kind::Thickness if n[p.of + 1] > 1.0 => [1.0, 15.0],
-            Kind::Thickness => [0.1, 30.0],
+            Kind::Thickness if n[p.of + 1] > 1.0 => [glass, 15.0],
+            Kind::Thickness => [air, 30.0],
             Kind::Conic => [-20.0, 20.0],
             _ => [f64::NEG_INFINITY, f64::INFINITY],
         };
@@ -79,9 +79,10 @@ fn against_scipy() {
         ("two_element_conics", shipped("two_element"), true),
     ];
     for (name, lens, conics) in cases {
-        let problem = problem(&lens, conics);
         let peer = &scipy[name];
         let number = |key: &str| peer[key].as_f64().expect("a number");
+        let least = [0, 1].map(|k| peer["least_mm"][k].as_f64().expect("a number"));
+        let problem = problem(&lens, conics, least);
         let goal = 1.01 * number("rms_mm");
         let (mut best, mut all, mut last) = (f64::INFINITY, f64::INFINITY, None);
         for _ in 0..7 {
@@ -98,6 +99,9 @@ fn against_scipy() {
             last = outcome.ok();
         }
         let found = last.expect("a lens");
+        if let Some((merit, why)) = &found.refused {
+            println!("{name}: {:.4} µm is no lens: {why}", merit * 1e3);
+        }
         println!(
             "| {name} | {:.3} | {:.4} | {:.3} | {} | {:.4} | {:.2} | {:.2} | {} | {:.0} |",
             number("rms_start_mm") * 1e3,
@@ -118,7 +122,7 @@ fn against_the_shared_lens() {
     let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../shared/data/lenses/least_squares/two_element.toml");
     let Ok(reference) = prescription::load(std::path::Path::new(path)) else { return };
     let lens = shipped("two_element");
-    let mut problem = problem(&lens, true);
+    let mut problem = problem(&lens, true, [1.0, 0.1]);
     problem.merit.apertures = Apertures::Stated;
     problem.constraints.extend(Problem::room(&lens));
     let started = Instant::now();

@@ -68,6 +68,8 @@ pub struct Outcome {
     pub held: Vec<(Quantity, [f64; 2], f64)>,
     /// Targets with their values in the result.
     pub wanted: Vec<(Target, f64)>,
+    /// Root of the merit, mm, of better numbers that are no lens, and why they are none.
+    pub refused: Option<(f64, String)>,
 }
 
 pub(super) struct Spent {
@@ -78,15 +80,14 @@ pub(super) struct Spent {
     pub(super) started: std::time::Instant,
 }
 
-/// The lens of solved numbers, its clear semi-diameters after the beam where they are automatic.
-pub(super) fn lens_of(problem: &Problem, solved: &Solved) -> Result<Lens> {
-    Lens::new(finished(problem, solved), &problem.lens.name)
-}
-
-fn finished(problem: &Problem, solved: &Solved) -> Prescription {
-    let mut numbers = solved.numbers.clone();
+/// The lens of solved numbers whose beam has these heights, its clear semi-diameters after the beam where they are automatic.
+///
+/// # Errors
+/// Numbers that are no lens.
+pub(super) fn stands(problem: &Problem, numbers: &Prescription, heights: &[f64]) -> Result<Lens> {
+    let mut numbers = numbers.clone();
     let automatic = problem.merit.apertures == Apertures::Automatic;
-    for (i, (s, h)) in numbers.surfaces.iter_mut().zip(&solved.heights).enumerate() {
+    for (i, (s, h)) in numbers.surfaces.iter_mut().zip(heights).enumerate() {
         if i != numbers.stop && *h > 0.0 && (automatic || *h > s.semi_diameter) {
             s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
         }
@@ -98,7 +99,7 @@ fn finished(problem: &Problem, solved: &Solved) -> Prescription {
             numbers.surfaces[numbers.stop].semi_diameter = stop;
         }
     }
-    numbers
+    Lens::new(numbers, &problem.lens.name)
 }
 
 pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spent) -> Outcome {
@@ -144,5 +145,6 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         active,
         held,
         wanted,
+        refused: solved.refused.map(|r| (r.merit, r.why)),
     }
 }

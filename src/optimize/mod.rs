@@ -90,10 +90,12 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
                     first_rms = Some(solved.rms[0]);
                 }
                 let stopped = matches!(solved.stop, Stop::Time | Stop::Asked);
-                let next = finish::lens_of(problem, &solved);
+                let next = finish::stands(problem, &solved.numbers, &solved.heights);
+                if next.is_err() && last.is_some() {
+                    break;
+                }
+                lens = next?;
                 last = Some(solved);
-                let Ok(next) = next else { break };
-                lens = next;
                 if share >= 1.0 || stopped {
                     break;
                 }

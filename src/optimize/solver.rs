@@ -6,6 +6,7 @@ use std::time::Instant;
 use nalgebra::{DMatrix, DVector};
 
 use super::constraint::{Constraint, Held};
+use super::finish;
 use super::first_order::{FirstOrder, Value};
 use super::merit::Apertures;
 use super::problem::{KEPT, Limits, Problem, Step, Stop};
@@ -42,6 +43,8 @@ pub(super) struct Solved {
     pub(super) iterations: usize,
     pub(super) stop: Stop,
     pub(super) multipliers: Vec<Multiplier>,
+    /// What was better by numbers.
+    pub(super) refused: Option<Refused>,
 }
 
 /// A lens on the way.
@@ -58,6 +61,13 @@ struct Point {
 
 /// Violation, root of the merit, the lens and its rays.
 type Best = (f64, f64, Prescription, Traced);
+
+/// Better numbers that are no lens.
+pub(super) struct Refused {
+    violation: f64,
+    pub(super) merit: f64,
+    pub(super) why: String,
+}
 
 /// A row of the program: which constraint or variable, which bound.
 struct Kept {
@@ -178,7 +188,7 @@ impl<'a> Solver<'a> {
         let (mut damping, mut growth) = (1e-3, 2.0);
         let mut scales = vec![0.0f64; n];
         let mut stop = Stop::Iterations;
-        let mut best: Option<Best> = None;
+        let (mut best, mut refused): (Option<Best>, _) = (None, None);
         let mut last: Option<(Vec<Kept>, Minimum)> = None;
         let (mut calm, mut iterations) = (0, 0);
         let mut torn;
@@ -190,7 +200,7 @@ impl<'a> Solver<'a> {
             let rims = self.rims(&point.traced);
             let violations = self.violations(&point.numbers, &point.traced, &rims);
             let relative = self.relative(&violations, &point.x);
-            remember(&mut best, &point, relative);
+            self.remember(&mut best, &mut refused, &point, relative);
             let asked = !watch(Step { iteration: iterations, rms: (2.0 * point.of_rays).sqrt(), violation: relative });
             if asked || limits.until.is_some_and(|t| Instant::now() >= t) {
                 stop = if asked { Stop::Asked } else { Stop::Time };
@@ -279,7 +289,7 @@ impl<'a> Solver<'a> {
         }
         let rims = self.rims(&point.traced);
         let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
-        remember(&mut best, &point, relative);
+        self.remember(&mut best, &mut refused, &point, relative);
         let (violation, merit, numbers, traced) =
             best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
         let rms = [before, (2.0 * half_square(&residuals(&self.rays, &traced))).sqrt()];
@@ -290,8 +300,12 @@ impl<'a> Solver<'a> {
         let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
         let wanted = problem.targets.iter().map(|t| held.value(t.quantity).value).collect();
         let heights = traced.heights.clone();
-        let multipliers = last.map_or_else(Vec::new, |(kept, step)| multipliers(&kept, &step));
-        Solved { numbers, heights, values, wanted, rms, merit, violation, iterations, stop, multipliers }
+        // Those of better numbers say nothing of this lens.
+        let multipliers = match last {
+            Some((kept, step)) if refused.is_none() => multipliers(&kept, &step),
+            _ => Vec::new(),
+        };
+        Solved { numbers, heights, values, wanted, rms, merit, violation, iterations, stop, multipliers, refused }
     }
 
     /// Largest violation, relative to the bound or to 1, of constraints and of variables' bounds.
@@ -363,6 +377,34 @@ impl<'a> Solver<'a> {
         d
     }
 
+    /// Keeps the best lens: the smallest merit among those that keep the constraints, the smallest violation where none does. Numbers
+    /// that are no lens are told of instead.
+    fn remember(&self, best: &mut Option<Best>, refused: &mut Option<Refused>, point: &Point, violation: f64) {
+        let merit = (2.0 * point.half).sqrt();
+        let kept = violation <= KEPT;
+        let better = |than: f64, at: f64| match (kept, at <= KEPT) {
+            (true, true) => merit < than,
+            (false, false) => violation < at,
+            (now, _) => now,
+        };
+        let Some((at, than, _, _)) = best else {
+            *best = Some((violation, merit, point.numbers.clone(), point.traced.clone()));
+            return;
+        };
+        if !better(*than, *at) {
+            return;
+        }
+        let first = refused.as_ref().is_none_or(|r| better(r.merit, r.violation));
+        match finish::stands(self.problem, &point.numbers, &point.traced.heights) {
+            Ok(_) => {
+                *best = Some((violation, merit, point.numbers.clone(), point.traced.clone()));
+                *refused = refused.take().filter(|_| !first);
+            }
+            Err(why) if first => *refused = Some(Refused { violation, merit, why: why.to_string() }),
+            Err(_) => {}
+        }
+    }
+
     fn trial(&mut self, point: &Point, slopes: &Slopes, d: &[f64]) -> Option<Point> {
         let x: Vec<f64> = point.x.iter().zip(d).map(|(x, d)| x + d).collect();
         let numbers = self.put(&x);
@@ -407,20 +449,6 @@ impl<'a> Solver<'a> {
 
 fn half_square(r: &[f64]) -> f64 {
     0.5 * r.iter().map(|r| r * r).sum::<f64>()
-}
-
-/// Keeps the best lens: the smallest merit among those that keep the constraints, the smallest violation where none does.
-fn remember(best: &mut Option<Best>, point: &Point, violation: f64) {
-    let rms = (2.0 * point.half).sqrt();
-    let kept = violation <= KEPT;
-    let better = best.as_ref().is_none_or(|(v, r, _, _)| match (kept, *v <= KEPT) {
-        (true, true) => rms < *r,
-        (false, false) => violation < *v,
-        (now, _) => now,
-    });
-    if better {
-        *best = Some((violation, rms, point.numbers.clone(), point.traced.clone()));
-    }
 }
 
 /// The step of one program. Where rows contradict each other those that are violated are sought by least squares, far above the merit,

@@ -138,7 +138,8 @@ impl Problem {
         }
         for t in &self.targets {
             self.known(t.quantity)?;
-            let refuse = |found: f64, allowed: &str| Err(Error::bad(file, t.quantity.name(), found.to_string(), allowed));
+            let refuse =
+                |found: f64, allowed: &str| Err(Error::bad(file, t.quantity.name(), found.to_string(), allowed));
             if !t.value.is_finite() || t.quantity.is_inverse() && t.value == 0.0 {
                 return refuse(t.value, "a finite value, of focal length and f-number other than 0");
             }

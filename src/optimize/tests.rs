@@ -169,3 +169,25 @@ fn targets_pull_by_their_weights() {
     }
     assert!(last.0 < 1e-3, "{}", last.0);
 }
+
+/// Where numbers that are no lens would be better, the result is a lens with that lens's own figures, and says so.
+#[test]
+fn a_result_is_a_lens_with_its_own_figures() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let mut problem = Problem::standard(&lens);
+    problem.merit.apertures = Apertures::Automatic;
+    problem.constraints = Problem::focal_length(&lens);
+    for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
+        if p.kind == Kind::Thickness {
+            b[0] = 0.1;
+        }
+    }
+    let found = optimize(&problem, Limits::default(), &mut |_| true).expect("a lens");
+    let (merit, why) = found.refused.clone().expect("better numbers");
+    assert!(merit < found.merit_mm && why.contains("they cross"), "{merit}, {why}");
+    let own = merit_of(&found.lens, &problem.merit).expect("rays");
+    assert!((own / found.rms_mm[1] - 1.0).abs() < 1e-6, "{own} of {:?}", found.rms_mm);
+    assert!(found.rms_mm[1] <= found.rms_mm[0], "{:?}", found.rms_mm);
+    let held = optimize(&Problem::standard(&lens), Limits::default(), &mut |_| true).expect("a lens");
+    assert!(held.refused.is_none());
+}

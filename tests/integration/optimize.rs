@@ -182,6 +182,10 @@ fn files_are_read_or_refused() {
         ("constraints = { track = [5.0, 1.0] }", "track: 5 to 1"),
         ("bounds = { 'surface[0].thickness' = [3.0, 2.0] }", "surface[0].thickness: 3 to 2"),
         ("depths_mm = [-1.0]", "depths"),
+        ("targets = { weight = { value = 1.0, weight = 1.0 } }", "target: weight"),
+        ("targets = { track = 60.0 }", "line 1"),
+        ("targets = { focal_length = { value = 0.0, weight = 1.0 } }", "focal_length: 0"),
+        ("targets = { track = { value = 60.0, weight = -1.0 } }", "track: -1"),
         ("ring = 3", "line 1"),
         ("fix = ['surface[*].curvature', 'surface[*].thickness']", "fix"),
     ] {
@@ -193,6 +197,9 @@ fn files_are_read_or_refused() {
     let problem = Spec::from_toml(text, "m.toml").and_then(|s| s.problem(&lens, "m.toml")).expect("a problem");
     assert_eq!(problem.variables.parameters.len(), 9);
     assert!(problem.merit.depths.len() == 2 && problem.bounds.contains(&[1.48, 1.6]));
+    let text = "targets = { focal_length = { value = 52.0, weight = 0.01 } }\nconstraints = { track = [0.0, 90.0] }";
+    let problem = Spec::from_toml(text, "m.toml").and_then(|s| s.problem(&lens, "m.toml")).expect("a problem");
+    assert!(problem.targets.len() == 1 && problem.constraints.iter().all(|c| c.quantity != Quantity::FocalLength));
     assert_eq!(Range::parse("..3", "f").expect("a range"), Range::Two([f64::NEG_INFINITY, 3.0]));
     assert!(Range::parse("a..b", "f").is_err());
 }

@@ -160,6 +160,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         glass::choose(&from, &surfaces, &media, limits, &mut tell)?
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
+    if asked() {
+        eprintln!("stopped on request: the best lens so far is kept");
+    }
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
     crate::output::put(&better, Some(&args.output), out)?;
     if let Some(path) = &args.svg {
@@ -264,6 +267,10 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
         o.seconds
     )?;
     writeln!(out, "stopped: {}", o.stop.reason())?;
+    if let Some((merit, why)) = &o.refused {
+        writeln!(out, "better numbers, of merit {:.4} µm, are no lens: {why}", merit * 1e3)?;
+        writeln!(out, "constraints on edge_glass, edge_air, slope and reach keep such numbers away")?;
+    }
     if o.share < 1.0 {
         writeln!(out, "rays arrive up to {:.0} % of aperture and field only", o.share * 100.0)?;
     }
@@ -325,6 +332,7 @@ fn json(o: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<(
         "moved": o.moved.iter().map(|m| serde_json::json!({"name": m.name, "before": m.values[0], "after": m.values[1], "bounds": pair(m.bounds)})).collect::<Vec<_>>(),
         "held": o.held.iter().map(|(q, b, v)| serde_json::json!({"name": q.name(), "value": finite(*v), "bounds": pair(*b)})).collect::<Vec<_>>(),
         "merit_mm": o.merit_mm,
+        "refused": o.refused.as_ref().map(|(merit, why)| serde_json::json!({"merit_mm": merit, "why": why})),
         "wanted": o.wanted.iter().map(|(t, v)| serde_json::json!({"name": t.quantity.name(), "value": finite(*v), "target": t.value, "weight_mm_per_unit": t.weight})).collect::<Vec<_>>(),
         "active": o.active.iter().map(|a| serde_json::json!({"name": a.name, "bound": a.bound, "upper": a.upper, "rms_mm_per_unit": a.cost})).collect::<Vec<_>>(),
         "found": found.iter().map(|f| f.rms_mm[1]).collect::<Vec<_>>(),
