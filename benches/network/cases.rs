@@ -22,7 +22,7 @@ impl Case {
         let mut rng = fastrand::Rng::with_seed(1);
         let mut picture = || Array4::from_shape_simple_fn((1, 3, 256, 256), || rng.f32());
         let (input, target) = (picture(), picture());
-        let model = Reconstructor::new(UnetConfig { base_width: 32, scales: self.scales }, 1).expect("valid");
+        let model = Reconstructor::new(UnetConfig::bare(32, self.scales), 1).expect("valid");
         Run { model, input, target }
     }
 }

@@ -41,7 +41,8 @@ pub(crate) fn print(steps: u64) {
         let half = rounded(&network);
         let judge = |network: &Reconstructor| {
             let (evaluation, _) =
-                evaluate(&lens, network, &sensor, &pictures, &settings, false, &mut |_| {}).expect("judged");
+                evaluate(&lens, (network, training.guide()), &sensor, &pictures, &settings, false, &mut |_| {})
+                    .expect("judged");
             evaluation.rows.into_iter().find(|r| r.zone == 0).expect("the mean")
         };
         let (full, less) = (judge(&network), judge(&half));

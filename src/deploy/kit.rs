@@ -3,11 +3,12 @@
 //! ```text
 //! KIT/kit.toml     schema = 1: names, hashes, tiles, sensor, frame, distortion, shading
 //! KIT/model.onnx   the network, its card in the metadata
+//! KIT/filters.npz  Wiener filters, where the network sees the capture through them; schema = 2 then
 //! ```
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
 //! was written with, a network trained for another lens.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -18,11 +19,12 @@ use crate::error::{Error, Result};
 use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
+use crate::imaging::guide::{self, Filters, Guide};
 use crate::imaging::sensor::Sensor;
 use crate::network::card::{DEMOSAIC, ModelCard, sha256_hex};
 
-/// The form of `kit.toml` this version reads and writes.
-pub const SCHEMA: u32 = 1;
+/// The newest form of `kit.toml`. Kits whose network sees the capture alone have the first.
+pub const SCHEMA: u32 = 2;
 
 /// The file that makes a folder a kit.
 pub const FILE: &str = "kit.toml";
@@ -50,6 +52,20 @@ pub struct Kit {
     pub card: ModelCard,
     /// The bytes of `model.onnx`.
     pub model_bytes: Vec<u8>,
+    /// What the network is told beside the capture.
+    pub guide: Guide,
+    /// The file of its filters, and the file's bytes.
+    pub filters: Option<(FilterEntry, Vec<u8>)>,
+}
+
+/// The Wiener filters of a kit.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterEntry {
+    /// Their file in the kit's folder.
+    pub file: String,
+    /// SHA-256 (hex) of that file.
+    pub sha256: String,
 }
 
 /// The lens a kit is for.
@@ -88,6 +104,8 @@ struct KitFile {
     demosaic: String,
     lens: LensEntry,
     model: ModelEntry,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    filters: Option<FilterEntry>,
     frame: Frame,
     distortion: DistortionTable,
     shading: Shading,
@@ -148,6 +166,7 @@ impl Kit {
         frame: Frame,
         distortion: Distortion,
         shading: Shading,
+        filters: Option<Filters>,
     ) -> Result<Self> {
         let card = ModelCard::from_metadata(&session::metadata(&model, Path::new("model.onnx"))?)?;
         let entry = ModelEntry {
@@ -157,6 +176,9 @@ impl Kit {
             overlap_px: overlap_px(&card),
             multiple: card.multiple,
         };
+        let guide = guide(&card, &frame, filters.clone(), "kit")?;
+        let bytes = filters.map(|f| f.to_npz()).transpose()?;
+        let entry_of = |bytes: Vec<u8>| (FilterEntry { file: guide::FILE.into(), sha256: sha256_hex(&bytes) }, bytes);
         let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
         let kit = Self {
             name: name.into(),
@@ -169,6 +191,8 @@ impl Kit {
             shading,
             card,
             model_bytes: model,
+            guide,
+            filters: bytes.map(entry_of),
         };
         kit.check("kit")?;
         Ok(kit)
@@ -186,24 +210,22 @@ impl Kit {
         }
         let text = std::fs::read_to_string(&path).map_err(|e| Error::reading(&path, e))?;
         let file = parse(&text, &path.display().to_string())?;
-        if Path::new(&file.model.file).file_name() != Some(file.model.file.as_ref()) {
-            let found = file.model.file.clone();
-            return Err(Error::bad(path.display().to_string(), "model.file", found, "a file in the kit's folder"));
-        }
-        let model_path = folder.join(&file.model.file);
-        let model_bytes = std::fs::read(&model_path).map_err(|e| Error::reading(&model_path, e))?;
-        let found = sha256_hex(&model_bytes);
-        if found != file.model.sha256 {
-            let allowed = format!("the file the kit was written with, {}", short(&file.model.sha256));
-            let found = format!("SHA-256 {}", short(&found));
-            return Err(Error::bad(model_path.display().to_string(), "model", found, allowed));
-        }
+        let (model_path, model_bytes) = whole(folder, &path, "model", &file.model.file, &file.model.sha256)?;
         let metadata = session::metadata(&model_bytes, &model_path)?;
         let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(&model_path))?;
         if file.demosaic != DEMOSAIC {
             let allowed = format!("{DEMOSAIC}, which this version has");
             return Err(Error::bad(path.display().to_string(), "demosaic", file.demosaic, allowed));
         }
+        let filters = match file.filters {
+            Some(entry) => {
+                let (place, bytes) = whole(folder, &path, "filters", &entry.file, &entry.sha256)?;
+                Some((Filters::from_npz(&bytes, &place)?, (entry, bytes)))
+            }
+            None => None,
+        };
+        let (filters, file_of) = filters.unzip();
+        let guide = guide(&card, &file.frame, filters, &path.display().to_string())?;
         let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
         let kit = Self {
             name: file.name,
@@ -216,6 +238,8 @@ impl Kit {
             shading: file.shading,
             card,
             model_bytes,
+            guide,
+            filters: file_of,
         };
         kit.check(&path.display().to_string())?;
         Ok(kit)
@@ -233,6 +257,9 @@ impl Kit {
 
     fn write_into(&self, folder: &Path) -> Result<()> {
         atomic::write_bytes(&folder.join(FILE), self.to_toml()?.as_bytes())?;
+        if let Some((entry, bytes)) = &self.filters {
+            atomic::write_bytes(&folder.join(&entry.file), bytes)?;
+        }
         atomic::write_bytes(&folder.join(&self.model.file), &self.model_bytes)
     }
 
@@ -243,12 +270,13 @@ impl Kit {
     pub fn to_toml(&self) -> Result<String> {
         let Distortion { max_slope, coefficients_mm, residual_mm } = self.distortion;
         let file = KitFile {
-            schema: SCHEMA,
+            schema: if self.guide.inputs().is_bare() { 1 } else { SCHEMA },
             name: self.name.clone(),
             created_by: self.created_by.clone(),
             demosaic: self.card.demosaic.clone(),
             lens: self.lens.clone(),
             model: self.model.clone(),
+            filters: self.filters.as_ref().map(|(entry, _)| entry.clone()),
             frame: self.frame.clone(),
             distortion: DistortionTable { max_slope, coefficients_mm, residual_mm },
             shading: self.shading.clone(),
@@ -297,6 +325,30 @@ impl Kit {
     }
 }
 
+/// A file of the kit, `name` in `folder`, whose bytes must have the hash; `path` names the kit, `place` the entry.
+fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> Result<(PathBuf, Vec<u8>)> {
+    if Path::new(name).file_name() != Some(name.as_ref()) {
+        let place = format!("{place}.file");
+        return Err(Error::bad(path.display().to_string(), place, name, "a file in the kit's folder"));
+    }
+    let file = folder.join(name);
+    let bytes = std::fs::read(&file).map_err(|e| Error::reading(&file, e))?;
+    let found = sha256_hex(&bytes);
+    if found != sha256 {
+        let allowed = format!("the file the kit was written with, {}", short(sha256));
+        return Err(Error::bad(file.display().to_string(), place, format!("SHA-256 {}", short(&found)), allowed));
+    }
+    Ok((file, bytes))
+}
+
+/// What the network of `card` is told; filters that do not fit it are refused.
+fn guide(card: &ModelCard, frame: &Frame, filters: Option<Filters>, file: &str) -> Result<Guide> {
+    Guide::from_parts(card.inputs, frame, filters).map_err(|e| match e {
+        Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
+        other => other,
+    })
+}
+
 /// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.
 fn parse(text: &str, file: &str) -> Result<KitFile> {
     #[derive(Deserialize)]
@@ -306,14 +358,14 @@ fn parse(text: &str, file: &str) -> Result<KitFile> {
     let syntax = |e: toml::de::Error| Error::toml(file, text, &e, "the keys `isoplanat export` writes");
     let form: Form = toml::from_str(text).map_err(syntax)?;
     match form.schema {
-        Some(SCHEMA) => toml::from_str(text).map_err(syntax),
+        Some(1..=SCHEMA) => toml::from_str(text).map_err(syntax),
         Some(newer) if newer > SCHEMA => {
             let allowed = format!("up to {SCHEMA}, which this version reads; a newer isoplanat-camera reads this kit");
             Err(Error::bad(file, "schema", newer.to_string(), allowed))
         }
         other => {
             let found = other.map_or("missing".into(), |s| s.to_string());
-            Err(Error::bad(file, "schema", found, format!("schema = {SCHEMA}")))
+            Err(Error::bad(file, "schema", found, format!("schema = 1 to {SCHEMA}")))
         }
     }
 }
@@ -351,6 +403,7 @@ pub(crate) mod tests {
                 residual_mm: 1e-4,
             },
             Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]]).expect("valid"),
+            None,
         )
         .expect("valid")
     }
@@ -403,7 +456,7 @@ pub(crate) mod tests {
         let cases = [
             ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
             ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
-            ("newer schema", with("schema = 1", "schema = 2\nnews = 1"), "newer isoplanat-camera"),
+            ("newer schema", with("schema = 1", "schema = 3\nnews = 1"), "newer isoplanat-camera"),
             ("no schema", with("schema = 1", ""), "schema"),
             ("lens", with(&sha256_hex(b"lens"), &sha256_hex(b"other")), "trained for"),
             ("model elsewhere", with("file = \"model.onnx\"", "file = \"../model.onnx\""), "kit's folder"),

@@ -135,7 +135,8 @@ impl Camera {
                 *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += started.elapsed();
                 output
             };
-            camera = tiles::run(camera.view(), tiling, session.parallel_tiles(), &network, progress)?;
+            camera =
+                tiles::run(camera.view(), &calibrated.kit.guide, tiling, session.parallel_tiles(), &network, progress)?;
             times.network = started.elapsed();
             times.runtime = inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         }
@@ -267,7 +268,7 @@ mod tests {
         let session = Session::open(&kit.model_bytes, Path::new("m"), &tract()).expect("opens");
         let network = |input: Array3<f32>| {
             let tiling = tiles::Tiling::new(256, 24, 4).expect("valid");
-            tiles::run(input.view(), tiling, 1, &|t: ArrayView4<'_, f32>| session.run(t), &|_, _| ())
+            tiles::run(input.view(), &kit.guide, tiling, 1, &|t: ArrayView4<'_, f32>| session.run(t), &|_, _| ())
         };
         let expected = develop::develop(samples.view(), *cfa, &development, network).expect("develops");
         let expected = Orientation::from_exif(6).apply(expected.image);

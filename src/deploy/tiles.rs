@@ -12,6 +12,8 @@ use ndarray::parallel::prelude::*;
 use ndarray::{Array3, Array4, ArrayView3, ArrayView4, s};
 
 use crate::error::{Error, Result};
+use crate::imaging::guide::Guide;
+use crate::imaging::plane::{Region, mirrored};
 
 /// Most pixels a picture is mirrored outwards by: beyond, a network sees zeros as it did beyond its training patches.
 pub const BORDER: usize = 64;
@@ -106,8 +108,8 @@ impl Tiling {
     }
 }
 
-/// Runs `image` (`[3, row, col]`) through `network`, which maps `[1, 3, rows, columns]` of [`Tiling::shape`] to the same
-/// shape.
+/// Runs `image` (`[3, row, col]`) through `network`, which maps what `guide` shows of a tile, `[1, channel, rows, columns]` of
+/// [`Tiling::shape`], to `[1, 3, rows, columns]`.
 ///
 /// At most `parallel` tiles are in work at a time. `progress(done, all)` is called after each.
 ///
@@ -115,6 +117,7 @@ impl Tiling {
 /// The network's first error, or an output of another shape.
 pub fn run(
     image: ArrayView3<'_, f32>,
+    guide: &Guide,
     tiling: Tiling,
     parallel: usize,
     network: &(dyn Fn(ArrayView4<'_, f32>) -> Result<Array4<f32>> + Sync),
@@ -128,11 +131,12 @@ pub fn run(
     let out = Mutex::new(Array3::zeros(image.raw_dim()));
     let done = AtomicUsize::new(0);
     let one = |&(row, column): &(Span, Span)| -> Result<()> {
-        let input = cut(image, tiling, row.start, column.start);
+        let input = cut(image, guide, tiling, row.start, column.start);
         let output = network(input.view())?;
-        if output.dim() != input.dim() {
+        let (_, _, height, width) = input.dim();
+        if output.dim() != (1, 3, height, width) {
             let found = format!("an output of {:?} for an input of {:?}", output.dim(), input.dim());
-            return Err(Error::bad("", "network", found, "the same shape"));
+            return Err(Error::bad("", "network", found, "three channels of the same shape"));
         }
         let within = |span: Span| span.kept[0] - span.start..span.kept[1] - span.start;
         let target = |span: Span| span.kept[0] - border..span.kept[1] - border;
@@ -153,17 +157,29 @@ pub fn run(
     out.into_inner().map_err(|_| Error::Internal("a tile's worker failed".into()))
 }
 
-/// The tile that starts at `row`, `column` of the continued picture.
-fn cut(image: ArrayView3<'_, f32>, tiling: Tiling, row: usize, column: usize) -> Array4<f32> {
-    let (channels, rows, columns) = image.dim();
+/// What the guide shows of the tile that starts at `row`, `column` of the continued picture. It is told of the pixels that the picture
+/// has, and mirrored with them.
+fn cut(image: ArrayView3<'_, f32>, guide: &Guide, tiling: Tiling, row: usize, column: usize) -> Array4<f32> {
+    let (_, rows, columns) = image.dim();
     let [height, width] = tiling.shape(rows, columns);
-    let border = tiling.border() as i64;
+    let border = tiling.border().cast_signed();
     let sources = |start: usize, side: usize, n: usize| -> Vec<usize> {
-        (0..side).map(|k| mirrored((start + k) as i64 - border, n)).collect()
+        (0..side).map(|k| mirrored((start + k).cast_signed() - border, n)).collect()
     };
     let (across, down) = (sources(column, width, columns), sources(row, height, rows));
+    let span = |places: &[usize]| {
+        let (first, last) = places.iter().fold((usize::MAX, 0), |(a, b), p| (a.min(*p), b.max(*p)));
+        (first, last + 1 - first)
+    };
+    let ((top, high), (left, wide)) = (span(&down), span(&across));
+    let wanted = Region { row: top.cast_signed(), col: left.cast_signed(), rows: high, cols: wide };
+    let whole = Region { row: 0, col: 0, rows, cols: columns };
+    let image = guide.over(image, whole, wanted);
+    let (down, across) =
+        (down.iter().map(|r| r - top).collect::<Vec<_>>(), across.iter().map(|c| c - left).collect::<Vec<_>>());
     // Most tiles lie within the picture's columns: their rows are copied as they are.
     let straight = across.windows(2).all(|w| w[1] == w[0] + 1).then(|| across[0]..across[0] + width);
+    let channels = image.dim().0;
     let mut tile = Array4::zeros((1, channels, height, width));
     for c in 0..channels {
         for (i, &r) in down.iter().enumerate() {
@@ -176,16 +192,6 @@ fn cut(image: ArrayView3<'_, f32>, tiling: Tiling, row: usize, column: usize) ->
         }
     }
     tile
-}
-
-/// Index `i` mirrored into `0..n` about the first and last sample, which are not repeated.
-fn mirrored(i: i64, n: usize) -> usize {
-    let last = n as i64 - 1;
-    if last <= 0 {
-        return 0;
-    }
-    let folded = i.rem_euclid(2 * last);
-    folded.min(2 * last - folded) as usize
 }
 
 #[cfg(test)]
@@ -208,6 +214,10 @@ mod tests {
         }))
     }
 
+    fn bare() -> Guide {
+        Guide::bare(&crate::imaging::frame::Frame::centred(64, 48, 0.01).expect("valid"))
+    }
+
     fn picture(rows: usize, columns: usize) -> Array3<f32> {
         let rng = &mut fastrand::Rng::with_seed(7);
         Array3::from_shape_fn((3, rows, columns), |_| rng.f32())
@@ -215,7 +225,7 @@ mod tests {
 
     /// The whole picture in one tile large enough for it.
     fn whole(image: &Array3<f32>, overlap: usize) -> Array3<f32> {
-        run(image.view(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ()).expect("runs")
+        run(image.view(), &bare(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ()).expect("runs")
     }
 
     #[test]
@@ -226,7 +236,7 @@ mod tests {
             for parallel in [1, 3] {
                 let tiling = Tiling::new(32, 4, 4).expect("valid");
                 let calls = AtomicUsize::new(0);
-                let tiled = run(image.view(), tiling, parallel, &network, &|_, all| {
+                let tiled = run(image.view(), &bare(), tiling, parallel, &network, &|_, all| {
                     calls.fetch_add(1, Ordering::Relaxed);
                     assert_eq!(all, tiling.count(rows, columns));
                 })
@@ -248,7 +258,7 @@ mod tests {
         let image = picture(100, 130);
         let through = |tile: usize| {
             let tiling = Tiling::new(tile, UNET_RADIUS, 4).expect("valid");
-            run(image.view(), tiling, session.parallel_tiles(), &network, &|_, _| ()).expect("runs")
+            run(image.view(), &bare(), tiling, session.parallel_tiles(), &network, &|_, _| ()).expect("runs")
         };
         let worst = (&through(96) - &through(192)).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
         assert!(worst <= 1e-6, "{worst}");
@@ -302,9 +312,9 @@ mod tests {
         let tiling = Tiling::new(16, 4, 4).expect("valid");
         for parallel in [1, 4] {
             let fails = |_: ArrayView4<'_, f32>| Err(Error::Internal("no".into()));
-            assert!(run(image.view(), tiling, parallel, &fails, &|_, _| ()).is_err());
+            assert!(run(image.view(), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
             let shrinks = |_: ArrayView4<'_, f32>| Ok(Array4::zeros((1, 3, 8, 8)));
-            assert!(run(image.view(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
+            assert!(run(image.view(), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
         }
     }
 }

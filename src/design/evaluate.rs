@@ -15,8 +15,9 @@ use super::chain::{Patch, forward};
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
+use crate::imaging::guide::Guide;
 use crate::imaging::metrics::{self, SSIM_WINDOW};
-use crate::imaging::plane::{Plane, Region};
+use crate::imaging::plane::{Plane, Region, mirrored};
 use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
@@ -151,13 +152,13 @@ struct Zone {
     starts: Vec<(usize, usize)>,
 }
 
-/// Judges `network` behind `lens` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
+/// Judges a network, told by its guide, behind `lens` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
 ///
 /// # Errors
 /// Settings out of range, a picture that cannot be read, a lens that cannot image its frame at a depth.
 pub fn evaluate(
     lens: &Lens,
-    network: &Reconstructor,
+    (network, guide): (&Reconstructor, &Guide),
     sensor: &Sensor,
     pictures: &Pictures,
     settings: &Settings,
@@ -187,7 +188,7 @@ pub fn evaluate(
                 let part = mixed(settings.seed, index as u64);
                 let noise_seed = mixed(seed, 1 + d as u64);
                 let shot = Shot { region, whole: settings.patch, context, part, noise_seed };
-                let [truth, capture, restored] = shot.take(&renderer, map, &electronics, network, &picture)?;
+                let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
                 let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
                     Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
                 };
@@ -347,12 +348,14 @@ impl Shot {
         renderer: &Renderer,
         map: &SensorMap,
         electronics: &Electronics,
-        network: &Reconstructor,
+        (network, guide): (&Reconstructor, &Guide),
         picture: &Array3<f32>,
     ) -> Result<[Array3<f32>; 3]> {
         let frame = &renderer.plan.frame;
         let scene = self.scene(frame, map, picture);
-        let seen = self.region.grown(self.context).common(Region::whole(frame));
+        let inner = self.region.grown(self.context).common(Region::whole(frame));
+        // Rows and columns start as the mosaic does, however far the guide looks.
+        let seen = inner.grown(guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
         let patch = Patch { scene, region: seen, noise_seed: self.noise_seed };
         let done = forward::<f32>(renderer, electronics, &patch)?;
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
@@ -361,7 +364,9 @@ impl Shot {
             a.slice(s![.., at[0]..at[0] + self.region.rows, at[1]..at[1] + self.region.cols]).to_owned()
         };
         let size = [self.region.rows, self.region.cols];
-        let restored = restored(network, done.developed.view(), at, size, self.context)?;
+        let told = guide.over(done.developed.view(), seen, inner);
+        let within = [offset(self.region.row, inner.row), offset(self.region.col, inner.col)];
+        let restored = restored(network, told.view(), within, size, self.context)?;
         Ok([cut(done.truth.view()), cut(done.developed.view()), restored])
     }
 
@@ -401,20 +406,12 @@ fn restored(
 ) -> Result<Array3<f32>> {
     let (channels, rows, cols) = capture.dim();
     let input = Array4::from_shape_fn((1, channels, size[0] + 2 * context, size[1] + 2 * context), |(_, c, i, j)| {
-        capture[[c, mirrored(at[0] + i, context, rows), mirrored(at[1] + j, context, cols)]]
+        let place = |from: usize, k: usize, n: usize| mirrored((from + k).cast_signed() - context.cast_signed(), n);
+        capture[[c, place(at[0], i, rows), place(at[1], j, cols)]]
     });
     let output = network.forward_padded(input.view())?;
     let inside = s![.., context..context + size[0], context..context + size[1]];
     Ok(output.index_axis(Axis(0), 0).slice(inside).to_owned())
-}
-
-/// `index − context` folded into `0..n` by mirroring at the first and last, which are not repeated.
-fn mirrored(index: usize, context: usize, n: usize) -> usize {
-    if n <= 1 {
-        return 0;
-    }
-    let folded = index.abs_diff(context) % (2 * (n - 1));
-    folded.min(2 * (n - 1) - folded)
 }
 
 /// Pictures of one size beside each other on white.

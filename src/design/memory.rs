@@ -8,6 +8,7 @@ use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
 use super::run::JUDGED;
 use super::task::Task;
 use crate::error::Result;
+use crate::imaging::guide::{Filters, Inputs};
 use crate::imaging::scene::photos::Photos;
 use crate::math::memory::{BASE, product, threads};
 use crate::network::UnetConfig;
@@ -21,6 +22,11 @@ fn textures(task: &Task) -> Result<u64> {
         Some(folder) => product(&[Photos::open(folder)?.len() + 8, LARGEST, LARGEST, 3 * size_of::<f32>()]),
         None => product(&[task.scenes + threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
     })
+}
+
+/// Bytes of Wiener filters, from above: as stored, as computed with, and while they are made.
+fn guide(inputs: Inputs) -> u64 {
+    if inputs.wiener { 3 * Filters::LARGEST } else { 0 }
 }
 
 fn sum(parts: &[u64]) -> u64 {
@@ -55,7 +61,7 @@ pub fn of_training(task: &Task) -> Result<u64> {
     let critics = if t.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
     let vgg = if t.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
     let step = network.step_bytes(t.patch_px, t.batch);
-    Ok(sum(&[textures(task)?, step, pairs, critics, vgg]))
+    Ok(sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]))
 }
 
 /// Bytes of `isoplanat evaluate`; with `sheets`, of the pictures it shows too.
@@ -70,5 +76,5 @@ pub fn of_evaluation(network: &UnetConfig, pictures: &Pictures, settings: &Setti
     // Truth, capture and reconstruction; as strips, as sheets, and as one of them is written.
     let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 3 * 3 * 2 * size_of::<f32>()]);
     let shown = if sheets { shown.saturating_mul(product(&[settings.patch, settings.patch])) } else { 0 };
-    Ok(sum(&[picture, region, network.forward_bytes(side), shown]))
+    Ok(sum(&[picture, region, network.forward_bytes(side), shown, guide(network.inputs)]))
 }

@@ -7,7 +7,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ndarray::{Array2, Array3, Array4, Axis, s};
+use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::Patch;
 use super::data::Textures;
@@ -15,6 +15,8 @@ use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::{Electronics, simulate};
 use crate::imaging::frame::Frame;
+use crate::imaging::guide::Guide;
+use crate::imaging::plane::Region;
 use crate::imaging::render::{Channels, Renderer, Settings};
 use crate::imaging::sensor::haze::add_haze;
 use crate::imaging::sensor::noise::{mixed, standard_normal};
@@ -31,6 +33,8 @@ pub struct Pair {
     pub illumination: Array3<f32>,
     /// The distorted, unblurred scene.
     pub truth: Array3<f32>,
+    /// Where in the frame.
+    pub region: Region,
 }
 
 /// Renders one pair.
@@ -43,8 +47,11 @@ pub fn render_pair(renderer: &Renderer, patch: &Patch) -> Result<Pair> {
     let channels = Channels::of(&patch.scene);
     let (image, _) = renderer.picture(&patch.scene, depth, region, &channels, &|_| {});
     let illumination = renderer.light.over(frame, region, &[0, 1, 2]);
-    Ok(Pair { image, illumination, truth: renderer.truth(&patch.scene, depth, region, &channels) })
+    Ok(Pair { image, illumination, truth: renderer.truth(&patch.scene, depth, region, &channels), region })
 }
+
+/// Bytes of a kept pair's place.
+const PLACE: usize = 16;
 
 /// How a step varies a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -62,11 +69,22 @@ impl Augmentation {
     pub const NONE: Self = Self { flips: false, noise: [1.0, 1.0], haze: 0.0 };
 }
 
-/// A random crop of a pair, varied, with fresh noise: the network's input and target, `[1, 3, size, size]`.
+/// Where a crop of `size` pixels of `count` starts, a multiple of 4 as the mosaic meets it in the camera: `margin` pixels from an edge
+/// of the pair that is not the frame's, as far as there is room.
+fn start(size: usize, count: usize, margin: usize, ends: [bool; 2], rng: &mut fastrand::Rng) -> usize {
+    let room = (count - size) / 4;
+    let inset = margin.div_ceil(4).min(room / 2);
+    let [low, high] = [usize::from(!ends[0]) * inset, room - usize::from(!ends[1]) * inset];
+    4 * rng.usize(low..=high)
+}
+
+/// A random crop of a pair, varied, with fresh noise: what the network sees by `guide`, `[1, channel, size, size]`, and its target,
+/// `[1, 3, size, size]`.
 ///
 /// Rows and columns start at multiples of 4, as the mosaic meets them in the camera.
 pub fn cut(
     electronics: &Electronics,
+    guide: &Guide,
     pair: &Pair,
     size: usize,
     augmentation: Augmentation,
@@ -74,22 +92,40 @@ pub fn cut(
 ) -> (Array4<f32>, Array4<f32>) {
     let (_, rows, cols) = pair.image.dim();
     let (h, w) = (size.min(rows), size.min(cols));
-    let (r, c) = (rng.usize(0..=(rows - h) / 4) * 4, rng.usize(0..=(cols - w) / 4) * 4);
+    let reach = guide.reach();
+    let frame = Region::whole(guide.frame());
+    let ends = |first: isize, count: usize, all: usize| [first <= 0, first + count.cast_signed() >= all.cast_signed()];
+    let (at, whole) = (pair.region, [frame.rows, frame.cols]);
+    let (r, c) = (
+        start(h, rows, reach, ends(at.row, rows, whole[0]), rng),
+        start(w, cols, reach, ends(at.col, cols, whole[1]), rng),
+    );
     let turns: [bool; 3] = std::array::from_fn(|_| augmentation.flips && rng.bool());
-    let part = |a: &Array3<f32>| -> Array3<f32> {
-        let mut view = a.slice(s![.., r..r + h, c..c + w]);
+    // What the guide looks at reaches further than the crop; starts stay multiples of 4.
+    let before = |start: usize| start - start.min(reach.next_multiple_of(4));
+    let (top, left) = (before(r), before(c));
+    let (bottom, right) =
+        ((r + h + reach).next_multiple_of(4).min(rows), (c + w + reach).next_multiple_of(4).min(cols));
+    let turned = |a: ArrayView3<'_, f32>, turns: [bool; 3]| -> Array3<f32> {
+        let mut view = a;
+        let square = view.dim().1 == view.dim().2;
         if turns[0] {
             view.invert_axis(Axis(1));
         }
         if turns[1] {
             view.invert_axis(Axis(2));
         }
-        if turns[2] && h == w {
+        if turns[2] && square {
             view.swap_axes(1, 2);
         }
         view.as_standard_layout().into_owned()
     };
-    let (mut image, illumination, truth) = (part(&pair.image), part(&pair.illumination), part(&pair.truth));
+    // Both sides are swapped where both crops are square.
+    let turns = [turns[0], turns[1], turns[2] && h == w && bottom - top == right - left];
+    let seen = s![.., top..bottom, left..right];
+    let (mut image, illumination) =
+        (turned(pair.image.slice(seen), turns), turned(pair.illumination.slice(seen), turns));
+    let truth = turned(pair.truth.slice(s![.., r..r + h, c..c + w]), turns);
     let [low, high] = augmentation.noise;
     let level = if low < high { (low.ln() + (high / low).ln() * rng.f64()).exp() } else { low };
     if augmentation.haze > 0.0 {
@@ -98,8 +134,20 @@ pub fn cut(
     let mut electronics = electronics.clone();
     electronics.noise.shot *= level * level;
     electronics.noise.read *= level;
-    let eps: Array2<f32> = standard_normal(rng.u64(..), (h, w));
-    let (input, _) = simulate(&electronics, image.view(), illumination.view(), eps);
+    let (_, height, width) = image.dim();
+    let eps: Array2<f32> = standard_normal(rng.u64(..), (height, width));
+    let (developed, _) = simulate(&electronics, image.view(), illumination.view(), eps);
+    // The guide belongs to the true place: turned back, told, turned again.
+    let back = if turns[2] { [turns[1], turns[0], true] } else { turns };
+    let developed = turned(developed.view(), back);
+    let place = |row: usize, col: usize, rows: usize, cols: usize| Region {
+        row: at.row + row.cast_signed(),
+        col: at.col + col.cast_signed(),
+        rows,
+        cols,
+    };
+    let mut input = guide.over(developed.view(), place(top, left, bottom - top, right - left), place(r, c, h, w));
+    guide.turned(&mut input, turns);
     (input.insert_axis(Axis(0)), truth.insert_axis(Axis(0)))
 }
 
@@ -137,7 +185,7 @@ impl Pairs {
     /// A lens that cannot be rendered at one of the distances.
     pub fn new(lens: &Lens, frame: &Frame, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
         let renderer = Renderer::planned(lens, frame, density, &settings.vergences, Settings::TRAINING)?;
-        let bytes = 9 * 4 * (settings.region_px as u64).pow(2);
+        let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + PLACE as u64;
         Ok(Self { lens: lens.clone(), bytes, settings, renderer, cache: None })
     }
 
@@ -216,7 +264,8 @@ impl Pairs {
         let pair = render_pair(&self.renderer, &patch)?;
         if let Some(place) = place {
             let arrays = [&pair.image, &pair.illumination, &pair.truth];
-            let bytes: Vec<u8> = arrays.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+            let mut bytes: Vec<u8> = arrays.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
+            [pair.region.row, pair.region.col].iter().for_each(|v| bytes.extend((*v as i64).to_le_bytes()));
             atomic::write_bytes(&place, &bytes)?;
         }
         Ok(pair)
@@ -226,18 +275,22 @@ impl Pairs {
     fn read(&self, place: &Path) -> Option<Pair> {
         let bytes = fs::read(place).ok().filter(|b| b.len() as u64 == self.bytes)?;
         let side = self.settings.region_px;
-        let mut arrays = bytes.chunks_exact(bytes.len() / 3).map(|part| {
+        let (values, place) = bytes.split_at(bytes.len() - PLACE);
+        let at = |k: usize| isize::try_from(i64::from_le_bytes(place[8 * k..8 * k + 8].try_into().ok()?)).ok();
+        let region = Region { row: at(0)?, col: at(1)?, rows: side, cols: side };
+        let mut arrays = values.chunks_exact(values.len() / 3).map(|part| {
             let values = part.chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])).collect();
             Array3::from_shape_vec((3, side, side), values).ok()
         });
         let mut next = || arrays.next().flatten();
-        Some(Pair { image: next()?, illumination: next()?, truth: next()? })
+        Some(Pair { image: next()?, illumination: next()?, truth: next()?, region })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::guide::{Filters, Inputs};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::cfa::Cfa;
     use crate::imaging::sensor::noise::Noise;
@@ -262,7 +315,7 @@ mod tests {
             at.map_or(Ok(()), |at| pairs.keep_in(at, &textures)).expect("writable");
             pairs
         };
-        let size = 9 * 4 * 32 * 32;
+        let size = 9 * 4 * 32 * 32 + 16;
         let (kept, fresh) = (open(1, 2 * size, Some(cache.as_path())), open(1, 0, None));
         assert_eq!((kept.kept(), fresh.kept()), (2, 0));
         let files = || fs::read_dir(&cache).expect("there").count() - 1;
@@ -282,12 +335,52 @@ mod tests {
         assert_eq!(files(), 0);
     }
 
+    /// Of a ramp over the frame: filters that move the picture by a column see the true place's neighbour however the crop is
+    /// turned, and the field's channels name the place that the pixel shows.
+    #[test]
+    fn guides_see_the_true_place_of_a_turned_crop() {
+        let frame = Frame::centred(96, 80, 0.01).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
+        let mut steps = ndarray::Array4::zeros((1, 3, 9, 9));
+        steps.slice_mut(s![.., .., 4, 5]).fill(30_000i16);
+        let scales = ndarray::Array2::from_elem((1, 3), 1.0 / 30_000.0);
+        let grid = crate::imaging::render::node_grid::NodeGrid::single(0, 0);
+        let filters = Filters::from_parts(grid, steps, scales).expect("valid");
+        let guide = Guide::from_parts(Inputs { wiener: true, field: true }, &frame, Some(filters)).expect("valid");
+        let region = Region { row: 20, col: 32, rows: 40, cols: 48 };
+        let value = |r: f32, c: f32| 0.1 + 0.004 * r + 0.006 * c;
+        let ramp = Array3::from_shape_fn((3, 40, 48), |(_, r, c)| value(20.0 + r as f32, 32.0 + c as f32));
+        let pair = Pair { image: ramp.clone(), illumination: Array3::ones(ramp.dim()), truth: ramp, region };
+        let mut quiet = electronics();
+        quiet.noise = Noise::NONE;
+        let largest = (96f32).hypot(80.0);
+        for seed in 0..40 {
+            let augmentation = Augmentation { flips: true, ..Augmentation::NONE };
+            let (input, target) = cut(&quiet, &guide, &pair, 16, augmentation, &mut fastrand::Rng::with_seed(seed));
+            assert_eq!((input.dim(), target.dim()), ((1, 9, 16, 16), (1, 3, 16, 16)));
+            for (i, j) in [(4, 4), (5, 11), (11, 6), (9, 9)] {
+                let at = |k: usize| input[[0, k, i, j]];
+                assert!((at(0) - target[[0, 0, i, j]]).abs() < 1e-4, "seed {seed}");
+                assert!((at(3) - at(0) + 0.006).abs() < 1e-4, "seed {seed}: {} {}", at(3), at(0));
+                // Rows and columns are exchanged where the crop is transposed.
+                let [x, y] = [6, 7].map(|k| at(k).abs() * largest - 0.5);
+                let shown = target[[0, 0, i, j]];
+                let off = (value(y, x) - shown).abs().min((value(x, y) - shown).abs());
+                assert!(off < 1e-4, "seed {seed}: {x} {y}");
+                assert!((at(8) - at(6).powi(2) - at(7).powi(2)).abs() < 1e-6);
+            }
+        }
+    }
+
     #[test]
     fn cuts_repeat_and_vary_as_asked() {
         let ramp =
             Array3::from_shape_fn((3, 16, 16), |(k, r, c)| 0.1 + 0.02 * r as f32 + 0.001 * c as f32 + 0.1 * k as f32);
-        let pair = Pair { image: ramp.clone(), illumination: Array3::ones((3, 16, 16)), truth: ramp };
-        let run = |seed, augmentation| cut(&electronics(), &pair, 8, augmentation, &mut fastrand::Rng::with_seed(seed));
+        let region = Region { row: 4, col: 8, rows: 16, cols: 16 };
+        let pair = Pair { image: ramp.clone(), illumination: Array3::ones((3, 16, 16)), truth: ramp, region };
+        let bare = Guide::bare(&Frame::centred(64, 48, 0.01).expect("valid"));
+        let run = |seed, augmentation| {
+            cut(&electronics(), &bare, &pair, 8, augmentation, &mut fastrand::Rng::with_seed(seed))
+        };
         let all = Augmentation { flips: true, noise: [0.5, 2.0], haze: 0.2 };
         assert_eq!(run(1, all), run(1, all));
         let mut ways = std::collections::BTreeSet::new();
@@ -303,7 +396,7 @@ mod tests {
         // Without noise and haze the capture of a smooth scene is the scene.
         let mut quiet = electronics();
         quiet.noise = Noise::NONE;
-        let (input, target) = cut(&quiet, &pair, 16, Augmentation::NONE, &mut fastrand::Rng::with_seed(1));
+        let (input, target) = cut(&quiet, &bare, &pair, 16, Augmentation::NONE, &mut fastrand::Rng::with_seed(1));
         let inner = |a: &Array4<f32>| a.slice(s![0, .., 3..13, 3..13]).to_owned();
         let worst = (inner(&input) - inner(&target)).iter().fold(0f32, |m, v| m.max(v.abs()));
         assert!(worst < 1e-3, "{worst}");

@@ -220,5 +220,5 @@ pub fn validate(
 
 /// A fresh network.
 pub fn network(base_width: usize, seed: u64) -> Result<Reconstructor> {
-    Reconstructor::new(UnetConfig { base_width, scales: 3 }, seed)
+    Reconstructor::new(UnetConfig::bare(base_width, 3), seed)
 }

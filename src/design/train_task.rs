@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use super::pairs::Augmentation;
 use super::schedule::{Length, Schedule};
 use crate::error::{Error, Result};
+use crate::imaging::guide::Inputs;
 use crate::network::critic::CriticConfig;
 use crate::network::unet::FULL_SCALES;
 use crate::network::{ContentKind, Objective, Reconstructor, UnetConfig};
@@ -28,6 +29,10 @@ pub struct TrainTask {
     pub base_width: Option<usize>,
     /// Scales of the network.
     pub scales: usize,
+    /// What it sees beside the capture: any of `wiener` (the capture through the lens's own Wiener filters) and `field` (the place in
+    /// the field); none: the capture alone, as in the paper.
+    #[serde(skip_serializing_if = "Inputs::is_bare")]
+    pub inputs: Inputs,
     /// Side of a training patch, pixels.
     pub patch_px: usize,
     /// Patches a step.
@@ -79,6 +84,7 @@ impl Default for TrainTask {
             start: None,
             base_width: None,
             scales: FULL_SCALES,
+            inputs: Inputs::BARE,
             patch_px: 256,
             batch: 1,
             pairs: 400,
@@ -120,7 +126,7 @@ impl TrainTask {
             (None, Some(path)) => Reconstructor::config_of(&path)?.base_width,
             (None, None) => WIDTH,
         };
-        Ok(UnetConfig { base_width, scales: self.scales })
+        Ok(UnetConfig { base_width, scales: self.scales, inputs: self.inputs })
     }
 
     /// Paths relative to `folder` become paths below it.
@@ -137,7 +143,8 @@ impl TrainTask {
         let within = |key: &str, v: f64, low: f64, high: f64, allowed: &str| {
             if v >= low && v <= high { Ok(()) } else { bad(key, v.to_string(), allowed) }
         };
-        let config = UnetConfig { base_width: self.base_width.unwrap_or(WIDTH), scales: self.scales };
+        let config =
+            UnetConfig { base_width: self.base_width.unwrap_or(WIDTH), scales: self.scales, inputs: self.inputs };
         if let Err(Error::BadInput { place, found, allowed, .. }) = config.validate() {
             let place = place.replacen("network", "train", 1);
             return Err(Error::bad(file, place, found, allowed));

@@ -22,6 +22,7 @@ use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
+use crate::imaging::guide::{self, Filters, Guide};
 use crate::imaging::metrics::psnr;
 use crate::imaging::plane::Region;
 use crate::imaging::render::frame_of;
@@ -70,6 +71,7 @@ pub struct Training {
     textures: Textures,
     electronics: Electronics,
     pairs: Pairs,
+    guide: Guide,
     /// Held-out inputs and targets.
     samples: Vec<(Array4<f32>, Array4<f32>)>,
     schedule: Schedule,
@@ -126,6 +128,7 @@ struct Parts {
     textures: Textures,
     electronics: Electronics,
     pairs: Pairs,
+    guide: Guide,
     samples: Vec<(Array4<f32>, Array4<f32>)>,
 }
 
@@ -154,13 +157,16 @@ impl Training {
     ) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
         let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
-        let parts = Parts::new(&task, lens, textures)?;
+        let parts = Parts::new(&task, lens, textures, None)?;
         let state = State::default();
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             prescription::save(lens, &inside.join("lens.toml"))?;
+            if let Some(filters) = parts.guide.filters() {
+                atomic::write_bytes(&inside.join(guide::FILE), &filters.to_npz()?)?;
+            }
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
         Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
@@ -183,12 +189,13 @@ impl Training {
         let path = folder.join(NETWORK);
         let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         let state = State::from_facts(&facts, &path)?;
-        let parts = Parts::new(&task, &lens, task.textures()?)?;
+        let kept = guide_of(folder, trainer.generator(), &lens)?;
+        let parts = Parts::new(&task, &lens, task.textures()?, Some(kept))?;
         Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
     fn assemble(folder: &Path, lock: File, task: Task, trainer: Trainer, parts: Parts, state: State) -> Result<Self> {
-        let Parts { textures, electronics, mut pairs, samples } = parts;
+        let Parts { textures, electronics, mut pairs, guide, samples } = parts;
         sweep(folder)?;
         pairs.keep_in(&folder.join("cache"), &textures)?;
         let mut schedule = task.train.schedule();
@@ -201,6 +208,7 @@ impl Training {
             textures,
             electronics,
             pairs,
+            guide,
             samples,
             schedule,
             state,
@@ -217,10 +225,29 @@ impl Training {
             None => "no two training pairs alike, all rendered as they are needed".into(),
         };
         vec![
-            format!("network: {} scales, {} channels at the finest", config.scales, config.base_width),
+            format!("network: {} scales, {} channels at the finest{}", config.scales, config.base_width, self.told()),
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
         ]
+    }
+
+    /// What the network sees beside the capture, in words.
+    fn told(&self) -> String {
+        let names = self.guide.inputs().names();
+        let filters = self.guide.filters().map_or(String::new(), |f| {
+            let size = 2 * f.reach() + 1;
+            format!(" ({} Wiener filters of {size} × {size} pixels a colour)", f.grid.len())
+        });
+        if names.is_empty() {
+            String::new()
+        } else {
+            format!("; sees {} beside the capture{filters}", names.join(", "))
+        }
+    }
+
+    /// What the network is told beside the capture.
+    pub fn guide(&self) -> &Guide {
+        &self.guide
     }
 
     /// The network as it is now.
@@ -314,7 +341,7 @@ impl Training {
         let mut parts = (Vec::new(), Vec::new());
         for _ in 0..train.batch {
             let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
-            let (input, target) = cut(&self.electronics, &pair, train.patch_px, train.augmentation(), rng);
+            let (input, target) = cut(&self.electronics, &self.guide, &pair, train.patch_px, train.augmentation(), rng);
             parts.0.push(input);
             parts.1.push(target);
         }
@@ -343,7 +370,7 @@ impl Training {
         let mut sum = 0.0;
         for (i, (input, target)) in self.samples.iter().enumerate() {
             let output = self.trainer.generator().forward(input.view())?;
-            let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).to_owned();
+            let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).slice(s![..3, .., ..]).to_owned();
             let (input, output, target) = (first(input), first(&output), first(target));
             sum += bounded(psnr(output.view(), target.view()));
             for (j, picture) in [input, output, target].iter().enumerate() {
@@ -396,7 +423,8 @@ fn median(values: &[f64]) -> f64 {
 }
 
 impl Parts {
-    fn new(task: &Task, lens: &Lens, textures: Textures) -> Result<Self> {
+    /// `guide`: that of a training that goes on.
+    fn new(task: &Task, lens: &Lens, textures: Textures, guide: Option<Guide>) -> Result<Self> {
         let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
         let electronics = Electronics::of(&sensor);
@@ -417,13 +445,20 @@ impl Parts {
             vergences,
         };
         let pairs = Pairs::new(lens, &frame, &density, settings)?;
-        let samples = if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics)? } else { vec![] };
-        Ok(Self { textures, electronics, pairs, samples })
+        let guide = guide.map_or_else(|| Guide::new(train.inputs, pairs.renderer(), &electronics), Ok)?;
+        let samples =
+            if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics, &guide)? } else { vec![] };
+        Ok(Self { textures, electronics, pairs, guide, samples })
     }
 }
 
 /// Patches of scenes that are never trained on, from the axis outwards, at the first distance.
-fn samples(pairs: &Pairs, side: usize, electronics: &Electronics) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
+fn samples(
+    pairs: &Pairs,
+    side: usize,
+    electronics: &Electronics,
+    guide: &Guide,
+) -> Result<Vec<(Array4<f32>, Array4<f32>)>> {
     let unseen = Textures::unseen(9000, SAMPLES.len(), 2 * side + 200);
     let renderer = pairs.renderer();
     let frame = &renderer.plan.frame;
@@ -445,9 +480,25 @@ fn samples(pairs: &Pairs, side: usize, electronics: &Electronics) -> Result<Vec<
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
             let patch = unseen.place(rng, frame, &renderer.optics.maps[0], region);
             let pair = super::pairs::render_pair(renderer, &patch)?;
-            Ok(cut(electronics, &pair, side, Augmentation::NONE, rng))
+            Ok(cut(electronics, guide, &pair, side, Augmentation::NONE, rng))
         })
         .collect()
+}
+
+/// What the network of a run's folder, trained for `lens`, is told beside the capture.
+///
+/// # Errors
+/// A folder without the filters that the network needs, or with those of another frame.
+pub fn guide_of(folder: &Path, network: &Reconstructor, lens: &Lens) -> Result<Guide> {
+    let (inputs, frame) = (network.config().inputs, frame_of(lens)?);
+    let path = folder.join(guide::FILE);
+    let filters = if inputs.wiener {
+        let bytes = fs::read(&path).map_err(|e| Error::reading(&path, e))?;
+        Some(Filters::from_npz(&bytes, &path)?)
+    } else {
+        None
+    };
+    Guide::from_parts(inputs, &frame, filters).map_err(|e| e.in_file(&path))
 }
 
 /// The network a task begins with.
@@ -459,109 +510,4 @@ fn start(task: &Task, compute: Compute) -> Result<Reconstructor> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::design::task::TaskSensor;
-
-    /// A task small enough for a test: a coarse sensor behind the two-element lens.
-    fn task() -> Task {
-        let mut task = Task::demo();
-        task.sensor = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
-        task.scenes = 2;
-        let train = &mut task.train;
-        (train.base_width, train.scales, train.patch_px, train.region_px) = (Some(4), 3, 32, 48);
-        (train.pairs, train.steps, train.sample_steps, train.rate) = (3, Some(20), 10, 1e-3);
-        task
-    }
-
-    fn weights(folder: &Path) -> Vec<Vec<f32>> {
-        let network = Reconstructor::load(&folder.join(NETWORK)).expect("reads");
-        network.parameters().into_iter().map(|p| p.values).collect()
-    }
-
-    /// Stopped after every few steps and resumed: the same bits as in one go, a whole log, no second trainer in the folder.
-    #[test]
-    fn a_training_in_pieces_is_the_training_in_one_go() {
-        let place = tempfile::tempdir().expect("temporary folder");
-        let (whole, pieces) = (place.path().join("whole"), place.path().join("pieces"));
-        let mut one = Training::create(task(), &whole, false, Compute::Cpu, Glasses::shipped()).expect("new");
-        one.run(&mut |_| true).expect("trains");
-        assert!(!whole.join("cache").exists() && whole.join("samples/step-0000010.png").is_file());
-        let mut training = Training::create(task(), &pieces, false, Compute::Cpu, Glasses::shipped()).expect("new");
-        let second = Training::resume(&pieces, Compute::Cpu).expect_err("locked").to_string();
-        assert!(second.contains("another process"), "{second}");
-        let replaced =
-            Training::create(task(), &pieces, true, Compute::Cpu, Glasses::shipped()).expect_err("locked").to_string();
-        assert!(replaced.contains("another process"), "{replaced}");
-        fs::write(pieces.join("network.safetensors.1.part"), b"half a checkpoint").expect("written");
-        for stop in [1, 3, 9, 10, 17] {
-            let ended = training.run(&mut |s| s.step < stop).expect_err("stopped");
-            assert!(matches!(ended, Error::Interrupted));
-            drop(training);
-            training = Training::resume(&pieces, Compute::Cpu).expect("resumes");
-            assert_eq!(training.step(), stop);
-        }
-        training.run(&mut |_| true).expect("trains");
-        assert_eq!(weights(&pieces), weights(&whole));
-        assert!(!pieces.join("network.safetensors.1.part").exists(), "what a kill has left is swept");
-        let log = fs::read_to_string(pieces.join("log.csv")).expect("written");
-        assert_eq!(log.lines().skip(1).map(|l| l.split(',').next().unwrap_or("")).collect::<Vec<_>>(), ["10", "20"]);
-        // Resumed once more it has nothing left to do.
-        drop(training);
-        let mut done = Training::resume(&pieces, Compute::Cpu).expect("resumes");
-        done.run(&mut |_| panic!("no step is left")).expect("nothing to do");
-    }
-
-    #[test]
-    fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
-        let place = tempfile::tempdir().expect("temporary folder");
-        let (first, second) = (place.path().join("first"), place.path().join("second"));
-        let create =
-            |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu, Glasses::shipped());
-        create(task(), &first).expect("new").run(&mut |_| true).expect("trains");
-        let mut deeper = task();
-        (deeper.train.start, deeper.train.scales, deeper.train.base_width) = (Some(first.clone()), 4, None);
-        drop(create(deeper.clone(), &second).expect("deepens"));
-        let (a, b) = (weights(&first), weights(&second));
-        assert!(b.len() > a.len() && a.iter().all(|w| b.contains(w)), "every weight moved");
-        let refused = |change: fn(&mut Task), what: &str| {
-            let (mut task, folder) = (deeper.clone(), place.path().join("refused"));
-            change(&mut task);
-            let text = create(task, &folder).expect_err(what).to_string();
-            assert!(text.contains(what) && !folder.exists(), "{text}");
-        };
-        refused(|t| t.train.base_width = Some(6), "starting network");
-        refused(|t| t.train.region_px = 256, "train.region_px");
-        refused(|t| t.train.start = Some("nowhere".into()), "nowhere");
-        refused(|t| t.train.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
-        assert!(matches!(create(task(), &first).expect_err("there already"), Error::Exists(_)));
-    }
-
-    #[test]
-    fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
-        let place = tempfile::tempdir().expect("temporary folder");
-        let run = place.path().join("run");
-        let mut long = task();
-        (long.train.steps, long.train.checkpoint_seconds) = (Some(100), 0.0);
-        let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
-        let ended = training.run(&mut |s| s.step < 5);
-        assert!(matches!(ended, Err(Error::Interrupted)));
-        let before = weights(&run);
-        training.trainer.poison();
-        let ended = training.run(&mut |_| true);
-        // Nothing that is not finite reaches the disk: the first checkpoint is refused, or twenty steps in a row are.
-        let text = ended.expect_err("no finite loss").to_string();
-        assert!(text.contains("not finite"), "{text}");
-        assert_eq!(weights(&run), before);
-        drop(training);
-        let mut again = Training::resume(&run, Compute::Cpu).expect("resumes");
-        assert_eq!(again.step(), 5);
-        again.run(&mut |s| s.step < 8).expect_err("stopped");
-        // With checkpoints far apart it is the steps that end it, with what to do.
-        again.task.train.checkpoint_seconds = 1e4;
-        again.trainer.poison();
-        let ended = again.run(&mut |_| true).expect_err("no finite loss");
-        assert!(matches!(&ended, Error::Stopped(text) if text.contains("20 times in a row")), "{ended}");
-        assert_eq!((ended.exit_code(), again.skipped()), (1, 20));
-    }
-}
+mod tests;

@@ -9,6 +9,7 @@ pub mod capture;
 pub mod develop;
 pub mod files;
 pub mod frame;
+pub mod guide;
 pub mod metrics;
 pub mod plane;
 pub mod reference;

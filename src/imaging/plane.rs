@@ -60,6 +60,16 @@ fn bilinear(t: ndarray::ArrayView2<'_, f32>, texel: [f64; 2]) -> (f64, [f64; 2])
     (top + fy * (bottom - top), [gx * dx, gy * (bottom - top)])
 }
 
+/// Index `i` mirrored into `0..n` about the first and last sample, which are not repeated.
+pub fn mirrored(i: isize, n: usize) -> usize {
+    let last = n.cast_signed() - 1;
+    if last <= 0 {
+        return 0;
+    }
+    let folded = i.rem_euclid(2 * last);
+    folded.min(2 * last - folded).unsigned_abs()
+}
+
 /// A rectangle of pixels in a frame (it may reach beyond it).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Region {

@@ -9,9 +9,10 @@ use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
+use crate::imaging::guide::Inputs;
 
-/// The card's schema this version reads and writes.
-pub const SCHEMA: u32 = 1;
+/// The newest form of a card. Networks that see the capture alone have the first, which says nothing of inputs.
+pub const SCHEMA: u32 = 2;
 
 /// The demosaicking kernel that training and camera share.
 pub const DEMOSAIC: &str = "malvar-he-cutler";
@@ -76,13 +77,16 @@ pub struct ModelCard {
     /// How the file stores the weights; a card that does not say means f32.
     #[serde(default)]
     pub weights: Weights,
+    /// What the network sees beside the capture.
+    #[serde(default)]
+    pub inputs: Inputs,
 }
 
 impl ModelCard {
     /// The card of a network of `base_width` channels and `scales` scales; lens, hashes and training stay empty.
     pub fn for_unet(name: impl Into<String>, base_width: usize, scales: usize) -> Self {
         Self {
-            schema: SCHEMA,
+            schema: 1,
             name: name.into(),
             lens_name: String::new(),
             lens_sha256: String::new(),
@@ -96,7 +100,24 @@ impl ModelCard {
             input: INPUT_CONVENTION.into(),
             receptive_radius_px: receptive_radius_px(scales),
             weights: Weights::F32,
+            inputs: Inputs::BARE,
         }
+    }
+
+    /// The card of a network that sees `inputs` beside the capture.
+    #[must_use]
+    pub fn seeing(mut self, inputs: Inputs) -> Self {
+        (self.schema, self.inputs, self.input) = (1, inputs, INPUT_CONVENTION.into());
+        if !inputs.is_bare() {
+            self.schema = SCHEMA;
+            self.input = format!(
+                "[batch, {}, row, col] f32: linear camera RGB, black at 0, white at 1, white-balanced, demosaicked, then {}; \
+                 output [batch, 3, row, col] alike",
+                inputs.channels(),
+                inputs.names().join(", ")
+            );
+        }
+        self
     }
 
     /// The card as metadata entries for an ONNX file.
@@ -117,7 +138,8 @@ impl ModelCard {
             ("receptive_radius_px", self.receptive_radius_px.to_string()),
             ("weights", self.weights.name().to_owned()),
         ];
-        entries.into_iter().map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
+        let inputs = (!self.inputs.is_bare()).then(|| ("inputs", self.inputs.names().join(" ")));
+        entries.into_iter().chain(inputs).map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
     }
 
     /// Reads a card back from an ONNX file's metadata; refuses missing entries, a newer schema, and values that no
@@ -125,12 +147,12 @@ impl ModelCard {
     pub fn from_metadata(metadata: &BTreeMap<String, String>) -> Result<Self> {
         let schema = number(metadata, "schema")?;
         let schema = u32::try_from(schema).unwrap_or(u32::MAX);
-        if schema != SCHEMA {
+        if !(1..=SCHEMA).contains(&schema) {
             return Err(Error::bad(
                 "",
                 format!("metadata {PREFIX}schema"),
                 schema.to_string(),
-                format!("this version reads schema {SCHEMA}"),
+                format!("this version reads schemas 1 to {SCHEMA}"),
             ));
         }
         let card = Self {
@@ -148,6 +170,7 @@ impl ModelCard {
             input: text(metadata, "input")?,
             receptive_radius_px: number(metadata, "receptive_radius_px")?,
             weights: weights(metadata)?,
+            inputs: inputs(metadata, schema)?,
         };
         card.validate()?;
         Ok(card)
@@ -212,6 +235,18 @@ fn weights(metadata: &BTreeMap<String, String>) -> Result<Weights> {
     }
 }
 
+/// What the network sees; the first form of a card says nothing of it.
+fn inputs(metadata: &BTreeMap<String, String>, schema: u32) -> Result<Inputs> {
+    if schema == 1 {
+        return Ok(Inputs::BARE);
+    }
+    let names = text(metadata, "inputs")?;
+    Inputs::of_names(names.split_whitespace()).map_err(|e| match e {
+        Error::BadInput { found, allowed, .. } => Error::bad("", format!("metadata {PREFIX}inputs"), found, allowed),
+        other => other,
+    })
+}
+
 fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<usize> {
     let value = text(metadata, key)?;
     value.parse().map_err(|_| Error::bad("", format!("metadata {PREFIX}{key}"), value, "a whole number"))
@@ -246,10 +281,24 @@ mod tests {
     }
 
     #[test]
+    fn what_a_network_sees_stands_in_the_second_form() {
+        let inputs = Inputs { wiener: true, field: true };
+        let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
+        let mut metadata = card.to_metadata();
+        assert_eq!((ModelCard::from_metadata(&metadata).expect("own card"), card.schema), (card.clone(), 2));
+        metadata.insert("isoplanat.inputs".into(), "wiener smell".into());
+        let message = ModelCard::from_metadata(&metadata).expect_err("unknown").to_string();
+        assert!(message.contains("isoplanat.inputs") && message.contains("smell"), "{message}");
+        metadata.remove("isoplanat.inputs");
+        assert!(ModelCard::from_metadata(&metadata).is_err());
+        assert_eq!(ModelCard::for_unet("x", 16, 3).seeing(Inputs::BARE).schema, 1);
+    }
+
+    #[test]
     fn bad_metadata_is_refused_by_key() {
         let good = ModelCard::for_unet("x", 16, 3).to_metadata();
         for (key, value) in [
-            ("schema", "2"),
+            ("schema", "3"),
             ("channels", "4"),
             ("scales", "0"),
             ("multiple", "3"),

@@ -119,7 +119,7 @@ mod tests {
     use ndarray::Array4;
 
     fn model() -> Reconstructor {
-        Reconstructor::new(UnetConfig { base_width: 4, scales: 2 }, 5).expect("valid")
+        Reconstructor::new(UnetConfig::bare(4, 2), 5).expect("valid")
     }
 
     fn train(model: &mut Reconstructor, steps: usize) {

@@ -3,11 +3,12 @@
 //! The trimmed network is the full one's part of scales `0 .. n`. What the full network adds joins it at one place: the
 //! decoder block of the trimmed network's flat bottom. That block starts as the identity on the skip (weights of one in
 //! the middle, slopes of one; T. Chen, I. Goodfellow, J. Shlens, "Net2Net", ICLR 2016), so the full network
-//! starts with the trimmed one's output, bit by bit up to rounding, and learns from there.
+//! starts with the trimmed one's output, bit by bit up to rounding, and learns from there. So does a network that sees more than
+//! the capture from one that does not: what is new counts nothing at first.
 
 use super::compute::Compute;
 use super::reconstructor::Reconstructor;
-use super::unet::UnetConfig;
+use super::unet::{CHANNELS, UnetConfig};
 use crate::error::{Error, Result};
 
 impl Reconstructor {
@@ -17,6 +18,11 @@ impl Reconstructor {
     /// Another width, or fewer scales than `self` has.
     pub fn deepened(&self, config: &UnetConfig, seed: u64, compute: Compute) -> Result<Self> {
         let own = self.config();
+        let more = own.inputs != config.inputs;
+        if more && !own.inputs.is_bare() {
+            let allowed = format!("a network of the same inputs, {:?}, or of none", config.inputs.names());
+            return Err(Error::bad("", "starting network", format!("inputs {:?}", own.inputs.names()), allowed));
+        }
         if config.base_width != own.base_width || config.scales < own.scales {
             return Err(Error::bad(
                 "",
@@ -32,6 +38,21 @@ impl Reconstructor {
         for parameter in deeper.parameters() {
             let moved = trained.iter().find(|p| p.name == parameter.name);
             match (moved, parameter.name.strip_prefix(&joint)) {
+                (Some(moved), _) if more && parameter.name == "encoder.0.conv1.weight" => {
+                    // What the capture alone does not have counts nothing yet.
+                    weights.extend(widened(&moved.values, CHANNELS, parameter.shape[1]));
+                }
+                (Some(moved), _) if more && parameter.name == "output.weight" => {
+                    let (features, all) = (config.width(0), parameter.shape[1]);
+                    let mut values = widened(&moved.values, features, all);
+                    let base = config.inputs.base();
+                    for (colour, row) in values.chunks_mut(9 * all).enumerate().filter(|_| base > 0) {
+                        // The output is the capture and what the network adds, whatever the new base.
+                        row[9 * (features + colour) + 4] = 1.0;
+                        row[9 * (features + base + colour) + 4] = -1.0;
+                    }
+                    weights.extend(values);
+                }
                 (Some(moved), _) => weights.extend_from_slice(&moved.values),
                 (None, Some("slope1" | "slope2")) => weights.extend(vec![1.0; parameter.values.len()]),
                 (None, Some("conv1.weight" | "conv2.weight")) => {
@@ -49,6 +70,15 @@ impl Reconstructor {
     }
 }
 
+/// Weights `[out, inputs, 3, 3]` with more inputs, whose weights are nothing.
+fn widened(values: &[f32], inputs: usize, all: usize) -> Vec<f32> {
+    let mut out = vec![0.0; values.len() / inputs * all];
+    for (from, to) in values.chunks(9 * inputs).zip(out.chunks_mut(9 * all)) {
+        to[..from.len()].copy_from_slice(from);
+    }
+    out
+}
+
 #[cfg(test)]
 mod tests {
     use ndarray::Array4;
@@ -58,7 +88,7 @@ mod tests {
     #[test]
     fn the_full_network_starts_where_the_trimmed_one_ended() {
         let rng = &mut fastrand::Rng::with_seed(2);
-        let mut trimmed = Reconstructor::new(UnetConfig { base_width: 4, scales: 3 }, 3).expect("valid");
+        let mut trimmed = Reconstructor::new(UnetConfig::bare(4, 3), 3).expect("valid");
         for parameter in trimmed.parameters() {
             let values: Vec<f32> = parameter.values.iter().map(|v| v + 0.1 * (rng.f32() - 0.5)).collect();
             trimmed.set_parameter(&parameter.name, &values).expect("same length");
@@ -66,7 +96,7 @@ mod tests {
         let input = Array4::from_shape_simple_fn((1, 3, 64, 128), || rng.f32());
         let before = trimmed.forward(input.view()).expect("fits");
         for scales in [3, 4, 7] {
-            let config = UnetConfig { base_width: 4, scales };
+            let config = UnetConfig::bare(4, scales);
             let mut full = trimmed.deepened(&config, 5, Compute::Cpu).expect("deeper");
             let after = full.forward(input.view()).expect("fits");
             let worst = (&after - &before).iter().fold(0f32, |m, v| m.max(v.abs()));
@@ -81,7 +111,7 @@ mod tests {
             }
         }
         for (base_width, scales) in [(8, 7), (4, 2)] {
-            assert!(trimmed.deepened(&UnetConfig { base_width, scales }, 5, Compute::Cpu).is_err());
+            assert!(trimmed.deepened(&UnetConfig::bare(base_width, scales), 5, Compute::Cpu).is_err());
         }
     }
 }

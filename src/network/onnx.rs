@@ -1,7 +1,7 @@
 //! Export to ONNX: the same operations as the in-crate forward pass, dynamic batch, height and width, the card in the
 //! metadata.
 //!
-//! Opset 17, IR 9. Input `input` and output `output` are `[batch, 3, height, width]` f32; height and width must be multiples
+//! Opset 17, IR 9. Input `input` is `[batch, channel, height, width]`, output `output` `[batch, 3, height, width]` f32; height and width must be multiples
 //! of the card's `multiple`. Initialisers carry the parameters' names. Where the card asks for f16 weights, initialisers are
 //! stored so, and a `Cast` behind each (`NAME.f32`) brings it back: a runtime folds them when it loads the file, and computes in
 //! f32 as before.
@@ -20,6 +20,7 @@ use super::learner::Parameter;
 use super::reconstructor::Reconstructor;
 use crate::atomic::write_bytes;
 use crate::error::{Error, Result};
+use crate::imaging::guide::Inputs;
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 9;
@@ -34,13 +35,13 @@ pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()
 /// The bytes of [`export`]'s file.
 pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     let config = model.config();
-    if (card.base_width, card.scales, card.multiple) != (config.base_width, config.scales, config.multiple()) {
-        return Err(Error::bad(
-            "",
-            "model card",
-            format!("width {}, scales {}, multiple {}", card.base_width, card.scales, card.multiple),
-            format!("the network's: {}, {}, {}", config.base_width, config.scales, config.multiple()),
-        ));
+    let facts = |w: usize, s: usize, m: usize, inputs: Inputs| {
+        format!("width {w}, scales {s}, multiple {m}, inputs {:?}", inputs.names())
+    };
+    let said = facts(card.base_width, card.scales, card.multiple, card.inputs);
+    let own = facts(config.base_width, config.scales, config.multiple(), config.inputs);
+    if said != own {
+        return Err(Error::bad("", "model card", said, format!("the network's: {own}")));
     }
     let parameters = model.parameters();
     if let Some(bad) = parameters.iter().find(|p| p.values.iter().any(|v| !v.is_finite())) {
@@ -51,7 +52,12 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         Weights::F16 => Some(parameters.iter().map(half_bytes).collect::<Result<Vec<_>>>()?),
     };
     let mut initializers: Vec<TensorProto<'_>> = parameters.iter().map(initializer).collect();
-    let mut steps = steps(config.scales);
+    let mut steps = steps(config.scales, config.inputs);
+    if !config.inputs.is_bare() {
+        let base = config.inputs.base() as i64;
+        let bounds = BOUNDS.iter().zip([base, base + 3, 1]);
+        initializers.extend(bounds.map(|(name, v)| TensorProto::from_i64(name, vec![1], vec![v])));
+    }
     if let Some(halves) = &halves {
         for (tensor, bytes) in initializers.iter_mut().zip(halves) {
             *tensor = TensorProto::from_raw(tensor.name(), tensor.dims().to_vec(), DataType::Float16, bytes);
@@ -69,8 +75,8 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
             name: "reconstruction",
             node: steps.iter().map(Operation::node).collect(),
             initializer: initializers,
-            input: vec![image("input")],
-            output: vec![image("output")],
+            input: vec![image("input", config.inputs.channels())],
+            output: vec![image("output", 3)],
             ..Default::default()
         }),
         ..Default::default()
@@ -93,11 +99,15 @@ enum Kind {
     Pool,
     Unpool,
     Concatenation,
+    Slice,
     Addition,
 }
 
+/// First channel, channel behind the last, and axis of the slice that the network's output is added to.
+const BOUNDS: [&str; 3] = ["base.from", "base.to", "base.axis"];
+
 /// The network's operations in order, as in the in-crate forward pass.
-fn steps(scales: usize) -> Vec<Operation> {
+fn steps(scales: usize, inputs: Inputs) -> Vec<Operation> {
     let mut steps: Vec<Operation> = Vec::new();
     let mut push = |kind, name: &str, inputs: &[&str]| {
         let inputs = inputs.iter().map(|input| (*input).to_owned()).collect();
@@ -130,8 +140,13 @@ fn steps(scales: usize) -> Vec<Operation> {
         value = push(Kind::Concatenation, &format!("concat.{scale}"), &[&skips[scale], &value]);
         value = block(&mut push, &format!("decoder.{scale}"), &value);
     }
+    let mut base = "input".to_owned();
+    if !inputs.is_bare() {
+        value = push(Kind::Concatenation, "beside", &[&value, "input"]);
+        base = push(Kind::Slice, "base", &["input", BOUNDS[0], BOUNDS[1], BOUNDS[2]]);
+    }
     value = push(Kind::Convolution, "residual", &[&value, "output.weight", "output.bias"]);
-    push(Kind::Addition, "output", &["input", &value]);
+    push(Kind::Addition, "output", &[&base, &value]);
     steps
 }
 
@@ -144,6 +159,7 @@ impl Operation {
             Kind::Pool => (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
             Kind::Unpool => (OpType::ConvTranspose, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
             Kind::Concatenation => (OpType::Concat, vec![int("axis", 1)]),
+            Kind::Slice => (OpType::Slice, vec![]),
             Kind::Addition => (OpType::Add, vec![]),
         };
         Node {
@@ -197,9 +213,10 @@ fn initializer(parameter: &Parameter) -> TensorProto<'_> {
     TensorProto::from_f32(&parameter.name, shape, parameter.values.clone())
 }
 
-/// `[batch, 3, height, width]` f32.
-fn image(name: &str) -> ValueInfo<'_> {
-    let dim = [Dimension::Param("batch"), Dimension::Value(3), Dimension::Param("height"), Dimension::Param("width")]
+/// `[batch, channels, height, width]` f32.
+fn image(name: &str, channels: usize) -> ValueInfo<'_> {
+    let channels = Dimension::Value(channels as i64);
+    let dim = [Dimension::Param("batch"), channels, Dimension::Param("height"), Dimension::Param("width")]
         .map(|value| TensorShapeDimension { value, ..Default::default() });
     let shape = Some(TensorShape { dim: dim.into() });
     let value = Some(TypeValue::Tensor(TensorTypeProto { elem_type: DataType::Float, shape }));
@@ -214,7 +231,7 @@ mod tests {
     use crate::network::UnetConfig;
 
     fn model() -> (Reconstructor, ModelCard) {
-        let config = UnetConfig { base_width: 6, scales: 3 };
+        let config = UnetConfig::bare(6, 3);
         let mut model = Reconstructor::new(config, 9).expect("valid");
         let rng = &mut fastrand::Rng::with_seed(2);
         for mut parameter in model.parameters() {

@@ -16,7 +16,7 @@ use super::compute::Compute;
 use super::kernels::Level;
 use super::learner::{Learner, Parameter};
 use super::tiles;
-use super::unet::{CHANNELS, Unet, UnetConfig};
+use super::unet::{Unet, UnetConfig};
 use crate::error::{Error, Result};
 
 /// Pixels × base width above which the forward pass works in tiles (about 1 GiB of features).
@@ -104,12 +104,13 @@ impl Reconstructor {
     /// overlapping tiles, with the same result.
     ///
     /// # Shapes
-    /// `[batch, 3, row, col]` → the same.
+    /// `[batch, channel, row, col]`, the channels of [`UnetConfig::inputs`] → `[batch, 3, row, col]`.
     pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
         self.check(&input)?;
         let (network, level) = (self.learner.module().valid(), self.level);
         let device = self.learner.device().clone().inner();
-        let run = |window: ArrayView4<f32>| array(network.forward(level, tensor(&window, &device)));
+        let inputs = self.config.inputs;
+        let run = |window: ArrayView4<f32>| array(network.forward(level, inputs, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
         if rows * columns * self.config.base_width <= TILE_ABOVE {
             return run(input);
@@ -134,7 +135,7 @@ impl Reconstructor {
     /// Loss, output and cotangents for one batch; with `update`, one Adam step of size `learning_rate` after it.
     ///
     /// # Shapes
-    /// `input`, `target`: `[batch, 3, row, col]`, rows and columns multiples of [`UnetConfig::multiple`].
+    /// `input`: `[batch, channel, row, col]`, `target`: `[batch, 3, row, col]`, rows and columns multiples of [`UnetConfig::multiple`].
     pub fn step(
         &mut self,
         input: ArrayView4<f32>,
@@ -218,7 +219,7 @@ impl Reconstructor {
 
     /// The forward pass with a graph behind it.
     pub(super) fn forward_tracked(&self, input: Tensor<4>) -> Tensor<4> {
-        self.learner.module().forward(self.level, input)
+        self.learner.module().forward(self.level, self.config.inputs, input)
     }
 
     /// A clipped Adam step with the weights' part of `gradients`; see [`Learner::update`].
@@ -238,12 +239,13 @@ impl Reconstructor {
     /// Refuses an input that does not fit the network, and a target of another shape.
     pub(super) fn check_pair(&self, input: &ArrayView4<f32>, target: &ArrayView4<f32>) -> Result<()> {
         self.check(input)?;
-        if input.dim() != target.dim() {
+        let (batch, _, rows, columns) = input.dim();
+        if (batch, 3, rows, columns) != target.dim() {
             return Err(Error::bad(
                 "",
                 "training target",
                 format!("shape {:?}", target.dim()),
-                format!("the input's shape, {:?}", input.dim()),
+                format!("three channels of the input's shape, {:?}", input.dim()),
             ));
         }
         Ok(())
@@ -263,7 +265,7 @@ impl Reconstructor {
         let frozen = (!with_weights).then(|| self.learner.frozen());
         let network = frozen.as_ref().unwrap_or_else(|| self.learner.module());
 
-        let output = network.forward(self.level, input.clone());
+        let output = network.forward(self.level, self.config.inputs, input.clone());
         let difference = output.clone() - tensor(target, self.learner.device());
         let mut gradients = difference.abs().mean().backward();
 
@@ -276,14 +278,14 @@ impl Reconstructor {
 
     fn check(&self, input: &ArrayView4<f32>) -> Result<()> {
         let (batch, channels, rows, columns) = input.dim();
-        let multiple = self.config.multiple();
+        let (multiple, wanted) = (self.config.multiple(), self.config.inputs.channels());
         let fits = |n: usize| n > 0 && n.is_multiple_of(multiple);
-        if batch == 0 || channels != CHANNELS || !fits(rows) || !fits(columns) {
+        if batch == 0 || channels != wanted || !fits(rows) || !fits(columns) {
             return Err(Error::bad(
                 "",
                 "network input",
                 format!("shape [{batch}, {channels}, {rows}, {columns}]"),
-                format!("[batch, {CHANNELS}, rows, columns], rows and columns multiples of {multiple}"),
+                format!("[batch, {wanted}, rows, columns], rows and columns multiples of {multiple}"),
             ));
         }
         Ok(())
@@ -318,7 +320,7 @@ mod tests {
     use crate::testing::assert_rel;
 
     fn small() -> UnetConfig {
-        UnetConfig { base_width: 4, scales: 3 }
+        UnetConfig::bare(4, 3)
     }
 
     fn picture(shape: (usize, usize, usize, usize), seed: u64) -> Array4<f32> {
@@ -496,7 +498,9 @@ mod tests {
         let margin = receptive_radius_px(3).next_multiple_of(4);
         let (network, level) = (model.learner.module().valid(), model.level);
         let device = model.learner.device().clone().inner();
-        let run = |w: ArrayView4<f32>| array(network.forward(level, tensor(&w, &device)));
+        let run = |w: ArrayView4<f32>| {
+            array(network.forward(level, crate::imaging::guide::Inputs::BARE, tensor(&w, &device)))
+        };
         let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
         let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
         assert!(difference < 1e-5, "{difference}");
@@ -519,7 +523,7 @@ mod tests {
             (4, 7, (2, 3, 64, 128)),
         ] {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
-            let mut model = awake(UnetConfig { base_width, scales }, 3);
+            let mut model = awake(UnetConfig::bare(base_width, scales), 3);
             model.level = Level::Plain;
             let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
@@ -548,7 +552,7 @@ mod tests {
     #[ignore = "a measurement, not a check: seconds per training step"]
     fn time_of_a_step() {
         for base_width in [16, 32] {
-            let mut model = Reconstructor::new(UnetConfig { base_width, scales: 3 }, 1).expect("valid");
+            let mut model = Reconstructor::new(UnetConfig::bare(base_width, 3), 1).expect("valid");
             let (input, target) = (picture((1, 3, 256, 256), 1), picture((1, 3, 256, 256), 2));
             let mut time = |name: &str, run: &mut dyn FnMut(&mut Reconstructor)| {
                 let mut seconds: Vec<f64> = (0..12)

@@ -4,7 +4,7 @@ use ndarray::{Array4, ArrayView4, s};
 
 use crate::error::Result;
 
-/// Applies `run` (which keeps the shape) to tiles of `tile` pixels with `margin` pixels of surroundings, clipped at the
+/// Applies `run` (which keeps rows and columns) to tiles of `tile` pixels with `margin` pixels of surroundings, clipped at the
 /// picture's border, and puts the tiles' cores together.
 ///
 /// With `tile` and `margin` multiples of the network's multiple and `margin` at least its receptive radius, the result
@@ -15,14 +15,17 @@ pub(super) fn forward_tiled(
     margin: usize,
     run: impl Fn(ArrayView4<f32>) -> Result<Array4<f32>>,
 ) -> Result<Array4<f32>> {
-    let (_, _, rows, columns) = input.dim();
-    let mut output = Array4::zeros(input.raw_dim());
+    let (batch, _, rows, columns) = input.dim();
+    let mut output = Array4::zeros((0, 0, 0, 0));
     for row in (0..rows).step_by(tile) {
         for column in (0..columns).step_by(tile) {
             let (row_end, column_end) = ((row + tile).min(rows), (column + tile).min(columns));
             let (top, left) = (row.saturating_sub(margin), column.saturating_sub(margin));
             let (bottom, right) = ((row_end + margin).min(rows), (column_end + margin).min(columns));
             let done = run(input.slice(s![.., .., top..bottom, left..right]))?;
+            if output.is_empty() {
+                output = Array4::zeros((batch, done.dim().1, rows, columns));
+            }
             output.slice_mut(s![.., .., row..row_end, column..column_end]).assign(&done.slice(s![
                 ..,
                 ..,

@@ -198,7 +198,7 @@ mod tests {
     }
 
     fn small() -> Reconstructor {
-        Reconstructor::new(UnetConfig { base_width: 4, scales: 3 }, 7).expect("valid")
+        Reconstructor::new(UnetConfig::bare(4, 3), 7).expect("valid")
     }
 
     fn adversarial() -> Objective {

@@ -11,9 +11,10 @@ use serde::{Deserialize, Serialize};
 use super::kernels::Level;
 use super::layers::{Features, convolve, pool, unpool};
 use crate::error::{Error, Result};
+use crate::imaging::guide::Inputs;
 use crate::math::memory::product;
 
-/// Colour channels in and out.
+/// Colour channels out.
 pub(super) const CHANNELS: usize = 3;
 
 /// PReLU's slope at the start (He et al. 2015, as in the common frameworks).
@@ -38,15 +39,23 @@ pub struct UnetConfig {
     /// Number of scales: 3 for design (fig. 3), 7 for the full generator; height and width are multiples of
     /// `2^(scales − 1)`.
     pub scales: usize,
+    /// What it sees beside the capture.
+    #[serde(default, skip_serializing_if = "Inputs::is_bare")]
+    pub inputs: Inputs,
 }
 
 impl Default for UnetConfig {
     fn default() -> Self {
-        Self { base_width: 16, scales: 3 }
+        Self { base_width: 16, scales: 3, inputs: Inputs::BARE }
     }
 }
 
 impl UnetConfig {
+    /// A network that sees the capture alone.
+    pub fn bare(base_width: usize, scales: usize) -> Self {
+        Self { base_width, scales, inputs: Inputs::BARE }
+    }
+
     /// Refuses sizes that are no network or too large to train.
     pub fn validate(&self) -> Result<()> {
         if !(1..=512).contains(&self.base_width) {
@@ -71,6 +80,7 @@ impl UnetConfig {
     pub fn step_bytes(&self, side: usize, batch: usize) -> u64 {
         let widths = || (0..self.scales).map(|s| (s, self.width(s)));
         let planes = widths().map(|(s, w)| product(&[11, batch, w, (side >> s).max(1).pow(2)])).sum::<u64>();
+        let planes = planes.saturating_add(product(&[4, batch, self.inputs.channels(), side.pow(2)]));
         // Five 3 × 3 convolutions of a scale's width, or what amounts to fewer.
         let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
         planes.saturating_mul(4).saturating_add(weights.saturating_mul(24))
@@ -81,6 +91,7 @@ impl UnetConfig {
     pub fn forward_bytes(&self, side: usize) -> u64 {
         let widths = || (0..self.scales).map(|s| (s, self.width(s)));
         let planes = widths().map(|(s, w)| product(&[4, w, side.div_ceil(1 << s).pow(2)])).sum::<u64>();
+        let planes = planes.saturating_add(product(&[2, self.inputs.channels(), side.pow(2)]));
         let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
         planes.saturating_add(2 * weights).saturating_mul(4)
     }
@@ -109,6 +120,25 @@ impl Convolution {
         Self::draw([outputs, inputs, 3, 3], outputs, 9 * inputs, gain, rng, device)
     }
 
+    /// The last one of a network that sees more than the capture: small weights on `features`, none yet on `inputs`.
+    fn beside(features: usize, inputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
+        let all = features + inputs;
+        let mut values = vec![0.0; CHANNELS * all * 9];
+        let bound = Self::bound(9 * features, OUTPUT_GAIN);
+        for row in values.chunks_mut(9 * all) {
+            row[..9 * features].iter_mut().for_each(|v| *v = (bound * (2.0 * rng.f64() - 1.0)) as f32);
+        }
+        Self {
+            weight: Param::from_data(TensorData::new(values, [CHANNELS, all, 3, 3]), device),
+            bias: Param::from_data(TensorData::new(vec![0f32; CHANNELS], [CHANNELS]), device),
+        }
+    }
+
+    /// He's bound for PReLU times `gain`.
+    fn bound(fan_in: usize, gain: f64) -> f64 {
+        3f64.sqrt() * (2.0 / ((1.0 + f64::from(INITIAL_SLOPE).powi(2)) * fan_in as f64)).sqrt() * gain
+    }
+
     /// 2×2 transposed, `[in, out, 2, 2]`; each output pixel sees one tap of every input.
     fn transposed(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
         Self::draw([inputs, outputs, 2, 2], outputs, inputs, 1.0, rng, device)
@@ -122,8 +152,7 @@ impl Convolution {
         rng: &mut fastrand::Rng,
         device: &Device,
     ) -> Self {
-        let deviation = (2.0 / ((1.0 + f64::from(INITIAL_SLOPE).powi(2)) * fan_in as f64)).sqrt();
-        let bound = 3f64.sqrt() * deviation * gain;
+        let bound = Self::bound(fan_in, gain);
         let values: Vec<f32> = (0..shape.iter().product()).map(|_| (bound * (2.0 * rng.f64() - 1.0)) as f32).collect();
         Self {
             weight: Param::from_data(TensorData::new(values, shape), device),
@@ -180,17 +209,24 @@ impl Unet {
         let coarser = config.scales - 1;
         Self {
             encoder: (0..config.scales)
-                .map(|s| Block::new(if s == 0 { CHANNELS } else { width(s - 1) }, width(s), rng, device))
+                .map(|s| {
+                    Block::new(if s == 0 { config.inputs.channels() } else { width(s - 1) }, width(s), rng, device)
+                })
                 .collect(),
             up: (0..coarser).map(|s| Convolution::transposed(width(s + 1), width(s), rng, device)).collect(),
             decoder: (0..coarser).map(|s| Block::new(2 * width(s), width(s), rng, device)).collect(),
-            output: Convolution::square(width(0), CHANNELS, OUTPUT_GAIN, rng, device),
+            output: match config.inputs.is_bare() {
+                true => Convolution::square(width(0), CHANNELS, OUTPUT_GAIN, rng, device),
+                false => Convolution::beside(width(0), config.inputs.channels(), rng, device),
+            },
         }
     }
 
     /// # Shapes
-    /// `[batch, 3, row, col]` → the same; rows and columns are multiples of `2^(scales − 1)`.
-    pub(super) fn forward(&self, level: Level, input: Tensor<4>) -> Tensor<4> {
+    /// `[batch, channel, row, col]` → `[batch, 3, row, col]`; rows and columns are multiples of `2^(scales − 1)`. What the last
+    /// convolution gives is added to the channels of [`Inputs::base`]; where there is more to see than the capture it sees that too,
+    /// so that every channel has a straight way to the output.
+    pub(super) fn forward(&self, level: Level, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
         let mut features = Features::plain(input.clone());
         let mut skips = Vec::with_capacity(self.encoder.len());
         for (scale, block) in self.encoder.iter().enumerate() {
@@ -205,7 +241,12 @@ impl Unet {
             let lifted = Features::plain(unpool(level, &features, up.weight.val(), up.bias.val()));
             features = block.forward(level, &[&skips[scale], &lifted]);
         }
-        input + convolve(level, &[&features], self.output.weight.val(), self.output.bias.val())
+        let (weight, bias) = (self.output.weight.val(), self.output.bias.val());
+        if inputs.is_bare() {
+            return input + convolve(level, &[&features], weight, bias);
+        }
+        let base = input.clone().narrow(1, inputs.base(), CHANNELS);
+        base + convolve(level, &[&features, &Features::plain(input)], weight, bias)
     }
 }
 
@@ -216,11 +257,11 @@ mod tests {
     #[test]
     fn sizes_that_are_no_network_are_refused() {
         for (base_width, scales) in [(0, 3), (16, 0), (16, 8), (513, 1), (512, 4)] {
-            assert!(UnetConfig { base_width, scales }.validate().is_err(), "{base_width} {scales}");
+            assert!(UnetConfig::bare(base_width, scales).validate().is_err(), "{base_width} {scales}");
         }
         assert!(UnetConfig::default().validate().is_ok());
         assert_eq!(UnetConfig::default().multiple(), 4);
-        let full = UnetConfig { base_width: 32, scales: 7 };
+        let full = UnetConfig::bare(32, 7);
         assert!(full.validate().is_ok());
         let widths: Vec<usize> = (0..7).map(|s| full.width(s)).collect();
         assert_eq!(widths, [32, 64, 128, 256, 512, 512, 512]);

@@ -1,14 +1,9 @@
 //! From numbers to a lens that stands on its own, and what is told of it.
 
 use super::constraint::{Quantity, Target};
-use super::merit::Apertures;
 use super::problem::{KEPT, Problem, Stop};
 use super::solver::Solved;
-use crate::error::Result;
-use crate::lens::{Lens, Parameter, Prescription};
-
-/// Clear semi-diameters that follow the beam are this much wider.
-const WIDER: f64 = 1.0 + 1e-3;
+use crate::lens::{Lens, Parameter};
 
 /// A number that moved.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,28 +73,6 @@ pub(super) struct Spent {
     pub(super) reached: f64,
     pub(super) first_rms: Option<f64>,
     pub(super) started: std::time::Instant,
-}
-
-/// The lens of solved numbers whose beam has these heights, its clear semi-diameters after the beam where they are automatic.
-///
-/// # Errors
-/// Numbers that are no lens.
-pub(super) fn stands(problem: &Problem, numbers: &Prescription, heights: &[f64]) -> Result<Lens> {
-    let mut numbers = numbers.clone();
-    let automatic = problem.merit.apertures == Apertures::Automatic;
-    for (i, (s, h)) in numbers.surfaces.iter_mut().zip(heights).enumerate() {
-        if i != numbers.stop && *h > 0.0 && (automatic || *h > s.semi_diameter) {
-            s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
-        }
-    }
-    if automatic {
-        // The stop's own surface follows the stop.
-        let stop = crate::lens::paraxial::stop_semi_diameter(&numbers);
-        if stop.is_finite() && stop > 0.0 {
-            numbers.surfaces[numbers.stop].semi_diameter = stop;
-        }
-    }
-    Lens::new(numbers, &problem.lens.name)
 }
 
 pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spent) -> Outcome {

@@ -90,7 +90,7 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
                     first_rms = Some(solved.rms[0]);
                 }
                 let stopped = matches!(solved.stop, Stop::Time | Stop::Asked);
-                let next = finish::stands(problem, &solved.numbers, &solved.heights);
+                let next = problem.stands(&solved.numbers, &solved.heights);
                 if next.is_err() && last.is_some() {
                     break;
                 }

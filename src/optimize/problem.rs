@@ -3,12 +3,16 @@
 use std::time::Instant;
 
 use super::constraint::{Constraint, Target};
-use super::merit::Merit;
-use crate::lens::Lens;
+use super::merit::{Apertures, Merit};
+use crate::error::Result;
 use crate::lens::variables::Variables;
+use crate::lens::{Lens, Prescription};
 
 /// Constraints count as kept within this, relative to the bound (or to 1).
 pub(super) const KEPT: f64 = 1e-6;
+
+/// Clear semi-diameters that follow the beam are this much wider.
+const WIDER: f64 = 1.0 + 1e-3;
 
 /// What is solved.
 #[derive(Clone, Debug)]
@@ -25,6 +29,30 @@ pub struct Problem {
     pub targets: Vec<Target>,
     /// What is judged.
     pub merit: Merit,
+}
+
+impl Problem {
+    /// The lens of solved numbers whose beam has these heights, its clear semi-diameters after the beam where they are automatic.
+    ///
+    /// # Errors
+    /// Numbers that are no lens.
+    pub(super) fn stands(&self, numbers: &Prescription, heights: &[f64]) -> Result<Lens> {
+        let mut numbers = numbers.clone();
+        let automatic = self.merit.apertures == Apertures::Automatic;
+        for (i, (s, h)) in numbers.surfaces.iter_mut().zip(heights).enumerate() {
+            if i != numbers.stop && *h > 0.0 && (automatic || *h > s.semi_diameter) {
+                s.semi_diameter = (h * WIDER).min(0.999 * s.shape.reach());
+            }
+        }
+        if automatic {
+            // The stop's own surface follows the stop.
+            let stop = crate::lens::paraxial::stop_semi_diameter(&numbers);
+            if stop.is_finite() && stop > 0.0 {
+                numbers.surfaces[numbers.stop].semi_diameter = stop;
+            }
+        }
+        Lens::new(numbers, &self.lens.name)
+    }
 }
 
 /// When to stop at the latest.

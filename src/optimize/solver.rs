@@ -6,7 +6,6 @@ use std::time::Instant;
 use nalgebra::{DMatrix, DVector};
 
 use super::constraint::{Constraint, Held};
-use super::finish;
 use super::first_order::{FirstOrder, Value};
 use super::merit::Apertures;
 use super::problem::{KEPT, Limits, Problem, Step, Stop};
@@ -395,7 +394,7 @@ impl<'a> Solver<'a> {
             return;
         }
         let first = refused.as_ref().is_none_or(|r| better(r.merit, r.violation));
-        match finish::stands(self.problem, &point.numbers, &point.traced.heights) {
+        match self.problem.stands(&point.numbers, &point.traced.heights) {
             Ok(_) => {
                 *best = Some((violation, merit, point.numbers.clone(), point.traced.clone()));
                 *refused = refused.take().filter(|_| !first);

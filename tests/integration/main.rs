@@ -7,6 +7,8 @@ mod commands;
 mod extremes;
 mod golden;
 mod gradients;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod guided;
 mod layering;
 mod lens_files;
 mod library;

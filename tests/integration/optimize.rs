@@ -62,15 +62,21 @@ fn multipliers_say_what_bounds_cost() {
     let at = |track: f64| {
         let mut problem = Problem::standard(&lens);
         problem.merit = automatic();
-        // Edges move with the beam, which multipliers do not know.
+        // Edges move with the beam, which multipliers do not know: elements and a gap so thick that they need none.
+        let n = lens.indices(lens.wavelengths.primary_nm);
+        for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
+            if p.kind == Kind::Thickness && (p.of == 3 || n[p.of + 1] > 1.0) {
+                b[0] = if p.of == 3 { 1.5 } else { 3.0 };
+            }
+        }
         problem.constraints = Problem::focal_length(&lens);
         problem.constraints.push(Constraint { quantity: Quantity::Track, bounds: [0.0, track] });
         optimize(&problem, Limits { tolerance: 1e-10, ..Limits::default() }, &mut |_| true).expect("an end")
     };
-    let (a, b, c) = (at(52.0), at(52.05), at(51.95));
+    let (a, b, c) = (at(55.0), at(55.1), at(54.9));
     let cost = a.active.iter().find(|a| a.name == "track").expect("active").cost.abs();
-    let numeric = (c.rms_mm[1] - b.rms_mm[1]) / 0.1;
-    assert!((cost - numeric).abs() < 0.03 * numeric, "{cost} {numeric}");
+    let numeric = (c.rms_mm[1] - b.rms_mm[1]) / 0.2;
+    assert!((cost - numeric).abs() < 0.01 * numeric, "{cost} {numeric}");
 }
 
 #[test]

@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::deploy::session::{Choice, Options, Session};
 use isoplanat::deploy::tiles::{self, Tiling};
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::guide::Guide;
 use isoplanat::network::card::{ModelCard, Weights};
 use isoplanat::network::{Reconstructor, UnetConfig, onnx};
 use ndarray::{Array4, ArrayView4, Axis, s};
@@ -21,7 +23,7 @@ const SIZES: [(usize, usize); 3] = [(128, 128), (64, 192), (127, 65)];
 
 /// A network that is no identity any more, on pictures in 0..1.
 fn trained(base_width: usize, scales: usize) -> Reconstructor {
-    let mut net = Reconstructor::new(UnetConfig { base_width, scales }, 3).expect("valid");
+    let mut net = Reconstructor::new(UnetConfig::bare(base_width, scales), 3).expect("valid");
     let rng = &mut fastrand::Rng::with_seed(5);
     for _ in 0..10 {
         let x = Array4::from_shape_simple_fn((1, 3, 64, 64), || rng.f32());
@@ -130,6 +132,7 @@ fn seven_scales_in_tiles_give_what_they_give_in_one_piece() {
     let overlap = card.receptive_radius_px.next_multiple_of(card.multiple);
     assert_eq!((card.multiple, card.receptive_radius_px, overlap), (64, 444, 448));
     let tiling = Tiling::new(1024, overlap, card.multiple).expect("keeps something");
+    let bare = Guide::bare(&Frame::centred(64, 48, 0.01).expect("valid"));
     for (rows, cols, count) in [(65, 127, 1), (1087, 833, 3)] {
         let image = picture(rows, cols).index_axis_move(Axis(0), 0);
         // Mirrored by 64 on every side and below and to the right to the next multiple.
@@ -147,7 +150,7 @@ fn seven_scales_in_tiles_give_what_they_give_in_one_piece() {
         let ours = net.forward(whole.view()).expect("runs");
         let ours = ours.slice(s![0, .., 64..64 + rows, 64..64 + cols]);
         let run = |tile: ArrayView4<'_, f32>| session.run(tile);
-        let theirs = tiles::run(image.view(), tiling, 1, &run, &|_, _| ()).expect("runs");
+        let theirs = tiles::run(image.view(), &bare, tiling, 1, &run, &|_, _| ()).expect("runs");
         assert_eq!(tiling.count(rows, cols), count, "{rows} × {cols}");
         let worst = difference(ours, &theirs);
         eprintln!("{rows} × {cols} in {count} tiles: {worst:e} of the largest output");

@@ -148,8 +148,17 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let clock = Instant::now();
     let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
     let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
-    let kit =
-        kit::build("isoplanat demo", &lens, training.network(), &sensor, &frame, &calibration, seen, settings.tile)?;
+    let kit = kit::build(
+        "isoplanat demo",
+        &lens,
+        training.network(),
+        &sensor,
+        &frame,
+        &calibration,
+        training.guide(),
+        seen,
+        settings.tile,
+    )?;
     kit.save(&folder.join("kit"), false)?;
     stage("Kit: ONNX model and calibration", clock, &mut report);
 

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, evaluate};
 use isoplanat::design::memory;
 use isoplanat::design::task::Task;
+use isoplanat::design::training::guide_of;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::network::Reconstructor;
@@ -72,6 +73,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
+    let guide = guide_of(&args.run, &network, &lens)?;
     let pictures = match &args.photos {
         Some(folder) => Pictures::Photos(Photos::open(folder)?),
         None => Pictures::BuiltIn(SCENES),
@@ -90,9 +92,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     )?;
     crate::memory::tell(bytes);
     let bar = Bar::new("captures and reconstructions");
-    let (result, sheets) = evaluate(&lens, &network, &task.sensor()?, &pictures, &settings, sheets, &mut |share| {
-        bar.set(share, String::new());
-    })?;
+    let (result, sheets) =
+        evaluate(&lens, (&network, &guide), &task.sensor()?, &pictures, &settings, sheets, &mut |share| {
+            bar.set(share, String::new());
+        })?;
     bar.done(String::new());
     if let Some(path) = &args.csv {
         output::put(&result.csv(), Some(path), out)?;

@@ -6,7 +6,10 @@ use std::path::{Path, PathBuf};
 use isoplanat::deploy::kit::{FILE, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::design::task::Task;
+use isoplanat::design::training::guide_of;
+use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
+use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::math::memory::{BASE, product, words};
@@ -48,6 +51,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
+    let guide = guide_of(&args.run, &network, &lens)?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
     let weights = std::fs::metadata(args.run.join("network.safetensors")).map_or(0, |m| m.len());
@@ -62,12 +66,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let whole = model;
         card.weights = Weights::F16;
         model = onnx::encode(&network, &card).map_err(|e| e.in_file(&args.run.join("network.safetensors")))?;
-        Some(cost_of_halves(&whole, &model)?)
+        Some(cost_of_halves(&whole, &model, &guide)?)
     } else {
         None
     };
     let calibration = kit::Calibration::of(&lens, &sensor, &frame)?;
-    let kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, tile)?;
+    let kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
     kit.save(&args.output, args.force)?;
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);
@@ -114,8 +118,10 @@ struct Halves {
 }
 
 /// Sizes of the two files, and how far their outputs differ on a built-in scene, both as the camera would run them.
-fn cost_of_halves(whole: &[u8], halves: &[u8]) -> Result<Halves> {
-    let picture = generate(SceneKind::Facades, 16, JUDGED, JUDGED).insert_axis(Axis(0));
+fn cost_of_halves(whole: &[u8], halves: &[u8], guide: &Guide) -> Result<Halves> {
+    let place = Region { row: 0, col: 0, rows: JUDGED, cols: JUDGED };
+    let scene = generate(SceneKind::Facades, 16, JUDGED, JUDGED);
+    let picture = guide.over(scene.view(), place, place).insert_axis(Axis(0));
     let output = |model: &[u8]| -> Result<Array4<f32>> {
         Session::open(model, Path::new("model.onnx"), &Options::default())?.run(picture.view())
     };

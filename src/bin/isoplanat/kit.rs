@@ -5,6 +5,7 @@ use isoplanat::deploy::kit::{Kit, LensEntry};
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::render::plan::{quadrature, spec};
 use isoplanat::imaging::sensor::Sensor;
@@ -50,7 +51,7 @@ pub(crate) fn card(
     training_sha256: String,
 ) -> ModelCard {
     let config = network.config();
-    let mut card = ModelCard::for_unet(name, config.base_width, config.scales);
+    let mut card = ModelCard::for_unet(name, config.base_width, config.scales).seeing(config.inputs);
     card.lens_name.clone_from(&lens.name);
     card.lens_sha256 = lens.sha256();
     card.calibration_sha256 = sha256_hex(toml::to_string(sensor).unwrap_or_default().as_bytes());
@@ -59,6 +60,7 @@ pub(crate) fn card(
 }
 
 /// The kit around `model`, an ONNX file with a card for `lens`; `calibration` gives distortion and illumination.
+#[expect(clippy::too_many_arguments, reason = "the parts of a kit")]
 pub(crate) fn around(
     model: Vec<u8>,
     card: &ModelCard,
@@ -66,6 +68,7 @@ pub(crate) fn around(
     sensor: &Sensor,
     frame: &Frame,
     calibration: &Calibration,
+    guide: &Guide,
     tile: usize,
 ) -> Result<Kit> {
     Kit::new(
@@ -77,6 +80,7 @@ pub(crate) fn around(
         frame.clone(),
         calibration.distortion.clone(),
         calibration.shading.clone(),
+        guide.filters().cloned(),
     )
 }
 
@@ -89,9 +93,10 @@ pub(crate) fn build(
     sensor: &Sensor,
     frame: &Frame,
     calibration: &Calibration,
+    guide: &Guide,
     training_sha256: String,
     tile: usize,
 ) -> Result<Kit> {
     let card = card(name, lens, network, sensor, training_sha256);
-    around(onnx::encode(network, &card)?, &card, lens, sensor, frame, calibration, tile)
+    around(onnx::encode(network, &card)?, &card, lens, sensor, frame, calibration, guide, tile)
 }

@@ -14,7 +14,7 @@ fn lens() -> Lens {
 
 /// A network whose last layer is nought returns its input.
 fn identity(scales: usize) -> Reconstructor {
-    let mut net = Reconstructor::new(UnetConfig { base_width: 2, scales }, 1).expect("valid");
+    let mut net = Reconstructor::new(UnetConfig::bare(2, scales), 1).expect("valid");
     net.set_parameter("output.weight", &[0.0; 3 * 2 * 9]).expect("as many");
     net.set_parameter("output.bias", &[0.0; 3]).expect("as many");
     net
@@ -62,11 +62,13 @@ fn zones_share_the_places_of_the_frame() {
 #[test]
 fn an_identity_restores_nothing() {
     let (lens, sensor) = (lens(), Sensor::generic());
+    let bare = Guide::bare(&frame_of(&lens).expect("valid"));
     let judge = || {
         // Nodes near enough to tell the axis from the field, on pixels of 80 µm.
         let fineness = Fineness { node_error: 0.05, ..Fineness::DESIGN };
         let settings = Settings { depths_mm: vec![1000.0, 700.0], fineness, ..settings(3, 64) };
-        evaluate(&lens, &identity(3), &sensor, &Pictures::BuiltIn(2), &settings, true, &mut |_| ()).expect("judges")
+        evaluate(&lens, (&identity(3), &bare), &sensor, &Pictures::BuiltIn(2), &settings, true, &mut |_| ())
+            .expect("judges")
     };
     let (result, sheets) = judge();
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
@@ -94,7 +96,7 @@ fn an_identity_restores_nothing() {
 #[test]
 fn a_patch_is_restored_as_within_the_picture() {
     let rng = &mut fastrand::Rng::with_seed(4);
-    let net = Reconstructor::new(UnetConfig { base_width: 4, scales: 3 }, 8).expect("valid");
+    let net = Reconstructor::new(UnetConfig::bare(4, 3), 8).expect("valid");
     let picture = Array3::from_shape_simple_fn((3, 128, 160), || rng.f32());
     let whole = net.forward(picture.view().insert_axis(Axis(0))).expect("fits");
     let part = restored(&net, picture.view(), [40, 64], [32, 48], 24).expect("fits");
@@ -104,7 +106,7 @@ fn a_patch_is_restored_as_within_the_picture() {
     let unlike = restored(&net, picture.view(), [40, 64], [32, 48], 0).expect("fits");
     let off = unlike.iter().zip(&part).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
     assert!(off > 1e-4, "without a margin the border differs: {off}");
-    let indices: Vec<usize> = (0..12).map(|i| mirrored(i, 3, 5)).collect();
+    let indices: Vec<usize> = (0..12).map(|i| mirrored(i - 3, 5)).collect();
     assert_eq!(indices, [3, 2, 1, 0, 1, 2, 3, 4, 3, 2, 1, 0]);
 }
 

@@ -18,6 +18,7 @@ use rustfft::num_complex::Complex;
 use self::fft::Fft2;
 use crate::error::{Error, Result};
 use crate::imaging::metrics;
+use crate::imaging::plane::mirrored;
 use crate::math::fft::good_size;
 
 /// Smallest margin around a tile, pixels: the filter's tails are longer than the kernel.
@@ -215,8 +216,8 @@ impl Tile {
         let fft = Fft2::new(good_size(self.rows.len() + 2 * margin), good_size(self.cols.len() + 2 * margin));
         // Cut out the tile with its margin, reflected at the image's border.
         let cut = |r: usize, c: usize| {
-            let row = reflected((self.rows.start + r) as isize - margin as isize, plane.nrows());
-            let col = reflected((self.cols.start + c) as isize - margin as isize, plane.ncols());
+            let row = mirrored((self.rows.start + r) as isize - margin as isize, plane.nrows());
+            let col = mirrored((self.cols.start + c) as isize - margin as isize, plane.ncols());
             plane[[row, col]]
         };
         let mut field = Array2::from_shape_fn((fft.rows, fft.cols), |(r, c)| cut(r, c));
@@ -262,16 +263,6 @@ impl Tile {
     }
 }
 
-/// The index in `0..n` that `i` reflects to about the outermost pixels.
-fn reflected(i: isize, n: usize) -> usize {
-    if n == 1 {
-        return 0;
-    }
-    let period = 2 * (n as isize - 1);
-    let k = i.rem_euclid(period);
-    k.min(period - k) as usize
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -295,8 +286,8 @@ mod tests {
                 let kernel = kernel_at(r, c);
                 let half = kernel.nrows() as isize / 2;
                 for ((i, j), k) in kernel.indexed_iter() {
-                    let row = reflected(r as isize - (i as isize - half), rows);
-                    let col = reflected(c as isize - (j as isize - half), cols);
+                    let row = mirrored(r as isize - (i as isize - half), rows);
+                    let col = mirrored(c as isize - (j as isize - half), cols);
                     (0..channels).for_each(|ch| out[[ch, r, c]] += k * scene[[ch, row, col]]);
                 }
             }

@@ -1,0 +1,103 @@
+use super::*;
+use crate::design::task::TaskSensor;
+
+/// A task small enough for a test: a coarse sensor behind the two-element lens.
+fn task() -> Task {
+    let mut task = Task::demo();
+    task.sensor = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
+    task.scenes = 2;
+    let train = &mut task.train;
+    (train.base_width, train.scales, train.patch_px, train.region_px) = (Some(4), 3, 32, 48);
+    (train.pairs, train.steps, train.sample_steps, train.rate) = (3, Some(20), 10, 1e-3);
+    task
+}
+
+fn weights(folder: &Path) -> Vec<Vec<f32>> {
+    let network = Reconstructor::load(&folder.join(NETWORK)).expect("reads");
+    network.parameters().into_iter().map(|p| p.values).collect()
+}
+
+/// Stopped after every few steps and resumed: the same bits as in one go, a whole log, no second trainer in the folder.
+#[test]
+fn a_training_in_pieces_is_the_training_in_one_go() {
+    let place = tempfile::tempdir().expect("temporary folder");
+    let (whole, pieces) = (place.path().join("whole"), place.path().join("pieces"));
+    let mut one = Training::create(task(), &whole, false, Compute::Cpu, Glasses::shipped()).expect("new");
+    one.run(&mut |_| true).expect("trains");
+    assert!(!whole.join("cache").exists() && whole.join("samples/step-0000010.png").is_file());
+    let mut training = Training::create(task(), &pieces, false, Compute::Cpu, Glasses::shipped()).expect("new");
+    let second = Training::resume(&pieces, Compute::Cpu).expect_err("locked").to_string();
+    assert!(second.contains("another process"), "{second}");
+    let replaced =
+        Training::create(task(), &pieces, true, Compute::Cpu, Glasses::shipped()).expect_err("locked").to_string();
+    assert!(replaced.contains("another process"), "{replaced}");
+    fs::write(pieces.join("network.safetensors.1.part"), b"half a checkpoint").expect("written");
+    for stop in [1, 3, 9, 10, 17] {
+        let ended = training.run(&mut |s| s.step < stop).expect_err("stopped");
+        assert!(matches!(ended, Error::Interrupted));
+        drop(training);
+        training = Training::resume(&pieces, Compute::Cpu).expect("resumes");
+        assert_eq!(training.step(), stop);
+    }
+    training.run(&mut |_| true).expect("trains");
+    assert_eq!(weights(&pieces), weights(&whole));
+    assert!(!pieces.join("network.safetensors.1.part").exists(), "what a kill has left is swept");
+    let log = fs::read_to_string(pieces.join("log.csv")).expect("written");
+    assert_eq!(log.lines().skip(1).map(|l| l.split(',').next().unwrap_or("")).collect::<Vec<_>>(), ["10", "20"]);
+    // Resumed once more it has nothing left to do.
+    drop(training);
+    let mut done = Training::resume(&pieces, Compute::Cpu).expect("resumes");
+    done.run(&mut |_| panic!("no step is left")).expect("nothing to do");
+}
+
+#[test]
+fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
+    let place = tempfile::tempdir().expect("temporary folder");
+    let (first, second) = (place.path().join("first"), place.path().join("second"));
+    let create = |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu, Glasses::shipped());
+    create(task(), &first).expect("new").run(&mut |_| true).expect("trains");
+    let mut deeper = task();
+    (deeper.train.start, deeper.train.scales, deeper.train.base_width) = (Some(first.clone()), 4, None);
+    drop(create(deeper.clone(), &second).expect("deepens"));
+    let (a, b) = (weights(&first), weights(&second));
+    assert!(b.len() > a.len() && a.iter().all(|w| b.contains(w)), "every weight moved");
+    let refused = |change: fn(&mut Task), what: &str| {
+        let (mut task, folder) = (deeper.clone(), place.path().join("refused"));
+        change(&mut task);
+        let text = create(task, &folder).expect_err(what).to_string();
+        assert!(text.contains(what) && !folder.exists(), "{text}");
+    };
+    refused(|t| t.train.base_width = Some(6), "starting network");
+    refused(|t| t.train.region_px = 256, "train.region_px");
+    refused(|t| t.train.start = Some("nowhere".into()), "nowhere");
+    refused(|t| t.train.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
+    assert!(matches!(create(task(), &first).expect_err("there already"), Error::Exists(_)));
+}
+
+#[test]
+fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
+    let place = tempfile::tempdir().expect("temporary folder");
+    let run = place.path().join("run");
+    let mut long = task();
+    (long.train.steps, long.train.checkpoint_seconds) = (Some(100), 0.0);
+    let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
+    let ended = training.run(&mut |s| s.step < 5);
+    assert!(matches!(ended, Err(Error::Interrupted)));
+    let before = weights(&run);
+    training.trainer.poison();
+    let ended = training.run(&mut |_| true);
+    // Nothing that is not finite reaches the disk: the first checkpoint is refused, or twenty steps in a row are.
+    let text = ended.expect_err("no finite loss").to_string();
+    assert!(text.contains("not finite"), "{text}");
+    assert_eq!(weights(&run), before);
+    drop(training);
+    let mut again = Training::resume(&run, Compute::Cpu).expect("resumes");
+    assert_eq!(again.step(), 5);
+    again.run(&mut |s| s.step < 8).expect_err("stopped");
+    // With checkpoints far apart it is the steps that end it, with what to do.
+    again.task.train.checkpoint_seconds = 1e4;
+    again.trainer.poison();
+    let ended = again.run(&mut |_| true).expect_err("no finite loss");
+    assert!(matches!(&ended, Error::Stopped(text) if text.contains("20 times in a row")), "{ended}");
+    assert_eq!((ended.exit_code(), again.skipped()), (1, 20));
+}

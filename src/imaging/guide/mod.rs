@@ -1,0 +1,142 @@
+//! What a network is told beside the capture: the capture through the lens's own Wiener filters, and the place in the field.
+//!
+//! A [`Guide`] belongs to a trained network as its weights do: it is made when a training begins, stands in the run's folder and in the
+//! kit, and training, evaluation and camera stack its channels by the one function [`Guide::over`].
+
+mod file;
+mod filters;
+mod inputs;
+#[cfg(test)]
+mod tests;
+
+use ndarray::{Array3, ArrayView3, s};
+
+pub use file::FILE;
+pub use filters::Filters;
+pub use inputs::Inputs;
+
+use crate::error::{Error, Result};
+use crate::imaging::develop::simulate::Electronics;
+use crate::imaging::frame::Frame;
+use crate::imaging::plane::Region;
+use crate::imaging::render::Renderer;
+
+/// The channels that a network of one lens on one frame sees.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Guide {
+    inputs: Inputs,
+    frame: Frame,
+    filters: Option<Filters>,
+}
+
+impl Guide {
+    /// The capture alone.
+    pub fn bare(frame: &Frame) -> Self {
+        Self { inputs: Inputs::BARE, frame: frame.clone(), filters: None }
+    }
+
+    /// What `inputs` name, for the lens that `renderer` holds and the noise of `electronics`.
+    ///
+    /// # Errors
+    /// As [`Filters::of`].
+    pub fn new(inputs: Inputs, renderer: &Renderer, electronics: &Electronics) -> Result<Self> {
+        let filters = if inputs.wiener { Some(Filters::of(renderer, electronics)?) } else { None };
+        Self::from_parts(inputs, &renderer.plan.frame, filters)
+    }
+
+    /// From its parts.
+    ///
+    /// # Errors
+    /// Filters where none are named or the other way round; filters of another frame.
+    pub fn from_parts(inputs: Inputs, frame: &Frame, filters: Option<Filters>) -> Result<Self> {
+        if inputs.wiener != filters.is_some() {
+            let found = if inputs.wiener { "no filters" } else { "filters" };
+            let allowed = format!("what inputs {:?} need", inputs.names());
+            return Err(Error::bad("", "Wiener filters", found, allowed));
+        }
+        if let Some(filters) = &filters {
+            filters::check(filters, frame)?;
+        }
+        Ok(Self { inputs, frame: frame.clone(), filters })
+    }
+
+    /// The frame it belongs to.
+    pub fn frame(&self) -> &Frame {
+        &self.frame
+    }
+
+    /// What it shows.
+    pub fn inputs(&self) -> Inputs {
+        self.inputs
+    }
+
+    /// The filters, where there are any.
+    pub fn filters(&self) -> Option<&Filters> {
+        self.filters.as_ref()
+    }
+
+    /// Pixels beyond a region that its channels depend on.
+    pub fn reach(&self) -> usize {
+        self.filters.as_ref().map_or(0, Filters::reach)
+    }
+
+    /// The network's input over `wanted`, `[channel, row, col]`. The capture `image` `[3, row, col]` lies at `at` of the frame and
+    /// covers `wanted`; it should reach [`Self::reach`] pixels further, or to the frame's edge, beyond which it is mirrored.
+    pub fn over(&self, image: ArrayView3<'_, f32>, at: Region, wanted: Region) -> Array3<f32> {
+        let offset = |a: isize, b: isize| (a - b).unsigned_abs();
+        let (row, col) = (offset(wanted.row, at.row), offset(wanted.col, at.col));
+        let mut out = Array3::zeros((self.inputs.channels(), wanted.rows, wanted.cols));
+        out.slice_mut(s![..3, .., ..]).assign(&image.slice(s![.., row..row + wanted.rows, col..col + wanted.cols]));
+        let mut next = 3;
+        if let Some(filters) = &self.filters {
+            out.slice_mut(s![next..next + 3, .., ..]).assign(&filters.over(image, at, wanted));
+            next += 3;
+        }
+        if self.inputs.field {
+            let largest = self.frame.max_radius_mm() / self.frame.pitch_mm;
+            for i in 0..wanted.rows {
+                for j in 0..wanted.cols {
+                    let [x, y] = wanted.offset(&self.frame, i, j).map(|v| v / largest);
+                    #[expect(clippy::cast_possible_truncation, reason = "numbers up to 1")]
+                    for (k, v) in [x, y, x * x + y * y].into_iter().enumerate() {
+                        out[[next + k, i, j]] = v as f32;
+                    }
+                }
+            }
+        }
+        out
+    }
+
+    /// Mirrors and transposes channels of [`Self::over`] as a training does (rows, columns, then both swapped): what a network would
+    /// see at the mirrored place of a rotationally symmetric lens.
+    pub fn turned(&self, channels: &mut Array3<f32>, turns: [bool; 3]) {
+        let mut view = channels.view_mut();
+        if turns[0] {
+            view.invert_axis(ndarray::Axis(1));
+        }
+        if turns[1] {
+            view.invert_axis(ndarray::Axis(2));
+        }
+        let swap = turns[2] && view.dim().1 == view.dim().2;
+        if swap {
+            view.swap_axes(1, 2);
+        }
+        let mut turned = view.as_standard_layout().into_owned();
+        if self.inputs.field {
+            let first = self.inputs.channels() - 3;
+            if turns[0] {
+                turned.slice_mut(s![first + 1, .., ..]).mapv_inplace(|v| -v);
+            }
+            if turns[1] {
+                turned.slice_mut(s![first, .., ..]).mapv_inplace(|v| -v);
+            }
+            if swap {
+                let x = turned.slice(s![first, .., ..]).to_owned();
+                let y = turned.slice(s![first + 1, .., ..]).to_owned();
+                turned.slice_mut(s![first, .., ..]).assign(&y);
+                turned.slice_mut(s![first + 1, .., ..]).assign(&x);
+            }
+        }
+        *channels = turned;
+    }
+}

@@ -1,0 +1,180 @@
+use ndarray::{Array2, Array3, Array4, s};
+
+use super::*;
+use crate::imaging::metrics::psnr;
+use crate::imaging::plane::mirrored;
+use crate::imaging::render::node_grid::NodeGrid;
+use crate::imaging::render::{Channels, Settings};
+use crate::imaging::scene::{SceneKind, generate};
+use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::noise::Noise;
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::builtin;
+
+const BOTH: Inputs = Inputs { wiener: true, field: true };
+
+/// Filters of random steps on four nodes.
+fn random(half: usize) -> Filters {
+    let rng = &mut fastrand::Rng::with_seed(5);
+    let size = 2 * half + 1;
+    let mut steps = Array4::from_shape_simple_fn((4, 3, size, size), || rng.i16(-3000..3000));
+    let mut scales = Array2::zeros((4, 3));
+    for node in 0..4 {
+        for channel in 0..3 {
+            let mut filter = steps.slice_mut(s![node, channel, .., ..]);
+            filter[[half, half]] = 32_000;
+            let sum: i64 = filter.iter().map(|v| i64::from(*v)).sum();
+            scales[[node, channel]] = 1.0 / sum as f32;
+        }
+    }
+    let grid = NodeGrid { row_knots: vec![4, 40], col_knots: vec![0, 50] };
+    Filters::from_parts(grid, steps, scales).expect("valid")
+}
+
+fn picture(rows: usize, cols: usize) -> Array3<f32> {
+    let rng = &mut fastrand::Rng::with_seed(8);
+    Array3::from_shape_simple_fn((3, rows, cols), || rng.f32())
+}
+
+/// The sum by its definition, windows of the nodes times filters, mirrored at the edges; and a part of the picture with the margin
+/// that it asks for gives what the whole gives.
+#[test]
+fn filters_are_the_plain_sum_on_tiles_or_not() {
+    let (filters, image) = (random(6), picture(48, 60));
+    let whole = Region { row: 0, col: 0, rows: 48, cols: 60 };
+    let all = filters.over(image.view(), whole, whole);
+    let value = |filters: &Filters, c: usize, r: usize, q: usize| {
+        let mut sum = 0.0;
+        for node in 0..4 {
+            let window = filters.grid.window(node, r.cast_signed(), q.cast_signed());
+            for ((i, j), step) in filters.steps.slice(s![node, c, .., ..]).indexed_iter() {
+                let row = mirrored(r.cast_signed() - (i.cast_signed() - 6), 48);
+                let col = mirrored(q.cast_signed() - (j.cast_signed() - 6), 60);
+                let weight = f64::from(*step) * f64::from(filters.scales[[node, c]]);
+                sum += window * weight * f64::from(image[[c, row, col]]);
+            }
+        }
+        sum
+    };
+    for (c, r, q) in [(0, 0, 0), (1, 47, 59), (2, 20, 30), (0, 4, 50), (1, 33, 1)] {
+        let (ours, plain) = (f64::from(all[[c, r, q]]), value(&filters, c, r, q));
+        assert!((ours - plain).abs() < 2e-6, "{c} {r} {q}: {ours} {plain}");
+    }
+    let part = Region { row: 17, col: 22, rows: 11, cols: 9 };
+    let around = part.grown(6);
+    let cut = image.slice(s![.., 11..11 + around.rows, 16..16 + around.cols]);
+    let some = filters.over(cut, around, part);
+    let worst = (&some - &all.slice(s![.., 17..28, 22..31])).iter().fold(0f32, |m, v| m.max(v.abs()));
+    assert!(worst < 2e-6, "{worst}");
+}
+
+/// White stays white, whatever the filter, and the file brings the same numbers back.
+#[test]
+fn white_stays_white_and_files_come_back() {
+    let filters = random(6);
+    let white = Array3::ones((3, 48, 60));
+    let whole = Region { row: 0, col: 0, rows: 48, cols: 60 };
+    let told = filters.over(white.view(), whole, whole);
+    assert!(told.iter().all(|v| (v - 1.0).abs() < 1e-4));
+    let bytes = filters.to_npz().expect("writes");
+    let path = std::path::Path::new("kit/filters.npz");
+    assert_eq!(Filters::from_npz(&bytes, path).expect("reads"), filters);
+    for broken in [&bytes[..bytes.len() / 2], b"".as_slice(), b"PK\x03\x04 no file"] {
+        let error = Filters::from_npz(broken, path).expect_err("broken");
+        assert!(error.exit_code() == 2 && error.to_string().contains("filters.npz"), "{error}");
+    }
+    let mut grey = filters.clone();
+    grey.scales *= 0.5;
+    let error = Filters::from_parts(grey.grid, grey.steps, grey.scales).expect_err("grey").to_string();
+    assert!(error.contains("sum"), "{error}");
+    let frame = Frame::centred(60, 48, 0.01).expect("valid");
+    assert!(
+        Guide::from_parts(BOTH, &frame, None).is_err()
+            && Guide::from_parts(Inputs::BARE, &frame, Some(filters)).is_err()
+    );
+    let tiny = Frame::centred(12, 8, 0.01).expect("valid");
+    assert!(Guide::from_parts(BOTH, &tiny, Some(random(6))).expect_err("outside").to_string().contains("node at 40"));
+}
+
+/// A picture through a lens, by the filters made for it: several dB nearer to the truth, and nearer the less noise there is.
+#[test]
+fn filters_of_a_lens_undo_its_blur() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let frame = Frame::centred(320, 240, 0.06).expect("valid");
+    let sensor = Sensor::generic();
+    let density = SpectralDensity::new(&sensor);
+    let renderer =
+        Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], Settings::TRAINING).expect("traces");
+    let quiet = Electronics { noise: Noise { shot: 1e-6, read: 1e-4 }, ..Electronics::of(&sensor) };
+    let guide = Guide::new(BOTH, &renderer, &quiet).expect("filters");
+    let scene = crate::imaging::plane::Plane {
+        texture: generate(SceneKind::Facades, 3, 300, 400),
+        texels_per_slope: 1.05 * 50.0 / 0.06,
+        axis_texel: [200.0, 150.0],
+        vergence: lens.object_vergence,
+    };
+    let region = Region { row: 0, col: 0, rows: 240, cols: 320 };
+    let channels = Channels::of(&scene);
+    let (mut image, _) = renderer.picture::<f32>(&scene, 0, region, &channels, &|_| {});
+    image /= &renderer.light.over::<f32>(&frame, region, &[0, 1, 2]);
+    let truth: Array3<f32> = renderer.truth(&scene, 0, region, &channels);
+    let told = guide.over(image.view(), region, region);
+    assert_eq!(told.dim(), (9, 240, 320));
+    assert_eq!(told.slice(s![..3, .., ..]), image);
+    let [capture, wiener] = [0, 3].map(|k| psnr(told.slice(s![k..k + 3, .., ..]), truth.view()));
+    assert!(wiener > capture + 8.0, "{capture} {wiener}");
+    // Each filter is the better one for the noise that it was made for.
+    let noisy = Electronics { noise: Noise { shot: 1e-2, read: 1e-2 }, ..quiet.clone() };
+    let soft = Guide::new(BOTH, &renderer, &noisy).expect("filters");
+    let mut grainy = image.clone();
+    for (k, mut plane) in grainy.outer_iter_mut().enumerate() {
+        plane += &(0.07 * crate::imaging::sensor::noise::standard_normal::<f32>(k as u64, (240, 320)));
+    }
+    let restored = |guide: &Guide, image: &Array3<f32>| {
+        psnr(guide.over(image.view(), region, region).slice(s![3..6, .., ..]), truth.view())
+    };
+    let [clean, noise] = [&image, &grainy].map(|i| [&guide, &soft].map(|g| restored(g, i)));
+    let before = psnr(grainy.view(), truth.view());
+    eprintln!("capture {capture:.2} dB: {clean:.2?}; with noise {before:.2} dB: {noise:.2?}");
+    assert!(clean[0] > clean[1] + 3.0 && noise[1] > noise[0] + 3.0 && noise[1] > before + 1.0, "{clean:?} {noise:?}");
+    // The place: nothing on the axis, one at the corner.
+    let at = |k: usize, r: usize, c: usize| told[[6 + k, r, c]];
+    assert!(at(0, 120, 160).abs() < 0.01 && at(2, 120, 160) < 1e-4 && (at(2, 0, 0) - 1.0).abs() < 0.02);
+    assert!(at(0, 120, 0) < -0.7 && at(1, 239, 160) > 0.5);
+}
+
+/// What a training shows of a mirrored crop is what the mirrored place shows.
+#[test]
+fn turned_channels_are_those_of_the_mirrored_place() {
+    let frame = Frame::centred(64, 64, 0.01).expect("valid");
+    let guide = Guide::from_parts(Inputs { wiener: false, field: true }, &frame, None).expect("valid");
+    let whole = Region { row: 0, col: 0, rows: 64, cols: 64 };
+    let blank = Array3::zeros((3, 64, 64));
+    let there = |row, col| guide.over(blank.view(), whole, Region { row, col, rows: 8, cols: 8 });
+    for (turns, row, col) in [
+        ([false; 3], 4, 20),
+        ([true, false, false], 52, 20),
+        ([false, true, false], 4, 36),
+        ([false, false, true], 20, 4),
+        ([true, true, true], 36, 52),
+        ([true, false, true], 20, 52),
+    ] {
+        let mut told = there(4, 20);
+        guide.turned(&mut told, turns);
+        let worst = (&told - &there(row, col)).iter().fold(0f32, |m, v| m.max(v.abs()));
+        assert!(worst < 1e-6, "{turns:?}: {worst}");
+    }
+}
+
+#[test]
+fn inputs_have_names() {
+    assert_eq!(
+        (Inputs::BARE.channels(), BOTH.channels(), BOTH.base(), BOTH.names()),
+        (3, 9, 3, vec!["wiener", "field"])
+    );
+    assert_eq!(Inputs::of_names(["field", "wiener"]).expect("known"), BOTH);
+    for wrong in [vec!["smell"], vec!["field", "field"]] {
+        let error = Inputs::of_names(wrong.iter().copied()).expect_err("refused").to_string();
+        assert!(error.contains("wiener, field"), "{error}");
+    }
+}
