@@ -86,15 +86,19 @@ pub struct SceneResult {
     pub capture: Array3<f32>,
     /// Classical restoration.
     pub wiener: Array3<f32>,
-    /// Output of the network.
+    /// Output of a network that sees the capture alone.
+    pub bare: Array3<f32>,
+    /// Output of the network that is told of its lens.
     pub reconstruction: Array3<f32>,
     /// The scene as an ideal camera sees it.
     pub truth: Array3<f32>,
-    /// Agreement of the three with the truth.
+    /// Agreement of the four with the truth.
     pub capture_quality: Quality,
     /// Of the classical restoration.
     pub wiener_quality: Quality,
-    /// Of the network's output.
+    /// Of the output of the network that sees the capture alone.
+    pub bare_quality: Quality,
+    /// Of the output of the one that is told of its lens.
     pub reconstruction_quality: Quality,
     /// Parts that are shown enlarged.
     pub crops: Vec<Crop>,
@@ -180,7 +184,7 @@ impl Quality {
 }
 
 impl SceneResult {
-    /// Measures the three pictures against `truth`; crops are moved and cut so that they lie inside.
+    /// Measures the four pictures against `truth`; crops are moved and cut so that they lie inside.
     ///
     /// # Errors
     /// Pictures of different shapes, or smaller than SSIM's window.
@@ -188,6 +192,7 @@ impl SceneResult {
         name: &str,
         capture: Array3<f32>,
         wiener: Array3<f32>,
+        bare: Array3<f32>,
         reconstruction: Array3<f32>,
         truth: Array3<f32>,
         crops: &[Crop],
@@ -201,21 +206,24 @@ impl SceneResult {
             name: name.to_owned(),
             capture_quality: Quality::of(&capture, &truth)?,
             wiener_quality: Quality::of(&wiener, &truth)?,
+            bare_quality: Quality::of(&bare, &truth)?,
             reconstruction_quality: Quality::of(&reconstruction, &truth)?,
             crops: crops.iter().map(inside).collect(),
             capture,
             wiener,
+            bare,
             reconstruction,
             truth,
         })
     }
 
-    /// The four pictures in the order they are shown.
-    fn pictures(&self) -> [(&'static str, &Array3<f32>); 4] {
+    /// The five pictures in the order they are shown.
+    fn pictures(&self) -> [(&'static str, &Array3<f32>); 5] {
         [
             ("Capture", &self.capture),
             ("Wiener", &self.wiener),
-            ("Network", &self.reconstruction),
+            ("Network, capture alone", &self.bare),
+            ("Network told of its lens", &self.reconstruction),
             ("Truth", &self.truth),
         ]
     }
@@ -224,9 +232,11 @@ impl SceneResult {
         json!({
             "psnr_capture_db": self.capture_quality.psnr_db,
             "psnr_wiener_db": self.wiener_quality.psnr_db,
+            "psnr_bare_db": self.bare_quality.psnr_db,
             "psnr_reconstruction_db": self.reconstruction_quality.psnr_db,
             "ssim_capture": self.capture_quality.ssim,
             "ssim_wiener": self.wiener_quality.ssim,
+            "ssim_bare": self.bare_quality.ssim,
             "ssim_reconstruction": self.reconstruction_quality.ssim,
         })
     }
@@ -282,8 +292,15 @@ impl DemoReport {
         if !self.scenes.is_empty() {
             facts.push(fact(decibels(average(|s| s.capture_quality.psnr_db)), "capture, mean PSNR"));
             facts.push(fact(decibels(average(|s| s.wiener_quality.psnr_db)), "Wiener, mean PSNR"));
-            facts.push(fact(decibels(average(|s| s.reconstruction_quality.psnr_db)), "network, mean PSNR"));
-            facts.push(fact(format!("{:.3}", average(|s| s.reconstruction_quality.ssim)), "network, mean SSIM"));
+            facts.push(fact(decibels(average(|s| s.bare_quality.psnr_db)), "network of the capture alone, mean PSNR"));
+            facts.push(fact(
+                decibels(average(|s| s.reconstruction_quality.psnr_db)),
+                "network told of its lens, mean PSNR",
+            ));
+            facts.push(fact(
+                format!("{:.3}", average(|s| s.reconstruction_quality.ssim)),
+                "network told of its lens, mean SSIM",
+            ));
         }
         facts.push(fact(decibels(self.psnr_fast_vs_reference_db), "fast against reference renderer"));
         if self.seconds_fast > 0.0 {
@@ -367,7 +384,8 @@ impl DemoReport {
         page.paragraph("PSNR and SSIM against the truth, both as seen (sRGB).");
         for scene in &self.scenes {
             page.heading(&scene.name);
-            let quality = [scene.capture_quality, scene.wiener_quality, scene.reconstruction_quality];
+            let quality =
+                [scene.capture_quality, scene.wiener_quality, scene.bare_quality, scene.reconstruction_quality];
             let whole = scene.pictures().into_iter().enumerate().map(|(i, (name, image))| Picture {
                 image,
                 caption: name.into(),
@@ -384,7 +402,7 @@ impl DemoReport {
                 let cuts: Vec<(&str, Array3<f32>)> = scene.pictures().map(|(name, image)| (name, cut(image))).into();
                 let mut enlarged = Vec::new();
                 for (i, (name, image)) in cuts.iter().enumerate() {
-                    let notes = if i < 3 { Quality::of(image, &truth)?.notes() } else { vec![] };
+                    let notes = if i < 4 { Quality::of(image, &truth)?.notes() } else { vec![] };
                     enlarged.push(Picture { image, caption: format!("{name}, enlarged"), notes, pixelated: true });
                 }
                 page.pictures(&enlarged, 230)?;
@@ -478,122 +496,4 @@ fn seconds(value: f64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::lens::builtin;
-
-    /// A picture of shapes, and the same blurred and with noise.
-    fn scene(name: &str, seed: u64) -> SceneResult {
-        let truth = Array3::from_shape_fn((3, 120, 160), |(k, r, c)| {
-            let (x, y) = (c as f32 / 160.0 - 0.5, r as f32 / 120.0 - 0.5);
-            let ring = (40.0 * (x * x + y * y).sqrt() + seed as f32).sin() * 0.25 + 0.4;
-            if (r / 15 + c / 15) % 4 == 0 { ring * [1.0, 0.6, 0.3][k] } else { ring * [0.4, 0.7, 1.0][k] }
-        });
-        let rng = &mut fastrand::Rng::with_seed(seed);
-        let mut changed = |width: usize, noise: f32| {
-            Array3::from_shape_fn(truth.dim(), |(k, r, c)| {
-                let (r1, c1) = ((r + width).min(119), (c + width).min(159));
-                let part = truth.slice(s![k, r.saturating_sub(width)..=r1, c.saturating_sub(width)..=c1]);
-                (part.mean().unwrap_or(0.0) + noise * (rng.f32() - 0.5)).max(0.0)
-            })
-        };
-        let (capture, wiener, network) = (changed(4, 0.06), changed(2, 0.05), changed(1, 0.01));
-        let crops = [Crop { row: 30, column: 40, size: 32 }, Crop { row: 999, column: 999, size: 32 }];
-        SceneResult::measure(name, capture, wiener, network, truth, &crops).expect("measures")
-    }
-
-    fn report() -> DemoReport {
-        let (before, after) =
-            (builtin::lens("two_element").expect("shipped"), builtin::lens("cooke_triplet").expect("shipped"));
-        let curve = |name: &str, floor: f64| LossCurve {
-            name: name.into(),
-            points: (0..200).map(|i| (f64::from(i), floor + (-0.03 * f64::from(i)).exp())).collect(),
-        };
-        let method = |name: &str, seconds: f64, psnr_db: f64, note: &str| MethodResult {
-            name: name.into(),
-            seconds,
-            psnr_db,
-            relative_l2: 10f64.powf(-psnr_db / 20.0) * 3.0,
-            note: note.into(),
-        };
-        DemoReport {
-            title: "Isoplanat: synthetic report".into(),
-            summary: "Figures made up for the test of this page; the lenses and their kernels are real.".into(),
-            runtime: "2 threads, no inference".into(),
-            settings: vec![("seed".into(), "1".into()), ("photographs".into(), "<built in>".into())],
-            before: Some(LensView::new(&before, 1000.0, 5).expect("traces")),
-            after: Some(LensView::new(&after, 1000.0, 5).expect("traces")),
-            loss: vec![curve("Joint design: image loss", 0.02), curve("Final network: image loss", 0.5)],
-            scenes: vec![scene("Rings", 1), scene("More rings", 2)],
-            methods: vec![
-                method("PSF grid, m = 1", 0.04, 48.2, ""),
-                method("PSF grid, m = 2", 0.13, 56.1, "chosen: cheapest above 50 dB"),
-                method("Monte Carlo, 64 samples", 21.0, 33.0, ""),
-                method("Monte Carlo, converged", 900.0, f64::INFINITY, "judge"),
-            ],
-            psnr_fast_vs_reference_db: 56.1,
-            seconds_fast: 0.13,
-            seconds_reference: 21.0,
-            seconds_total: 421.7,
-            stages: vec![("render".into(), 12.0), ("design".into(), 220.55)],
-            left_out: vec![
-                "Depth: every scene is a plane at 1 m".into(),
-                "Surfaces 0, 1: they vignette nothing".into(),
-            ],
-        }
-    }
-
-    /// `ISOPLANAT_KEEP_REPORT=path` keeps the page for looking at.
-    #[test]
-    fn the_page_holds_everything_and_loads_nothing() {
-        let report = report();
-        let page = report.to_html().expect("renders");
-        if let Ok(path) = std::env::var("ISOPLANAT_KEEP_REPORT") {
-            std::fs::write(path, &page).expect("writes");
-        }
-        assert_eq!(page.matches("http").count(), page.matches("xmlns=\"http://www.w3.org/2000/svg\"").count());
-        // Two atlases, two scenes of four pictures and two crops of four.
-        assert_eq!(page.matches("<img").count(), 2 + 2 * (4 + 2 * 4));
-        for text in
-            ["Before", "Wiener", "56.1 dB", "7 min 02 s", "Left out", "&lt;built in&gt;", "PSNR against run time"]
-        {
-            assert!(page.contains(text), "{text}");
-        }
-        DemoReport::default().to_html().expect("an empty report is a page, too");
-    }
-
-    #[test]
-    fn the_summary_has_its_keys_in_every_scene_and_at_the_top() {
-        let report = report();
-        let summary = report.summary_json();
-        assert_eq!(summary["schema"], json!(1));
-        let scenes = summary["scenes"].as_array().expect("list");
-        assert_eq!((scenes.len(), &scenes[1]["name"]), (2, &json!("More rings")));
-        for key in [
-            "psnr_capture_db",
-            "psnr_wiener_db",
-            "psnr_reconstruction_db",
-            "ssim_capture",
-            "ssim_wiener",
-            "ssim_reconstruction",
-            "psnr_fast_vs_reference_db",
-            "seconds_fast",
-            "seconds_reference",
-            "seconds_total",
-        ] {
-            let number = |v: &Value| v[key].as_f64().unwrap_or_else(|| panic!("{key} in {v}"));
-            let mean = 0.5 * (number(&scenes[0]) + number(&scenes[1]));
-            assert!((number(&summary) - mean).abs() < 1e-9 * mean.abs(), "{key}");
-        }
-        assert!(summary["runtime"].is_string() && scenes[0]["runtime"].is_string());
-        assert!(summary["psnr_reconstruction_db"].as_f64() > summary["psnr_capture_db"].as_f64());
-        assert_eq!(DemoReport::default().summary_json()["scenes"], json!([]));
-    }
-
-    #[test]
-    fn pictures_of_different_shapes_are_refused() {
-        let [a, b] = [16, 20].map(|n| Array3::<f32>::zeros((3, n, 20)));
-        let error = SceneResult::measure("x", a.clone(), a.clone(), a, b, &[]).expect_err("shapes differ");
-        assert_eq!(error.exit_code(), 2);
-    }
-}
+mod tests;

@@ -1,7 +1,6 @@
 //! Windows follow the PSF: no setting loses the light of a wide blur.
 
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::{Channels, Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
@@ -101,7 +100,7 @@ fn captures_for_training_evaluation_and_design_have_equal_means() {
                     let (image, developed) = if way == "training" {
                         let pair = render_pair(&renderer, &patch).expect("renders");
                         let rng = &mut fastrand::Rng::with_seed(1);
-                        let (input, _) = cut(&electronics, &Guide::bare(&frame), &pair, SIDE, Augmentation::NONE, rng);
+                        let (input, _) = cut(&electronics, &isoplanat::imaging::guide::Guide::bare(&frame), &pair, SIDE, Augmentation::NONE, rng);
                         (pair.image, mean(&mut input.into_iter()))
                     } else {
                         let done = forward::<f32>(&renderer, &electronics, &patch).expect("renders");

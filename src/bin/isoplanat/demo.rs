@@ -12,10 +12,12 @@ use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
+use isoplanat::imaging::guide::Inputs;
 use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::math::memory::{product, threads};
+use isoplanat::network::Reconstructor;
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
 use isoplanat::{Result, atomic};
 
@@ -64,13 +66,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for s in &report.scenes {
         writeln!(
             out,
-            "{:12} capture {:.2} dB, Wiener {:.2} dB, network {:.2} dB; SSIM {:.3}, {:.3}, {:.3}",
+            "{:12} capture {:.2} dB, Wiener {:.2} dB, network of the capture alone {:.2} dB, told of its lens {:.2} dB; SSIM {:.3}, \
+             {:.3}, {:.3}, {:.3}",
             s.name,
             s.capture_quality.psnr_db,
             s.wiener_quality.psnr_db,
+            s.bare_quality.psnr_db,
             s.reconstruction_quality.psnr_db,
             s.capture_quality.ssim,
             s.wiener_quality.ssim,
+            s.bare_quality.ssim,
             s.reconstruction_quality.ssim
         )?;
     }
@@ -123,26 +128,22 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.loss.push(LossCurve { name: "lens and network".into(), points });
     stage("Joint design of lens and network", clock, &mut report);
 
-    // The final network for the finished lens.
-    let clock = Instant::now();
-    let bar = Bar::new("network for the lens");
-    let (run, seen) = (folder.join("run"), textures.sha256());
-    let mut training = Training::begin(task.clone(), &lens, joint.network, textures, &run, false)?;
-    prescription::save(&start, &run.join("lens-start.toml"))?;
-    let (mut points, mut last) = (Vec::new(), String::new());
-    training.run(&mut |status| {
-        let e = &status.entry;
-        if status.step.is_multiple_of(10) {
-            #[expect(clippy::cast_precision_loss, reason = "step counts")]
-            points.push((e.step as f64, e.content));
-        }
-        last = format!("step {}  L1 {:.4}  {:.2} dB", status.step, e.l1, e.psnr_db);
-        bar.set(status.share, last.clone());
-        true
-    })?;
-    bar.done(last);
-    report.loss.push(LossCurve { name: "network for the finished lens, sRGB-encoded".into(), points });
-    stage("Final training of the network", clock, &mut report);
+    // The final networks for the finished lens, of equal minutes: of the capture alone, and told of the lens.
+    let seen = textures.sha256();
+    let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| -> Result<Training> {
+        let clock = Instant::now();
+        let mut task = task.clone();
+        task.train.inputs = inputs;
+        let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
+        let mut training = Training::begin(task, &lens, network, textures.clone(), &run, false)?;
+        prescription::save(&start, &run.join("lens-start.toml"))?;
+        report.loss.push(followed(&mut training, name)?);
+        stage(&format!("Final training: {name}"), clock, &mut report);
+        Ok(training)
+    };
+    let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
+    let fresh = Reconstructor::new(task.train.config()?, task.seed)?;
+    let training = finished("network told of its lens", task.train.inputs, fresh)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
@@ -166,8 +167,17 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
     let clock = Instant::now();
     for unseen in settings.unseen() {
-        let result =
-            capture::photograph(folder, &settings, &lens, &kit, &renderer, &options, unseen, &mut report.runtime)?;
+        let result = capture::photograph(
+            folder,
+            &settings,
+            &lens,
+            &kit,
+            bare.network(),
+            &renderer,
+            &options,
+            unseen,
+            &mut report.runtime,
+        )?;
         write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
         report.scenes.push(result);
     }
@@ -186,8 +196,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
-        "A coarse two-element lens and a small network are designed together; the network is then trained for \
-                      the finished lens, exported to ONNX, and used on RAW captures of scenes that neither has seen, \
+        "A coarse two-element lens and a small network are designed together; the network, and one that is told of the lens, are then \
+                      trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
                       rendered by an independent ray tracer from the sensor."
             .into();
     report.seconds_total = started.elapsed().as_secs_f64();
@@ -195,6 +205,24 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let summary = format!("{:#}\n", report.summary_json());
     atomic::write_bytes(&folder.join("summary.json"), summary.as_bytes())?;
     Ok(report)
+}
+
+/// Runs a training under a bar of its own; its losses.
+fn followed(training: &mut Training, name: &str) -> Result<LossCurve> {
+    let bar = Bar::new(name);
+    let (mut points, mut last) = (Vec::new(), String::new());
+    training.run(&mut |status| {
+        let e = &status.entry;
+        if status.step.is_multiple_of(10) {
+            #[expect(clippy::cast_precision_loss, reason = "step counts")]
+            points.push((e.step as f64, e.content));
+        }
+        last = format!("step {}  L1 {:.4}  {:.2} dB", status.step, e.l1, e.psnr_db);
+        bar.set(status.share, last.clone());
+        true
+    })?;
+    bar.done(last);
+    Ok(LossCurve { name: format!("{name}, for the finished lens, sRGB-encoded"), points })
 }
 
 /// What this lens and scene did not need.

@@ -7,11 +7,13 @@ use isoplanat::deploy::kit::Kit;
 use isoplanat::deploy::raw;
 use isoplanat::deploy::reconstruct::{Camera, Steps};
 use isoplanat::deploy::session::Options;
+use isoplanat::deploy::tiles::{self, Tiling};
 use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::undistort::captured_radius;
 use isoplanat::imaging::develop::{self, Balance, Development};
 use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::wiener::{LocalPsfs, tune};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
@@ -22,10 +24,12 @@ use isoplanat::imaging::scene::generate;
 use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
+use isoplanat::network::Reconstructor;
+use isoplanat::network::card::receptive_radius_px;
 use isoplanat::psf::SensorMap;
 use isoplanat::report::demo::{Crop, DemoReport, MethodResult, SceneResult};
 use isoplanat::{Error, Result};
-use ndarray::{Array3, s};
+use ndarray::{Array3, ArrayView4, s};
 
 use super::settings::{Settings, Unseen};
 use crate::progress::Bar;
@@ -37,13 +41,14 @@ fn scene(frame: &Frame, map: &SensorMap, unseen: Unseen) -> Plane {
     Plane { texture, texels_per_slope, axis_texel: [0.0, 0.0], vergence: map.vergence }
 }
 
-/// Photographs a scene, writes the DNG, and develops it three ways.
+/// Photographs a scene, writes the DNG, and develops it four ways.
 #[expect(clippy::too_many_arguments, reason = "the demo's state")]
 pub(crate) fn photograph(
     folder: &Path,
     settings: &Settings,
     lens: &Lens,
     kit: &Kit,
+    bare: &Reconstructor,
     renderer: &Renderer,
     options: &Options,
     unseen: Unseen,
@@ -89,6 +94,15 @@ pub(crate) fn photograph(
         srgb_from_camera: sensor.srgb_from_camera,
     };
     let mosaic = taken.dn.mapv(f32::from);
+    // The network that sees the capture alone, in the other one's place.
+    let radius = receptive_radius_px(bare.config().scales);
+    let tiling =
+        Tiling::new(settings.tile, radius.next_multiple_of(bare.config().multiple()), bare.config().multiple())?;
+    let alone = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
+        let run = |tile: ArrayView4<'_, f32>| bare.forward(tile);
+        tiles::run(input.view(), &Guide::bare(frame), tiling, 1, &run, &|_, _| ())
+    })?
+    .image;
     let psfs = local_psfs(renderer, settings.wiener_spacing)?;
     let mut tuned = String::new();
     let wiener = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
@@ -108,7 +122,15 @@ pub(crate) fn photograph(
         Crop { row: rows / 2, column: cols / 2, size: cols / 7 },
         Crop { row: rows * 3 / 4, column: cols * 5 / 6, size: cols / 7 },
     ];
-    SceneResult::measure(unseen.name, cut(&developed), cut(&wiener), cut(&reconstruction), cut(&truth), &crops)
+    SceneResult::measure(
+        unseen.name,
+        cut(&developed),
+        cut(&wiener),
+        cut(&alone),
+        cut(&reconstruction),
+        cut(&truth),
+        &crops,
+    )
 }
 
 /// The largest part of the frame, from the axis corner, whose undistorted pixels all have a source.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use isoplanat::design::task::{Task, TaskSensor};
+use isoplanat::imaging::guide::Inputs;
 use isoplanat::imaging::render::{RenderPlan, Settings as Fineness};
 use isoplanat::imaging::scene::SceneKind;
 use isoplanat::imaging::sensor::Sensor;
@@ -43,7 +44,9 @@ impl Settings {
         (task.minutes, task.lens_rate) = (Some(135.0 / 60.0), 0.02);
         let train = &mut task.train;
         train.scales = 3;
-        (train.minutes, train.constant_epochs, train.decay_epochs) = (Some(285.0 / 60.0), 1.0, 2.0);
+        // Two networks of equal minutes: one sees the capture alone, one is told of its lens.
+        train.inputs = Inputs { wiener: true, field: true };
+        (train.minutes, train.constant_epochs, train.decay_epochs) = (Some(142.0 / 60.0), 1.0, 2.0);
         (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
         (train.rate, train.loss) = (2e-3, "l1".into());
         // The demo's camera has its sensor's own noise, and no haze.
@@ -67,7 +70,7 @@ impl Settings {
         self.task.scenes = 12;
         (self.task.minutes, self.task.patch_px, self.task.batch) = (Some(10.0 / 60.0), 96, 1);
         let train = &mut self.task.train;
-        train.minutes = Some(0.3);
+        train.minutes = Some(0.15);
         (train.pairs, train.region_px, train.patch_px) = (40, 160, 128);
         self.fine =
             Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
@@ -113,7 +116,12 @@ impl Settings {
                 "Wavelengths",
                 render.spec.quadrature.nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
             ),
-            pair("Network", format!("U-Net, three scales, {} channels at the finest", self.task.base_width)),
+            pair("Networks", format!("U-Nets, three scales, {} channels at the finest", self.task.base_width)),
+            pair("Network of the capture alone", "as the joint design left it, trained on".into()),
+            pair(
+                "Network told of its lens",
+                "fresh; sees the lens's own Wiener filters and the place in the field".into(),
+            ),
             pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),
             pair("Wiener filter", "PSF of each place on the frame, noise level tuned on the capture itself".into()),
         ]
