@@ -392,7 +392,7 @@ impl DemoReport {
                 notes: quality.get(i).map_or_else(Vec::new, |q| q.notes()),
                 pixelated: false,
             });
-            page.pictures(&whole.collect::<Vec<_>>(), 230)?;
+            page.pictures(&whole.collect::<Vec<_>>(), 180)?;
             for crop in &scene.crops {
                 let cut = |image: &Array3<f32>| {
                     let (r, c) = (crop.row, crop.column);
@@ -405,7 +405,7 @@ impl DemoReport {
                     let notes = if i < 4 { Quality::of(image, &truth)?.notes() } else { vec![] };
                     enlarged.push(Picture { image, caption: format!("{name}, enlarged"), notes, pixelated: true });
                 }
-                page.pictures(&enlarged, 230)?;
+                page.pictures(&enlarged, 180)?;
             }
         }
         Ok(())

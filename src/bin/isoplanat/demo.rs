@@ -17,7 +17,7 @@ use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::math::memory::{product, threads};
-use isoplanat::network::Reconstructor;
+use isoplanat::network::{Reconstructor, UnetConfig};
 use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
 use isoplanat::{Result, atomic};
 
@@ -141,8 +141,9 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         stage(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)
     };
+    let told = UnetConfig { inputs: task.train.inputs, ..joint.network.config().clone() };
     let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
-    let fresh = Reconstructor::new(task.train.config()?, task.seed)?;
+    let fresh = Reconstructor::new(told, task.seed)?;
     let training = finished("network told of its lens", task.train.inputs, fresh)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
@@ -222,7 +223,7 @@ fn followed(training: &mut Training, name: &str) -> Result<LossCurve> {
         true
     })?;
     bar.done(last);
-    Ok(LossCurve { name: format!("{name}, for the finished lens, sRGB-encoded"), points })
+    Ok(LossCurve { name: name.to_owned(), points })
 }
 
 /// What this lens and scene did not need.
