@@ -7,7 +7,7 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
+use ndarray::{Array2, Array3, Array4, Axis, s};
 
 use super::chain::Patch;
 use super::data::Textures;
@@ -16,7 +16,7 @@ use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::{Electronics, simulate};
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
-use crate::imaging::plane::Region;
+use crate::imaging::plane::{Region, turned};
 use crate::imaging::render::{Channels, Renderer, Settings};
 use crate::imaging::sensor::haze::add_haze;
 use crate::imaging::sensor::noise::{mixed, standard_normal};
@@ -106,20 +106,6 @@ pub fn cut(
     let (top, left) = (before(r), before(c));
     let (bottom, right) =
         ((r + h + reach).next_multiple_of(4).min(rows), (c + w + reach).next_multiple_of(4).min(cols));
-    let turned = |a: ArrayView3<'_, f32>, turns: [bool; 3]| -> Array3<f32> {
-        let mut view = a;
-        let square = view.dim().1 == view.dim().2;
-        if turns[0] {
-            view.invert_axis(Axis(1));
-        }
-        if turns[1] {
-            view.invert_axis(Axis(2));
-        }
-        if turns[2] && square {
-            view.swap_axes(1, 2);
-        }
-        view.as_standard_layout().into_owned()
-    };
     // Both sides are swapped where both crops are square.
     let turns = [turns[0], turns[1], turns[2] && h == w && bottom - top == right - left];
     let seen = s![.., top..bottom, left..right];

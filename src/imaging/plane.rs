@@ -3,7 +3,7 @@
 //! A scene is continuous: its texels carry a bilinear reconstruction, in every renderer alike; beyond its border the
 //! nearest texel continues.
 
-use ndarray::{Array3, Axis};
+use ndarray::{Array3, ArrayView3, Axis};
 
 use crate::imaging::frame::Frame;
 
@@ -68,6 +68,22 @@ pub fn mirrored(i: isize, n: usize) -> usize {
     }
     let folded = i.rem_euclid(2 * last);
     folded.min(2 * last - folded).unsigned_abs()
+}
+
+/// Channels `[channel, row, col]` with rows mirrored, columns mirrored, then rows and columns exchanged, as `turns` say; pictures that are
+/// not square are not exchanged.
+pub fn turned(mut channels: ArrayView3<'_, f32>, turns: [bool; 3]) -> Array3<f32> {
+    let square = channels.dim().1 == channels.dim().2;
+    if turns[0] {
+        channels.invert_axis(Axis(1));
+    }
+    if turns[1] {
+        channels.invert_axis(Axis(2));
+    }
+    if turns[2] && square {
+        channels.swap_axes(1, 2);
+    }
+    channels.as_standard_layout().into_owned()
 }
 
 /// A rectangle of pixels in a frame (it may reach beyond it).

@@ -84,6 +84,7 @@ mod tests {
     use ndarray::Array4;
 
     use super::*;
+    use crate::imaging::guide::Inputs;
 
     #[test]
     fn the_full_network_starts_where_the_trimmed_one_ended() {
@@ -109,6 +110,18 @@ mod tests {
             for (a, b) in start.iter().zip(full.parameters()) {
                 assert_ne!(a.values, b.values, "{} of {scales} scales stays", a.name);
             }
+        }
+        // A network that sees more than the capture starts with the same output, whatever else it sees.
+        for (wiener, field) in [(true, true), (true, false), (false, true)] {
+            let inputs = Inputs { wiener, field };
+            let told =
+                trimmed.deepened(&UnetConfig { inputs, ..UnetConfig::bare(4, 4) }, 5, Compute::Cpu).expect("told");
+            let more = Array4::from_shape_simple_fn((1, inputs.channels() - 3, 64, 128), || rng.f32());
+            let all = ndarray::concatenate(ndarray::Axis(1), &[input.view(), more.view()]).expect("one size");
+            let after = told.forward(all.view()).expect("fits");
+            let worst = (&after - &before).iter().fold(0f32, |m, v| m.max(v.abs()));
+            assert!(worst < 1e-5, "{inputs:?}: {worst}");
+            assert!(told.deepened(&UnetConfig::bare(4, 4), 5, Compute::Cpu).is_err(), "back to the capture alone");
         }
         for (base_width, scales) in [(8, 7), (4, 2)] {
             assert!(trimmed.deepened(&UnetConfig::bare(base_width, scales), 5, Compute::Cpu).is_err());

@@ -18,7 +18,7 @@ pub use inputs::Inputs;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
-use crate::imaging::plane::Region;
+use crate::imaging::plane::{Region, turned};
 use crate::imaging::render::Renderer;
 
 /// The channels that a network of one lens on one frame sees.
@@ -110,18 +110,8 @@ impl Guide {
     /// Mirrors and transposes channels of [`Self::over`] as a training does (rows, columns, then both swapped): what a network would
     /// see at the mirrored place of a rotationally symmetric lens.
     pub fn turned(&self, channels: &mut Array3<f32>, turns: [bool; 3]) {
-        let mut view = channels.view_mut();
-        if turns[0] {
-            view.invert_axis(ndarray::Axis(1));
-        }
-        if turns[1] {
-            view.invert_axis(ndarray::Axis(2));
-        }
-        let swap = turns[2] && view.dim().1 == view.dim().2;
-        if swap {
-            view.swap_axes(1, 2);
-        }
-        let mut turned = view.as_standard_layout().into_owned();
+        let swap = turns[2] && channels.dim().1 == channels.dim().2;
+        let mut turned = turned(channels.view(), turns);
         if self.inputs.field {
             let first = self.inputs.channels() - 3;
             if turns[0] {
