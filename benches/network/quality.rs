@@ -22,7 +22,7 @@ pub(crate) fn print(steps: u64) {
     let task = task(steps);
     let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
     let pictures = Pictures::BuiltIn(8);
-    let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS };
+    let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS, rays: None };
     println!(
         "| width, scales | 10^6 parameters | s a training step | forward, s/Mpixel | capture, dB | f32, dB | SSIM | f16, dB | f16 \
          against f32, largest |\n|---|---|---|---|---|---|---|---|---|"

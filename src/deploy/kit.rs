@@ -59,13 +59,16 @@ pub struct Kit {
 }
 
 /// The Wiener filters of a kit.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterEntry {
     /// Their file in the kit's folder.
     pub file: String,
     /// SHA-256 (hex) of that file.
     pub sha256: String,
+    /// Object distances that they are for, mm, near to far: a scene at others is taken to lie there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub depths_mm: Vec<f64>,
 }
 
 /// The lens a kit is for.
@@ -177,8 +180,12 @@ impl Kit {
             multiple: card.multiple,
         };
         let guide = guide(&card, &frame, filters.clone(), "kit")?;
-        let bytes = filters.map(|f| f.to_npz()).transpose()?;
-        let entry_of = |bytes: Vec<u8>| (FilterEntry { file: guide::FILE.into(), sha256: sha256_hex(&bytes) }, bytes);
+        let entry_of = |filters: Filters| -> Result<_> {
+            let bytes = filters.to_npz()?;
+            let (sha256, depths_mm) = (sha256_hex(&bytes), filters.depths_mm());
+            Ok((FilterEntry { file: guide::FILE.into(), sha256, depths_mm }, bytes))
+        };
+        let filters = filters.map(entry_of).transpose()?;
         let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
         let kit = Self {
             name: name.into(),
@@ -192,7 +199,7 @@ impl Kit {
             card,
             model_bytes: model,
             guide,
-            filters: bytes.map(entry_of),
+            filters,
         };
         kit.check("kit")?;
         Ok(kit)
@@ -220,7 +227,13 @@ impl Kit {
         let filters = match file.filters {
             Some(entry) => {
                 let (place, bytes) = whole(folder, &path, "filters", &entry.file, &entry.sha256)?;
-                Some((Filters::from_npz(&bytes, &place)?, (entry, bytes)))
+                let filters = Filters::from_npz(&bytes, &place)?;
+                if entry.depths_mm != filters.depths_mm() {
+                    let (found, allowed) = (format!("{:?}", entry.depths_mm), format!("{:?}", filters.depths_mm()));
+                    let allowed = format!("{allowed}, as {} says", entry.file);
+                    return Err(Error::bad(path.display().to_string(), "filters.depths_mm", found, allowed));
+                }
+                Some((filters, (entry, bytes)))
             }
             None => None,
         };

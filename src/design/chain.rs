@@ -19,10 +19,19 @@ use crate::psf::OpticsBar;
 pub struct Patch {
     /// The scene, placed.
     pub scene: Plane,
-    /// The pixels.
+    /// The pixels that are rendered.
     pub region: Region,
+    /// Those of them that the network sees: the others are what its filters look at around it.
+    pub part: Region,
     /// Seed of its noise draw.
     pub noise_seed: u64,
+}
+
+impl Patch {
+    /// A patch of which the network sees all that is rendered.
+    pub fn whole(scene: Plane, region: Region, noise_seed: u64) -> Self {
+        Self { scene, region, part: region, noise_seed }
+    }
 }
 
 /// The forward pass of one patch.
@@ -48,11 +57,28 @@ fn electronics_at(electronics: &Electronics, region: Region) -> Electronics {
 pub fn forward<T: Real>(renderer: &Renderer, electronics: &Electronics, patch: &Patch) -> Result<PatchForward<T>> {
     let depth = renderer.plan.depth(patch.scene.vergence)?;
     let rendered = renderer.record(&patch.scene, depth, patch.region);
+    Ok(developed(electronics, patch, rendered))
+}
+
+/// [`forward`] of `image`, irradiance over the patch's region from elsewhere, which needs only be right in each pixel's own channel.
+pub(super) fn forward_of(
+    renderer: &Renderer,
+    electronics: &Electronics,
+    patch: &Patch,
+    image: Array3<f32>,
+) -> Result<PatchForward<f32>> {
+    let depth = renderer.plan.depth(patch.scene.vergence)?;
+    let mut rendered = renderer.record(&patch.scene, depth, patch.region);
+    rendered.image = image;
+    Ok(developed(electronics, patch, rendered))
+}
+
+fn developed<T: Real>(electronics: &Electronics, patch: &Patch, rendered: Rendered<T>) -> PatchForward<T> {
     let eps = standard_normal(patch.noise_seed, (patch.region.rows, patch.region.cols));
     let (developed, simulated) =
         simulate(&electronics_at(electronics, patch.region), rendered.image.view(), rendered.illumination.view(), eps);
     let truth = rendered.truth.clone();
-    Ok(PatchForward { developed, truth, rendered, simulated })
+    PatchForward { developed, truth, rendered, simulated }
 }
 
 /// Pulls cotangents on the developed picture and on the truth back to the optics.
@@ -106,8 +132,7 @@ mod tests {
         let plan = Renderer::planned(&lens, &frame, &density, &[1e-3], settings).expect("plans").plan;
         let electronics =
             Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 2e-4, read: 1e-3 }, neutral: [0.55, 1.0, 0.7] };
-        let patch =
-            Patch { scene: smooth_scene(), region: Region { row: 141, col: 210, rows: 32, cols: 40 }, noise_seed: 11 };
+        let patch = Patch::whole(smooth_scene(), Region { row: 141, col: 210, rows: 32, cols: 40 }, 11);
         // Squared error is smooth; the developed picture and the truth both move with the lens.
         let loss = |lens: &Lens| {
             let renderer = Renderer::new(lens, &plan).expect("traces");

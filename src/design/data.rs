@@ -84,14 +84,27 @@ impl Textures {
     ///
     /// Rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the camera.
     pub fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
+        self.draw_within(rng, frame, map, size, 0)
+    }
+
+    /// [`Self::draw`], rendered `reach` pixels further than the network sees, as far as the frame goes.
+    pub fn draw_within(
+        &self,
+        rng: &mut fastrand::Rng,
+        frame: &Frame,
+        map: &SensorMap,
+        size: usize,
+        reach: usize,
+    ) -> Patch {
         let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
-        let region = Region {
+        let part = Region {
             row: start(rng, frame.rows).cast_signed(),
             col: start(rng, frame.columns).cast_signed(),
             rows: size,
             cols: size,
         };
-        self.place(rng, frame, map, region)
+        let seen = if reach == 0 { part } else { part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)) };
+        Patch { part, ..self.place(rng, frame, map, seen) }
     }
 
     /// A random texture placed so that `region` shows a random part of it.
@@ -125,6 +138,6 @@ impl Textures {
         let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
         let texture = texture.as_standard_layout().to_owned();
         let scene = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
-        Patch { scene, region, noise_seed: rng.u64(..) }
+        Patch::whole(scene, region, rng.u64(..))
     }
 }

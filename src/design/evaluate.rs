@@ -5,19 +5,22 @@
 //! reconstruction are judged against the ideal picture, both as seen ([`metrics`]). Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
 //!
+//! On demand captures come from the reference renderer ([`reference`]) instead: rays from the sensor, one colour a pixel.
+//!
 //! The network sees zeros beyond its input. So that a patch is restored as it would be within a whole picture, a margin of the
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
 use ndarray::{Array3, Array4, ArrayView3, Axis, s};
 
-use super::chain::{Patch, forward};
+use super::chain::{Patch, forward, forward_of};
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
 use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::plane::{Plane, Region, mirrored};
+use crate::imaging::reference;
 use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
@@ -132,6 +135,8 @@ pub struct Settings {
     pub seed: u64,
     /// How finely captures are rendered.
     pub fineness: Fineness,
+    /// Rays a pixel of captures by the reference renderer; `None`: the fast one.
+    pub rays: Option<usize>,
 }
 
 /// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
@@ -170,7 +175,7 @@ pub fn evaluate(
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
-    let electronics = Electronics::of(sensor);
+    let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
     let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
     // Four figures a picture, by depth and zone.
     let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];
@@ -187,7 +192,8 @@ pub fn evaluate(
             for (d, map) in maps.iter().enumerate() {
                 let part = mixed(settings.seed, index as u64);
                 let noise_seed = mixed(seed, 1 + d as u64);
-                let shot = Shot { region, whole: settings.patch, context, part, noise_seed };
+                let by_rays = settings.rays.map(|rays| (lens, &density, rays));
+                let shot = Shot { region, whole: settings.patch, context, part, noise_seed, by_rays };
                 let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
                 let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
                     Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
@@ -329,7 +335,7 @@ fn places(frame: &Frame, fields: usize, patch: usize) -> Vec<Vec<(usize, usize)>
 }
 
 /// One picture at one place.
-struct Shot {
+struct Shot<'a> {
     /// What is judged.
     region: Region,
     /// Side of a patch where the zone has room for it, pixels: the scale and the place of the part do not depend on more.
@@ -339,9 +345,11 @@ struct Shot {
     /// Seed of the part of the picture that is shown.
     part: u64,
     noise_seed: u64,
+    /// Lens, light and rays a pixel of a capture by the reference.
+    by_rays: Option<(&'a Lens, &'a SpectralDensity, usize)>,
 }
 
-impl Shot {
+impl Shot<'_> {
     /// Truth, capture and reconstruction of the region.
     fn take(
         &self,
@@ -356,8 +364,14 @@ impl Shot {
         let inner = self.region.grown(self.context).common(Region::whole(frame));
         // Rows and columns start as the mosaic does, however far the guide looks.
         let seen = inner.grown(guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
-        let patch = Patch { scene, region: seen, noise_seed: self.noise_seed };
-        let done = forward::<f32>(renderer, electronics, &patch)?;
+        let patch = Patch::whole(scene, seen, self.noise_seed);
+        let done = match self.by_rays {
+            None => forward::<f32>(renderer, electronics, &patch)?,
+            Some(how) => {
+                let image = by_rays(how, electronics, frame, &patch)?;
+                forward_of(renderer, electronics, &patch, image)?
+            }
+        };
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
         let at = [offset(self.region.row, seen.row), offset(self.region.col, seen.col)];
         let cut = |a: ArrayView3<'_, f32>| {
@@ -393,6 +407,25 @@ impl Shot {
         let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
         Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
     }
+}
+
+/// Irradiance over a patch by rays from the sensor, in each pixel's own channel; nothing in the others.
+fn by_rays(
+    (lens, density, samples): (&Lens, &SpectralDensity, usize),
+    electronics: &Electronics,
+    frame: &Frame,
+    patch: &Patch,
+) -> Result<Array3<f32>> {
+    let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
+    let how = reference::Settings { samples, seed, channels, sampling: reference::Sampling::Bounded };
+    let mosaic = reference::render(lens, &patch.scene, density, frame, patch.region, how, None)?.mosaic();
+    let mut image = Array3::zeros((3, patch.region.rows, patch.region.cols));
+    for ((i, j), v) in mosaic.indexed_iter() {
+        let [row, col] =
+            [(patch.region.row, i), (patch.region.col, j)].map(|(a, k)| (a + k.cast_signed()).unsigned_abs());
+        image[[electronics.cfa.channel(row, col), i, j]] = *v;
+    }
+    Ok(image)
 }
 
 /// The network's output on the `size` pixels at `at` of `capture`, which it sees with `context` pixels around them, mirrored

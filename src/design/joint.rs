@@ -4,13 +4,16 @@
 //! A step whose rays fail, whose distortion folds or whose loss is not finite is taken back: the lens returns to its
 //! last good numbers and its step is halved.
 
-use ndarray::{Array4, Axis};
+use std::time::Instant;
+
+use ndarray::{Array3, ArrayView4, Axis, Ix3, SliceInfo, SliceInfoElem, s};
 use rayon::prelude::*;
 
 use super::chain::{Patch, PatchForward, forward, forward_vjp};
 use super::constraint::Constraints;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
+use crate::imaging::guide::{Guide, Record};
 use crate::imaging::metrics::decibel;
 use crate::imaging::render::gradient_error::Chosen;
 use crate::imaging::render::{RenderPlan, Renderer};
@@ -52,6 +55,10 @@ pub struct Joint {
     pub lens: Lens,
     /// The network now.
     pub network: Reconstructor,
+    /// What it is told beside the capture: its filters are those of the lens some steps ago.
+    pub guide: Guide,
+    /// How often the filters were made anew, and the seconds that took.
+    pub refreshed: (usize, f64),
     /// Which numbers are free.
     pub variables: Variables,
     /// What the lens must keep.
@@ -96,15 +103,30 @@ pub(super) fn l1_and_psnr<'a>(
     (l1 / n, decibel((l2 / n).max(1e-12)))
 }
 
+/// The part of a patch that the network sees, in what is rendered.
+pub(super) fn middle(patch: &Patch) -> SliceInfo<[SliceInfoElem; 3], Ix3, Ix3> {
+    let Patch { region, part, .. } = patch;
+    let (row, col) = ((part.row - region.row).unsigned_abs(), (part.col - region.col).unsigned_abs());
+    s![.., row..row + part.rows, col..col + part.cols]
+}
+
 impl Joint {
-    /// Starts from `lens` and `network`.
-    pub fn new(lens: Lens, network: Reconstructor, variables: Variables, constraints: Constraints) -> Self {
+    /// Starts from `lens` and `network`, which `guide` tells what it asks for.
+    pub fn new(
+        lens: Lens,
+        network: Reconstructor,
+        guide: Guide,
+        variables: Variables,
+        constraints: Constraints,
+    ) -> Self {
         let values = variables.values(&lens);
         let adam = Adam::new(values.len());
         Self {
             good: (values.clone(), lens.clone()),
             lens,
             network,
+            guide,
+            refreshed: (0, 0.0),
             variables,
             constraints,
             rejected: 0,
@@ -133,7 +155,20 @@ impl Joint {
         }
     }
 
-    /// One step on `patches` (equal sizes) through `renderer`, which holds the lens now. `lens_rate` 0 holds the lens.
+    /// Makes the network's filters anew for the lens that `renderer` holds; a lens that has none keeps the old ones.
+    pub fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
+        if self.guide.filters().is_none() {
+            return;
+        }
+        let started = Instant::now();
+        if let Ok(guide) = Guide::new(self.guide.inputs(), renderer, electronics) {
+            self.guide = guide;
+            self.refreshed.0 += 1;
+        }
+        self.refreshed.1 += started.elapsed().as_secs_f64();
+    }
+
+    /// One step on `patches` (equal parts) through `renderer`, which holds the lens now. `lens_rate` 0 holds the lens.
     ///
     /// # Errors
     /// A patch at a distance that the renderer was not made for; a network that fails.
@@ -149,19 +184,24 @@ impl Joint {
             .par_iter()
             .map(|patch| forward::<f32>(renderer, electronics, patch))
             .collect::<Result<Vec<PatchForward<f32>>>>()?;
-        let batch = |pick: fn(&PatchForward<f32>) -> &ndarray::Array3<f32>| -> Array4<f32> {
-            let views: Vec<_> = done.iter().map(|f| pick(f).view()).collect();
-            ndarray::stack(Axis(0), &views).expect("equal sizes")
-        };
-        let (input, target) = (batch(|f| &f.developed), batch(|f| &f.truth));
-        let psnr = |a: &Array4<f32>| l1_and_psnr(a.iter(), target.iter()).1;
+        // What the network sees: the middle of each patch, told.
+        let told: Vec<(Array3<f32>, Record)> = patches
+            .par_iter()
+            .zip(&done)
+            .map(|(patch, f)| self.guide.over_recorded(f.developed.view(), patch.region, patch.part))
+            .collect();
+        let truths: Vec<_> = patches.iter().zip(&done).map(|(patch, f)| f.truth.slice(middle(patch))).collect();
+        let inputs: Vec<_> = told.iter().map(|(channels, _)| channels.view()).collect();
+        let [input, target] = [&inputs, &truths].map(|all| ndarray::stack(Axis(0), all).expect("equal sizes"));
+        let psnr = |a: ArrayView4<'_, f32>| l1_and_psnr(a.iter(), target.iter()).1;
+        let input_psnr_db = psnr(input.slice(s![.., ..3, .., ..]));
         if lens_rate == 0.0 {
             let s = self.network.step_network_only(input.view(), target.view(), network_rate)?;
             return Ok(Report {
                 loss: f64::from(s.loss),
                 penalty: 0.0,
-                input_psnr_db: psnr(&input),
-                output_psnr_db: psnr(&s.output),
+                input_psnr_db,
+                output_psnr_db: psnr(s.output.view()),
                 moved: false,
             });
         }
@@ -172,8 +212,10 @@ impl Joint {
             .zip(&done)
             .enumerate()
             .map(|(i, (patch, f))| {
-                let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), i), s.target_bar.index_axis(Axis(0), i));
-                forward_vjp(renderer, electronics, patch, f, x_bar, t_bar)
+                let x_bar = self.guide.over_vjp(&told[i].1, s.input_bar.index_axis(Axis(0), i));
+                let mut t_bar = Array3::zeros(f.truth.raw_dim());
+                t_bar.slice_mut(middle(patch)).assign(&s.target_bar.index_axis(Axis(0), i));
+                forward_vjp(renderer, electronics, patch, f, x_bar.view(), t_bar.view())
             })
             .collect();
         let mut bar = OpticsBar::zeros(&renderer.optics);
@@ -195,8 +237,8 @@ impl Joint {
         Ok(Report {
             loss: f64::from(s.loss),
             penalty,
-            input_psnr_db: psnr(&input),
-            output_psnr_db: psnr(&s.output),
+            input_psnr_db,
+            output_psnr_db: psnr(s.output.view()),
             moved: finite,
         })
     }
@@ -216,6 +258,7 @@ mod tests {
     use crate::design::run::{JointSettings, Scenery, joint_stage, network};
     use crate::design::schedule::Budget;
     use crate::design::task::Task;
+    use crate::imaging::guide::Inputs;
     use crate::imaging::render::{Settings, frame_of};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::noise::Noise;
@@ -231,9 +274,17 @@ mod tests {
         task
     }
 
-    /// Scene → loss through the f32 network: the lens gradient against central differences, 1e-2.
+    /// Scene → loss through the f32 network: the lens gradient against central differences, 1e-2. The network sees the capture alone,
+    /// or is told of its lens by filters that stay while the lens moves.
     #[test]
     fn the_lens_gradient_through_the_network_agrees_with_differences() {
+        gradient_agrees(Inputs::BARE);
+        gradient_agrees(TOLD);
+    }
+
+    const TOLD: Inputs = Inputs { wiener: true, field: true };
+
+    fn gradient_agrees(inputs: Inputs) {
         let task = task();
         let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
         let frame = frame_of(&lens).expect("valid");
@@ -241,28 +292,38 @@ mod tests {
         let v = lens.object_vergence;
         let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
         let electronics = Electronics::of(&sensor);
-        let mut net = network(8, 5).expect("valid");
+        let guide = Guide::new(inputs, &renderer, &electronics).expect("filters");
+        let mut net = network(8, inputs, 5).expect("valid");
         let mut rng = fastrand::Rng::with_seed(2);
+        let map = &renderer.optics.maps[0];
+        let mut draw = || textures.draw_within(&mut rng, &frame, map, 64, guide.reach());
         // A few steps, so that the network is no identity.
         for _ in 0..30 {
-            let p = textures.draw(&mut rng, &frame, &renderer.optics.maps[0], 64);
+            let p = draw();
             let f = forward::<f32>(&renderer, &electronics, &p).expect("renders");
-            net.step_network_only(f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)), 2e-3)
-                .expect("trains");
+            let told = guide.over(f.developed.view(), p.region, p.part);
+            let truth = f.truth.slice(middle(&p)).insert_axis(Axis(0));
+            net.step_network_only(told.view().insert_axis(Axis(0)), truth, 2e-3).expect("trains");
         }
-        let patch = textures.draw(&mut rng, &frame, &renderer.optics.maps[0], 64);
+        let patch = draw();
+        assert_eq!(patch.region == patch.part, inputs.is_bare());
         // The loss in f64 from the f32 pictures, so that its own rounding stays below the differences.
-        let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, crate::network::Step) {
+        let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, Record, crate::network::Step) {
             let renderer = Renderer::new(lens, &renderer.plan).expect("traces");
             let f = forward::<f32>(&renderer, &electronics, &patch).expect("renders");
-            let (x, t) = (f.developed.view().insert_axis(Axis(0)), f.truth.view().insert_axis(Axis(0)));
+            let (told, record) = guide.over_recorded(f.developed.view(), patch.region, patch.part);
+            let truth = f.truth.slice(middle(&patch)).to_owned();
+            let (x, t) = (told.view().insert_axis(Axis(0)), truth.view().insert_axis(Axis(0)));
             let s = net.step(x, t, 0.0, false).expect("runs");
-            let l1 = s.output.iter().zip(&f.truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
-            (l1 / s.output.len() as f64, f, s)
+            let l1 = s.output.iter().zip(&truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+            (l1 / s.output.len() as f64, f, record, s)
         };
-        let (_, f, s) = loss(&lens);
-        let (x_bar, t_bar) = (s.input_bar.index_axis(Axis(0), 0), s.target_bar.index_axis(Axis(0), 0));
-        let g = renderer.lens_gradient(&lens, &forward_vjp(&renderer, &electronics, &patch, &f, x_bar, t_bar));
+        let (_, f, record, s) = loss(&lens);
+        let x_bar = guide.over_vjp(&record, s.input_bar.index_axis(Axis(0), 0));
+        let mut t_bar = Array3::zeros(f.truth.raw_dim());
+        t_bar.slice_mut(middle(&patch)).assign(&s.target_bar.index_axis(Axis(0), 0));
+        let bar = forward_vjp(&renderer, &electronics, &patch, &f, x_bar.view(), t_bar.view());
+        let g = renderer.lens_gradient(&lens, &bar);
         let vars = Variables::refracting(&lens);
         let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
         let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
@@ -280,7 +341,7 @@ mod tests {
                 loss(&vars.lens(&lens, &moved).expect("a lens")).0
             };
             let numeric = (at(h) - at(-h)) / (2.0 * h);
-            crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("direction {seed}"));
+            crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("{:?}, direction {seed}", inputs.names()));
         }
     }
 
@@ -299,16 +360,20 @@ mod tests {
             network_rate: 1e-3,
             settings: None,
         };
-        let run = || {
-            let net = network(4, 1).expect("valid");
-            joint_stage(&scenery, &lens, net, settings, &mut |_, _| {}).expect("runs").0
-        };
-        let (a, b) = (run(), run());
-        assert_eq!(a.lens, b.lens);
-        assert_eq!(a.fineness, b.fineness);
-        assert!(a.fineness.len() == 1 && a.fineness[0].1.holds, "{:?}", a.fineness);
-        assert_ne!(a.lens, lens);
-        assert_eq!(a.network.parameters(), b.network.parameters());
+        for inputs in [Inputs::BARE, TOLD] {
+            let run = || {
+                let net = network(4, inputs, 1).expect("valid");
+                joint_stage(&scenery, &lens, net, settings, &mut |_, _| {}).expect("runs").0
+            };
+            let (a, b) = (run(), run());
+            assert_eq!(a.lens, b.lens);
+            assert_eq!(a.fineness, b.fineness);
+            assert!(a.fineness.len() == 1 && a.fineness[0].1.holds, "{:?}", a.fineness);
+            assert_ne!(a.lens, lens);
+            assert_eq!(a.network.parameters(), b.network.parameters());
+            // At the end the filters are those of the finished lens.
+            assert_eq!((a.refreshed.0, &a.guide), (usize::from(!inputs.is_bare()), &b.guide));
+        }
     }
 
     /// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.
@@ -326,8 +391,13 @@ mod tests {
         // Bounds that the lens meets, so that the scene alone could move it.
         (constraints.min_centre_mm, constraints.min_edge_mm, constraints.min_gap_mm) = (0.0, -50.0, -50.0);
         (constraints.min_back_mm, constraints.max_reach) = (0.0, 10.0);
-        let mut joint =
-            Joint::new(lens.clone(), network(4, 1).expect("valid"), Variables::refracting(&lens), constraints);
+        let mut joint = Joint::new(
+            lens.clone(),
+            network(4, Inputs::BARE, 1).expect("valid"),
+            Guide::bare(&frame),
+            Variables::refracting(&lens),
+            constraints,
+        );
         for _ in 0..3 {
             let renderer = joint.renderer(&renderer.plan, false).expect("traces");
             let report = joint.step(&renderer, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");

@@ -38,12 +38,15 @@ fn sum(parts: &[u64]) -> u64 {
 /// # Errors
 /// A folder of photographs that cannot be listed.
 pub fn of_design(task: &Task) -> Result<u64> {
-    let network = UnetConfig { base_width: task.base_width, ..UnetConfig::default() };
+    let network = UnetConfig { base_width: task.base_width, inputs: task.inputs, ..UnetConfig::default() };
     // Patches of a step, or those that settings are chosen with, which are rendered more finely.
     let side = task.patch_px.min(JUDGED.1);
     let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };
-    let patches = product(&[task.batch.max(threads()), task.patch_px, task.patch_px, REGION]).max(judged);
-    Ok(sum(&[textures(task)?, network.step_bytes(task.patch_px, task.batch), patches]))
+    // Rendered as far as the filters look.
+    let seen = task.patch_px + if task.inputs.wiener { 2 * Filters::WIDEST } else { 0 };
+    let patches = product(&[task.batch.max(threads()), seen, seen, REGION]).max(judged);
+    let step = network.step_bytes(task.patch_px, task.batch);
+    Ok(sum(&[textures(task)?, step, patches, guide(task.inputs)]))
 }
 
 /// Bytes of `isoplanat train`.

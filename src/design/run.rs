@@ -4,17 +4,18 @@
 
 use std::time::Instant;
 
-use ndarray::Axis;
+use ndarray::{Axis, s};
 
 use super::chain::{Patch, forward};
 use super::constraint::Constraints;
 use super::data::Textures;
-use super::joint::{Joint, Report, l1_and_psnr};
+use super::joint::{Joint, Report, l1_and_psnr, middle};
 use super::schedule::Budget;
 use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
+use crate::imaging::guide::{Guide, Inputs};
 use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::Sensor;
@@ -116,7 +117,8 @@ fn schedule(used: f64) -> f64 {
     rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
 }
 
-/// Lens and network together. `progress(share, last entry)` is called after every step.
+/// Lens and network together. A network that is told of its lens gets filters made anew whenever windows and nodes are, and of the
+/// finished lens at the end. `progress(share, last entry)` is called after every step.
 pub fn joint_stage(
     scenery: &Scenery<'_>,
     lens: &Lens,
@@ -131,7 +133,8 @@ pub fn joint_stage(
     let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], first)?;
     let chooses = settings.settings.is_none() && settings.lens_rate > 0.0;
     let mut again = 0;
-    let mut joint = Joint::new(lens.clone(), network, Variables::refracting(lens), Constraints::of(lens));
+    let guide = Guide::new(network.config().inputs, &renderer, &electronics)?;
+    let mut joint = Joint::new(lens.clone(), network, guide, Variables::refracting(lens), Constraints::of(lens));
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let (mut history, mut recent) = (Vec::new(), Vec::new());
     let started = Instant::now();
@@ -144,6 +147,9 @@ pub fn joint_stage(
         if step > 0 && settings.lens_rate > 0.0 {
             // Windows and nodes follow the PSF as the lens gets better.
             renderer = joint.renderer(&renderer.plan, step % REPLAN == 0)?;
+            if step % REPLAN == 0 {
+                joint.refresh(&renderer, &electronics);
+            }
         }
         // A lens that grows sharper needs finer settings; one that cannot be judged now keeps those it has.
         if chooses
@@ -164,8 +170,9 @@ pub fn joint_stage(
             again = (2 * again).max(AGAIN);
         }
         let map = &renderer.optics.maps[0];
-        let patches: Vec<Patch> =
-            (0..settings.batch).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, settings.patch)).collect();
+        let reach = joint.guide.reach();
+        let mut draw = || scenery.textures.draw_within(&mut rng, &scenery.frame, map, settings.patch, reach);
+        let patches: Vec<Patch> = (0..settings.batch).map(|_| draw()).collect();
         let rate = schedule(used);
         let lens_rate = settings.lens_rate * rate;
         let report = joint.step(&renderer, &electronics, &patches, lens_rate, settings.network_rate * rate)?;
@@ -177,6 +184,10 @@ pub fn joint_stage(
             recent.clear();
         }
         progress(used.min(1.0), &entry);
+    }
+    if settings.lens_rate > 0.0 && joint.guide.filters().is_some() {
+        renderer = joint.renderer(&renderer.plan, true)?;
+        joint.refresh(&renderer, &electronics);
     }
     Ok((joint, history))
 }
@@ -195,7 +206,7 @@ fn average(recent: &[Report], started: Instant) -> Entry {
 pub fn validate(
     scenery: &Scenery<'_>,
     lens: &Lens,
-    network: &Reconstructor,
+    (network, guide): (&Reconstructor, &Guide),
     patch: usize,
     count: usize,
     settings: Settings,
@@ -208,17 +219,20 @@ pub fn validate(
     let mut rng = fastrand::Rng::with_seed(scenery.seed);
     let mut reports = Vec::with_capacity(count);
     for _ in 0..count {
-        let p = scenery.textures.draw(&mut rng, &scenery.frame, &renderer.optics.maps[0], patch);
+        let map = &renderer.optics.maps[0];
+        let p = scenery.textures.draw_within(&mut rng, &scenery.frame, map, patch, guide.reach());
         let f = forward::<f32>(&renderer, &electronics, &p)?;
-        let output = network.forward(f.developed.view().insert_axis(Axis(0)))?;
-        let error = |a: ndarray::ArrayView3<'_, f32>| l1_and_psnr(a.iter(), f.truth.iter());
-        let (input, out) = (error(f.developed.view()), error(output.index_axis(Axis(0), 0)));
+        let told = guide.over(f.developed.view(), p.region, p.part);
+        let output = network.forward(told.view().insert_axis(Axis(0)))?;
+        let truth = f.truth.slice(middle(&p));
+        let error = |a: ndarray::ArrayView3<'_, f32>| l1_and_psnr(a.iter(), truth.iter());
+        let (input, out) = (error(told.slice(s![..3, .., ..])), error(output.index_axis(Axis(0), 0)));
         reports.push(Report { loss: out.0, penalty: 0.0, input_psnr_db: input.1, output_psnr_db: out.1, moved: false });
     }
     Ok(average(&reports, started))
 }
 
-/// A fresh network.
-pub fn network(base_width: usize, seed: u64) -> Result<Reconstructor> {
-    Reconstructor::new(UnetConfig::bare(base_width, 3), seed)
+/// A fresh network that sees `inputs` beside the capture.
+pub fn network(base_width: usize, inputs: Inputs, seed: u64) -> Result<Reconstructor> {
+    Reconstructor::new(UnetConfig { inputs, ..UnetConfig::bare(base_width, 3) }, seed)
 }

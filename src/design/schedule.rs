@@ -1,4 +1,4 @@
-//! The learning rate over a training: constant, then linearly to zero.
+//! The learning rate over a training: a rise where asked for, constant, then linearly to zero.
 //!
 //! A length in time is turned into one in steps once, when the constant part is over: the rest gets as many steps as its time
 //! holds at the pace of the last ones. From then on everything repeats.
@@ -29,7 +29,9 @@ impl Budget {
 pub struct Schedule {
     /// The constant rate.
     pub rate: f64,
-    /// Share of the length at the constant rate, 0 to 1.
+    /// Steps in which it rises to the constant rate.
+    pub rise: u64,
+    /// Share of the length at the constant rate, the rise included, 0 to 1.
     pub share: f64,
     /// How long.
     pub length: Length,
@@ -70,13 +72,14 @@ impl Schedule {
 
     /// The rate of step `step` (counted from 0); `None` when the training is over.
     pub fn at(&self, step: u64) -> Option<f64> {
+        let risen = ((step + 1) as f64 / (self.rise + 1) as f64).min(1.0);
         match self.steps() {
             Some((_, all)) if step >= all => None,
             Some((constant, all)) => {
                 let fallen = (step as f64 - constant) / (all as f64 - constant).max(1.0);
-                Some(self.rate * (1.0 - fallen.clamp(0.0, 1.0)))
+                Some(self.rate * risen * (1.0 - fallen.clamp(0.0, 1.0)))
             }
-            None => Some(self.rate),
+            None => Some(self.rate * risen),
         }
     }
 
@@ -102,7 +105,7 @@ mod tests {
 
     #[test]
     fn a_length_in_time_becomes_one_in_steps() {
-        let mut s = Schedule { rate: 1.0, share: 1.0 / 3.0, length: Length::Seconds(90.0), settled: None };
+        let mut s = Schedule { rate: 1.0, rise: 0, share: 1.0 / 3.0, length: Length::Seconds(90.0), settled: None };
         assert_eq!((s.at(1000), s.total()), (Some(1.0), None));
         assert!(!s.settle(10, 29.0, 2.5));
         assert!((s.done(10, 29.0) - 29.0 / 90.0).abs() < 1e-12);
@@ -121,11 +124,16 @@ mod tests {
     #[test]
     fn the_rate_falls_to_zero_and_never_below() {
         for share in [0.0, 1.0 / 3.0, 0.9, 1.0] {
-            let s = Schedule { rate: 2.0, share, length: Length::Steps(30), settled: None };
+            let s = Schedule { rate: 2.0, rise: 0, share, length: Length::Steps(30), settled: None };
             let rates: Vec<f64> = (0..30).map(|k| s.at(k).expect("not over")).collect();
             assert_eq!(rates[0], 2.0);
             assert!(rates.windows(2).all(|w| w[1] <= w[0]) && rates[29] > 0.0, "{share}: {rates:?}");
             assert_eq!(s.at(30), None);
+            let s = Schedule { rise: 4, ..s };
+            let risen: Vec<f64> = (0..30).map(|k| s.at(k).expect("not over")).collect();
+            assert!(
+                (0..4).all(|k| (risen[k] - rates[k] * (k + 1) as f64 / 5.0).abs() < 1e-12) && risen[4..] == rates[4..]
+            );
         }
     }
 }

@@ -9,6 +9,7 @@ use super::data::{TEXTURE, Textures};
 use super::schedule::Budget;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
+use crate::imaging::guide::Inputs;
 use crate::imaging::sensor::Sensor;
 use crate::interchange;
 use crate::lens::catalogue::Glasses;
@@ -56,6 +57,9 @@ pub struct Task {
     /// Channels of the network's finest scale.
     #[serde(default = "default_width")]
     pub base_width: usize,
+    /// What the network of the joint stage sees beside the capture; names as in `train.inputs`.
+    #[serde(default, skip_serializing_if = "Inputs::is_bare")]
+    pub inputs: Inputs,
     /// Largest lens step, scaled units.
     #[serde(default = "default_lens_rate")]
     pub lens_rate: f64,
@@ -122,6 +126,7 @@ impl Task {
             patch_px: default_patch(),
             batch: default_batch(),
             base_width: default_width(),
+            inputs: Inputs::BARE,
             lens_rate: default_lens_rate(),
             network_rate: default_network_rate(),
             freeze_lens: false,

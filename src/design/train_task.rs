@@ -14,6 +14,8 @@ use crate::network::{ContentKind, Objective, Reconstructor, UnetConfig};
 
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";
+/// Most pairs whose losses are remembered, in every checkpoint.
+const REMEMBERED: u64 = 1 << 16;
 /// Channels of the network's finest scale where the task names none.
 const WIDTH: usize = 32;
 
@@ -55,6 +57,12 @@ pub struct TrainTask {
     pub minutes: Option<f64>,
     /// Adam's step at the full rate.
     pub rate: f64,
+    /// Steps in which it rises to that.
+    pub rise_steps: u64,
+    /// Share of the weights' running mean that a step keeps; the mean is the result. 0: the last step's weights are.
+    pub average: f64,
+    /// Pairs that are drawn for each patch; the one whose last loss was the largest is taken. 1: any pair.
+    pub draws: u64,
     /// Content loss: `content` (eq. 12 with `vgg`, L1 and multi-scale SSIM without) or `l1`.
     pub loss: String,
     /// VGG-19 weights (safetensors).
@@ -95,6 +103,9 @@ impl Default for TrainTask {
             steps: None,
             minutes: None,
             rate: 1e-4,
+            rise_steps: 0,
+            average: 0.0,
+            draws: 1,
             loss: "content".into(),
             vgg: None,
             adversarial: false,
@@ -178,6 +189,17 @@ impl TrainTask {
         within("constant_epochs", self.constant_epochs, 0.0, 1e6, "0 to a million")?;
         within("decay_epochs", self.decay_epochs, 1e-6, 1e6, "above 0, at most a million")?;
         within("rate", self.rate, 1e-9, 0.1, "1e-9 to 0.1")?;
+        within("rise_steps", self.rise_steps as f64, 0.0, 1e9, "0 to 1000000000")?;
+        if !(0.0..1.0).contains(&self.average) {
+            return bad("average", self.average.to_string(), "0 (none) or more, below 1");
+        }
+        if !(1..=64).contains(&self.draws) {
+            return bad("draws", self.draws.to_string(), "1 to 64");
+        }
+        if self.draws > 1 && !(1..=REMEMBERED).contains(&self.pairs) {
+            let allowed = format!("draws of 1, or 1 to {REMEMBERED} pairs, whose losses are remembered");
+            return bad("pairs", format!("{} with draws of {}", self.pairs, self.draws), &allowed);
+        }
         if !["content", "l1"].contains(&self.loss.as_str()) {
             return bad("loss", self.loss.clone(), "content or l1");
         }
@@ -214,7 +236,8 @@ impl TrainTask {
             (Some(path), _) => ContentKind::Vgg(path.clone()),
             (None, _) => ContentKind::Structure,
         };
-        Objective { content, critics: self.critics() }
+        let average = (self.average > 0.0).then_some(self.average);
+        Objective { content, critics: self.critics(), average }
     }
 
     /// How a step varies a pair.
@@ -235,7 +258,7 @@ impl TrainTask {
                 Length::Steps(((self.constant_epochs + self.decay_epochs) * epoch).round().max(1.0) as u64)
             }
         };
-        Schedule { rate: self.rate, share, length, settled: None }
+        Schedule { rate: self.rate, rise: self.rise_steps, share, length, settled: None }
     }
 }
 

@@ -5,7 +5,8 @@
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
 
-use std::collections::BTreeMap;
+mod state;
+
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -31,6 +32,7 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::catalogue::Glasses;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
+use state::State;
 
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";
@@ -81,48 +83,6 @@ pub struct Training {
     _lock: File,
 }
 
-/// Where a training stands, as a checkpoint keeps it.
-#[derive(Clone, Debug, Default, PartialEq)]
-struct State {
-    step: u64,
-    seconds: f64,
-    /// Steps that moved nothing.
-    skipped: u64,
-    settled: Option<[u64; 2]>,
-}
-
-impl State {
-    fn facts(&self) -> BTreeMap<String, String> {
-        let mut facts = BTreeMap::from([
-            ("train.step".to_owned(), self.step.to_string()),
-            ("train.seconds".to_owned(), format!("{:.3}", self.seconds)),
-            ("train.skipped".to_owned(), self.skipped.to_string()),
-        ]);
-        if let Some([constant, all]) = self.settled {
-            facts.insert("train.constant".to_owned(), constant.to_string());
-            facts.insert("train.steps".to_owned(), all.to_string());
-        }
-        facts
-    }
-
-    fn from_facts(facts: &BTreeMap<String, String>, path: &Path) -> Result<Self> {
-        fn number<T: std::str::FromStr>(facts: &BTreeMap<String, String>, key: &str, path: &Path) -> Result<T> {
-            let text = facts.get(key).map_or("missing", String::as_str);
-            let allowed = "a number, as `isoplanat train` writes it";
-            text.parse().map_err(|_| Error::bad(path.display().to_string(), key, text, allowed))
-        }
-        let settled = facts.contains_key("train.constant").then(|| -> Result<[u64; 2]> {
-            Ok([number(facts, "train.constant", path)?, number(facts, "train.steps", path)?])
-        });
-        Ok(Self {
-            step: number(facts, "train.step", path)?,
-            seconds: number(facts, "train.seconds", path)?,
-            skipped: number(facts, "train.skipped", path)?,
-            settled: settled.transpose()?,
-        })
-    }
-}
-
 /// What lens and task make of themselves before the first step.
 struct Parts {
     textures: Textures,
@@ -158,7 +118,7 @@ impl Training {
         atomic::check_folder(folder, MARKER, replace)?;
         let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         let parts = Parts::new(&task, lens, textures, None)?;
-        let state = State::default();
+        let state = State::new(&task);
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
@@ -250,9 +210,9 @@ impl Training {
         &self.guide
     }
 
-    /// The network as it is now.
-    pub fn network(&self) -> &Reconstructor {
-        self.trainer.generator()
+    /// The network as a result now.
+    pub fn network(&self) -> Reconstructor {
+        self.trainer.result()
     }
 
     /// Steps done so far.
@@ -339,8 +299,11 @@ impl Training {
         let train = &self.task.train;
         let rng = &mut fastrand::Rng::with_seed(mixed(self.task.seed ^ 0x7374_6570, self.state.step));
         let mut parts = (Vec::new(), Vec::new());
+        let mut drawn = Vec::new();
         for _ in 0..train.batch {
-            let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
+            let index = self.state.draw(&self.pairs, train.draws, rng);
+            drawn.push(index);
+            let pair = self.pairs.get(&self.textures, index)?;
             let (input, target) = cut(&self.electronics, &self.guide, &pair, train.patch_px, train.augmentation(), rng);
             parts.0.push(input);
             parts.1.push(target);
@@ -351,9 +314,13 @@ impl Training {
         };
         let (input, target) = (batch(&parts.0), batch(&parts.1));
         let step = self.trainer.step(input.view(), target.view(), rate)?;
-        let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| bounded(psnr(a, b)));
-        let psnr_db = each.sum::<f64>() / train.batch as f64;
-        Ok((step, psnr_db))
+        let mut sum = 0.0;
+        for ((output, target), index) in step.output.outer_iter().zip(target.outer_iter()).zip(drawn) {
+            let psnr_db = bounded(psnr(output, target));
+            sum += psnr_db;
+            self.state.remember(index, psnr_db);
+        }
+        Ok((step, sum / train.batch as f64))
     }
 
     /// Log, then network: the log is never behind.
@@ -365,11 +332,11 @@ impl Training {
     /// A sheet of held-out patches (capture, reconstruction, truth) and the mean PSNR of the reconstructions.
     fn sample(&self) -> Result<f64> {
         let side = self.task.train.patch_px;
-        let (gap, n) = (4, self.samples.len());
+        let (gap, n, network) = (4, self.samples.len(), self.trainer.result());
         let mut sheet = Array3::ones((3, n * (side + gap) - gap, 3 * (side + gap) - gap));
         let mut sum = 0.0;
         for (i, (input, target)) in self.samples.iter().enumerate() {
-            let output = self.trainer.generator().forward(input.view())?;
+            let output = network.forward(input.view())?;
             let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).slice(s![..3, .., ..]).to_owned();
             let (input, output, target) = (first(input), first(&output), first(target));
             sum += bounded(psnr(output.view(), target.view()));

@@ -1,6 +1,7 @@
 //! Checkpoints: weights, Adam's moments and step counter, sizes, and facts of the training; bit for bit.
 //!
 //! One safetensors file. The generator's parameters stand under their names, another learner's under `<prefix><name>`;
+//! averaged weights under `average.<name>`, and are what a plain reader gets;
 //! moments are `<prefix>adam.first.<name>`, `<prefix>adam.second.<name>`, the step counter the fact `<prefix>steps`. A file
 //! with discriminators can be read as a plain network.
 
@@ -24,8 +25,10 @@ pub(super) struct Section<'a> {
     pub(super) prefix: &'a str,
     /// Its parameters.
     pub(super) parameters: &'a [Parameter],
-    /// Its optimiser.
-    pub(super) adam: &'a Adam,
+    /// Steps taken.
+    pub(super) steps: u64,
+    /// Its optimiser; none for weights that nothing moves.
+    pub(super) adam: Option<&'a Adam>,
 }
 
 /// Writes a checkpoint beside `path`, then renames it. Refuses values that are not finite.
@@ -39,22 +42,20 @@ pub(super) fn save(
     facts.insert("schema".into(), SCHEMA.into());
     facts.insert("config".into(), serde_json::to_string(config).unwrap_or_default());
     let mut tensors = Vec::new();
-    for Section { prefix, parameters, adam } in sections {
-        facts.insert(format!("{prefix}steps"), adam.steps.to_string());
+    for Section { prefix, parameters, steps, adam } in sections {
+        facts.insert(format!("{prefix}steps"), steps.to_string());
         let mut offset = 0;
         for Parameter { name, shape, values } in *parameters {
             let range = offset..offset + values.len();
             offset = range.end;
-            let parts = [
-                (format!("{prefix}{name}"), values.as_slice()),
-                (format!("{prefix}adam.first.{name}"), &adam.first[range.clone()]),
-                (format!("{prefix}adam.second.{name}"), &adam.second[range]),
-            ];
-            tensors.extend(parts.map(|(name, values)| Named {
-                name,
-                shape: shape.clone(),
-                values: Cow::Borrowed(values),
-            }));
+            let mut put = |name: String, values| {
+                tensors.push(Named { name, shape: shape.clone(), values: Cow::Borrowed(values) });
+            };
+            put(format!("{prefix}{name}"), values.as_slice());
+            if let Some(adam) = adam {
+                put(format!("{prefix}adam.first.{name}"), &adam.first[range.clone()]);
+                put(format!("{prefix}adam.second.{name}"), &adam.second[range]);
+            }
         }
     }
     write(path, &facts, &tensors)
@@ -93,16 +94,28 @@ impl Checkpoint {
         self.0.fact(&format!("{prefix}steps")).is_some()
     }
 
+    /// Flat weights under `prefix`, in the order of `parameters`, and how many steps are in them.
+    pub(super) fn weights(&self, prefix: &str, parameters: &[Parameter]) -> Result<(Vec<f32>, u64)> {
+        let mut weights = Vec::new();
+        for Parameter { name, shape, .. } in parameters {
+            self.0.append(&format!("{prefix}{name}"), shape, &mut weights)?;
+        }
+        Ok((weights, self.steps(prefix)?))
+    }
+
+    fn steps(&self, prefix: &str) -> Result<u64> {
+        let key = format!("{prefix}steps");
+        let steps = self.0.fact(&key).unwrap_or("missing");
+        steps.parse().map_err(|_| self.0.bad(&key, steps, "a whole number"))
+    }
+
     /// Flat weights and optimiser of the learner with `prefix`, in the order of `parameters`, which gives the names and
     /// shapes that must be there.
     pub(super) fn learner(&self, prefix: &str, parameters: &[Parameter]) -> Result<(Vec<f32>, Adam)> {
-        let key = format!("{prefix}steps");
-        let steps = self.0.fact(&key).unwrap_or("missing");
-        let steps = steps.parse().map_err(|_| self.0.bad(&key, steps, "a whole number"))?;
-        let (mut weights, mut adam) = (Vec::new(), Adam::new(0));
+        let (weights, steps) = self.weights(prefix, parameters)?;
+        let mut adam = Adam::new(0);
         adam.steps = steps;
         for Parameter { name, shape, .. } in parameters {
-            self.0.append(&format!("{prefix}{name}"), shape, &mut weights)?;
             self.0.append(&format!("{prefix}adam.first.{name}"), shape, &mut adam.first)?;
             self.0.append(&format!("{prefix}adam.second.{name}"), shape, &mut adam.second)?;
         }

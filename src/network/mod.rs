@@ -5,12 +5,14 @@
 //!
 //! Reading order: [`card`] (the contract with the camera), `unet` (the model), `layers` (its three operations), `learner`
 //! (weights and Adam), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
-//! `trainer` (the final training's step), `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
+//! `trainer` (the final training's step), `average`, `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
 
 pub mod card;
 
 #[cfg(feature = "train")]
 mod adam;
+#[cfg(feature = "train")]
+mod average;
 #[cfg(feature = "train")]
 mod checkpoint;
 #[cfg(feature = "train")]

@@ -10,6 +10,7 @@ use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use ndarray::{Array4, ArrayView4};
 
+use super::average;
 use super::card::receptive_radius_px;
 use super::checkpoint::{self, Checkpoint, Section};
 use super::compute::Compute;
@@ -181,14 +182,33 @@ impl Reconstructor {
     /// [`Reconstructor::save`] with other learners and facts beside it.
     pub(super) fn save_with(&self, path: &Path, more: &[Section<'_>], facts: &BTreeMap<String, String>) -> Result<()> {
         let parameters = self.parameters();
-        let mut sections = vec![Section { prefix: "", parameters: &parameters, adam: self.learner.adam() }];
+        let adam = self.learner.adam();
+        let mut sections = vec![Section { prefix: "", parameters: &parameters, steps: adam.steps, adam: Some(adam) }];
         sections.extend(more.iter().map(|s| Section { ..*s }));
         checkpoint::save(path, &self.config, &sections, facts)
     }
 
-    /// Reads what [`Reconstructor::save`] wrote; training goes on with the same bits.
+    /// Reads what [`Reconstructor::save`] wrote; training goes on with the same bits. Of a training that averages its weights, the
+    /// average.
     pub fn load(path: &Path) -> Result<Self> {
-        Self::from_checkpoint(&Checkpoint::read(path)?, Compute::Cpu)
+        let file = Checkpoint::read(path)?;
+        let network = Self::from_checkpoint(&file, Compute::Cpu)?;
+        if !file.has(average::PREFIX) {
+            return Ok(network);
+        }
+        Ok(network.with_weights(file.weights(average::PREFIX, &network.parameters())?.0))
+    }
+
+    /// A network of the same kind in the same place with other weights in the order of [`Reconstructor::parameters`].
+    ///
+    /// # Panics
+    /// Where there are not as many as the network has.
+    pub(super) fn with_weights(&self, weights: Vec<f32>) -> Self {
+        let device = self.learner.device().clone();
+        let learner = Learner::new(Unet::new(&self.config, 0, &device), device);
+        let mut other = Self { config: self.config.clone(), learner, level: self.level };
+        other.restart(weights);
+        other
     }
 
     /// The size of the network in a file.

@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 
 use ndarray::{Array4, ArrayView4};
 
+use super::average::{self, Average};
 use super::checkpoint::{Checkpoint, Section};
 use super::compute::Compute;
 use super::content::Content;
@@ -28,6 +29,8 @@ pub struct Objective {
     pub content: ContentKind,
     /// Discriminators beside it.
     pub critics: Option<CriticConfig>,
+    /// Share of the weights' running mean that a step keeps; `None`: the last step's weights are the result.
+    pub average: Option<f64>,
 }
 
 /// Which content loss; all on sRGB-encoded pictures.
@@ -48,6 +51,7 @@ pub struct Trainer {
     generator: Reconstructor,
     content: Content,
     critics: Vec<(&'static str, Learner<Discriminator>)>,
+    average: Option<Average>,
 }
 
 /// What a training step gives.
@@ -89,12 +93,19 @@ impl Trainer {
                 critics.push((prefix, Learner::new(module, device.clone())));
             }
         }
-        Ok(Self { generator, content, critics })
+        let average = objective.average.map(|decay| Average::new(decay, &generator.parameters()));
+        Ok(Self { generator, content, critics, average })
     }
 
-    /// The network.
+    /// The network that learns.
     pub fn generator(&self) -> &Reconstructor {
         &self.generator
+    }
+
+    /// The network as a result: of averaged weights where they are averaged.
+    pub fn result(&self) -> Reconstructor {
+        let last = || self.generator.parameters().into_iter().flat_map(|p| p.values).collect();
+        self.generator.with_weights(self.average.as_ref().map_or_else(last, |a| a.weights.clone()))
     }
 
     /// Puts a weight that is no number into the generator.
@@ -144,6 +155,9 @@ impl Trainer {
         let output = array(made.inner())?;
         let sound = (content.value + adversarial).is_finite();
         let (gradient_norm, updated) = self.generator.learn(sound, &mut gradients, learning_rate);
+        if let Some(average) = self.average.as_mut().filter(|_| updated) {
+            average.update(&self.generator.parameters());
+        }
         Ok(TrainStep { content: content.value, l1: content.l1, adversarial, critic, output, gradient_norm, updated })
     }
 
@@ -151,12 +165,22 @@ impl Trainer {
     /// finite. [`Reconstructor::load`] reads the generator of the file.
     pub fn save(&self, path: &Path, facts: &BTreeMap<String, String>) -> Result<()> {
         let parameters: Vec<_> = self.critics.iter().map(|(_, l)| l.parameters()).collect();
-        let sections: Vec<Section<'_>> = self
-            .critics
-            .iter()
-            .zip(&parameters)
-            .map(|((prefix, l), parameters)| Section { prefix, parameters, adam: l.adam() })
+        let critics = self.critics.iter().zip(&parameters);
+        let mut sections: Vec<Section<'_>> = critics
+            .map(|((prefix, l), parameters)| Section {
+                prefix,
+                parameters,
+                steps: l.adam().steps,
+                adam: Some(l.adam()),
+            })
             .collect();
+        let averaged = self.average.as_ref().map(|a| (a.steps, a.parameters(&self.generator.parameters())));
+        sections.extend(averaged.iter().map(|(steps, parameters)| Section {
+            prefix: average::PREFIX,
+            parameters,
+            steps: *steps,
+            adam: None,
+        }));
         self.generator.save_with(path, &sections, facts)
     }
 
@@ -175,6 +199,11 @@ impl Trainer {
             }
             let (weights, adam) = file.learner(prefix, &learner.parameters())?;
             learner.restore(&weights, Some(adam));
+        }
+        if let Some(average) = &mut trainer.average
+            && file.has(average::PREFIX)
+        {
+            (average.weights, average.steps) = file.weights(average::PREFIX, &trainer.generator.parameters())?;
         }
         Ok((trainer, file.facts().clone()))
     }
@@ -202,7 +231,11 @@ mod tests {
     }
 
     fn adversarial() -> Objective {
-        Objective { content: ContentKind::Structure, critics: Some(CriticConfig { width: 4, patch_px: 32 }) }
+        Objective {
+            content: ContentKind::Structure,
+            critics: Some(CriticConfig { width: 4, patch_px: 32 }),
+            average: Some(0.9),
+        }
     }
 
     fn weights(trainer: &Trainer) -> Vec<f32> {
@@ -215,8 +248,8 @@ mod tests {
         let target = picture((1, 3, 32, 32), 2);
         let input = target.mapv(|v| 0.7 * v + 0.1);
         for objective in [
-            Objective { content: ContentKind::L1, critics: None },
-            Objective { content: ContentKind::Structure, critics: None },
+            Objective { content: ContentKind::L1, critics: None, average: None },
+            Objective { content: ContentKind::Structure, critics: None, average: None },
             adversarial(),
         ] {
             let mut trainer = Trainer::new(small(), &objective, 1).expect("valid");
@@ -258,7 +291,7 @@ mod tests {
         run(&mut resumed, 3..5);
         assert_eq!(weights(&resumed), weights(&straight));
         // Also a plain network, and no checkpoint for discriminators it does not have.
-        assert_eq!(Reconstructor::load(&path).expect("read").parameters(), first.generator.parameters());
+        assert!(Reconstructor::load(&path).expect("read").parameters() == first.result().parameters());
         small().save(&path).expect("written");
         let error = Trainer::load(&path, &adversarial(), Compute::Cpu).expect_err("no discriminators").to_string();
         assert!(error.contains("global.steps"), "{error}");

@@ -159,6 +159,11 @@ fn kits_carry_their_filters_and_refuse_others() {
     refused("Wiener filters");
     std::fs::write(folder.join("kit.toml"), toml.replacen("filters.npz", "../filters.npz", 1)).expect("writes");
     refused("kit's folder");
+    // The distances that the filters are for stand in the kit, and are those of the file.
+    assert!(toml.contains("depths_mm = [1000.0]"), "{toml}");
+    std::fs::write(folder.join("kit.toml"), toml.replacen("depths_mm = [1000.0]", "depths_mm = [500.0]", 1))
+        .expect("writes");
+    refused("filters.depths_mm");
 }
 
 /// From a task to a picture: trained from a network that sees the capture alone, judged, exported, and used on a capture by both runtimes.

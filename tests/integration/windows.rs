@@ -90,7 +90,7 @@ fn captures_for_training_evaluation_and_design_have_equal_means() {
         for (what, texture, wall) in [("wall", Array3::from_elem((1, 8, 8), 0.45), Some(0.45)), ("street", grey, None)]
         {
             let scene = Plane { texture, texels_per_slope: per_slope, axis_texel: [at, at], vergence: v };
-            let patch = Patch { scene, region, noise_seed: 1 };
+            let patch = Patch::whole(scene, region, 1);
             let ways = [("training", Settings::TRAINING), ("evaluation", FINENESS), ("design", Settings::DESIGN)];
             let found: Vec<(f64, [f64; 2])> = ways
                 .into_iter()

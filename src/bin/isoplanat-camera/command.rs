@@ -10,6 +10,7 @@ use isoplanat::deploy::kit::Kit;
 use isoplanat::deploy::raw_process::{self, Limits};
 use isoplanat::deploy::reconstruct::{Camera, Steps};
 use isoplanat::deploy::session::{Options, Runtime};
+use isoplanat::report::table::significant;
 use isoplanat::{Error, Result};
 use serde_json::json;
 
@@ -188,6 +189,24 @@ fn one(arguments: &Arguments, camera: &Camera, capture: &Path, out: &Path) -> Re
     }))
 }
 
+/// What the network sees, and which scenes its filters are for.
+fn told(kit: &Kit) -> String {
+    let names = kit.card.inputs.names();
+    if names.is_empty() {
+        return "sees the capture alone".into();
+    }
+    let filters = kit.guide.filters().map_or(String::new(), |f| {
+        let size = 2 * f.reach() + 1;
+        let depths: Vec<String> = f.depths_mm().iter().map(|d| significant(*d, 6)).collect();
+        let range = match depths.as_slice() {
+            [] => "distances that the file does not state".into(),
+            some => format!("objects at {} mm; others are taken to lie there", some.join(", ")),
+        };
+        format!(" ({} Wiener filters of {size} × {size} pixels a colour, for {range})", f.grid.len())
+    });
+    format!("sees {} beside the capture{filters}", names.join(", "))
+}
+
 fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
     let tiling = kit.tiling()?;
     if as_json {
@@ -198,6 +217,7 @@ fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             "created_by": kit.created_by,
             "lens": kit.lens,
             "model": kit.model,
+            "filters": kit.filters.as_ref().map(|(entry, _)| entry),
             "card": card,
             "frame": kit.frame,
             "distortion": distortion,
@@ -218,6 +238,7 @@ fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             "network    {}, {} scales, {} channels at the finest",
             kit.card.name, kit.card.scales, kit.card.base_width
         ),
+        format!("told       {}", told(kit)),
         format!("model      {} ({} kB, {})", kit.model.file, kit.model_bytes.len() / 1000, kit.model.sha256),
         format!(
             "tiles      {} px, overlap {} px, {:.0} % of the work kept",

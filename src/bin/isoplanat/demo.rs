@@ -117,7 +117,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Lens and network together.
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
-    let fresh = network(task.base_width, task.seed)?;
+    let fresh = network(task.base_width, task.inputs, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &start, fresh, JointSettings::of(task)?, &mut |share, e| {
         bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
     })?;
@@ -153,7 +153,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let kit = kit::build(
         "isoplanat demo",
         &lens,
-        training.network(),
+        &training.network(),
         &sensor,
         &frame,
         &calibration,
@@ -173,7 +173,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
             &settings,
             &lens,
             &kit,
-            bare.network(),
+            &bare.network(),
             &renderer,
             &options,
             unseen,

@@ -7,6 +7,7 @@ use isoplanat::design::data::Textures;
 use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, validate};
 use isoplanat::design::task::Task;
+use isoplanat::imaging::guide;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::prescription;
 use isoplanat::{Result, atomic};
@@ -51,7 +52,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
     crate::memory::tell(bytes);
     let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
-    let start = network(task.base_width, task.seed)?;
+    let start = network(task.base_width, task.inputs, task.seed)?;
     let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
         bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
     })?;
@@ -60,14 +61,21 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let judged = match &held_out {
         Some(textures) => {
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
-            Some(validate(&scenery, &joint.lens, &joint.network, task.patch_px, 48, Settings::TRAINING)?)
+            Some(validate(
+                &scenery,
+                &joint.lens,
+                (&joint.network, &joint.guide),
+                task.patch_px,
+                48,
+                Settings::TRAINING,
+            )?)
         }
         None => None,
     };
     let last = history.last().copied();
     if args.json {
         let value = serde_json::json!({ "schema": 1, "last": last, "validation": judged, "rejected": joint.rejected,
-            "fineness": joint.fineness });
+            "fineness": joint.fineness, "filters_made": joint.refreshed.0, "filters_seconds": joint.refreshed.1 });
         writeln!(out, "{value}")?;
     } else {
         if let Some(e) = last {
@@ -77,6 +85,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             writeln!(out, "validation  L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
         }
         writeln!(out, "steps taken back: {}", joint.rejected)?;
+        if let (count @ 1.., seconds) = joint.refreshed {
+            writeln!(out, "Wiener filters made anew {count} times as the lens moved, in {seconds:.1} s in all")?;
+        }
         for (step, chosen) in &joint.fineness {
             writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
         }
@@ -97,6 +108,9 @@ fn save(
         prescription::save(start, &folder.join("lens-start.toml"))?;
         prescription::save(&joint.lens, &folder.join("lens.toml"))?;
         joint.network.save(&folder.join("network.safetensors"))?;
+        if let Some(filters) = joint.guide.filters() {
+            atomic::write_bytes(&folder.join(guide::FILE), &filters.to_npz()?)?;
+        }
         let mut log = String::from("seconds,loss,input_psnr_db,output_psnr_db\n");
         for e in history {
             log += &format!("{:.3},{:.6},{:.3},{:.3}\n", e.seconds, e.loss, e.input_psnr_db, e.output_psnr_db);

@@ -42,6 +42,9 @@ pub(crate) struct Args {
     /// Side of a patch, pixels; a zone too narrow gets half of it.
     #[arg(long, default_value_t = 256, value_name = "PX")]
     patch: usize,
+    /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
+    #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
+    reference: Option<u32>,
     /// Seed of places and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -79,7 +82,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => Pictures::BuiltIn(SCENES),
     };
     let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
-    let settings = Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, fineness: FINENESS };
+    let rays = args.reference.map(|n| n as usize);
+    let settings =
+        Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, fineness: FINENESS, rays };
     if args.photos.is_none() {
         eprintln!("no --photos: {SCENES} built-in street scenes, a family that no training uses");
     }

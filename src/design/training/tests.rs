@@ -20,6 +20,16 @@ fn weights(folder: &Path) -> Vec<Vec<f32>> {
 /// Stopped after every few steps and resumed: the same bits as in one go, a whole log, no second trainer in the folder.
 #[test]
 fn a_training_in_pieces_is_the_training_in_one_go() {
+    in_pieces(task);
+    // What else a checkpoint must keep: averaged weights, and the errors by which pairs are drawn.
+    in_pieces(|| {
+        let mut task = task();
+        (task.train.average, task.train.draws, task.train.rise_steps) = (0.9, 2, 5);
+        task
+    });
+}
+
+fn in_pieces(task: fn() -> Task) {
     let place = tempfile::tempdir().expect("temporary folder");
     let (whole, pieces) = (place.path().join("whole"), place.path().join("pieces"));
     let mut one = Training::create(task(), &whole, false, Compute::Cpu, Glasses::shipped()).expect("new");

@@ -1,5 +1,5 @@
-//! Filters as a file: NumPy's `.npz` with `row_knots`, `col_knots` (pixels), `steps` `[node, channel, row, col]` (16 bits) and
-//! `scales` `[node, channel]`; a filter is steps times scale.
+//! Filters as a file: NumPy's `.npz` with `row_knots`, `col_knots` (pixels), `steps` `[node, channel, row, col]` (16 bits),
+//! `scales` `[node, channel]` and `vergences` (1/mm; older files have none); a filter is steps times scale.
 
 use std::io::Cursor;
 use std::path::Path;
@@ -27,6 +27,7 @@ impl Filters {
         npz.add_array("col_knots", &knots(&self.grid.col_knots)).map_err(failed)?;
         npz.add_array("steps", &self.steps).map_err(failed)?;
         npz.add_array("scales", &self.scales).map_err(failed)?;
+        npz.add_array("vergences", &Array1::from(self.vergences.clone())).map_err(failed)?;
         Ok(npz.finish().map_err(failed)?.into_inner())
     }
 
@@ -46,6 +47,18 @@ impl Filters {
         let grid = NodeGrid { row_knots: knots("row_knots")?, col_knots: knots("col_knots")? };
         let steps: Array4<i16> = npz.by_name("steps").map_err(|e| bad("steps", e.to_string()))?;
         let scales: Array2<f32> = npz.by_name("scales").map_err(|e| bad("scales", e.to_string()))?;
-        Self::from_parts(grid, steps, scales).map_err(|e| e.in_file(path))
+        let known = npz.names().is_ok_and(|names| names.iter().any(|n| n == "vergences"));
+        let vergences = if known {
+            let all: Array1<f64> = npz.by_name("vergences").map_err(|e| bad("vergences", e.to_string()))?;
+            all.to_vec()
+        } else {
+            Vec::new()
+        };
+        if let Some(wrong) = vergences.iter().find(|v| !v.is_finite()) {
+            return Err(bad("vergences", wrong.to_string()));
+        }
+        let mut filters = Self::from_parts(grid, steps, scales).map_err(|e| e.in_file(path))?;
+        filters.vergences = vergences;
+        Ok(filters)
     }
 }

@@ -18,7 +18,7 @@ use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Region, mirrored};
 use crate::imaging::render::Renderer;
 use crate::imaging::render::blur::cost::Task;
-use crate::imaging::render::blur::{KernelArray, Source, blur};
+use crate::imaging::render::blur::{KernelArray, Method, Source, blur};
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::math::fft::{RealFft2, good_size};
 
@@ -63,6 +63,8 @@ pub struct Filters {
     pub steps: Array4<i16>,
     /// What a step is worth, `[node, channel]`.
     pub scales: Array2<f32>,
+    /// The object distances that they are for, as vergence, 1/mm; empty where that is not known.
+    pub vergences: Vec<f64>,
     /// `[node, channel, 1, row, col]`.
     kernels: Array5<f32>,
 }
@@ -70,6 +72,9 @@ pub struct Filters {
 impl Filters {
     /// Bytes of the largest filters, as computed with.
     pub const LARGEST: u64 = (MOST * size_of::<f32>()) as u64;
+
+    /// Half the rows and columns of the widest filter.
+    pub const WIDEST: usize = HALVES[1];
 
     /// The filters of the lens that `renderer` holds, over all its distances, for the noise of `electronics`.
     ///
@@ -109,7 +114,8 @@ impl Filters {
                 scales[[node, channel]] = scale;
             }
         }
-        Self::from_parts(grid, steps, scales)
+        let vergences = renderer.plan.depths.iter().map(|d| d.vergence).collect();
+        Ok(Self { vergences, ..Self::from_parts(grid, steps, scales)? })
     }
 
     /// From what a file holds.
@@ -138,7 +144,14 @@ impl Filters {
                 return refuse(format!("a sum of {sum} at node {node}"), "filters that sum to 1");
             }
         }
-        Ok(Self { grid, steps, scales, kernels })
+        Ok(Self { grid, steps, scales, vergences: Vec::new(), kernels })
+    }
+
+    /// The object distances that they are for, mm, near to far.
+    pub fn depths_mm(&self) -> Vec<f64> {
+        let mut depths: Vec<f64> = self.vergences.iter().map(|v| 1.0 / v).collect();
+        depths.sort_by(f64::total_cmp);
+        depths
     }
 
     /// How far from a pixel the capture counts, pixels.
@@ -149,19 +162,20 @@ impl Filters {
     /// The filtered capture over `wanted`: `image` `[3, row, col]` lies at `at` of the frame, `wanted` within it. Beyond the
     /// image it is mirrored; its edges should be the frame's, or [`Self::reach`] away.
     pub fn over(&self, image: ArrayView3<'_, f32>, at: Region, wanted: Region) -> ndarray::Array3<f32> {
-        let grid = self.grid.part(wanted);
-        let nodes = part(&self.grid, &grid);
-        let kernels = self.kernels.select(ndarray::Axis(0), &nodes);
-        let task = Task {
-            grid: &grid,
-            region: wanted,
-            size: kernels.dim().3,
-            channels: COLOURS,
-            source_channels: COLOURS,
-            phases: 1,
-        };
-        let method = task.cheapest();
+        let (grid, kernels) = self.part(wanted);
+        let method = Self::method(&grid, kernels.dim().3, wanted);
         blur(&grid, &KernelArray(kernels.view()), &Mirrored { image, at }, wanted, method, &|_| {})
+    }
+
+    /// The nodes whose windows reach `wanted`, and their kernels.
+    pub(super) fn part(&self, wanted: Region) -> (NodeGrid, Array5<f32>) {
+        let grid = self.grid.part(wanted);
+        let kernels = self.kernels.select(ndarray::Axis(0), &part(&self.grid, &grid));
+        (grid, kernels)
+    }
+
+    pub(super) fn method(grid: &NodeGrid, size: usize, region: Region) -> Method {
+        Task { grid, region, size, channels: COLOURS, source_channels: COLOURS, phases: 1 }.cheapest()
     }
 }
 
@@ -246,9 +260,9 @@ fn rounded(filter: ArrayView2<'_, f64>) -> (Array2<i16>, f32) {
 }
 
 /// A capture that goes on mirrored beyond its edges.
-struct Mirrored<'a> {
-    image: ArrayView3<'a, f32>,
-    at: Region,
+pub(super) struct Mirrored<'a> {
+    pub(super) image: ArrayView3<'a, f32>,
+    pub(super) at: Region,
 }
 
 impl Source<f32> for Mirrored<'_> {

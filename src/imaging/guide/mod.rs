@@ -3,6 +3,7 @@
 //! A [`Guide`] belongs to a trained network as its weights do: it is made when a training begins, stands in the run's folder and in the
 //! kit, and training, evaluation and camera stack its channels by the one function [`Guide::over`].
 
+mod adjoint;
 mod file;
 mod filters;
 mod inputs;
@@ -11,6 +12,7 @@ mod tests;
 
 use ndarray::{Array3, ArrayView3, s};
 
+pub use adjoint::Record;
 pub use file::FILE;
 pub use filters::Filters;
 pub use inputs::Inputs;
@@ -83,13 +85,28 @@ impl Guide {
     /// The network's input over `wanted`, `[channel, row, col]`. The capture `image` `[3, row, col]` lies at `at` of the frame and
     /// covers `wanted`; it should reach [`Self::reach`] pixels further, or to the frame's edge, beyond which it is mirrored.
     pub fn over(&self, image: ArrayView3<'_, f32>, at: Region, wanted: Region) -> Array3<f32> {
-        let offset = |a: isize, b: isize| (a - b).unsigned_abs();
-        let (row, col) = (offset(wanted.row, at.row), offset(wanted.col, at.col));
+        let filtered = self.filters.as_ref().map(|f| f.over(image, at, wanted));
+        self.stacked(image, at, wanted, filtered)
+    }
+
+    /// Row and column of `wanted`'s first pixel in `at`.
+    fn offset(at: Region, wanted: Region) -> (usize, usize) {
+        ((wanted.row - at.row).unsigned_abs(), (wanted.col - at.col).unsigned_abs())
+    }
+
+    fn stacked(
+        &self,
+        image: ArrayView3<'_, f32>,
+        at: Region,
+        wanted: Region,
+        filtered: Option<Array3<f32>>,
+    ) -> Array3<f32> {
+        let (row, col) = Self::offset(at, wanted);
         let mut out = Array3::zeros((self.inputs.channels(), wanted.rows, wanted.cols));
         out.slice_mut(s![..3, .., ..]).assign(&image.slice(s![.., row..row + wanted.rows, col..col + wanted.cols]));
         let mut next = 3;
-        if let Some(filters) = &self.filters {
-            out.slice_mut(s![next..next + 3, .., ..]).assign(&filters.over(image, at, wanted));
+        if let Some(filtered) = filtered {
+            out.slice_mut(s![next..next + 3, .., ..]).assign(&filtered);
             next += 3;
         }
         if self.inputs.field {

@@ -68,6 +68,35 @@ fn filters_are_the_plain_sum_on_tiles_or_not() {
     assert!(worst < 2e-6, "{worst}");
 }
 
+/// The cotangent at the capture is the channels' exact transpose, within the frame and where the capture is mirrored at its edges.
+#[test]
+fn channels_pull_back_to_the_capture() {
+    let frame = Frame::centred(60, 48, 0.01).expect("valid");
+    let told = |inputs: Inputs| Guide::from_parts(inputs, &frame, inputs.wiener.then(|| random(6))).expect("valid");
+    for guide in [told(BOTH), told(Inputs { wiener: false, field: true }), Guide::bare(&frame)] {
+        for (at, wanted) in [
+            (Region { row: 8, col: 8, rows: 32, cols: 36 }, Region { row: 16, col: 20, rows: 12, cols: 16 }),
+            (Region { row: 0, col: 0, rows: 48, cols: 60 }, Region { row: 0, col: 0, rows: 48, cols: 60 }),
+            (Region { row: 24, col: 40, rows: 24, cols: 20 }, Region { row: 32, col: 48, rows: 16, cols: 12 }),
+        ] {
+            let [x, dx] = [0, 1].map(|k| picture(at.rows, at.cols) * (1.0 - 1.7 * k as f32));
+            let (told, record) = guide.over_recorded(x.view(), at, wanted);
+            let worst = (&told - &guide.over(x.view(), at, wanted)).iter().fold(0f32, |m, v| m.max(v.abs()));
+            assert!(worst < 2e-6, "{worst}");
+            let rng = &mut fastrand::Rng::with_seed(3);
+            let bar = Array3::from_shape_simple_fn(told.raw_dim(), || rng.f32() - 0.5);
+            // Differences of something linear but for a constant.
+            let moved = guide.over((&x + &dx).view(), at, wanted) - &told;
+            let dot = |a: &Array3<f32>, b: &Array3<f32>| -> f64 {
+                a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
+            };
+            let (forth, back) = (dot(&moved, &bar), dot(&guide.over_vjp(&record, bar.view()), &dx));
+            let size = dot(&moved.mapv(f32::abs), &bar.mapv(f32::abs));
+            assert!((forth - back).abs() < 1e-5 * size, "{forth} {back} of {size}");
+        }
+    }
+}
+
 /// White stays white, whatever the filter, and the file brings the same numbers back.
 #[test]
 fn white_stays_white_and_files_come_back() {
