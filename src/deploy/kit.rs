@@ -17,6 +17,7 @@ use crate::deploy::session;
 use crate::deploy::tiles::Tiling;
 use crate::error::{Error, Result};
 use crate::imaging::develop::distortion::Distortion;
+use crate::imaging::develop::glare;
 use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::{self, Filters, Guide};
@@ -48,6 +49,8 @@ pub struct Kit {
     pub distortion: Distortion,
     /// Illumination to divide out before it.
     pub shading: Shading,
+    /// Share of the light that the lens spreads over the frame as veiling glare, to be taken off first; `None`: nobody measured it.
+    pub glare: Option<f64>,
     /// What the network says of itself.
     pub card: ModelCard,
     /// The bytes of `model.onnx`.
@@ -107,6 +110,8 @@ struct KitFile {
     demosaic: String,
     lens: LensEntry,
     model: ModelEntry,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    glare: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     filters: Option<FilterEntry>,
     frame: Frame,
@@ -196,6 +201,7 @@ impl Kit {
             frame,
             distortion,
             shading,
+            glare: None,
             card,
             model_bytes: model,
             guide,
@@ -249,6 +255,7 @@ impl Kit {
             frame: file.frame,
             distortion: Distortion { max_slope, coefficients_mm, residual_mm },
             shading: file.shading,
+            glare: file.glare,
             card,
             model_bytes,
             guide,
@@ -289,6 +296,7 @@ impl Kit {
             demosaic: self.card.demosaic.clone(),
             lens: self.lens.clone(),
             model: self.model.clone(),
+            glare: self.glare,
             filters: self.filters.as_ref().map(|(entry, _)| entry.clone()),
             frame: self.frame.clone(),
             distortion: DistortionTable { max_slope, coefficients_mm, residual_mm },
@@ -310,6 +318,7 @@ impl Kit {
     fn check(&self, file: &str) -> Result<()> {
         let bad = |place: &str, found: String, allowed: String| Err(Error::bad(file, place, found, allowed));
         self.sensor.check(file)?;
+        self.glare.map_or(Ok(0.0), glare::check).map_err(|e| e.in_file(Path::new(file)))?;
         self.tiling().map_err(|e| e.in_file(Path::new(file)))?;
         let (card, model) = (&self.card, &self.model);
         if card.lens_sha256 != self.lens.sha256 {

@@ -1,4 +1,4 @@
-//! A capture to a picture: levels, white balance, flat field, demosaic, network, undistort, colour, upright.
+//! A capture to a picture: veiling glare, levels, white balance, flat field, demosaic, network, undistort, colour, upright.
 //!
 //! The order is [`crate::imaging::develop`]'s. Without a kit the capture is developed from what its own file says, and
 //! no network is applied.
@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ndarray::{Array3, ArrayView4};
+use ndarray::{Array3, ArrayView2, ArrayView4};
 
 use crate::deploy::kit::Kit;
 use crate::deploy::raw::{RawCapture, RawPixels};
@@ -14,7 +14,22 @@ use crate::deploy::session::{Options, Session};
 use crate::deploy::tiles;
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::XYZ_FROM_SRGB;
-use crate::imaging::develop::{self, Balance, Development, IDENTITY};
+use crate::imaging::develop::{self, Balance, Development, IDENTITY, glare};
+use crate::imaging::sensor::cfa::Cfa;
+
+/// Which share of the light is taken off as veiling glare.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Veil {
+    /// The kit's; none where it names none.
+    #[default]
+    Kit,
+    /// This one.
+    Share(f64),
+    /// What the picture's darkest parts suggest ([`glare::guess`]).
+    Guess,
+    /// None.
+    Keep,
+}
 
 /// Which steps of a kit to do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -35,6 +50,7 @@ impl Default for Steps {
 #[derive(Debug, Default)]
 pub struct Camera {
     calibrated: Option<Calibrated>,
+    veil: Veil,
 }
 
 #[derive(Debug)]
@@ -88,7 +104,34 @@ impl Camera {
         } else {
             None
         };
-        Ok(Self { calibrated: Some(Calibrated { kit, session, undistort: steps.undistort }) })
+        let calibrated = Some(Calibrated { kit, session, undistort: steps.undistort });
+        Ok(Self { calibrated, veil: Veil::Kit })
+    }
+
+    /// The camera that takes `veil` off.
+    ///
+    /// # Errors
+    /// A share that is none.
+    pub fn without(self, veil: Veil) -> Result<Self> {
+        if let Veil::Share(share) = veil {
+            glare::check(share)?;
+        }
+        Ok(Self { veil, ..self })
+    }
+
+    /// The share of glare in a capture, and what is said of it.
+    fn share(&self, mosaic: ArrayView2<'_, f32>, cfa: Cfa, balance: &Balance, notes: &mut Vec<String>) -> f64 {
+        match self.veil {
+            Veil::Keep => 0.0,
+            Veil::Share(share) => share,
+            Veil::Kit => self.calibrated.as_ref().and_then(|c| c.kit.glare).unwrap_or(0.0),
+            Veil::Guess => {
+                let share = glare::guess(mosaic, cfa, balance);
+                notes
+                    .push(format!("veiling glare guessed from the darkest parts: {:.1} % of the light", 100.0 * share));
+                share
+            }
+        }
     }
 
     /// The network's session, if one is applied.
@@ -114,10 +157,17 @@ impl Camera {
         };
         let started = Instant::now();
         let mut camera = match capture.pixels {
-            RawPixels::Mosaic { samples, cfa } => {
+            RawPixels::Mosaic { mut samples, cfa } => {
+                let share = self.share(samples.view(), cfa, &development.balance, &mut notes);
+                if share > 0.0 {
+                    glare::remove(&mut samples, cfa, &development.balance, share);
+                }
                 develop::network_input(samples.view(), cfa, &development.balance, development.flat_field)
             }
             RawPixels::Linear(mut samples) => {
+                if matches!(self.veil, Veil::Share(_) | Veil::Guess) {
+                    notes.push("glare is left in a picture that is demosaicked already".into());
+                }
                 develop::balance_colours(&mut samples, &development.balance);
                 samples
             }
@@ -225,7 +275,6 @@ mod tests {
     use crate::deploy::orientation::Orientation;
     use crate::deploy::raw;
     use crate::deploy::session::Choice;
-    use crate::imaging::sensor::cfa::Cfa;
     use crate::testing::shared;
     use ndarray::Array2;
 

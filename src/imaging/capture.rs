@@ -7,10 +7,12 @@
 use ndarray::{Array2, ArrayView2};
 
 use crate::error::{Error, Result};
+use crate::imaging::develop::glare::check;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::reference::{self, Channels, Sampling};
 use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::haze::add_haze_mosaic;
 use crate::imaging::sensor::noise::{Noise, mixed, quantise, standard_normal};
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
@@ -26,6 +28,8 @@ pub struct CaptureSettings {
     pub exposure: f64,
     /// Whether the sensor's noise is added.
     pub noise: bool,
+    /// Share of the light that is spread over the frame as veiling glare.
+    pub glare: f64,
 }
 
 /// A raw capture.
@@ -68,7 +72,7 @@ pub fn expose(signal: ArrayView2<'_, f32>, sensor: &Sensor, seed: Option<u64>) -
 /// Photographs `scene` through `lens` with `sensor`, the whole `frame`.
 ///
 /// # Errors
-/// An exposure that is not a positive number; as [`reference::render`].
+/// An exposure that is not a positive number, a share of glare that is none; as [`reference::render`].
 pub fn capture(
     lens: &Lens,
     scene: &Plane,
@@ -77,7 +81,7 @@ pub fn capture(
     settings: CaptureSettings,
     progress: Option<&(dyn Fn(f64) + Sync)>,
 ) -> Result<Capture> {
-    let CaptureSettings { samples, seed, exposure, noise } = settings;
+    let CaptureSettings { samples, seed, exposure, noise, glare } = settings;
     if !(exposure > 0.0 && exposure.is_finite()) {
         return Err(Error::bad("", "exposure", exposure.to_string(), "a positive number"));
     }
@@ -89,7 +93,10 @@ pub fn capture(
     };
     let region = Region::whole(frame);
     let rendered = reference::render(lens, scene, &SpectralDensity::new(sensor), frame, region, how, progress)?;
-    let clean = signal(rendered.mosaic().view(), sensor, exposure);
+    check(glare)?;
+    let mut light = rendered.mosaic();
+    add_haze_mosaic(&mut light, sensor.cfa, glare);
+    let clean = signal(light.view(), sensor, exposure);
     let dn = expose(clean.view(), sensor, noise.then(|| mixed(seed, 1)));
     // Noises scale with the gain of each pixel's channel.
     let variance = rendered.variance.index_axis(ndarray::Axis(0), 0).mapv(f32::sqrt);
@@ -116,7 +123,7 @@ mod tests {
     }
 
     fn settings() -> CaptureSettings {
-        CaptureSettings { samples: 32, seed: 5, exposure: 0.8, noise: false }
+        CaptureSettings { samples: 32, seed: 5, exposure: 0.8, noise: false, glare: 0.0 }
     }
 
     /// White on the axis: each channel holds exposure · neutral response of the full scale, in DN.

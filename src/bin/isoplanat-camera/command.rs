@@ -8,8 +8,9 @@ use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
 use isoplanat::deploy::kit::Kit;
 use isoplanat::deploy::raw_process::{self, Limits};
-use isoplanat::deploy::reconstruct::{Camera, Steps};
+use isoplanat::deploy::reconstruct::{Camera, Steps, Veil};
 use isoplanat::deploy::session::{Options, Runtime};
+use isoplanat::imaging::develop::glare::{LARGEST, check};
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result};
 use serde_json::json;
@@ -41,6 +42,9 @@ pub(crate) struct Arguments {
     /// Leave the lens's distortion in.
     #[arg(long, requires = "kit")]
     no_undistort: bool,
+    /// Veiling glare to take off: a share of the light, `guess` from the picture's darkest parts, or `none` [default: the kit's]
+    #[arg(long, value_name = "SHARE", value_parser = veil)]
+    glare: Option<Veil>,
     /// ONNX Runtime's shared library [default: found by itself, else a slower runtime inside this program].
     #[arg(long, value_name = "PATH")]
     onnxruntime: Option<PathBuf>,
@@ -59,6 +63,15 @@ pub(crate) struct Arguments {
     /// Overwrite existing pictures.
     #[arg(long)]
     force: bool,
+}
+
+fn veil(text: &str) -> std::result::Result<Veil, String> {
+    let allowed = format!("a share of the light from 0 to {LARGEST}, guess or none");
+    match text {
+        "guess" => Ok(Veil::Guess),
+        "none" => Ok(Veil::Keep),
+        _ => text.parse().ok().filter(|v| check(*v).is_ok()).map(Veil::Share).ok_or(allowed),
+    }
 }
 
 /// Runs the program; the result is its exit code.
@@ -111,12 +124,12 @@ fn work(arguments: &Arguments) -> Result<u8> {
 fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let Some(kit) = kit else {
         eprintln!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
-        return Ok(Camera::plain());
+        return Camera::plain().without(arguments.glare.unwrap_or(Veil::Keep));
     };
     let steps = Steps { network: !arguments.no_network, undistort: !arguments.no_undistort };
     let options =
         Options { onnxruntime: arguments.onnxruntime.clone(), threads: arguments.threads, ..Options::default() };
-    let camera = Camera::with_kit(kit, steps, &options)?;
+    let camera = Camera::with_kit(kit, steps, &options)?.without(arguments.glare.unwrap_or_default())?;
     match camera.session() {
         None => eprintln!("isoplanat-camera: --no-network: no network is applied"),
         Some(session) if matches!(session.runtime(), Runtime::Tract { .. }) => {
@@ -221,6 +234,7 @@ fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             "card": card,
             "frame": kit.frame,
             "distortion": distortion,
+            "glare": kit.glare,
             "shading": kit.shading,
             "sensor": kit.sensor,
         });
@@ -260,6 +274,10 @@ fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             100.0 * (edge / ideal - 1.0),
             kit.distortion.max_slope.atan().to_degrees(),
             kit.distortion.residual_mm
+        ),
+        format!(
+            "glare      {}",
+            kit.glare.map_or("not measured".into(), |g| format!("{:.1} % of the light", 100.0 * g))
         ),
         format!("shading    {} at the last radius (R, G, B)", corner.join(", ")),
         format!(

@@ -30,6 +30,9 @@ pub(crate) struct Args {
     /// Signal of a white object on the axis, green channel, relative to saturation.
     #[arg(long, default_value_t = 1.0)]
     exposure: f64,
+    /// Share of the light that the lens spreads over the whole frame as veiling glare.
+    #[arg(long, default_value_t = 0.0)]
+    glare: f64,
     /// Sensor calibration; the generic sensor where left out.
     #[arg(long)]
     calibration: Option<PathBuf>,
@@ -57,7 +60,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let what = format!("a capture of {} × {} pixels", frame.columns, frame.rows);
     crate::memory::limit().allow(&what, bytes, SMALLER)?;
     let bar = Bar::new("capture");
-    let how = CaptureSettings { samples: args.samples, seed: args.seed, exposure: args.exposure, noise: true };
+    let how = CaptureSettings {
+        samples: args.samples,
+        seed: args.seed,
+        exposure: args.exposure,
+        noise: true,
+        glare: args.glare,
+    };
     let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))
         .map_err(|e| input::in_lens(e, &lens, &args.lens))?;
     bar.done(String::new());

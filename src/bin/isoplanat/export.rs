@@ -7,6 +7,7 @@ use isoplanat::deploy::kit::{FILE, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
+use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::plane::Region;
@@ -34,6 +35,9 @@ pub(crate) struct Args {
     /// Largest side of the camera's tiles, pixels; chosen by the network's size where left out.
     #[arg(long, value_name = "PX")]
     tile: Option<usize>,
+    /// Share of the light that the lens spreads over the frame as veiling glare (measured): the camera takes it off.
+    #[arg(long, value_name = "SHARE")]
+    glare: Option<f64>,
     /// Figures as JSON.
     #[arg(long)]
     json: bool,
@@ -48,6 +52,7 @@ const JUDGED: usize = 384;
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.force)?;
+    args.glare.map(glare::check).transpose()?;
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
@@ -71,7 +76,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None
     };
     let calibration = kit::Calibration::of(&lens, &sensor, &frame)?;
-    let kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
+    let mut kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
+    kit.glare = args.glare;
     kit.save(&args.output, args.force)?;
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);

@@ -1,5 +1,7 @@
 //! From digital numbers to a picture, around the network: the order of the steps is fixed here, once.
 //!
+//! Before them veiling glare is taken off where its share is known ([`glare`]).
+//!
 //! 1. normalise, `(DN − black) / (white − black)`; 2. white balance, divide by the response to neutral; 3. flat field,
 //!    divide by the relative illumination; 4. demosaic; 5. *network*; 6. undistort; 7. cut at saturation;
 //!    8. `srgb_from_camera`; 9. cut to 0…1. The sRGB curve is the file writer's. Training builds its inputs by steps
@@ -8,6 +10,7 @@
 pub mod color;
 pub mod demosaic;
 pub mod distortion;
+pub mod glare;
 pub mod shading;
 pub mod simulate;
 pub mod undistort;

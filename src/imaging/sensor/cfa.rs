@@ -39,6 +39,21 @@ impl Cfa {
         Self(std::array::from_fn(|i| self.0[((row + i / 2) & 1) * 2 + ((col + i % 2) & 1)]))
     }
 
+    /// Mean of each colour of a mosaic `[row, col]`; 0 where there is none.
+    pub fn means(self, mosaic: ArrayView2<'_, f32>) -> [f64; 3] {
+        let (mut sums, mut counts) = ([0.0; 3], [0usize; 3]);
+        for (i, row) in mosaic.outer_iter().enumerate() {
+            let mut pair = [0.0; 2];
+            row.iter().enumerate().for_each(|(j, v)| pair[j & 1] += f64::from(*v));
+            for (j, sum) in pair.into_iter().enumerate() {
+                let channel = self.channel(i, j);
+                sums[channel] += sum;
+                counts[channel] += (row.len() + 1 - j) / 2;
+            }
+        }
+        std::array::from_fn(|c| sums[c] / counts[c].max(1) as f64)
+    }
+
     /// The layout named `name`, letter case ignored; `None` for anything but the four Bayer layouts.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|cfa| cfa.name().eq_ignore_ascii_case(name))

@@ -4,7 +4,9 @@
 //! at large angles (ISO 9358 calls the share the veiling glare index); over a patch it is a constant: `y = (1 − h) x + h m`
 //! with `m` the scene's mean. A network that has seen it takes it off.
 
-use ndarray::{Array3, Axis};
+use ndarray::{Array2, Array3, Axis};
+
+use super::cfa::Cfa;
 
 /// Mixes a share `h` of each channel's mean into an image, in place; light is kept.
 ///
@@ -16,6 +18,15 @@ pub fn add_haze(image: &mut Array3<f32>, h: f32) {
         let veil = h * mean as f32;
         channel.mapv_inplace(|v| (1.0 - h).mul_add(v, veil));
     }
+}
+
+/// [`add_haze`] on the whole frame's mosaic, `[row, col]`: each pixel gets the mean of its own colour.
+pub fn add_haze_mosaic(mosaic: &mut Array2<f32>, cfa: Cfa, h: f64) {
+    let means = cfa.means(mosaic.view());
+    #[expect(clippy::cast_possible_truncation, reason = "light is f32")]
+    mosaic.indexed_iter_mut().for_each(|((i, j), v)| {
+        *v = ((1.0 - h) * f64::from(*v) + h * means[cfa.channel(i, j)]) as f32;
+    });
 }
 
 #[cfg(test)]

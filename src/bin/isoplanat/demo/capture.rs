@@ -58,7 +58,7 @@ pub(crate) fn photograph(
     let plane = scene(frame, &renderer.optics.maps[0], unseen);
     // RAW, by rays from the sensor.
     let bar = Bar::new(&format!("capture: {}", unseen.name));
-    let how = CaptureSettings { samples: settings.samples, seed: unseen.seed, exposure: 1.0, noise: true };
+    let how = CaptureSettings { samples: settings.samples, seed: unseen.seed, exposure: 1.0, noise: true, glare: 0.0 };
     let taken = capture(lens, &plane, sensor, frame, how, Some(&|share| bar.set(share, String::new())))?;
     bar.done(format!("render noise {:.1e} beside sensor noise {:.1e}", taken.render_noise, taken.sensor_noise));
     let dng = folder.join(format!("{}.dng", unseen.name));
