@@ -433,8 +433,14 @@ pub(crate) mod tests {
     #[test]
     fn a_saved_kit_loads_again_and_is_not_overwritten() {
         let dir = tempfile::tempdir().expect("temporary folder");
-        let (folder, kit) = (dir.path().join("kit"), kit(64, 48));
+        let (folder, mut kit) = (dir.path().join("kit"), kit(64, 48));
+        kit.glare = Some(0.08);
         kit.save(&folder, false).expect("saves");
+        let text = std::fs::read_to_string(folder.join(FILE)).expect("text");
+        std::fs::write(folder.join(FILE), text.replace("glare = 0.08", "glare = 0.8")).expect("writes");
+        let error = Kit::load(&folder).expect_err("too much").to_string();
+        assert!(error.contains("kit.toml") && error.contains("glare") && error.contains("0.8"), "{error}");
+        std::fs::write(folder.join(FILE), text).expect("writes");
         let back = Kit::load(&folder).expect("loads");
         assert_eq!(back.to_toml().expect("writes"), kit.to_toml().expect("writes"));
         assert_eq!((back.card, back.model_bytes), (kit.card.clone(), kit.model_bytes.clone()));

@@ -5,6 +5,8 @@ mod circles;
 mod cli;
 mod commands;
 mod extremes;
+#[cfg(feature = "deploy")]
+mod glare;
 mod golden;
 mod gradients;
 #[cfg(all(feature = "train", feature = "deploy"))]

@@ -154,6 +154,17 @@ impl Filters {
         depths
     }
 
+    /// How far beyond the capture's darkest and lightest value the filtered one can lie at most, over the range between: a filter whose
+    /// magnitudes sum to `G` passes `(G − 1) / 2`. So much ringing, and no more, can stand beside a saturated place.
+    pub fn overshoot(&self) -> f64 {
+        let gain = |filter: ArrayView2<'_, f32>| filter.iter().map(|v| f64::from(v.abs())).sum::<f64>();
+        let all = self
+            .kernels
+            .outer_iter()
+            .flat_map(|node| node.outer_iter().map(|c| gain(c.index_axis(ndarray::Axis(0), 0))).collect::<Vec<f64>>());
+        0.5 * (all.fold(1.0, f64::max) - 1.0)
+    }
+
     /// How far from a pixel the capture counts, pixels.
     pub fn reach(&self) -> usize {
         self.steps.dim().2 / 2
@@ -194,7 +205,7 @@ fn last(n: usize) -> isize {
 }
 
 /// Variance of the developed picture's noise over the scene's density at a quarter of a cycle a pixel.
-fn nsr(electronics: &Electronics, channel: usize, light: f64) -> f64 {
+pub(super) fn nsr(electronics: &Electronics, channel: usize, light: f64) -> f64 {
     let gain = (light * electronics.neutral[channel]).max(1e-6);
     let noise = &electronics.noise;
     let variance = (noise.shot * LEVEL * gain + noise.read * noise.read) / (gain * gain);
@@ -203,7 +214,7 @@ fn nsr(electronics: &Electronics, channel: usize, light: f64) -> f64 {
 
 /// The filter of PSFs of one place, `[row, col]` of `2 half + 1`, sum 1.
 #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-fn wiener(fft: &RealFft2<f64>, n: usize, kernels: &[Array2<f64>], nsr: f64, half: usize) -> Array2<f64> {
+pub(super) fn wiener(fft: &RealFft2<f64>, n: usize, kernels: &[Array2<f64>], nsr: f64, half: usize) -> Array2<f64> {
     let mut top = Array2::from_elem((n / 2 + 1, n), Complex::new(0.0, 0.0));
     let mut power = Array2::<f64>::zeros((n / 2 + 1, n));
     for kernel in kernels {

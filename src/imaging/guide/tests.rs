@@ -195,6 +195,71 @@ fn turned_channels_are_those_of_the_mirrored_place() {
     }
 }
 
+/// The lens, its frame and what its filters are made of.
+fn renderer(lens: &crate::lens::Lens, frame: &Frame, settings: Settings) -> Renderer {
+    let density = SpectralDensity::new(&Sensor::generic());
+    Renderer::planned(lens, frame, &density, &[lens.object_vergence], settings).expect("traces")
+}
+
+/// A white square on black, developed: what saturation leaves of a lamp.
+fn lamp(rows: usize, cols: usize) -> Array3<f32> {
+    Array3::from_shape_fn((3, rows, cols), |(_, r, c)| {
+        f32::from(u8::from(r.abs_diff(rows / 2) < 20 && c.abs_diff(cols / 2) < 20))
+    })
+}
+
+/// Saturated places, noise a hundred times the stated, a PSF wider than the widest filter, darkness: finite filters that keep white, no
+/// ringing beyond the bound, and the noisier the less of it.
+#[test]
+fn extremes_stay_within_the_stated_bound() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let frame = Frame::centred(240, 160, 0.06).expect("valid");
+    let (sensor, whole) = (Sensor::generic(), Region { row: 0, col: 0, rows: 160, cols: 240 });
+    let electronics = Electronics::of(&sensor);
+    let noise = electronics.noise;
+    let noisier = |factor: f64| Electronics {
+        noise: Noise { shot: noise.shot * factor * factor, read: noise.read * factor },
+        ..electronics.clone()
+    };
+    // Out of focus by 4 mm: circles of a millimetre, 17 pixels; of 4 µm, 250 of them.
+    let mut prescription = (*lens).clone();
+    prescription.surfaces.last_mut().expect("some").thickness += 4.0;
+    let far = crate::lens::Lens::new(prescription, "defocused").expect("a lens");
+    let fine = Frame::centred(240, 160, 0.004).expect("valid");
+    let mut bounds = Vec::new();
+    for (what, lens, frame, factor) in [
+        ("stated noise", &lens, &frame, 1.0),
+        ("noise × 100", &lens, &frame, 100.0),
+        ("out of focus", &far, &frame, 1.0),
+        ("wider than a filter", &far, &fine, 1.0),
+        ("no noise", &lens, &frame, 0.0),
+    ] {
+        let filters = Filters::of(&renderer(lens, frame, Settings::TRAINING), &noisier(factor)).expect(what);
+        let bound = filters.overshoot();
+        let white = filters.over(Array3::ones((3, 160, 240)).view(), whole, whole);
+        assert!(white.iter().all(|v| (v - 1.0).abs() < 1e-3), "{what}: white stays white");
+        let restored = filters.over(lamp(160, 240).view(), whole, whole);
+        let (low, high) = restored.iter().fold((0f32, 1f32), |(a, b), v| (a.min(*v), b.max(*v)));
+        let ringing = f64::from((-low).max(high - 1.0));
+        eprintln!("{what}: filters of {} pixels, ringing {ringing:.3} of at most {bound:.3}", 2 * filters.reach() + 1);
+        assert!(bound.is_finite() && ringing <= bound + 1e-4, "{what}: {ringing} {bound}");
+        assert!(filters.reach() <= Filters::WIDEST, "{what}");
+        bounds.push((bound, ringing));
+    }
+    assert!(bounds[1].1 < 0.5 * bounds[0].1, "noise damps: {bounds:?}");
+}
+
+/// Where no light arrives there is nothing to undo: the filter of a kernel of zeros, and of darkness, is none.
+#[test]
+fn darkness_has_no_filter() {
+    let fft = crate::math::fft::RealFft2::<f64>::new(64, 64);
+    for nsr in [1e-6, 10.0] {
+        let filter = filters::wiener(&fft, 64, &[Array2::zeros((9, 9))], nsr, 12);
+        assert_eq!((filter[[12, 12]], filter.iter().map(|v| v.abs()).sum::<f64>()), (1.0, 1.0));
+    }
+    assert_eq!(filters::nsr(&Electronics::of(&Sensor::generic()), 1, 0.0), 10.0);
+}
+
 #[test]
 fn inputs_have_names() {
     assert_eq!(
