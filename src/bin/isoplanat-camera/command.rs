@@ -215,7 +215,11 @@ fn told(kit: &Kit) -> String {
             [] => "distances that the file does not state".into(),
             some => format!("objects at {} mm; others are taken to lie there", some.join(", ")),
         };
-        format!(" ({} Wiener filters of {size} × {size} pixels a colour, for {range})", f.grid.len())
+        format!(
+            " ({} Wiener filters of {size} × {size} pixels a colour, for {range}; they ring by at most {:.2} of the range of a capture)",
+            f.grid.len(),
+            f.overshoot()
+        )
     });
     format!("sees {} beside the capture{filters}", names.join(", "))
 }
