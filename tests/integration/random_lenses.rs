@@ -1,5 +1,6 @@
 //! Mutated prescriptions through `inspect`, `check`, `trace` and `psf`: an answer or one clear error; no panic, no number that is none,
-//! at most ten seconds of processor time and two gibibytes of addresses each.
+//! at most ten seconds of processor time and two gibibytes of addresses each. What `inspect` refuses goes to one of the others only: all
+//! of them read a lens by the same function.
 //!
 //! `ISOPLANAT_RANDOM_LENSES=N` takes N lenses in place of 500, `ISOPLANAT_RANDOM_SEED` another first seed.
 
@@ -130,12 +131,13 @@ fn random_lenses_are_answered_or_refused() {
             let place = Workplace::new();
             place.write("lens.toml", &text).write("rays.json", RAYS);
             let mut answered = 0;
-            for command in [
-                "inspect lens.toml",
-                "check lens.toml",
-                "trace lens.toml --rays rays.json --gradient",
-                "psf lens.toml -o k.npz --fields 3",
-            ] {
+            let more =
+                ["check lens.toml", "trace lens.toml --rays rays.json --gradient", "psf lens.toml -o k.npz --fields 3"];
+            let other = (seed % more.len() as u64) as usize;
+            for (k, command) in std::iter::once("inspect lens.toml").chain(more).enumerate() {
+                if answered == 0 && k > 0 && k != other + 1 {
+                    continue;
+                }
                 // Seconds of processor time; KiB of addresses, stacks and what the allocator sets aside included.
                 let ran = place.run_limited(command, 10, 2 << 20);
                 if let Some(fault) = fault(&ran) {
