@@ -9,6 +9,7 @@ use std::time::Instant;
 use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
+use isoplanat::imaging::scene::SceneKind;
 use isoplanat::lens::catalogue::Glasses;
 use isoplanat::network::{Compute, Reconstructor};
 use isoplanat::report::plot::{Mark, Plot, Series};
@@ -21,7 +22,7 @@ const NETWORKS: [(usize, usize); 6] = [(8, 3), (16, 3), (32, 3), (16, 2), (16, 5
 pub(crate) fn print(steps: u64) {
     let task = task(steps);
     let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
-    let pictures = Pictures::BuiltIn(8);
+    let pictures = Pictures::BuiltIn(SceneKind::Facades, 8);
     let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS, rays: None };
     println!(
         "| width, scales | 10^6 parameters | s a training step | forward, s/Mpixel | capture, dB | f32, dB | SSIM | f16, dB | f16 \

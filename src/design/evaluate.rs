@@ -1,8 +1,8 @@
-//! How good a finished lens and its network are: PSNR and SSIM over field and depth, on pictures they were not trained on.
+//! How good a finished lens and its network are: PSNR, SSIM and colour over field and depth, on pictures they were not trained on.
 //!
 //! The field is cut into zones of equal width in image height. In each zone every picture is photographed once, at a random
 //! place and at every depth, through the fast renderer, sensor and development; the network restores it; capture and
-//! reconstruction are judged against the ideal picture, both as seen ([`metrics`]). Every zone and depth shows the same part of
+//! reconstruction are judged against the ideal picture, both as seen ([`metrics`]); colours as developed to sRGB. Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
 //!
 //! On demand captures come from the reference renderer ([`reference`]) instead: rays from the sensor, one colour a pixel.
@@ -16,8 +16,10 @@ use ndarray::{Array3, Array4, ArrayView3, Axis, s};
 use super::chain::{Patch, forward, forward_of};
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
+use crate::imaging::develop::{Balance, Development, finish};
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
+use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
 use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::plane::{Plane, Region, mirrored};
 use crate::imaging::reference;
@@ -67,8 +69,8 @@ pub const FINENESS: Fineness =
 pub enum Pictures {
     /// A folder of photographs.
     Photos(Photos),
-    /// So many built-in street scenes, which no training uses.
-    BuiltIn(usize),
+    /// So many built-in scenes of a kind.
+    BuiltIn(SceneKind, usize),
 }
 
 impl Pictures {
@@ -77,7 +79,7 @@ impl Pictures {
     pub fn len(&self) -> usize {
         match self {
             Self::Photos(photos) => photos.len(),
-            Self::BuiltIn(count) => *count,
+            Self::BuiltIn(_, count) => *count,
         }
     }
 
@@ -87,7 +89,7 @@ impl Pictures {
             Self::Photos(photos) => {
                 photos.paths()[index].file_name().unwrap_or_default().to_string_lossy().into_owned()
             }
-            Self::BuiltIn(_) => format!("{} {}", SceneKind::Facades, Self::seed(index)),
+            Self::BuiltIn(kind, _) => format!("{kind} {}", Self::seed(index)),
         }
     }
 
@@ -95,14 +97,14 @@ impl Pictures {
     pub(super) fn largest(&self) -> Result<usize> {
         match self {
             Self::Photos(photos) => photos.largest(),
-            Self::BuiltIn(_) => Ok(BUILT_IN[0] * BUILT_IN[1]),
+            Self::BuiltIn(..) => Ok(BUILT_IN[0] * BUILT_IN[1]),
         }
     }
 
     fn load(&self, index: usize) -> Result<Array3<f32>> {
         match self {
             Self::Photos(photos) => photos.load(index),
-            Self::BuiltIn(_) => Ok(generate(SceneKind::Facades, Self::seed(index), BUILT_IN[0], BUILT_IN[1])),
+            Self::BuiltIn(kind, _) => Ok(generate(*kind, Self::seed(index), BUILT_IN[0], BUILT_IN[1])),
         }
     }
 
@@ -117,7 +119,7 @@ impl Pictures {
                 let folder = photos.paths()[0].parent().unwrap_or(std::path::Path::new("."));
                 format!("photographs of {}", folder.display())
             }
-            Self::BuiltIn(_) => format!("built-in {} scenes", SceneKind::Facades),
+            Self::BuiltIn(kind, _) => format!("built-in {kind} scenes"),
         }
     }
 }
@@ -150,6 +152,9 @@ pub struct Sheet {
     pub image: Array3<f32>,
 }
 
+/// PSNR, SSIM, ΔE and colour shift of a picture.
+type Judged = [f64; 4];
+
 /// Where the patches of a zone may stand: their side and their first pixels.
 #[derive(Clone, Debug)]
 struct Zone {
@@ -177,8 +182,14 @@ pub fn evaluate(
     let maps = &renderer.optics.maps;
     let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
     let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
-    // Four figures a picture, by depth and zone.
-    let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];
+    let development = Development {
+        balance: Balance::from_sensor(sensor),
+        flat_field: None,
+        distortion: None,
+        srgb_from_camera: sensor.srgb_from_camera,
+    };
+    // By depth and zone, for each picture.
+    let mut figures = vec![vec![Vec::<[Judged; 2]>::new(); used.len()]; maps.len()];
     let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
     let all = (pictures.len() * maps.len() * used.len()).max(1);
     let mut done = 0;
@@ -195,11 +206,17 @@ pub fn evaluate(
                 let by_rays = settings.rays.map(|rays| (lens, &density, rays));
                 let shot = Shot { region, whole: settings.patch, context, part, noise_seed, by_rays };
                 let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
-                let judged = |p: &Array3<f32>| -> Result<[f64; 2]> {
-                    Ok([metrics::psnr(p.view(), truth.view()), metrics::ssim(p.view(), truth.view())?])
+                let shown = finish(truth.clone(), &development).image;
+                let judged = |p: &Array3<f32>| -> Result<Judged> {
+                    let seen = finish(p.clone(), &development).image;
+                    Ok([
+                        metrics::psnr(p.view(), truth.view()),
+                        metrics::ssim(p.view(), truth.view())?,
+                        delta_e(seen.view(), shown.view()),
+                        colour_shift(seen.view(), shown.view()),
+                    ])
                 };
-                let ([a, b], [c, e]) = (judged(&capture)?, judged(&restored)?);
-                figures[d][k].push([a, b, c, e]);
+                figures[d][k].push([judged(&capture)?, judged(&restored)?]);
                 if sheets && index < SHEET {
                     strips[d][k].push(side_by_side(&[truth, capture, restored]));
                 }
@@ -216,8 +233,8 @@ pub fn evaluate(
             rows.push(row(*depth_mm, zone + 1, field, places.patch, values));
         }
         // One value a picture: its mean over the zones, so that the error is that of the pictures.
-        let mean = |i: usize| std::array::from_fn(|f| Figure::of(&column(by_zone, i, f)).mean);
-        let values: Vec<[f64; 4]> = (0..pictures.len()).map(mean).collect();
+        let mean = |i: usize| [0, 1].map(|of| std::array::from_fn(|f| Figure::of(&column(by_zone, i, of, f)).mean));
+        let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
         let patch = used.iter().map(|(_, z)| z.patch).min().unwrap_or(settings.patch);
         rows.push(Row { patches: values.len() * used.len(), ..row(*depth_mm, 0, [0.0, 1.0], patch, &values) });
     }
@@ -239,14 +256,19 @@ pub fn evaluate(
     Ok((evaluation, sheets.collect()))
 }
 
-/// Figure `f` of picture `i` in every zone.
-fn column(by_zone: &[Vec<[f64; 4]>], i: usize, f: usize) -> Vec<f64> {
-    by_zone.iter().map(|values| values[i][f]).collect()
+/// Figure `f` of picture `i`, as captured or as restored, in every zone.
+fn column(by_zone: &[Vec<[Judged; 2]>], i: usize, of: usize, f: usize) -> Vec<f64> {
+    by_zone.iter().map(|values| values[i][of][f]).collect()
 }
 
-fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[f64; 4]]) -> Row {
-    let figure = |of: &dyn Fn(&[f64; 4]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
-    let closeness = |f: usize| Closeness { psnr_db: figure(&|v| v[f]), ssim: figure(&|v| v[f + 1]) };
+fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[Judged; 2]]) -> Row {
+    let figure = |of: &dyn Fn(&[Judged; 2]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
+    let closeness = |of: usize| Closeness {
+        psnr_db: figure(&|v| v[of][0]),
+        ssim: figure(&|v| v[of][1]),
+        delta_e: figure(&|v| v[of][2]),
+        colour_shift: figure(&|v| v[of][3]),
+    };
     Row {
         depth_mm,
         zone,
@@ -254,8 +276,8 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
         patches: values.len(),
         patch_px,
         capture: closeness(0),
-        reconstruction: closeness(2),
-        gain_db: figure(&|v| v[2] - v[0]),
+        reconstruction: closeness(1),
+        gain_db: figure(&|v| v[1][0] - v[0][0]),
     }
 }
 

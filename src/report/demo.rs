@@ -13,6 +13,7 @@ use super::html::{Fact, Page, Picture};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
 use crate::error::{Error, Result};
+use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
 use crate::imaging::metrics::{SSIM_WINDOW, psnr, ssim};
 use crate::lens::{Lens, paraxial};
 
@@ -111,6 +112,10 @@ pub struct Quality {
     pub psnr_db: f64,
     /// SSIM.
     pub ssim: f64,
+    /// Mean CIE ΔE 2000 of the pixels.
+    pub delta_e: f64,
+    /// The same of means over blocks of 32 × 32 pixels, which blur hardly moves.
+    pub colour_shift: f64,
 }
 
 /// A square part of a picture, pixels.
@@ -175,11 +180,20 @@ impl Quality {
             let found = format!("{:?} against {:?}", image.dim(), truth.dim());
             return Err(Error::bad("", "pictures compared", found, "pictures of one shape"));
         }
-        Ok(Self { psnr_db: psnr(image.view(), truth.view()), ssim: ssim(image.view(), truth.view())? })
+        let (image, truth) = (image.view(), truth.view());
+        Ok(Self {
+            psnr_db: psnr(image, truth),
+            ssim: ssim(image, truth)?,
+            delta_e: delta_e(image, truth),
+            colour_shift: colour_shift(image, truth),
+        })
     }
 
     fn notes(self) -> Vec<String> {
-        vec![format!("{} · SSIM {:.3}", decibels(self.psnr_db), self.ssim)]
+        vec![
+            format!("{} · SSIM {:.3}", decibels(self.psnr_db), self.ssim),
+            format!("ΔE {:.1} · colour shift {:.2}", self.delta_e, self.colour_shift),
+        ]
     }
 }
 
@@ -238,6 +252,14 @@ impl SceneResult {
             "ssim_wiener": self.wiener_quality.ssim,
             "ssim_bare": self.bare_quality.ssim,
             "ssim_reconstruction": self.reconstruction_quality.ssim,
+            "delta_e_capture": self.capture_quality.delta_e,
+            "delta_e_wiener": self.wiener_quality.delta_e,
+            "delta_e_bare": self.bare_quality.delta_e,
+            "delta_e_reconstruction": self.reconstruction_quality.delta_e,
+            "colour_shift_capture": self.capture_quality.colour_shift,
+            "colour_shift_wiener": self.wiener_quality.colour_shift,
+            "colour_shift_bare": self.bare_quality.colour_shift,
+            "colour_shift_reconstruction": self.reconstruction_quality.colour_shift,
         })
     }
 }
@@ -300,6 +322,10 @@ impl DemoReport {
             facts.push(fact(
                 format!("{:.3}", average(|s| s.reconstruction_quality.ssim)),
                 "network told of its lens, mean SSIM",
+            ));
+            facts.push(fact(
+                format!("{:.2}", average(|s| s.reconstruction_quality.colour_shift)),
+                "network told of its lens, mean colour shift (ΔE)",
             ));
         }
         facts.push(fact(decibels(self.psnr_fast_vs_reference_db), "fast against reference renderer"));
@@ -381,7 +407,10 @@ impl DemoReport {
             return Ok(());
         }
         page.section("Pictures");
-        page.paragraph("PSNR and SSIM against the truth, both as seen (sRGB).");
+        page.paragraph(
+            "PSNR and SSIM against the truth, both as seen (sRGB). ΔE is the mean CIE ΔE 2000 of the pixels, mostly that of edges; the colour \
+             shift is that of means over blocks of 32 × 32 pixels. About 1 is just seen.",
+        );
         for scene in &self.scenes {
             page.heading(&scene.name);
             let quality =

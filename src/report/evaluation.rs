@@ -1,4 +1,4 @@
-//! PSNR and SSIM of captures and reconstructions over field and depth: rows of `isoplanat evaluate`, as table, CSV, JSON and
+//! PSNR, SSIM and colour of captures and reconstructions over field and depth: rows of `isoplanat evaluate`, as table, CSV, JSON and
 //! plot.
 
 use std::fmt::Write;
@@ -45,6 +45,10 @@ pub struct Closeness {
     pub psnr_db: Figure,
     /// SSIM as seen.
     pub ssim: Figure,
+    /// Mean CIE ΔE 2000 of the pixels, developed to sRGB.
+    pub delta_e: Figure,
+    /// The same of means over blocks of 32 × 32 pixels, which blur hardly moves.
+    pub colour_shift: Figure,
 }
 
 /// One zone of the field at one depth.
@@ -94,8 +98,20 @@ pub struct Evaluation {
 impl Evaluation {
     /// The rows as a table.
     pub fn table(&self) -> Table {
-        let head =
-            ["depth mm", "field", "patches", "capture dB", "network dB", "gain dB", "capture SSIM", "network SSIM"];
+        let head = [
+            "depth mm",
+            "field",
+            "patches",
+            "capture dB",
+            "network dB",
+            "gain dB",
+            "capture SSIM",
+            "network SSIM",
+            "capture ΔE",
+            "network ΔE",
+            "capture shift",
+            "network shift",
+        ];
         let mut table = Table::new(head);
         for r in &self.rows {
             table.row([
@@ -107,6 +123,10 @@ impl Evaluation {
                 if r.gain_db.mean.is_nan() { "–".into() } else { r.gain_db.text(2) },
                 r.capture.ssim.text(4),
                 r.reconstruction.ssim.text(4),
+                r.capture.delta_e.text(2),
+                r.reconstruction.delta_e.text(2),
+                r.capture.colour_shift.text(2),
+                r.reconstruction.colour_shift.text(2),
             ]);
         }
         table
@@ -118,12 +138,17 @@ impl Evaluation {
         for of in ["capture", "reconstruction"] {
             let _ = write!(out, ",{of}_psnr_db,{of}_psnr_db_error,{of}_ssim,{of}_ssim_error");
         }
-        out.push_str(",gain_db,gain_db_error\n");
+        out.push_str(",gain_db,gain_db_error");
+        for of in ["capture", "reconstruction"] {
+            let _ = write!(out, ",{of}_delta_e,{of}_delta_e_error,{of}_colour_shift,{of}_colour_shift_error");
+        }
+        out.push('\n');
         for r in &self.rows {
             let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
             let _ = write!(out, ",{},{}", r.patches, r.patch_px);
             let (a, b) = (r.capture, r.reconstruction);
-            for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db] {
+            let colour = [a.delta_e, a.colour_shift, b.delta_e, b.colour_shift];
+            for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db].into_iter().chain(colour) {
                 let error = if f.standard_error.is_nan() { String::new() } else { f.standard_error.to_string() };
                 let _ = write!(out, ",{},{error}", f.mean);
             }
@@ -177,6 +202,8 @@ mod tests {
         let closeness = |psnr: f64, error: f64| Closeness {
             psnr_db: Figure { mean: psnr, standard_error: error },
             ssim: Figure { mean: psnr / 50.0, standard_error: error / 50.0 },
+            delta_e: Figure { mean: 100.0 / psnr, standard_error: 2.0 * error },
+            colour_shift: Figure { mean: 0.02 * psnr, standard_error: 0.5 * error },
         };
         let row = |depth_mm: f64, zone: usize, psnr: f64, error: f64| Row {
             depth_mm,
@@ -219,22 +246,45 @@ mod tests {
     fn table_csv_and_json_say_the_same() {
         let e = evaluation();
         let table = e.table().to_string();
-        for text in ["25.00 ± 0.25", "27.50 ± 0.25", "2.50 ± 0.13", "0.50–1.00", "mean", "inf"] {
+        for text in ["25.00 ± 0.25", "27.50 ± 0.25", "2.50 ± 0.13", "0.50–1.00", "mean", "inf", "4.00 ± 0.50"] {
             assert!(table.contains(text), "{text}: {table}");
         }
         let csv = e.csv();
         let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
-        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 16), "{csv}");
+        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 24), "{csv}");
         assert_eq!(
             lines[1],
             [
-                "500", "1", "0", "0.5", "3", "256", "25", "0.25", "0.5", "0.005", "27.5", "0.25", "0.55", "0.005",
-                "2.5", "0.13"
+                "500",
+                "1",
+                "0",
+                "0.5",
+                "3",
+                "256",
+                "25",
+                "0.25",
+                "0.5",
+                "0.005",
+                "27.5",
+                "0.25",
+                "0.55",
+                "0.005",
+                "2.5",
+                "0.13",
+                "4",
+                "0.5",
+                "0.5",
+                "0.125",
+                "3.6363636363636362",
+                "0.5",
+                "0.55",
+                "0.125"
             ]
         );
         assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));
         let json = e.json();
         assert_eq!(json["rows"][0]["capture"]["psnr_db"]["mean"], json!(25.0));
+        assert_eq!(json["rows"][0]["capture"]["delta_e"]["mean"], json!(4.0));
         assert_eq!(json["rows"][3]["depth_mm"], Value::Null);
     }
 

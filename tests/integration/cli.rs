@@ -459,7 +459,12 @@ fn evaluate_judges_a_run_by_field_and_depth() {
     place.run("evaluate run --pictures photos").refused(&["photos", "--force"]);
     place.run("evaluate run --pictures photos --force").refused(&["photos"]);
     place.run("evaluate run --csv none/a.csv").refused(&["none/a.csv"]);
-    for (bad, said) in [("--fields 0", "zones"), ("--patch 30", "patch"), ("--depths-mm 500,-1", "depth")] {
+    for (bad, said) in [
+        ("--fields 0", "zones"),
+        ("--patch 30", "patch"),
+        ("--depths-mm 500,-1", "depth"),
+        ("--scene cats", "color_chart"),
+    ] {
         let ran = place.run(&format!("evaluate run {bad}"));
         assert!(ran.code == 2 && ran.out.is_empty() && ran.err.contains(said), "{bad}: {ran:?}");
     }
@@ -479,10 +484,13 @@ fn evaluate_judges_a_run_by_field_and_depth() {
             let db = row[of]["psnr_db"]["mean"].as_f64().expect("number");
             let ssim = row[of]["ssim"]["mean"].as_f64().expect("number");
             assert!((5.0..60.0).contains(&db) && (-0.1..=1.0).contains(&ssim), "{row}");
+            let [delta_e, shift] =
+                ["delta_e", "colour_shift"].map(|key| row[of][key]["mean"].as_f64().expect("number"));
+            assert!((0.0..100.0).contains(&delta_e) && shift >= 0.0 && shift < delta_e, "{row}");
         }
     }
     let csv = std::fs::read_to_string(place.path("a.csv")).expect("written");
-    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(16)), "{csv}");
+    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(24)), "{csv}");
     assert!(std::fs::read_to_string(place.path("a.svg")).expect("written").contains("800 mm"));
     let sheet = place.path("sheets").join("depth-800mm-field-2.png");
     let sheet = isoplanat::imaging::files::read_linear(&sheet).expect("a picture");
@@ -491,6 +499,8 @@ fn evaluate_judges_a_run_by_field_and_depth() {
     assert_eq!(read_json(&place.run(command).done()), json);
     let ran = place.run("evaluate run --fields 1 --patch 32");
     assert!(ran.err.contains("street scenes") && ran.out.contains("mean") && ran.code == 0, "{ran:?}");
+    let ran = place.run("evaluate run --fields 1 --patch 32 --scene color-chart");
+    assert!(ran.err.contains("color_chart scenes") && ran.out.contains("network ΔE") && ran.code == 0, "{ran:?}");
 }
 
 #[cfg(not(feature = "train"))]

@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(
             out,
             "{:12} capture {:.2} dB, Wiener {:.2} dB, network of the capture alone {:.2} dB, told of its lens {:.2} dB; SSIM {:.3}, \
-             {:.3}, {:.3}, {:.3}",
+             {:.3}, {:.3}, {:.3}; colour shift {:.2}, {:.2}, {:.2}, {:.2}",
             s.name,
             s.capture_quality.psnr_db,
             s.wiener_quality.psnr_db,
@@ -76,7 +76,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             s.capture_quality.ssim,
             s.wiener_quality.ssim,
             s.bare_quality.ssim,
-            s.reconstruction_quality.ssim
+            s.reconstruction_quality.ssim,
+            s.capture_quality.colour_shift,
+            s.wiener_quality.colour_shift,
+            s.bare_quality.colour_shift,
+            s.reconstruction_quality.colour_shift
         )?;
     }
     writeln!(

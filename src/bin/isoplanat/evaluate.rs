@@ -1,4 +1,4 @@
-//! `isoplanat evaluate RUN/`: PSNR and SSIM of a run over field and depth.
+//! `isoplanat evaluate RUN/`: PSNR, SSIM and colour of a run over field and depth.
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,6 +9,7 @@ use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::scene::photos::Photos;
+use isoplanat::imaging::scene::{SceneKind, TRAINING};
 use isoplanat::network::Reconstructor;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
@@ -22,7 +23,7 @@ const SCENES: usize = 8;
 /// The file that makes a folder one of sheets.
 const MARKER: &str = "sheets.txt";
 
-/// PSNR and SSIM of capture and reconstruction by field and depth, on pictures the run was not trained on.
+/// PSNR, SSIM and colour (ΔE 2000) of capture and reconstruction by field and depth, on pictures the run was not trained on.
 ///
 /// Both are compared with the ideal picture as seen: sRGB-encoded, range 1. A margin of the network's receptive radius (at most
 /// 64 pixels) around each patch is captured and restored with it and then cut off, so that no patch has a border.
@@ -30,9 +31,12 @@ const MARKER: &str = "sheets.txt";
 pub(crate) struct Args {
     /// Run folder: task.toml, lens.toml, network.safetensors.
     run: PathBuf,
-    /// Folder of photographs; built-in street scenes where left out.
-    #[arg(long, value_name = "DIR")]
+    /// Folder of photographs; built-in scenes where left out.
+    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
     photos: Option<PathBuf>,
+    /// Kind of built-in scenes; color_chart judges colour.
+    #[arg(long, value_name = "KIND", default_value = "facades", value_parser = kind)]
+    scene: SceneKind,
     /// Zones of equal width in image height, axis to corner.
     #[arg(long, default_value_t = 5)]
     fields: usize,
@@ -65,6 +69,12 @@ pub(crate) struct Args {
     force: bool,
 }
 
+/// A kind of built-in scene.
+fn kind(text: &str) -> std::result::Result<SceneKind, String> {
+    let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
+    SceneKind::from_name(text).ok_or_else(|| known.join(", "))
+}
+
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for path in [&args.csv, &args.plot].into_iter().flatten() {
@@ -79,14 +89,20 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let guide = guide_of(&args.run, &network, &lens)?;
     let pictures = match &args.photos {
         Some(folder) => Pictures::Photos(Photos::open(folder)?),
-        None => Pictures::BuiltIn(SCENES),
+        None => Pictures::BuiltIn(args.scene, SCENES),
     };
     let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
     let rays = args.reference.map(|n| n as usize);
     let settings =
         Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, fineness: FINENESS, rays };
     if args.photos.is_none() {
-        eprintln!("no --photos: {SCENES} built-in street scenes, a family that no training uses");
+        let family = if args.scene == SceneKind::Facades { "street" } else { args.scene.name() };
+        let known = if TRAINING.contains(&args.scene) {
+            "new draws of a family that training knows"
+        } else {
+            "a family that no training uses"
+        };
+        eprintln!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
     let sheets = args.pictures.is_some();
     let bytes = memory::of_evaluation(network.config(), &pictures, &settings, sheets)?;

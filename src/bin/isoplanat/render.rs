@@ -33,8 +33,8 @@ enum Method {
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
     lens: String,
-    /// Picture files, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades (with :SEED). Several
-    /// share one plan.
+    /// Picture files, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades, color_chart (with
+    /// :SEED). Several share one plan.
     #[arg(required = true)]
     scenes: Vec<String>,
     /// Picture to write: .png, .tif, .jpg; for several scenes the folder to put them in, as .png.

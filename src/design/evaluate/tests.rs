@@ -67,8 +67,16 @@ fn an_identity_restores_nothing() {
         // Nodes near enough to tell the axis from the field, on pixels of 80 µm.
         let fineness = Fineness { node_error: 0.05, ..Fineness::DESIGN };
         let settings = Settings { depths_mm: vec![1000.0, 700.0], fineness, ..settings(3, 64) };
-        evaluate(&lens, (&identity(3), &bare), &sensor, &Pictures::BuiltIn(2), &settings, true, &mut |_| ())
-            .expect("judges")
+        evaluate(
+            &lens,
+            (&identity(3), &bare),
+            &sensor,
+            &Pictures::BuiltIn(SceneKind::Facades, 2),
+            &settings,
+            true,
+            &mut |_| (),
+        )
+        .expect("judges")
     };
     let (result, sheets) = judge();
     let one = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool");
@@ -81,6 +89,7 @@ fn an_identity_restores_nothing() {
         let c = row.capture;
         assert!((10.0..50.0).contains(&c.psnr_db.mean) && (0.05..1.0).contains(&c.ssim.mean), "{c:?}");
         assert!(c.psnr_db.standard_error.is_finite());
+        assert!(c.delta_e.mean > c.colour_shift.mean && c.colour_shift.mean > 0.0, "{c:?}");
     }
     for rows in result.rows.chunks(4) {
         let mean = rows[..3].iter().map(|r| r.capture.psnr_db.mean).sum::<f64>() / 3.0;
@@ -116,7 +125,7 @@ fn every_zone_shows_the_same_part_of_a_picture() {
     let (lens, settings) = (lens(), Settings { depths_mm: vec![1000.0, 700.0], ..settings(3, 64) });
     let frame = frame_of(&lens).expect("valid");
     let depths = at_depths(&lens, &frame, &Sensor::generic(), &settings).expect("images").optics.maps;
-    let picture = Pictures::BuiltIn(1).load(0).expect("made");
+    let picture = Pictures::BuiltIn(SceneKind::Facades, 1).load(0).expect("made");
     // The middle of the truth, whatever place, patch, context and depth.
     let truth = |row: isize, col: isize, part: u64, side: usize, context: usize, depth: &SensorMap| {
         let region = Region { row, col, rows: side, cols: side };

@@ -1,4 +1,4 @@
-//! How close two pictures are: PSNR and SSIM.
+//! How close two pictures are: PSNR and SSIM; [`delta_e`] for colour.
 //!
 //! `PSNR = −10 log₁₀ MSE` for a data range of 1. SSIM: Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image
 //! quality assessment: from error visibility to structural similarity", IEEE Trans. Image Process. 13(4), 2004: Gaussian
@@ -8,6 +8,7 @@
 //!
 //! [`psnr`] and [`ssim`] compare as seen: both pictures are cut off to `[0, 1]` and sRGB-encoded first.
 
+pub mod delta_e;
 pub mod ms_ssim;
 pub mod wiener;
 

@@ -204,7 +204,11 @@ impl Canvas {
         let mut tops: Vec<f32> = some.iter().map(|c| c[0].max(c[1]).max(c[2])).collect();
         tops.sort_by(f32::total_cmp);
         let bright = tops.get(tops.len() * 98 / 100).copied().unwrap_or(1.0).max(1e-6);
-        let gain = gain_of_mean(target).max((0.85 / bright).min(gain_of_mean(0.38)));
+        self.times(gain_of_mean(target).max((0.85 / bright).min(gain_of_mean(0.38))))
+    }
+
+    /// The picture with a fixed exposure, cut off at 1.
+    pub(super) fn times(&self, gain: f32) -> Array3<f32> {
         let mut image = Array3::zeros((3, self.rows, self.cols));
         let planes = image.as_slice_mut().expect("just allocated");
         let n = self.pixels.len();

@@ -4,11 +4,12 @@
 //! seed and size always give the same picture. Most generators follow the statistics of photographs: occlusion, sizes
 //! distributed as r⁻³, power spectra near f⁻² (A. B. Lee, D. Mumford, J. Huang, "Occlusion models for natural images",
 //! Int. J. Comput. Vis. 41, 2001), colours mostly muted. [`SceneKind::Facades`] is kept out of [`TRAINING`]: it shares no
-//! shapes with the others and serves as the unseen scene of every evaluation. A picture of 1024 × 768 costs 0.03 to 0.3 s of
+//! shapes with the others and serves as the unseen scene of every evaluation; so is [`SceneKind::ColorChart`], which judges colour. A picture of 1024 × 768 costs 0.03 to 0.3 s of
 //! one core.
 
 mod building;
 mod canvas;
+mod chart;
 mod edges;
 mod facades;
 mod foliage;
@@ -46,16 +47,25 @@ pub enum SceneKind {
     Mixed,
     /// Streets in perspective: brick, windows, roofs, railings, trees. Never used for training.
     Facades,
+    /// A chart of 24 published colours, at their own brightness. Never used for training.
+    ColorChart,
 }
 
-/// The kinds training draws from; [`SceneKind::Facades`] is not among them.
+/// The kinds training draws from; [`SceneKind::Facades`] and [`SceneKind::ColorChart`] are not among them.
 pub const TRAINING: [SceneKind; 5] =
     [SceneKind::DeadLeaves, SceneKind::Mixed, SceneKind::Text, SceneKind::FineTexture, SceneKind::SlantedEdges];
 
 impl SceneKind {
     /// Every kind.
-    pub const ALL: [Self; 6] =
-        [Self::DeadLeaves, Self::Text, Self::FineTexture, Self::SlantedEdges, Self::Mixed, Self::Facades];
+    pub const ALL: [Self; 7] = [
+        Self::DeadLeaves,
+        Self::Text,
+        Self::FineTexture,
+        Self::SlantedEdges,
+        Self::Mixed,
+        Self::Facades,
+        Self::ColorChart,
+    ];
 
     /// The kind's name in files and on the command line, for instance `dead_leaves`.
     pub fn name(self) -> &'static str {
@@ -66,6 +76,7 @@ impl SceneKind {
             Self::SlantedEdges => "slanted_edges",
             Self::Mixed => "mixed",
             Self::Facades => "facades",
+            Self::ColorChart => "color_chart",
         }
     }
 
@@ -100,6 +111,7 @@ pub fn generate(kind: SceneKind, seed: u64, rows: usize, cols: usize) -> Array3<
         SceneKind::SlantedEdges => edges::paint(rng, rows, cols),
         SceneKind::Mixed => mixed::paint(rng, rows, cols),
         SceneKind::Facades => facades::paint(rng, rows, cols),
+        SceneKind::ColorChart => return chart::paint(rng, rows, cols).times(1.0),
     };
     canvas.exposed(target)
 }
@@ -190,6 +202,6 @@ mod tests {
         }
         assert_eq!(SceneKind::from_name("dead-leaves"), Some(SceneKind::DeadLeaves));
         assert_eq!(SceneKind::from_name("cats"), None);
-        assert!(!TRAINING.contains(&SceneKind::Facades));
+        assert!(!TRAINING.contains(&SceneKind::Facades) && !TRAINING.contains(&SceneKind::ColorChart));
     }
 }

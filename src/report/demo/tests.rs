@@ -70,7 +70,16 @@ fn the_page_holds_everything_and_loads_nothing() {
     assert_eq!(page.matches("http").count(), page.matches("xmlns=\"http://www.w3.org/2000/svg\"").count());
     // Two atlases, two scenes of five pictures and two crops of five.
     assert_eq!(page.matches("<img").count(), 2 + 2 * (5 + 2 * 5));
-    for text in ["Before", "Wiener", "56.1 dB", "7 min 02 s", "Left out", "&lt;built in&gt;", "PSNR against run time"] {
+    for text in [
+        "Before",
+        "colour shift",
+        "Wiener",
+        "56.1 dB",
+        "7 min 02 s",
+        "Left out",
+        "&lt;built in&gt;",
+        "PSNR against run time",
+    ] {
         assert!(page.contains(text), "{text}");
     }
     DemoReport::default().to_html().expect("an empty report is a page, too");
@@ -92,6 +101,12 @@ fn the_summary_has_its_keys_in_every_scene_and_at_the_top() {
         "ssim_wiener",
         "ssim_bare",
         "ssim_reconstruction",
+        "delta_e_capture",
+        "delta_e_reconstruction",
+        "colour_shift_capture",
+        "colour_shift_wiener",
+        "colour_shift_bare",
+        "colour_shift_reconstruction",
         "psnr_fast_vs_reference_db",
         "seconds_fast",
         "seconds_reference",

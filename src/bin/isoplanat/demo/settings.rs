@@ -82,12 +82,13 @@ impl Settings {
         self
     }
 
-    /// Scenes for the captures: a new draw of a family the training knows, and a family it never saw.
-    pub(crate) fn unseen(&self) -> [Unseen; 2] {
+    /// Scenes for the captures: a new draw of a family the training knows, a family it never saw, and a colour chart.
+    pub(crate) fn unseen(&self) -> [Unseen; 3] {
         let seed = self.task.seed.wrapping_mul(7919).wrapping_add(500_000);
         [
             Unseen { name: "leaves", kind: SceneKind::DeadLeaves, seed },
             Unseen { name: "street", kind: SceneKind::Facades, seed },
+            Unseen { name: "chart", kind: SceneKind::ColorChart, seed },
         ]
     }
 
