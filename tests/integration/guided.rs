@@ -166,6 +166,34 @@ fn kits_carry_their_filters_and_refuse_others() {
     refused("filters.depths_mm");
 }
 
+/// A design whose network is told of its lens: the folder has the finished lens's filters, can be judged, and a training goes on from it.
+#[test]
+fn a_told_network_is_designed_with_its_lens() {
+    let place = Workplace::new();
+    let sensor = "sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }";
+    let task = |more: &str| {
+        format!(
+            "schema = 1\nlens = \"two_element\"\nscenes = 2\n{sensor}\nbase_width = 4\npatch_px = 32\nbatch = 1\n{more}"
+        )
+    };
+    place.write("design.toml", task("steps = 3\ninputs = [\"wiener\", \"field\"]\n"));
+    let said = place.run("design design.toml -o run").done();
+    assert!(said.contains("Wiener filters made anew 1 times"), "{said}");
+    let json: serde_json::Value =
+        serde_json::from_str(&place.run("evaluate run --json --reference 4 --fields 2 --patch 32").done())
+            .expect("JSON");
+    assert!(json["rows"].as_array().is_some_and(|rows| !rows.is_empty()));
+    let train =
+        "[train]\nstart = \"run\"\nscales = 3\npatch_px = 32\nregion_px = 48\npairs = 4\nsteps = 2\nsample_steps = 0\n";
+    place.write("train.toml", task(&format!("{train}inputs = [\"wiener\", \"field\"]\n")));
+    place.run("train train.toml -o trained").done();
+    // A network that was told is no network of the capture alone.
+    place.write("bare.toml", task(train));
+    place.run("train bare.toml -o bare").refused(&["starting network", "wiener"]);
+    place.write("wrong.toml", task("steps = 3\ninputs = [\"smell\"]\n"));
+    place.run("design wrong.toml -o none").refused(&["wrong.toml", "inputs", "wiener, field"]);
+}
+
 /// From a task to a picture: trained from a network that sees the capture alone, judged, exported, and used on a capture by both runtimes.
 #[test]
 fn a_told_network_goes_from_the_task_to_the_camera() {
