@@ -5,12 +5,15 @@
 //!
 //! Reading order: [`card`] (the contract with the camera), `unet` (the model), `layers` (its three operations), `learner`
 //! (weights and Adam), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
-//! `trainer` (the final training's step), `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
+//! `trainer` (the final training's step), its `device_check` (whether a GPU computes the same; `blocks`, the way round where not),
+//! `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
 
 pub mod card;
 
 #[cfg(feature = "train")]
 mod adam;
+#[cfg(feature = "train")]
+mod blocks;
 #[cfg(feature = "train")]
 mod checkpoint;
 #[cfg(feature = "train")]
