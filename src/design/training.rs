@@ -116,7 +116,8 @@ impl Training {
         replace: bool,
     ) -> Result<Self> {
         atomic::check_folder(folder, MARKER, replace)?;
-        let trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
+        let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
+        trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let parts = Parts::new(&task, lens, textures, None)?;
         let state = State::new(&task);
         // The run that gives way must not be trained elsewhere; its lock goes with it.
@@ -147,7 +148,8 @@ impl Training {
         let locked = lock(folder)?;
         let lens = prescription::load(&folder.join("lens.toml"))?;
         let path = folder.join(NETWORK);
-        let (trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
+        let (mut trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
+        trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let state = State::from_facts(&facts, &path)?;
         let kept = guide_of(folder, trainer.generator(), &lens)?;
         let parts = Parts::new(&task, &lens, task.textures()?, Some(kept))?;
@@ -184,11 +186,13 @@ impl Training {
             Some(n) => format!("{n} training pairs, {} of them kept on disk once rendered", self.pairs.kept()),
             None => "no two training pairs alike, all rendered as they are needed".into(),
         };
-        vec![
+        let mut lines = vec![
             format!("network: {} scales, {} channels at the finest{}", config.scales, config.base_width, self.told()),
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
-        ]
+        ];
+        lines.extend(self.trainer.device().map(str::to_owned));
+        lines
     }
 
     /// What the network sees beside the capture, in words.

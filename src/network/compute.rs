@@ -5,6 +5,7 @@ use std::str::FromStr;
 use burn::tensor::Device;
 
 use super::kernels::Level;
+use super::layers::Way;
 use crate::error::{Error, Result};
 
 /// A kind of device. GPUs come with the features `cuda` and `wgpu`.
@@ -21,8 +22,8 @@ pub enum Compute {
 
 impl Compute {
     /// Which code runs the network's operations: our kernels know the CPU only.
-    pub(super) fn level(self) -> Level {
-        if self == Self::Cpu { Level::detect() } else { Level::Plain }
+    pub(super) fn way(self) -> Way {
+        if self == Self::Cpu { Level::detect().into() } else { Way::Burn }
     }
 
     /// The device, tried once with a small sum.

@@ -8,11 +8,10 @@
 
 use burn::module::{Module, Param};
 use burn::tensor::activation::leaky_relu;
-use burn::tensor::module::conv2d;
-use burn::tensor::ops::ConvOptions;
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
+use super::layers::{Way, convolve_any};
 use super::unet::CHANNELS;
 use crate::error::{Error, Result};
 
@@ -76,9 +75,8 @@ impl Layer {
         }
     }
 
-    fn forward(&self, x: Tensor<4>, stride: usize, padding: usize) -> Tensor<4> {
-        let options = ConvOptions::new([stride; 2], [padding; 2], [1, 1], 1);
-        conv2d(x, self.weight.val(), Some(self.bias.val()), options)
+    fn forward(&self, way: Way, x: Tensor<4>, stride: usize, padding: usize) -> Tensor<4> {
+        convolve_any(way, x, self.weight.val(), self.bias.val(), stride, padding)
     }
 }
 
@@ -115,18 +113,18 @@ impl Discriminator {
     ///
     /// # Shapes
     /// `[batch, 3, row, col]`, sRGB-encoded → `[batch, 1, n, m]`.
-    pub(super) fn forward(&self, picture: Tensor<4>) -> Tensor<4> {
+    pub(super) fn forward(&self, way: Way, picture: Tensor<4>) -> Tensor<4> {
         let mut x = picture * 2.0 - 1.0;
         let layers = self.halving.iter().map(|l| (l, 2)).chain(self.flat.iter().map(|l| (l, 1)));
         for (i, (layer, stride)) in layers.enumerate() {
-            x = layer.forward(x, stride, 1);
+            x = layer.forward(way, x, stride, 1);
             if i > 0 {
                 x = normalised(x);
             }
             x = leaky_relu(x, LEAK);
         }
         // Over the global discriminator's plane of 4 × 4 the last layer gives one score.
-        self.score.forward(x, 1, usize::from(!self.flat.is_empty()))
+        self.score.forward(way, x, 1, usize::from(!self.flat.is_empty()))
     }
 }
 
@@ -197,7 +195,7 @@ mod tests {
             let config = CriticConfig { width: 2, patch_px };
             config.validate().expect("valid");
             let x = Tensor::<4>::ones([2, 3, patch_px, patch_px], &device) * 0.5;
-            let scores = |sight| Discriminator::new(&config, sight, 1, &device).forward(x.clone()).dims();
+            let scores = |sight| Discriminator::new(&config, sight, 1, &device).forward(Way::Burn, x.clone()).dims();
             assert_eq!(scores(Sight::Global), [2, 1, 1, 1], "{patch_px}");
             assert_eq!(scores(Sight::Local), [2, 1, patch_px / 8 - 2, patch_px / 8 - 2]);
         }
@@ -217,7 +215,9 @@ mod tests {
         let tensor = |v: &[f32]| Tensor::<4>::from_data(TensorData::new(v.to_vec(), [1, 3, 32, 32]), &device);
         for sight in [Sight::Local, Sight::Global] {
             let critic = Discriminator::new(&config, sight, 2, &device).no_grad();
-            let loss = |made: Tensor<4>| generator_loss(critic.forward(tensor(&real)), critic.forward(made));
+            let loss = |made: Tensor<4>| {
+                generator_loss(critic.forward(Way::Burn, tensor(&real)), critic.forward(Way::Burn, made))
+            };
             let x = tensor(&made).require_grad();
             let bar = x.grad(&loss(x.clone()).backward()).expect("tracked");
             let bar = bar.into_data().try_into_vec::<f32>().expect("f32");
@@ -247,13 +247,59 @@ mod tests {
             let mut learner = Learner::new(Discriminator::new(&config, sight, 2, &device), device.clone());
             let mut losses = Vec::new();
             for _ in 0..80 {
-                let scores = |x: &Tensor<4>| learner.module().forward(x.clone());
+                let scores = |x: &Tensor<4>| learner.module().forward(Way::Burn, x.clone());
                 let loss = critic_loss(scores(&real), scores(&made));
                 losses.push(number(loss.clone().inner()));
                 let gradient = learner.gradient(&mut loss.backward());
                 assert!(learner.update(true, gradient, 3e-3).1);
             }
             assert!(losses[79] < 0.1 * losses[0], "{sight:?}: {} {}", losses[0], losses[79]);
+        }
+    }
+
+    #[test]
+    #[ignore = "a measurement, not a check: seconds of the discriminators' layers"]
+    fn time_of_the_layers() {
+        let device = Device::flex().autodiff();
+        let rng = &mut fastrand::Rng::with_seed(9);
+        let least = |name: &str, run: &mut dyn FnMut()| {
+            let mut seconds: Vec<f64> = (0..5)
+                .map(|_| {
+                    let start = std::time::Instant::now();
+                    run();
+                    start.elapsed().as_secs_f64()
+                })
+                .collect();
+            seconds.sort_by(f64::total_cmp);
+            eprintln!("{name}: least {:.4} s, median {:.4} s", seconds[0], seconds[2]);
+        };
+        for way in [Way::Burn, super::super::kernels::Level::detect().into()] {
+            for (inputs, outputs, side, stride) in [
+                (3, 64, 256, 2),
+                (64, 128, 128, 2),
+                (128, 256, 64, 2),
+                (256, 512, 32, 2),
+                (512, 512, 16, 2),
+                (512, 512, 8, 2),
+                (256, 512, 32, 1),
+                (512, 1, 31, 1),
+            ] {
+                let layer = Layer::draw(inputs, outputs, rng, &device);
+                let x = Tensor::<4>::ones([1, inputs, side, side], &device) * 0.5;
+                let name = format!("{way:?} {inputs} -> {outputs} at {side}, stride {stride}: forward");
+                least(&name, &mut || drop(layer.forward(way, x.clone(), stride, 1).inner().into_data()));
+                least("    and back", &mut || {
+                    let x = x.clone().require_grad();
+                    let y = layer.forward(way, x.clone(), stride, 1);
+                    drop(x.grad(&(y.clone() * y).sum().backward()).expect("tracked").into_data());
+                });
+            }
+            let x = Tensor::<4>::ones([1, 128, 64, 64], &device) * 0.5;
+            least("normalised, leaky, 128 at 64, forward and back", &mut || {
+                let x = x.clone().require_grad();
+                let y = leaky_relu(normalised(x.clone()), LEAK);
+                drop(x.grad(&(y.clone() * y).sum().backward()).expect("tracked").into_data());
+            });
         }
     }
 }

@@ -4,16 +4,94 @@
 //! PReLU to what it reads: the activated picture is never written. Convolution takes a list of inputs in place
 //! of their concatenation.
 //!
-//! On Flex with AVX2 or AVX-512 they run as the crate's own kernels (`extension`), elsewhere as burn's operations.
+//! [`Way`] says by which code: on Flex with AVX2 or AVX-512 the crate's own kernels (`extension`), elsewhere burn's operations, whole or
+//! in `blocks`.
 
 use burn::backend::Dispatch;
 use burn::tensor::Tensor;
 
 use super::extension::FastOps;
+use super::in_blocks::in_blocks;
 use super::kernels::Level;
 use burn::tensor::activation::prelu;
 use burn::tensor::module::{conv_transpose2d, conv2d, max_pool2d};
 use burn::tensor::ops::{ConvOptions, ConvTransposeOptions, MaxPoolOptions};
+
+/// Which code runs the operations.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Way {
+    /// The crate's kernels, on the CPU.
+    Kernels(Level),
+    /// burn's operations.
+    Burn,
+    /// burn's operations, convolutions block by block.
+    Blocks,
+    /// As [`Way::Burn`], or with `blocks` as [`Way::Blocks`], but gradients of weights are wrong on planes of more than so many pixels.
+    #[cfg(test)]
+    Faulty { blocks: bool, right_to: usize },
+}
+
+impl From<Level> for Way {
+    fn from(level: Level) -> Self {
+        if level == Level::Plain { Self::Burn } else { Self::Kernels(level) }
+    }
+}
+
+impl Way {
+    /// The same with convolutions in blocks, where burn runs them.
+    pub(super) fn blockwise(self) -> Self {
+        match self {
+            Self::Kernels(_) => self,
+            Self::Burn | Self::Blocks => Self::Blocks,
+            #[cfg(test)]
+            Self::Faulty { right_to, .. } => Self::Faulty { blocks: true, right_to },
+        }
+    }
+
+    fn in_blocks(self) -> bool {
+        match self {
+            Self::Kernels(_) | Self::Burn => false,
+            Self::Blocks => true,
+            #[cfg(test)]
+            Self::Faulty { blocks, .. } => blocks,
+        }
+    }
+
+    /// burn's convolution of `x`, whose sides are multiples of the stride, with `padding` zeros around.
+    fn convolve_by_burn(
+        self,
+        x: Tensor<4>,
+        weight: Tensor<4>,
+        bias: Tensor<1>,
+        stride: usize,
+        padding: usize,
+    ) -> Tensor<4> {
+        let run = |x: Tensor<4>, padding: usize| {
+            #[cfg(test)]
+            let weight = self.faulty(&x, &weight);
+            let options = ConvOptions::new([stride; 2], [padding; 2], [1, 1], 1);
+            conv2d(x, weight.clone(), Some(bias.clone()), options)
+        };
+        // What a block answers for is its own size over the stride: kernels of three with stride 1, of four with 2.
+        let [_, _, side, _] = weight.dims();
+        if self.in_blocks() && padding == 1 && side == stride + 2 {
+            return in_blocks(x, 1, |x| run(x, 0));
+        }
+        run(x, padding)
+    }
+
+    /// The weight, less of which has a gradient than should.
+    #[cfg(test)]
+    fn faulty(self, x: &Tensor<4>, weight: &Tensor<4>) -> Tensor<4> {
+        let [batch, _, rows, columns] = x.dims();
+        match self {
+            Self::Faulty { right_to, .. } if batch * rows * columns > right_to => {
+                weight.clone() * 0.25 + weight.clone().detach() * 0.75
+            }
+            _ => weight.clone(),
+        }
+    }
+}
 
 /// A picture of features, `[batch, channel, row, col]`, whose PReLU is still to be applied.
 #[derive(Clone, Debug)]
@@ -42,9 +120,10 @@ impl Features {
 ///
 /// # Shapes
 /// `weight`: `[out, in, 3, 3]`, `bias`: `[out]`.
-pub(super) fn convolve(level: Level, inputs: &[&Features], weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+pub(super) fn convolve(way: impl Into<Way>, inputs: &[&Features], weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+    let way = way.into();
     let dispatch = |t: &Tensor<4>| t.clone().into_dispatch();
-    if level != Level::Plain {
+    if let Way::Kernels(level) = way {
         let (w, b) = (weight.clone().into_dispatch(), bias.clone().into_dispatch());
         match inputs {
             [Features { values, slope: None }] => {
@@ -63,12 +142,27 @@ pub(super) fn convolve(level: Level, inputs: &[&Features], weight: Tensor<4>, bi
     }
     let parts: Vec<_> = inputs.iter().map(|input| input.activated()).collect();
     let joined = if let [one] = parts.as_slice() { one.clone() } else { Tensor::cat(parts, 1) };
-    conv2d(joined, weight, Some(bias), ConvOptions::new([1, 1], [1, 1], [1, 1], 1))
+    way.convolve_by_burn(joined, weight, bias, 1, 1)
+}
+
+/// Convolution of any size with `padding` zeros around.
+///
+/// # Shapes
+/// `x`: `[batch, in, row, col]`, sides that are multiples of `stride`; `weight`: `[out, in, side, side]`, `bias`: `[out]`.
+pub(super) fn convolve_any(
+    way: Way,
+    x: Tensor<4>,
+    weight: Tensor<4>,
+    bias: Tensor<1>,
+    stride: usize,
+    padding: usize,
+) -> Tensor<4> {
+    way.convolve_by_burn(x, weight, bias, stride, padding)
 }
 
 /// Largest of each 2×2 block.
-pub(super) fn pool(level: Level, input: &Features) -> Tensor<4> {
-    if let (true, Some(slope)) = (level != Level::Plain, &input.slope) {
+pub(super) fn pool(way: impl Into<Way>, input: &Features) -> Tensor<4> {
+    if let (Way::Kernels(level), Some(slope)) = (way.into(), &input.slope) {
         let (x, slope) = (input.values.clone().into_dispatch(), slope.clone().into_dispatch());
         return Tensor::from_dispatch(Dispatch::pool_activated(x, slope, level));
     }
@@ -79,12 +173,14 @@ pub(super) fn pool(level: Level, input: &Features) -> Tensor<4> {
 ///
 /// # Shapes
 /// `weight`: `[in, out, 2, 2]`, `bias`: `[out]`.
-pub(super) fn unpool(level: Level, input: &Features, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
-    if let (true, Some(slope)) = (level != Level::Plain, &input.slope) {
+pub(super) fn unpool(way: impl Into<Way>, input: &Features, weight: Tensor<4>, bias: Tensor<1>) -> Tensor<4> {
+    let way = way.into();
+    if let (Way::Kernels(level), Some(slope)) = (way, &input.slope) {
         let (x, slope) = (input.values.clone().into_dispatch(), slope.clone().into_dispatch());
         let (weight, bias) = (weight.into_dispatch(), bias.into_dispatch());
         return Tensor::from_dispatch(Dispatch::unpool_activated(x, slope, weight, bias, level));
     }
     let options = ConvTransposeOptions::new([2, 2], [0, 0], [0, 0], [1, 1], 1);
-    conv_transpose2d(input.activated(), weight, Some(bias), options)
+    let run = |x: Tensor<4>| conv_transpose2d(x, weight.clone(), Some(bias.clone()), options.clone());
+    if way.in_blocks() { in_blocks(input.activated(), 0, run) } else { run(input.activated()) }
 }

@@ -5,7 +5,8 @@
 //!
 //! Reading order: [`card`] (the contract with the camera), `unet` (the model), `layers` (its three operations), `learner`
 //! (weights and Adam), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
-//! `trainer` (the final training's step), `average`, `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
+//! `trainer` (the final training's step), its `device_check` (whether a GPU computes the same; `in_blocks`, the way round where not),
+//! `average`, `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
 
 pub mod card;
 
@@ -27,6 +28,8 @@ mod deepen;
 mod display;
 #[cfg(feature = "train")]
 mod extension;
+#[cfg(feature = "train")]
+mod in_blocks;
 #[cfg(feature = "train")]
 mod kernels;
 #[cfg(feature = "train")]

@@ -13,8 +13,7 @@ use burn::tensor::module::conv2d;
 use burn::tensor::ops::{ConvOptions, PadMode};
 use burn::tensor::{Device, Tensor, TensorData};
 
-use super::kernels::Level;
-use super::layers::{Features, convolve, pool};
+use super::layers::{Features, Way, convolve, pool};
 use super::tensors::TensorFile;
 use crate::error::Result;
 
@@ -40,7 +39,7 @@ const ALLOWED: &str = "VGG-19 weights as safetensors, torchvision's names (featu
 /// VGG-19 up to some layer, held fixed.
 #[derive(Debug)]
 pub(super) struct Vgg {
-    level: Level,
+    way: Way,
     preprocess: (Tensor<4>, Tensor<1>),
     layers: Vec<Layer>,
     deepest: &'static str,
@@ -61,7 +60,7 @@ impl Vgg {
     ///
     /// # Errors
     /// A file that is none of the two kinds, or whose tensors have other shapes.
-    pub(super) fn load(path: &Path, level: Level, device: &Device) -> Result<Self> {
+    pub(super) fn load(path: &Path, way: impl Into<Way>, device: &Device) -> Result<Self> {
         let file = TensorFile::read(path, ALLOWED)?;
         let names = file.names()?;
         let has = |name: &str| names.iter().any(|n| n == name);
@@ -96,7 +95,12 @@ impl Vgg {
             deepest = name;
         }
         let preprocess = (tensor(matrix, [3, 3, 1, 1]), vector(offset));
-        Ok(Self { level, preprocess, layers, deepest, reflect: !torchvision })
+        Ok(Self { way: way.into(), preprocess, layers, deepest, reflect: !torchvision })
+    }
+
+    /// Has other code run its operations.
+    pub(super) fn set_way(&mut self, way: Way) {
+        self.way = way;
     }
 
     /// The deepest layer, as `conv3_3`.
@@ -121,7 +125,7 @@ impl Vgg {
         let mut found = Vec::new();
         for (i, layer) in self.layers.iter().enumerate() {
             if layer.pooled {
-                features = Features::plain(pool(self.level, &features));
+                features = Features::plain(pool(self.way, &features));
             }
             let (weight, bias) = (layer.weight.clone(), layer.bias.clone());
             let values = if self.reflect {
@@ -131,9 +135,9 @@ impl Vgg {
                     None => features.values,
                 };
                 let around = Features::plain(activated.pad((1, 1, 1, 1), PadMode::Reflect));
-                convolve(self.level, &[&around], weight, bias).narrow(2, 1, rows).narrow(3, 1, columns)
+                convolve(self.way, &[&around], weight, bias).narrow(2, 1, rows).narrow(3, 1, columns)
             } else {
-                convolve(self.level, &[&features], weight, bias)
+                convolve(self.way, &[&features], weight, bias)
             };
             if cfg!(test) || i == last {
                 found.push(relu(values.clone()));
@@ -146,6 +150,7 @@ impl Vgg {
 
 #[cfg(test)]
 mod tests {
+    use super::super::kernels::Level;
     use super::super::tensors::{Named, write};
     use super::*;
     use crate::imaging::files::{Encoding, read_picture};

@@ -14,7 +14,7 @@ use super::average;
 use super::card::receptive_radius_px;
 use super::checkpoint::{self, Checkpoint, Section};
 use super::compute::Compute;
-use super::kernels::Level;
+use super::layers::Way;
 use super::learner::{Learner, Parameter};
 use super::tiles;
 use super::unet::{Unet, UnetConfig};
@@ -31,7 +31,8 @@ const TILE: usize = 1024;
 pub struct Reconstructor {
     config: UnetConfig,
     learner: Learner<Unet>,
-    level: Level,
+    compute: Compute,
+    way: Way,
 }
 
 /// What a training step gives.
@@ -78,7 +79,7 @@ impl Reconstructor {
         config.validate()?;
         let device = compute.device()?.autodiff();
         let learner = Learner::new(Unet::new(&config, seed, &device), device);
-        Ok(Self { config, learner, level: compute.level() })
+        Ok(Self { config, learner, compute, way: compute.way() })
     }
 
     /// The network's size.
@@ -108,10 +109,10 @@ impl Reconstructor {
     /// `[batch, channel, row, col]`, the channels of [`UnetConfig::inputs`] → `[batch, 3, row, col]`.
     pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {
         self.check(&input)?;
-        let (network, level) = (self.learner.module().valid(), self.level);
+        let (network, way) = (self.learner.module().valid(), self.way);
         let device = self.learner.device().clone().inner();
         let inputs = self.config.inputs;
-        let run = |window: ArrayView4<f32>| array(network.forward(level, inputs, tensor(&window, &device)));
+        let run = |window: ArrayView4<f32>| array(network.forward(way, inputs, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
         if rows * columns * self.config.base_width <= TILE_ABOVE {
             return run(input);
@@ -206,7 +207,7 @@ impl Reconstructor {
     pub(super) fn with_weights(&self, weights: Vec<f32>) -> Self {
         let device = self.learner.device().clone();
         let learner = Learner::new(Unet::new(&self.config, 0, &device), device);
-        let mut other = Self { config: self.config.clone(), learner, level: self.level };
+        let mut other = Self { config: self.config.clone(), learner, compute: self.compute, way: self.way };
         other.restart(weights);
         other
     }
@@ -232,14 +233,29 @@ impl Reconstructor {
         self.learner.device()
     }
 
-    /// Which code its operations run.
-    pub(super) fn level(&self) -> Level {
-        self.level
+    /// The kind of device it computes on.
+    pub(super) fn compute(&self) -> Compute {
+        self.compute
+    }
+
+    /// Which code runs its operations.
+    pub(super) fn way(&self) -> Way {
+        self.way
+    }
+
+    /// Has other code run its operations.
+    pub(super) fn set_way(&mut self, way: Way) {
+        self.way = way;
+    }
+
+    /// The gradient of every parameter in the order of [`Reconstructor::parameters`], taken out of `gradients`.
+    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+        self.learner.gradient(gradients)
     }
 
     /// The forward pass with a graph behind it.
     pub(super) fn forward_tracked(&self, input: Tensor<4>) -> Tensor<4> {
-        self.learner.module().forward(self.level, self.config.inputs, input)
+        self.learner.module().forward(self.way, self.config.inputs, input)
     }
 
     /// A clipped Adam step with the weights' part of `gradients`; see [`Learner::update`].
@@ -285,7 +301,7 @@ impl Reconstructor {
         let frozen = (!with_weights).then(|| self.learner.frozen());
         let network = frozen.as_ref().unwrap_or_else(|| self.learner.module());
 
-        let output = network.forward(self.level, self.config.inputs, input.clone());
+        let output = network.forward(self.way, self.config.inputs, input.clone());
         let difference = output.clone() - tensor(target, self.learner.device());
         let mut gradients = difference.abs().mean().backward();
 
@@ -336,6 +352,7 @@ pub(super) fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::kernels::Level;
     use super::*;
     use crate::testing::assert_rel;
 
@@ -516,11 +533,10 @@ mod tests {
         let input = picture((1, 3, 84, 92), 2);
         let whole = model.forward(input.view()).expect("fits");
         let margin = receptive_radius_px(3).next_multiple_of(4);
-        let (network, level) = (model.learner.module().valid(), model.level);
+        let (network, way) = (model.learner.module().valid(), model.way);
         let device = model.learner.device().clone().inner();
-        let run = |w: ArrayView4<f32>| {
-            array(network.forward(level, crate::imaging::guide::Inputs::BARE, tensor(&w, &device)))
-        };
+        let run =
+            |w: ArrayView4<f32>| array(network.forward(way, crate::imaging::guide::Inputs::BARE, tensor(&w, &device)));
         let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
         let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
         assert!(difference < 1e-5, "{difference}");
@@ -544,7 +560,7 @@ mod tests {
         ] {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
             let mut model = awake(UnetConfig::bare(base_width, scales), 3);
-            model.level = Level::Plain;
+            model.way = Way::Burn;
             let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
                 let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
@@ -552,7 +568,7 @@ mod tests {
                 assert!(worst <= 1e-5 * scale, "{what} {base_width} {shape:?}: {worst} of {scale}");
             };
             for &level in &levels {
-                model.level = level;
+                model.way = level.into();
                 let found = model.backward(&input.view(), &target.view(), true, true).expect("fits");
                 close(
                     found.output.as_slice().expect("contiguous"),

@@ -3,9 +3,12 @@
 //! In a step the discriminators learn first, from the picture the generator has just made; then the generator, against
 //! them as they are now. A step whose loss or gradient is not finite leaves what it would have moved as it was.
 
+mod device_check;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use burn::tensor::Tensor;
 use ndarray::{Array4, ArrayView4};
 
 use super::average::{self, Average};
@@ -14,6 +17,7 @@ use super::compute::Compute;
 use super::content::Content;
 use super::critic::{CriticConfig, Discriminator, Sight, critic_loss, generator_loss};
 use super::display::encode;
+use super::layers::Way;
 use super::learner::Learner;
 use super::perceptual::Vgg;
 use super::reconstructor::{Reconstructor, array, tensor};
@@ -52,6 +56,24 @@ pub struct Trainer {
     content: Content,
     critics: Vec<(&'static str, Learner<Discriminator>)>,
     average: Option<Average>,
+    /// How the device was found to compute, in words.
+    checked: Option<String>,
+}
+
+/// A batch on its way through the generator, sRGB-encoded.
+struct Pass {
+    made: Tensor<4>,
+    shown: Tensor<4>,
+    truth: Tensor<4>,
+}
+
+/// The generator's loss.
+struct GeneratorLoss {
+    content: f64,
+    l1: f64,
+    adversarial: f64,
+    /// Has the loss's gradient.
+    surrogate: Tensor<1>,
 }
 
 /// What a training step gives.
@@ -83,7 +105,7 @@ impl Trainer {
         let content = match &objective.content {
             ContentKind::L1 => Content::L1,
             ContentKind::Structure => Content::Structure,
-            ContentKind::Vgg(path) => Content::Features(Box::new(Vgg::load(path, generator.level(), &device)?)),
+            ContentKind::Vgg(path) => Content::Features(Box::new(Vgg::load(path, generator.way(), &device)?)),
         };
         let mut critics = Vec::new();
         if let Some(config) = &objective.critics {
@@ -94,7 +116,7 @@ impl Trainer {
             }
         }
         let average = objective.average.map(|decay| Average::new(decay, &generator.parameters()));
-        Ok(Self { generator, content, critics, average })
+        Ok(Self { generator, content, critics, average, checked: None })
     }
 
     /// The network that learns.
@@ -125,40 +147,46 @@ impl Trainer {
     /// # Errors
     /// Shapes that do not fit the network.
     pub fn step(&mut self, input: ArrayView4<f32>, target: ArrayView4<f32>, learning_rate: f64) -> Result<TrainStep> {
-        self.generator.check_pair(&input, &target)?;
-        let device = self.generator.device().clone();
-        let made = self.generator.forward_tracked(tensor(&input, &device));
-        let shown = encode(made.clone());
-        let truth = encode(tensor(&target, &device));
-
+        let way = self.generator.way();
+        let pass = self.pass(&input, &target)?;
         let mut critic = 0.0;
         for (_, learner) in &mut self.critics {
-            let seen = shown.clone().detach();
-            let loss = critic_loss(learner.module().forward(truth.clone()), learner.module().forward(seen));
-            let value = value(&loss)?;
+            let (value, gradient) = pass.judged(way, learner)?;
             critic += value / 2.0;
-            let gradient = learner.gradient(&mut loss.backward());
             learner.update(value.is_finite(), gradient, learning_rate);
         }
-
-        let content = self.content.loss(&shown, &truth)?;
-        let mut total = content.surrogate;
-        let mut adversarial = 0.0;
-        for (_, learner) in &self.critics {
-            let frozen = learner.frozen();
-            let loss = generator_loss(frozen.forward(truth.clone()), frozen.forward(shown.clone())) * SIGMA;
-            adversarial += value(&loss)?;
-            total = total + loss;
-        }
-        drop((shown, truth));
-        let mut gradients = total.backward();
+        let GeneratorLoss { content, l1, adversarial, surrogate } = self.generator_loss(&pass)?;
+        let made = pass.made;
+        drop((pass.shown, pass.truth));
+        let mut gradients = surrogate.backward();
         let output = array(made.inner())?;
-        let sound = (content.value + adversarial).is_finite();
+        let sound = (content + adversarial).is_finite();
         let (gradient_norm, updated) = self.generator.learn(sound, &mut gradients, learning_rate);
         if let Some(average) = self.average.as_mut().filter(|_| updated) {
             average.update(&self.generator.parameters());
         }
-        Ok(TrainStep { content: content.value, l1: content.l1, adversarial, critic, output, gradient_norm, updated })
+        Ok(TrainStep { content, l1, adversarial, critic, output, gradient_norm, updated })
+    }
+
+    fn pass(&self, input: &ArrayView4<f32>, target: &ArrayView4<f32>) -> Result<Pass> {
+        self.generator.check_pair(input, target)?;
+        let device = self.generator.device();
+        let made = self.generator.forward_tracked(tensor(input, device));
+        Ok(Pass { shown: encode(made.clone()), made, truth: encode(tensor(target, device)) })
+    }
+
+    /// Content loss, and what the discriminators as they are now make of the picture.
+    fn generator_loss(&self, Pass { shown, truth, .. }: &Pass) -> Result<GeneratorLoss> {
+        let (way, content) = (self.generator.way(), self.content.loss(shown, truth)?);
+        let mut surrogate = content.surrogate;
+        let mut adversarial = 0.0;
+        for (_, learner) in &self.critics {
+            let frozen = learner.frozen();
+            let loss = generator_loss(frozen.forward(way, truth.clone()), frozen.forward(way, shown.clone())) * SIGMA;
+            adversarial += value(&loss)?;
+            surrogate = surrogate + loss;
+        }
+        Ok(GeneratorLoss { content: content.value, l1: content.l1, adversarial, surrogate })
     }
 
     /// Writes generator, discriminators, optimisers and `facts` to `path`, whole or not at all; refuses numbers that are not
@@ -209,7 +237,17 @@ impl Trainer {
     }
 }
 
-fn value(loss: &burn::tensor::Tensor<1>) -> Result<f64> {
+impl Pass {
+    /// A discriminator's own loss and its gradient; the generator stays out of it.
+    fn judged(&self, way: Way, learner: &Learner<Discriminator>) -> Result<(f64, Vec<Vec<f32>>)> {
+        let (critic, seen) = (learner.module(), self.shown.clone().detach());
+        let loss = critic_loss(critic.forward(way, self.truth.clone()), critic.forward(way, seen));
+        let value = value(&loss)?;
+        Ok((value, learner.gradient(&mut loss.backward())))
+    }
+}
+
+fn value(loss: &Tensor<1>) -> Result<f64> {
     let values = loss.clone().into_data().try_into_vec::<f32>();
     values.map(|v| f64::from(v[0])).map_err(|e| Error::Internal(format!("a loss: {e:?}")))
 }
@@ -323,5 +361,35 @@ mod tests {
         let step = trainer.step(input.view(), picture(shape, 2).view(), 1e-3).expect("fits");
         assert!(!step.updated);
         assert_eq!(weights(&trainer), before);
+    }
+
+    #[test]
+    #[ignore = "a measurement, not a check: seconds of a training step"]
+    fn time_of_a_step() {
+        let vgg = crate::testing::shared("data/vgg19/vgg19_normalised_to_relu3_1.safetensors").expect("the file");
+        let critics = || Some(CriticConfig { width: 64, patch_px: 256 });
+        for (name, objective) in [
+            ("L1", Objective { content: ContentKind::L1, critics: None, average: None }),
+            ("MS-SSIM", Objective { content: ContentKind::Structure, critics: None, average: None }),
+            ("VGG-19", Objective { content: ContentKind::Vgg(vgg.clone()), critics: None, average: None }),
+            ("L1, critics", Objective { content: ContentKind::L1, critics: critics(), average: None }),
+            (
+                "VGG-19, critics",
+                Objective { content: ContentKind::Vgg(vgg.clone()), critics: critics(), average: None },
+            ),
+        ] {
+            let network = Reconstructor::new(UnetConfig::bare(32, 7), 7).expect("valid");
+            let mut trainer = Trainer::new(network, &objective, 1).expect("valid");
+            let (input, target) = (picture((1, 3, 256, 256), 1), picture((1, 3, 256, 256), 2));
+            let mut seconds: Vec<f64> = (0..8)
+                .map(|_| {
+                    let start = std::time::Instant::now();
+                    trainer.step(input.view(), target.view(), 1e-4).expect("fits");
+                    start.elapsed().as_secs_f64()
+                })
+                .collect();
+            seconds.sort_by(f64::total_cmp);
+            eprintln!("{name}: median {:.3} s, least {:.3} s", seconds[4], seconds[0]);
+        }
     }
 }

@@ -8,8 +8,7 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
-use super::kernels::Level;
-use super::layers::{Features, convolve, pool, unpool};
+use super::layers::{Features, Way, convolve, pool, unpool};
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::math::memory::product;
@@ -181,7 +180,7 @@ impl Block {
         }
     }
 
-    fn forward(&self, level: Level, inputs: &[&Features]) -> Features {
+    fn forward(&self, level: Way, inputs: &[&Features]) -> Features {
         let values = convolve(level, inputs, self.conv1.weight.val(), self.conv1.bias.val());
         let middle = Features { values, slope: Some(self.slope1.val()) };
         let values = convolve(level, &[&middle], self.conv2.weight.val(), self.conv2.bias.val());
@@ -226,7 +225,7 @@ impl Unet {
     /// `[batch, channel, row, col]` → `[batch, 3, row, col]`; rows and columns are multiples of `2^(scales − 1)`. What the last
     /// convolution gives is added to the channels of [`Inputs::base`]; where there is more to see than the capture it sees that too,
     /// so that every channel has a straight way to the output.
-    pub(super) fn forward(&self, level: Level, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
+    pub(super) fn forward(&self, level: Way, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
         let mut features = Features::plain(input.clone());
         let mut skips = Vec::with_capacity(self.encoder.len());
         for (scale, block) in self.encoder.iter().enumerate() {
