@@ -26,7 +26,6 @@ use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::Reconstructor;
-use crate::network::card::receptive_radius_px;
 use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 
@@ -171,7 +170,7 @@ pub fn evaluate(
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
     let electronics = Electronics::of(sensor);
-    let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
+    let context = network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP);
     // Four figures a picture, by depth and zone.
     let mut figures = vec![vec![Vec::<[f64; 4]>::new(); used.len()]; maps.len()];
     let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
