@@ -31,7 +31,6 @@ use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::Reconstructor;
-use crate::network::card::receptive_radius_px;
 use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 
@@ -181,7 +180,7 @@ pub fn evaluate(
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
     let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
-    let context = receptive_radius_px(network.config().scales).min(CONTEXT).next_multiple_of(STEP);
+    let context = network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP);
     let development = Development {
         balance: Balance::from_sensor(sensor),
         flat_field: None,

@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::network::critic::CriticConfig;
 use crate::network::unet::FULL_SCALES;
-use crate::network::{ContentKind, Objective, Reconstructor, UnetConfig};
+use crate::network::{Blocks, ContentKind, Objective, Reconstructor, UnetConfig};
 
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";
@@ -35,6 +35,9 @@ pub struct TrainTask {
     /// the field); none: the capture alone, as in the paper.
     #[serde(skip_serializing_if = "Inputs::is_bare")]
     pub inputs: Inputs,
+    /// What its scales are made of: `paper`, `separable` or `gated`.
+    #[serde(skip_serializing_if = "Blocks::is_paper")]
+    pub blocks: Blocks,
     /// Side of a training patch, pixels.
     pub patch_px: usize,
     /// Patches a step.
@@ -93,6 +96,7 @@ impl Default for TrainTask {
             base_width: None,
             scales: FULL_SCALES,
             inputs: Inputs::BARE,
+            blocks: Blocks::Paper,
             patch_px: 256,
             batch: 1,
             pairs: 400,
@@ -137,7 +141,11 @@ impl TrainTask {
             (None, Some(path)) => Reconstructor::config_of(&path)?.base_width,
             (None, None) => WIDTH,
         };
-        Ok(UnetConfig { base_width, scales: self.scales, inputs: self.inputs })
+        Ok(self.sized(base_width))
+    }
+
+    fn sized(&self, base_width: usize) -> UnetConfig {
+        UnetConfig { base_width, scales: self.scales, inputs: self.inputs, blocks: self.blocks }
     }
 
     /// Paths relative to `folder` become paths below it.
@@ -154,8 +162,7 @@ impl TrainTask {
         let within = |key: &str, v: f64, low: f64, high: f64, allowed: &str| {
             if v >= low && v <= high { Ok(()) } else { bad(key, v.to_string(), allowed) }
         };
-        let config =
-            UnetConfig { base_width: self.base_width.unwrap_or(WIDTH), scales: self.scales, inputs: self.inputs };
+        let config = self.sized(self.base_width.unwrap_or(WIDTH));
         if let Err(Error::BadInput { place, found, allowed, .. }) = config.validate() {
             let place = place.replacen("network", "train", 1);
             return Err(Error::bad(file, place, found, allowed));
@@ -276,6 +283,16 @@ mod tests {
         assert!((schedule.at(40_000).expect("not done") - 0.5e-4).abs() < 1e-12);
         assert_eq!(schedule.at(60_000), None);
         assert_eq!(task.objective().content, ContentKind::Structure);
+    }
+
+    #[test]
+    fn blocks_are_named_and_those_of_the_paper_are_not_written() {
+        let text = |blocks| toml::to_string(&TrainTask { blocks, ..TrainTask::default() }).expect("text");
+        assert!(!text(Blocks::Paper).contains("blocks"));
+        for blocks in Blocks::ALL {
+            let task: TrainTask = toml::from_str(&text(blocks)).expect("own text");
+            assert_eq!(task.config().expect("no start").blocks, blocks);
+        }
     }
 
     #[test]

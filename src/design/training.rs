@@ -187,7 +187,13 @@ impl Training {
             None => "no two training pairs alike, all rendered as they are needed".into(),
         };
         let mut lines = vec![
-            format!("network: {} scales, {} channels at the finest{}", config.scales, config.base_width, self.told()),
+            format!(
+                "network: {} scales, {} channels at the finest{}{}",
+                config.scales,
+                config.base_width,
+                if config.blocks.is_paper() { String::new() } else { format!(", {} blocks", config.blocks.name()) },
+                self.told()
+            ),
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
         ];

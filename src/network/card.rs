@@ -8,11 +8,13 @@ use std::collections::BTreeMap;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use super::blocks::Blocks;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 
-/// The newest form of a card. Networks that see the capture alone have the first, which says nothing of inputs.
-pub const SCHEMA: u32 = 2;
+/// The newest form of a card. Networks of the paper's blocks have an older one: the second, which says nothing of blocks, or,
+/// where they see the capture alone, the first, which says nothing of inputs either.
+pub const SCHEMA: u32 = 3;
 
 /// The demosaicking kernel that training and camera share.
 pub const DEMOSAIC: &str = "malvar-he-cutler";
@@ -80,10 +82,14 @@ pub struct ModelCard {
     /// What the network sees beside the capture.
     #[serde(default)]
     pub inputs: Inputs,
+    /// What the network is made of.
+    #[serde(default, skip_serializing_if = "Blocks::is_paper")]
+    pub blocks: Blocks,
 }
 
 impl ModelCard {
-    /// The card of a network of `base_width` channels and `scales` scales; lens, hashes and training stay empty.
+    /// The card of a network of the paper's blocks, `base_width` channels and `scales` scales; lens, hashes and training stay
+    /// empty.
     pub fn for_unet(name: impl Into<String>, base_width: usize, scales: usize) -> Self {
         Self {
             schema: 1,
@@ -98,18 +104,36 @@ impl ModelCard {
             channels: 3,
             demosaic: DEMOSAIC.into(),
             input: INPUT_CONVENTION.into(),
-            receptive_radius_px: receptive_radius_px(scales),
+            receptive_radius_px: receptive_radius_px(Blocks::Paper, scales),
             weights: Weights::F32,
             inputs: Inputs::BARE,
+            blocks: Blocks::Paper,
+        }
+    }
+
+    /// The card of a network of these blocks.
+    #[must_use]
+    pub fn made_of(mut self, blocks: Blocks) -> Self {
+        (self.blocks, self.receptive_radius_px) = (blocks, receptive_radius_px(blocks, self.scales));
+        self.schema = self.oldest_schema();
+        self
+    }
+
+    /// The first form that can say what the card says.
+    fn oldest_schema(&self) -> u32 {
+        match (self.blocks.is_paper(), self.inputs.is_bare()) {
+            (false, _) => 3,
+            (true, false) => 2,
+            (true, true) => 1,
         }
     }
 
     /// The card of a network that sees `inputs` beside the capture.
     #[must_use]
     pub fn seeing(mut self, inputs: Inputs) -> Self {
-        (self.schema, self.inputs, self.input) = (1, inputs, INPUT_CONVENTION.into());
+        (self.inputs, self.input) = (inputs, INPUT_CONVENTION.into());
+        self.schema = self.oldest_schema();
         if !inputs.is_bare() {
-            self.schema = SCHEMA;
             self.input = format!(
                 "[batch, {}, row, col] f32: linear camera RGB, black at 0, white at 1, white-balanced, demosaicked, then {}; \
                  output [batch, 3, row, col] alike",
@@ -138,8 +162,9 @@ impl ModelCard {
             ("receptive_radius_px", self.receptive_radius_px.to_string()),
             ("weights", self.weights.name().to_owned()),
         ];
-        let inputs = (!self.inputs.is_bare()).then(|| ("inputs", self.inputs.names().join(" ")));
-        entries.into_iter().chain(inputs).map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
+        let inputs = (self.schema >= 2).then(|| ("inputs", self.inputs.names().join(" ")));
+        let blocks = (self.schema >= 3).then(|| ("blocks", self.blocks.name().to_owned()));
+        entries.into_iter().chain(inputs).chain(blocks).map(|(key, value)| (format!("{PREFIX}{key}"), value)).collect()
     }
 
     /// Reads a card back from an ONNX file's metadata; refuses missing entries, a newer schema, and values that no
@@ -171,6 +196,7 @@ impl ModelCard {
             receptive_radius_px: number(metadata, "receptive_radius_px")?,
             weights: weights(metadata)?,
             inputs: inputs(metadata, schema)?,
+            blocks: blocks(metadata, schema)?,
         };
         card.validate()?;
         Ok(card)
@@ -201,12 +227,12 @@ impl ModelCard {
 }
 
 /// Distance in rows or columns, pixels, beyond which an input pixel cannot change an output pixel of a U-Net of `scales`
-/// scales: every 3×3 convolution at scale `s` adds `2^s` (two going down, two going up, two at the bottom, one at the
+/// scales: every 3×3 convolution at scale `s` adds `2^s` (those of a block going down, going up, and at the bottom, one at the
 /// end), and pooling and unpooling align to blocks of `2^(scales − 1)`.
-pub const fn receptive_radius_px(scales: usize) -> usize {
+pub const fn receptive_radius_px(blocks: Blocks, scales: usize) -> usize {
     let coarsest = 1 << scales.saturating_sub(1);
-    let down_and_up = 4 * (coarsest - 1);
-    down_and_up + 2 * coarsest + 1 + (coarsest - 1)
+    let down_and_up = 2 * blocks.convolutions() * (coarsest - 1);
+    down_and_up + blocks.convolutions() * coarsest + 1 + (coarsest - 1)
 }
 
 /// SHA-256 of `bytes` as 64 lower-case hexadecimal digits.
@@ -241,10 +267,23 @@ fn inputs(metadata: &BTreeMap<String, String>, schema: u32) -> Result<Inputs> {
         return Ok(Inputs::BARE);
     }
     let names = text(metadata, "inputs")?;
-    Inputs::of_names(names.split_whitespace()).map_err(|e| match e {
-        Error::BadInput { found, allowed, .. } => Error::bad("", format!("metadata {PREFIX}inputs"), found, allowed),
+    Inputs::of_names(names.split_whitespace()).map_err(|e| placed(e, "inputs"))
+}
+
+/// The error of a bad entry `key`.
+fn placed(error: Error, key: &str) -> Error {
+    match error {
+        Error::BadInput { found, allowed, .. } => Error::bad("", format!("metadata {PREFIX}{key}"), found, allowed),
         other => other,
-    })
+    }
+}
+
+/// What the network is made of; only the third form of a card says so.
+fn blocks(metadata: &BTreeMap<String, String>, schema: u32) -> Result<Blocks> {
+    if schema < 3 {
+        return Ok(Blocks::Paper);
+    }
+    Blocks::of_name(&text(metadata, "blocks")?).map_err(|e| placed(e, "blocks"))
 }
 
 fn number(metadata: &BTreeMap<String, String>, key: &str) -> Result<usize> {
@@ -295,10 +334,28 @@ mod tests {
     }
 
     #[test]
+    fn other_blocks_stand_in_the_third_form() {
+        for inputs in [Inputs::BARE, Inputs { wiener: true, field: false }] {
+            let card = ModelCard::for_unet("x", 16, 3).made_of(Blocks::Gated).seeing(inputs);
+            assert_eq!((card.schema, card.receptive_radius_px), (3, 14));
+            let mut metadata = card.to_metadata();
+            assert_eq!(ModelCard::from_metadata(&metadata).expect("own card"), card);
+            metadata.insert("isoplanat.blocks".into(), "dense".into());
+            let message = ModelCard::from_metadata(&metadata).expect_err("unknown").to_string();
+            assert!(message.contains("isoplanat.blocks") && message.contains("separable"), "{message}");
+            metadata.remove("isoplanat.blocks");
+            assert!(ModelCard::from_metadata(&metadata).is_err());
+        }
+        let paper = ModelCard::for_unet("x", 16, 3);
+        assert_eq!(paper.clone().made_of(Blocks::Gated).made_of(Blocks::Paper), paper);
+        assert_eq!(paper.made_of(Blocks::Separable).receptive_radius_px, 24);
+    }
+
+    #[test]
     fn bad_metadata_is_refused_by_key() {
         let good = ModelCard::for_unet("x", 16, 3).to_metadata();
         for (key, value) in [
-            ("schema", "3"),
+            ("schema", "4"),
             ("channels", "4"),
             ("scales", "0"),
             ("multiple", "3"),

@@ -16,7 +16,7 @@ use super::kernels::{self, Extent, Level, Source, SourceBar, Wanted};
 /// The operations; semantics as in `layers`.
 #[backend_extension(Flex, Autodiff)]
 pub(super) trait FastOps: Backend {
-    /// 3×3 convolution of a picture without activation.
+    /// 3×3 or 1×1 convolution of a picture without activation.
     fn convolve_plain(
         x: FloatTensor<Self>,
         weight: FloatTensor<Self>,
@@ -24,7 +24,7 @@ pub(super) trait FastOps: Backend {
         level: Level,
     ) -> FloatTensor<Self>;
 
-    /// 3×3 convolution of an activated picture.
+    /// 3×3 or 1×1 convolution of an activated picture.
     fn convolve_activated(
         x: FloatTensor<Self>,
         slope: FloatTensor<Self>,
@@ -33,7 +33,7 @@ pub(super) trait FastOps: Backend {
         level: Level,
     ) -> FloatTensor<Self>;
 
-    /// 3×3 convolution of the channels of an activated picture, then those of a plain one.
+    /// 3×3 or 1×1 convolution of the channels of an activated picture, then those of a plain one.
     fn convolve_joined(
         x: FloatTensor<Self>,
         slope: FloatTensor<Self>,
@@ -42,6 +42,18 @@ pub(super) trait FastOps: Backend {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self>;
+
+    /// Depthwise 3×3 convolution of an activated picture.
+    fn depthwise_activated(
+        x: FloatTensor<Self>,
+        slope: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        level: Level,
+    ) -> FloatTensor<Self>;
+
+    /// The product of a plain picture's first and second half of channels.
+    fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self>;
 
     /// 2×2 max-pooling of an activated picture.
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self>;
@@ -135,6 +147,28 @@ impl FastOps for Flex {
         let output = convolve(&sources, extent(&x), &weight, &bias, level);
         release([x, plain]);
         output
+    }
+
+    fn depthwise_activated(
+        x: Primitive,
+        slope: Primitive,
+        weight: Primitive,
+        bias: Primitive,
+        level: Level,
+    ) -> Primitive {
+        let [x, slope, weight, bias] = [x, slope, weight, bias].map(contiguous);
+        let output = kernels::depthwise(level, source(&x, Some(&slope)), extent(&x), values(&weight), values(&bias));
+        let shape = dims::<4>(&x);
+        release([x]);
+        primitive(output, shape)
+    }
+
+    fn gate_plain(x: Primitive, level: Level) -> Primitive {
+        let x = contiguous(x);
+        let [batch, channels, rows, columns] = dims(&x);
+        let output = kernels::gate(level, values(&x), extent(&x));
+        release([x]);
+        primitive(output, [batch, channels / 2, rows, columns])
     }
 
     fn pool_activated(x: Primitive, slope: Primitive, level: Level) -> Primitive {
@@ -240,6 +274,48 @@ impl Backward<Flex, 5> for ConvolveJoined {
 }
 
 #[derive(Debug)]
+struct DepthwiseActivated;
+
+impl Backward<Flex, 4> for DepthwiseActivated {
+    type State = ([Primitive; 3], Level);
+
+    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let [x_node, slope_node, weight_node, bias_node] = ops.parents;
+        let bar = contiguous(grads.consume::<Flex>(&ops.node));
+        let ([x, slope, weight], level) = ops.state;
+        let wanted = Wanted {
+            inputs: x_node.is_some() || slope_node.is_some(),
+            weights: weight_node.is_some() || bias_node.is_some(),
+        };
+        let of = source(&x, Some(&slope));
+        let (source_bar, weight_bar, bias_bar) =
+            kernels::depthwise_vjp(level, of, extent(&x), values(&weight), values(&bar), wanted);
+        register!(grads, x_node, source_bar.values, dims::<4>(&x));
+        register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
+        let outputs = bias_bar.len();
+        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
+        register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
+    }
+}
+
+#[derive(Debug)]
+struct GatePlain;
+
+impl Backward<Flex, 1> for GatePlain {
+    type State = ([Primitive; 1], Level);
+
+    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let [x_node] = ops.parents;
+        let bar = contiguous(grads.consume::<Flex>(&ops.node));
+        let ([x], level) = ops.state;
+        let x_bar = kernels::gate_vjp(level, values(&x), extent(&x), values(&bar));
+        register!(grads, x_node, x_bar, dims::<4>(&x));
+        release([bar, x]);
+    }
+}
+
+#[derive(Debug)]
 struct PoolActivated;
 
 impl Backward<Flex, 2> for PoolActivated {
@@ -325,6 +401,20 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         level: Level,
     ) -> FloatTensor<Self> {
         tracked!(ConvolveJoined, [x, slope, plain, weight, bias], [x, slope, plain, weight], level, convolve_joined)
+    }
+
+    fn depthwise_activated(
+        x: FloatTensor<Self>,
+        slope: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        level: Level,
+    ) -> FloatTensor<Self> {
+        tracked!(DepthwiseActivated, [x, slope, weight, bias], [x, slope, weight], level, depthwise_activated)
+    }
+
+    fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
+        tracked!(GatePlain, [x], [x], level, gate_plain)
     }
 
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {

@@ -17,7 +17,8 @@ const CLIP_NORM: f64 = 1.0;
 pub struct Parameter {
     /// Stable name, as `encoder.0.conv1.weight`.
     pub name: String,
-    /// Shape: weights `[out, in, 3, 3]` or (`up`) `[in, out, 2, 2]`, biases and slopes `[channels]`.
+    /// Shape: weights `[out, in, 3, 3]`, `[out, in, 1, 1]`, (`depth`) `[channels, 1, 3, 3]` or (`up`) `[in, out, 2, 2]`; biases,
+    /// slopes and scales `[channels]`.
     pub shape: Vec<usize>,
     /// Values in row-major order.
     pub values: Vec<f32>,
@@ -146,11 +147,16 @@ fn collect<M: Module>(module: &M) -> Vec<Parameter> {
             let shape = tensor.dims().to_vec();
             self.found.push(Parameter { name: self.path.join("."), shape, values: values(tensor) });
         }
-        fn enter_module(&mut self, name: &str, _container: &str) {
-            self.path.push(name.to_owned());
+        fn enter_module(&mut self, name: &str, container: &str) {
+            // Which variant of an enum it is does not show.
+            if !container.starts_with("Enum:") {
+                self.path.push(name.to_owned());
+            }
         }
-        fn exit_module(&mut self, _name: &str, _container: &str) {
-            self.path.pop();
+        fn exit_module(&mut self, _name: &str, container: &str) {
+            if !container.starts_with("Enum:") {
+                self.path.pop();
+            }
         }
     }
     let mut collect = Collect::default();

@@ -3,17 +3,20 @@
 //! Input and output are `[batch, 3, row, col]`, f32, linear camera RGB, black at 0, white at 1, white-balanced and
 //! demosaicked. burn's types stay inside this module: the design loop and the tests speak `ndarray`.
 //!
-//! Reading order: [`card`] (the contract with the camera), `unet` (the model), `layers` (its three operations), `learner`
+//! Reading order: [`card`] (the contract with the camera), `unet` (the model), `block` (what it is made of), `layers` (their operations), `learner`
 //! (weights and Adam), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
 //! `trainer` (the final training's step), its `device_check` (whether a GPU computes the same; `in_blocks`, the way round where not),
 //! `average`, `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
 
+pub mod blocks;
 pub mod card;
 
 #[cfg(feature = "train")]
 mod adam;
 #[cfg(feature = "train")]
 mod average;
+#[cfg(feature = "train")]
+mod block;
 #[cfg(feature = "train")]
 mod checkpoint;
 #[cfg(feature = "train")]
@@ -51,6 +54,7 @@ pub mod trainer;
 #[cfg(feature = "train")]
 pub mod unet;
 
+pub use blocks::Blocks;
 #[cfg(feature = "train")]
 pub use compute::Compute;
 #[cfg(feature = "train")]

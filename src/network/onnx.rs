@@ -2,25 +2,30 @@
 //! metadata.
 //!
 //! Opset 17, IR 9. Input `input` is `[batch, channel, height, width]`, output `output` `[batch, 3, height, width]` f32; height and width must be multiples
-//! of the card's `multiple`. Initialisers carry the parameters' names. Where the card asks for f16 weights, initialisers are
-//! stored so, and a `Cast` behind each (`NAME.f32`) brings it back: a runtime folds them when it loads the file, and computes in
+//! of the card's `multiple`. Initialisers carry the parameters' names. What gated blocks compute of their weights alone (halves for the
+//! two sides of a gate, products with scales) are nodes of the graph (`graph`). Where the card asks for f16 weights, initialisers are
+//! stored so, and a `Cast` behind each (`NAME.f32`) brings it back. A runtime folds all of these when it loads the file, and computes in
 //! f32 as before.
 
 use std::path::Path;
 
 use onnx_rs::ast::{
-    Attribute, AttributeType, DataType, Dimension, Graph, Model, Node, OpType, OperatorSetId, StringStringEntry,
-    TensorProto, TensorShape, TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue, ValueInfo,
+    DataType, Dimension, Graph, Model, OperatorSetId, StringStringEntry, TensorProto, TensorShape,
+    TensorShapeDimension, TensorTypeProto, TypeProto, TypeValue, ValueInfo,
 };
 
 use half::f16;
 
+use self::graph::{BOUNDS, Operation, steps, with_casts};
+use super::blocks::Blocks;
 use super::card::{ModelCard, Weights};
 use super::learner::Parameter;
 use super::reconstructor::Reconstructor;
 use crate::atomic::write_bytes;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
+
+mod graph;
 
 const OPSET: i64 = 17;
 const IR_VERSION: i64 = 9;
@@ -35,11 +40,11 @@ pub fn export(model: &Reconstructor, card: &ModelCard, path: &Path) -> Result<()
 /// The bytes of [`export`]'s file.
 pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     let config = model.config();
-    let facts = |w: usize, s: usize, m: usize, inputs: Inputs| {
-        format!("width {w}, scales {s}, multiple {m}, inputs {:?}", inputs.names())
+    let facts = |w: usize, s: usize, m: usize, inputs: Inputs, blocks: Blocks| {
+        format!("width {w}, scales {s}, multiple {m}, inputs {:?}, blocks {}", inputs.names(), blocks.name())
     };
-    let said = facts(card.base_width, card.scales, card.multiple, card.inputs);
-    let own = facts(config.base_width, config.scales, config.multiple(), config.inputs);
+    let said = facts(card.base_width, card.scales, card.multiple, card.inputs, card.blocks);
+    let own = facts(config.base_width, config.scales, config.multiple(), config.inputs, config.blocks);
     if said != own {
         return Err(Error::bad("", "model card", said, format!("the network's: {own}")));
     }
@@ -52,7 +57,7 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         Weights::F16 => Some(parameters.iter().map(half_bytes).collect::<Result<Vec<_>>>()?),
     };
     let mut initializers: Vec<TensorProto<'_>> = parameters.iter().map(initializer).collect();
-    let mut steps = steps(config.scales, config.inputs);
+    let mut steps = steps(config);
     if !config.inputs.is_bare() {
         let base = config.inputs.base() as i64;
         let bounds = BOUNDS.iter().zip([base, base + 3, 1]);
@@ -84,104 +89,6 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     Ok(onnx_rs::encode(&encoded))
 }
 
-/// One node of the graph; the name is also that of its output.
-struct Operation {
-    kind: Kind,
-    name: String,
-    inputs: Vec<String>,
-}
-
-#[derive(Clone, Copy)]
-enum Kind {
-    Cast,
-    Convolution,
-    Activation,
-    Pool,
-    Unpool,
-    Concatenation,
-    Slice,
-    Addition,
-}
-
-/// First channel, channel behind the last, and axis of the slice that the network's output is added to.
-const BOUNDS: [&str; 3] = ["base.from", "base.to", "base.axis"];
-
-/// The network's operations in order, as in the in-crate forward pass.
-fn steps(scales: usize, inputs: Inputs) -> Vec<Operation> {
-    let mut steps: Vec<Operation> = Vec::new();
-    let mut push = |kind, name: &str, inputs: &[&str]| {
-        let inputs = inputs.iter().map(|input| (*input).to_owned()).collect();
-        steps.push(Operation { kind, name: name.to_owned(), inputs });
-        name.to_owned()
-    };
-    let convolve = |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, kind, layer: &str, input: &str| {
-        push(kind, layer, &[input, &format!("{layer}.weight"), &format!("{layer}.bias")])
-    };
-    let block = |push: &mut dyn FnMut(Kind, &str, &[&str]) -> String, name: &str, input: &str| {
-        let mut value = input.to_owned();
-        for n in 1..=2 {
-            value = convolve(push, Kind::Convolution, &format!("{name}.conv{n}"), &value);
-            value = push(Kind::Activation, &format!("{name}.act{n}"), &[&value, &format!("{name}.slope{n}")]);
-        }
-        value
-    };
-    let mut value = "input".to_owned();
-    let mut skips = Vec::new();
-    for scale in 0..scales {
-        if scale > 0 {
-            value = push(Kind::Pool, &format!("pool.{}", scale - 1), &[&value]);
-        }
-        value = block(&mut push, &format!("encoder.{scale}"), &value);
-        skips.push(value.clone());
-    }
-    for scale in (0..scales - 1).rev() {
-        let up = format!("up.{scale}");
-        value = push(Kind::Unpool, &up, &[&value, &format!("{up}.weight"), &format!("{up}.bias")]);
-        value = push(Kind::Concatenation, &format!("concat.{scale}"), &[&skips[scale], &value]);
-        value = block(&mut push, &format!("decoder.{scale}"), &value);
-    }
-    let mut base = "input".to_owned();
-    if !inputs.is_bare() {
-        value = push(Kind::Concatenation, "beside", &[&value, "input"]);
-        base = push(Kind::Slice, "base", &["input", BOUNDS[0], BOUNDS[1], BOUNDS[2]]);
-    }
-    value = push(Kind::Convolution, "residual", &[&value, "output.weight", "output.bias"]);
-    push(Kind::Addition, "output", &[&base, &value]);
-    steps
-}
-
-impl Operation {
-    fn node(&self) -> Node<'_> {
-        let (op_type, attribute) = match self.kind {
-            Kind::Cast => (OpType::Cast, vec![int("to", DataType::Float as i64)]),
-            Kind::Convolution => (OpType::Conv, vec![ints("kernel_shape", &[3, 3]), ints("pads", &[1, 1, 1, 1])]),
-            Kind::Activation => (OpType::PRelu, vec![]),
-            Kind::Pool => (OpType::MaxPool, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
-            Kind::Unpool => (OpType::ConvTranspose, vec![ints("kernel_shape", &[2, 2]), ints("strides", &[2, 2])]),
-            Kind::Concatenation => (OpType::Concat, vec![int("axis", 1)]),
-            Kind::Slice => (OpType::Slice, vec![]),
-            Kind::Addition => (OpType::Add, vec![]),
-        };
-        Node {
-            name: &self.name,
-            op_type,
-            input: self.inputs.iter().map(String::as_str).collect(),
-            output: vec![&self.name],
-            attribute,
-            ..Default::default()
-        }
-    }
-}
-
-/// A cast behind every parameter, first in the file, and `steps` that read the casts' outputs.
-fn with_casts(steps: Vec<Operation>, parameters: &[Parameter]) -> Vec<Operation> {
-    let wide = |name: &str| format!("{name}.f32");
-    let cast = |p: &Parameter| Operation { kind: Kind::Cast, name: wide(&p.name), inputs: vec![p.name.clone()] };
-    let read = |input: String| if parameters.iter().any(|p| p.name == input) { wide(&input) } else { input };
-    let steps = steps.into_iter().map(|s| Operation { inputs: s.inputs.into_iter().map(read).collect(), ..s });
-    parameters.iter().map(cast).chain(steps).collect()
-}
-
 /// A parameter's values as little-endian binary16, rounded to the nearest.
 fn half_bytes(parameter: &Parameter) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(2 * parameter.values.len());
@@ -196,19 +103,14 @@ fn half_bytes(parameter: &Parameter) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
-fn int<'a>(name: &'a str, value: i64) -> Attribute<'a> {
-    Attribute { name, r#type: AttributeType::Int, i: value, ..Default::default() }
-}
-
-fn ints<'a>(name: &'a str, values: &[i64]) -> Attribute<'a> {
-    Attribute { name, r#type: AttributeType::Ints, ints: values.to_vec(), ..Default::default() }
-}
-
-/// Slopes are stored as `[channels, 1, 1]`, which is how ONNX's PRelu broadcasts them.
+/// Slopes are stored as `[channels, 1, 1]`, which is how ONNX's PRelu broadcasts them, scales as `[channels, 1, 1, 1]`, for products
+/// with weights.
 fn initializer(parameter: &Parameter) -> TensorProto<'_> {
     let mut shape: Vec<i64> = parameter.shape.iter().map(|&n| n as i64).collect();
     if parameter.name.contains(".slope") {
         shape.extend([1, 1]);
+    } else if parameter.name.contains(".scale") {
+        shape.extend([1, 1, 1]);
     }
     TensorProto::from_f32(&parameter.name, shape, parameter.values.clone())
 }
@@ -231,7 +133,11 @@ mod tests {
     use crate::network::UnetConfig;
 
     fn model() -> (Reconstructor, ModelCard) {
-        let config = UnetConfig::bare(6, 3);
+        model_of(Blocks::Paper)
+    }
+
+    fn model_of(blocks: Blocks) -> (Reconstructor, ModelCard) {
+        let config = UnetConfig { blocks, ..UnetConfig::bare(6, 3) };
         let mut model = Reconstructor::new(config, 9).expect("valid");
         let rng = &mut fastrand::Rng::with_seed(2);
         for mut parameter in model.parameters() {
@@ -240,25 +146,30 @@ mod tests {
             }
             model.set_parameter(&parameter.name, &parameter.values).expect("same length");
         }
-        (model, ModelCard::for_unet("test", 6, 3))
+        (model, ModelCard::for_unet("test", 6, 3).made_of(blocks))
     }
 
     #[test]
     fn the_file_carries_card_and_names() {
-        let (model, mut card) = model();
-        card.lens_name = "triplet".into();
-        let bytes = encode(&model, &card).expect("finite");
-        let parsed = onnx_rs::parse(&bytes).expect("own file");
-        let metadata: BTreeMap<String, String> =
-            parsed.metadata_props.iter().map(|e| (e.key.to_owned(), e.value.to_owned())).collect();
-        assert_eq!(ModelCard::from_metadata(&metadata).expect("complete"), card);
-        let graph = parsed.graph.expect("there");
-        for parameter in model.parameters() {
-            let stored = graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
-            assert_eq!(stored.as_f32().expect("f32").as_ref(), parameter.values, "{}", parameter.name);
+        for blocks in Blocks::ALL {
+            let (model, mut card) = model_of(blocks);
+            card.lens_name = "triplet".into();
+            let bytes = encode(&model, &card).expect("finite");
+            let parsed = onnx_rs::parse(&bytes).expect("own file");
+            let metadata: BTreeMap<String, String> =
+                parsed.metadata_props.iter().map(|e| (e.key.to_owned(), e.value.to_owned())).collect();
+            assert_eq!(ModelCard::from_metadata(&metadata).expect("complete"), card);
+            let graph = parsed.graph.expect("there");
+            for parameter in model.parameters() {
+                let stored = graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");
+                assert_eq!(stored.as_f32().expect("f32").as_ref(), parameter.values, "{}", parameter.name);
+            }
+            let others = if blocks.is_paper() { Blocks::Gated } else { Blocks::Paper };
+            let message = encode(&model, &card.clone().made_of(others)).expect_err("another's card").to_string();
+            assert!(message.contains(blocks.name()) && message.contains(others.name()), "{message}");
+            card.scales = 2;
+            assert!(encode(&model, &card).is_err());
         }
-        card.scales = 2;
-        assert!(encode(&model, &card).is_err());
     }
 
     #[cfg(feature = "deploy")]
@@ -267,9 +178,11 @@ mod tests {
         use ndarray::Array4;
         use tract_onnx::prelude::*;
 
-        let (model, card) = model();
-        let bytes = encode(&model, &card).expect("finite");
-        for (batch, rows, columns) in [(1usize, 32usize, 24usize), (2, 20, 44)] {
+        for (blocks, (batch, rows, columns)) in
+            Blocks::ALL.into_iter().flat_map(|b| [(b, (1usize, 32usize, 24usize)), (b, (2, 20, 44))])
+        {
+            let (model, card) = model_of(blocks);
+            let bytes = encode(&model, &card).expect("finite");
             let rng = &mut fastrand::Rng::with_seed(3);
             let input = Array4::from_shape_simple_fn((batch, 3, rows, columns), || rng.f32());
             let plan = tract_onnx::onnx()
@@ -292,11 +205,18 @@ mod tests {
     /// The stored halves are the nearest to the weights, by arithmetic on their exponents; every operation reads the casts.
     #[test]
     fn f16_files_hold_the_nearest_halves_behind_casts() {
-        let (model, mut card) = model();
-        let whole = encode(&model, &card).expect("finite").len();
+        for blocks in Blocks::ALL {
+            let (model, card) = model_of(blocks);
+            nearest_halves_behind_casts(&model, card);
+        }
+    }
+
+    fn nearest_halves_behind_casts(model: &Reconstructor, mut card: ModelCard) {
+        let whole = encode(model, &card).expect("finite").len();
         card.weights = Weights::F16;
-        let bytes = encode(&model, &card).expect("in range");
-        assert!(2 * bytes.len() < whole + 20_000, "{} of {whole}", bytes.len());
+        let bytes = encode(model, &card).expect("in range");
+        let nodes = if card.blocks.is_paper() { 20_000 } else { 40_000 };
+        assert!(2 * bytes.len() < whole + nodes, "{} of {whole}", bytes.len());
         let graph = onnx_rs::parse(&bytes).expect("own file").graph.expect("there");
         for parameter in model.parameters() {
             let stored = graph.initializer.iter().find(|t| t.name() == parameter.name).expect("named");

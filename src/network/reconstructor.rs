@@ -11,7 +11,6 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData};
 use ndarray::{Array4, ArrayView4};
 
 use super::average;
-use super::card::receptive_radius_px;
 use super::checkpoint::{self, Checkpoint, Section};
 use super::compute::Compute;
 use super::layers::Way;
@@ -20,8 +19,8 @@ use super::tiles;
 use super::unet::{Unet, UnetConfig};
 use crate::error::{Error, Result};
 
-/// Pixels × base width above which the forward pass works in tiles (about 1 GiB of features).
-const TILE_ABOVE: usize = 1 << 26;
+/// Values of features above which the forward pass works in tiles: 1 GiB.
+const TILE_ABOVE: usize = 1 << 28;
 
 /// Side of such a tile without its margin, pixels.
 const TILE: usize = 1024;
@@ -114,10 +113,10 @@ impl Reconstructor {
         let inputs = self.config.inputs;
         let run = |window: ArrayView4<f32>| array(network.forward(way, inputs, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
-        if rows * columns * self.config.base_width <= TILE_ABOVE {
+        if rows * columns * self.config.base_width * self.config.planes_forward() <= TILE_ABOVE {
             return run(input);
         }
-        let margin = receptive_radius_px(self.config.scales).next_multiple_of(self.config.multiple());
+        let margin = self.config.receptive_radius_px().next_multiple_of(self.config.multiple());
         tiles::forward_tiled(input, TILE, margin, run)
     }
 
@@ -354,10 +353,16 @@ pub(super) fn array(tensor: Tensor<4>) -> Result<Array4<f32>> {
 mod tests {
     use super::super::kernels::Level;
     use super::*;
+    use crate::network::Blocks;
     use crate::testing::assert_rel;
 
     fn small() -> UnetConfig {
         UnetConfig::bare(4, 3)
+    }
+
+    /// One of every kind of blocks.
+    fn kinds() -> impl Iterator<Item = UnetConfig> {
+        Blocks::ALL.into_iter().map(|blocks| UnetConfig { blocks, ..small() })
     }
 
     fn picture(shape: (usize, usize, usize, usize), seed: u64) -> Array4<f32> {
@@ -370,8 +375,8 @@ mod tests {
         picture((1, 3, 32, 24), 5).mapv(|v| if v > 0.2 { v + 50.0 } else { v - 50.0 })
     }
 
-    /// A network whose last layer is not small, so that the gradient through the network counts, and whose slopes lie
-    /// around 1, so that the kinks of PReLU are too weak to spoil a difference quotient.
+    /// A network whose last layer is not small, so that the gradient through the network counts, whose residuals count, and whose
+    /// slopes lie around 1, so that the kinks of PReLU are too weak to spoil a difference quotient.
     fn awake(config: UnetConfig, seed: u64) -> Reconstructor {
         let mut model = Reconstructor::new(config, seed).expect("valid");
         let rng = &mut fastrand::Rng::with_seed(seed);
@@ -380,6 +385,8 @@ mod tests {
                 parameter.values.iter_mut().for_each(|v| *v *= 15.0);
             } else if parameter.name.contains("slope") {
                 parameter.values.iter_mut().for_each(|v| *v = 0.9 + 0.2 * rng.f32());
+            } else if parameter.name.contains("scale") {
+                parameter.values.iter_mut().for_each(|v| *v = 0.05 + 0.05 * rng.f32());
             }
             model.set_parameter(&parameter.name, &parameter.values).expect("same length");
         }
@@ -388,33 +395,42 @@ mod tests {
 
     #[test]
     fn training_starts_near_the_identity_and_is_deterministic() {
-        let input = picture((2, 3, 16, 24), 1);
-        let a = Reconstructor::new(small(), 7).expect("valid").forward(input.view()).expect("fits");
-        let b = Reconstructor::new(small(), 7).expect("valid").forward(input.view()).expect("fits");
-        assert_eq!(a, b);
-        let difference = (&a - &input).iter().fold(0f32, |m, v| m.max(v.abs()));
-        assert!(difference > 0.0 && difference < 0.05, "{difference}");
+        for config in kinds() {
+            let input = picture((2, 3, 16, 24), 1);
+            let a = Reconstructor::new(config.clone(), 7).expect("valid").forward(input.view()).expect("fits");
+            let b = Reconstructor::new(config.clone(), 7).expect("valid").forward(input.view()).expect("fits");
+            assert_eq!(a, b);
+            let difference = (&a - &input).iter().fold(0f32, |m, v| m.max(v.abs()));
+            assert!(difference > 0.0 && difference < 0.05, "{config:?}: {difference}");
+        }
     }
 
     #[test]
     fn names_are_stable() {
-        let model = Reconstructor::new(small(), 1).expect("valid");
-        let names: Vec<_> = model.parameters().into_iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
-        assert_eq!(names.len(), 3 * 6 + 2 * 2 + 2 * 6 + 2);
-        for name in [
-            "encoder.0.conv1.weight [4, 3, 3, 3]",
-            "encoder.2.slope2 [16]",
-            "up.1.weight [16, 8, 2, 2]",
-            "decoder.0.conv1.weight [4, 8, 3, 3]",
-            "output.bias [3]",
-        ] {
-            assert!(names.iter().any(|n| n == name), "{name} not in {names:?}");
+        let all = ["encoder.2", "up.1.weight [16, 8, 2, 2]", "output.bias [3]"];
+        let paper =
+            ["encoder.0.conv1.weight [4, 3, 3, 3]", "encoder.2.slope2 [16]", "decoder.0.conv1.weight [4, 8, 3, 3]"];
+        let separable =
+            ["encoder.0.depth1.weight [3, 1, 3, 3]", "decoder.0.point1.weight [4, 8, 1, 1]", "encoder.2.slope2 [16]"];
+        let gated =
+            ["encoder.0.enter.weight [4, 3, 1, 1]", "encoder.0.depth.weight [8, 1, 3, 3]", "decoder.1.scale2 [8]"];
+        for (config, (own, a_block)) in kinds().zip([(paper, 6), (separable, 10), (gated, 14)]) {
+            let model = Reconstructor::new(config, 1).expect("valid");
+            let names: Vec<_> = model.parameters().into_iter().map(|p| format!("{} {:?}", p.name, p.shape)).collect();
+            assert_eq!(names.len(), 5 * a_block + 2 * 2 + 2);
+            for name in all.into_iter().chain(own) {
+                assert!(names.iter().any(|n| n.starts_with(name)), "{name} not in {names:?}");
+            }
         }
     }
 
     #[test]
     fn cotangents_match_central_differences() {
-        let mut model = awake(small(), 3);
+        kinds().for_each(cotangents_of);
+    }
+
+    fn cotangents_of(config: UnetConfig) {
+        let mut model = awake(config, 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
         let step = model.step(input.view(), target.view(), 0.0, false).expect("fits");
         assert!(!step.updated);
@@ -440,7 +456,11 @@ mod tests {
 
     #[test]
     fn weight_gradients_match_central_differences() {
-        let model = awake(small(), 3);
+        kinds().for_each(|config| weight_gradients_of(&config));
+    }
+
+    fn weight_gradients_of(config: &UnetConfig) {
+        let model = awake(config.clone(), 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
         let gradient = model
             .backward(&input.view(), &target.view(), false, true)
@@ -458,7 +478,7 @@ mod tests {
             let pulled: f64 = gradient[offset..offset + n].iter().zip(&direction).map(|(a, b)| f64::from(a * b)).sum();
             offset += n;
             let loss = |h: f32| {
-                let mut moved = awake(small(), 3);
+                let mut moved = awake(config.clone(), 3);
                 let values: Vec<f32> = parameter.values.iter().zip(&direction).map(|(v, d)| v + h * d).collect();
                 moved.set_parameter(&parameter.name, &values).expect("same length");
                 let out = moved.forward(input.view()).expect("fits");
@@ -473,18 +493,21 @@ mod tests {
 
     #[test]
     fn both_kinds_of_step_move_the_weights_alike_and_learn() {
-        let (input, target) = (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
-        let mut a = Reconstructor::new(small(), 3).expect("valid");
-        let mut b = Reconstructor::new(small(), 3).expect("valid");
-        let first = a.step(input.view(), target.view(), 3e-3, true).expect("fits");
-        assert!(first.updated && first.gradient_norm > 0.0);
-        b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
-        assert_eq!(a.parameters(), b.parameters());
-        for _ in 0..60 {
+        for config in kinds() {
+            let (input, target) = (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
+            let mut a = Reconstructor::new(config.clone(), 3).expect("valid");
+            let mut b = Reconstructor::new(config.clone(), 3).expect("valid");
+            let first = a.step(input.view(), target.view(), 3e-3, true).expect("fits");
+            assert!(first.updated && first.gradient_norm > 0.0);
             b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+            assert_eq!(a.parameters(), b.parameters());
+            for _ in 0..60 {
+                b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+            }
+            let last = b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+            eprintln!("{:?}: {} {}", config.blocks, first.loss, last.loss);
+            assert!(last.loss < 0.8 * first.loss, "{:?}: {} {}", config.blocks, first.loss, last.loss);
         }
-        let last = b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
-        assert!(last.loss < 0.8 * first.loss, "{} {}", first.loss, last.loss);
     }
 
     #[test]
@@ -510,38 +533,41 @@ mod tests {
 
     #[test]
     fn nothing_beyond_the_receptive_radius_counts() {
-        let model = awake(small(), 11);
-        let radius = receptive_radius_px(3);
-        let input = picture((1, 3, 80, 80), 2);
-        let before = model.forward(input.view()).expect("fits");
-        assert_eq!(before, model.forward(input.view()).expect("fits"), "repeatable");
-        for (row, col) in [(40, 40), (37, 42), (39, 35)] {
-            let mut moved = input.clone();
-            moved[[0, 0, row, col]] += 10.0;
-            let after = model.forward(moved.view()).expect("fits");
-            for ((_, channel, r, c), v) in after.indexed_iter() {
-                if r.abs_diff(row).max(c.abs_diff(col)) > radius {
-                    assert_eq!(*v, before[[0, channel, r, c]], "{r} {c}");
-                }
+        for config in kinds() {
+            let model = awake(config.clone(), 11);
+            let input = picture((1, 3, 80, 80), 2);
+            let before = model.forward(input.view()).expect("fits");
+            assert_eq!(before, model.forward(input.view()).expect("fits"), "repeatable");
+            let mut farthest = 0;
+            for (row, col) in [(40, 40), (37, 42), (39, 35), (38, 38), (41, 41)] {
+                let mut moved = input.clone();
+                moved.slice_mut(ndarray::s![.., .., row, col]).mapv_inplace(|v| v + 10.0);
+                let after = model.forward(moved.view()).expect("fits");
+                let changed = after.indexed_iter().filter(|((_, k, r, c), v)| **v != before[[0, *k, *r, *c]]);
+                let distance = |r: usize, c: usize| r.abs_diff(row).max(c.abs_diff(col));
+                farthest = changed.map(|((_, _, r, c), _)| distance(r, c)).max().unwrap_or(0).max(farthest);
             }
+            assert_eq!(farthest, config.receptive_radius_px(), "{config:?}");
         }
     }
 
     #[test]
     fn padding_and_tiles_agree_with_the_whole() {
-        let model = awake(small(), 11);
-        let input = picture((1, 3, 84, 92), 2);
-        let whole = model.forward(input.view()).expect("fits");
-        let margin = receptive_radius_px(3).next_multiple_of(4);
-        let (network, way) = (model.learner.module().valid(), model.way);
-        let device = model.learner.device().clone().inner();
-        let run =
-            |w: ArrayView4<f32>| array(network.forward(way, crate::imaging::guide::Inputs::BARE, tensor(&w, &device)));
-        let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
-        let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
-        assert!(difference < 1e-5, "{difference}");
-        let cropped = input.slice(ndarray::s![.., .., ..83, ..90]);
-        assert_eq!(model.forward_padded(cropped).expect("any size").dim(), (1, 3, 83, 90));
+        for config in kinds() {
+            let model = awake(config.clone(), 11);
+            let input = picture((1, 3, 84, 92), 2);
+            let whole = model.forward(input.view()).expect("fits");
+            let margin = config.receptive_radius_px().next_multiple_of(4);
+            let (network, way) = (model.learner.module().valid(), model.way);
+            let device = model.learner.device().clone().inner();
+            let run = |w: ArrayView4<f32>| array(network.forward(way, config.inputs, tensor(&w, &device)));
+            let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
+            let largest = whole.iter().fold(1f32, |m, v| m.max(v.abs()));
+            let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));
+            assert!(difference < 1e-5 * largest, "{config:?}: {difference} of {largest}");
+            let cropped = input.slice(ndarray::s![.., .., ..83, ..90]);
+            assert_eq!(model.forward_padded(cropped).expect("any size").dim(), (1, 3, 83, 90));
+        }
     }
 
     #[test]
@@ -551,21 +577,22 @@ mod tests {
             Level::Avx2 => vec![Level::Avx2],
             Level::Plain => vec![],
         };
-        for (base_width, scales, shape) in [
+        let sizes = [
             (4, 3, (1, 3, 32, 24)),
             (5, 3, (2, 3, 12, 20)),
             (16, 3, (1, 3, 16, 16)),
             (8, 3, (1, 3, 72, 100)),
             (4, 7, (2, 3, 64, 128)),
-        ] {
+        ];
+        for (blocks, (base_width, scales, shape)) in Blocks::ALL.into_iter().flat_map(|b| sizes.map(|s| (b, s))) {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
-            let mut model = awake(UnetConfig::bare(base_width, scales), 3);
+            let mut model = awake(UnetConfig { blocks, ..UnetConfig::bare(base_width, scales) }, 3);
             model.way = Way::Burn;
             let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
                 let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
                 let worst = a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
-                assert!(worst <= 1e-5 * scale, "{what} {base_width} {shape:?}: {worst} of {scale}");
+                assert!(worst <= 1e-5 * scale, "{blocks:?} {what} {base_width} {shape:?}: {worst} of {scale}");
             };
             for &level in &levels {
                 model.way = level.into();

@@ -1,5 +1,5 @@
-//! The trimmed U-Net (paper §3.2, fig. 3): two 3×3 convolutions with PReLU at every scale, max-pooling down,
-//! transposed convolutions up, skips by concatenation, and a global skip, so that it learns the residual.
+//! The trimmed U-Net (paper §3.2, fig. 3): a block at every scale (two 3×3 convolutions with PReLU, or others), max-pooling
+//! down, transposed convolutions up, skips by concatenation, and a global skip, so that it learns the residual.
 //!
 //! Parameters are named by scale (`encoder.0.conv1.weight`, `up.1.bias`, `decoder.0.slope2`, …; scale 0 is the finest,
 //! `encoder.{last}` the flat bottom), so that a deeper network can start from a shallower one.
@@ -8,6 +8,9 @@ use burn::module::{Module, Param};
 use burn::tensor::{Device, Tensor, TensorData};
 use serde::{Deserialize, Serialize};
 
+use super::block::{Block, Convolution};
+use super::blocks::Blocks;
+use super::card::receptive_radius_px;
 use super::layers::{Features, Way, convolve, pool, unpool};
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
@@ -15,9 +18,6 @@ use crate::math::memory::product;
 
 /// Colour channels out.
 pub(super) const CHANNELS: usize = 3;
-
-/// PReLU's slope at the start (He et al. 2015, as in the common frameworks).
-const INITIAL_SLOPE: f32 = 0.25;
 
 /// Scale of the last convolution's weights against the others': training starts near the identity.
 const OUTPUT_GAIN: f64 = 0.01;
@@ -41,18 +41,21 @@ pub struct UnetConfig {
     /// What it sees beside the capture.
     #[serde(default, skip_serializing_if = "Inputs::is_bare")]
     pub inputs: Inputs,
+    /// What it is made of.
+    #[serde(default, skip_serializing_if = "Blocks::is_paper")]
+    pub blocks: Blocks,
 }
 
 impl Default for UnetConfig {
     fn default() -> Self {
-        Self { base_width: 16, scales: 3, inputs: Inputs::BARE }
+        Self::bare(16, 3)
     }
 }
 
 impl UnetConfig {
-    /// A network that sees the capture alone.
+    /// A network of the paper's blocks that sees the capture alone.
     pub fn bare(base_width: usize, scales: usize) -> Self {
-        Self { base_width, scales, inputs: Inputs::BARE }
+        Self { base_width, scales, inputs: Inputs::BARE, blocks: Blocks::Paper }
     }
 
     /// Refuses sizes that are no network or too large to train.
@@ -74,25 +77,55 @@ impl UnetConfig {
         Ok(())
     }
 
-    /// Bytes that a training step on `batch` patches of `side` pixels takes, from above: features with their cotangents, measured
-    /// to be 8 planes of each scale's width (11 are counted), and of every weight the gradient, Adam's moments and a checkpoint's copies.
+    /// Bytes that a training step on `batch` patches of `side` pixels takes, from above: features with their cotangents, as planes of
+    /// each scale's width (measured: 8 of the paper's blocks, of which 11 are counted), and of every weight the gradient, Adam's
+    /// moments and a checkpoint's copies.
     pub fn step_bytes(&self, side: usize, batch: usize) -> u64 {
-        let widths = || (0..self.scales).map(|s| (s, self.width(s)));
-        let planes = widths().map(|(s, w)| product(&[11, batch, w, (side >> s).max(1).pow(2)])).sum::<u64>();
+        let of_block = match self.blocks {
+            Blocks::Paper => 11,
+            Blocks::Separable => 18,
+            Blocks::Gated => 36,
+        };
+        let widths = (0..self.scales).map(|s| (s, self.width(s)));
+        let planes = widths.map(|(s, w)| product(&[of_block, batch, w, (side >> s).max(1).pow(2)])).sum::<u64>();
         let planes = planes.saturating_add(product(&[4, batch, self.inputs.channels(), side.pow(2)]));
-        // Five 3 × 3 convolutions of a scale's width, or what amounts to fewer.
-        let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
-        planes.saturating_mul(4).saturating_add(weights.saturating_mul(24))
+        planes.saturating_mul(4).saturating_add(self.weights().saturating_mul(24))
     }
 
     /// Bytes that a picture of `side × side` pixels takes on its way through, from above: skipped features of every scale, and what
     /// a scale works on; the weights, and as much again while they are turned.
     pub fn forward_bytes(&self, side: usize) -> u64 {
-        let widths = || (0..self.scales).map(|s| (s, self.width(s)));
-        let planes = widths().map(|(s, w)| product(&[4, w, side.div_ceil(1 << s).pow(2)])).sum::<u64>();
+        let widths = (0..self.scales).map(|s| (s, self.width(s)));
+        let planes =
+            widths.map(|(s, w)| product(&[self.planes_forward(), w, side.div_ceil(1 << s).pow(2)])).sum::<u64>();
         let planes = planes.saturating_add(product(&[2, self.inputs.channels(), side.pow(2)]));
-        let weights = widths().map(|(_, w)| product(&[45, w, w])).sum::<u64>();
-        planes.saturating_add(2 * weights).saturating_mul(4)
+        planes.saturating_add(2 * self.weights()).saturating_mul(4)
+    }
+
+    /// Planes of a scale's width that a picture has at a time on its way through, from above.
+    pub fn planes_forward(&self) -> usize {
+        match self.blocks {
+            Blocks::Paper => 4,
+            Blocks::Separable => 6,
+            Blocks::Gated => 8,
+        }
+    }
+
+    /// Number of weights, from above.
+    fn weights(&self) -> u64 {
+        let of_scale = |w: usize| match self.blocks {
+            // Five 3 × 3 convolutions of a scale's width, or what amounts to fewer.
+            Blocks::Paper => product(&[45, w, w]),
+            // A transposed convolution of 8, and 1 × 1 convolutions of 4.5 or 14.5 times the square of the width.
+            Blocks::Separable => product(&[13, w, w + 5]),
+            Blocks::Gated => product(&[23, w, w + 4]),
+        };
+        (0..self.scales).map(|s| of_scale(self.width(s))).sum()
+    }
+
+    /// No input pixel further away than this (in rows or columns) changes an output pixel, pixels.
+    pub fn receptive_radius_px(&self) -> usize {
+        receptive_radius_px(self.blocks, self.scales)
     }
 
     /// Height and width must be multiples of this.
@@ -106,85 +139,17 @@ impl UnetConfig {
     }
 }
 
-/// Weights of one convolution.
-#[derive(Module, Debug)]
-struct Convolution {
-    weight: Param<Tensor<4>>,
-    bias: Param<Tensor<1>>,
-}
-
-impl Convolution {
-    /// 3×3, `[out, in, 3, 3]`, He's uniform distribution for PReLU times `gain`.
-    fn square(inputs: usize, outputs: usize, gain: f64, rng: &mut fastrand::Rng, device: &Device) -> Self {
-        Self::draw([outputs, inputs, 3, 3], outputs, 9 * inputs, gain, rng, device)
+/// The last convolution of a network that sees more than the capture: small weights on `features`, none yet on `inputs`.
+fn beside(features: usize, inputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Convolution {
+    let all = features + inputs;
+    let mut values = vec![0.0; CHANNELS * all * 9];
+    let bound = Convolution::bound(9 * features, OUTPUT_GAIN);
+    for row in values.chunks_mut(9 * all) {
+        row[..9 * features].iter_mut().for_each(|v| *v = (bound * (2.0 * rng.f64() - 1.0)) as f32);
     }
-
-    /// The last one of a network that sees more than the capture: small weights on `features`, none yet on `inputs`.
-    fn beside(features: usize, inputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
-        let all = features + inputs;
-        let mut values = vec![0.0; CHANNELS * all * 9];
-        let bound = Self::bound(9 * features, OUTPUT_GAIN);
-        for row in values.chunks_mut(9 * all) {
-            row[..9 * features].iter_mut().for_each(|v| *v = (bound * (2.0 * rng.f64() - 1.0)) as f32);
-        }
-        Self {
-            weight: Param::from_data(TensorData::new(values, [CHANNELS, all, 3, 3]), device),
-            bias: Param::from_data(TensorData::new(vec![0f32; CHANNELS], [CHANNELS]), device),
-        }
-    }
-
-    /// He's bound for PReLU times `gain`.
-    fn bound(fan_in: usize, gain: f64) -> f64 {
-        3f64.sqrt() * (2.0 / ((1.0 + f64::from(INITIAL_SLOPE).powi(2)) * fan_in as f64)).sqrt() * gain
-    }
-
-    /// 2×2 transposed, `[in, out, 2, 2]`; each output pixel sees one tap of every input.
-    fn transposed(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
-        Self::draw([inputs, outputs, 2, 2], outputs, inputs, 1.0, rng, device)
-    }
-
-    fn draw(
-        shape: [usize; 4],
-        outputs: usize,
-        fan_in: usize,
-        gain: f64,
-        rng: &mut fastrand::Rng,
-        device: &Device,
-    ) -> Self {
-        let bound = Self::bound(fan_in, gain);
-        let values: Vec<f32> = (0..shape.iter().product()).map(|_| (bound * (2.0 * rng.f64() - 1.0)) as f32).collect();
-        Self {
-            weight: Param::from_data(TensorData::new(values, shape), device),
-            bias: Param::from_data(TensorData::new(vec![0f32; outputs], [outputs]), device),
-        }
-    }
-}
-
-/// Two convolutions with PReLU.
-#[derive(Module, Debug)]
-struct Block {
-    conv1: Convolution,
-    slope1: Param<Tensor<1>>,
-    conv2: Convolution,
-    slope2: Param<Tensor<1>>,
-}
-
-impl Block {
-    fn new(inputs: usize, outputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Self {
-        let slope = || Param::from_data(TensorData::new(vec![INITIAL_SLOPE; outputs], [outputs]), device);
-        Self {
-            conv1: Convolution::square(inputs, outputs, 1.0, rng, device),
-            slope1: slope(),
-            conv2: Convolution::square(outputs, outputs, 1.0, rng, device),
-            slope2: slope(),
-        }
-    }
-
-    fn forward(&self, level: Way, inputs: &[&Features]) -> Features {
-        let values = convolve(level, inputs, self.conv1.weight.val(), self.conv1.bias.val());
-        let middle = Features { values, slope: Some(self.slope1.val()) };
-        let values = convolve(level, &[&middle], self.conv2.weight.val(), self.conv2.bias.val());
-        Features { values, slope: Some(self.slope2.val()) }
+    Convolution {
+        weight: Param::from_data(TensorData::new(values, [CHANNELS, all, 3, 3]), device),
+        bias: Param::from_data(TensorData::new(vec![0f32; CHANNELS], [CHANNELS]), device),
     }
 }
 
@@ -204,19 +169,16 @@ impl Unet {
     /// A network with weights drawn from `seed`; the same seed gives the same bits.
     pub(super) fn new(config: &UnetConfig, seed: u64, device: &Device) -> Self {
         let rng = &mut fastrand::Rng::with_seed(seed);
-        let width = |scale| config.width(scale);
+        let (kind, width) = (config.blocks, |scale| config.width(scale));
         let coarser = config.scales - 1;
+        let seen = |scale| if scale == 0 { config.inputs.channels() } else { width(scale - 1) };
         Self {
-            encoder: (0..config.scales)
-                .map(|s| {
-                    Block::new(if s == 0 { config.inputs.channels() } else { width(s - 1) }, width(s), rng, device)
-                })
-                .collect(),
+            encoder: (0..config.scales).map(|s| Block::new(kind, [seen(s), width(s)], s == 0, rng, device)).collect(),
             up: (0..coarser).map(|s| Convolution::transposed(width(s + 1), width(s), rng, device)).collect(),
-            decoder: (0..coarser).map(|s| Block::new(2 * width(s), width(s), rng, device)).collect(),
+            decoder: (0..coarser).map(|s| Block::new(kind, [2 * width(s), width(s)], false, rng, device)).collect(),
             output: match config.inputs.is_bare() {
-                true => Convolution::square(width(0), CHANNELS, OUTPUT_GAIN, rng, device),
-                false => Convolution::beside(width(0), config.inputs.channels(), rng, device),
+                true => Convolution::square(3, width(0), CHANNELS, OUTPUT_GAIN, rng, device),
+                false => beside(width(0), config.inputs.channels(), rng, device),
             },
         }
     }
@@ -225,27 +187,27 @@ impl Unet {
     /// `[batch, channel, row, col]` → `[batch, 3, row, col]`; rows and columns are multiples of `2^(scales − 1)`. What the last
     /// convolution gives is added to the channels of [`Inputs::base`]; where there is more to see than the capture it sees that too,
     /// so that every channel has a straight way to the output.
-    pub(super) fn forward(&self, level: Way, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
+    pub(super) fn forward(&self, way: Way, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
         let mut features = Features::plain(input.clone());
         let mut skips = Vec::with_capacity(self.encoder.len());
         for (scale, block) in self.encoder.iter().enumerate() {
             if scale > 0 {
-                features = Features::plain(pool(level, &features));
+                features = Features::plain(pool(way, &features));
             }
-            features = block.forward(level, &[&features]);
+            features = block.forward(way, &[&features]);
             skips.push(features.clone());
         }
         for (scale, block) in self.decoder.iter().enumerate().rev() {
             let up = &self.up[scale];
-            let lifted = Features::plain(unpool(level, &features, up.weight.val(), up.bias.val()));
-            features = block.forward(level, &[&skips[scale], &lifted]);
+            let lifted = Features::plain(unpool(way, &features, up.weight.val(), up.bias.val()));
+            features = block.forward(way, &[&skips[scale], &lifted]);
         }
         let (weight, bias) = (self.output.weight.val(), self.output.bias.val());
         if inputs.is_bare() {
-            return input + convolve(level, &[&features], weight, bias);
+            return input + convolve(way, &[&features], weight, bias);
         }
         let base = input.clone().narrow(1, inputs.base(), CHANNELS);
-        base + convolve(level, &[&features, &Features::plain(input)], weight, bias)
+        base + convolve(way, &[&features, &Features::plain(input)], weight, bias)
     }
 }
 

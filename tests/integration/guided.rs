@@ -19,7 +19,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
 use isoplanat::network::card::{ModelCard, Weights, sha256_hex};
-use isoplanat::network::{Reconstructor, UnetConfig, onnx};
+use isoplanat::network::{Blocks, Reconstructor, UnetConfig, onnx};
 use ndarray::{Array3, Array4, ArrayView4, Axis, s};
 
 use crate::support::Workplace;
@@ -39,8 +39,8 @@ fn guide(inputs: Inputs) -> Guide {
 }
 
 /// A network that is no identity any more and looks at all its channels.
-fn trained(inputs: Inputs) -> Reconstructor {
-    let mut net = Reconstructor::new(UnetConfig { inputs, ..UnetConfig::bare(6, 3) }, 3).expect("valid");
+fn trained(inputs: Inputs, blocks: Blocks) -> Reconstructor {
+    let mut net = Reconstructor::new(UnetConfig { inputs, blocks, ..UnetConfig::bare(6, 3) }, 3).expect("valid");
     let rng = &mut fastrand::Rng::with_seed(5);
     for _ in 0..12 {
         let x = Array4::from_shape_simple_fn((1, inputs.channels(), 32, 32), || rng.f32());
@@ -75,9 +75,16 @@ fn open(model: &[u8], choice: Choice) -> Option<Session> {
 /// Every set of inputs through the camera's tiles, on both runtimes, against the in-crate network on the whole mirrored picture.
 #[test]
 fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
-    for inputs in [BOTH, Inputs { wiener: true, field: false }, Inputs { wiener: false, field: true }] {
-        let (guide, net) = (guide(inputs), trained(inputs));
-        let card = ModelCard::for_unet("told", 6, 3).seeing(inputs);
+    let cases = [
+        (BOTH, Blocks::Paper),
+        (Inputs { wiener: true, field: false }, Blocks::Paper),
+        (Inputs { wiener: false, field: true }, Blocks::Paper),
+        (BOTH, Blocks::Separable),
+        (Inputs { wiener: true, field: false }, Blocks::Gated),
+    ];
+    for (inputs, blocks) in cases {
+        let (guide, net) = (guide(inputs), trained(inputs, blocks));
+        let card = ModelCard::for_unet("told", 6, 3).seeing(inputs).made_of(blocks);
         let model = onnx::encode(&net, &card).expect("encodes");
         let (rows, cols) = (150, 230);
         let image = picture(rows, cols);
@@ -99,8 +106,8 @@ fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
             let tiling = Tiling::new(96, 24, 4).expect("valid");
             let theirs = tiles::run(image.view(), &guide, tiling, 2, &run, &|_, _| ()).expect("runs");
             let worst = (&theirs - &ours).iter().fold(0f32, |m, v| m.max(v.abs()));
-            eprintln!("{:?}, {choice:?}, {} tiles: {worst:e}", inputs.names(), tiling.count(rows, cols));
-            assert!(worst <= 2e-5, "{:?}, {choice:?}: {worst:e}", inputs.names());
+            eprintln!("{:?}, {blocks:?}, {choice:?}, {} tiles: {worst:e}", inputs.names(), tiling.count(rows, cols));
+            assert!(worst <= 2e-5, "{:?}, {blocks:?}, {choice:?}: {worst:e}", inputs.names());
         }
     }
 }
@@ -113,7 +120,7 @@ fn kit(inputs: Inputs, guide: &Guide, weights: Weights) -> isoplanat::Result<Kit
     Kit::new(
         "told",
         LensEntry { name: "lens".into(), sha256: sha256_hex(b"lens") },
-        onnx::encode(&trained(inputs), &card)?,
+        onnx::encode(&trained(inputs, Blocks::Paper), &card)?,
         96,
         Sensor::generic(),
         frame(),
@@ -210,6 +217,8 @@ fn a_told_network_goes_from_the_task_to_the_camera() {
         .write("told.toml", task("inputs = [\"wiener\", \"field\"]", "start = \"bare\"\n"));
     place.write("smell.toml", task("inputs = [\"smell\"]", ""));
     place.run("train smell.toml -o none").refused(&["smell.toml", "inputs", "wiener, field"]);
+    place.write("dense.toml", task("blocks = \"dense\"\n", ""));
+    place.run("train dense.toml -o none").refused(&["dense.toml", "blocks", "dense", "`separable`"]);
     place.run("train bare.toml -o bare").done();
     let said = place.run("train told.toml -o told");
     assert_eq!(said.code, 0, "{said:?}");

@@ -127,7 +127,15 @@ mod measured {
             let seven =
                 "[train]\nbase_width = 16\npatch_px = 256\nregion_px = 256\nsteps = 3\npairs = 2\nsample_steps = 0\n";
             let gan = "[train]\nscales = 3\nbase_width = 16\npatch_px = 128\nregion_px = 192\nsteps = 3\npairs = 2\nsample_steps = 0\nadversarial = true\n";
-            for (what, train) in [("training", wide), ("seven scales", seven), ("discriminators", gan)] {
+            let of = |blocks: &str| wide.replace("[train]\n", &format!("[train]\nblocks = \"{blocks}\"\n"));
+            let (separable, gated) = (of("separable"), of("gated"));
+            for (what, train) in [
+                ("separable blocks", separable.as_str()),
+                ("gated blocks", &gated),
+                ("training", wide),
+                ("seven scales", seven),
+                ("discriminators", gan),
+            ] {
                 place.write("train.toml", format!("{large}{train}"));
                 let (text, peak) = run_telling(&place, "train train.toml -o trained --force");
                 judge(what, stated(&text), peak);

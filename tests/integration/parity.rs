@@ -1,5 +1,5 @@
 //! The exported network through ONNX Runtime and through tract against the in-crate forward: ≤ 1e-5 of the largest output, on
-//! three sizes, with 3 and 7 scales, with f32 and f16 weights; and through the camera's tiles.
+//! three sizes, with every kind of blocks, 3 and 7 scales, f32 and f16 weights; and through the camera's tiles.
 //!
 //! ONNX Runtime's half is skipped with a message where no library is found, and fails there when
 //! `ISOPLANAT_REQUIRE_ONNXRUNTIME=1`. Models, inputs and outputs are left in the folder `ISOPLANAT_ONNX_CHECK` where that is
@@ -12,7 +12,7 @@ use isoplanat::deploy::tiles::{self, Tiling};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::network::card::{ModelCard, Weights};
-use isoplanat::network::{Reconstructor, UnetConfig, onnx};
+use isoplanat::network::{Blocks, Reconstructor, UnetConfig, onnx};
 use ndarray::{Array4, ArrayView4, Axis, s};
 
 /// Largest difference, of the largest output.
@@ -21,9 +21,22 @@ const TOLERANCE: f32 = 1e-5;
 /// Sizes that the network takes as they are, and one that must be continued to a multiple first: one pixel off.
 const SIZES: [(usize, usize); 3] = [(128, 128), (64, 192), (127, 65)];
 
+/// What a network is made of, its width and its scales.
+type Size = (Blocks, usize, usize);
+
+const NETWORKS: [Size; 6] = [
+    (Blocks::Paper, 8, 3),
+    (Blocks::Paper, 4, 7),
+    (Blocks::Separable, 8, 3),
+    (Blocks::Separable, 4, 7),
+    (Blocks::Gated, 8, 3),
+    (Blocks::Gated, 4, 7),
+];
+
 /// A network that is no identity any more, on pictures in 0..1.
-fn trained(base_width: usize, scales: usize) -> Reconstructor {
-    let mut net = Reconstructor::new(UnetConfig::bare(base_width, scales), 3).expect("valid");
+fn trained((blocks, base_width, scales): Size) -> Reconstructor {
+    let config = UnetConfig { blocks, ..UnetConfig::bare(base_width, scales) };
+    let mut net = Reconstructor::new(config, 3).expect("valid");
     let rng = &mut fastrand::Rng::with_seed(5);
     for _ in 0..10 {
         let x = Array4::from_shape_simple_fn((1, 3, 64, 64), || rng.f32());
@@ -52,9 +65,9 @@ fn stored(mut net: Reconstructor, weights: Weights) -> Reconstructor {
 }
 
 /// A trained network as a file: its card, the bytes, and the network with the weights the file holds.
-fn exported(base_width: usize, scales: usize, weights: Weights) -> (ModelCard, Vec<u8>, Reconstructor) {
-    let net = trained(base_width, scales);
-    let mut card = ModelCard::for_unet("parity", base_width, scales);
+fn exported(size: Size, weights: Weights) -> (ModelCard, Vec<u8>, Reconstructor) {
+    let (net, (blocks, base_width, scales)) = (trained(size), size);
+    let mut card = ModelCard::for_unet("parity", base_width, scales).made_of(blocks);
     card.weights = weights;
     let model = onnx::encode(&net, &card).expect("encodes");
     (card, model, stored(net, weights))
@@ -95,9 +108,10 @@ fn continued(x: &Array4<f32>, multiple: usize) -> Array4<f32> {
 }
 
 fn check(choice: Choice) {
-    for (base_width, scales) in [(8, 3), (4, 7)] {
+    for size in NETWORKS {
         for weights in [Weights::F32, Weights::F16] {
-            let (card, model, net) = exported(base_width, scales, weights);
+            let (card, model, net) = exported(size, weights);
+            let what = format!("{choice:?}, {} blocks, {} scales, {} weights", size.0.name(), size.2, weights.name());
             let Some(session) = open(&model, choice) else { return };
             assert_eq!(ModelCard::from_metadata(session.metadata()).expect("a card"), card);
             let mut worst = 0f32;
@@ -107,8 +121,8 @@ fn check(choice: Choice) {
                 let theirs = session.run(continued(&x, card.multiple).view()).expect("runs");
                 worst = worst.max(difference(&ours, theirs.slice(s![.., .., ..rows, ..cols])));
             }
-            eprintln!("{choice:?}, {scales} scales, {} weights: {worst:e} of the largest output", weights.name());
-            assert!(worst <= TOLERANCE, "{choice:?}, {scales} scales: {worst:e}");
+            eprintln!("{what}: {worst:e} of the largest output");
+            assert!(worst <= TOLERANCE, "{what}: {worst:e}");
         }
     }
 }
@@ -127,7 +141,7 @@ fn tract_agrees_with_the_in_crate_forward() {
 /// in-crate network on the whole mirrored picture.
 #[test]
 fn seven_scales_in_tiles_give_what_they_give_in_one_piece() {
-    let (card, model, net) = exported(2, 7, Weights::F32);
+    let (card, model, net) = exported((Blocks::Paper, 2, 7), Weights::F32);
     let session = open(&model, Choice::Best).expect("one of the two");
     let overlap = card.receptive_radius_px.next_multiple_of(card.multiple);
     assert_eq!((card.multiple, card.receptive_radius_px, overlap), (64, 444, 448));
@@ -163,10 +177,10 @@ fn seven_scales_in_tiles_give_what_they_give_in_one_piece() {
 fn recorded_models_can_be_checked_by_other_programs() {
     let temporary = tempfile::tempdir().expect("a folder");
     let folder = std::env::var_os("ISOPLANAT_ONNX_CHECK").map_or(temporary.path().to_owned(), PathBuf::from);
-    for (base_width, scales) in [(8, 3), (4, 7)] {
+    for size in NETWORKS {
         for weights in [Weights::F32, Weights::F16] {
-            let (card, model, net) = exported(base_width, scales, weights);
-            let name = format!("unet-{scales}-{}", weights.name());
+            let (card, model, net) = exported(size, weights);
+            let name = format!("{}-{}-{}", size.0.name(), size.2, weights.name());
             std::fs::write(folder.join(format!("{name}.onnx")), &model).expect("written");
             for (rows, cols) in SIZES {
                 let x = continued(&picture(rows, cols), card.multiple);

@@ -253,8 +253,11 @@ fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
         format!("kit        {} (by {})", kit.name, kit.created_by),
         format!("lens       {} ({})", kit.lens.name, kit.lens.sha256),
         format!(
-            "network    {}, {} scales, {} channels at the finest",
-            kit.card.name, kit.card.scales, kit.card.base_width
+            "network    {}, {} scales, {} channels at the finest, {} blocks",
+            kit.card.name,
+            kit.card.scales,
+            kit.card.base_width,
+            kit.card.blocks.name()
         ),
         format!("told       {}", told(kit)),
         format!("model      {} ({} kB, {})", kit.model.file, kit.model_bytes.len() / 1000, kit.model.sha256),

@@ -58,9 +58,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let guide = guide_of(&args.run, &network, &lens)?;
     let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
+    let config = network.config();
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
     let weights = std::fs::metadata(args.run.join("network.safetensors")).map_or(0, |m| m.len());
-    let features = product(&[12, JUDGED, JUDGED, network.config().base_width, size_of::<f32>()]);
+    let features = product(&[3 * config.planes_forward(), JUDGED, JUDGED, config.base_width, size_of::<f32>()]);
     let bytes = BASE + 8 * weights + if args.f16 { features } else { 0 };
     crate::memory::limit().allow("the kit", bytes, "a smaller network, or weights as f32")?;
     let name = format!("kit for {}", lens.name);

@@ -51,7 +51,8 @@ pub(crate) fn card(
     training_sha256: String,
 ) -> ModelCard {
     let config = network.config();
-    let mut card = ModelCard::for_unet(name, config.base_width, config.scales).seeing(config.inputs);
+    let bare = ModelCard::for_unet(name, config.base_width, config.scales);
+    let mut card = bare.seeing(config.inputs).made_of(config.blocks);
     card.lens_name.clone_from(&lens.name);
     card.lens_sha256 = lens.sha256();
     card.calibration_sha256 = sha256_hex(toml::to_string(sensor).unwrap_or_default().as_bytes());

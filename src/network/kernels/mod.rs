@@ -5,10 +5,13 @@
 //! loops of [`inner`] then run without any border case. Strips go to rayon's threads. How the picture is cut, and so the
 //! order of every sum, depends on its shape alone: results do not depend on the number of threads.
 //!
-//! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]).
+//! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]). What has no weights between
+//! channels ([`pooling`], [`depthwise`], [`gate`]) goes plane by plane.
 
 mod convolution;
+mod depthwise;
 mod flat;
+mod gate;
 mod inner;
 mod panel;
 mod pooling;
@@ -21,6 +24,8 @@ mod tests;
 mod unpooling;
 
 pub(super) use crate::math::simd::Level;
+pub(super) use depthwise::{depthwise, depthwise_vjp};
+pub(super) use gate::{gate, gate_vjp};
 pub(super) use pooling::{pool, pool_vjp};
 pub(super) use recycle::give;
 
@@ -71,12 +76,24 @@ pub(super) struct Wanted {
     pub(super) weights: bool,
 }
 
-/// Output `[batch, bias.len(), rows, columns]` of the 3×3 convolution of all sources' channels in turn, with zero padding.
+/// Output `[batch, bias.len(), rows, columns]` of the 3×3 or 1×1 convolution of all sources' channels in turn, with zero
+/// padding.
 ///
-/// `weight` is `[out, in, 3, 3]`.
+/// `weight` is `[out, in, 3, 3]` or `[out, in, 1, 1]`.
 pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
-    let convolve = if small::convolves(extent) { small::convolve } else { convolution::convolve };
+    let pointwise = pointwise(sources, bias.len(), weight);
+    let convolve = match (pointwise, small::convolves(extent, pointwise)) {
+        (false, true) => small::convolve::<3>,
+        (false, false) => convolution::convolve::<3>,
+        (true, true) => small::convolve::<1>,
+        (true, false) => convolution::convolve::<1>,
+    };
     convolve(level, sources, extent, weight, bias)
+}
+
+/// Whether the weights are one for each input and output.
+fn pointwise(sources: &[Source], outputs: usize, weight: &[f32]) -> bool {
+    weight.len() == outputs * sources.iter().map(|s| s.channels).sum::<usize>()
 }
 
 /// Cotangents of [`convolve`]: of each source, of the weight, of the bias (empty where not wanted).
@@ -88,7 +105,14 @@ pub(super) fn convolve_vjp(
     output_bar: &[f32],
     wanted: Wanted,
 ) -> (Vec<SourceBar>, Vec<f32>, Vec<f32>) {
-    let vjp = if small::convolves(extent) { small::convolve_vjp } else { convolution::convolve_vjp };
+    let outputs = output_bar.len() / (extent.batch * extent.plane());
+    let pointwise = pointwise(sources, outputs, weight);
+    let vjp = match (pointwise, small::convolves(extent, pointwise)) {
+        (false, true) => small::convolve_vjp::<3>,
+        (false, false) => convolution::convolve_vjp::<3>,
+        (true, true) => small::convolve_vjp::<1>,
+        (true, false) => convolution::convolve_vjp::<1>,
+    };
     vjp(level, sources, extent, weight, output_bar, wanted)
 }
 

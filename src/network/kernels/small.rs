@@ -9,35 +9,38 @@ use super::strip::{activate_vjp, filled};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
 use crate::math::simd::F32;
 
-/// Taps of the convolution.
-const TAPS: usize = 9;
-
 /// Taps of the transposed convolution: row and column of the 2×2 block.
 const CORNERS: usize = 4;
 
 /// Widest planes that are convolved here; wider ones fill their vectors row by row.
 const CONVOLVED: usize = 64;
 
-/// Widest planes whose transposed convolution is done here.
-const UNPOOLED: usize = 32;
+/// Widest planes whose 1×1 and transposed convolutions, plain products of matrices, are done here.
+const MULTIPLIED: usize = 32;
 
 /// Whether planes of this size are convolved here.
-pub(super) fn convolves(extent: Extent) -> bool {
-    extent.columns <= CONVOLVED
+pub(super) fn convolves(extent: Extent, pointwise: bool) -> bool {
+    extent.columns <= if pointwise { MULTIPLIED } else { CONVOLVED }
 }
 
 /// Whether planes of this size are unpooled here.
 pub(super) fn unpools(extent: Extent) -> bool {
-    extent.columns <= UNPOOLED
+    extent.columns <= MULTIPLIED
 }
 
-/// As [`super::convolve`].
-pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
-    let lines = Lines::load(level, sources, extent, 3);
-    let inputs = lines.channels;
+/// As [`super::convolve`], with `SIDE × SIDE` taps.
+pub(super) fn convolve<const SIDE: usize>(
+    level: Level,
+    sources: &[Source],
+    extent: Extent,
+    weight: &[f32],
+    bias: &[f32],
+) -> Vec<f32> {
+    let lines = Lines::load(level, sources, extent, SIDE);
+    let (inputs, taps) = (lines.channels, SIDE * SIDE);
     let pack = |Block { first, size, channels, to }: Block| {
-        let n = channels.len() * TAPS;
-        interleave(size, |output| &weight[((first + output) * inputs + channels.start) * TAPS..][..n], to);
+        let n = channels.len() * taps;
+        interleave(size, |output| &weight[((first + output) * inputs + channels.start) * taps..][..n], to);
     };
     let output = filled(extent.batch * bias.len() * extent.plane(), |to| {
         let size = group(bias.len());
@@ -46,14 +49,14 @@ pub(super) fn convolve(level: Level, sources: &[Source], extent: Extent, weight:
             extent,
             slope_bars: &mut [],
         });
-        product::<3>(level, &lines, bias, pack, groups.collect());
+        product::<SIDE>(level, &lines, bias, pack, groups.collect());
     });
     lines.release();
     output
 }
 
-/// As [`super::convolve_vjp`].
-pub(super) fn convolve_vjp(
+/// As [`super::convolve_vjp`], with `SIDE × SIDE` taps.
+pub(super) fn convolve_vjp<const SIDE: usize>(
     level: Level,
     sources: &[Source],
     extent: Extent,
@@ -62,29 +65,30 @@ pub(super) fn convolve_vjp(
     wanted: Wanted,
 ) -> (Vec<SourceBar>, Vec<f32>, Vec<f32>) {
     let inputs: usize = sources.iter().map(|s| s.channels).sum();
-    let outputs = weight.len() / (inputs * TAPS);
-    let bars = Lines::load(level, &[Source { values: output_bar, channels: outputs, slope: None }], extent, 3);
+    let taps = SIDE * SIDE;
+    let outputs = weight.len() / (inputs * taps);
+    let bars = Lines::load(level, &[Source { values: output_bar, channels: outputs, slope: None }], extent, SIDE);
     let source_bars = if wanted.inputs {
         // The convolution of the output's cotangent with the weights turned by 180° and transposed.
         let pack = |Block { first, size, channels, to }: Block| {
-            for (output, to) in channels.zip(to.chunks_exact_mut(TAPS * size)) {
-                turn(size, &weight[(output * inputs + first) * TAPS..][..size * TAPS], to);
+            for (output, to) in channels.zip(to.chunks_exact_mut(taps * size)) {
+                turn::<SIDE>(size, &weight[(output * inputs + first) * taps..][..size * taps], to);
             }
         };
-        pulled(sources, extent, |groups| product::<3>(level, &bars, &vec![0.0; inputs], pack, groups))
+        pulled(sources, extent, |groups| product::<SIDE>(level, &bars, &vec![0.0; inputs], pack, groups))
     } else {
         vec![SourceBar::default(); sources.len()]
     };
     let (mut weight_bar, mut bias_bar) = (vec![], vec![]);
     if wanted.weights {
-        let values = Lines::load(level, sources, extent, 3);
+        let values = Lines::load(level, sources, extent, SIDE);
         let stride = values.line.row_stride() as isize;
         let column = |k: usize| {
-            let (row, column) = ((k % TAPS / 3) as isize - 1, (k % 3) as isize - 1);
+            let [row, column] = [k % taps / SIDE, k % SIDE].map(|tap| tap as isize - (SIDE / 2) as isize);
             // Lines have their reach and a vector's room on both sides.
-            values.from(k / TAPS, row * stride + column)
+            values.from(k / taps, row * stride + column)
         };
-        weight_bar = outer(level, &bars, inputs * TAPS, column);
+        weight_bar = outer(level, &bars, inputs * taps, column);
         bias_bar = (0..outputs).map(|o| bars.of(o).iter().sum()).collect();
         values.release();
     }
@@ -176,16 +180,20 @@ fn interleave<'a>(size: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32])
 
 /// Writes `[channel][tap]` as `[tap, last first][channel]` for `size` channels.
 #[inline(always)]
-fn turn(size: usize, from: &[f32], to: &mut [f32]) {
-    if let (8, [from], [to]) = (size, from.as_chunks::<{ 8 * TAPS }>().0, to.as_chunks_mut::<{ 8 * TAPS }>().0) {
-        for tap in 0..TAPS {
+fn turn<const SIDE: usize>(size: usize, from: &[f32], to: &mut [f32]) {
+    if SIDE == 1 {
+        to.copy_from_slice(from);
+        return;
+    }
+    if let (3, 8, [from], [to]) = (SIDE, size, from.as_chunks::<72>().0, to.as_chunks_mut::<72>().0) {
+        for tap in 0..9 {
             for channel in 0..8 {
-                to[tap * 8 + channel] = from[channel * TAPS + TAPS - 1 - tap];
+                to[tap * 8 + channel] = from[channel * 9 + 8 - tap];
             }
         }
         return;
     }
-    for (channel, from) in from.chunks_exact(TAPS).enumerate() {
+    for (channel, from) in from.chunks_exact(SIDE * SIDE).enumerate() {
         to[channel..].iter_mut().step_by(size).zip(from.iter().rev()).for_each(|(to, &from)| *to = from);
     }
 }

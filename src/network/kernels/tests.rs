@@ -3,13 +3,13 @@
 use super::*;
 
 /// Leaves values that would be noticed in the scratch buffers of all threads.
-fn soil_scratch() {
+pub(super) fn soil_scratch() {
     rayon::broadcast(|_| {
         strip::with_scratch(|buffers| buffers.iter_mut().for_each(|buffer| buffer.get(1 << 18).fill(1e9)));
     });
 }
 
-fn draw(n: usize, rng: &mut fastrand::Rng) -> Vec<f32> {
+pub(super) fn draw(n: usize, rng: &mut fastrand::Rng) -> Vec<f32> {
     (0..n).map(|_| rng.f32() - 0.5).collect()
 }
 
@@ -21,21 +21,21 @@ fn error(found: &[f32], reference: &[f64]) -> f64 {
 }
 
 #[track_caller]
-fn assert_close(found: &[f32], reference: &[f64], what: &str) {
+pub(super) fn assert_close(found: &[f32], reference: &[f64], what: &str) {
     let error = error(found, reference);
     assert!(error < 3e-6, "{what}: {error:e}");
 }
 
 /// A picture, activated, in f64, and the derivative of the activation.
-struct Plain {
-    values: Vec<f64>,
+pub(super) struct Plain {
+    pub(super) values: Vec<f64>,
     slopes: Vec<f64>,
     /// Values below zero, zero elsewhere: the derivative by the slope.
     below: Vec<f64>,
 }
 
 impl Plain {
-    fn new(source: &Source, extent: Extent) -> Self {
+    pub(super) fn new(source: &Source, extent: Extent) -> Self {
         let slope = |i: usize| {
             let channel = i / extent.plane() % source.channels;
             source.slope.map_or(1.0, |s| f64::from(s[channel]))
@@ -49,7 +49,7 @@ impl Plain {
     }
 
     /// Cotangents of values and slopes from that of the activated values.
-    fn pull(&self, bar: &[f64], channels: usize, extent: Extent) -> (Vec<f64>, Vec<f64>) {
+    pub(super) fn pull(&self, bar: &[f64], channels: usize, extent: Extent) -> (Vec<f64>, Vec<f64>) {
         let mut slope = vec![0.0; channels];
         for (i, bar) in bar.iter().enumerate() {
             slope[i / extent.plane() % channels] += bar * self.below[i];
@@ -58,8 +58,14 @@ impl Plain {
     }
 }
 
-/// Calls `visit(output index, input index, weight index, source)` for every product of a 3×3 convolution.
-fn products(channels: &[usize], outputs: usize, extent: Extent, mut visit: impl FnMut(usize, usize, usize, usize)) {
+/// Calls `visit(output index, input index, weight index, source)` for every product of a convolution with `side × side` taps.
+fn products(
+    channels: &[usize],
+    outputs: usize,
+    extent: Extent,
+    side: usize,
+    mut visit: impl FnMut(usize, usize, usize, usize),
+) {
     let Extent { batch, rows, columns } = extent;
     let inputs: usize = channels.iter().sum();
     for (n, o, y, x) in (0..batch).flat_map(|n| {
@@ -68,12 +74,12 @@ fn products(channels: &[usize], outputs: usize, extent: Extent, mut visit: impl 
         let mut first = 0;
         for (s, &count) in channels.iter().enumerate() {
             for c in 0..count {
-                for tap in 0..9 {
-                    let (v, u) = ((y + tap / 3).wrapping_sub(1), (x + tap % 3).wrapping_sub(1));
+                for tap in 0..side * side {
+                    let (v, u) = ((y + tap / side).wrapping_sub(side / 2), (x + tap % side).wrapping_sub(side / 2));
                     if v < rows && u < columns {
                         let to = ((n * outputs + o) * rows + y) * columns + x;
                         let from = ((n * count + c) * rows + v) * columns + u;
-                        visit(to, from, (o * inputs + first + c) * 9 + tap, s);
+                        visit(to, from, (o * inputs + first + c) * side * side + tap, s);
                     }
                 }
             }
@@ -106,7 +112,7 @@ fn convolution_and_cotangents_match_plain_loops() {
         (vec![9], 512, 1, 8, 7),
         (vec![512], 16, 1, 16, 16),
     ];
-    for level in Level::available() {
+    for (level, side) in Level::available().into_iter().flat_map(|level| [(level, 3), (level, 1)]) {
         let rng = &mut fastrand::Rng::with_seed(1);
         for (channels, outputs, batch, rows, columns) in &cases {
             let extent = Extent { batch: *batch, rows: *rows, columns: *columns };
@@ -116,7 +122,7 @@ fn convolution_and_cotangents_match_plain_loops() {
             let sources: Vec<Source> = (0..channels.len())
                 .map(|s| Source { values: &pictures[s], channels: channels[s], slope: (s == 0).then_some(&slope[..]) })
                 .collect();
-            let (weight, bias) = (draw(outputs * inputs * 9, rng), draw(*outputs, rng));
+            let (weight, bias) = (draw(outputs * inputs * side * side, rng), draw(*outputs, rng));
             let bar = draw(outputs * n, rng);
 
             let plain: Vec<_> = sources.iter().map(|s| Plain::new(s, extent)).collect();
@@ -124,7 +130,7 @@ fn convolution_and_cotangents_match_plain_loops() {
                 (0..outputs * n).map(|i| f64::from(bias[i / extent.plane() % outputs])).collect();
             let mut weight_bar = vec![0.0; weight.len()];
             let mut activated_bars: Vec<_> = plain.iter().map(|p| vec![0.0; p.values.len()]).collect();
-            products(channels, *outputs, extent, |to, from, w, s| {
+            products(channels, *outputs, extent, side, |to, from, w, s| {
                 output[to] += f64::from(weight[w]) * plain[s].values[from];
                 weight_bar[w] += f64::from(bar[to]) * plain[s].values[from];
                 activated_bars[s][from] += f64::from(bar[to]) * f64::from(weight[w]);
@@ -132,9 +138,18 @@ fn convolution_and_cotangents_match_plain_loops() {
             let mut bias_bar = vec![0.0; *outputs];
             bar.iter().enumerate().for_each(|(i, b)| bias_bar[i / extent.plane() % outputs] += f64::from(*b));
 
-            let wide = (convolution::convolve as Convolve, convolution::convolve_vjp as ConvolveVjp, "strips");
-            for (convolve, convolve_vjp, name) in [wide, (small::convolve, small::convolve_vjp, "lines")] {
-                let what = format!("{name} {level:?} {channels:?} to {outputs}, {extent:?}");
+            let ways: [(Convolve, ConvolveVjp, &str); 2] = match side {
+                3 => [
+                    (convolution::convolve::<3>, convolution::convolve_vjp::<3>, "strips"),
+                    (small::convolve::<3>, small::convolve_vjp::<3>, "lines"),
+                ],
+                _ => [
+                    (convolution::convolve::<1>, convolution::convolve_vjp::<1>, "strips"),
+                    (small::convolve::<1>, small::convolve_vjp::<1>, "lines"),
+                ],
+            };
+            for (convolve, convolve_vjp, name) in ways {
+                let what = format!("{side} × {side} by {name} {level:?} {channels:?} to {outputs}, {extent:?}");
                 soil_scratch();
                 assert_close(&convolve(level, &sources, extent, &weight, &bias), &output, &what);
                 let wanted = |inputs, weights| Wanted { inputs, weights };
@@ -294,13 +309,16 @@ fn results_do_not_depend_on_the_number_of_threads() {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
                 pool.install(|| {
                     let ahead = convolve(level, &[source], extent, &weight, &bias);
+                    let deep = depthwise(level, source, extent, &weight[..9 * inputs], &weight[..inputs]);
+                    let (deep_bar, d, e) =
+                        depthwise_vjp(level, source, extent, &weight[..9 * inputs], &bar[..values.len()], wanted);
                     let up = unpool(level, source, extent, &weight[..4 * inputs * outputs], &bias);
                     let (sources, w, b) =
                         convolve_vjp(level, &[source], extent, &weight, &bar[..2 * outputs * extent.plane()], wanted);
                     let (source, v, c) =
                         unpool_vjp(level, source, extent, &weight[..4 * inputs * outputs], &bar, wanted);
-                    let bars = [&sources[0], &source].map(|s| (s.values.clone(), s.slope.clone()));
-                    (ahead, up, bars, [w, b, v, c])
+                    let bars = [&sources[0], &source, &deep_bar].map(|s| (s.values.clone(), s.slope.clone()));
+                    ([ahead, up, deep], bars, [w, b, v, c, d, e])
                 })
             };
             assert_eq!(with(1), with(3), "{level:?}");
@@ -335,9 +353,9 @@ fn where_lines_beat_strips() {
             alone.install(|| (0..3).map(|_| many()).fold(f64::INFINITY, f64::min))
         };
         let level = Level::detect();
-        let wide = (convolution::convolve as Convolve, convolution::convolve_vjp as ConvolveVjp);
+        let wide = (convolution::convolve::<3> as Convolve, convolution::convolve_vjp::<3> as ConvolveVjp);
         let wide_up = (unpooling::unpool as Unpool, unpooling::unpool_vjp as UnpoolVjp);
-        let lines = ((small::convolve as Convolve, small::convolve_vjp as ConvolveVjp), "lines");
+        let lines = ((small::convolve::<3> as Convolve, small::convolve_vjp::<3> as ConvolveVjp), "lines");
         let lines_up = (small::unpool as Unpool, small::unpool_vjp as UnpoolVjp);
         let giga = (2 * 9 * inputs * outputs * side * side) as f64 * 1e-6;
         for (((convolve, vjp), name), (unpool, unpool_vjp)) in [((wide, "strips"), wide_up), (lines, lines_up)] {
@@ -365,6 +383,67 @@ fn where_lines_beat_strips() {
                 "{inputs} to {outputs} at {side}, {name}: forward {ahead}, input {by_input}, weight {by_weight}; up {up:.2} ms, back {up_back:.2} ms"
             );
         }
+    }
+}
+
+#[test]
+#[ignore = "a measurement, not a check: GFLOP/s of every convolution's passes, GB/s of the gate"]
+fn speed_of_the_kernels() {
+    let rng = &mut fastrand::Rng::with_seed(5);
+    // The least of several runs, seconds.
+    let time = |run: &dyn Fn()| {
+        let once = || {
+            let start = std::time::Instant::now();
+            run();
+            start.elapsed().as_secs_f64()
+        };
+        (0..15).map(|_| once()).fold(f64::INFINITY, f64::min)
+    };
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("threads");
+    for (channels, side) in [(16, 192), (32, 96), (64, 48), (32, 256), (64, 128), (128, 64), (256, 16)] {
+        let extent = Extent { batch: 1, rows: side, columns: side };
+        let n = channels * side * side;
+        let (values, bar, bias) = (draw(2 * n, rng), draw(n, rng), draw(channels, rng));
+        let (weight, slope) = (draw(channels * channels * 9, rng), draw(channels, rng));
+        let source = Source { values: &values[..n], channels, slope: Some(&slope) };
+        let level = Level::detect();
+        let keep = |(bars, w, _): (Vec<SourceBar>, Vec<f32>, Vec<f32>)| {
+            bars.into_iter().for_each(|b| give(b.values));
+            give(w);
+        };
+        let passes = |name: &str, products: usize, ahead: &dyn Fn() -> Vec<f32>, back: &dyn Fn(Wanted)| {
+            let rate = |s: f64| 2e-9 * (products * side * side) as f64 / s;
+            let [forward, by_input, by_weight] = [
+                time(&|| give(ahead())),
+                time(&|| back(Wanted { inputs: true, weights: false })),
+                time(&|| back(Wanted { inputs: false, weights: true })),
+            ];
+            eprintln!(
+                "{level:?}, {channels} channels, {side} × {side}, {name}: forward {:.0} GFLOP/s ({:.2} ms), input {:.0}, weight {:.0}",
+                rate(forward),
+                1e3 * forward,
+                rate(by_input),
+                rate(by_weight)
+            );
+        };
+        pool.install(|| {
+            let square = |taps: usize| &weight[..channels * channels * taps];
+            for (name, taps) in [("3 × 3", 9), ("1 × 1", 1)] {
+                let back = |wanted| keep(convolve_vjp(level, &[source], extent, square(taps), &bar, wanted));
+                let ahead = || convolve(level, &[source], extent, square(taps), &bias);
+                passes(name, channels * channels * taps, &ahead, &back);
+            }
+            let taps = &weight[..channels * 9];
+            let back = |wanted| {
+                let (b, w, c) = depthwise_vjp(level, source, extent, taps, &bar, wanted);
+                keep((vec![b], w, c));
+            };
+            passes("depthwise", channels * 9, &|| depthwise(level, source, extent, taps, &bias), &back);
+            let gigabytes = |values: usize, s: f64| 4e-9 * values as f64 / s;
+            let ahead = time(&|| give(gate(level, &values, extent)));
+            let back = time(&|| give(gate_vjp(level, &values, extent, &bar)));
+            eprintln!("gate: forward {:.1} GB/s, back {:.1}", gigabytes(3 * n, ahead), gigabytes(5 * n, back));
+        });
     }
 }
 

@@ -3,8 +3,8 @@
 
 use rayon::prelude::*;
 
-use super::convolution::{Strip, parts, strips};
-use super::inner::{Correlation, PICTURES, Place, blocks, convolve_row, correlate, largest, load_pairs, store_pairs};
+use super::convolution::{Strip, correlate_channels, pack, parts, strips};
+use super::inner::{Place, blocks, convolve_row, largest, load_pairs, store_pairs};
 use super::panel::Panel;
 use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
@@ -16,22 +16,11 @@ const TAPS: usize = 4;
 /// Groups of strips that sum their own weight gradient.
 const GROUPS: usize = 16;
 
-/// `[block][k][m of the block]` of the matrix `weight(m, k)`.
-fn pack(m: usize, k: usize, largest: usize, weight: impl Fn(usize, usize) -> f32) -> Vec<f32> {
-    let mut packed = Vec::with_capacity(m * k);
-    for (first, size) in blocks(m, largest) {
-        for k in 0..k {
-            packed.extend((first..first + size).map(|m| weight(m, k)));
-        }
-    }
-    packed
-}
-
 /// Output `[batch, bias.len(), 2 rows, 2 columns]`; `weight` is `[in, out, 2, 2]`, `extent` that of the source.
 pub(super) fn unpool(level: Level, source: Source, extent: Extent, weight: &[f32], bias: &[f32]) -> Vec<f32> {
     let products = bias.len() * TAPS;
     assert_eq!(weight.len(), source.channels * products);
-    let packed = pack(products, source.channels, largest(level), |m, k| weight[k * products + m]);
+    let packed = pack(products, source.channels, 1, largest(level), |m, k, _| weight[k * products + m]);
     let spread: Vec<f32> = bias.iter().flat_map(|&b| [b; TAPS]).collect();
     let rows = rows_of_strip(extent, source.channels);
     filled(extent.batch * products * extent.plane(), |to| {
@@ -102,7 +91,7 @@ pub(super) fn unpool_vjp(
     let inputs = source.channels;
     let products = weight.len() / inputs;
     assert_eq!(output_bar.len(), extent.batch * products * extent.plane());
-    let packed = pack(inputs, products, largest(level), |m, k| weight[m * products + k]);
+    let packed = pack(inputs, products, 1, largest(level), |m, k, _| weight[m * products + k]);
     let rows = rows_of_strip(extent, inputs + products);
     let mut jobs: Vec<(Strip, Option<Panel>)> = strips(extent, rows).into_iter().map(|strip| (strip, None)).collect();
     let zeros = vec![0.0; inputs];
@@ -206,25 +195,10 @@ impl Kernel for Backward<'_, '_> {
             let layout = Layout::new(inputs, rows, columns);
             let values = scratch.1.get(layout.len());
             load_activated(simd, &[source], extent, image, first as isize, &layout, values);
-            // Three inputs a time; where fewer are left the last one is computed again into a bin.
-            let mut bin = [0.0f32; 8 * PICTURES];
             for (m, size) in blocks(products, S::BLOCK) {
                 let a = bar_layout.rows_from(bars, m, 0, 0);
-                for input in (0..inputs).step_by(PICTURES) {
-                    let b = [0, 1, 2].map(|t| layout.rows_from(values, (input + t).min(inputs - 1), 0, 0).from);
-                    let of = Correlation { a, b, b_row_stride: layout.row_stride, rows, n: columns };
-                    if input + PICTURES <= inputs {
-                        correlate(simd, size, of, &mut sums.weight[input * products + m..], (1, products));
-                    } else {
-                        bin.fill(0.0);
-                        correlate(simd, size, of, &mut bin, (PICTURES, 1));
-                        for t in 0..inputs - input {
-                            for o in 0..size {
-                                sums.weight[(input + t) * products + m + o] += bin[PICTURES * o + t];
-                            }
-                        }
-                    }
-                }
+                let to = &mut sums.weight[m..];
+                correlate_channels(simd, (a, size), (&layout, &*values), (0, rows, columns), to, (1, products));
             }
         }
     }

@@ -25,7 +25,6 @@ use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;
-use isoplanat::network::card::receptive_radius_px;
 use isoplanat::psf::SensorMap;
 use isoplanat::report::demo::{Crop, DemoReport, MethodResult, SceneResult};
 use isoplanat::{Error, Result};
@@ -95,7 +94,7 @@ pub(crate) fn photograph(
     };
     let mosaic = taken.dn.mapv(f32::from);
     // The network that sees the capture alone, in the other one's place.
-    let radius = receptive_radius_px(bare.config().scales);
+    let radius = bare.config().receptive_radius_px();
     let tiling =
         Tiling::new(settings.tile, radius.next_multiple_of(bare.config().multiple()), bare.config().multiple())?;
     let alone = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
