@@ -14,8 +14,6 @@ use crate::network::{Blocks, ContentKind, Objective, Reconstructor, UnetConfig};
 
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";
-/// Most pairs whose losses are remembered, in every checkpoint.
-const REMEMBERED: u64 = 1 << 16;
 /// Channels of the network's finest scale where the task names none.
 const WIDTH: usize = 32;
 
@@ -64,8 +62,6 @@ pub struct TrainTask {
     pub rise_steps: u64,
     /// Share of the weights' running mean that a step keeps; the mean is the result. 0: the last step's weights are.
     pub average: f64,
-    /// Pairs that are drawn for each patch; the one whose last loss was the largest is taken. 1: any pair.
-    pub draws: u64,
     /// Content loss: `content` (eq. 12 with `vgg`, L1 and multi-scale SSIM without) or `l1`.
     pub loss: String,
     /// VGG-19 weights (safetensors).
@@ -109,7 +105,6 @@ impl Default for TrainTask {
             rate: 1e-4,
             rise_steps: 0,
             average: 0.0,
-            draws: 1,
             loss: "content".into(),
             vgg: None,
             adversarial: false,
@@ -199,13 +194,6 @@ impl TrainTask {
         within("rise_steps", self.rise_steps as f64, 0.0, 1e9, "0 to 1000000000")?;
         if !(0.0..1.0).contains(&self.average) {
             return bad("average", self.average.to_string(), "0 (none) or more, below 1");
-        }
-        if !(1..=64).contains(&self.draws) {
-            return bad("draws", self.draws.to_string(), "1 to 64");
-        }
-        if self.draws > 1 && !(1..=REMEMBERED).contains(&self.pairs) {
-            let allowed = format!("draws of 1, or 1 to {REMEMBERED} pairs, whose losses are remembered");
-            return bad("pairs", format!("{} with draws of {}", self.pairs, self.draws), &allowed);
         }
         if !["content", "l1"].contains(&self.loss.as_str()) {
             return bad("loss", self.loss.clone(), "content or l1");

@@ -119,7 +119,7 @@ impl Training {
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let parts = Parts::new(&task, lens, textures, None)?;
-        let state = State::new(&task);
+        let state = State::default();
         // The run that gives way must not be trained elsewhere; its lock goes with it.
         let _old = if folder.exists() { Some(lock(folder)?) } else { None };
         atomic::write_folder(folder, MARKER, replace, |inside| {
@@ -309,11 +309,8 @@ impl Training {
         let train = &self.task.train;
         let rng = &mut fastrand::Rng::with_seed(mixed(self.task.seed ^ 0x7374_6570, self.state.step));
         let mut parts = (Vec::new(), Vec::new());
-        let mut drawn = Vec::new();
         for _ in 0..train.batch {
-            let index = self.state.draw(&self.pairs, train.draws, rng);
-            drawn.push(index);
-            let pair = self.pairs.get(&self.textures, index)?;
+            let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
             let (input, target) = cut(&self.electronics, &self.guide, &pair, train.patch_px, train.augmentation(), rng);
             parts.0.push(input);
             parts.1.push(target);
@@ -324,13 +321,9 @@ impl Training {
         };
         let (input, target) = (batch(&parts.0), batch(&parts.1));
         let step = self.trainer.step(input.view(), target.view(), rate)?;
-        let mut sum = 0.0;
-        for ((output, target), index) in step.output.outer_iter().zip(target.outer_iter()).zip(drawn) {
-            let psnr_db = bounded(psnr(output, target));
-            sum += psnr_db;
-            self.state.remember(index, psnr_db);
-        }
-        Ok((step, sum / train.batch as f64))
+        let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| bounded(psnr(a, b)));
+        let psnr_db = each.sum::<f64>() / train.batch as f64;
+        Ok((step, psnr_db))
     }
 
     /// Log, then network: the log is never behind.
