@@ -161,7 +161,7 @@ fn kits_carry_their_filters_and_refuse_others() {
     refused("filters.npz");
     std::fs::write(&file, &bytes).expect("writes");
     let start = toml.find("[filters]").expect("a table");
-    let end = toml[start + 1..].find('[').expect("another") + start + 1;
+    let end = toml[start + 1..].find("\n[").expect("another") + start + 2;
     std::fs::write(folder.join("kit.toml"), format!("{}{}", &toml[..start], &toml[end..])).expect("writes");
     refused("Wiener filters");
     std::fs::write(folder.join("kit.toml"), toml.replacen("filters.npz", "../filters.npz", 1)).expect("writes");
