@@ -11,6 +11,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Flex, TensorMetadata, backend_extension};
 use burn::tensor::TensorData;
 
+use super::kernels::columns::{self, Taps};
 use super::kernels::{self, Extent, Level, Source, SourceBar, Wanted};
 
 /// The operations; semantics as in `layers`.
@@ -41,6 +42,14 @@ pub(super) trait FastOps: Backend {
         weight: FloatTensor<Self>,
         bias: FloatTensor<Self>,
         level: Level,
+    ) -> FloatTensor<Self>;
+
+    /// Convolution of a picture without activation by a kernel of any size and stride.
+    fn convolve_columns(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        how: (Level, Taps),
     ) -> FloatTensor<Self>;
 
     /// 2×2 max-pooling of an activated picture.
@@ -135,6 +144,14 @@ impl FastOps for Flex {
         let output = convolve(&sources, extent(&x), &weight, &bias, level);
         release([x, plain]);
         output
+    }
+
+    fn convolve_columns(x: Primitive, weight: Primitive, bias: Primitive, (level, taps): (Level, Taps)) -> Primitive {
+        let [x, weight, bias] = [x, weight, bias].map(contiguous);
+        let (extent, out) = (extent(&x), taps.output(extent(&x)));
+        let output = columns::convolve(level, taps, source(&x, None), extent, values(&weight), values(&bias));
+        release([x]);
+        primitive(output, [out.batch, dims::<1>(&bias)[0], out.rows, out.columns])
     }
 
     fn pool_activated(x: Primitive, slope: Primitive, level: Level) -> Primitive {
@@ -240,6 +257,27 @@ impl Backward<Flex, 5> for ConvolveJoined {
 }
 
 #[derive(Debug)]
+struct ConvolveColumns;
+
+impl Backward<Flex, 3> for ConvolveColumns {
+    type State = ([Primitive; 2], (Level, Taps));
+
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let [x_node, weight_node, bias_node] = ops.parents;
+        let bar = contiguous(grads.consume::<Flex>(&ops.node));
+        let ([x, weight], (level, taps)) = ops.state;
+        let wanted = Wanted { inputs: x_node.is_some(), weights: weight_node.is_some() || bias_node.is_some() };
+        let (x_bar, weight_bar, bias_bar) =
+            columns::convolve_vjp(level, taps, source(&x, None), extent(&x), values(&weight), values(&bar), wanted);
+        register!(grads, x_node, x_bar, dims::<4>(&x));
+        let outputs = bias_bar.len();
+        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
+        register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
+    }
+}
+
+#[derive(Debug)]
 struct PoolActivated;
 
 impl Backward<Flex, 2> for PoolActivated {
@@ -325,6 +363,15 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         level: Level,
     ) -> FloatTensor<Self> {
         tracked!(ConvolveJoined, [x, slope, plain, weight, bias], [x, slope, plain, weight], level, convolve_joined)
+    }
+
+    fn convolve_columns(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        how: (Level, Taps),
+    ) -> FloatTensor<Self> {
+        tracked!(ConvolveColumns, [x, weight, bias], [x, weight], how, convolve_columns)
     }
 
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {

@@ -5,8 +5,10 @@
 //! loops of [`inner`] then run without any border case. Strips go to rayon's threads. How the picture is cut, and so the
 //! order of every sum, depends on its shape alone: results do not depend on the number of threads.
 //!
-//! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]).
+//! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]). Kernels of other sizes and strides than
+//! the U-Net's go by [`columns`].
 
+pub(super) mod columns;
 mod convolution;
 mod flat;
 mod inner;
