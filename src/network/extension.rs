@@ -11,6 +11,7 @@ use burn::backend::tensor::FloatTensor;
 use burn::backend::{Autodiff, Backend, Flex, TensorMetadata, backend_extension};
 use burn::tensor::TensorData;
 
+use super::kernels::columns::{self, Taps};
 use super::kernels::{self, Extent, Level, Source, SourceBar, Wanted};
 
 /// The operations; semantics as in `layers`.
@@ -54,6 +55,14 @@ pub(super) trait FastOps: Backend {
 
     /// The product of a plain picture's first and second half of channels.
     fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self>;
+
+    /// Convolution of a picture without activation by a kernel of any size and stride.
+    fn convolve_columns(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        how: (Level, Taps),
+    ) -> FloatTensor<Self>;
 
     /// 2×2 max-pooling of an activated picture.
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self>;
@@ -169,6 +178,14 @@ impl FastOps for Flex {
         let output = kernels::gate(level, values(&x), extent(&x));
         release([x]);
         primitive(output, [batch, channels / 2, rows, columns])
+    }
+
+    fn convolve_columns(x: Primitive, weight: Primitive, bias: Primitive, (level, taps): (Level, Taps)) -> Primitive {
+        let [x, weight, bias] = [x, weight, bias].map(contiguous);
+        let (extent, out) = (extent(&x), taps.output(extent(&x)));
+        let output = columns::convolve(level, taps, source(&x, None), extent, values(&weight), values(&bias));
+        release([x]);
+        primitive(output, [out.batch, dims::<1>(&bias)[0], out.rows, out.columns])
     }
 
     fn pool_activated(x: Primitive, slope: Primitive, level: Level) -> Primitive {
@@ -300,6 +317,27 @@ impl Backward<Flex, 4> for DepthwiseActivated {
 }
 
 #[derive(Debug)]
+struct ConvolveColumns;
+
+impl Backward<Flex, 3> for ConvolveColumns {
+    type State = ([Primitive; 2], (Level, Taps));
+
+    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let [x_node, weight_node, bias_node] = ops.parents;
+        let bar = contiguous(grads.consume::<Flex>(&ops.node));
+        let ([x, weight], (level, taps)) = ops.state;
+        let wanted = Wanted { inputs: x_node.is_some(), weights: weight_node.is_some() || bias_node.is_some() };
+        let (x_bar, weight_bar, bias_bar) =
+            columns::convolve_vjp(level, taps, source(&x, None), extent(&x), values(&weight), values(&bar), wanted);
+        register!(grads, x_node, x_bar, dims::<4>(&x));
+        let outputs = bias_bar.len();
+        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
+        register!(grads, bias_node, bias_bar, [outputs]);
+        release([bar, x]);
+    }
+}
+
+#[derive(Debug)]
 struct GatePlain;
 
 impl Backward<Flex, 1> for GatePlain {
@@ -415,6 +453,15 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
 
     fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
         tracked!(GatePlain, [x], [x], level, gate_plain)
+    }
+
+    fn convolve_columns(
+        x: FloatTensor<Self>,
+        weight: FloatTensor<Self>,
+        bias: FloatTensor<Self>,
+        how: (Level, Taps),
+    ) -> FloatTensor<Self> {
+        tracked!(ConvolveColumns, [x, weight, bias], [x, weight], how, convolve_columns)
     }
 
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {

@@ -1,5 +1,5 @@
-//! The network's operations: 3×3 and 1×1 convolution, depthwise 3×3 convolution, gate, 2×2 max-pooling, 2×2 transposed
-//! convolution.
+//! The networks' operations: 3×3 and 1×1 convolution, depthwise 3×3 convolution, gate, 2×2 max-pooling, 2×2 transposed
+//! convolution; convolutions of other sizes for discriminators.
 //!
 //! Activations are stored *before* their PReLU, together with its slopes ([`Features`]), and every operation applies the
 //! PReLU to what it reads: the activated picture is never written. Convolution takes a list of inputs in place
@@ -14,6 +14,7 @@ use burn::tensor::Tensor;
 use super::extension::FastOps;
 use super::in_blocks::in_blocks;
 use super::kernels::Level;
+use super::kernels::columns::Taps;
 use burn::tensor::activation::prelu;
 use burn::tensor::module::{conv_transpose2d, conv2d, max_pool2d};
 use burn::tensor::ops::{ConvOptions, ConvTransposeOptions, MaxPoolOptions};
@@ -192,6 +193,11 @@ pub(super) fn convolve_any(
     stride: usize,
     padding: usize,
 ) -> Tensor<4> {
+    if let Way::Kernels(level) = way {
+        let taps = Taps { side: weight.dims()[2], stride, padding };
+        let [x, weight] = [x, weight].map(Tensor::into_dispatch);
+        return Tensor::from_dispatch(Dispatch::convolve_columns(x, weight, bias.into_dispatch(), (level, taps)));
+    }
     way.convolve_by_burn(x, weight, bias, Plan { stride, padding, groups: 1 })
 }
 

@@ -6,8 +6,10 @@
 //! order of every sum, depends on its shape alone: results do not depend on the number of threads.
 //!
 //! Planes of few columns, which come with many channels, are cut by weights instead ([`small`]). What has no weights between
-//! channels ([`pooling`], [`depthwise`], [`gate`]) goes plane by plane.
+//! channels ([`pooling`], [`depthwise`], [`gate`]) goes plane by plane. Kernels of other sizes and strides than
+//! the U-Net's go by [`columns`].
 
+pub(super) mod columns;
 mod convolution;
 mod depthwise;
 mod flat;

@@ -44,11 +44,8 @@ pub(super) fn convolve<const SIDE: usize>(
     };
     let output = filled(extent.batch * bias.len() * extent.plane(), |to| {
         let size = group(bias.len());
-        let groups = Panel::cut(to, bias.len() * extent.plane(), size * extent.plane()).map(|panel| Store {
-            pieces: vec![Piece { panel, source: None }],
-            extent,
-            slope_bars: &mut [],
-        });
+        let groups =
+            Panel::cut(to, bias.len() * extent.plane(), size * extent.plane()).map(|panel| Store::plain(panel, extent));
         product::<SIDE>(level, &lines, bias, pack, groups.collect());
     });
     lines.release();
@@ -160,7 +157,7 @@ pub(super) fn unpool_vjp(
 
 /// Writes `size` rows as `[value][row]`.
 #[inline(always)]
-fn interleave<'a>(size: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
+pub(super) fn interleave<'a>(size: usize, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
     if size == 8 {
         // The usual block, with its loop over rows unrolled.
         let rows: [&[f32]; 8] = std::array::from_fn(&row);
@@ -239,11 +236,18 @@ struct Piece<'a> {
 }
 
 /// Writes lines as rows of pictures; cotangents go through the PReLU of their source.
-struct Store<'a> {
+pub(super) struct Store<'a> {
     pieces: Vec<Piece<'a>>,
     extent: Extent,
     /// One value an output, or none.
     slope_bars: &'a mut [f32],
+}
+
+impl<'a> Store<'a> {
+    /// For lines that are the panel's channels, planes of `extent`, as they are.
+    pub(super) fn plain(panel: Panel<'a>, extent: Extent) -> Self {
+        Self { pieces: vec![Piece { panel, source: None }], extent, slope_bars: &mut [] }
+    }
 }
 
 impl Finish for Store<'_> {

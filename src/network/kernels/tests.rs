@@ -1,5 +1,6 @@
 //! The kernels at every level this processor has, against plain loops in f64.
 
+use super::columns::Taps;
 use super::*;
 
 /// Leaves values that would be noticed in the scratch buffers of all threads.
@@ -231,6 +232,66 @@ fn unpooling_and_cotangents_match_plain_loops() {
                 let half = vjp(true, false);
                 assert_eq!((&half.0.values, half.1.len(), half.2.len()), (&found.values, 0, 0));
             }
+        }
+    }
+}
+
+#[test]
+fn convolutions_by_columns_and_cotangents_match_plain_loops() {
+    for level in Level::available() {
+        let rng = &mut fastrand::Rng::with_seed(5);
+        for (side, stride, padding, inputs, outputs, batch, rows, columns) in [
+            (4, 2, 1, 3, 5, 2, 8, 12),
+            (4, 1, 1, 7, 9, 1, 9, 6),
+            (4, 1, 0, 20, 1, 2, 4, 4),
+            (4, 2, 1, 40, 33, 1, 4, 6),
+            (5, 3, 2, 2, 3, 1, 7, 11),
+            (3, 1, 1, 1, 2, 1, 1, 1),
+            (4, 2, 1, 2, 8, 1, 60, 70),
+            (1, 2, 0, 3, 2, 1, 5, 4),
+        ] {
+            let (taps, extent) = (Taps { side, stride, padding }, Extent { batch, rows, columns });
+            let out = taps.output(extent);
+            let values = draw(batch * inputs * extent.plane(), rng);
+            let source = Source { values: &values, channels: inputs, slope: None };
+            let (weight, bias) = (draw(outputs * inputs * side * side, rng), draw(outputs, rng));
+            let bar = draw(batch * outputs * out.plane(), rng);
+            let mut output = vec![0.0; bar.len()];
+            let (mut weight_bar, mut bias_bar) = (vec![0.0; weight.len()], vec![0.0; outputs]);
+            let mut values_bar = vec![0.0; values.len()];
+            for (to, (found, &bar)) in output.iter_mut().zip(&bar).enumerate() {
+                let (x, y) = (to % out.columns, to / out.columns % out.rows);
+                let (o, n) = (to / out.plane() % outputs, to / (out.plane() * outputs));
+                *found = f64::from(bias[o]);
+                bias_bar[o] += f64::from(bar);
+                for k in 0..inputs * side * side {
+                    let (c, i, j) = (k / (side * side), k / side % side, k % side);
+                    let (Some(row), Some(column)) =
+                        ((y * stride + i).checked_sub(padding), (x * stride + j).checked_sub(padding))
+                    else {
+                        continue;
+                    };
+                    if row < rows && column < columns {
+                        let (from, w) =
+                            (((n * inputs + c) * rows + row) * columns + column, o * inputs * side * side + k);
+                        *found += f64::from(weight[w]) * f64::from(values[from]);
+                        weight_bar[w] += f64::from(bar) * f64::from(values[from]);
+                        values_bar[from] += f64::from(bar) * f64::from(weight[w]);
+                    }
+                }
+            }
+            let what = format!("{level:?} {taps:?} {inputs} to {outputs}, {extent:?}");
+            soil_scratch();
+            assert_close(&columns::convolve(level, taps, source, extent, &weight, &bias), &output, &what);
+            soil_scratch();
+            let vjp = |inputs, weights| {
+                columns::convolve_vjp(level, taps, source, extent, &weight, &bar, Wanted { inputs, weights })
+            };
+            let (x, w, b) = vjp(true, true);
+            assert_close(&x, &values_bar, &format!("{what}: source"));
+            assert_close(&w, &weight_bar, &format!("{what}: weight"));
+            assert_close(&b, &bias_bar, &format!("{what}: bias"));
+            assert_eq!((vjp(false, true).0.len(), vjp(true, false).1.len()), (0, 0));
         }
     }
 }
