@@ -12,9 +12,10 @@ use crate::network::layers::Way;
 use crate::network::learner::Parameter;
 use crate::network::reconstructor::{Reconstructor, array};
 
-/// Most that a part may be off, of its own size. Two right programs differ by their rounding, which a deep network amplifies
-/// (up to 1e-3 between our own kernels and burn's); the gradients that were wrong were off by more than half.
-const LIMIT: f64 = 2e-2;
+/// Most that a part may be off, of its own size. Rounding moves pixels over the kinks of PReLU and max-pooling: between our own
+/// kernels and burn's code a gradient is off by up to 9e-3 in networks of seven scales, 2e-3 in those of three. The gradients
+/// that were wrong were off by 0.7.
+const LIMIT: f64 = 5e-2;
 
 /// Gradients of parameters smaller than this share of all parameters' are rounding, and are measured by it.
 const LEAST: f64 = 1e-3;
@@ -264,5 +265,21 @@ mod tests {
         let off = Deviation::worst(&of(0.0), &of(1e-6));
         assert!(off.passes() && off.name == "gradient of local.bias", "{off:?}");
         assert!(!Deviation::worst(&of(0.0), &of(1e-3)).passes());
+    }
+
+    #[test]
+    #[ignore = "a measurement, not a check: how far two right programs are apart"]
+    fn rounding_of_a_right_device() {
+        let vgg = crate::testing::shared("data/vgg19/vgg19_normalised_to_relu3_1.safetensors").expect("the file");
+        for (width, scales, batch, side) in [(16, 3, 2, 128), (8, 7, 1, 256), (32, 7, 1, 256)] {
+            for content in [ContentKind::L1, ContentKind::Structure, ContentKind::Vgg(vgg.clone())] {
+                let critics = Some(CriticConfig { width: 16, patch_px: side });
+                let objective = Objective { content, critics };
+                let network = Reconstructor::new(UnetConfig::bare(width, scales), 7).expect("valid");
+                let mut trainer = Trainer::new(network, &objective, 1).expect("valid");
+                trainer.judge_device("kernels", &objective, batch, side).expect("right");
+                eprintln!("{width} {scales} {batch} {side} {}", trainer.device().expect("checked"));
+            }
+        }
     }
 }
