@@ -1,9 +1,10 @@
 //! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isoplanat::imaging::capture::{CaptureSettings, capture};
+use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
@@ -52,6 +53,7 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
+    glare::check(args.glare).map_err(|e| e.in_file(Path::new("isoplanat")))?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
     input::in_band(&lens, &SpectralDensity::new(&sensor), &args.lens)?;

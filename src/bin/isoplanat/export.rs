@@ -52,7 +52,7 @@ const JUDGED: usize = 384;
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.force)?;
-    args.glare.map(glare::check).transpose()?;
+    args.glare.map(glare::check).transpose().map_err(|e| e.in_file(Path::new("isoplanat")))?;
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
