@@ -80,6 +80,7 @@ fn constant(value: f32, n: usize, device: &Device) -> Param<Tensor<1>> {
 
 /// A block of any kind.
 #[derive(Module, Debug)]
+#[expect(clippy::large_enum_variant, reason = "a handful a network")]
 pub(super) enum Block {
     /// [`Blocks::Paper`].
     Paper(Paper),
