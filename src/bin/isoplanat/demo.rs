@@ -145,9 +145,10 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         stage(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)
     };
-    let alone = UnetConfig { inputs: Inputs::BARE, ..joint.network.config().clone() };
-    let bare = finished("network of the capture alone", Inputs::BARE, Reconstructor::new(alone, task.seed)?)?;
-    let training = finished("network told of its lens", task.train.inputs, joint.network)?;
+    let told = UnetConfig { inputs: task.train.inputs, ..joint.network.config().clone() };
+    let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
+    let fresh = Reconstructor::new(told, task.seed)?;
+    let training = finished("network told of its lens", task.train.inputs, fresh)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
@@ -200,9 +201,9 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
-        "A coarse two-element lens and a small network that is told of it are designed together; the network, and a fresh one that sees \
-                      the capture alone, are then trained for the finished lens; the first is exported to ONNX and used on RAW captures of \
-                      scenes that neither has seen, rendered by an independent ray tracer from the sensor."
+        "A coarse two-element lens and a small network are designed together; the network, and one that is told of the lens, are then \
+                      trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
+                      rendered by an independent ray tracer from the sensor."
             .into();
     report.seconds_total = started.elapsed().as_secs_f64();
     atomic::write_bytes(&folder.join(MARKER), report.to_html()?.as_bytes())?;
