@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 ///
 /// A block looks at its surroundings through 3×3 convolutions alone, so that tiles of a picture give what the whole gives.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
+#[serde(try_from = "String", into = "String")]
 pub enum Blocks {
     /// Two 3×3 convolutions with PReLU, as in the paper.
     #[default]
@@ -54,6 +54,20 @@ impl Blocks {
             Self::Paper | Self::Separable => 2,
             Self::Gated => 1,
         }
+    }
+}
+
+impl TryFrom<String> for Blocks {
+    type Error = Error;
+
+    fn try_from(name: String) -> Result<Self> {
+        Self::of_name(&name)
+    }
+}
+
+impl From<Blocks> for String {
+    fn from(blocks: Blocks) -> Self {
+        blocks.name().to_owned()
     }
 }
 

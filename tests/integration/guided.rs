@@ -185,7 +185,7 @@ fn a_told_network_goes_from_the_task_to_the_camera() {
     place.write("smell.toml", task("inputs = [\"smell\"]", ""));
     place.run("train smell.toml -o none").refused(&["smell.toml", "inputs", "wiener, field"]);
     place.write("dense.toml", task("blocks = \"dense\"\n", ""));
-    place.run("train dense.toml -o none").refused(&["dense.toml", "blocks", "dense", "`separable`"]);
+    place.run("train dense.toml -o none").refused(&["dense.toml", "blocks", "dense", "paper, separable, gated"]);
     place.run("train bare.toml -o bare").done();
     let said = place.run("train told.toml -o told");
     assert_eq!(said.code, 0, "{said:?}");
