@@ -80,6 +80,7 @@ fn constant(value: f32, n: usize, device: &Device) -> Param<Tensor<1>> {
 }
 
 /// A block of any kind.
+#[expect(clippy::large_enum_variant, reason = "a handful of blocks, all of one kind")]
 #[derive(Module, Debug)]
 pub(super) enum Block {
     /// [`Blocks::Paper`].

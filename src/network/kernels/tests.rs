@@ -112,7 +112,7 @@ fn convolution_and_cotangents_match_plain_loops() {
         (vec![9], 512, 1, 8, 7),
         (vec![512], 16, 1, 16, 16),
     ];
-    for (level, side) in Level::available().into_iter().flat_map(|level| [(level, 3), (level, 1)]) {
+    for (level, side) in Level::available().flat_map(|level| [(level, 3), (level, 1)]) {
         let rng = &mut fastrand::Rng::with_seed(1);
         for (channels, outputs, batch, rows, columns) in &cases {
             let extent = Extent { batch: *batch, rows: *rows, columns: *columns };
