@@ -68,7 +68,7 @@ fn mebibytes(kibibytes: Option<f64>) -> String {
 }
 
 /// Seconds this process has run on all processors, user and system; 0 where the system does not say.
-fn processor_seconds() -> f64 {
+pub(crate) fn processor_seconds() -> f64 {
     let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
     // After the name in parentheses: state is the first field, user and system time the 12th and 13th, in 1/100 s.
     let fields: Vec<&str> = text.rsplit(')').next().unwrap_or_default().split_whitespace().collect();
