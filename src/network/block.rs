@@ -81,7 +81,6 @@ fn constant(value: f32, n: usize, device: &Device) -> Param<Tensor<1>> {
 /// A block of any kind.
 #[expect(clippy::large_enum_variant, reason = "a handful of blocks, all of one kind")]
 #[derive(Module, Debug)]
-#[expect(clippy::large_enum_variant, reason = "a handful a network")]
 pub(super) enum Block {
     /// [`Blocks::Paper`].
     Paper(Paper),
