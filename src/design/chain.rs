@@ -4,12 +4,13 @@
 //! gradient is that of the deterministic loss a step sees. The lens is traced once for all patches of a step; what comes back
 //! from them adds up in the optics' cotangent.
 
-use ndarray::{Array3, ArrayView3};
+use ndarray::{Array3, ArrayView2, ArrayView3};
 
 use crate::error::Result;
 use crate::imaging::develop::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::{Rendered, Renderer};
+use crate::imaging::sensor::cfa::mosaic_vjp;
 use crate::imaging::sensor::noise::standard_normal;
 use crate::math::real::Real;
 use crate::psf::OpticsBar;
@@ -60,16 +61,16 @@ pub fn forward<T: Real>(renderer: &Renderer, electronics: &Electronics, patch: &
     Ok(developed(electronics, patch, rendered))
 }
 
-/// [`forward`] of `image`, irradiance over the patch's region from elsewhere, which needs only be right in each pixel's own channel.
+/// [`forward`] of `mosaic`, irradiance over the patch's region from elsewhere, in each pixel's own colour `[row, col]`.
 pub(super) fn forward_of(
     renderer: &Renderer,
     electronics: &Electronics,
     patch: &Patch,
-    image: Array3<f32>,
+    mosaic: ArrayView2<'_, f32>,
 ) -> Result<PatchForward<f32>> {
     let depth = renderer.plan.depth(patch.scene.vergence)?;
     let mut rendered = renderer.record(&patch.scene, depth, patch.region);
-    rendered.image = image;
+    rendered.image = mosaic_vjp(mosaic, electronics_at(electronics, patch.region).cfa);
     Ok(developed(electronics, patch, rendered))
 }
 

@@ -103,7 +103,8 @@ impl Textures {
             rows: size,
             cols: size,
         };
-        let seen = if reach == 0 { part } else { part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)) };
+        // A patch may be larger than the frame.
+        let seen = part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part);
         Patch { part, ..self.place(rng, frame, map, seen) }
     }
 

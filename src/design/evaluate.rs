@@ -11,7 +11,7 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
-use ndarray::{Array3, Array4, ArrayView3, Axis, s};
+use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
 use crate::error::{Error, Result};
@@ -389,8 +389,8 @@ impl Shot<'_> {
         let done = match self.by_rays {
             None => forward::<f32>(renderer, electronics, &patch)?,
             Some(how) => {
-                let image = by_rays(how, electronics, frame, &patch)?;
-                forward_of(renderer, electronics, &patch, image)?
+                let mosaic = by_rays(how, electronics, frame, &patch)?;
+                forward_of(renderer, electronics, &patch, mosaic.view())?
             }
         };
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
@@ -430,23 +430,16 @@ impl Shot<'_> {
     }
 }
 
-/// Irradiance over a patch by rays from the sensor, in each pixel's own channel; nothing in the others.
+/// Irradiance over a patch by rays from the sensor, in each pixel's own colour, `[row, col]`.
 fn by_rays(
     (lens, density, samples): (&Lens, &SpectralDensity, usize),
     electronics: &Electronics,
     frame: &Frame,
     patch: &Patch,
-) -> Result<Array3<f32>> {
+) -> Result<Array2<f32>> {
     let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
     let how = reference::Settings { samples, seed, channels, sampling: reference::Sampling::Bounded };
-    let mosaic = reference::render(lens, &patch.scene, density, frame, patch.region, how, None)?.mosaic();
-    let mut image = Array3::zeros((3, patch.region.rows, patch.region.cols));
-    for ((i, j), v) in mosaic.indexed_iter() {
-        let [row, col] =
-            [(patch.region.row, i), (patch.region.col, j)].map(|(a, k)| (a + k.cast_signed()).unsigned_abs());
-        image[[electronics.cfa.channel(row, col), i, j]] = *v;
-    }
-    Ok(image)
+    Ok(reference::render(lens, &patch.scene, density, frame, patch.region, how, None)?.mosaic())
 }
 
 /// The network's output on the `size` pixels at `at` of `capture`, which it sees with `context` pixels around them, mirrored

@@ -376,6 +376,24 @@ mod tests {
         }
     }
 
+    /// Patches with more rows than the frame: what the network sees is still all there, told or not.
+    #[test]
+    fn a_patch_may_be_larger_than_the_frame() {
+        let task = task();
+        let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
+        let textures = Textures::built_in(3, 1, 400);
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+        let budget = Budget::Steps(1);
+        let (lens_rate, network_rate, settings) = (0.01, 1e-3, Some(SETTINGS));
+        let settings = JointSettings { budget, patch: 192, batch: 1, lens_rate, network_rate, settings };
+        for inputs in [Inputs::BARE, TOLD] {
+            let net = network(4, inputs, 1).expect("valid");
+            let (_, history) =
+                joint_stage(&scenery, &lens, net, settings, &mut |_, e| assert!(e.loss.is_finite())).expect("runs");
+            assert!(history.is_empty(), "one step fills no entry");
+        }
+    }
+
     /// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.
     #[test]
     fn a_scene_without_light_leaves_the_lens_alone() {

@@ -185,9 +185,11 @@ pub fn joint_stage(
         }
         progress(used.min(1.0), &entry);
     }
-    if settings.lens_rate > 0.0 && joint.guide.filters().is_some() {
-        renderer = joint.renderer(&renderer.plan, true)?;
-        joint.refresh(&renderer, &electronics);
+    if settings.lens_rate > 0.0
+        && joint.guide.filters().is_some()
+        && let Ok(finished) = joint.renderer(&renderer.plan, true)
+    {
+        joint.refresh(&finished, &electronics);
     }
     Ok((joint, history))
 }

@@ -192,11 +192,11 @@ impl Reconstructor {
     /// average.
     pub fn load(path: &Path) -> Result<Self> {
         let file = Checkpoint::read(path)?;
-        let network = Self::from_checkpoint(&file, Compute::Cpu)?;
-        if !file.has(average::PREFIX) {
-            return Ok(network);
+        let mut network = Self::from_checkpoint(&file, Compute::Cpu)?;
+        if file.has(average::PREFIX) {
+            network.restart(file.weights(average::PREFIX, &network.parameters())?.0);
         }
-        Ok(network.with_weights(file.weights(average::PREFIX, &network.parameters())?.0))
+        Ok(network)
     }
 
     /// A network of the same kind in the same place with other weights in the order of [`Reconstructor::parameters`].

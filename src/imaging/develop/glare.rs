@@ -54,13 +54,11 @@ pub fn remove(mosaic: &mut Array2<f32>, cfa: Cfa, balance: &Balance, h: f64) {
 pub fn guess(mosaic: ArrayView2<'_, f32>, cfa: Cfa, balance: &Balance) -> f64 {
     let means = means(mosaic, cfa, balance);
     let (rows, cols) = (mosaic.nrows() / BOX, mosaic.ncols() / BOX);
+    let places = (0..rows).flat_map(|i| (0..cols).map(move |j| s![BOX * i..BOX * (i + 1), BOX * j..BOX * (j + 1)]));
+    let all: Vec<[f64; 3]> = places.map(|place| self::means(mosaic.slice(place), cfa, balance)).collect();
     let mut least = f64::INFINITY;
     for channel in (0..3).filter(|c| means[*c] > 0.0) {
-        let mut boxes = Vec::with_capacity(rows * cols);
-        for (i, j) in (0..rows).flat_map(|i| (0..cols).map(move |j| (i, j))) {
-            let part = mosaic.slice(s![BOX * i..BOX * (i + 1), BOX * j..BOX * (j + 1)]);
-            boxes.push(self::means(part, cfa, balance)[channel] / means[channel]);
-        }
+        let mut boxes: Vec<f64> = all.iter().map(|m| m[channel] / means[channel]).collect();
         boxes.sort_by(f64::total_cmp);
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count of boxes")]
         let at = (DARKEST * boxes.len() as f64) as usize;

@@ -3,9 +3,9 @@
 
 use ndarray::{Array3, ArrayView3, s};
 
-use super::filters::Mirrored;
+use super::filters::{Mirrored, places};
 use super::{Filters, Guide};
-use crate::imaging::plane::{Region, mirrored};
+use crate::imaging::plane::Region;
 use crate::imaging::render::blur::{BlurRecord, KernelArray, Method, blur_recorded, blur_vjp};
 
 /// What [`Guide::over_vjp`] needs of a [`Guide::over_recorded`].
@@ -28,9 +28,6 @@ impl Filters {
     /// Adds to `to` over `at` what the source beyond its edges got, at the places that it mirrors.
     fn fold(&self, source: ArrayView3<'_, f32>, wanted: Region, at: Region, to: &mut Array3<f32>) {
         let seen = wanted.grown(self.reach());
-        let places = |first: isize, count: usize, from: isize, n: usize| -> Vec<usize> {
-            (0..count).map(|k| mirrored(first + k.cast_signed() - from, n)).collect()
-        };
         let down = places(seen.row, seen.rows, at.row, at.rows);
         let across = places(seen.col, seen.cols, at.col, at.cols);
         for (mut to, from) in to.outer_iter_mut().zip(source.outer_iter()) {

@@ -276,15 +276,17 @@ pub(super) struct Mirrored<'a> {
     pub(super) at: Region,
 }
 
+/// Where the `count` pixels from `first` on lie in a picture of `n` pixels that begins at `from` and goes on mirrored.
+pub(super) fn places(first: isize, count: usize, from: isize, n: usize) -> Vec<usize> {
+    (0..count).map(|k| mirrored(first + k.cast_signed() - from, n)).collect()
+}
+
 impl Source<f32> for Mirrored<'_> {
     fn channels(&self) -> usize {
         self.image.dim().0
     }
 
     fn fill(&self, region: Region, mut out: ArrayViewMut4<'_, f32>) -> bool {
-        let places = |first: isize, count: usize, from: isize, n: usize| -> Vec<usize> {
-            (0..count).map(|k| mirrored(first + k.cast_signed() - from, n)).collect()
-        };
         let (_, rows, cols) = self.image.dim();
         let down = places(region.row, region.rows, self.at.row, rows);
         let across = places(region.col, region.cols, self.at.col, cols);
