@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::Instant;
 
-use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, evaluate};
+use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, TEXELS_PER_PIXEL, evaluate};
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::imaging::scene::SceneKind;
@@ -23,7 +23,15 @@ pub(crate) fn print(steps: u64) {
     let task = task(steps);
     let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
     let pictures = Pictures::BuiltIn(SceneKind::Facades, 8);
-    let settings = Settings { fields: 3, depths_mm: vec![1000.0], patch: 256, seed: 5, fineness: FINENESS, rays: None };
+    let settings = Settings {
+        fields: 3,
+        depths_mm: vec![1000.0],
+        patch: 256,
+        seed: 5,
+        fineness: FINENESS,
+        rays: None,
+        texels: TEXELS_PER_PIXEL,
+    };
     println!(
         "| width, scales | 10^6 parameters | s a training step | forward, s/Mpixel | capture, dB | f32, dB | SSIM | f16, dB | f16 \
          against f32, largest |\n|---|---|---|---|---|---|---|---|---|"

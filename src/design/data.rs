@@ -6,11 +6,13 @@ use ndarray::{Array3, s};
 use rayon::prelude::*;
 
 use super::chain::Patch;
-use crate::error::Result;
+use super::places::Places;
+use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, TRAINING, generate};
+use crate::imaging::sensor::noise::mixed;
 use crate::network::card::sha256_hex;
 use crate::psf::SensorMap;
 
@@ -50,18 +52,41 @@ impl Textures {
     }
 
     /// Every photograph of a folder, the middle of large ones.
+    ///
+    /// # Errors
+    /// As [`Photos`].
     pub fn photos(folder: &Path) -> Result<Self> {
+        Self::photos_from(folder, 0)
+    }
+
+    /// [`Self::photos`] without the first `kept`, in the order of their names.
+    ///
+    /// # Errors
+    /// A folder that has no more than those.
+    pub fn photos_from(folder: &Path, kept: usize) -> Result<Self> {
+        Self::photos_of(folder, kept, usize::MAX)
+    }
+
+    /// At most `count` photographs of a folder behind the first `kept`.
+    ///
+    /// # Errors
+    /// A folder that has no more than those.
+    pub fn photos_of(folder: &Path, kept: usize, count: usize) -> Result<Self> {
         let photos = Photos::open(folder)?;
-        let mut images = Vec::new();
-        for i in 0..photos.len() {
+        if kept >= photos.len() {
+            let found = format!("{kept} of {} photographs kept from training", photos.len());
+            return Err(Error::bad(folder.display().to_string(), "keep_first", found, "fewer than there are"));
+        }
+        let (mut images, mut names) = (Vec::new(), Vec::new());
+        for i in (kept..photos.len()).take(count) {
             let image = photos.load(i)?;
             let (_, rows, cols) = image.dim();
             let (h, w) = (rows.min(LARGEST), cols.min(LARGEST));
             let (r, c) = ((rows - h) / 2, (cols - w) / 2);
             images.push(image.slice(s![.., r..r + h, c..c + w]).to_owned());
+            names.push(photos.paths()[i].file_name().unwrap_or_default().to_string_lossy().into_owned());
         }
-        let names = photos.paths().iter().map(|p| p.file_name().unwrap_or_default().to_string_lossy().into_owned());
-        Ok(Self { names: names.collect(), images })
+        Ok(Self { names, images })
     }
 
     /// SHA-256 of the list of names: what a model card says it was trained on.
@@ -97,19 +122,43 @@ impl Textures {
         reach: usize,
     ) -> Patch {
         let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
-        let part = Region {
-            row: start(rng, frame.rows).cast_signed(),
-            col: start(rng, frame.columns).cast_signed(),
-            rows: size,
-            cols: size,
-        };
+        let row = start(rng, frame.rows).cast_signed();
+        let part = Region { row, col: start(rng, frame.columns).cast_signed(), rows: size, cols: size };
         // A patch may be larger than the frame.
         let seen = part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part);
         Patch { part, ..self.place(rng, frame, map, seen) }
     }
 
+    /// Patch `number` of a design, the same for the same number: at the `number`th of `places`, rendered `reach` pixels further than
+    /// the network sees, a texel of the photograph to a pixel there.
+    pub fn numbered(
+        &self,
+        (seed, number): (u64, u64),
+        places: &Places,
+        frame: &Frame,
+        map: &SensorMap,
+        reach: usize,
+    ) -> Patch {
+        let rng = &mut fastrand::Rng::with_seed(mixed(seed ^ 0x7061_7463, number));
+        let part = places.at(seed, number);
+        let seen = part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part);
+        Patch { part, ..self.placed(rng, frame, map, seen, Some(1.0)) }
+    }
+
     /// A random texture placed so that `region` shows a random part of it.
     pub fn place(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, region: Region) -> Patch {
+        self.placed(rng, frame, map, region, None)
+    }
+
+    /// [`Self::place`], with so many texels a pixel at the region's middle in place of a random number on the axis.
+    fn placed(
+        &self,
+        rng: &mut fastrand::Rng,
+        frame: &Frame,
+        map: &SensorMap,
+        region: Region,
+        texels: Option<f64>,
+    ) -> Patch {
         let mut texture = self.images[rng.usize(0..self.images.len())].view();
         if rng.bool() {
             texture.invert_axis(ndarray::Axis(1));
@@ -120,10 +169,10 @@ impl Textures {
         if rng.bool() {
             texture.swap_axes(1, 2);
         }
-        let zoom = 1.0 + 0.35 * rng.f64();
-        let texels_per_slope = zoom / (map.ratio(0.0) * frame.pitch_mm);
         let centre = region.offset(frame, region.rows / 2, region.cols / 2);
         let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
+        let zoom = texels.unwrap_or_else(|| 1.0 + 0.35 * rng.f64());
+        let texels_per_slope = zoom / (map.ratio(if texels.is_some() { radius } else { 0.0 }) * frame.pitch_mm);
         let scale = map.ratio(radius) * frame.pitch_mm * texels_per_slope;
         // The part of the texture that the region and a margin need, cut out so that a patch stays small.
         let (_, rows, cols) = texture.dim();

@@ -37,9 +37,9 @@ use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 /// Most pixels around a patch that the network sees beside it.
 pub const CONTEXT: usize = 64;
 
-/// Texels of a picture that a pixel sees at a patch's centre: enough for detail at the pixel's own limit. A picture too small
-/// for the patch is enlarged.
-const TEXELS_PER_PIXEL: f64 = 1.2;
+/// Texels of a picture that a pixel sees at a patch's centre where nobody says more: enough for detail at the pixel's own limit. A picture
+/// too small for the patch is enlarged.
+pub const TEXELS_PER_PIXEL: f64 = 1.2;
 
 /// Rows and columns of a patch start at multiples of this, as in training.
 const STEP: usize = 4;
@@ -138,6 +138,8 @@ pub struct Settings {
     pub fineness: Fineness,
     /// Rays a pixel of captures by the reference renderer; `None`: the fast one.
     pub rays: Option<usize>,
+    /// Texels of a picture that a pixel sees at a patch's centre.
+    pub texels: f64,
 }
 
 /// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
@@ -203,7 +205,8 @@ pub fn evaluate(
                 let part = mixed(settings.seed, index as u64);
                 let noise_seed = mixed(seed, 1 + d as u64);
                 let by_rays = settings.rays.map(|rays| (lens, &density, rays));
-                let shot = Shot { region, whole: settings.patch, context, part, noise_seed, by_rays };
+                let (whole, texels) = (settings.patch, settings.texels);
+                let shot = Shot { region, whole, texels, context, part, noise_seed, by_rays };
                 let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
                 let shown = finish(truth.clone(), &development).image;
                 let judged = |p: &Array3<f32>| -> Result<Judged> {
@@ -226,16 +229,22 @@ pub fn evaluate(
         }
     }
     let mut rows = Vec::new();
-    for (depth_mm, by_zone) in settings.depths_mm.iter().zip(&figures) {
+    for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(&figures).zip(&renderer.optics.maps) {
         for ((zone, places), values) in used.iter().zip(by_zone) {
             let field = [*zone, zone + 1].map(|z| share(z, settings.fields));
-            rows.push(row(*depth_mm, zone + 1, field, places.patch, values));
+            let row = row(*depth_mm, zone + 1, field, places.patch, values);
+            rows.push(Row { angle_deg: field.map(|share| angle_deg(map, &frame, share)), ..row });
         }
         // One value a picture: its mean over the zones, so that the error is that of the pictures.
         let mean = |i: usize| [0, 1].map(|of| std::array::from_fn(|f| Figure::of(&column(by_zone, i, of, f)).mean));
         let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
         let patch = used.iter().map(|(_, z)| z.patch).min().unwrap_or(settings.patch);
-        rows.push(Row { patches: values.len() * used.len(), ..row(*depth_mm, 0, [0.0, 1.0], patch, &values) });
+        let angle_deg = [0.0, 1.0].map(|share| angle_deg(map, &frame, share));
+        rows.push(Row {
+            patches: values.len() * used.len(),
+            angle_deg,
+            ..row(*depth_mm, 0, [0.0, 1.0], patch, &values)
+        });
     }
     let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
         let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
@@ -255,6 +264,11 @@ pub fn evaluate(
     Ok((evaluation, sheets.collect()))
 }
 
+/// Half field angle, in the object's space, that is seen at a share of the frame's largest image height, degrees.
+fn angle_deg(map: &SensorMap, frame: &Frame, share: f64) -> f64 {
+    map.slope(share * frame.max_radius_mm()).abs().atan().to_degrees()
+}
+
 /// Figure `f` of picture `i`, as captured or as restored, in every zone.
 fn column(by_zone: &[Vec<[Judged; 2]>], i: usize, of: usize, f: usize) -> Vec<f64> {
     by_zone.iter().map(|values| values[i][of][f]).collect()
@@ -272,6 +286,7 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
         depth_mm,
         zone,
         field,
+        angle_deg: [f64::NAN; 2],
         patches: values.len(),
         patch_px,
         capture: closeness(0),
@@ -361,6 +376,8 @@ struct Shot<'a> {
     region: Region,
     /// Side of a patch where the zone has room for it, pixels: the scale and the place of the part do not depend on more.
     whole: usize,
+    /// Texels a pixel at its centre.
+    texels: f64,
     /// Pixels around it that the network sees.
     context: usize,
     /// Seed of the part of the picture that is shown.
@@ -411,7 +428,7 @@ impl Shot<'_> {
         let mut rng = fastrand::Rng::with_seed(self.part);
         let (_, rows, cols) = picture.dim();
         let whole = self.whole as f64;
-        let texels = TEXELS_PER_PIXEL.min(rows.min(cols) as f64 / whole);
+        let texels = self.texels.min(rows.min(cols) as f64 / whole);
         // Margin and context come from the picture as far as it reaches.
         let reach = 0.5 * whole + CONTEXT as f64;
         let mut middle = |n: usize| {

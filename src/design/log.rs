@@ -34,7 +34,8 @@ pub struct Entry {
     pub held_out_psnr_db: Option<f64>,
 }
 
-const HEADER: &str = "step,seconds,rate,content,l1,adversarial,critic,psnr_db,gradient_norm,held_out_psnr_db\n";
+pub(super) const HEADER: &str =
+    "step,seconds,rate,content,l1,adversarial,critic,psnr_db,gradient_norm,held_out_psnr_db\n";
 
 impl Entry {
     /// One step's.
@@ -72,7 +73,8 @@ impl Entry {
         }
     }
 
-    fn line(&self) -> String {
+    /// Its line of a log.
+    pub(super) fn line(&self) -> String {
         let held_out = self.held_out_psnr_db.map(|v| format!("{v:.4}")).unwrap_or_default();
         format!(
             "{},{:.2},{:.4e},{:.6e},{:.6e},{:.4e},{:.4e},{:.4},{:.4e},{held_out}\n",
@@ -97,12 +99,16 @@ pub(super) struct Log {
 }
 
 impl Log {
-    /// A new log, or the file's lines up to `step`: what a kill has lost is trained again and logged again.
-    pub(super) fn open(path: &Path, step: u64) -> Result<Self> {
-        let mut text = HEADER.to_owned();
+    /// A new log, or the file's lines up to `step`, which each begins with: what a kill has lost is trained again and logged again.
+    pub(super) fn open(path: &Path, header: &str, step: u64) -> Result<Self> {
+        Self::open_with(path, header, step, |line| line.split(',').next().and_then(|s| s.parse().ok()))
+    }
+
+    /// [`Self::open`] of lines whose step `of` finds.
+    pub(super) fn open_with(path: &Path, header: &str, step: u64, of: fn(&str) -> Option<u64>) -> Result<Self> {
+        let mut text = header.to_owned();
         if let Ok(old) = fs::read_to_string(path) {
-            let of = |line: &str| line.split(',').next().and_then(|s| s.parse::<u64>().ok());
-            for line in old.lines().skip(1).filter(|l| of(l).is_some_and(|s| s <= step)) {
+            for line in old.lines().skip(header.lines().count()).filter(|l| of(l).is_some_and(|s| s <= step)) {
                 text += line;
                 text.push('\n');
             }
@@ -110,8 +116,14 @@ impl Log {
         Ok(Self { path: path.to_owned(), text })
     }
 
-    pub(super) fn push(&mut self, entry: Entry) {
-        self.text += &entry.line();
+    /// Adds a line, with its end.
+    pub(super) fn push(&mut self, line: &str) {
+        self.text += line;
+    }
+
+    /// All of it.
+    pub(super) fn text(&self) -> &str {
+        &self.text
     }
 
     /// Writes the file, whole or not at all.
@@ -143,12 +155,12 @@ mod tests {
     fn a_log_goes_on_from_the_checkpoint_it_belongs_to() {
         let folder = tempfile::tempdir().expect("temporary folder");
         let path = folder.path().join("log.csv");
-        let mut log = Log::open(&path, 0).expect("new");
-        (1..=4).for_each(|i| log.push(entry(10 * i)));
+        let mut log = Log::open(&path, HEADER, 0).expect("new");
+        (1..=4).for_each(|i| log.push(&entry(10 * i).line()));
         log.save().expect("written");
-        let mut again = Log::open(&path, 25).expect("read");
+        let mut again = Log::open(&path, HEADER, 25).expect("read");
         assert_eq!(again.text.lines().count(), 3);
-        (3..=4).for_each(|i| again.push(entry(10 * i)));
+        (3..=4).for_each(|i| again.push(&entry(10 * i).line()));
         assert_eq!(again.text, log.text);
         assert!(log.text.lines().nth(2).expect("step 20").ends_with(",21.5000"));
         let columns = |line: &str| line.split(',').count();

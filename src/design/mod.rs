@@ -1,22 +1,33 @@
 //! Lens and network together.
 //!
 //! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
-//! the network and the optimiser around it; [`constraint`] keeps the lens buildable; [`data`] draws patches;
-//! [`run`] is the loop with its folder; [`task`] is the file that asks for one. The final network for a finished lens:
-//! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop that can be killed and resumed,
+//! the network and [`lens_steps`] around it; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
+//! [`run`] is the loop, [`designing`] the loop with its folder, [`state`] where it stands, [`story`] its page, [`sweep`] many of them by number; [`task`] is the file that asks for one. The final network for a finished lens:
+//! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop with a folder,
 //! [`train_task`] its part of the file.
-//! [`evaluate`] judges what came out; [`memory`] says beforehand what all of it takes.
+//! [`evaluate`] judges what came out; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 pub mod chain;
 pub mod constraint;
 pub mod data;
+pub mod designing;
 pub mod evaluate;
+pub mod folder;
 pub mod joint;
+pub mod judge;
+pub mod lens_steps;
 pub mod log;
 pub mod memory;
+pub mod pace;
 pub mod pairs;
+pub mod places;
 pub mod run;
+pub mod scenery;
 pub mod schedule;
+pub mod state;
+pub mod story;
+pub mod sweep;
+pub mod sweep_task;
 pub mod task;
 pub mod train_task;
 pub mod training;

@@ -1,68 +1,55 @@
-//! The joint stage of a design: lens and network together. The final network for the finished lens is [`super::training`]'s.
+//! The joint stage of a design: lens and network together, step by step. [`Stage`] is the loop without a folder, [`super::designing`] the
+//! one with it. The final network for the finished lens is [`super::training`]'s.
 //!
-//! A budget in steps is deterministic (same seed, machine, thread count: same bits); one in seconds is for people who wait.
+//! Patches, noise and settings depend on the seed and the number of a step alone, so a stage goes on from its [`State`] with the same
+//! bits (same machine, same number of threads). A budget in time becomes one in steps when the lens has moved ([`Schedule`]).
 
 use std::time::Instant;
 
-use ndarray::{Axis, s};
-
-use super::chain::{Patch, forward};
-use super::constraint::Constraints;
-use super::data::Textures;
-use super::joint::{Joint, Report, l1_and_psnr, middle};
-use super::schedule::Budget;
+use super::chain::Patch;
+use super::joint::{Joint, Report};
+use super::judge::{Camera, MARGIN, STEEPEST_DEG, corner_of};
+use super::lens_steps::{LensSteps, Steps};
+use super::places::{Places, Spread};
+use super::scenery::{Entry, Scenery};
+use super::schedule::{Length, Schedule};
+use super::state::State;
 use super::task::Task;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::frame::Frame;
 use crate::imaging::guide::{Guide, Inputs};
 use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use crate::imaging::render::{Renderer, Settings};
-use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::lens::variables::Variables;
 use crate::network::{Reconstructor, UnetConfig};
-
-/// What is trained on.
-#[derive(Clone, Debug)]
-pub struct Scenery<'a> {
-    /// Textures to train on.
-    pub textures: &'a Textures,
-    /// The sensor.
-    pub sensor: &'a Sensor,
-    /// The frame it covers.
-    pub frame: Frame,
-    /// Seed of every draw.
-    pub seed: u64,
-}
-
-/// One entry of the joint stage's history.
-#[derive(Clone, Copy, Debug, serde::Serialize)]
-pub struct Entry {
-    /// Seconds since the stage began.
-    pub seconds: f64,
-    /// Mean L1 loss over the last steps.
-    pub loss: f64,
-    /// PSNR of the network's input, dB.
-    pub input_psnr_db: f64,
-    /// PSNR of its output, dB.
-    pub output_psnr_db: f64,
-}
+use crate::optimize::Problem;
 
 /// Settings of the joint stage.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct JointSettings {
-    /// When it ends.
-    pub budget: Budget,
+    /// How long.
+    pub length: Length,
     /// Patch side, pixels; a multiple of 4.
     pub patch: usize,
     /// Patches a step.
     pub batch: usize,
-    /// Largest step of the lens, scaled units; 0 freezes the lens.
+    /// How the lens moves.
+    pub steps: Steps,
+    /// Largest step of the lens: mm rms of its rays, or scaled or plain units; 0 holds the lens.
     pub lens_rate: f64,
+    /// Part of the stage in which the lens moves, from and to.
+    pub lens_share: [f64; 2],
     /// Largest step of the network.
     pub network_rate: f64,
+    /// Equal parts of the stage, each with 0.8 of the rates of the one before, as in the paper; 0: a rise and half a cosine.
+    pub epochs: usize,
+    /// Object distances as vergences, 1/mm, taken in turn; empty: the lens's own.
+    pub vergences: Vec<f64>,
+    /// How patches are spread over the field.
+    pub spread: Spread,
+    /// Least relative illumination that the lens's steps keep.
+    pub least_illumination: Option<f64>,
     /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
     pub settings: Option<Settings>,
 }
@@ -71,21 +58,48 @@ impl JointSettings {
     /// What `task` asks for.
     ///
     /// # Errors
-    /// As [`Task::budget`].
+    /// As [`Task::length`].
     pub fn of(task: &Task) -> Result<Self> {
+        let rate = if task.lens_steps == Steps::Rays { 1e-3 * task.lens_rate_um } else { task.lens_rate };
         Ok(Self {
-            budget: task.budget()?,
+            length: task.length()?,
             patch: task.patch_px,
             batch: task.batch,
-            lens_rate: if task.freeze_lens { 0.0 } else { task.lens_rate },
+            steps: task.lens_steps,
+            lens_rate: if task.freeze_lens { 0.0 } else { rate },
+            lens_share: task.lens_share,
             network_rate: task.network_rate,
+            epochs: task.epochs,
+            vergences: task.depths_mm.iter().map(|d| d.recip()).collect(),
+            spread: task.spread,
+            least_illumination: task.least_illumination,
             settings: None,
         })
     }
+
+    /// Rates of lens and network when `used` of the stage is over, of their largest.
+    fn rates(&self, used: f64) -> [f64; 2] {
+        let [from, to] = self.lens_share;
+        let moves = used >= from && used < to;
+        if self.epochs > 0 {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of parts")]
+            let part = ((used * self.epochs as f64) as usize).min(self.epochs - 1);
+            let rate = 0.8f64.powf(part as f64);
+            return [if moves { rate } else { 0.0 }, rate];
+        }
+        let lens = if moves { rise_and_fall((used - from) / (to - from)) } else { 0.0 };
+        [lens, rise_and_fall(used)]
+    }
+}
+
+/// A rise over the first 3 %, while both of Adam's averages are young and the lens must not be thrown, then a half cosine to zero.
+fn rise_and_fall(used: f64) -> f64 {
+    let rise = ((used + 1e-3) / 0.031).min(1.0);
+    rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
 }
 
 /// Average over this many steps in a history.
-const SMOOTH: usize = 10;
+pub(super) const SMOOTH: usize = 10;
 
 /// Steps between plans.
 const REPLAN: usize = 25;
@@ -93,145 +107,372 @@ const REPLAN: usize = 25;
 pub(super) const JUDGED: (usize, usize) = (6, 96);
 /// The step at which settings are chosen again for the first time; then at every doubling.
 const AGAIN: usize = 100;
+/// Share of a length in time after which it becomes one in steps: half, or when the lens has stood still for a while, since steps with
+/// it moving take longer.
+const SETTLES: f64 = 0.5;
+const AFTER_LENS: f64 = 0.03;
+/// Steps whose median time is the pace.
+const PACE: usize = 31;
 
-/// Settings whose gradient is well below the noise of patches like those that `renderer`'s lens will be designed on.
-fn choose(
-    scenery: &Scenery<'_>,
-    density: &SpectralDensity,
-    lens: &Lens,
-    renderer: &Renderer,
-    (side, step): (usize, usize),
-) -> Result<Chosen> {
-    let mut rng = fastrand::Rng::with_seed(scenery.seed ^ 0x6669_6e65 ^ step as u64);
-    let map = &renderer.optics.maps[0];
-    let drawn: Vec<Patch> =
-        (0..JUDGED.0).map(|_| scenery.textures.draw(&mut rng, &scenery.frame, map, side.min(JUDGED.1))).collect();
-    let parts = drawn.iter().map(|p| (&p.scene, p.region)).collect();
-    cheapest(&Patches { lens, frame: &scenery.frame, density, parts })
+/// Lens and network on their way, with how they are rendered and what is to come.
+pub struct Stage {
+    settings: JointSettings,
+    density: SpectralDensity,
+    electronics: Electronics,
+    places: Places,
+    renderer: Renderer,
+    vergences: Vec<f64>,
+    /// The lens for which the plan's rays were chosen, and the one for which its windows and nodes were.
+    planned: [Lens; 2],
+    /// The lens whose filters the network is told, and the one that object points of the lens's steps are of.
+    told: Lens,
+    looked_at: Lens,
+    /// Lens and network.
+    pub joint: Joint,
+    /// How finely it was rendered: settings with their gradient's error, and the step from which on they were used.
+    pub fineness: Vec<(usize, Chosen)>,
+    again: usize,
+    step: usize,
+    schedule: Schedule,
+    /// Seconds before this process.
+    before: f64,
+    started: Instant,
+    pace: Vec<f64>,
+    recent: Vec<Report>,
 }
 
-/// The joint stage's rates, of their largest: a rise over the first 3 %, while both of Adam's averages are young and the lens
-/// must not be thrown, then a half cosine to zero.
-fn schedule(used: f64) -> f64 {
-    let rise = (used / 0.03).min(1.0);
-    rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
+impl Stage {
+    /// Starts from `problem`'s lens and `network`.
+    ///
+    /// # Errors
+    /// A lens that cannot be rendered; as [`LensSteps::new`].
+    pub fn new(
+        scenery: &Scenery<'_>,
+        problem: &Problem,
+        network: Reconstructor,
+        settings: JointSettings,
+    ) -> Result<Self> {
+        let lens = &problem.lens;
+        let density = SpectralDensity::new(scenery.sensor);
+        let electronics = Electronics::of(scenery.sensor);
+        let own = [lens.object_vergence];
+        let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
+        let first = settings.settings.unwrap_or(Settings::DESIGN);
+        let renderer = Renderer::planned(lens, &scenery.frame, &density, &vergences, first)?;
+        let guide = Guide::new(network.config().inputs, &renderer, &electronics)?;
+        // A lens that is held needs no rays of its own.
+        let steps = if settings.lens_rate > 0.0 { settings.steps } else { Steps::Scaled };
+        let mut joint = Joint::new(lens.clone(), network, guide, LensSteps::new(steps, problem)?);
+        joint.least_illumination = settings.least_illumination;
+        let share = SETTLES.max(settings.lens_share[1] + AFTER_LENS).min(1.0 - AFTER_LENS);
+        Ok(Self {
+            places: Places::new(&scenery.frame, settings.patch, settings.spread),
+            schedule: Schedule { rate: 1.0, rise: 0, share, length: settings.length, settled: None },
+            planned: [lens.clone(), lens.clone()],
+            told: lens.clone(),
+            looked_at: lens.clone(),
+            settings,
+            density,
+            electronics,
+            renderer,
+            vergences,
+            joint,
+            fineness: Vec::new(),
+            again: 0,
+            step: 0,
+            before: 0.0,
+            started: Instant::now(),
+            pace: Vec::new(),
+            recent: Vec::new(),
+        })
+    }
+
+    /// Goes on from `state`, which a stage of the same problem and settings had, with the network as it was then.
+    ///
+    /// # Errors
+    /// Lenses that cannot be rendered.
+    pub fn restore(&mut self, scenery: &Scenery<'_>, state: &State) -> Result<()> {
+        let [at, seen, told, looked_at, lens] = state.lenses()?;
+        let chosen = state.settings.unwrap_or(self.renderer.plan.settings);
+        let first = Renderer::planned(&at, &scenery.frame, &self.density, &self.vergences, chosen)?;
+        let plan = if at == seen { first.plan } else { Renderer::replanned(&seen, &first.plan)?.plan };
+        if self.joint.guide.filters().is_some() {
+            let inputs = self.joint.guide.inputs();
+            self.joint.guide = Guide::new(inputs, &Renderer::new(&told, &plan)?, &self.electronics)?;
+        }
+        self.renderer = Renderer::new(&lens, &plan)?;
+        if looked_at != self.looked_at {
+            self.joint.steps.look_at(&looked_at)?;
+        }
+        (self.planned, self.told, self.looked_at) = ([at, seen], told, looked_at);
+        self.joint.good = lens.clone();
+        self.joint.lens = lens;
+        self.joint.damping = state.damping;
+        self.joint.rejected = state.rejected;
+        self.joint.refreshed = (state.refreshed, state.refreshing_seconds);
+        self.joint.steps.remember(state.remembered.clone());
+        self.fineness = state.fineness.iter().map(|f| (f.step, f.chosen)).collect();
+        (self.again, self.step, self.before) = (state.again, state.step, state.seconds);
+        self.schedule.settled = state.settled;
+        (self.started, self.recent, self.pace) = (Instant::now(), Vec::new(), Vec::new());
+        Ok(())
+    }
+
+    /// Where it stands, but for the network.
+    pub fn state(&self) -> State {
+        let lenses = [&self.planned[0], &self.planned[1], &self.told, &self.looked_at, &self.joint.lens];
+        State::new(lenses, |state| {
+            state.settings = Some(self.renderer.plan.settings);
+            state.damping = self.joint.damping;
+            state.rejected = self.joint.rejected;
+            (state.refreshed, state.refreshing_seconds) = self.joint.refreshed;
+            state.remembered = self.joint.steps.remembered();
+            state.fineness = self
+                .fineness
+                .iter()
+                .map(|(step, chosen)| super::state::Fineness { step: *step, chosen: *chosen })
+                .collect();
+            (state.again, state.step, state.seconds) = (self.again, self.step, self.seconds());
+            state.settled = self.schedule.settled;
+        })
+    }
+
+    /// Steps done.
+    pub fn steps(&self) -> usize {
+        self.step
+    }
+
+    /// Steps in all, where that is known.
+    pub fn total(&self) -> Option<u64> {
+        self.schedule.total()
+    }
+
+    /// Seconds so far, those before a resume included.
+    pub fn seconds(&self) -> f64 {
+        self.before + self.started.elapsed().as_secs_f64()
+    }
+
+    /// Share done, 0 to 1.
+    pub fn used(&self) -> f64 {
+        self.schedule.done(self.step as u64, self.seconds())
+    }
+
+    /// What it was asked for.
+    pub fn settings(&self) -> &JointSettings {
+        &self.settings
+    }
+
+    /// The lens as it is rendered now.
+    pub fn renderer(&self) -> &Renderer {
+        &self.renderer
+    }
+
+    /// One step; `None` when the stage is over. Every tenth has its entry.
+    ///
+    /// # Errors
+    /// A lens that cannot be rendered any more, a network that fails.
+    pub fn step(&mut self, scenery: &Scenery<'_>) -> Result<Option<Entry>> {
+        let clock = Instant::now();
+        let known = self.pace.len() >= 5;
+        if known {
+            let mut sorted = self.pace.clone();
+            sorted.sort_by(f64::total_cmp);
+            self.schedule.settle(self.step as u64, self.seconds(), sorted[sorted.len() / 2]);
+        }
+        let used = self.used();
+        if used >= 1.0 {
+            return Ok(None);
+        }
+        let [lens_rate, network_rate] = self.settings.rates(used);
+        let lens_rate = self.settings.lens_rate * lens_rate;
+        self.look_again(scenery, lens_rate > 0.0)?;
+        let patches = self.patches(scenery);
+        let network_rate = self.settings.network_rate * network_rate;
+        let report = self.joint.step(&self.renderer, &self.electronics, &patches, lens_rate, network_rate)?;
+        self.step += 1;
+        if report.lens.as_ref().is_some_and(|l| l.moved) {
+            self.renderer = self.joint.renderer(&self.renderer.plan, false)?;
+        }
+        self.recent.push(report);
+        self.pace.push(clock.elapsed().as_secs_f64());
+        self.pace.drain(..self.pace.len().saturating_sub(PACE));
+        let entry = self.average();
+        if self.step.is_multiple_of(SMOOTH) {
+            self.recent.clear();
+        }
+        Ok(Some(entry))
+    }
+
+    /// Windows, nodes, settings and filters follow the lens.
+    fn look_again(&mut self, scenery: &Scenery<'_>, moves: bool) -> Result<()> {
+        // The lens moved since.
+        if self.step > 0 && self.step.is_multiple_of(REPLAN) && self.planned[1] != self.joint.lens {
+            if let Ok(renderer) = Renderer::replanned(&self.joint.lens, &self.renderer.plan) {
+                self.renderer = renderer;
+                self.planned[1] = self.joint.lens.clone();
+            }
+            self.refresh();
+            self.follow_the_corner();
+        }
+        if self.step != self.again {
+            return Ok(());
+        }
+        self.again = (2 * self.again).max(AGAIN);
+        // A lens that grows sharper needs finer settings; one that cannot be judged now keeps those it has.
+        if self.settings.settings.is_some() || !moves && self.settings.lens_rate == 0.0 {
+            return Ok(());
+        }
+        if let Ok(chosen) = self.choose(scenery) {
+            if chosen.settings != self.renderer.plan.settings {
+                let (frame, lens) = (&scenery.frame, &self.joint.lens);
+                match Renderer::planned(lens, frame, &self.density, &self.vergences, chosen.settings) {
+                    Ok(renderer) => {
+                        self.renderer = renderer;
+                        self.planned = [lens.clone(), lens.clone()];
+                        self.refresh();
+                    }
+                    Err(_) => return Ok(()),
+                }
+            }
+            self.fineness.push((self.step, chosen));
+        }
+        Ok(())
+    }
+
+    /// Object points reach as far as the frame's corner sees, which moves with the distortion.
+    fn follow_the_corner(&mut self) {
+        let corner = corner_of(&self.renderer);
+        let off = corner / self.looked_at.max_field_deg - 1.0;
+        if !(-0.05..0.0).contains(&off)
+            && corner.is_finite()
+            && let Ok(lens) = self.joint.lens.changed(|l| l.max_field_deg = (MARGIN * corner).min(STEEPEST_DEG))
+            && self.joint.steps.look_at(&lens).is_ok()
+        {
+            self.joint.lens = lens.clone();
+            self.looked_at = lens;
+        }
+    }
+
+    /// Filters of the lens now.
+    fn refresh(&mut self) {
+        let before = self.joint.refreshed.0;
+        self.joint.refresh(&self.renderer, &self.electronics);
+        if self.joint.refreshed.0 > before {
+            self.told = self.joint.lens.clone();
+        }
+    }
+
+    /// Settings whose gradient is well below the noise of patches like those that the lens will be designed on.
+    fn choose(&self, scenery: &Scenery<'_>) -> Result<Chosen> {
+        let places = Places::new(&scenery.frame, self.settings.patch.min(JUDGED.1), self.settings.spread);
+        let drawn: Vec<Patch> = (0..JUDGED.0 as u64)
+            .map(|i| {
+                let map = &self.renderer.optics.maps[i as usize % self.vergences.len()];
+                let number = (self.step as u64) << 16 | i;
+                scenery.textures.numbered((scenery.seed ^ 0x6669_6e65, number), &places, &scenery.frame, map, 0)
+            })
+            .collect();
+        let parts = drawn.iter().map(|p| (&p.scene, p.region)).collect();
+        cheapest(&Patches { lens: &self.joint.lens, frame: &scenery.frame, density: &self.density, parts })
+    }
+
+    /// The patches of a step.
+    fn patches(&self, scenery: &Scenery<'_>) -> Vec<Patch> {
+        let reach = self.joint.guide.reach();
+        let batch = self.settings.batch as u64;
+        let numbered = |i: u64| {
+            let number = self.step as u64 * batch + i;
+            // Depths take turns that places do not.
+            let depth = ((number / batch + number) % self.vergences.len() as u64) as usize;
+            let map = &self.renderer.optics.maps[depth];
+            scenery.textures.numbered((scenery.seed, number), &self.places, &scenery.frame, map, reach)
+        };
+        (0..batch).map(numbered).collect()
+    }
+
+    fn average(&self) -> Entry {
+        let mean =
+            |f: &dyn Fn(&Report) -> f64| self.recent.iter().map(f).sum::<f64>() / self.recent.len().max(1) as f64;
+        let of_lens = |f: fn(&super::joint::LensReport) -> f64| mean(&|r| r.lens.as_ref().map_or(0.0, f));
+        Entry {
+            step: self.step,
+            seconds: self.seconds(),
+            loss: mean(&|r| r.loss),
+            input_psnr_db: mean(&|r| r.input_psnr_db),
+            output_psnr_db: mean(&|r| r.output_psnr_db),
+            moved_um: of_lens(|l| 1e3 * l.length_mm),
+            signal: of_lens(|l| l.signal),
+            penalty: of_lens(|l| l.penalty),
+            step_seconds: self.pace.iter().rev().take(self.recent.len()).sum::<f64>() / self.recent.len().max(1) as f64,
+            network_seconds: mean(&|r| r.network_seconds),
+        }
+    }
+
+    /// What held the lens back in the last steps, the most frequent first.
+    pub fn active(&self) -> Vec<String> {
+        let mut counts: Vec<(String, usize)> = Vec::new();
+        for name in self.recent.iter().filter_map(|r| r.lens.as_ref()).flat_map(|l| &l.active) {
+            match counts.iter_mut().find(|c| &c.0 == name) {
+                Some(c) => c.1 += 1,
+                None => counts.push((name.clone(), 1)),
+            }
+        }
+        counts.sort_by(|a, b| b.1.cmp(&a.1).then_with(|| a.0.cmp(&b.0)));
+        counts.into_iter().map(|c| c.0).collect()
+    }
+
+    /// Brings the network's filters up to the lens: when the stage is over.
+    pub fn finish(&mut self) {
+        if self.joint.guide.filters().is_some()
+            && self.told != self.joint.lens
+            && let Ok(renderer) = Renderer::replanned(&self.joint.lens, &self.renderer.plan)
+        {
+            self.renderer = renderer;
+            self.planned[1] = self.joint.lens.clone();
+            self.refresh();
+        }
+    }
+
+    /// Seconds of the last step, and of its network.
+    pub(super) fn last_seconds(&self) -> [f64; 2] {
+        let network = self.recent.last().map_or(0.0, |r| r.network_seconds);
+        [self.pace.last().copied().unwrap_or(0.0), network]
+    }
+
+    /// Makes a restored stage one that is over as `spent` was.
+    pub(super) fn over(&mut self, spent: &State) {
+        (self.step, self.before, self.started) = (spent.step, spent.seconds, Instant::now());
+        self.schedule.settled = spent.settled;
+    }
+
+    /// What renders it, its electronics, the network and what that is told: all that a picture takes.
+    pub(super) fn camera(&self) -> Camera<'_> {
+        let (renderer, electronics) = (&self.renderer, &self.electronics);
+        Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide }
+    }
 }
 
-/// Lens and network together. A network that is told of its lens gets filters made anew whenever windows and nodes are, and of the
-/// finished lens at the end. `progress(share, last entry)` is called after every step.
+/// Lens and network together, in memory. `progress(share, entry)` is called after every step.
+///
+/// # Errors
+/// As [`Stage::new`] and [`Stage::step`].
 pub fn joint_stage(
     scenery: &Scenery<'_>,
-    lens: &Lens,
+    problem: &Problem,
     network: Reconstructor,
     settings: JointSettings,
     progress: &mut dyn FnMut(f64, &Entry),
-) -> Result<(Joint, Vec<Entry>)> {
-    let density = SpectralDensity::new(scenery.sensor);
-    let electronics = Electronics::of(scenery.sensor);
-    let v = lens.object_vergence;
-    let first = settings.settings.unwrap_or(Settings::DESIGN);
-    let mut renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], first)?;
-    let chooses = settings.settings.is_none() && settings.lens_rate > 0.0;
-    let mut again = 0;
-    let guide = Guide::new(network.config().inputs, &renderer, &electronics)?;
-    let mut joint = Joint::new(lens.clone(), network, guide, Variables::refracting(lens), Constraints::of(lens));
-    let mut rng = fastrand::Rng::with_seed(scenery.seed);
-    let (mut history, mut recent) = (Vec::new(), Vec::new());
-    let started = Instant::now();
-    let mut step = 0;
-    loop {
-        let used = settings.budget.used(step, started);
-        if used >= 1.0 {
-            break;
-        }
-        if step > 0 && settings.lens_rate > 0.0 {
-            // Windows and nodes follow the PSF as the lens gets better.
-            renderer = joint.renderer(&renderer.plan, step % REPLAN == 0)?;
-            if step % REPLAN == 0 {
-                joint.refresh(&renderer, &electronics);
-            }
-        }
-        // A lens that grows sharper needs finer settings; one that cannot be judged now keeps those it has.
-        if chooses
-            && step == again
-            && let Ok(chosen) = choose(scenery, &density, &joint.lens, &renderer, (settings.patch, step))
-        {
-            let planned = if chosen.settings == renderer.plan.settings {
-                Ok(renderer)
-            } else {
-                Renderer::planned(&joint.lens, &scenery.frame, &density, &[v], chosen.settings).map_err(|_| renderer)
-            };
-            if planned.is_ok() {
-                joint.fineness.push((step, chosen));
-            }
-            renderer = planned.unwrap_or_else(|kept| kept);
-        }
-        if step == again {
-            again = (2 * again).max(AGAIN);
-        }
-        let map = &renderer.optics.maps[0];
-        let reach = joint.guide.reach();
-        let mut draw = || scenery.textures.draw_within(&mut rng, &scenery.frame, map, settings.patch, reach);
-        let patches: Vec<Patch> = (0..settings.batch).map(|_| draw()).collect();
-        let rate = schedule(used);
-        let lens_rate = settings.lens_rate * rate;
-        let report = joint.step(&renderer, &electronics, &patches, lens_rate, settings.network_rate * rate)?;
-        step += 1;
-        recent.push(report);
-        let entry = average(&recent, started);
-        if recent.len() == SMOOTH {
+) -> Result<(Stage, Vec<Entry>)> {
+    let mut stage = Stage::new(scenery, problem, network, settings)?;
+    let mut history = Vec::new();
+    while let Some(entry) = stage.step(scenery)? {
+        progress(stage.used().min(1.0), &entry);
+        if stage.steps().is_multiple_of(SMOOTH) {
             history.push(entry);
-            recent.clear();
         }
-        progress(used.min(1.0), &entry);
     }
-    if settings.lens_rate > 0.0
-        && joint.guide.filters().is_some()
-        && let Ok(finished) = joint.renderer(&renderer.plan, true)
-    {
-        joint.refresh(&finished, &electronics);
-    }
-    Ok((joint, history))
-}
-
-fn average(recent: &[Report], started: Instant) -> Entry {
-    let mean = |f: fn(&Report) -> f64| recent.iter().map(f).sum::<f64>() / recent.len().max(1) as f64;
-    Entry {
-        seconds: started.elapsed().as_secs_f64(),
-        loss: mean(|r| r.loss),
-        input_psnr_db: mean(|r| r.input_psnr_db),
-        output_psnr_db: mean(|r| r.output_psnr_db),
-    }
-}
-
-/// Mean L1 and PSNR after the network over held-out patches: how a design is judged.
-pub fn validate(
-    scenery: &Scenery<'_>,
-    lens: &Lens,
-    (network, guide): (&Reconstructor, &Guide),
-    patch: usize,
-    count: usize,
-    settings: Settings,
-) -> Result<Entry> {
-    let density = SpectralDensity::new(scenery.sensor);
-    let electronics = Electronics::of(scenery.sensor);
-    let v = lens.object_vergence;
-    let started = Instant::now();
-    let renderer = Renderer::planned(lens, &scenery.frame, &density, &[v], settings)?;
-    let mut rng = fastrand::Rng::with_seed(scenery.seed);
-    let mut reports = Vec::with_capacity(count);
-    for _ in 0..count {
-        let map = &renderer.optics.maps[0];
-        let p = scenery.textures.draw_within(&mut rng, &scenery.frame, map, patch, guide.reach());
-        let f = forward::<f32>(&renderer, &electronics, &p)?;
-        let told = guide.over(f.developed.view(), p.region, p.part);
-        let output = network.forward(told.view().insert_axis(Axis(0)))?;
-        let truth = f.truth.slice(middle(&p));
-        let error = |a: ndarray::ArrayView3<'_, f32>| l1_and_psnr(a.iter(), truth.iter());
-        let (input, out) = (error(told.slice(s![..3, .., ..])), error(output.index_axis(Axis(0), 0)));
-        reports.push(Report { loss: out.0, penalty: 0.0, input_psnr_db: input.1, output_psnr_db: out.1, moved: false });
-    }
-    Ok(average(&reports, started))
+    stage.finish();
+    Ok((stage, history))
 }
 
 /// A fresh network that sees `inputs` beside the capture.

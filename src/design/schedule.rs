@@ -3,27 +3,6 @@
 //! A length in time is turned into one in steps once, when the constant part is over: the rest gets as many steps as its time
 //! holds at the pace of the last ones. From then on everything repeats.
 
-use std::time::{Duration, Instant};
-
-/// When the joint stage ends.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Budget {
-    /// After so many steps.
-    Steps(usize),
-    /// After so much time.
-    Time(Duration),
-}
-
-impl Budget {
-    /// Share of the budget used, 0 to 1.
-    pub fn used(self, step: usize, started: Instant) -> f64 {
-        match self {
-            Self::Steps(n) => step as f64 / n.max(1) as f64,
-            Self::Time(t) => started.elapsed().as_secs_f64() / t.as_secs_f64().max(1e-9),
-        }
-    }
-}
-
 /// Learning rate over the steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Schedule {

@@ -1,20 +1,32 @@
 //! A design task as a TOML file: which lens, on which sensor, trained on what, for how long.
 
 use std::path::{Path, PathBuf};
-use std::time::Duration;
 
 use serde::{Deserialize, Serialize};
 
 use super::data::{TEXTURE, Textures};
-use super::schedule::Budget;
+use super::lens_steps::Steps;
+use super::places::Spread;
+use super::schedule::Length;
+use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::imaging::sensor::Sensor;
 use crate::interchange;
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Prescription, SensorRaster};
+use crate::lens::variables::Variables;
+use crate::lens::{Kind, Lens, Prescription, SensorRaster};
+use crate::optimize::Problem;
+use crate::optimize::spec::Spec;
 use crate::trace::rims::overlapping_rims;
+
+/// Shipped tasks: name, text.
+pub const SHIPPED: [(&str, &str); 3] = [
+    ("lfov-paper", include_str!("../../models/tasks/lfov-paper.toml")),
+    ("lfov-30", include_str!("../../models/tasks/lfov-30.toml")),
+    ("lfov-30-free", include_str!("../../models/tasks/lfov-30-free.toml")),
+];
 
 /// The form of task files this program reads.
 pub const SCHEMA: u32 = 1;
@@ -60,15 +72,61 @@ pub struct Task {
     /// What the network of the joint stage sees beside the capture; names as in `train.inputs`.
     #[serde(default, skip_serializing_if = "Inputs::is_bare")]
     pub inputs: Inputs,
-    /// Largest lens step, scaled units.
+    /// What moves, in which bounds, what is held: the keys of `isoplanat optimize --merit`.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub optics: Spec,
+    /// Even powers up to which refracting surfaces have terms that may move, stated as 0 where the lens has none; 0: as the lens states
+    /// them.
+    #[serde(default)]
+    pub asphere_power: usize,
+    /// Starts of a global search by spots, where the lens is first improved by those; 0: from the lens alone.
+    #[serde(default)]
+    pub search: usize,
+    /// Whether the lens is first improved by its spots alone.
+    #[serde(default = "yes")]
+    pub warm_start: bool,
+    /// What steps of the lens are measured by.
+    #[serde(default)]
+    pub lens_steps: Steps,
+    /// Largest step of the lens where steps are measured by rays: their rms movement, µm.
+    #[serde(default = "default_lens_rate_um")]
+    pub lens_rate_um: f64,
+    /// Largest step of the lens where they are not.
     #[serde(default = "default_lens_rate")]
     pub lens_rate: f64,
+    /// Part of the joint stage in which the lens moves, from and to, of 1.
+    #[serde(default = "default_lens_share")]
+    pub lens_share: [f64; 2],
+    /// Equal parts of the stage, each with 0.8 of the rates of the one before; 0: a rise and half a cosine.
+    #[serde(default)]
+    pub epochs: usize,
+    /// Least illumination relative to the axis that steps of the lens keep.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub least_illumination: Option<f64>,
+    /// Object distances, mm, taken in turn; left out: the lens's own.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub depths_mm: Vec<f64>,
+    /// How patches are spread over the field.
+    #[serde(default)]
+    pub spread: Spread,
+    /// Photographs at the beginning of the folder that are kept from training, and judge the design on its way.
+    #[serde(default)]
+    pub keep_first: usize,
+    /// How often the design is judged on pictures that it does not train on.
+    #[serde(default = "default_checks")]
+    pub checks: usize,
+    /// Seconds between checkpoints: what a kill may lose.
+    #[serde(default = "default_checkpoint_seconds")]
+    pub checkpoint_seconds: f64,
     /// Largest network step.
     #[serde(default = "default_network_rate")]
     pub network_rate: f64,
     /// Train the network alone.
     #[serde(default)]
     pub freeze_lens: bool,
+    /// What differs between the designs of a sweep (`isoplanat sweep`).
+    #[serde(default, skip_serializing_if = "no_sweep")]
+    pub sweep: SweepTask,
     /// The final network for the finished lens (`isoplanat train`).
     #[serde(default)]
     pub train: TrainTask,
@@ -106,6 +164,27 @@ fn default_width() -> usize {
 fn default_lens_rate() -> f64 {
     0.01
 }
+fn default_lens_rate_um() -> f64 {
+    2.0
+}
+fn default_lens_share() -> [f64; 2] {
+    [0.1, 0.85]
+}
+fn default_checks() -> usize {
+    10
+}
+fn default_checkpoint_seconds() -> f64 {
+    60.0
+}
+fn yes() -> bool {
+    true
+}
+fn no_sweep(sweep: &SweepTask) -> bool {
+    *sweep == SweepTask::default()
+}
+fn is_default(spec: &Spec) -> bool {
+    *spec == Spec::default()
+}
 fn default_network_rate() -> f64 {
     2e-3
 }
@@ -127,16 +206,43 @@ impl Task {
             batch: default_batch(),
             base_width: default_width(),
             inputs: Inputs::BARE,
+            optics: Spec::default(),
+            asphere_power: 0,
+            search: 0,
+            warm_start: true,
+            lens_steps: Steps::default(),
+            lens_rate_um: default_lens_rate_um(),
             lens_rate: default_lens_rate(),
+            lens_share: default_lens_share(),
+            epochs: 0,
+            least_illumination: None,
+            depths_mm: Vec::new(),
+            spread: Spread::default(),
+            keep_first: 0,
+            checks: default_checks(),
+            checkpoint_seconds: default_checkpoint_seconds(),
             network_rate: default_network_rate(),
             freeze_lens: false,
+            sweep: SweepTask::default(),
             train: TrainTask::default(),
         }
     }
 
-    /// Reads and checks a task file; paths in it are relative to it.
+    /// Reads and checks a task file, or a shipped task by its name; paths in a file are relative to it.
+    ///
+    /// # Errors
+    /// A file that cannot be read or is no task.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+        let shipped = SHIPPED.iter().find(|(name, _)| path.as_os_str() == *name && !path.exists());
+        let text = match shipped {
+            Some((_, text)) => (*text).to_owned(),
+            None if path.extension().is_none() && !path.exists() => {
+                let names: Vec<&str> = SHIPPED.iter().map(|s| s.0).collect();
+                let allowed = format!("a task file, or one of {}", names.join(", "));
+                return Err(Error::bad(path.display().to_string(), "task", "no such file", allowed));
+            }
+            None => std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?,
+        };
         let file = path.display().to_string();
         let mut task: Self =
             toml::from_str(&text).map_err(|e| Error::toml(&file, &text, &e, "the keys of models/README.md"))?;
@@ -172,6 +278,7 @@ impl Task {
             return bad("steps, minutes", "both".into(), "one of steps and minutes");
         }
         self.train.check(file)?;
+        self.sweep.check(file)?;
         if let Some(m) = self.minutes
             && !(m > 0.0 && m < 1e6)
         {
@@ -182,21 +289,75 @@ impl Task {
                 return bad(name, v.to_string(), "above 0, below 1");
             }
         }
+        if self.asphere_power > 16 || self.asphere_power % 2 == 1 || self.asphere_power == 2 {
+            return bad("asphere_power", self.asphere_power.to_string(), "0, or an even power from 4 to 16");
+        }
+        if self.search > 100_000 || self.search > 0 && !self.warm_start {
+            return bad("search", self.search.to_string(), "at most 100000, and 0 where warm_start is false");
+        }
+        if !(self.lens_rate_um > 0.0 && self.lens_rate_um <= 1e4) {
+            return bad("lens_rate_um", self.lens_rate_um.to_string(), "above 0, at most 10000");
+        }
+        let [from, to] = self.lens_share;
+        if !(0.0 <= from && from < to && to <= 1.0) {
+            return bad("lens_share", format!("{from}, {to}"), "[from, to], from 0 to 1");
+        }
+        if self.epochs > 10_000 {
+            return bad("epochs", self.epochs.to_string(), "at most 10000");
+        }
+        if let Some(v) = self.least_illumination
+            && !(0.0..1.0).contains(&v)
+        {
+            return bad("least_illumination", v.to_string(), "0 or more, below 1");
+        }
+        if let Some(d) = self.depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
+            return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");
+        }
+        if self.keep_first > 0 && self.photos.is_none() {
+            return bad("keep_first", self.keep_first.to_string(), "0 where no folder of photographs is named");
+        }
+        if self.checks > 1000 {
+            return bad("checks", self.checks.to_string(), "at most 1000");
+        }
+        if !(0.0..=86_400.0).contains(&self.checkpoint_seconds) {
+            return bad("checkpoint_seconds", self.checkpoint_seconds.to_string(), "0 to 86400");
+        }
         Ok(())
     }
 
-    /// The joint stage's budget.
+    /// How long the joint stage is.
     ///
     /// # Errors
     /// A task without `steps` and `minutes`: it has no joint stage.
-    pub fn budget(&self) -> Result<Budget> {
+    pub fn length(&self) -> Result<Length> {
         match (self.steps, self.minutes) {
-            (Some(n), _) => Ok(Budget::Steps(n)),
-            (None, Some(m)) => Ok(Budget::Time(Duration::from_secs_f64(60.0 * m))),
+            (Some(n), _) => Ok(Length::Steps(n as u64)),
+            (None, Some(m)) => Ok(Length::Seconds(60.0 * m)),
             (None, None) => {
                 Err(Error::bad("", "steps, minutes", "neither", "exactly one of steps and minutes for a joint design"))
             }
         }
+    }
+
+    /// What moves and is held in the joint stage, for `lens` on `frame`: where `optics` says nothing, the forms of refracting surfaces
+    /// and all thicknesses, all light of the stop over the frame's field. `file` names the task.
+    ///
+    /// # Errors
+    /// Names and numbers that the lens does not allow.
+    pub fn problem(&self, lens: &Lens, corner_deg: f64, file: &str) -> Result<Problem> {
+        let lens = lens.changed(|l| l.max_field_deg = corner_deg)?;
+        let mut spec = self.optics.clone();
+        spec.apertures.get_or_insert_with(|| "automatic".to_owned());
+        if spec.depths_mm.is_none() && !self.depths_mm.is_empty() {
+            spec.depths_mm = Some(self.depths_mm.clone());
+        }
+        let mut free = Variables::refracting(&lens).parameters;
+        // A term in the square bends as the curvature does.
+        free.retain(|p| !(p.kind == Kind::Even && p.entry == 0 && p.value(&*lens) == Some(0.0)));
+        let mut problem = spec.problem_varying(&lens, free, file)?;
+        // Surfaces that open for all of the stop's light need not keep the edges that the start has.
+        problem.constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
+        Ok(problem)
     }
 
     /// The task as a file that means the same anywhere: paths in full.
@@ -224,6 +385,13 @@ impl Task {
     pub fn lens(&self, glasses: &Glasses) -> Result<Lens> {
         let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
         overlapping_rims(&lens, &self.lens)?;
+        let n = lens.indices(lens.wavelengths.primary_nm);
+        let lens = lens.changed(|l| {
+            for (_, s) in l.surfaces.iter_mut().enumerate().filter(|(i, _)| n[*i] != n[*i + 1]) {
+                let terms = (self.asphere_power / 2).max(s.shape.asphere.len());
+                s.shape.asphere.resize(terms, 0.0);
+            }
+        })?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
         let centre = [columns as f64 / 2.0, rows as f64 / 2.0];
@@ -239,8 +407,20 @@ impl Task {
     /// The textures to train on.
     pub fn textures(&self) -> Result<Textures> {
         match &self.photos {
-            Some(folder) => Textures::photos(folder),
+            Some(folder) => Textures::photos_from(folder, self.keep_first),
             None => Ok(Textures::built_in(self.seed.wrapping_mul(1000), self.scenes, TEXTURE)),
+        }
+    }
+
+    /// Pictures that the design is judged by and does not train on: the photographs that are kept, at most two dozen, or built-in scenes
+    /// of a kind that training never draws from.
+    ///
+    /// # Errors
+    /// Photographs that cannot be read.
+    pub fn held_out(&self) -> Result<Textures> {
+        match &self.photos {
+            Some(folder) if self.keep_first > 0 => Textures::photos_of(folder, 0, self.keep_first.min(24)),
+            _ => Ok(Textures::unseen(self.seed.wrapping_mul(1000) ^ 0x6865_6c64, 8, TEXTURE)),
         }
     }
 }

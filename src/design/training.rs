@@ -7,14 +7,15 @@
 
 mod state;
 
-use std::fs::{self, File, TryLockError};
+use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ndarray::{Array3, Array4, Axis, s};
 
 use super::data::Textures;
-use super::log::{Entry, Log};
+use super::folder::{MARKER, lock, sweep};
+use super::log::{Entry, HEADER, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
 use super::task::Task;
@@ -33,9 +34,6 @@ use crate::lens::catalogue::Glasses;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
 use state::State;
-
-/// The file that makes a folder a run.
-pub const MARKER: &str = "task.toml";
 
 /// Steps in a row without a finite loss and gradient after which training stops.
 const MOST_SKIPPED: u64 = 20;
@@ -162,7 +160,7 @@ impl Training {
         pairs.keep_in(&folder.join("cache"), &textures)?;
         let mut schedule = task.train.schedule();
         schedule.settled = state.settled;
-        let log = Log::open(&folder.join("log.csv"), state.step)?;
+        let log = Log::open(&folder.join("log.csv"), HEADER, state.step)?;
         Ok(Self {
             folder: folder.to_owned(),
             task,
@@ -281,7 +279,7 @@ impl Training {
                 if every > 0 && self.state.step.is_multiple_of(every.next_multiple_of(SMOOTH)) {
                     entry.held_out_psnr_db = Some(self.sample()?);
                 }
-                self.log.push(entry);
+                self.log.push(&entry.line());
             }
             let go_on = watch(&Status {
                 step: self.state.step,
@@ -353,32 +351,6 @@ impl Training {
         write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;
         Ok(sum / n as f64)
     }
-}
-
-/// Takes a run's lock: one training a folder.
-fn lock(folder: &Path) -> Result<File> {
-    let path = folder.join("lock");
-    let file = File::create(&path).map_err(|e| Error::writing(&path, e))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => {
-            let allowed = "one training a folder; wait for the other or end it";
-            Err(Error::bad(folder.display().to_string(), "lock", "another process trains here", allowed))
-        }
-        Err(TryLockError::Error(e)) => Err(Error::writing(&path, e)),
-    }
-}
-
-/// Removes what a kill in the middle of a writing has left; the folder is locked.
-fn sweep(folder: &Path) -> Result<()> {
-    let failed = |e| Error::reading(folder, e);
-    for entry in fs::read_dir(folder).map_err(failed)? {
-        let path = entry.map_err(failed)?.path();
-        if path.extension().is_some_and(|e| e == "part" || e == "partial") && path.is_file() {
-            fs::remove_file(&path).map_err(|e| Error::writing(&path, e))?;
-        }
-    }
-    Ok(())
 }
 
 /// At most 120 dB; what is no number stays so.

@@ -125,7 +125,7 @@ impl Kind {
     }
 
     /// [`Self::list`], to change.
-    pub(super) fn list_mut(self, lens: &mut impl Numbered, of: usize) -> &mut [f64] {
+    pub(crate) fn list_mut(self, lens: &mut impl Numbered, of: usize) -> &mut [f64] {
         let (surfaces, elements, aperture) = lens.parts_mut();
         let surface = surfaces.get_mut(of);
         match self.line().at {

@@ -179,6 +179,23 @@ impl Reconstructor {
         self.save_with(path, &[], &BTreeMap::new())
     }
 
+    /// [`Reconstructor::save`] with `facts` beside it.
+    ///
+    /// # Errors
+    /// As [`Self::save`].
+    pub fn save_with_facts(&self, path: &Path, facts: &BTreeMap<String, String>) -> Result<()> {
+        self.save_with(path, &[], facts)
+    }
+
+    /// Reads what [`Self::save_with_facts`] wrote.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn load_with_facts(path: &Path) -> Result<(Self, BTreeMap<String, String>)> {
+        let file = Checkpoint::read(path)?;
+        Ok((Self::from_checkpoint(&file, Compute::Cpu)?, file.facts().clone()))
+    }
+
     /// [`Reconstructor::save`] with other learners and facts beside it.
     pub(super) fn save_with(&self, path: &Path, more: &[Section<'_>], facts: &BTreeMap<String, String>) -> Result<()> {
         let parameters = self.parameters();

@@ -32,6 +32,7 @@
 //! ```
 
 pub mod constraint;
+pub mod descent;
 mod engine;
 mod finish;
 pub mod first_order;

@@ -108,6 +108,15 @@ impl Rays {
         Ok((rays, traced))
     }
 
+    /// The same rays through `lens`, aimed anew: what comes out depends on the lens alone.
+    pub(super) fn afresh(&mut self, lens: &Lens) -> Result<Traced, Failure> {
+        let mut places = Vec::with_capacity(self.colours.len());
+        for colour in &self.colours {
+            places.push(aimed(lens, &self.points, colour, false)?.1);
+        }
+        self.settle(lens, &vec![0.0; lens.surfaces.len()], places)
+    }
+
     /// Number of rays that are traced.
     pub(super) fn count(&self) -> usize {
         self.colours.iter().map(|c| c.samples.len()).sum()

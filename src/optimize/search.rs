@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::constraint::Quantity;
 use super::finish::Outcome;
 use super::problem::{KEPT, Limits, Problem, Stop};
-use super::{Apertures, Merit, optimize};
+use super::{Apertures, Merit, merit_of, optimize};
 use crate::error::Result;
 use crate::lens::{Kind, Lens, Medium, Parameter, Prescription, paraxial};
 
@@ -77,7 +77,7 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
         watch(Progress { share, rms, minima: found.len() })
     };
     // The lens as it is comes first, where light passes it.
-    found.extend(optimize(problem, full, &mut |_| true).ok().filter(kept));
+    found.extend(optimize(problem, full, &mut |_| true).ok().filter(|o| kept(o, problem)));
     for batch in (0..plan.starts).collect::<Vec<_>>().chunks(BATCH) {
         if over() || !tell(&found, done) {
             break;
@@ -86,7 +86,9 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
             .par_iter()
             .filter_map(|k| {
                 let lens = start(problem, plan.seed.wrapping_mul(1 << 20).wrapping_add(*k as u64))?;
-                let rough = optimize(&Problem { lens, ..coarse.clone() }, first, &mut |_| true).ok().filter(kept)?;
+                let rough = optimize(&Problem { lens, ..coarse.clone() }, first, &mut |_| true)
+                    .ok()
+                    .filter(|o| kept(o, problem))?;
                 Some(rough)
             })
             .collect();
@@ -97,7 +99,9 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
     let polished: Vec<Outcome> = found
         .par_iter()
         .filter_map(|o| {
-            optimize(&Problem { lens: o.lens.clone(), ..problem.clone() }, full, &mut |_| true).ok().filter(kept)
+            optimize(&Problem { lens: o.lens.clone(), ..problem.clone() }, full, &mut |_| true)
+                .ok()
+                .filter(|o| kept(o, problem))
         })
         .collect();
     found.clear();
@@ -113,7 +117,7 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
                 let seed = plan.seed.wrapping_mul(1 << 20).wrapping_add((1 << 19) + (hop * plan.keep + k) as u64);
                 let size = [0.03, 0.1, 0.2][hop % 3];
                 let lens = displaced(problem, &o.lens, size, &mut fastrand::Rng::with_seed(seed))?;
-                optimize(&Problem { lens, ..problem.clone() }, full, &mut |_| true).ok().filter(kept)
+                optimize(&Problem { lens, ..problem.clone() }, full, &mut |_| true).ok().filter(|o| kept(o, problem))
             })
             .collect();
         merge(&mut found, moved, plan.keep);
@@ -123,9 +127,14 @@ pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) ->
     Ok(found)
 }
 
-/// Whether a lens is worth keeping: all its rays arrive and all constraints hold.
-fn kept(o: &Outcome) -> bool {
-    o.share >= 1.0 && o.violation <= KEPT && o.stop != Stop::Contradiction && o.merit_mm.is_finite()
+/// How much worse a lens may be by rays aimed anew over its own field than by those it was improved with.
+const ANEW: f64 = 1.5;
+
+/// Whether a lens is worth keeping: all its rays arrive, all constraints hold, and it is as good over the field as its own pupil sees it.
+/// Object points stay where the start had them: far from the field's angles where the start's pupil was somewhere else.
+fn kept(o: &Outcome, problem: &Problem) -> bool {
+    let stands = || merit_of(&o.lens, &problem.merit).is_ok_and(|rms| rms <= ANEW * o.rms_mm[1] + 1e-6);
+    o.share >= 1.0 && o.violation <= KEPT && o.stop != Stop::Contradiction && o.merit_mm.is_finite() && stands()
 }
 
 /// Adds lenses, the same minimum once, the best first, at most `keep`.

@@ -1,6 +1,7 @@
 //! Damped least squares with constraints: Gauss–Newton with Marquardt's damping as a sequence of quadratic programs, an active set and
 //! its multipliers, an exact penalty as judge of steps, and a second-order correction before any ray is traced.
 
+use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::{DMatrix, DVector};
@@ -47,10 +48,10 @@ pub(super) struct Solved {
 }
 
 /// A lens on the way.
-struct Point {
-    x: Vec<f64>,
-    numbers: Prescription,
-    traced: Traced,
+pub(super) struct Point {
+    pub(super) x: Vec<f64>,
+    pub(super) numbers: Prescription,
+    pub(super) traced: Traced,
     /// The rays', then the targets'.
     residuals: Vec<f64>,
     /// Half the sum of their squares, and the rays' part of it.
@@ -69,15 +70,15 @@ pub(super) struct Refused {
 }
 
 /// A row of the program: which constraint or variable, which bound.
-struct Kept {
-    of: usize,
-    upper: bool,
-    row: Row,
+pub(super) struct Kept {
+    pub(super) of: usize,
+    pub(super) upper: bool,
+    pub(super) row: Row,
 }
 
-pub(super) struct Solver<'a> {
-    problem: &'a Problem,
-    rays: Rays,
+pub(super) struct Solver {
+    pub(super) problem: Arc<Problem>,
+    pub(super) rays: Rays,
     /// Clear semi-diameters of the start.
     stated: Vec<f64>,
     /// Weights of violations in the judge of steps.
@@ -85,9 +86,9 @@ pub(super) struct Solver<'a> {
     bounds: Vec<[f64; 2]>,
 }
 
-impl<'a> Solver<'a> {
+impl Solver {
     /// From `lens` at `share` of aperture and field.
-    pub(super) fn new(problem: &'a Problem, lens: &Lens, share: f64) -> Result<(Self, Traced), Failure> {
+    pub(super) fn new(problem: &Problem, lens: &Lens, share: f64) -> Result<(Self, Traced), Failure> {
         let clip = problem.merit.apertures == Apertures::Stated;
         let (rays, traced) = Rays::new(&problem.merit, lens, &problem.variables, share, clip)?;
         let scaled = |(b, s): (&[f64; 2], &f64)| {
@@ -96,14 +97,15 @@ impl<'a> Solver<'a> {
         };
         let bounds = problem.bounds.iter().zip(&problem.variables.scales).map(scaled).collect();
         let stated = lens.surfaces.iter().map(|s| s.semi_diameter).collect();
-        Ok((Self { problem, rays, stated, weights: vec![0.0; problem.constraints.len()], bounds }, traced))
+        let weights = vec![0.0; problem.constraints.len()];
+        Ok((Self { problem: Arc::new(problem.clone()), rays, stated, weights, bounds }, traced))
     }
 
     pub(super) fn rays(&self) -> usize {
         self.rays.count()
     }
 
-    fn put(&self, x: &[f64]) -> Prescription {
+    pub(super) fn put(&self, x: &[f64]) -> Prescription {
         let mut numbers: Prescription = (*self.problem.lens).clone();
         self.problem.variables.put(&mut numbers, x);
         numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
@@ -111,7 +113,7 @@ impl<'a> Solver<'a> {
     }
 
     /// How far each surface has to reach: as far as the light, and no less than stated.
-    fn rims(&self, traced: &Traced) -> Vec<f64> {
+    pub(super) fn rims(&self, traced: &Traced) -> Vec<f64> {
         match self.problem.merit.apertures {
             Apertures::Stated => self.stated.iter().zip(&traced.heights).map(|(s, h)| s.max(*h)).collect(),
             Apertures::Automatic => traced.heights.clone(),
@@ -119,7 +121,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Violations of the constraints, relative to nothing: in their own units. Infinite where one is no number.
-    fn violations(&self, numbers: &Prescription, traced: &Traced, rims: &[f64]) -> Vec<f64> {
+    pub(super) fn violations(&self, numbers: &Prescription, traced: &Traced, rims: &[f64]) -> Vec<f64> {
         let variables = &self.problem.variables;
         let first = FirstOrder::new(numbers, variables);
         let held = Held { numbers, variables, first, rims, rays: Some((&self.rays, traced, None)) };
@@ -136,7 +138,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The rows of the program at a point.
-    fn rows(&self, point: &Point, slopes: Option<&Slopes>, rims: &[f64]) -> Vec<Kept> {
+    pub(super) fn rows(&self, point: &Point, slopes: Option<&Slopes>, rims: &[f64]) -> Vec<Kept> {
         let variables = &self.problem.variables;
         let n = variables.parameters.len();
         let first = FirstOrder::new(&point.numbers, variables);
@@ -178,7 +180,7 @@ impl<'a> Solver<'a> {
         limits: Limits,
         watch: &mut dyn FnMut(Step) -> bool,
     ) -> Solved {
-        let problem = self.problem;
+        let problem = Arc::clone(&self.problem);
         let n = problem.variables.parameters.len();
         let mut x = problem.variables.values(start);
         x.iter_mut().for_each(|x| *x = if x.is_finite() { *x } else { 0.0 });
@@ -308,7 +310,7 @@ impl<'a> Solver<'a> {
     }
 
     /// Largest violation, relative to the bound or to 1, of constraints and of variables' bounds.
-    fn relative(&self, violations: &[f64], x: &[f64]) -> f64 {
+    pub(super) fn relative(&self, violations: &[f64], x: &[f64]) -> f64 {
         let of = |(v, c): (&f64, &Constraint)| {
             let size = c.bounds.iter().filter(|b| b.is_finite()).fold(0.0f64, |m, b| m.max(b.abs()));
             v / size.max(1.0)
@@ -330,7 +332,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The step with what constraints do beyond first order taken into account; distortion, which takes rays, is left out.
-    fn corrected(
+    pub(super) fn corrected(
         &self,
         point: &Point,
         h: &DMatrix<f64>,
@@ -404,7 +406,7 @@ impl<'a> Solver<'a> {
         }
     }
 
-    fn trial(&mut self, point: &Point, slopes: &Slopes, d: &[f64]) -> Option<Point> {
+    pub(super) fn trial(&mut self, point: &Point, slopes: &Slopes, d: &[f64]) -> Option<Point> {
         let x: Vec<f64> = point.x.iter().zip(d).map(|(x, d)| x + d).collect();
         let numbers = self.put(&x);
         let traced = self.rays.trace(&numbers, &point.traced, slopes, d).ok()?;
@@ -413,7 +415,7 @@ impl<'a> Solver<'a> {
     }
 
     /// A lens with its residuals.
-    fn point(&self, x: Vec<f64>, numbers: Prescription, traced: Traced) -> Point {
+    pub(super) fn point(&self, x: Vec<f64>, numbers: Prescription, traced: Traced) -> Point {
         let mut residuals = residuals(&self.rays, &traced);
         let of_rays = half_square(&residuals);
         residuals.extend(self.wanted(&numbers, &traced, None).iter().map(|v| v.value));
@@ -423,7 +425,7 @@ impl<'a> Solver<'a> {
 
     /// The targets' residuals with their derivatives (how far surfaces have to reach is taken as it is).
     fn wanted(&self, numbers: &Prescription, traced: &Traced, slopes: Option<&Slopes>) -> Vec<Value> {
-        let (problem, rims) = (self.problem, self.rims(traced));
+        let (problem, rims) = (&self.problem, self.rims(traced));
         if problem.targets.is_empty() {
             return Vec::new();
         }
@@ -434,7 +436,7 @@ impl<'a> Solver<'a> {
     }
 
     /// The Jacobian of a lens's residuals.
-    fn jacobian(&self, point: &Point, slopes: &Slopes) -> DMatrix<f64> {
+    pub(super) fn jacobian(&self, point: &Point, slopes: &Slopes) -> DMatrix<f64> {
         let of_rays = jacobian(&self.rays, &point.traced, slopes, point.x.len());
         let wanted = self.wanted(&point.numbers, &point.traced, Some(slopes));
         let mut all = of_rays.insert_rows(point.residuals.len() - wanted.len(), wanted.len(), 0.0);
@@ -452,7 +454,7 @@ fn half_square(r: &[f64]) -> f64 {
 
 /// The step of one program. Where rows contradict each other those that are violated are sought by least squares, far above the merit,
 /// and the others kept; the second value says so.
-fn program(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> (Option<Minimum>, bool) {
+pub(super) fn program(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> (Option<Minimum>, bool) {
     if let Some(found) = minimum(h, g, rows) {
         return (Some(found), false);
     }

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::constraint::{Constraint, Quantity, Target};
 use super::merit::{Apertures, Merit, Quality, Reference};
@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::lens::{Kind, Lens, Parameter};
 
 /// A number, or its smallest and largest value.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(untagged)]
 pub enum Range {
     /// Held.
@@ -44,7 +44,7 @@ impl Range {
 }
 
 /// What a quantity should be near, and how many mm of rms a unit of deviation counts.
-#[derive(Clone, Copy, Debug, PartialEq, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Wanted {
     /// The value.
@@ -67,36 +67,50 @@ impl Wanted {
 }
 
 /// The file of `isoplanat optimize --merit`; everything has a default, and what a command line says counts more.
-#[derive(Clone, Debug, Default, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Spec {
     /// Patterns of numbers that move; none: curvatures of refracting surfaces and thicknesses.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub vary: Vec<String>,
     /// Patterns of numbers that do not.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
     pub fix: Vec<String>,
     /// Bounds by pattern, in the units of the names (mm, 1/mm, radians).
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub bounds: BTreeMap<String, Range>,
     /// Constraints by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub constraints: BTreeMap<String, Range>,
     /// Targets by name. A quantity that is a target is not held at its start's value.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
     pub targets: BTreeMap<String, Wanted>,
     /// Shares of the largest field.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub fields: Option<Vec<f64>>,
     /// Their weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub field_weights: Option<Vec<f64>>,
     /// Object distances, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub depths_mm: Option<Vec<f64>>,
     /// Their weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub depth_weights: Option<Vec<f64>>,
     /// Radii in the stop.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub rings: Option<usize>,
     /// Angles in half the stop.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub arms: Option<usize>,
     /// `spot` or `wavefront`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub quality: Option<String>,
     /// `centroid` or `chief`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub reference: Option<String>,
     /// `stated` or `automatic`.
+    #[serde(skip_serializing_if = "Option::is_none")]
     pub apertures: Option<String>,
 }
 
@@ -118,8 +132,15 @@ impl Spec {
     /// # Errors
     /// Patterns that name nothing, constraints that are none, numbers that are not allowed.
     pub fn problem(&self, lens: &Lens, file: &str) -> Result<Problem> {
+        self.problem_varying(lens, Problem::standard(lens).variables.parameters, file)
+    }
+
+    /// [`Self::problem`], with `chosen` moving where the spec names nothing that does.
+    ///
+    /// # Errors
+    /// As [`Self::problem`].
+    pub fn problem_varying(&self, lens: &Lens, mut chosen: Vec<Parameter>, file: &str) -> Result<Problem> {
         let mut problem = Problem::standard(lens);
-        let mut chosen: Vec<Parameter> = problem.variables.parameters.clone();
         if !self.vary.is_empty() {
             chosen.clear();
             for pattern in &self.vary {

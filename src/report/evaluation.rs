@@ -60,6 +60,8 @@ pub struct Row {
     pub zone: usize,
     /// Image heights it covers, of the frame's farthest corner's.
     pub field: [f64; 2],
+    /// Half field angles in the object's space that they belong to, degrees.
+    pub angle_deg: [f64; 2],
     /// Patches judged.
     pub patches: usize,
     /// Their side, pixels.
@@ -101,6 +103,7 @@ impl Evaluation {
         let head = [
             "depth mm",
             "field",
+            "angle °",
             "patches",
             "capture dB",
             "network dB",
@@ -117,6 +120,11 @@ impl Evaluation {
             table.row([
                 significant(r.depth_mm, 6),
                 if r.zone == 0 { "mean".into() } else { format!("{:.2}–{:.2}", r.field[0], r.field[1]) },
+                if r.zone == 0 {
+                    format!("to {:.1}", r.angle_deg[1])
+                } else {
+                    format!("{:.1}–{:.1}", r.angle_deg[0], r.angle_deg[1])
+                },
                 r.patches.to_string(),
                 r.capture.psnr_db.text(2),
                 r.reconstruction.psnr_db.text(2),
@@ -209,6 +217,7 @@ mod tests {
             depth_mm,
             zone,
             field: if zone == 0 { [0.0, 1.0] } else { [0.5 * (zone - 1) as f64, 0.5 * zone as f64] },
+            angle_deg: [1.0, 2.0],
             patches: 3,
             patch_px: 256,
             capture: closeness(psnr, error),

@@ -117,6 +117,24 @@ impl Page {
         self.grid(&figures, min_px)
     }
 
+    /// Drawings with captions of which one is seen, the last at first; a slider steps through them.
+    pub fn stepped(&mut self, drawings: &[(String, String)]) -> &mut Self {
+        let last = drawings.len().saturating_sub(1);
+        let figures: String = drawings
+            .iter()
+            .enumerate()
+            .map(|(k, (svg, caption))| {
+                let hidden = if k == last { "" } else { " hidden" };
+                format!("<figure data-k=\"{k}\"{hidden}>{svg}<figcaption>{}</figcaption></figure>", escape(caption))
+            })
+            .collect();
+        let slider = format!(
+            "<input type=\"range\" min=\"0\" max=\"{last}\" value=\"{last}\" aria-label=\"step\" oninput=\"for (const f of \
+             this.parentNode.querySelectorAll('figure')) f.hidden = f.dataset.k !== this.value\">"
+        );
+        self.add(&format!("<div class=\"steps\">{}{figures}</div>", if last > 0 { slider } else { String::new() }))
+    }
+
     /// Pictures side by side where there is room for `min_px` each.
     ///
     /// # Errors
@@ -194,6 +212,8 @@ img.px { image-rendering: pixelated; }
 figure svg { display: block; max-width: 100%; height: auto; }
 figcaption { font-size: .9rem; line-height: 1.4; padding-top: .4rem; }
 figcaption span { display: block; color: var(--soft); font-size: .84rem; font-variant-numeric: tabular-nums; }
+.steps input { width: 100%; margin: .6rem 0; }
+.steps svg { margin: 0 auto; }
 .wide { overflow-x: auto; margin: 1rem 0; }
 table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
 th, td { padding: .38rem 1.1rem .38rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }

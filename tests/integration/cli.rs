@@ -15,8 +15,8 @@ fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let place = Workplace::new();
     let help = place.run("--help").done();
     for command in [
-        "inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "train",
-        "evaluate", "export",
+        "inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "sweep",
+        "train", "evaluate", "export",
     ] {
         assert!(help.contains(command), "{help}");
     }

@@ -4,6 +4,8 @@ mod adjoints;
 mod circles;
 mod cli;
 mod commands;
+#[cfg(feature = "train")]
+mod designing;
 mod extremes;
 #[cfg(feature = "deploy")]
 mod glare;

@@ -8,8 +8,10 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::deploy::session::Options;
+use isoplanat::design::designing::prepare;
 use isoplanat::design::memory;
-use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network};
+use isoplanat::design::run::{JointSettings, joint_stage, network};
+use isoplanat::design::scenery::Scenery;
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Inputs;
@@ -106,7 +108,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     crate::memory::tell(bytes);
     let density = SpectralDensity::new(&sensor);
     let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
-    let stage = |what: &str, since: Instant, report: &mut DemoReport| {
+    let done = |what: &str, since: Instant, report: &mut DemoReport| {
         report.stages.push((what.to_owned(), since.elapsed().as_secs_f64()));
     };
 
@@ -115,22 +117,26 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let bar = Bar::new("training scenes");
     let textures = task.textures()?;
     bar.done(format!("{} scenes", textures.len()));
-    stage("Training scenes", clock, &mut report);
+    done("Training scenes", clock, &mut report);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
 
     // Lens and network together.
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
     let fresh = network(task.base_width, task.inputs, task.seed)?;
-    let (joint, history) = joint_stage(&scenery, &start, fresh, JointSettings::of(task)?, &mut |share, e| {
-        bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
-    })?;
+    let prepared = prepare(task, &start, "demo")?;
+    let (stage, history) =
+        joint_stage(&scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
+            bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
+        })?;
+    let fineness = stage.fineness.clone();
+    let joint = stage.joint;
     bar.done(format!("{} steps taken back", joint.rejected));
     let lens = joint.lens.changed(|l| l.name = format!("{}, designed", start.name))?;
     #[expect(clippy::cast_precision_loss, reason = "step counts")]
     let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
     report.loss.push(LossCurve { name: "lens and network".into(), points });
-    stage("Joint design of lens and network", clock, &mut report);
+    done("Joint design of lens and network", clock, &mut report);
 
     // The final networks for the finished lens, of equal minutes: of the capture alone, and told of the lens.
     let seen = textures.sha256();
@@ -142,7 +148,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         let mut training = Training::begin(task, &lens, network, textures.clone(), &run, false)?;
         prescription::save(&start, &run.join("lens-start.toml"))?;
         report.loss.push(followed(&mut training, name)?);
-        stage(&format!("Final training: {name}"), clock, &mut report);
+        done(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)
     };
     let told = UnetConfig { inputs: task.train.inputs, ..joint.network.config().clone() };
@@ -166,7 +172,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         settings.tile,
     )?;
     kit.save(&folder.join("kit"), false)?;
-    stage("Kit: ONNX model and calibration", clock, &mut report);
+    done("Kit: ONNX model and calibration", clock, &mut report);
 
     // Captures of unseen scenes by the reference renderer, and what the camera makes of them.
     let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
@@ -186,18 +192,18 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
         report.scenes.push(result);
     }
-    stage("Captures, Wiener filter, camera", clock, &mut report);
+    done("Captures, Wiener filter, camera", clock, &mut report);
 
     // The fast renderer against the reference.
     let clock = Instant::now();
     capture::compare(&settings, &lens, &renderer, &density, &mut report)?;
-    stage("Fast renderer against the reference", clock, &mut report);
+    done("Fast renderer against the reference", clock, &mut report);
 
     let depth = 1.0 / lens.object_vergence;
     report.before = Some(LensView::new(&start, depth, settings.atlas)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
     report.settings = settings.describe(&sensor, &renderer.plan);
-    let finer = joint.fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
+    let finer = fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
     report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =

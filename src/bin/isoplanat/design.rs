@@ -1,120 +1,265 @@
 //! `isoplanat design TASK.toml -o RUN/`: lens and network together.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isoplanat::design::data::Textures;
+use isoplanat::design::designing::{Designing, Prepared, prepare};
+use isoplanat::design::folder::MARKER;
+use isoplanat::design::judge::validate;
 use isoplanat::design::memory;
-use isoplanat::design::run::{JointSettings, Scenery, joint_stage, network, validate};
+use isoplanat::design::pace::pace;
+use isoplanat::design::run::{JointSettings, network};
+use isoplanat::design::scenery::{Entry, Scenery};
 use isoplanat::design::task::Task;
-use isoplanat::imaging::guide;
 use isoplanat::imaging::render::{Settings, frame_of};
-use isoplanat::lens::prescription;
-use isoplanat::{Result, atomic};
+use isoplanat::lens::Lens;
+use isoplanat::optimize::merit_of;
+use isoplanat::{Error, Result, atomic};
 
 use crate::progress::Bar;
-
-/// The file that makes a folder a run.
-const MARKER: &str = "task.toml";
 
 /// Joint design of lens and network.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Task file (form in models/README.md).
-    task: PathBuf,
-    /// Folder of the run: lens, network, log.
-    #[arg(short, long)]
-    output: PathBuf,
-    /// Judge the result on patches of these photographs too.
+    /// Task file (form in models/README.md), or a shipped task: lfov-paper, lfov-30, lfov-30-free; with --resume the run's own
+    #[arg(required_unless_present = "resume", conflicts_with = "resume")]
+    task: Option<PathBuf>,
+    /// Folder of the run: lens, network, log, history
+    #[arg(short, long, required_unless_present = "check")]
+    output: Option<PathBuf>,
+    /// Go on with the run in that folder
+    #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed"])]
+    resume: bool,
+    /// Length in minutes, in place of the task's
+    #[arg(long, conflicts_with = "steps")]
+    minutes: Option<f64>,
+    /// Length in steps, in place of the task's
+    #[arg(long)]
+    steps: Option<usize>,
+    /// Folder of photographs to train on, in place of the task's
+    #[arg(long)]
+    photos: Option<PathBuf>,
+    /// Seed of every draw, in place of the task's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Say what would be done, and how long a step takes here; nothing is written
+    #[arg(long)]
+    check: bool,
+    /// Judge the result on patches of these photographs too
     #[arg(long)]
     validate: Option<PathBuf>,
-    /// Results as JSON.
+    /// Results as JSON
     #[arg(long)]
     json: bool,
-    /// Overwrite the run folder.
+    /// Overwrite the run folder
     #[arg(long)]
     force: bool,
 }
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    atomic::check_folder(&args.output, MARKER, args.force)?;
-    let task = Task::load(&args.task)?;
+    if args.check {
+        return check(args, out);
+    }
+    let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
+    let validate = args.validate.as_deref();
+    let Some(path) = &args.task else { return driven(Designing::resume(folder)?, folder, validate, args.json, out) };
+    atomic::check_folder(folder, MARKER, args.force)?;
+    let task = ready(args, path)?;
+    let lens = task.lens(crate::glasses::all())?;
+    driven(begun(task, &lens, &path.display().to_string(), folder, args.force)?, folder, validate, args.json, out)
+}
+
+/// Designs `lens` by `task` (of `file`) in `folder`.
+pub(crate) fn designed(
+    task: Task,
+    lens: &Lens,
+    file: &str,
+    folder: &Path,
+    force: bool,
+    json: bool,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
+    atomic::check_folder(folder, MARKER, force)?;
     crate::input::of_task(&task)?;
-    let settings = JointSettings::of(&task).map_err(|e| e.in_file(&args.task))?;
-    let bytes = memory::of_design(&task)?;
-    let instead = "a smaller patch_px, batch, base_width or folder";
-    crate::memory::limit().allow("the design", bytes, instead)?;
-    let (lens, sensor) = (task.lens(crate::glasses::all())?, task.sensor()?);
-    let held_out = args.validate.as_deref().map(Textures::photos).transpose()?;
-    let frame = frame_of(&lens)?;
-    let textures = task.textures()?;
-    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
-    crate::memory::tell(bytes);
-    let bar = Bar::new(if task.freeze_lens { "network alone" } else { "lens and network" });
+    task.length().map_err(|e| e.in_file(Path::new(file)))?;
+    driven(begun(task, lens, file, folder, force)?, folder, None, json, out)
+}
+
+/// Goes on in `folder`.
+pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
+    driven(Designing::resume(folder)?, folder, None, json, out)
+}
+
+fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, force: bool) -> Result<Designing> {
+    crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
+    let prepared = prepared(&task, lens, file)?;
     let start = network(task.base_width, task.inputs, task.seed)?;
-    let (joint, history) = joint_stage(&scenery, &lens, start, settings, &mut |share, e| {
-        bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
-    })?;
-    bar.done(String::new());
-    save(args, &task, &lens, &joint, &history)?;
-    let judged = match &held_out {
+    let textures = task.textures()?;
+    Designing::create(task, &prepared, start, textures, folder, force)
+}
+
+/// Runs a design to its end, and says how it went.
+fn driven(
+    mut designing: Designing,
+    folder: &Path,
+    validate_on: Option<&Path>,
+    json: bool,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
+    let held_out = validate_on.map(Textures::photos).transpose()?;
+    let bytes = memory::of_design(designing.task())?;
+    crate::memory::limit().allow("the design", bytes, INSTEAD)?;
+    crate::memory::tell(bytes);
+    if designing.stage().steps() > 0 {
+        eprintln!("resumed at step {}", designing.stage().steps());
+    }
+    // Ctrl-C asks for an end; the step at hand is finished and kept.
+    let asked = crate::interrupt::asked()?;
+    let bar = Bar::new(if designing.task().freeze_lens { "network alone" } else { "lens and network" });
+    let mut last: Option<Entry> = None;
+    let designed = designing.run(&mut |status| {
+        let e = &status.entry;
+        let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
+        let held_out = status.judged.map_or(String::new(), |j| format!("  held out {:.2} dB", j.output_psnr_db));
+        let active = status.active.first().map_or(String::new(), |a| format!("  held by {a}"));
+        bar.set(
+            status.share,
+            format!(
+                "step {}{of}  L1 {:.4}  {:.2} → {:.2} dB{held_out}{active}",
+                status.step, e.loss, e.input_psnr_db, e.output_psnr_db
+            ),
+        );
+        last = Some(e.clone());
+        !asked()
+    });
+    bar.done(format!("{} steps", designing.stage().steps()));
+    if matches!(designed, Err(Error::Interrupted)) {
+        let run = folder.display();
+        eprintln!("stopped at step {}; go on with: isoplanat design --resume -o {run}", designing.stage().steps());
+    }
+    designed?;
+    let joint = &designing.stage().joint;
+    let validated = match &held_out {
         Some(textures) => {
+            let sensor = designing.task().sensor()?;
+            let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
-            Some(validate(
-                &scenery,
-                &joint.lens,
-                (&joint.network, &joint.guide),
-                task.patch_px,
-                48,
-                Settings::TRAINING,
-            )?)
+            let told = (&joint.network, &joint.guide);
+            Some(validate(&scenery, &joint.lens, told, designing.task().patch_px, 48, Settings::TRAINING)?)
         }
         None => None,
     };
-    let last = history.last().copied();
-    if args.json {
-        let value = serde_json::json!({ "schema": 1, "last": last, "validation": judged, "rejected": joint.rejected,
-            "fineness": joint.fineness, "filters_made": joint.refreshed.0, "filters_seconds": joint.refreshed.1 });
+    if json {
+        let value = serde_json::json!({ "schema": 1, "steps": designing.stage().steps(), "seconds": designing.stage().seconds(),
+            "last": last, "held_out": designing.judged(), "validation": validated,
+            "rejected": joint.rejected, "fineness": designing.stage().fineness, "filters_made": joint.refreshed.0,
+            "filters_seconds": joint.refreshed.1 });
         writeln!(out, "{value}")?;
-    } else {
-        if let Some(e) = last {
-            writeln!(out, "training    L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
-        }
-        if let Some(e) = judged {
-            writeln!(out, "validation  L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)?;
-        }
-        writeln!(out, "steps taken back: {}", joint.rejected)?;
-        if let (count @ 1.., seconds) = joint.refreshed {
-            writeln!(out, "Wiener filters made anew {count} times as the lens moved, in {seconds:.1} s in all")?;
-        }
-        for (step, chosen) in &joint.fineness {
-            writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
-        }
+        return Ok(());
+    }
+    let mut tell = |name: &str, e: Option<&Entry>| -> std::io::Result<()> {
+        let Some(e) = e else { return Ok(()) };
+        writeln!(out, "{name:11} L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)
+    };
+    tell("training", last.as_ref())?;
+    tell("held out", designing.judged())?;
+    tell("validation", validated.as_ref())?;
+    writeln!(out, "steps of the lens taken back: {}", joint.rejected)?;
+    if let (count @ 1.., seconds) = joint.refreshed {
+        writeln!(out, "Wiener filters made anew {count} times as the lens moved, in {seconds:.1} s in all")?;
+    }
+    for (step, chosen) in &designing.stage().fineness {
+        writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
     }
     Ok(())
 }
 
-/// Writes the run folder.
-fn save(
-    args: &Args,
-    task: &Task,
-    start: &isoplanat::lens::Lens,
-    joint: &isoplanat::design::joint::Joint,
-    history: &[isoplanat::design::run::Entry],
-) -> Result<()> {
-    atomic::write_folder(&args.output, MARKER, args.force, |folder| {
-        atomic::write_bytes(&folder.join(MARKER), task.to_toml()?.as_bytes())?;
-        prescription::save(start, &folder.join("lens-start.toml"))?;
-        prescription::save(&joint.lens, &folder.join("lens.toml"))?;
-        joint.network.save(&folder.join("network.safetensors"))?;
-        if let Some(filters) = joint.guide.filters() {
-            atomic::write_bytes(&folder.join(guide::FILE), &filters.to_npz()?)?;
-        }
-        let mut log = String::from("seconds,loss,input_psnr_db,output_psnr_db\n");
-        for e in history {
-            log += &format!("{:.3},{:.6},{:.3},{:.3}\n", e.seconds, e.loss, e.input_psnr_db, e.output_psnr_db);
-        }
-        atomic::write_bytes(&folder.join("log.csv"), log.as_bytes())
-    })
+const INSTEAD: &str = "a smaller patch_px, batch, base_width or folder";
+
+/// The task with the command line's changes, read and checked.
+fn ready(args: &Args, path: &Path) -> Result<Task> {
+    let mut task = Task::load(path)?;
+    if args.minutes.is_some() || args.steps.is_some() {
+        (task.minutes, task.steps) = (args.minutes, args.steps);
+    }
+    task.photos = args.photos.clone().or(task.photos);
+    task.seed = args.seed.unwrap_or(task.seed);
+    task.check(&path.display().to_string())?;
+    crate::input::of_task(&task)?;
+    task.length().map_err(|e| e.in_file(path))?;
+    crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
+    Ok(task)
+}
+
+fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
+    let prepared = prepare(task, lens, file)?;
+    if let Some(warm) = prepared.warm.as_ref().filter(|w| w.share < 1.0) {
+        let reached = 100.0 * warm.share;
+        eprintln!(
+            "spots first: rays arrive up to {reached:.0} % of aperture and field only; the lens is taken as it is"
+        );
+    } else if let Some(warm) = &prepared.warm {
+        eprintln!(
+            "spots first: {:.1} µm rms -> {:.1} µm in {:.2} s ({})",
+            1e3 * warm.rms_mm[0],
+            1e3 * warm.rms_mm[1],
+            warm.seconds,
+            warm.stop.reason()
+        );
+    }
+    Ok(prepared)
+}
+
+/// What would be done.
+fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let Some(path) = &args.task else { return Err(Error::bad("TASK", "value", "missing", "a task file").into()) };
+    let task = ready(args, path)?;
+    let lens = task.lens(crate::glasses::all())?;
+    let prepared = prepared(&task, &lens, &path.display().to_string())?;
+    let (problem, settings) = (&prepared.problem, JointSettings::of(&task)?);
+    let textures = task.textures()?;
+    let sensor = task.sensor()?;
+    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
+    let fresh = || network(task.base_width, task.inputs, task.seed);
+    let pace = pace(&scenery, problem, &fresh, &settings)?;
+    let spots = merit_of(&problem.lens, &problem.merit).ok();
+    if args.json {
+        let value = serde_json::json!({ "schema": 1, "variables": problem.variables.parameters.iter().zip(&problem.bounds).map(|(p, b)| {
+                serde_json::json!({ "name": p.name(&problem.lens), "bounds": b.map(|v| v.is_finite().then_some(v)) })
+            }).collect::<Vec<_>>(),
+            "constraints": problem.constraints.iter().map(|c| {
+                serde_json::json!({ "name": c.quantity.name(), "bounds": c.bounds.map(|v| v.is_finite().then_some(v)) })
+            }).collect::<Vec<_>>(),
+            "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
+            "seconds_in_all": pace.all(&settings),
+            "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg, "scenes": textures.len() });
+        writeln!(out, "{value}")?;
+        return Ok(());
+    }
+    writeln!(out, "{}: nothing was written", path.display())?;
+    writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg, textures.len())?;
+    if let Some(rms) = spots {
+        writeln!(out, "the stage begins with spots of {:.1} µm rms", 1e3 * rms)?;
+    }
+    writeln!(out, "\n{:32} {:>14}   allowed", "moves", "value")?;
+    let (variables, values) = (&problem.variables, problem.variables.values(&problem.lens));
+    for (k, (p, [low, high])) in variables.parameters.iter().zip(&problem.bounds).enumerate() {
+        let value = values[k] * variables.scales[k];
+        writeln!(out, "{:32} {:>14.7}   {low:.4} to {high:.4}", p.name(&problem.lens), value)?;
+    }
+    writeln!(out, "\n{:32} allowed", "held")?;
+    for c in &problem.constraints {
+        writeln!(out, "{:32} {:.4} to {:.4} {}", c.quantity.name(), c.bounds[0], c.bounds[1], c.quantity.unit())?;
+    }
+    writeln!(
+        out,
+        "\na step takes {:.3} s here with the lens moving, {:.0} % of it optics, {:.3} s with the lens held; {:.1} minutes in all",
+        pace.moving,
+        100.0 * (1.0 - pace.network / pace.moving),
+        pace.held,
+        pace.all(&settings) / 60.0
+    )?;
+    Ok(())
 }

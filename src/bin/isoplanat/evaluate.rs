@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, evaluate};
+use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate};
 use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
@@ -49,6 +49,9 @@ pub(crate) struct Args {
     /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
     #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
     reference: Option<u32>,
+    /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
+    #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
+    texels_per_pixel: f64,
     /// Seed of places and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -92,9 +95,19 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => Pictures::BuiltIn(args.scene, SCENES),
     };
     let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
-    let rays = args.reference.map(|n| n as usize);
-    let settings =
-        Settings { fields: args.fields, depths_mm, patch: args.patch, seed: args.seed, fineness: FINENESS, rays };
+    let (rays, texels) = (args.reference.map(|n| n as usize), args.texels_per_pixel);
+    if !(0.1..=100.0).contains(&texels) {
+        return Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), "0.1 to 100").into());
+    }
+    let settings = Settings {
+        fields: args.fields,
+        depths_mm,
+        patch: args.patch,
+        seed: args.seed,
+        fineness: FINENESS,
+        rays,
+        texels,
+    };
     if args.photos.is_none() {
         let family = if args.scene == SceneKind::Facades { "street" } else { args.scene.name() };
         let known = if TRAINING.contains(&args.scene) {

@@ -33,6 +33,8 @@ mod progress;
 mod psf;
 mod render;
 mod scene;
+#[cfg(feature = "train")]
+mod sweep;
 mod trace;
 #[cfg(feature = "train")]
 mod train;
@@ -96,6 +98,12 @@ enum Command {
     /// Joint design of lens and network (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Design(missing::Args),
+    /// One of many joint designs by its number, or the best of them
+    #[cfg(feature = "train")]
+    Sweep(sweep::Args),
+    /// One of many joint designs by its number, or the best of them (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Sweep(missing::Args),
     /// The final network for a finished lens
     #[cfg(feature = "train")]
     Train(train::Args),
@@ -131,13 +139,18 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
         #[cfg(feature = "train")]
+        Command::Sweep(args) => sweep::run(&args, out),
+        #[cfg(feature = "train")]
         Command::Train(args) => train::run(&args, out),
         #[cfg(feature = "train")]
         Command::Evaluate(args) => evaluate::run(&args, out),
         #[cfg(not(feature = "train"))]
-        Command::Demo(_) | Command::Design(_) | Command::Train(_) | Command::Evaluate(_) | Command::Export(_) => {
-            missing::feature("train")
-        }
+        Command::Demo(_)
+        | Command::Design(_)
+        | Command::Sweep(_)
+        | Command::Train(_)
+        | Command::Evaluate(_)
+        | Command::Export(_) => missing::feature("train"),
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),
         #[cfg(all(feature = "train", feature = "deploy"))]

@@ -4,7 +4,15 @@ use crate::lens::catalogue::Glasses;
 use crate::network::UnetConfig;
 
 fn settings(fields: usize, patch: usize) -> Settings {
-    Settings { fields, depths_mm: vec![1000.0], patch, seed: 3, fineness: Fineness::DESIGN, rays: None }
+    Settings {
+        fields,
+        depths_mm: vec![1000.0],
+        patch,
+        seed: 3,
+        fineness: Fineness::DESIGN,
+        rays: None,
+        texels: TEXELS_PER_PIXEL,
+    }
 }
 
 fn lens() -> Lens {
@@ -129,8 +137,8 @@ fn every_zone_shows_the_same_part_of_a_picture() {
     // The middle of the truth, whatever place, patch, context and depth.
     let truth = |row: isize, col: isize, part: u64, side: usize, context: usize, depth: &SensorMap| {
         let region = Region { row, col, rows: side, cols: side };
-        let scene =
-            Shot { region, whole: 64, context, part, noise_seed: 1, by_rays: None }.scene(&frame, depth, &picture);
+        let scene = Shot { region, whole: 64, context, part, noise_seed: 1, by_rays: None, texels: TEXELS_PER_PIXEL }
+            .scene(&frame, depth, &picture);
         let truth = crate::imaging::render::source::warp::<f32>(&scene, depth, &frame, region, &[0, 1, 2]);
         let from = side / 2 - 16;
         truth.slice(s![.., from..from + 32, from..from + 32]).to_owned()

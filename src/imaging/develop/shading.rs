@@ -4,6 +4,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
 
+/// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
+/// than as noise that outshines the picture.
+pub const DARKEST: f64 = 0.01;
+
 /// Relative illumination against the distance from the axis, per channel R, G, B; 1 on the axis.
 ///
 /// Between the nodes it is piecewise linear, beyond the last one constant.
@@ -84,11 +88,13 @@ impl Shading {
         values[above - 1] + t * (values[above] - values[above - 1])
     }
 
-    /// `1 / at(channel, radius)` on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
+    /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
     pub fn gain_table(&self, max_radius_mm: f64) -> GainTable {
         const N: usize = 4096;
         let per_mm = N as f64 / max_radius_mm.max(f64::MIN_POSITIVE);
-        let gains = std::array::from_fn(|c| (0..=N).map(|i| (1.0 / self.at(c, i as f64 / per_mm)) as f32).collect());
+        let gains = std::array::from_fn(|c| {
+            (0..=N).map(|i| (1.0 / self.at(c, i as f64 / per_mm).max(DARKEST)) as f32).collect()
+        });
         GainTable { gains, per_mm }
     }
 }

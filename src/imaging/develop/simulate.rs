@@ -7,6 +7,7 @@
 use ndarray::{Array2, Array3, ArrayView3, Zip};
 
 use crate::imaging::develop::demosaic::{demosaic, demosaic_vjp};
+use crate::imaging::develop::shading::DARKEST;
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::{Cfa, mosaic, mosaic_vjp};
 use crate::imaging::sensor::noise::Noise;
@@ -52,8 +53,9 @@ pub fn simulate<T: Real>(
     let mut raw = mosaic(image, cfa);
     raw.indexed_iter_mut().for_each(|((i, j), v)| *v *= neutral(i, j));
     let mut gain = mosaic(illumination, cfa);
-    // Where no light comes, none is made up.
-    let gained = |v: T, n: T| if v > T::zero() { T::one() / (v * n) } else { T::zero() };
+    // Where no light comes, none is made up, and where little comes, not more than by the camera's flat field.
+    let darkest = T::real(DARKEST);
+    let gained = |v: T, n: T| if v > T::zero() { T::one() / (v.max(darkest) * n) } else { T::zero() };
     gain.indexed_iter_mut().for_each(|((i, j), v)| *v = gained(*v, neutral(i, j)));
     let balanced = &electronics.noise.apply(raw.view(), eps.view()) * &gain;
     let developed = demosaic(balanced.view(), cfa);
@@ -72,7 +74,12 @@ pub fn simulate_vjp<T: Real>(
     // gain = 1/(a n): ∂(x·gain)/∂a = −balanced · gain · n.
     let mut a_bar =
         Zip::from(&balanced_bar).and(&record.balanced).and(&record.gain).map_collect(|b, v, g| -*b * *v * *g);
-    a_bar.indexed_iter_mut().for_each(|((i, j), v)| *v *= neutral(i, j));
+    let most = T::real((1.0 - 1e-6) / DARKEST);
+    Zip::indexed(&mut a_bar).and(&record.gain).for_each(|(i, j), v, g| {
+        let n = neutral(i, j);
+        // The largest gain is one number.
+        *v = if *g * n < most { *v * n } else { T::zero() };
+    });
     let noisy_bar = &balanced_bar * &record.gain;
     let mut raw_bar = electronics.noise.apply_vjp(record.raw.view(), record.eps.view(), noisy_bar.view());
     raw_bar.indexed_iter_mut().for_each(|((i, j), v)| *v *= neutral(i, j));
@@ -91,7 +98,10 @@ mod tests {
             Electronics { cfa: Cfa::GRBG, noise: Noise { shot: 1e-2, read: 1e-2 }, neutral: [0.5, 1.0, 0.7] };
         let shape = (3, 14, 11);
         let mut draw = |a: f64, b: f64| Array3::from_shape_fn(shape, |_| a + (b - a) * rng.f64());
-        let (image, shade, bar) = (draw(0.1, 1.0), draw(0.4, 1.0), draw(-1.0, 1.0));
+        let (image, mut shade, bar) = (draw(0.1, 1.0), draw(0.4, 1.0), draw(-1.0, 1.0));
+        // Too dark for the flat field.
+        shade[[0, 4, 4]] = 3e-3;
+        shade.slice_mut(ndarray::s![.., 9, 7]).fill(1e-3);
         let (di, da) = (draw(-1.0, 1.0), draw(-1.0, 1.0));
         let eps = crate::imaging::sensor::noise::standard_normal::<f64>(3, (14, 11));
         let (_, record) = simulate(&electronics, image.view(), shade.view(), eps.clone());

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use ndarray::Array3;
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::plan::Settings;
 use super::renderer::{Rendered, Renderer};
@@ -163,7 +163,7 @@ pub const LADDER: [Settings; 5] = [
 ];
 
 /// Settings that were chosen for a design.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Chosen {
     /// The settings.
     pub settings: Settings,

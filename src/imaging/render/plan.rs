@@ -4,7 +4,7 @@
 //! patches. It is held while a design moves the lens, and made anew now and then
 //! ([`Renderer::replanned`](super::Renderer::replanned)).
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::coarse::raster;
 use super::nodes::Nodes;
@@ -31,7 +31,7 @@ const COARSEST: usize = 64;
 const WIDEST: usize = 4;
 
 /// How finely each approximation is made.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Settings {
     /// Scene samples a pixel along each axis: 1, 2, 4 or 8; one where cells are larger than pixels.
     pub samples: usize,

@@ -41,7 +41,7 @@ impl Settings {
         let mut task = Task::demo();
         task.seed = seed;
         task.photos = photos;
-        (task.minutes, task.lens_rate) = (Some(135.0 / 60.0), 0.02);
+        task.minutes = Some(105.0 / 60.0);
         let train = &mut task.train;
         train.scales = 3;
         // Two networks of equal minutes: one sees the capture alone, one is told of its lens. Designed with a told network in the same

@@ -1,0 +1,451 @@
+//! `isoplanat design`: a joint stage in a folder that can be killed and resumed at any point.
+//!
+//! The folder holds the task (paths in full), the lens as the task names it (`lens-start.toml`) and as the stage begins with it
+//! (`lens-first.toml`), `network.safetensors` (the last checkpoint: network, its optimiser, and the [`State`] of the stage with the lens; also
+//! readable as a plain network), `lens.toml` (the lens of that checkpoint), `best.safetensors` (the same of the best judgement so far),
+//! `log.csv`, the history: a line of `history.jsonl` and a lens in `lenses/` for each judgement, and `report.html`, written anew at each.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use super::data::Textures;
+use super::folder::{MARKER, lock, sweep};
+use super::judge::corner_deg;
+use super::lens_steps::{LensSteps, Steps};
+use super::log::Log;
+use super::run::{JointSettings, SMOOTH, Stage};
+use super::scenery::{Entry, Scenery};
+use super::state::State;
+use super::story::{Judgement, page};
+use super::task::Task;
+use super::train_task::NETWORK;
+use crate::atomic;
+use crate::error::{Error, Result};
+use crate::imaging::frame::Frame;
+use crate::imaging::guide;
+use crate::imaging::render::frame_of;
+use crate::imaging::sensor::Sensor;
+use crate::lens::{Lens, prescription};
+use crate::network::Reconstructor;
+use crate::optimize::search::{Plan, search};
+use crate::optimize::{Limits, Outcome, Problem, optimize};
+
+/// The fact of a checkpoint that holds the stage's state.
+const STATE: &str = "design.state";
+/// The checkpoint of the best judgement.
+const BEST: &str = "best.safetensors";
+/// The lens as the stage begins with it.
+const FIRST: &str = "lens-first.toml";
+/// Patches of a judgement.
+const JUDGED: usize = 24;
+/// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
+const WORSE_DB: f64 = 0.1;
+/// Steps in a row without a finite loss after which the design stops.
+const MOST_SKIPPED: usize = 20;
+
+const HEADER: &str =
+    "step,seconds,loss,input_psnr_db,output_psnr_db,moved_um,signal,penalty,step_seconds,network_seconds\n";
+
+/// How a design stands.
+#[derive(Clone, Debug)]
+pub struct Status<'a> {
+    /// Steps done.
+    pub step: usize,
+    /// Steps in all, where that is settled.
+    pub total: Option<u64>,
+    /// Share done, 0 to 1.
+    pub share: f64,
+    /// The last steps' means.
+    pub entry: Entry,
+    /// The last judgement of pictures that it does not train on.
+    pub judged: Option<&'a Entry>,
+    /// What holds the lens back.
+    pub active: Vec<String>,
+}
+
+/// What a task asks for, made ready: the first lens, and what moves and is held.
+#[derive(Clone, Debug)]
+pub struct Prepared {
+    /// The lens as the task names it.
+    pub start: Lens,
+    /// What the joint stage works on; its lens is the one it begins with.
+    pub problem: Problem,
+    /// What made that lens better by spots, where the task asks for it; not taken where its share of aperture and field is below 1.
+    pub warm: Option<Outcome>,
+    /// Half field angle for which the problem was made, degrees.
+    pub field_deg: f64,
+}
+
+/// Makes `task` ready for `lens`; `file` names the task.
+///
+/// # Errors
+/// Names and numbers that the lens does not allow; a lens whose rays do not pass.
+pub fn prepare(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
+    let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
+    let corner = corner_deg(lens, &frame, &sensor)?;
+    // Light that reaches the corner; where none does, what the lens states.
+    let stated = lens.max_field_deg;
+    match improved(task, lens, corner, (&frame, &sensor), file) {
+        Err(_) if stated > 0.0 && stated < corner => improved(task, lens, stated, (&frame, &sensor), file),
+        other => other,
+    }
+}
+
+/// [`prepare`] for a field.
+fn improved(
+    task: &Task,
+    lens: &Lens,
+    mut field_deg: f64,
+    (frame, sensor): (&Frame, &Sensor),
+    file: &str,
+) -> Result<Prepared> {
+    let asked_deg = field_deg;
+    let mut problem = task.problem(lens, field_deg, file)?;
+    let mut warm = None;
+    let mut stands = problem.lens.clone();
+    if task.warm_start && !task.freeze_lens {
+        // What the frame's corner sees moves with the distortion.
+        for round in 0..4 {
+            let searched = if task.search > 0 && round == 0 {
+                let plan = Plan { starts: task.search, seed: task.seed, ..Plan::default() };
+                search(&problem, &plan, &mut |_| true)?.into_iter().next()
+            } else {
+                None
+            };
+            let found = searched.map_or_else(|| optimize(&problem, Limits::default(), &mut |_| true), Ok)?;
+            // A lens whose rays do not all arrive is no start: the one before it is.
+            if found.share < 1.0 {
+                problem.lens = stands;
+                warm = warm.or(Some(found));
+                break;
+            }
+            let seen = corner_deg(&found.lens, frame, sensor)?;
+            problem.lens = found.lens.clone();
+            stands = found.lens.clone();
+            warm = Some(found);
+            if seen <= field_deg && seen > 0.99 * field_deg {
+                break;
+            }
+            field_deg = seen;
+            problem.lens = problem.lens.changed(|l| l.max_field_deg = field_deg)?;
+        }
+    }
+    if task.lens_steps == Steps::Rays && !task.freeze_lens {
+        // Its rays pass, or the reason is told now.
+        LensSteps::new(task.lens_steps, &problem)?;
+    }
+    Ok(Prepared { start: lens.clone(), problem, warm, field_deg: asked_deg })
+}
+
+/// A design under way.
+pub struct Designing {
+    folder: PathBuf,
+    task: Task,
+    textures: Textures,
+    held_out: Textures,
+    sensor: Sensor,
+    stage: Stage,
+    log: Log,
+    history: Log,
+    judged: Option<Entry>,
+    best: Option<(f64, usize)>,
+    field_deg: f64,
+    /// The lens that the stage began with.
+    first: Lens,
+    /// Held while the design lives, so that no second one works in the folder.
+    _lock: File,
+}
+
+impl Designing {
+    /// A new design in `folder`, which must not be there, or with `replace` may be another run.
+    ///
+    /// # Errors
+    /// A task that cannot be designed; nothing is written then.
+    pub fn create(
+        task: Task,
+        prepared: &Prepared,
+        network: Reconstructor,
+        textures: Textures,
+        folder: &Path,
+        replace: bool,
+    ) -> Result<Self> {
+        atomic::check_folder(folder, MARKER, replace)?;
+        let held_out = task.held_out()?;
+        // As a resumed design reads it.
+        let text = prescription::to_toml(&prepared.problem.lens);
+        let problem = Problem { lens: prescription::from_toml(&text, FIRST)?, ..prepared.problem.clone() };
+        let sensor = task.sensor()?;
+        let scenery =
+            Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
+        let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
+        let _old = if folder.exists() { Some(lock(folder)?) } else { None };
+        atomic::write_folder(folder, MARKER, replace, |inside| {
+            atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
+            prescription::save(&prepared.start, &inside.join("lens-start.toml"))?;
+            atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
+            let path = inside.join("lenses");
+            fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
+            save(&stage, (None, prepared.field_deg), inside)
+        })?;
+        let locked = lock(folder)?;
+        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.field_deg))
+    }
+
+    /// Goes on in a folder that [`Designing::create`] made.
+    ///
+    /// # Errors
+    /// A folder that is none, or in which another process works.
+    pub fn resume(folder: &Path) -> Result<Self> {
+        let task = Task::load(&folder.join(MARKER))?;
+        let locked = lock(folder)?;
+        let path = folder.join(NETWORK);
+        let (network, facts) = Reconstructor::load_with_facts(&path)?;
+        let file = path.display().to_string();
+        let Some(text) = facts.get(STATE) else {
+            return Err(Error::bad(file, STATE, "missing", "a checkpoint of `isoplanat design`"));
+        };
+        let state = State::from_text(text, &file)?;
+        let start = prescription::load(&folder.join("lens-start.toml"))?;
+        let (sensor, textures, held_out) = (task.sensor()?, task.textures()?, task.held_out()?);
+        let frame = frame_of(&start)?;
+        let first = prescription::load(&folder.join(FIRST))?;
+        let mut problem = task.problem(&start, state.field_deg, MARKER)?;
+        problem.lens = first;
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame, seed: task.seed };
+        let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
+        stage.restore(&scenery, &state)?;
+        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (state.best, state.field_deg))
+    }
+
+    fn assemble(
+        folder: &Path,
+        lock: File,
+        task: Task,
+        (textures, held_out, sensor): (Textures, Textures, Sensor),
+        stage: Stage,
+        (best, field_deg): (Option<(f64, usize)>, f64),
+    ) -> Result<Self> {
+        sweep(folder)?;
+        let log = Log::open(&folder.join("log.csv"), HEADER, stage.steps() as u64)?;
+        let history = Log::open_with(&folder.join("history.jsonl"), "", stage.steps() as u64, step_of)?;
+        let folder = folder.to_owned();
+        let first = prescription::load(&folder.join(FIRST))?;
+        let judged = None;
+        Ok(Self {
+            folder,
+            task,
+            textures,
+            held_out,
+            sensor,
+            stage,
+            log,
+            history,
+            judged,
+            best,
+            field_deg,
+            first,
+            _lock: lock,
+        })
+    }
+
+    /// What it was asked for.
+    pub fn task(&self) -> &Task {
+        &self.task
+    }
+
+    /// Lens and network as they are.
+    pub fn stage(&self) -> &Stage {
+        &self.stage
+    }
+
+    /// The last judgement.
+    pub fn judged(&self) -> Option<&Entry> {
+        self.judged.as_ref()
+    }
+
+    /// Designs to the end; the best of the states that were judged is the result. `watch` sees every step; where it returns `false` a
+    /// checkpoint is written and the design ends with [`Error::Interrupted`].
+    ///
+    /// # Errors
+    /// [`Error::Stopped`] where lens or network cannot go on, the folder holds their last good state; what the disk says.
+    pub fn run(&mut self, watch: &mut dyn FnMut(&Status<'_>) -> bool) -> Result<()> {
+        let frame = self.stage.renderer().plan.frame.clone();
+        let seed = self.task.seed;
+        let mut saved = Instant::now();
+        let mut skipped = 0;
+        loop {
+            let before = self.stage.used();
+            let scenery = Scenery { textures: &self.textures, sensor: &self.sensor, frame: frame.clone(), seed };
+            let entry = match self.stage.step(&scenery) {
+                Ok(Some(entry)) => entry,
+                Ok(None) => break,
+                Err(why) => return Err(self.stopped(&why.to_string())),
+            };
+            skipped = if entry.loss.is_finite() { 0 } else { skipped + 1 };
+            if skipped >= MOST_SKIPPED {
+                return Err(self.stopped(&format!("the loss was not finite {MOST_SKIPPED} times in a row")));
+            }
+            if self.stage.steps().is_multiple_of(SMOOTH) {
+                self.log.push(&line(&entry));
+            }
+            let checks = self.task.checks as f64;
+            if (before * checks).floor() < (self.stage.used().min(1.0) * checks).floor() {
+                self.judge()?;
+            }
+            let status = Status {
+                step: self.stage.steps(),
+                total: self.stage.total(),
+                share: self.stage.used().min(1.0),
+                entry,
+                judged: self.judged.as_ref(),
+                active: self.stage.active(),
+            };
+            if !watch(&status) {
+                self.checkpoint()?;
+                return Err(Error::Interrupted);
+            }
+            if saved.elapsed().as_secs_f64() >= self.task.checkpoint_seconds {
+                self.checkpoint()?;
+                saved = Instant::now();
+            }
+        }
+        self.stage.finish();
+        self.checkpoint()?;
+        self.settle()
+    }
+
+    /// Looks at pictures that it does not train on; the state is kept if it is the best so far.
+    fn judge(&mut self) -> Result<()> {
+        let entry = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?;
+        let step = self.stage.steps();
+        let better = entry.output_psnr_db.is_finite() && self.best.is_none_or(|(db, _)| entry.output_psnr_db > db);
+        if better {
+            self.best = Some((entry.output_psnr_db, step));
+            checkpoint_of(&self.stage, (self.best, self.field_deg), &self.folder.join(BEST))?;
+        }
+        let lens = &self.stage.joint.lens;
+        let name = format!("lenses/step-{step:07}.toml");
+        prescription::save(lens, &self.folder.join(&name))?;
+        let variables = self.stage.joint.steps.variables();
+        let numbers = variables.parameters.iter().filter_map(|p| Some((p.name(lens), p.value(&**lens)?)));
+        let judgement = Judgement {
+            step,
+            seconds: self.stage.seconds(),
+            lens: name,
+            held_out_db: [entry.input_psnr_db, entry.output_psnr_db],
+            held_out_l1: entry.loss,
+            best: better,
+            active: self.stage.active(),
+            variables: numbers.collect(),
+        };
+        let text = serde_json::to_string(&judgement).map_err(|e| Error::Internal(format!("history: {e}")))?;
+        self.history.push(&format!("{text}\n"));
+        self.show()?;
+        self.judged = Some(entry);
+        Ok(())
+    }
+
+    /// Writes the page.
+    fn show(&self) -> Result<()> {
+        let history = Judgement::of(self.history.text(), "history.jsonl")?;
+        let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(entry_of).collect();
+        let html = page(&self.folder, &self.task, &self.stage, &self.held_out, &history, &log, &self.first)?;
+        atomic::write_bytes(&self.folder.join("report.html"), html.as_bytes())
+    }
+
+    /// Log and history, then network and lens: what is told is never behind.
+    fn checkpoint(&self) -> Result<()> {
+        self.log.save()?;
+        self.history.save()?;
+        save(&self.stage, (self.best, self.field_deg), &self.folder)
+    }
+
+    /// The end: where the last state is worse than the best one, that is the result.
+    fn settle(&mut self) -> Result<()> {
+        let (Some((best, step)), path) = (self.best, self.folder.join(BEST)) else { return self.show() };
+        let last = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?.output_psnr_db;
+        if step < self.stage.steps() && (last.is_nan() || last < best - WORSE_DB) && path.exists() {
+            let (network, facts) = Reconstructor::load_with_facts(&path)?;
+            let state = State::from_text(facts.get(STATE).map_or("", String::as_str), &path.display().to_string())?;
+            self.stage.joint.network = network;
+            let frame = self.stage.renderer().plan.frame.clone();
+            let scenery = Scenery { textures: &self.textures, sensor: &self.sensor, frame, seed: self.task.seed };
+            let spent = self.stage.state();
+            self.stage.restore(&scenery, &state)?;
+            self.stage.finish();
+            self.stage.over(&spent);
+            save(&self.stage, (self.best, self.field_deg), &self.folder)?;
+        }
+        self.show()
+    }
+
+    /// The last good state is kept; the error says where.
+    fn stopped(&mut self, why: &str) -> Error {
+        self.stage.joint.lens = self.stage.joint.good.clone();
+        let kept = match self.checkpoint() {
+            Ok(()) => format!("{} holds the last good state", self.folder.display()),
+            Err(e) => format!("nor could it be kept: {e}"),
+        };
+        Error::Stopped(format!("the design stopped at step {}: {why}; {kept}", self.stage.steps()))
+    }
+}
+
+fn step_of(line: &str) -> Option<u64> {
+    serde_json::from_str::<serde_json::Value>(line).ok()?.get("step")?.as_u64()
+}
+
+/// The entry of a line of the log.
+fn entry_of(line: &str) -> Option<Entry> {
+    let v: Vec<f64> = line.split(',').map(|t| t.parse().ok()).collect::<Option<_>>()?;
+    let [step, seconds, loss, input_psnr_db, output_psnr_db, moved_um, signal, penalty, step_seconds, network_seconds] =
+        v.try_into().ok()?;
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
+    let step = step as usize;
+    Some(Entry {
+        step,
+        seconds,
+        loss,
+        input_psnr_db,
+        output_psnr_db,
+        moved_um,
+        signal,
+        penalty,
+        step_seconds,
+        network_seconds,
+    })
+}
+
+fn line(e: &Entry) -> String {
+    format!(
+        "{},{:.3},{:.6e},{:.4},{:.4},{:.4e},{:.4},{:.4e},{:.4},{:.4}\n",
+        e.step,
+        e.seconds,
+        e.loss,
+        e.input_psnr_db,
+        e.output_psnr_db,
+        e.moved_um,
+        e.signal,
+        e.penalty,
+        e.step_seconds,
+        e.network_seconds
+    )
+}
+
+fn checkpoint_of(stage: &Stage, (best, field_deg): (Option<(f64, usize)>, f64), path: &Path) -> Result<()> {
+    let mut state = stage.state();
+    (state.best, state.field_deg) = (best, field_deg);
+    let facts = BTreeMap::from([(STATE.to_owned(), state.to_text()?)]);
+    stage.joint.network.save_with_facts(path, &facts)
+}
+
+/// A checkpoint, with lens and filters as files that other commands read.
+fn save(stage: &Stage, facts: (Option<(f64, usize)>, f64), folder: &Path) -> Result<()> {
+    checkpoint_of(stage, facts, &folder.join(NETWORK))?;
+    prescription::save(&stage.joint.lens, &folder.join("lens.toml"))?;
+    if let Some(filters) = stage.joint.guide.filters() {
+        atomic::write_bytes(&folder.join(guide::FILE), &filters.to_npz()?)?;
+    }
+    Ok(())
+}

@@ -1,0 +1,35 @@
+//! A run's folder: its marker, its lock, what a kill leaves in it.
+
+use std::fs::{self, File, TryLockError};
+use std::path::Path;
+
+use crate::error::{Error, Result};
+
+/// The file that makes a folder a run.
+pub const MARKER: &str = "task.toml";
+
+/// Takes a run's lock: one process a folder.
+pub(super) fn lock(folder: &Path) -> Result<File> {
+    let path = folder.join("lock");
+    let file = File::create(&path).map_err(|e| Error::writing(&path, e))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => {
+            let allowed = "one run a folder; wait for the other or end it";
+            Err(Error::bad(folder.display().to_string(), "lock", "another process works here", allowed))
+        }
+        Err(TryLockError::Error(e)) => Err(Error::writing(&path, e)),
+    }
+}
+
+/// Removes what a kill in the middle of a writing has left; the folder is locked.
+pub(super) fn sweep(folder: &Path) -> Result<()> {
+    let failed = |e| Error::reading(folder, e);
+    for entry in fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if path.extension().is_some_and(|e| e == "part" || e == "partial") && path.is_file() {
+            fs::remove_file(&path).map_err(|e| Error::writing(&path, e))?;
+        }
+    }
+    Ok(())
+}

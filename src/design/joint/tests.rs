@@ -1,0 +1,246 @@
+use super::*;
+use crate::design::data::Textures;
+use crate::design::designing::prepare;
+use crate::design::lens_steps::{LensSteps, Steps};
+use crate::design::run::{JointSettings, Stage, joint_stage, network};
+use crate::design::scenery::Scenery;
+use crate::design::schedule::Length;
+use crate::design::task::Task;
+use crate::imaging::guide::Inputs;
+use crate::imaging::render::{Settings, frame_of};
+use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::noise::Noise;
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::catalogue::Glasses;
+
+const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
+
+fn task() -> Task {
+    let mut task = Task::demo();
+    let sensor = task.sensor.as_mut().expect("the demo's");
+    (sensor.columns, sensor.rows, sensor.pitch_um) = (240, 160, 80.0);
+    task
+}
+
+/// Scene → loss through the f32 network: the lens gradient against central differences, 1e-2. The network sees the capture alone,
+/// or is told of its lens by filters that stay while the lens moves.
+#[test]
+fn the_lens_gradient_through_the_network_agrees_with_differences() {
+    gradient_agrees(Inputs::BARE);
+    gradient_agrees(TOLD);
+}
+
+const TOLD: Inputs = Inputs { wiener: true, field: true };
+
+fn gradient_agrees(inputs: Inputs) {
+    let task = task();
+    let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), Sensor::generic());
+    let frame = frame_of(&lens).expect("valid");
+    let textures = Textures::built_in(3, 5, 400);
+    let v = lens.object_vergence;
+    let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
+    let electronics = Electronics::of(&sensor);
+    let guide = Guide::new(inputs, &renderer, &electronics).expect("filters");
+    let mut net = network(8, inputs, 5).expect("valid");
+    let mut rng = fastrand::Rng::with_seed(2);
+    let map = &renderer.optics.maps[0];
+    let mut draw = || textures.draw_within(&mut rng, &frame, map, 64, guide.reach());
+    // A few steps, so that the network is no identity.
+    for _ in 0..30 {
+        let p = draw();
+        let f = forward::<f32>(&renderer, &electronics, &p).expect("renders");
+        let told = guide.over(f.developed.view(), p.region, p.part);
+        let truth = f.truth.slice(middle(&p)).insert_axis(Axis(0));
+        net.step_network_only(told.view().insert_axis(Axis(0)), truth, 2e-3).expect("trains");
+    }
+    let patch = draw();
+    assert_eq!(patch.region == patch.part, inputs.is_bare());
+    // The loss in f64 from the f32 pictures, so that its own rounding stays below the differences.
+    let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, Record, crate::network::Step) {
+        let renderer = Renderer::new(lens, &renderer.plan).expect("traces");
+        let f = forward::<f32>(&renderer, &electronics, &patch).expect("renders");
+        let (told, record) = guide.over_recorded(f.developed.view(), patch.region, patch.part);
+        let truth = f.truth.slice(middle(&patch)).to_owned();
+        let (x, t) = (told.view().insert_axis(Axis(0)), truth.view().insert_axis(Axis(0)));
+        let s = net.step(x, t, 0.0, false).expect("runs");
+        let l1 = s.output.iter().zip(&truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
+        (l1 / s.output.len() as f64, f, record, s)
+    };
+    let (_, f, record, s) = loss(&lens);
+    let x_bar = guide.over_vjp(&record, s.input_bar.index_axis(Axis(0), 0));
+    let mut t_bar = Array3::zeros(f.truth.raw_dim());
+    t_bar.slice_mut(middle(&patch)).assign(&s.target_bar.index_axis(Axis(0), 0));
+    let bar = forward_vjp(&renderer, &electronics, &patch, &f, x_bar.view(), t_bar.view());
+    let g = renderer.lens_gradient(&lens, &bar);
+    let vars = crate::lens::variables::Variables::refracting(&lens);
+    let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
+    let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
+    for seed in 0..6 {
+        let rng = &mut fastrand::Rng::with_seed(40 + seed);
+        // Half along the gradient, half at random, unit length: a slope that f32 can resolve.
+        let mut dx: Vec<f64> = gradient.iter().map(|v| v / norm).collect();
+        dx.iter_mut().for_each(|d| *d += (rng.f64() - 0.5) * 0.8);
+        let length = dx.iter().map(|v| v * v).sum::<f64>().sqrt();
+        dx.iter_mut().for_each(|d| *d /= length);
+        let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
+        let h = 2e-4;
+        let mut at = |t: f64| {
+            let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();
+            loss(&vars.lens(&lens, &moved).expect("a lens")).0
+        };
+        let numeric = (at(h) - at(-h)) / (2.0 * h);
+        crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("{:?}, direction {seed}", inputs.names()));
+    }
+}
+
+fn settings(steps: u64, patch: usize) -> JointSettings {
+    let task = Task { patch_px: patch, batch: 1, steps: Some(1), ..task() };
+    JointSettings { length: Length::Steps(steps), ..JointSettings::of(&task).expect("has a length") }
+}
+
+/// A stage gives the same bits again, and the lens moves.
+#[test]
+fn a_joint_stage_repeats_to_the_bit() {
+    for steps in [Steps::Rays, Steps::Scaled, Steps::Plain] {
+        let task = Task { lens_steps: steps, ..task() };
+        let lens = task.lens(Glasses::shipped()).expect("shipped");
+        let (prepared, sensor) = (prepare(&task, &lens, "task").expect("passes light"), Sensor::generic());
+        let textures = Textures::built_in(3, 5, 400);
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+        let rate = if steps == Steps::Rays { 2e-3 } else { 1e-3 };
+        let settings = JointSettings { steps, lens_rate: rate, lens_share: [0.2, 0.9], ..settings(10, 32) };
+        for inputs in [Inputs::BARE, TOLD] {
+            let run = || {
+                let net = network(4, inputs, 1).expect("valid");
+                joint_stage(&scenery, &prepared.problem, net, settings.clone(), &mut |_, _| {}).expect("runs").0
+            };
+            let (a, b) = (run(), run());
+            assert_eq!(a.joint.lens, b.joint.lens);
+            assert_eq!(a.fineness, b.fineness);
+            assert!(a.fineness.len() == 1 && a.fineness[0].1.holds, "{:?}", a.fineness);
+            assert_ne!(a.joint.lens, prepared.problem.lens);
+            assert_eq!(a.joint.network.parameters(), b.joint.network.parameters());
+            // At the end the filters are those of the finished lens.
+            assert_eq!((a.joint.refreshed.0 > 0, &a.joint.guide), (!inputs.is_bare(), &b.joint.guide));
+        }
+    }
+}
+
+/// A stage that goes on from its state has the bits of one that was never left, filters, settings and moments included.
+#[test]
+fn a_stage_goes_on_from_its_state() {
+    for (steps, inputs) in [(Steps::Rays, Inputs::BARE), (Steps::Rays, TOLD), (Steps::Scaled, Inputs::BARE)] {
+        let task = Task { lens_steps: steps, ..task() };
+        let lens = task.lens(Glasses::shipped()).expect("shipped");
+        let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+        let textures = Textures::built_in(3, 5, 400);
+        let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+        let settings = JointSettings { steps, lens_share: [0.1, 0.9], ..settings(60, 32) };
+        let fresh = || {
+            let net = network(4, inputs, 1).expect("valid");
+            Stage::new(&scenery, &problem, net, settings.clone()).expect("starts")
+        };
+        let mut whole = fresh();
+        while whole.step(&scenery).expect("runs").is_some() {}
+        for left in [3, 25, 37] {
+            let mut first = fresh();
+            while first.steps() < left {
+                first.step(&scenery).expect("runs");
+            }
+            let folder = tempfile::tempdir().expect("temporary folder");
+            let path = folder.path().join("network.safetensors");
+            first.joint.network.save(&path).expect("written");
+            let text = first.state().to_text().expect("text");
+            let network = Reconstructor::load(&path).expect("read");
+            assert_eq!(network.parameters(), first.joint.network.parameters());
+            let mut second = Stage::new(&scenery, &problem, network, settings.clone()).expect("starts");
+            let state = crate::design::state::State::from_text(&text, "state").expect("own text");
+            second.restore(&scenery, &state).expect("goes on");
+            assert_eq!(second.joint.lens, first.joint.lens, "{steps:?}, left at {left}");
+            assert_eq!(second.renderer().plan, first.renderer().plan, "{steps:?}, left at {left}");
+            assert_eq!(second.joint.steps.remembered(), first.joint.steps.remembered());
+            for k in 0..3 {
+                let [a, b] = [&mut first, &mut second].map(|s| s.step(&scenery).expect("runs").expect("not over"));
+                assert_eq!(a.step, b.step);
+                assert_eq!(
+                    first.joint.network.parameters(),
+                    second.joint.network.parameters(),
+                    "{steps:?}, {left} + {k}"
+                );
+                assert_eq!(first.joint.lens, second.joint.lens, "{steps:?}, {left} + {k}");
+            }
+            while second.step(&scenery).expect("runs").is_some() {}
+
+            assert_eq!(second.joint.lens, whole.joint.lens, "{steps:?}, left at {left}");
+            assert_eq!(
+                second.joint.network.parameters(),
+                whole.joint.network.parameters(),
+                "{steps:?}, left at {left}"
+            );
+            assert_eq!(second.joint.guide, whole.joint.guide, "{steps:?}, left at {left}");
+        }
+    }
+}
+
+/// Patches with more rows than the frame: what the network sees is still all there, told or not.
+#[test]
+fn a_patch_may_be_larger_than_the_frame() {
+    let task = task();
+    let lens = task.lens(Glasses::shipped()).expect("shipped");
+    let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+    let textures = Textures::built_in(3, 1, 400);
+    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+    let settings = JointSettings { settings: Some(SETTINGS), lens_share: [0.0, 1.0], ..settings(1, 192) };
+    for inputs in [Inputs::BARE, TOLD] {
+        let net = network(4, inputs, 1).expect("valid");
+        let (_, history) =
+            joint_stage(&scenery, &problem, net, settings.clone(), &mut |_, e| assert!(e.loss.is_finite()))
+                .expect("runs");
+        assert!(history.is_empty(), "one step fills no entry");
+    }
+}
+
+/// Depths take turns, and the lens is judged at all of them.
+#[test]
+fn a_stage_over_depths_sees_all_of_them() {
+    let task = Task { depths_mm: vec![700.0, 1000.0, 2000.0], ..task() };
+    let lens = task.lens(Glasses::shipped()).expect("shipped");
+    let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+    assert_eq!(problem.merit.depths.len(), 3);
+    let textures = Textures::built_in(3, 3, 400);
+    let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
+    let vergences = task.depths_mm.iter().map(|d| d.recip()).collect();
+    let settings = JointSettings { vergences, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
+    let (stage, _) =
+        joint_stage(&scenery, &problem, network(4, TOLD, 1).expect("valid"), settings, &mut |_, _| {}).expect("runs");
+    assert_eq!(stage.renderer().plan.depths.len(), 3);
+    assert!(stage.camera().judged(&textures, 32, 6).expect("judged").output_psnr_db > 5.0);
+}
+
+/// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.
+#[test]
+fn a_scene_without_light_leaves_the_lens_alone() {
+    let task = task();
+    let lens = task.lens(Glasses::shipped()).expect("shipped");
+    let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
+    let problem = prepare(&task, &lens, "task").expect("passes light").problem;
+    let lens = problem.lens.clone();
+    let renderer =
+        Renderer::planned(&lens, &frame, &SpectralDensity::new(&Sensor::generic()), &[v], SETTINGS).expect("plans");
+    let electronics = Electronics { noise: Noise::NONE, ..Electronics::of(&Sensor::generic()) };
+    let textures = Textures::built_in(3, 1, 400);
+    let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
+    patch.scene.texture.fill(0.0);
+    let net = network(4, Inputs::BARE, 1).expect("valid");
+    let steps = LensSteps::new(Steps::Rays, &problem).expect("rays pass");
+    let mut joint = Joint::new(lens.clone(), net, Guide::bare(&frame), steps);
+    for _ in 0..3 {
+        let renderer = joint.renderer(&renderer.plan, false).expect("traces");
+        let report = joint.step(&renderer, &electronics, &[patch.clone()], 0.01, 1e-3).expect("runs");
+        assert!(report.loss.is_finite(), "{report:?}");
+    }
+    let variables = &problem.variables;
+    let moved = variables.values(&joint.lens).into_iter().zip(variables.values(&lens));
+    assert!(moved.into_iter().all(|(a, b)| (a - b).abs() < 1e-6), "the lens moved without light");
+    assert!(joint.network.parameters().iter().all(|p| p.values.iter().all(|w| w.is_finite())));
+}

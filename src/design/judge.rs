@@ -1,0 +1,133 @@
+//! What a design is judged by on its way: pictures that it does not train on, and how far the frame's corner sees.
+
+use ndarray::{Array3, Axis, s};
+
+use super::chain::{Patch, forward};
+use super::data::Textures;
+use super::joint::{l1_and_psnr, middle};
+use super::places::{Places, Spread};
+use super::scenery::{Entry, Scenery};
+use crate::error::{Error, Result};
+use crate::imaging::develop::simulate::Electronics;
+use crate::imaging::frame::Frame;
+use crate::imaging::guide::Guide;
+use crate::imaging::render::{Renderer, Settings};
+use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use crate::network::Reconstructor;
+use crate::psf::SensorMap;
+
+/// Seed of the places of held-out pictures.
+const SEED: u64 = 77;
+
+/// All that a picture takes.
+#[derive(Clone, Copy)]
+pub(super) struct Camera<'a> {
+    pub(super) renderer: &'a Renderer,
+    pub(super) electronics: &'a Electronics,
+    pub(super) network: &'a Reconstructor,
+    pub(super) guide: &'a Guide,
+}
+
+impl Camera<'_> {
+    /// Capture, reconstruction and truth of what the network sees of a patch.
+    fn taken(&self, p: &Patch) -> Result<[Array3<f32>; 3]> {
+        let f = forward::<f32>(self.renderer, self.electronics, p)?;
+        let told = self.guide.over(f.developed.view(), p.region, p.part);
+        let output = self.network.forward(told.view().insert_axis(Axis(0)))?;
+        let capture = told.slice(s![..3, .., ..]).to_owned();
+        Ok([capture, output.index_axis(Axis(0), 0).to_owned(), f.truth.slice(middle(p)).to_owned()])
+    }
+
+    /// PSNR and loss behind the network over `count` patches of `side` pixels of `held_out`, the same ones each time, spread over the
+    /// field's height.
+    ///
+    /// # Errors
+    /// A network that fails.
+    pub(super) fn judged(&self, held_out: &Textures, side: usize, count: usize) -> Result<Entry> {
+        let frame = &self.renderer.plan.frame;
+        let places = Places::new(frame, side, Spread::Height);
+        mean(self, count, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
+    }
+
+    /// Capture, reconstruction and truth of `count` of those patches, from the axis outwards.
+    ///
+    /// # Errors
+    /// A network that fails.
+    pub(super) fn shown(&self, held_out: &Textures, side: usize, count: usize) -> Result<Vec<[Array3<f32>; 3]>> {
+        let frame = &self.renderer.plan.frame;
+        let places = Places::new(frame, side, Spread::Height);
+        let mut numbers: Vec<(u64, f64)> = (0..count as u64)
+            .map(|number| {
+                let part = places.at(SEED, number);
+                let [x, y] = part.offset(frame, part.rows / 2, part.cols / 2);
+                (number, x.hypot(y))
+            })
+            .collect();
+        numbers.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let map = &self.renderer.optics.maps[0];
+        let patch = |n: u64| held_out.numbered((SEED, n), &places, frame, map, self.guide.reach());
+        numbers.iter().map(|(n, _)| self.taken(&patch(*n))).collect()
+    }
+}
+
+/// Mean L1 and PSNR before and after the network over `count` patches that `draw` makes for the object distances of `renderer` in turn.
+fn mean(camera: &Camera<'_>, count: usize, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
+    let mut sum = Entry::default();
+    let maps = &camera.renderer.optics.maps;
+    for number in 0..count {
+        let [capture, output, truth] = camera.taken(&draw(number as u64, &maps[number % maps.len()]))?;
+        let (input, out) = (l1_and_psnr(capture.iter(), truth.iter()), l1_and_psnr(output.iter(), truth.iter()));
+        sum.loss += out.0;
+        sum.input_psnr_db += input.1;
+        sum.output_psnr_db += out.1;
+    }
+    let n = count.max(1) as f64;
+    [&mut sum.loss, &mut sum.input_psnr_db, &mut sum.output_psnr_db].into_iter().for_each(|v| *v /= n);
+    Ok(sum)
+}
+
+/// Mean L1 and PSNR after the network over patches of held-out photographs, finely rendered.
+///
+/// # Errors
+/// A lens that cannot be rendered, a network that fails.
+pub fn validate(
+    scenery: &Scenery<'_>,
+    lens: &Lens,
+    told: (&Reconstructor, &Guide),
+    patch: usize,
+    count: usize,
+    settings: Settings,
+) -> Result<Entry> {
+    let (density, electronics) = (SpectralDensity::new(scenery.sensor), Electronics::of(scenery.sensor));
+    let renderer = Renderer::planned(lens, &scenery.frame, &density, &[lens.object_vergence], settings)?;
+    let places = Places::new(&scenery.frame, patch, Spread::Area);
+    let camera = Camera { renderer: &renderer, electronics: &electronics, network: told.0, guide: told.1 };
+    mean(&camera, count, |number, map| {
+        scenery.textures.numbered((scenery.seed, number), &places, &scenery.frame, map, told.1.reach())
+    })
+}
+
+/// How much farther than the frame's corner object points reach, and where they end, degrees.
+pub(super) const MARGIN: f64 = 1.02;
+pub(super) const STEEPEST_DEG: f64 = 85.0;
+
+/// The half field angle that the farthest corner of the frame sees, degrees, at the first distance.
+pub(super) fn corner_of(renderer: &Renderer) -> f64 {
+    renderer.optics.maps[0].slope(renderer.plan.frame.max_radius_mm()).abs().atan().to_degrees()
+}
+
+/// The half field angle that the farthest corner of `frame` sees through `lens`, with a margin of 2 %, degrees.
+///
+/// # Errors
+/// A lens that cannot be traced there.
+pub fn corner_deg(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result<f64> {
+    let density = SpectralDensity::new(sensor);
+    let renderer = Renderer::planned(lens, frame, &density, &[lens.object_vergence], Settings::DESIGN)?;
+    let corner = corner_of(&renderer);
+    if corner.is_nan() {
+        return Err(Error::bad("", "frame", corner.to_string(), "a frame that the lens's field reaches"));
+    }
+    Ok((MARGIN * corner).min(STEEPEST_DEG))
+}

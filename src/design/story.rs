@@ -1,0 +1,176 @@
+//! A design's history, from its judgements to the page that people look at.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::data::Textures;
+use super::run::Stage;
+use super::scenery::Entry;
+use super::task::Task;
+use crate::error::{Error, Result};
+use crate::lens::{Lens, prescription};
+use crate::report::demo::LensView;
+use crate::report::design::{DesignPage, Moment, Shown};
+use crate::report::drawing::lens_svg;
+use crate::report::html::Fact;
+
+/// Kernels in a row of the page, and held-out patches it shows.
+const FIELDS: usize = 7;
+const SHOWN: usize = 4;
+
+/// A judgement, as `history.jsonl` holds it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Judgement {
+    /// Steps done.
+    pub step: usize,
+    /// Seconds so far.
+    pub seconds: f64,
+    /// The lens, a file in the run's folder.
+    pub lens: String,
+    /// PSNR before and after the network on pictures that are not trained on, dB.
+    pub held_out_db: [f64; 2],
+    /// Their L1.
+    pub held_out_l1: f64,
+    /// Whether it was the best so far.
+    pub best: bool,
+    /// What held the lens back.
+    pub active: Vec<String>,
+    /// Every number that moves, by name.
+    pub variables: BTreeMap<String, f64>,
+}
+
+impl Judgement {
+    /// The judgements of a run's folder; none where there is no history yet.
+    ///
+    /// # Errors
+    /// A history that cannot be read.
+    pub fn read(folder: &Path) -> Result<Vec<Self>> {
+        let path = folder.join("history.jsonl");
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
+            Err(e) => return Err(Error::reading(&path, e)),
+        };
+        Self::of(&text, &path.display().to_string())
+    }
+
+    /// Those of a text; `file` names it.
+    pub(super) fn of(text: &str, file: &str) -> Result<Vec<Self>> {
+        let one = |(k, line): (usize, &str)| {
+            serde_json::from_str(line).map_err(|e| {
+                Error::bad(
+                    file,
+                    format!("line {}", k + 1),
+                    e.to_string(),
+                    "a judgement, as `isoplanat design` writes it",
+                )
+            })
+        };
+        text.lines().enumerate().map(one).collect()
+    }
+
+    /// Its lens.
+    ///
+    /// # Errors
+    /// A lens that is not in the folder.
+    pub fn lens(&self, folder: &Path) -> Result<Lens> {
+        prescription::load(&folder.join(&self.lens))
+    }
+}
+
+/// The page of a design in `folder`.
+pub(super) fn page(
+    folder: &Path,
+    task: &Task,
+    stage: &Stage,
+    held_out: &Textures,
+    history: &[Judgement],
+    log: &[Entry],
+    first: &Lens,
+) -> Result<String> {
+    let lens = &stage.joint.lens;
+    let distance = 1.0 / lens.object_vergence;
+    let view = |lens: &Lens| LensView::new(lens, distance, FIELDS).ok();
+    let mut names: Vec<String> = history.last().map(|j| j.variables.keys().cloned().collect()).unwrap_or_default();
+    names.sort();
+    let mut moments = Vec::new();
+    for j in history {
+        moments.push(Moment {
+            step: j.step,
+            drawing: lens_svg(&j.lens(folder)?),
+            held_out_db: j.held_out_db,
+            values: names.iter().map(|n| j.variables.get(n).copied().unwrap_or(f64::NAN)).collect(),
+        });
+    }
+    #[expect(clippy::cast_precision_loss, reason = "step counts")]
+    let over = |f: fn(&Entry) -> f64| log.iter().map(|e| [e.step as f64, f(e)]).collect::<Vec<_>>();
+    let moving = |f: fn(&Entry) -> f64| over(f).into_iter().filter(|p| p[1] > 0.0).collect::<Vec<_>>();
+    let shown =
+        stage.camera().shown(held_out, task.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| Shown {
+            caption: format!("held-out patch {} from the axis outwards", k + 1),
+            pictures,
+        });
+    let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
+    let mut facts = vec![
+        fact(stage.total().map_or(stage.steps().to_string(), |n| format!("{} of {n}", stage.steps())), "steps"),
+        fact(format!("{:.1} min", stage.seconds() / 60.0), "so far"),
+    ];
+    if let (Some(first), Some(last)) = (history.first(), history.last()) {
+        facts.push(fact(format!("{:.2} dB", last.held_out_db[1]), "held-out pictures behind the network"));
+        facts.push(fact(format!("{:+.2} dB", last.held_out_db[1] - first.held_out_db[1]), "since the first judgement"));
+    }
+    if let Some(e) = log.last() {
+        facts.push(fact(format!("{:.2} s", e.step_seconds), "a step"));
+        facts.push(fact(
+            format!("{:.0} %", 100.0 * (1.0 - e.network_seconds / e.step_seconds.max(1e-9))),
+            "of it optics",
+        ));
+    }
+    let mut settings: Vec<[String; 2]> = stage
+        .fineness
+        .iter()
+        .map(|(step, chosen)| [format!("rendered from step {step} on"), chosen.describe()])
+        .collect();
+    let pair = |name: &str, value: String| [name.to_owned(), value];
+    let frame = &stage.renderer().plan.frame;
+    settings
+        .push(pair("frame", format!("{} × {} pixels of {:.2} µm", frame.columns, frame.rows, 1e3 * frame.pitch_mm)));
+    settings.push(pair("steps of the lens", format!("{:?}, taken back {}", task.lens_steps, stage.joint.rejected)));
+    settings.push(pair("patches", format!("{} of {} pixels a step", task.batch, task.patch_px)));
+    settings.push(pair("network", format!("{} channels at the finest of three scales", task.base_width)));
+    settings.push(pair("left out", left_out(stage)));
+    let over_share = stage.used() >= 1.0;
+    let page = DesignPage {
+        title: lens.name.clone(),
+        standing: if over_share { "Finished.".into() } else { format!("Under way: {:.0} %.", 100.0 * stage.used()) },
+        facts,
+        lenses: [view(first), view(lens)],
+        variables: names,
+        moments,
+        loss: over(|e| e.loss),
+        moved_um: moving(|e| e.moved_um),
+        signal: moving(|e| e.signal),
+        active: history.last().map(|j| j.active.clone()).unwrap_or_default(),
+        shown: shown.collect(),
+        settings,
+    };
+    page.to_html()
+}
+
+/// What the plan does not need.
+fn left_out(stage: &Stage) -> String {
+    let plan = &stage.renderer().plan;
+    let light = &stage.renderer().optics.table;
+    let apertures = light.clips.len();
+    let depth = &plan.depths[0];
+    format!(
+        "fields off the meridian and half of every pupil (the lens is symmetric; exact), all but {apertures} clear apertures (no ray comes \
+         near them; exact), light beyond {} × {} cells of {} pixels around a place ({:.0e} of a kernel's at most)",
+        depth.size(),
+        depth.size(),
+        depth.bin,
+        plan.settings.outside
+    )
+}

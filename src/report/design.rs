@@ -1,0 +1,208 @@
+//! The page of a joint design: the lens over its steps, pictures it does not train on, losses and numbers. Written anew while it runs.
+
+use ndarray::Array3;
+
+use super::demo::LensView;
+use super::html::{Fact, Page, Picture};
+use super::plot::{Mark, Plot, Scale, Series};
+use super::table::{Table, significant};
+use crate::error::Result;
+
+/// A lens on the way.
+#[derive(Clone, Debug)]
+pub struct Moment {
+    /// Steps done.
+    pub step: usize,
+    /// Drawing (SVG).
+    pub drawing: String,
+    /// Judgement of pictures that are not trained on: PSNR before and after the network, dB.
+    pub held_out_db: [f64; 2],
+    /// Value of every number that moves.
+    pub values: Vec<f64>,
+}
+
+/// A held-out picture: as captured, restored and as it is.
+#[derive(Clone, Debug)]
+pub struct Shown {
+    /// Where it stands and how good it is.
+    pub caption: String,
+    /// Capture, reconstruction, truth, linear RGB `[3, row, col]`.
+    pub pictures: [Array3<f32>; 3],
+}
+
+/// What the page shows.
+#[derive(Clone, Debug)]
+pub struct DesignPage {
+    /// The lens's name.
+    pub title: String,
+    /// Whether it is still under way, and since when.
+    pub standing: String,
+    /// Figures on top.
+    pub facts: Vec<Fact>,
+    /// The lens it began with and the lens now; none where a lens loses the rays a picture of its kernels needs.
+    pub lenses: [Option<LensView>; 2],
+    /// Names of the numbers that move.
+    pub variables: Vec<String>,
+    /// The history.
+    pub moments: Vec<Moment>,
+    /// Loss over the steps.
+    pub loss: Vec<[f64; 2]>,
+    /// Movement of the lens's rays a step, µm.
+    pub moved_um: Vec<[f64; 2]>,
+    /// Agreement of gradients.
+    pub signal: Vec<[f64; 2]>,
+    /// What holds the lens back.
+    pub active: Vec<String>,
+    /// Pictures it does not train on.
+    pub shown: Vec<Shown>,
+    /// How it is done, by name and value.
+    pub settings: Vec<[String; 2]>,
+}
+
+impl DesignPage {
+    /// The page.
+    ///
+    /// # Errors
+    /// Pictures that are none.
+    pub fn to_html(&self) -> Result<String> {
+        let mut page = Page::new(&self.title, &self.standing);
+        page.facts(&self.facts);
+        page.section("The lens over its steps");
+        page.paragraph("The slider steps through the judgements; each drawing is as wide as the page, so that a longer lens is drawn smaller.");
+        let stepped: Vec<(String, String)> = self
+            .moments
+            .iter()
+            .map(|m| {
+                let [before, after] = m.held_out_db;
+                let caption =
+                    format!("step {}: held-out pictures {before:.2} dB, {after:.2} dB behind the network", m.step);
+                (m.drawing.clone(), caption)
+            })
+            .collect();
+        page.stepped(&stepped);
+        let pixel =
+            |view: &Option<LensView>, caption: &str| view.as_ref().map(|v| (v.atlas.clone(), caption.to_owned()));
+        let [first, now] = &self.lenses;
+        let atlases: Vec<_> = [pixel(first, "as it began"), pixel(now, "now")].into_iter().flatten().collect();
+        page.section("Point spread functions");
+        page.paragraph("From the axis (left) to the frame's corner, each scaled to its own brightest pixel.");
+        let pictures: Vec<Picture<'_>> = atlases
+            .iter()
+            .map(|(image, caption)| Picture { image, caption: caption.clone(), notes: Vec::new(), pixelated: true })
+            .collect();
+        page.pictures(&pictures, 420)?;
+        self.over_time(&mut page);
+        if !self.shown.is_empty() {
+            page.section("Pictures it does not train on");
+            page.paragraph("Capture, reconstruction, truth.");
+            for shown in &self.shown {
+                let notes = ["capture", "reconstruction", "truth"];
+                let pictures: Vec<Picture<'_>> = shown
+                    .pictures
+                    .iter()
+                    .zip(notes)
+                    .map(|(image, note)| Picture {
+                        image,
+                        caption: note.to_owned(),
+                        notes: vec![shown.caption.clone()],
+                        pixelated: false,
+                    })
+                    .collect();
+                page.pictures(&pictures, 180)?;
+            }
+        }
+        self.numbers(&mut page);
+        page.section("How");
+        let mut table = Table::new(["what", "value"]);
+        self.settings.iter().for_each(|[name, value]| {
+            table.row([name.as_str(), value.as_str()]);
+        });
+        page.table(&table);
+        Ok(page.finish())
+    }
+
+    fn over_time(&self, page: &mut Page) {
+        let line = |name: &str, points: &[[f64; 2]], mark: Mark| Series {
+            name: name.to_owned(),
+            points: points.to_vec(),
+            mark,
+        };
+        let plot = |title: &str, y: &str, y_scale: Scale, series: Vec<Series>| {
+            let plot = Plot {
+                title: title.to_owned(),
+                x_label: "steps".to_owned(),
+                y_label: y.to_owned(),
+                x_scale: Scale::Linear,
+                y_scale,
+                series,
+            };
+            (plot.to_svg(), String::new())
+        };
+        #[expect(clippy::cast_precision_loss, reason = "step counts")]
+        let judged = |k: usize| self.moments.iter().map(|m| [m.step as f64, m.held_out_db[k]]).collect::<Vec<_>>();
+        page.section("Over time");
+        let drawings = [
+            plot("Loss of training patches", "L1", Scale::Log, vec![line("", &self.loss, Mark::Line)]),
+            plot(
+                "Pictures it does not train on",
+                "PSNR, dB",
+                Scale::Linear,
+                vec![line("behind the network", &judged(1), Mark::Both), line("capture", &judged(0), Mark::Both)],
+            ),
+            plot("How far a step moves rays", "rms, µm", Scale::Log, vec![line("", &self.moved_um, Mark::Line)]),
+            plot("Agreement of gradients", "0 to 1", Scale::Linear, vec![line("", &self.signal, Mark::Line)]),
+        ];
+        page.drawings(&drawings, 420);
+        if !self.active.is_empty() {
+            page.paragraph(&format!("Holding the lens back now: {}.", self.active.join(", ")));
+        }
+    }
+
+    fn numbers(&self, page: &mut Page) {
+        let (Some(first), Some(last)) = (self.moments.first(), self.moments.last()) else { return };
+        page.section("What moved");
+        let mut table = Table::new(["number", "first judgement", "now"]);
+        for (k, name) in self.variables.iter().enumerate() {
+            let value = |m: &Moment| m.values.get(k).map_or(String::new(), |v| significant(*v, 6));
+            table.row([name.clone(), value(first), value(last)]);
+        }
+        page.table(&table);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_page_shows_every_moment_once() {
+        let moment = |step: usize| Moment {
+            step,
+            drawing: format!("<svg><title>s{step}</title></svg>"),
+            held_out_db: [20.0, 21.0 + step as f64],
+            values: vec![step as f64],
+        };
+        let image = Array3::from_elem((3, 8, 8), 0.5);
+        let page = DesignPage {
+            title: "a & b".into(),
+            standing: "under way".into(),
+            facts: vec![Fact { value: "1".into(), label: "l".into() }],
+            lenses: [None, None],
+            variables: vec!["surface[0].conic".into()],
+            moments: vec![moment(10), moment(20)],
+            loss: vec![[10.0, 0.1], [20.0, 0.05]],
+            moved_um: vec![[10.0, 1.0]],
+            signal: vec![[10.0, 0.3]],
+            active: vec!["track".into()],
+            shown: vec![Shown { caption: "c".into(), pictures: [image.clone(), image.clone(), image] }],
+            settings: vec![["steps".into(), "rays".into()]],
+        };
+        let text = page.to_html().expect("a page");
+        for step in [10, 20] {
+            assert_eq!(text.matches(&format!("<title>s{step}</title>")).count(), 1);
+        }
+        assert!(text.contains("type=\"range\" min=\"0\" max=\"1\"") && text.contains("a &amp; b"));
+        assert!(text.contains("track"));
+        assert!(!text.contains("src=\"http") && !text.contains("href=") && !text.contains("<script"));
+    }
+}

@@ -1,0 +1,172 @@
+//! `isoplanat design` and `isoplanat sweep`: killed and resumed, shipped tasks, starts that are no good.
+
+use std::path::Path;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::Workplace;
+
+/// A design of some seconds: tiny network, checkpoints all the time.
+const TASK: &str = r#"
+schema = 1
+lens = "two_element"
+sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }
+scenes = 2
+base_width = 4
+patch_px = 32
+batch = 1
+steps = 90
+checks = 3
+checkpoint_seconds = 0.02
+"#;
+
+/// Every tensor of a checkpoint, as bytes: what stands behind the header.
+fn tensors(file: &Path) -> Vec<u8> {
+    let bytes = std::fs::read(file).expect("a checkpoint");
+    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
+    bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
+}
+
+/// Killed at random and resumed: lens and network of a design in one go, bit for bit, and the same history.
+#[test]
+fn a_killed_design_ends_with_the_same_bits() {
+    let place = Workplace::new();
+    place.write("task.toml", TASK);
+    place.run("design task.toml -o whole").done();
+    let lens = |run: &str| std::fs::read_to_string(place.path(run).join("lens.toml")).expect("a lens");
+    let start = std::fs::read_to_string(place.path("whole").join("lens-first.toml")).expect("a lens");
+    assert_ne!(lens("whole"), start, "the lens moved");
+    let rng = &mut fastrand::Rng::with_seed(5);
+    let mut kills = 0;
+    for k in 0..12 {
+        let arguments: &[&str] = if place.path("killed/task.toml").is_file() { &["--resume"] } else { &["task.toml"] };
+        let mut child = Command::new(env!("CARGO_BIN_EXE_isoplanat"))
+            .arg("design")
+            .args(arguments)
+            .args(["-o", "killed"])
+            .current_dir(place.path("."))
+            .stdout(Stdio::null())
+            .stderr(Stdio::null())
+            .spawn()
+            .expect("starts");
+        let checkpoint = place.path("killed/network.safetensors");
+        let written = || std::fs::metadata(&checkpoint).and_then(|m| m.modified()).ok();
+        let (before, end) = (written(), Instant::now() + Duration::from_secs(60));
+        // Most lives see a checkpoint first.
+        while k % 4 != 0 && written() == before && Instant::now() < end && child.try_wait().expect("waits").is_none() {
+            std::thread::sleep(Duration::from_millis(2));
+        }
+        std::thread::sleep(Duration::from_millis(rng.u64(0..150)));
+        if child.try_wait().expect("waits").is_some() {
+            break;
+        }
+        child.kill().expect("killed");
+        child.wait().expect("reaped");
+        kills += 1;
+    }
+    assert!(kills >= 4, "only {kills} kills met a design under way");
+    place.run("design --resume -o killed").done();
+    assert_eq!(lens("killed"), lens("whole"));
+    let network = |run: &str| tensors(&place.path(run).join("network.safetensors"));
+    assert_eq!(network("killed"), network("whole"));
+    let steps = |run: &str, file: &str| -> Vec<String> {
+        let text = std::fs::read_to_string(place.path(run).join(file)).expect("written");
+        text.lines()
+            .map(|l| l.split("\"seconds\"").next().unwrap_or("").split(',').next().unwrap_or("").to_owned())
+            .collect()
+    };
+    for file in ["log.csv", "history.jsonl"] {
+        assert_eq!(steps("killed", file), steps("whole", file), "{file}");
+    }
+    let page = std::fs::read_to_string(place.path("killed/report.html")).expect("a page");
+    assert!(page.contains("Finished.") && page.matches("data-k=").count() == 3);
+    // Nothing is left to do; another process may not work in the folder at the same time, and other commands read it.
+    place.run("design --resume -o killed").done();
+    place.run("evaluate killed --fields 2 --patch 32").done();
+    place.run("design task.toml -o killed").refused(&["killed", "--force"]);
+}
+
+/// A design says beforehand what it would do, and writes nothing.
+#[test]
+fn a_task_is_checked_before_it_runs() {
+    let place = Workplace::new();
+    place.write("task.toml", TASK);
+    let said = place.run("design task.toml --check").done();
+    for part in ["surface[0].conic", "focal_length", "a step takes", "nothing was written"] {
+        assert!(said.contains(part), "{part}: {said}");
+    }
+    let json: serde_json::Value =
+        serde_json::from_str(&place.run("design task.toml --check --json").done()).expect("JSON");
+    assert!(json["seconds_a_step"].as_f64().is_some_and(|s| s > 0.0));
+    assert_eq!(place.files(), ["task.toml"]);
+    for (more, said) in [
+        ("optics = { vary = [\"surface[9].conic\"] }", "surface[9].conic"),
+        ("optics = { constraints = { lenth = 3.0 } }", "lenth"),
+        ("lens_share = [0.5, 0.5]", "lens_share"),
+        ("lens_rate_um = 0.0", "lens_rate_um"),
+        ("asphere_power = 5", "asphere_power"),
+        ("lens_steps = \"leaps\"", "rays"),
+        ("keep_first = 3", "keep_first"),
+        ("least_illumination = 1.5", "least_illumination"),
+        ("[sweep]\nradii = 2.0", "sweep.radii"),
+    ] {
+        place.write("bad.toml", format!("{TASK}{more}\n"));
+        place.run("design bad.toml -o none").refused(&["bad.toml", said]);
+    }
+    place.run("design lfov-31 -o none").refused(&["lfov-31", "lfov-30"]);
+    assert_eq!(place.files(), ["bad.toml", "task.toml"]);
+}
+
+/// Starts that are no good, and rates far too large: a run folder with a lens that stands, or the reason and no folder.
+#[test]
+fn bad_starts_and_wild_rates_end_with_a_lens_or_a_reason() {
+    let place = Workplace::new();
+    let run = |name: &str, more: &str| {
+        place.write("task.toml", TASK.replace("steps = 90", "steps = 24").replace("lens = \"two_element\"", more));
+        place.run(&format!("design task.toml -o {name}"))
+    };
+    for seed in 1..=3 {
+        for (steps, rate) in
+            [("rays", "lens_rate_um = 200.0"), ("scaled", "lens_rate = 0.9"), ("plain", "lens_rate = 0.9")]
+        {
+            let name = format!("wild-{steps}-{seed}");
+            let more = format!("lens = \"two_element\"\nseed = {seed}\nlens_steps = \"{steps}\"\n{rate}");
+            run(&name, &more).done();
+            place.run(&format!("inspect {name}/lens.toml")).done();
+        }
+    }
+    // Out of focus by far: found again by spots, and without those, designed from where it stands.
+    let start = place.run("convert two_element far.toml");
+    start.done();
+    let text = std::fs::read_to_string(place.path("far.toml")).expect("written");
+    let far = text.replace("29.929", "36.0");
+    assert_ne!(far, text);
+    place.write("far.toml", far);
+    run("far", "lens = \"far.toml\"").done();
+    run("far-cold", "lens = \"far.toml\"\nwarm_start = false").done();
+    // No steps at all: the lens by spots, a network as it was made.
+    place.write("none.toml", TASK.replace("steps = 90", "steps = 0"));
+    place.run("design none.toml -o none").done();
+    // A lens that vignettes all of its field.
+    place.write("dark.toml", text.replace("semi_diameter_mm = 14.8", "semi_diameter_mm = 0.02"));
+    let dark = run("dark", "lens = \"dark.toml\"");
+    assert!(dark.code == 0 || dark.code == 2 && !place.path("dark").exists(), "{dark:?}");
+}
+
+/// Two designs by number, one of them resumed, and their table.
+#[test]
+fn a_sweep_is_designs_by_number() {
+    let place = Workplace::new();
+    place.write("task.toml", format!("{}[sweep]\nradii = 0.03\n", TASK.replace("steps = 90", "steps = 12")));
+    place.run("sweep task.toml --index 0 --of 2 -o runs").done();
+    place.run("sweep task.toml --index 1 --of 2 -o runs").done();
+    place.run("sweep task.toml --index 1 --of 2 -o runs --resume").done();
+    place.run("sweep task.toml --index 2 --of 2 -o runs").refused(&["--index", "0 to 1"]);
+    let start = |k: &str| std::fs::read_to_string(place.path("runs").join(k).join("lens-start.toml")).expect("a lens");
+    assert_ne!(start("00000"), start("00001"));
+    let table = place.run("sweep report runs -o page.html").done();
+    assert!(table.contains("00000") && table.contains("00001"), "{table}");
+    let page = std::fs::read_to_string(place.path("page.html")).expect("a page");
+    assert!(page.contains("run 00001"));
+    place.run("sweep report nothing").refused(&["nothing"]);
+}
