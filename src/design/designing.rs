@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::data::Textures;
 use super::folder::{MARKER, lock, sweep};
-use super::judge::corner_deg;
+use super::judge::{MARGIN, corner_deg};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
@@ -72,8 +72,10 @@ pub struct Prepared {
     pub start: Lens,
     /// What the joint stage works on; its lens is the one it begins with.
     pub problem: Problem,
-    /// What made that lens better by spots, where the task asks for it; not taken where its share of aperture and field is below 1.
+    /// What made that lens better by spots, where the task asks for it …
     pub warm: Option<Outcome>,
+    /// … and whether that lens is the one: not where no light reaches the frame's corner through it.
+    pub taken: bool,
     /// Half field angle for which the problem was made, degrees.
     pub field_deg: f64,
 }
@@ -104,39 +106,40 @@ fn improved(
     let asked_deg = field_deg;
     let mut problem = task.problem(lens, field_deg, file)?;
     let mut warm = None;
-    let mut stands = problem.lens.clone();
+    let mut taken = false;
     if task.warm_start && !task.freeze_lens {
-        // What the frame's corner sees moves with the distortion.
+        let mut from = problem.clone();
+        // What the frame's corner sees moves with the distortion. A lens is a start where light reaches its own corner.
         for round in 0..4 {
             let searched = if task.search > 0 && round == 0 {
                 let plan = Plan { starts: task.search, seed: task.seed, ..Plan::default() };
-                search(&problem, &plan, &mut |_| true)?.into_iter().next()
+                search(&from, &plan, &mut |_| true)?.into_iter().next()
             } else {
                 None
             };
-            let found = searched.map_or_else(|| optimize(&problem, Limits::default(), &mut |_| true), Ok)?;
-            // A lens whose rays do not all arrive is no start: the one before it is.
+            let found = searched.map_or_else(|| optimize(&from, Limits::default(), &mut |_| true), Ok)?;
             if found.share < 1.0 {
-                problem.lens = stands;
                 warm = warm.or(Some(found));
                 break;
             }
             let seen = corner_deg(&found.lens, frame, sensor)?;
-            problem.lens = found.lens.clone();
-            stands = found.lens.clone();
+            from.lens = found.lens.clone();
             warm = Some(found);
-            if seen <= field_deg && seen > 0.99 * field_deg {
+            // The margin of what it sees is left for the steps to come.
+            if seen <= MARGIN * field_deg {
+                taken = true;
+                problem.lens = from.lens;
                 break;
             }
             field_deg = seen;
-            problem.lens = problem.lens.changed(|l| l.max_field_deg = field_deg)?;
+            from.lens = from.lens.changed(|l| l.max_field_deg = field_deg)?;
         }
     }
     if task.lens_steps == Steps::Rays && !task.freeze_lens {
         // Its rays pass, or the reason is told now.
         LensSteps::new(task.lens_steps, &problem)?;
     }
-    Ok(Prepared { start: lens.clone(), problem, warm, field_deg: asked_deg })
+    Ok(Prepared { start: lens.clone(), problem, warm, taken, field_deg: asked_deg })
 }
 
 /// A design under way.

@@ -16,6 +16,9 @@ use crate::network::UnetConfig;
 /// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
 const REGION: usize = 700;
 
+/// Bytes of a design's page while it is written: kernels of two lenses, pictures, text.
+const PAGE: u64 = 32 << 20;
+
 fn textures(task: &Task) -> Result<u64> {
     // As much again as one picture takes while it is read and cut.
     Ok(match &task.photos {
@@ -46,7 +49,9 @@ pub fn of_design(task: &Task) -> Result<u64> {
     let seen = task.patch_px + if task.inputs.wiener { 2 * Filters::WIDEST } else { 0 };
     let patches = product(&[task.batch.max(threads()), seen, seen, REGION]).max(judged);
     let step = network.step_bytes(task.patch_px, task.batch);
-    Ok(sum(&[textures(task)?, step, patches, guide(task.inputs)]))
+    let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
+    let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);
+    Ok(sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.inputs)]))
 }
 
 /// Bytes of `isoplanat train`.

@@ -191,3 +191,27 @@ fn a_result_is_a_lens_with_its_own_figures() {
     let held = optimize(&Problem::standard(&lens), Limits::default(), &mut |_| true).expect("a lens");
     assert!(held.refused.is_none());
 }
+
+/// What a search finds is good over the field as the lens's own pupil sees it, not only for object points of some start's.
+#[test]
+fn searched_lenses_pass_light_over_their_own_field() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let lens = lens.changed(|l| {
+        for i in [0, 1, 3, 4] {
+            l.surfaces[i].shape.asphere = vec![0.0; 3];
+        }
+    });
+    let spec = spec::Spec {
+        vary: ["curvature", "conic", "thickness", "a4", "a6"].map(|k| format!("surface[*].{k}")).to_vec(),
+        apertures: Some("automatic".into()),
+        ..spec::Spec::default()
+    };
+    let problem = spec.problem(&lens.expect("a lens"), "test").expect("a problem");
+    let plan = search::Plan { starts: 24, ..search::Plan::default() };
+    let found = search::search(&problem, &plan, &mut |_| true).expect("searches");
+    assert!(!found.is_empty());
+    for o in &found {
+        let own = merit_of(&o.lens, &problem.merit).expect("rays of its own field pass");
+        assert!(own <= 1.5 * o.rms_mm[1] + 1e-6, "{own} mm for {}", o.rms_mm[1]);
+    }
+}

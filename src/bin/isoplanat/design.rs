@@ -195,11 +195,8 @@ fn ready(args: &Args, path: &Path) -> Result<Task> {
 
 fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     let prepared = prepare(task, lens, file)?;
-    if let Some(warm) = prepared.warm.as_ref().filter(|w| w.share < 1.0) {
-        let reached = 100.0 * warm.share;
-        eprintln!(
-            "spots first: rays arrive up to {reached:.0} % of aperture and field only; the lens is taken as it is"
-        );
+    if prepared.warm.is_some() && !prepared.taken {
+        eprintln!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
     } else if let Some(warm) = &prepared.warm {
         eprintln!(
             "spots first: {:.1} µm rms -> {:.1} µm in {:.2} s ({})",
