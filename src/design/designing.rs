@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::data::Textures;
 use super::folder::{MARKER, lock, sweep};
-use super::judge::{MARGIN, corner_deg};
+use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
@@ -76,8 +76,8 @@ pub struct Prepared {
     pub warm: Option<Outcome>,
     /// … and whether that lens is the one: not where no light reaches the frame's corner through it.
     pub taken: bool,
-    /// Half field angle for which the problem was made, degrees.
-    pub field_deg: f64,
+    /// Half field angle for which the problem was made, degrees, and the distortion that the task's lens has there.
+    pub seen: [f64; 2],
 }
 
 /// Makes `task` ready for `lens`; `file` names the task.
@@ -86,11 +86,13 @@ pub struct Prepared {
 /// Names and numbers that the lens does not allow; a lens whose rays do not pass.
 pub fn prepare(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
-    let corner = corner_deg(lens, &frame, &sensor)?;
+    let [corner, distortion] = corner_seen(lens, &frame, &sensor)?;
     // Light that reaches the corner; where none does, what the lens states.
     let stated = lens.max_field_deg;
-    match improved(task, lens, corner, (&frame, &sensor), file) {
-        Err(_) if stated > 0.0 && stated < corner => improved(task, lens, stated, (&frame, &sensor), file),
+    match improved(task, lens, [corner, distortion], (&frame, &sensor), file) {
+        Err(_) if stated > 0.0 && stated < corner => {
+            improved(task, lens, [stated, distortion], (&frame, &sensor), file)
+        }
         other => other,
     }
 }
@@ -99,12 +101,12 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
 fn improved(
     task: &Task,
     lens: &Lens,
-    mut field_deg: f64,
+    seen: [f64; 2],
     (frame, sensor): (&Frame, &Sensor),
     file: &str,
 ) -> Result<Prepared> {
-    let asked_deg = field_deg;
-    let mut problem = task.problem(lens, field_deg, file)?;
+    let mut problem = task.problem(lens, seen, file)?;
+    let mut field_deg = seen[0];
     let mut warm = None;
     let mut taken = false;
     if task.warm_start && !task.freeze_lens {
@@ -122,7 +124,7 @@ fn improved(
                 warm = warm.or(Some(found));
                 break;
             }
-            let seen = corner_deg(&found.lens, frame, sensor)?;
+            let [seen, _] = corner_seen(&found.lens, frame, sensor)?;
             from.lens = found.lens.clone();
             warm = Some(found);
             // The margin of what it sees is left for the steps to come.
@@ -139,7 +141,7 @@ fn improved(
         // Its rays pass, or the reason is told now.
         LensSteps::new(task.lens_steps, &problem)?;
     }
-    Ok(Prepared { start: lens.clone(), problem, warm, taken, field_deg: asked_deg })
+    Ok(Prepared { start: lens.clone(), problem, warm, taken, seen })
 }
 
 /// A design under way.
@@ -154,7 +156,7 @@ pub struct Designing {
     history: Log,
     judged: Option<Entry>,
     best: Option<(f64, usize)>,
-    field_deg: f64,
+    seen: [f64; 2],
     /// The lens that the stage began with.
     first: Lens,
     /// Held while the design lives, so that no second one works in the folder.
@@ -190,10 +192,10 @@ impl Designing {
             atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
             let path = inside.join("lenses");
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
-            save(&stage, (None, prepared.field_deg), inside)
+            save(&stage, (None, prepared.seen), inside)
         })?;
         let locked = lock(folder)?;
-        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.field_deg))
+        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.seen))
     }
 
     /// Goes on in a folder that [`Designing::create`] made.
@@ -214,12 +216,12 @@ impl Designing {
         let (sensor, textures, held_out) = (task.sensor()?, task.textures()?, task.held_out()?);
         let frame = frame_of(&start)?;
         let first = prescription::load(&folder.join(FIRST))?;
-        let mut problem = task.problem(&start, state.field_deg, MARKER)?;
+        let mut problem = task.problem(&start, state.seen, MARKER)?;
         problem.lens = first;
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame, seed: task.seed };
         let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         stage.restore(&scenery, &state)?;
-        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (state.best, state.field_deg))
+        Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (state.best, state.seen))
     }
 
     fn assemble(
@@ -228,7 +230,7 @@ impl Designing {
         task: Task,
         (textures, held_out, sensor): (Textures, Textures, Sensor),
         stage: Stage,
-        (best, field_deg): (Option<(f64, usize)>, f64),
+        (best, seen): (Option<(f64, usize)>, [f64; 2]),
     ) -> Result<Self> {
         sweep(folder)?;
         let log = Log::open(&folder.join("log.csv"), HEADER, stage.steps() as u64)?;
@@ -247,7 +249,7 @@ impl Designing {
             history,
             judged,
             best,
-            field_deg,
+            seen,
             first,
             _lock: lock,
         })
@@ -326,7 +328,7 @@ impl Designing {
         let better = entry.output_psnr_db.is_finite() && self.best.is_none_or(|(db, _)| entry.output_psnr_db > db);
         if better {
             self.best = Some((entry.output_psnr_db, step));
-            checkpoint_of(&self.stage, (self.best, self.field_deg), &self.folder.join(BEST))?;
+            checkpoint_of(&self.stage, (self.best, self.seen), &self.folder.join(BEST))?;
         }
         let lens = &self.stage.joint.lens;
         let name = format!("lenses/step-{step:07}.toml");
@@ -362,7 +364,7 @@ impl Designing {
     fn checkpoint(&self) -> Result<()> {
         self.log.save()?;
         self.history.save()?;
-        save(&self.stage, (self.best, self.field_deg), &self.folder)
+        save(&self.stage, (self.best, self.seen), &self.folder)
     }
 
     /// The end: where the last state is worse than the best one, that is the result.
@@ -379,7 +381,7 @@ impl Designing {
             self.stage.restore(&scenery, &state)?;
             self.stage.finish();
             self.stage.over(&spent);
-            save(&self.stage, (self.best, self.field_deg), &self.folder)?;
+            save(&self.stage, (self.best, self.seen), &self.folder)?;
         }
         self.show()
     }
@@ -436,15 +438,15 @@ fn line(e: &Entry) -> String {
     )
 }
 
-fn checkpoint_of(stage: &Stage, (best, field_deg): (Option<(f64, usize)>, f64), path: &Path) -> Result<()> {
+fn checkpoint_of(stage: &Stage, (best, seen): (Option<(f64, usize)>, [f64; 2]), path: &Path) -> Result<()> {
     let mut state = stage.state();
-    (state.best, state.field_deg) = (best, field_deg);
+    (state.best, state.seen) = (best, seen);
     let facts = BTreeMap::from([(STATE.to_owned(), state.to_text()?)]);
     stage.joint.network.save_with_facts(path, &facts)
 }
 
 /// A checkpoint, with lens and filters as files that other commands read.
-fn save(stage: &Stage, facts: (Option<(f64, usize)>, f64), folder: &Path) -> Result<()> {
+fn save(stage: &Stage, facts: (Option<(f64, usize)>, [f64; 2]), folder: &Path) -> Result<()> {
     checkpoint_of(stage, facts, &folder.join(NETWORK))?;
     prescription::save(&stage.joint.lens, &folder.join("lens.toml"))?;
     if let Some(filters) = stage.joint.guide.filters() {

@@ -118,16 +118,18 @@ pub(super) fn corner_of(renderer: &Renderer) -> f64 {
     renderer.optics.maps[0].slope(renderer.plan.frame.max_radius_mm()).abs().atan().to_degrees()
 }
 
-/// The half field angle that the farthest corner of `frame` sees through `lens`, with a margin of 2 %, degrees.
+/// The half field angle that the farthest corner of `frame` sees through `lens`, with a margin of 2 %, degrees; and the distortion there.
 ///
 /// # Errors
 /// A lens that cannot be traced there.
-pub fn corner_deg(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result<f64> {
+pub fn corner_seen(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result<[f64; 2]> {
     let density = SpectralDensity::new(sensor);
     let renderer = Renderer::planned(lens, frame, &density, &[lens.object_vergence], Settings::DESIGN)?;
     let corner = corner_of(&renderer);
     if corner.is_nan() {
         return Err(Error::bad("", "frame", corner.to_string(), "a frame that the lens's field reaches"));
     }
-    Ok((MARGIN * corner).min(STEEPEST_DEG))
+    let (map, radius) = (&renderer.optics.maps[0], frame.max_radius_mm());
+    let distortion = radius * map.ratio(0.0) / map.slope(radius).abs() - 1.0;
+    Ok([(MARGIN * corner).min(STEEPEST_DEG), distortion])
 }

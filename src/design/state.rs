@@ -38,8 +38,8 @@ pub struct State {
     pub settled: Option<[u64; 2]>,
     /// The best judgement of held-out pictures so far, dB, and the step it was made at.
     pub best: Option<(f64, usize)>,
-    /// Half field angle for which variables' scales and constraints were made, degrees.
-    pub field_deg: f64,
+    /// Half field angle for which variables' scales and constraints were made, degrees, and the start's distortion there.
+    pub seen: [f64; 2],
     /// How it is rendered now.
     pub settings: Option<Settings>,
     /// What the lens's steps remember.
@@ -64,7 +64,7 @@ impl State {
             refreshing_seconds: 0.0,
             settled: None,
             best: None,
-            field_deg: 0.0,
+            seen: [0.0; 2],
             settings: None,
             remembered: Remembered::default(),
             lenses: lenses.map(|l| prescription::to_toml(l)),

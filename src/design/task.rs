@@ -17,9 +17,13 @@ use crate::interchange;
 use crate::lens::catalogue::Glasses;
 use crate::lens::variables::Variables;
 use crate::lens::{Kind, Lens, Prescription, SensorRaster};
-use crate::optimize::Problem;
 use crate::optimize::spec::Spec;
+use crate::optimize::{Constraint, Problem, Quantity};
 use crate::trace::rims::overlapping_rims;
+
+/// Largest distortion at the frame's corner, and how much more than its own a lens may get that has more.
+const BARREL: f64 = 0.08;
+const SLACK: f64 = 0.02;
 
 /// Shipped tasks: name, text.
 pub const SHIPPED: [(&str, &str); 3] = [
@@ -339,12 +343,13 @@ impl Task {
         }
     }
 
-    /// What moves and is held in the joint stage, for `lens` on `frame`: where `optics` says nothing, the forms of refracting surfaces
-    /// and all thicknesses, all light of the stop over the frame's field. `file` names the task.
+    /// What moves and is held in the joint stage, for `lens` on a frame whose corner sees `corner_deg` with so much `distortion`: where
+    /// `optics` says nothing, the forms of refracting surfaces and all thicknesses, all light of the stop over the frame's field, a
+    /// distortion within 8 % at its edge or near the lens's own. `file` names the task.
     ///
     /// # Errors
     /// Names and numbers that the lens does not allow.
-    pub fn problem(&self, lens: &Lens, corner_deg: f64, file: &str) -> Result<Problem> {
+    pub fn problem(&self, lens: &Lens, [corner_deg, distortion]: [f64; 2], file: &str) -> Result<Problem> {
         let lens = lens.changed(|l| l.max_field_deg = corner_deg)?;
         let mut spec = self.optics.clone();
         spec.apertures.get_or_insert_with(|| "automatic".to_owned());
@@ -355,8 +360,15 @@ impl Task {
         // A term in the square bends as the curvature does.
         free.retain(|p| !(p.kind == Kind::Even && p.entry == 0 && p.value(&*lens) == Some(0.0)));
         let mut problem = spec.problem_varying(&lens, free, file)?;
-        // Surfaces that open for all of the stop's light need not keep the edges that the start has.
-        problem.constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
+        // What the frame sees stays what it is: left alone, lenses buy sharpness by barrels that see ever more.
+        let outermost = problem.merit.fields.len() - 1;
+        if !spec.constraints.contains_key("distortion")
+            && !spec.targets.contains_key("distortion")
+            && distortion.is_finite()
+        {
+            let bounds = [(-BARREL).min(distortion - SLACK), BARREL.max(distortion + SLACK)];
+            problem.constraints.push(Constraint { quantity: Quantity::Distortion(outermost), bounds });
+        }
         Ok(problem)
     }
 
