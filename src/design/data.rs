@@ -124,8 +124,7 @@ impl Textures {
         let start = |rng: &mut fastrand::Rng, n: usize| rng.usize(0..=n.saturating_sub(size) / 4) * 4;
         let row = start(rng, frame.rows).cast_signed();
         let part = Region { row, col: start(rng, frame.columns).cast_signed(), rows: size, cols: size };
-        // A patch may be larger than the frame.
-        let seen = part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part);
+        let seen = around(part, reach, frame);
         Patch { part, ..self.place(rng, frame, map, seen) }
     }
 
@@ -141,7 +140,7 @@ impl Textures {
     ) -> Patch {
         let rng = &mut fastrand::Rng::with_seed(mixed(seed ^ 0x7061_7463, number));
         let part = places.at(seed, number);
-        let seen = part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part);
+        let seen = around(part, reach, frame);
         Patch { part, ..self.placed(rng, frame, map, seen, Some(1.0)) }
     }
 
@@ -190,4 +189,9 @@ impl Textures {
         let scene = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
         Patch::whole(scene, region, rng.u64(..))
     }
+}
+
+/// `part` and `reach` pixels around it, as far as the frame goes; a patch may be larger than the frame.
+fn around(part: Region, reach: usize, frame: &Frame) -> Region {
+    part.grown(reach.next_multiple_of(4)).common(Region::whole(frame)).around(part)
 }

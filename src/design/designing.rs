@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::data::Textures;
-use super::folder::{MARKER, lock, sweep};
+use super::folder::{MARKER, check, lock, made, sweep};
 use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
@@ -29,7 +29,7 @@ use crate::imaging::render::frame_of;
 use crate::imaging::sensor::Sensor;
 use crate::lens::{Lens, prescription};
 use crate::network::Reconstructor;
-use crate::optimize::search::{Plan, search};
+use crate::optimize::search::{Plan, Progress, search};
 use crate::optimize::{Limits, Outcome, Problem, optimize};
 
 /// The fact of a checkpoint that holds the stage's state.
@@ -80,18 +80,18 @@ pub struct Prepared {
     pub seen: [f64; 2],
 }
 
-/// Makes `task` ready for `lens`; `file` names the task.
+/// Makes `task` ready for `lens`; `file` names the task. `tell` is told the share of a global search that is done, and its best rms, mm.
 ///
 /// # Errors
 /// Names and numbers that the lens does not allow; a lens whose rays do not pass.
-pub fn prepare(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
+pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f64)) -> Result<Prepared> {
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
     let [corner, distortion] = corner_seen(lens, &frame, &sensor)?;
     // Light that reaches the corner; where none does, what the lens states.
     let stated = lens.max_field_deg;
-    match improved(task, lens, [corner, distortion], (&frame, &sensor), file) {
+    match improved(task, lens, [corner, distortion], (&frame, &sensor), file, tell) {
         Err(_) if stated > 0.0 && stated < corner => {
-            improved(task, lens, [stated, distortion], (&frame, &sensor), file)
+            improved(task, lens, [stated, distortion], (&frame, &sensor), file, tell)
         }
         other => other,
     }
@@ -104,6 +104,7 @@ fn improved(
     seen: [f64; 2],
     (frame, sensor): (&Frame, &Sensor),
     file: &str,
+    tell: &mut dyn FnMut(f64, f64),
 ) -> Result<Prepared> {
     let mut problem = task.problem(lens, seen, file)?;
     let mut field_deg = seen[0];
@@ -115,7 +116,11 @@ fn improved(
         for round in 0..4 {
             let searched = if task.search > 0 && round == 0 {
                 let plan = Plan { starts: task.search, seed: task.seed, ..Plan::default() };
-                search(&from, &plan, &mut |_| true)?.into_iter().next()
+                let mut told = |p: Progress| {
+                    tell(p.share, p.rms);
+                    true
+                };
+                search(&from, &plan, &mut told)?.into_iter().next()
             } else {
                 None
             };
@@ -176,7 +181,7 @@ impl Designing {
         folder: &Path,
         replace: bool,
     ) -> Result<Self> {
-        atomic::check_folder(folder, MARKER, replace)?;
+        check(folder, replace)?;
         let held_out = task.held_out()?;
         // As a resumed design reads it.
         let text = prescription::to_toml(&prepared.problem.lens);
@@ -185,8 +190,7 @@ impl Designing {
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
-        let _old = if folder.exists() { Some(lock(folder)?) } else { None };
-        atomic::write_folder(folder, MARKER, replace, |inside| {
+        let locked = made(folder, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             prescription::save(&prepared.start, &inside.join("lens-start.toml"))?;
             atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
@@ -194,7 +198,6 @@ impl Designing {
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
             save(&stage, (None, prepared.seen), inside)
         })?;
-        let locked = lock(folder)?;
         Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.seen))
     }
 
@@ -369,9 +372,10 @@ impl Designing {
 
     /// The end: where the last state is worse than the best one, that is the result.
     fn settle(&mut self) -> Result<()> {
-        let (Some((best, step)), path) = (self.best, self.folder.join(BEST)) else { return self.show() };
+        let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.show() };
+        let path = self.folder.join(BEST);
         let last = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?.output_psnr_db;
-        if step < self.stage.steps() && (last.is_nan() || last < best - WORSE_DB) && path.exists() {
+        if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
             let (network, facts) = Reconstructor::load_with_facts(&path)?;
             let state = State::from_text(facts.get(STATE).map_or("", String::as_str), &path.display().to_string())?;
             self.stage.joint.network = network;
@@ -382,6 +386,8 @@ impl Designing {
             self.stage.finish();
             self.stage.over(&spent);
             save(&self.stage, (self.best, self.seen), &self.folder)?;
+            // What is told of the result is the result's.
+            self.judged = Some(self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?);
         }
         self.show()
     }

@@ -3,10 +3,34 @@
 use std::fs::{self, File, TryLockError};
 use std::path::Path;
 
+use crate::atomic;
 use crate::error::{Error, Result};
 
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";
+
+/// Whether a run may be put at `folder`: nothing stands there, or with `replace` another run in which nobody works.
+///
+/// # Errors
+/// [`Error::Exists`]; a run in which another process works.
+pub fn check(folder: &Path, replace: bool) -> Result<()> {
+    atomic::check_folder(folder, MARKER, replace)?;
+    if folder.exists() {
+        lock(folder)?;
+    }
+    Ok(())
+}
+
+/// Makes a run's folder by `fill`, with `replace` in place of another run, and takes its lock.
+///
+/// # Errors
+/// What `fill` and the disk say; a run to give way to in which another process works.
+pub(super) fn made(folder: &Path, replace: bool, fill: impl FnOnce(&Path) -> Result<()>) -> Result<File> {
+    // The run that gives way must not be worked on elsewhere; its lock goes with it.
+    let _old = if folder.exists() { Some(lock(folder)?) } else { None };
+    atomic::write_folder(folder, MARKER, replace, fill)?;
+    lock(folder)
+}
 
 /// Takes a run's lock: one process a folder.
 pub(super) fn lock(folder: &Path) -> Result<File> {

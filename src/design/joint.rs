@@ -10,7 +10,7 @@ use ndarray::{Array3, ArrayView4, Axis, Ix3, SliceInfo, SliceInfoElem, s};
 use rayon::prelude::*;
 
 use super::chain::{Patch, PatchForward, forward, forward_vjp};
-use super::lens_steps::LensSteps;
+use super::lens_steps::{LensSteps, Stepped};
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::guide::{Guide, Record};
@@ -56,25 +56,10 @@ pub struct Report {
     pub input_psnr_db: f64,
     /// PSNR of its output.
     pub output_psnr_db: f64,
-    /// What the lens did; `None` where it was held.
-    pub lens: Option<LensReport>,
+    /// What the lens did; `None` where it was held, or the loss was no number.
+    pub lens: Option<Stepped>,
     /// Seconds of the network's forward pass, backward pass and update.
     pub network_seconds: f64,
-}
-
-/// What the lens did in a step.
-#[derive(Clone, Debug)]
-pub struct LensReport {
-    /// Penalty, or largest violation, of constraints.
-    pub penalty: f64,
-    /// How far rays moved, rms, mm, where that is known.
-    pub length_mm: f64,
-    /// Agreement of the last gradients, 0 to 1, where that is known.
-    pub signal: f64,
-    /// What held it back.
-    pub active: Vec<String>,
-    /// Whether it moved.
-    pub moved: bool,
 }
 
 /// Mean absolute difference, and PSNR in linear light (dB, at most 120), of two pictures of equal size.
@@ -198,25 +183,23 @@ impl Joint {
         let mut bar = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| bar.add(b));
         let gradient = renderer.lens_gradient(&self.lens, &bar);
-        let mut report = LensReport { penalty: 0.0, length_mm: 0.0, signal: 0.0, active: Vec::new(), moved: false };
+        let mut lens = None;
         if s.loss.is_finite() {
             let darkest = self.darkest(renderer);
             let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
-            (report.penalty, report.length_mm) = (stepped.penalty, stepped.length_mm);
-            (report.signal, report.active) = (stepped.signal, stepped.active);
             self.good = self.lens.clone();
-            match stepped.lens {
+            match &stepped.lens {
                 Some(moved) => {
-                    self.lens = moved;
+                    self.lens = moved.clone();
                     self.damping = (self.damping * 1.02).min(1.0);
-                    report.moved = true;
                 }
                 None => self.take_back(),
             }
+            lens = Some(stepped);
         }
         let output_psnr_db = psnr(s.output.view());
         let loss = f64::from(s.loss);
-        Ok(Report { loss, input_psnr_db, output_psnr_db, lens: Some(report), network_seconds })
+        Ok(Report { loss, input_psnr_db, output_psnr_db, lens, network_seconds })
     }
 
     /// Rows that keep the illumination from falling below what is asked, of places that are near it.

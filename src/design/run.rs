@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::chain::Patch;
 use super::joint::{Joint, Report};
 use super::judge::{Camera, MARGIN, STEEPEST_DEG, corner_of};
-use super::lens_steps::{LensSteps, Steps};
+use super::lens_steps::{LensSteps, Stepped, Steps};
 use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
 use super::schedule::{Length, Schedule};
@@ -257,11 +257,6 @@ impl Stage {
         self.schedule.done(self.step as u64, self.seconds())
     }
 
-    /// What it was asked for.
-    pub fn settings(&self) -> &JointSettings {
-        &self.settings
-    }
-
     /// The lens as it is rendered now.
     pub fn renderer(&self) -> &Renderer {
         &self.renderer
@@ -290,7 +285,7 @@ impl Stage {
         let network_rate = self.settings.network_rate * network_rate;
         let report = self.joint.step(&self.renderer, &self.electronics, &patches, lens_rate, network_rate)?;
         self.step += 1;
-        if report.lens.as_ref().is_some_and(|l| l.moved) {
+        if report.lens.as_ref().is_some_and(|l| l.lens.is_some()) {
             self.renderer = self.joint.renderer(&self.renderer.plan, false)?;
         }
         self.recent.push(report);
@@ -393,7 +388,7 @@ impl Stage {
     fn average(&self) -> Entry {
         let mean =
             |f: &dyn Fn(&Report) -> f64| self.recent.iter().map(f).sum::<f64>() / self.recent.len().max(1) as f64;
-        let of_lens = |f: fn(&super::joint::LensReport) -> f64| mean(&|r| r.lens.as_ref().map_or(0.0, f));
+        let of_lens = |f: fn(&Stepped) -> f64| mean(&|r| r.lens.as_ref().map_or(0.0, f));
         Entry {
             step: self.step,
             seconds: self.seconds(),

@@ -14,7 +14,7 @@ use std::time::Instant;
 use ndarray::{Array3, Array4, Axis, s};
 
 use super::data::Textures;
-use super::folder::{MARKER, lock, sweep};
+use super::folder::{MARKER, check, lock, made, sweep};
 use super::log::{Entry, HEADER, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
@@ -96,7 +96,7 @@ impl Training {
     /// # Errors
     /// A task that cannot be trained; nothing is written then.
     pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute, glasses: &Glasses) -> Result<Self> {
-        atomic::check_folder(folder, MARKER, replace)?;
+        check(folder, replace)?;
         let (lens, network, textures) = (task.lens(glasses)?, start(&task, compute)?, task.textures()?);
         Self::begin(task, &lens, network, textures, folder, replace)
     }
@@ -113,14 +113,12 @@ impl Training {
         folder: &Path,
         replace: bool,
     ) -> Result<Self> {
-        atomic::check_folder(folder, MARKER, replace)?;
+        check(folder, replace)?;
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let parts = Parts::new(&task, lens, textures, None)?;
         let state = State::default();
-        // The run that gives way must not be trained elsewhere; its lock goes with it.
-        let _old = if folder.exists() { Some(lock(folder)?) } else { None };
-        atomic::write_folder(folder, MARKER, replace, |inside| {
+        let locked = made(folder, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             prescription::save(lens, &inside.join("lens.toml"))?;
             if let Some(filters) = parts.guide.filters() {
@@ -128,7 +126,7 @@ impl Training {
             }
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
-        Self::assemble(folder, lock(folder)?, task, trainer, parts, state)
+        Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
     /// What it was asked for.

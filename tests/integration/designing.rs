@@ -86,6 +86,53 @@ fn a_killed_design_ends_with_the_same_bits() {
     place.run("design task.toml -o killed").refused(&["killed", "--force"]);
 }
 
+/// A disk that is full in the middle of a design ends it with the file's name; the last checkpoint stands, and the design goes on from it to
+/// the same bits.
+#[test]
+fn a_full_disk_loses_no_checkpoint() {
+    let place = Workplace::new();
+    place.write("task.toml", TASK.replace("checks = 3", "checks = 30"));
+    place.run("design task.toml -o whole").done();
+    let size = |file: &str| std::fs::metadata(place.path("whole").join(file)).expect("written").len();
+    // The page grows with every judgement.
+    let (page, network) = (size("report.html"), size("network.safetensors"));
+    assert!(page > network + 8192, "{page} {network}");
+    let ended = place.run_with_small_files("design task.toml -o full", (network + 4096).div_ceil(512));
+    assert!(ended.code > 0 && ended.err.contains("report.html"), "{ended:?}");
+    let reached = std::fs::read_to_string(place.path("full/history.jsonl")).expect("a history").lines().count();
+    assert!((1..30).contains(&reached), "{reached} judgements");
+    place.run("design --resume -o full").done();
+    let network = |run: &str| tensors(&place.path(run).join("network.safetensors"));
+    assert_eq!(network("full"), network("whole"));
+    // Full from the start: no folder.
+    let ended = place.run_with_small_files("design task.toml -o none", 2);
+    assert!(ended.code > 0 && !ended.err.contains("panicked"), "{ended:?}");
+    assert_eq!(place.files(), ["full", "task.toml", "whole"]);
+}
+
+/// A folder is one design's: while that runs nobody goes on in it or writes over it.
+#[test]
+fn two_designs_do_not_share_a_folder() {
+    let place = Workplace::new();
+    place.write("task.toml", TASK.replace("steps = 90", "steps = 100000"));
+    let mut command = place.command("design task.toml -o run");
+    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+    let end = Instant::now() + Duration::from_secs(60);
+    while !place.path("run/network.safetensors").exists() && Instant::now() < end {
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let second = [place.run("design --resume -o run"), place.run("design task.toml -o run --force --steps 3")];
+    let alive = child.try_wait().expect("waits").is_none();
+    child.kill().expect("killed");
+    child.wait().expect("reaped");
+    assert!(alive, "the first one was still at work");
+    for ran in second {
+        ran.refused(&["run", "another process"]);
+    }
+    // It ended; now there is nobody.
+    place.run("design task.toml -o run --force --steps 3").done();
+}
+
 /// A design says beforehand what it would do, and writes nothing.
 #[test]
 fn a_task_is_checked_before_it_runs() {

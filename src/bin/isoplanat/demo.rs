@@ -124,7 +124,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
     let fresh = network(task.base_width, task.inputs, task.seed)?;
-    let prepared = prepare(task, &start, "demo")?;
+    let prepared = prepare(task, &start, "demo", &mut |_, _| {})?;
     let (stage, history) =
         joint_stage(&scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
             bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));

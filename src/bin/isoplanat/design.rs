@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::design::data::Textures;
 use isoplanat::design::designing::{Designing, Prepared, prepare};
-use isoplanat::design::folder::MARKER;
+use isoplanat::design::folder;
 use isoplanat::design::judge::validate;
 use isoplanat::design::memory;
 use isoplanat::design::pace::pace;
@@ -15,7 +15,7 @@ use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::Lens;
 use isoplanat::optimize::merit_of;
-use isoplanat::{Error, Result, atomic};
+use isoplanat::{Error, Result};
 
 use crate::progress::Bar;
 
@@ -65,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let validate = args.validate.as_deref();
     let Some(path) = &args.task else { return driven(Designing::resume(folder)?, folder, validate, args.json, out) };
-    atomic::check_folder(folder, MARKER, args.force)?;
+    folder::check(folder, args.force)?;
     let task = ready(args, path)?;
     let lens = task.lens(crate::glasses::all())?;
     driven(begun(task, &lens, &path.display().to_string(), folder, args.force)?, folder, validate, args.json, out)
@@ -81,9 +81,7 @@ pub(crate) fn designed(
     json: bool,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
-    atomic::check_folder(folder, MARKER, force)?;
-    crate::input::of_task(&task)?;
-    task.length().map_err(|e| e.in_file(Path::new(file)))?;
+    folder::check(folder, force)?;
     driven(begun(task, lens, file, folder, force)?, folder, None, json, out)
 }
 
@@ -93,7 +91,7 @@ pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow:
 }
 
 fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, force: bool) -> Result<Designing> {
-    crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
+    allowed(&task, file)?;
     let prepared = prepared(&task, lens, file)?;
     let start = network(task.base_width, task.inputs, task.seed)?;
     let textures = task.textures()?;
@@ -187,14 +185,26 @@ fn ready(args: &Args, path: &Path) -> Result<Task> {
     task.photos = args.photos.clone().or(task.photos);
     task.seed = args.seed.unwrap_or(task.seed);
     task.check(&path.display().to_string())?;
-    crate::input::of_task(&task)?;
-    task.length().map_err(|e| e.in_file(path))?;
-    crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
     Ok(task)
 }
 
+/// Refuses a task (of `file`) that has no joint stage, or none that this machine has the memory for.
+fn allowed(task: &Task, file: &str) -> Result<()> {
+    crate::input::of_task(task)?;
+    task.length().map_err(|e| e.in_file(Path::new(file)))?;
+    crate::memory::limit().allow("the design", memory::of_design(task)?, INSTEAD)
+}
+
 fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
-    let prepared = prepare(task, lens, file)?;
+    let bar = (task.search > 0).then(|| Bar::new("spots first"));
+    let prepared = prepare(task, lens, file, &mut |share, rms| {
+        if let Some(bar) = &bar {
+            bar.set(share, format!("rms {:.3} µm", 1e3 * rms));
+        }
+    })?;
+    if let Some(bar) = bar {
+        bar.done(String::new());
+    }
     if prepared.warm.is_some() && !prepared.taken {
         eprintln!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
     } else if let Some(warm) = &prepared.warm {
@@ -213,6 +223,7 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
 fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(path) = &args.task else { return Err(Error::bad("TASK", "value", "missing", "a task file").into()) };
     let task = ready(args, path)?;
+    allowed(&task, &path.display().to_string())?;
     let lens = task.lens(crate::glasses::all())?;
     let prepared = prepared(&task, &lens, &path.display().to_string())?;
     let (problem, settings) = (&prepared.problem, JointSettings::of(&task)?);

@@ -104,7 +104,8 @@ fn a_joint_stage_repeats_to_the_bit() {
     for steps in [Steps::Rays, Steps::Scaled, Steps::Plain] {
         let task = Task { lens_steps: steps, ..task() };
         let lens = task.lens(Glasses::shipped()).expect("shipped");
-        let (prepared, sensor) = (prepare(&task, &lens, "task").expect("passes light"), Sensor::generic());
+        let (prepared, sensor) =
+            (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light"), Sensor::generic());
         let textures = Textures::built_in(3, 5, 400);
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let rate = if steps == Steps::Rays { 2e-3 } else { 1e-3 };
@@ -132,7 +133,8 @@ fn a_stage_goes_on_from_its_state() {
     for (steps, inputs) in [(Steps::Rays, Inputs::BARE), (Steps::Rays, TOLD), (Steps::Scaled, Inputs::BARE)] {
         let task = Task { lens_steps: steps, ..task() };
         let lens = task.lens(Glasses::shipped()).expect("shipped");
-        let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+        let (problem, sensor) =
+            (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem, Sensor::generic());
         let textures = Textures::built_in(3, 5, 400);
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let settings = JointSettings { steps, lens_share: [0.1, 0.9], ..settings(60, 32) };
@@ -187,7 +189,8 @@ fn a_stage_goes_on_from_its_state() {
 fn a_patch_may_be_larger_than_the_frame() {
     let task = task();
     let lens = task.lens(Glasses::shipped()).expect("shipped");
-    let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+    let (problem, sensor) =
+        (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem, Sensor::generic());
     let textures = Textures::built_in(3, 1, 400);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
     let settings = JointSettings { settings: Some(SETTINGS), lens_share: [0.0, 1.0], ..settings(1, 192) };
@@ -205,7 +208,8 @@ fn a_patch_may_be_larger_than_the_frame() {
 fn a_stage_over_depths_sees_all_of_them() {
     let task = Task { depths_mm: vec![700.0, 1000.0, 2000.0], ..task() };
     let lens = task.lens(Glasses::shipped()).expect("shipped");
-    let (problem, sensor) = (prepare(&task, &lens, "task").expect("passes light").problem, Sensor::generic());
+    let (problem, sensor) =
+        (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem, Sensor::generic());
     assert_eq!(problem.merit.depths.len(), 3);
     let textures = Textures::built_in(3, 3, 400);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
@@ -223,7 +227,7 @@ fn a_scene_without_light_leaves_the_lens_alone() {
     let task = task();
     let lens = task.lens(Glasses::shipped()).expect("shipped");
     let (frame, v) = (frame_of(&lens).expect("valid"), lens.object_vergence);
-    let mut problem = prepare(&task, &lens, "task").expect("passes light").problem;
+    let mut problem = prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem;
     // Nothing is held, so that the scene alone could move it.
     problem.constraints.clear();
     problem.bounds.fill([f64::NEG_INFINITY, f64::INFINITY]);
