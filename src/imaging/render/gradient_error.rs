@@ -25,7 +25,7 @@ use crate::psf::OpticsBar;
 
 /// What gradients are compared with.
 pub const CONVERGED: Settings =
-    Settings { samples: 2, wavelengths: 9, degree: 9, dense: 3000, node_error: 0.03, outside: 2e-4, cells: 96 };
+    Settings { samples: 2, wavelengths: 9, degree: 9, dense: 3000, node_error: 0.03, outside: 2e-4, cells: 192 };
 
 /// One setting's gradients.
 #[derive(Clone, Debug, PartialEq)]
@@ -153,13 +153,23 @@ pub const LARGEST_ERROR: f64 = 0.05;
 /// Largest error of a design's gradient, as a part of the patches' noise.
 pub const OF_NOISE: f64 = 0.1;
 
-/// Settings of a design, from the coarsest on.
-pub const LADDER: [Settings; 5] = [
+/// Settings of a design, from the coarsest on. The finer ones keep pixels as cells for kernels that are wider: what a cell of two pixels loses on the
+/// axis for the width of the corner's kernels is more than all the other settings win.
+pub const LADDER: [Settings; 6] = [
     Settings { wavelengths: 3, dense: 200, node_error: 0.2, cells: 32, ..Settings::DESIGN },
     Settings { wavelengths: 4, dense: 300, node_error: 0.1, cells: 48, ..Settings::DESIGN },
     Settings::DESIGN,
-    Settings { wavelengths: 7, dense: 1200, node_error: 0.03, outside: 2e-3, ..Settings::DESIGN },
-    Settings { samples: 2, wavelengths: 7, dense: 1200, node_error: 0.03, outside: 2e-3, ..Settings::DESIGN },
+    Settings { wavelengths: 7, dense: 300, node_error: 0.1, cells: 128, ..Settings::DESIGN },
+    Settings { samples: 2, wavelengths: 7, dense: 600, outside: 5e-3, cells: 128, ..Settings::DESIGN },
+    Settings {
+        samples: 2,
+        wavelengths: 7,
+        dense: 1200,
+        node_error: 0.03,
+        outside: 2e-3,
+        cells: 192,
+        ..Settings::DESIGN
+    },
 ];
 
 /// Settings that were chosen for a design.
