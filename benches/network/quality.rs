@@ -25,6 +25,8 @@ pub(crate) fn print(steps: u64) {
     let pictures = Pictures::BuiltIn(SceneKind::Facades, 8);
     let settings = Settings {
         fields: 3,
+        to_deg: None,
+        means_deg: Vec::new(),
         depths_mm: vec![1000.0],
         patch: 256,
         seed: 5,

@@ -1,6 +1,6 @@
 //! How good a finished lens and its network are: PSNR, SSIM and colour over field and depth, on pictures they were not trained on.
 //!
-//! The field is cut into zones of equal width in image height. In each zone every picture is photographed once, at a random
+//! The field is cut into zones of equal width in image height, or of equal steps of field angle ([`zones`]). In each zone every picture is photographed once, at a random
 //! place and at every depth, through the fast renderer, sensor and development; the network restores it; capture and
 //! reconstruction are judged against the ideal picture, both as seen ([`metrics`]); colours as developed to sRGB. Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
@@ -11,6 +11,8 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
+mod zones;
+
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
@@ -19,8 +21,8 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::develop::{Balance, Development, finish};
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
+use crate::imaging::metrics;
 use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
-use crate::imaging::metrics::{self, SSIM_WINDOW};
 use crate::imaging::plane::{Plane, Region, mirrored};
 use crate::imaging::reference;
 use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
@@ -33,6 +35,7 @@ use crate::lens::Lens;
 use crate::network::Reconstructor;
 use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
+use zones::Zone;
 
 /// Most pixels around a patch that the network sees beside it.
 pub const CONTEXT: usize = 64;
@@ -43,12 +46,6 @@ pub const TEXELS_PER_PIXEL: f64 = 1.2;
 
 /// Rows and columns of a patch start at multiples of this, as in training.
 const STEP: usize = 4;
-
-/// About so many places are looked at in a frame.
-const PLACES: usize = 1 << 20;
-
-/// Smallest patch a zone is judged on, pixels.
-const SMALLEST: usize = 32;
 
 /// Rows and columns of a built-in picture.
 const BUILT_IN: [usize; 2] = [640, 960];
@@ -128,6 +125,11 @@ impl Pictures {
 pub struct Settings {
     /// Zones of the field, at least 1.
     pub fields: usize,
+    /// Half field angle in the object's space, degrees, to which zones are equal steps of angle, at the first distance; `None`: zones of
+    /// equal width in image height to the frame's farthest corner.
+    pub to_deg: Option<f64>,
+    /// Half field angles, degrees, to which means are taken beside the one over all zones; a zone that reaches beyond counts by its part.
+    pub means_deg: Vec<f64>,
     /// Distances of the scene before the first vertex, mm; may be infinite.
     pub depths_mm: Vec<f64>,
     /// Side of a patch, pixels; a zone too narrow for it, or a smaller frame, gets half, a quarter, … of it.
@@ -153,15 +155,8 @@ pub struct Sheet {
     pub image: Array3<f32>,
 }
 
-/// PSNR, SSIM, ΔE and colour shift of a picture.
-type Judged = [f64; 4];
-
-/// Where the patches of a zone may stand: their side and their first pixels.
-#[derive(Clone, Debug)]
-struct Zone {
-    patch: usize,
-    starts: Vec<(usize, usize)>,
-}
+/// PSNR, SSIM, ΔE, colour shift and PSNR after the best gain of a picture.
+type Judged = [f64; 5];
 
 /// Judges a network, told by its guide, behind `lens` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
 ///
@@ -177,10 +172,12 @@ pub fn evaluate(
     progress: &mut dyn FnMut(f64),
 ) -> Result<(Evaluation, Vec<Sheet>)> {
     let frame = frame_of(lens)?;
-    let zones = zones(&frame, settings)?;
-    let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
+    zones::check(&frame, settings)?;
     let renderer = at_depths(lens, &frame, sensor, settings)?;
     let maps = &renderer.optics.maps;
+    let bounds = zones::bounds(&maps[0], &frame, settings)?;
+    let zones = zones::zones(&frame, &bounds, settings.patch)?;
+    let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
     let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
     let context = network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP);
     let development = Development {
@@ -216,6 +213,7 @@ pub fn evaluate(
                         metrics::ssim(p.view(), truth.view())?,
                         delta_e(seen.view(), shown.view()),
                         colour_shift(seen.view(), shown.view()),
+                        metrics::psnr_at_best_gain(p.view(), truth.view()),
                     ])
                 };
                 figures[d][k].push([judged(&capture)?, judged(&restored)?]);
@@ -230,21 +228,32 @@ pub fn evaluate(
     }
     let mut rows = Vec::new();
     for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(&figures).zip(&renderer.optics.maps) {
+        let angle = |share: f64| zones::angle_deg(map, &frame, share);
         for ((zone, places), values) in used.iter().zip(by_zone) {
-            let field = [*zone, zone + 1].map(|z| share(z, settings.fields));
+            let field = [bounds[*zone], bounds[zone + 1]];
             let row = row(*depth_mm, zone + 1, field, places.patch, values);
-            rows.push(Row { angle_deg: field.map(|share| angle_deg(map, &frame, share)), ..row });
+            rows.push(Row { angle_deg: field.map(angle), ..row });
         }
         // One value a picture: its mean over the zones, so that the error is that of the pictures.
-        let mean = |i: usize| [0, 1].map(|of| std::array::from_fn(|f| Figure::of(&column(by_zone, i, of, f)).mean));
-        let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
-        let patch = used.iter().map(|(_, z)| z.patch).min().unwrap_or(settings.patch);
-        let angle_deg = [0.0, 1.0].map(|share| angle_deg(map, &frame, share));
-        rows.push(Row {
-            patches: values.len() * used.len(),
-            angle_deg,
-            ..row(*depth_mm, 0, [0.0, 1.0], patch, &values)
-        });
+        let end = bounds[settings.fields];
+        let partial =
+            settings.means_deg.iter().map(|to| (*to, zones::height_at(map, &frame, *to).unwrap_or(end).min(end)));
+        for (to, height) in partial.chain([(angle(end), end)]) {
+            let shares: Vec<f64> =
+                used.iter().map(|(z, _)| within([bounds[*z], bounds[z + 1]].map(angle), to)).collect();
+            let mean = |i: usize| {
+                let of = |of: usize, f: usize| weighted(&column(by_zone, i, of, f), &shares);
+                [0, 1].map(|o| std::array::from_fn(|f| of(o, f)))
+            };
+            let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
+            let reached = used.iter().zip(&shares).filter(|(_, share)| **share > 0.0);
+            let (patch, count) = reached.fold((settings.patch, 0), |(p, n), ((_, z), _)| (p.min(z.patch), n + 1));
+            rows.push(Row {
+                patches: values.len() * count,
+                angle_deg: [angle(0.0), to],
+                ..row(*depth_mm, 0, [0.0, height], patch, &values)
+            });
+        }
     }
     let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
         let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
@@ -264,14 +273,20 @@ pub fn evaluate(
     Ok((evaluation, sheets.collect()))
 }
 
-/// Half field angle, in the object's space, that is seen at a share of the frame's largest image height, degrees.
-fn angle_deg(map: &SensorMap, frame: &Frame, share: f64) -> f64 {
-    map.slope(share * frame.max_radius_mm()).abs().atan().to_degrees()
-}
-
 /// Figure `f` of picture `i`, as captured or as restored, in every zone.
 fn column(by_zone: &[Vec<[Judged; 2]>], i: usize, of: usize, f: usize) -> Vec<f64> {
     by_zone.iter().map(|values| values[i][of][f]).collect()
+}
+
+/// Part of a zone, by field angle, that lies within `to` degrees.
+fn within([from, end]: [f64; 2], to: f64) -> f64 {
+    if end <= to { 1.0 } else { ((to - from) / (end - from)).clamp(0.0, 1.0) }
+}
+
+/// Mean of `values`; those that count nothing may be anything.
+fn weighted(values: &[f64], shares: &[f64]) -> f64 {
+    let counted = values.iter().zip(shares).filter(|(_, share)| **share > 0.0);
+    counted.map(|(v, share)| v * share).sum::<f64>() / shares.iter().sum::<f64>()
 }
 
 fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[Judged; 2]]) -> Row {
@@ -281,6 +296,7 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
         ssim: figure(&|v| v[of][1]),
         delta_e: figure(&|v| v[of][2]),
         colour_shift: figure(&|v| v[of][3]),
+        best_gain_psnr_db: figure(&|v| v[of][4]),
     };
     Row {
         depth_mm,
@@ -292,12 +308,8 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
         capture: closeness(0),
         reconstruction: closeness(1),
         gain_db: figure(&|v| v[1][0] - v[0][0]),
+        each: values.iter().map(|v| [v[1][0], v[1][1]]).collect(),
     }
-}
-
-#[expect(clippy::cast_precision_loss, reason = "zone counts")]
-fn share(zone: usize, fields: usize) -> f64 {
-    zone as f64 / fields as f64
 }
 
 /// The lens at all distances.
@@ -310,64 +322,6 @@ fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -
     };
     let vergences = settings.depths_mm.iter().map(vergence).collect::<Result<Vec<f64>>>()?;
     Renderer::planned(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)
-}
-
-/// The places of every zone.
-fn zones(frame: &Frame, settings: &Settings) -> Result<Vec<Zone>> {
-    let bad = |place: &str, found: usize, allowed: String| Err(Error::bad("", place, found.to_string(), allowed));
-    if !(1..=100).contains(&settings.fields) {
-        return bad("zones of the field", settings.fields, "1 to 100".into());
-    }
-    if settings.depths_mm.is_empty() {
-        return bad("depths", 0, "at least one".into());
-    }
-    if !settings.patch.is_multiple_of(STEP) || !(SMALLEST..=2048).contains(&settings.patch) {
-        return bad("patch", settings.patch, format!("a multiple of {STEP} from {SMALLEST} to 2048 pixels"));
-    }
-    let smaller = frame.rows.min(frame.columns);
-    if smaller < SSIM_WINDOW.next_multiple_of(STEP) {
-        return bad("frame", smaller, format!("at least {} pixels a side", SSIM_WINDOW.next_multiple_of(STEP)));
-    }
-    let largest = settings.patch.min(smaller / STEP * STEP);
-    let mut zones = vec![Zone { patch: largest, starts: Vec::new() }; settings.fields];
-    let mut patch = largest;
-    while zones.iter().any(|z| z.starts.is_empty()) {
-        let places = places(frame, settings.fields, patch);
-        for (zone, starts) in zones.iter_mut().zip(places).filter(|(z, _)| z.starts.is_empty()) {
-            *zone = Zone { patch, starts };
-        }
-        if patch / 2 < SMALLEST {
-            break;
-        }
-        patch = (patch / 2).next_multiple_of(STEP);
-    }
-    if zones.iter().all(|z| z.starts.is_empty()) {
-        return bad("frame", smaller, "a frame with room for a patch".into());
-    }
-    Ok(zones)
-}
-
-/// First pixels of all patches of `patch × patch` within the frame, evenly spread, by the zone of their centre.
-#[expect(
-    clippy::cast_precision_loss,
-    clippy::cast_possible_truncation,
-    clippy::cast_sign_loss,
-    reason = "raster sizes; a share of the largest radius"
-)]
-fn places(frame: &Frame, fields: usize, patch: usize) -> Vec<Vec<(usize, usize)>> {
-    let (rows, cols) = (frame.rows - patch, frame.columns - patch);
-    let coarse = ((rows / STEP + 1) * (cols / STEP + 1)).div_ceil(PLACES);
-    let step = STEP * (coarse as f64).sqrt().ceil() as usize;
-    let mut places = vec![Vec::new(); fields];
-    let corner = frame.max_radius_mm();
-    let half = patch as f64 / 2.0;
-    for row in (0..=rows).step_by(step) {
-        for col in (0..=cols).step_by(step) {
-            let height = frame.radius_mm(col as f64 + half, row as f64 + half) / corner;
-            places[((height * fields as f64) as usize).min(fields - 1)].push((row, col));
-        }
-    }
-    places
 }
 
 /// One picture at one place.

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use super::data::{TEXTURE, Textures};
+use super::folder::MARKER;
 use super::lens_steps::Steps;
 use super::places::Spread;
 use super::schedule::Length;
@@ -370,6 +371,21 @@ impl Task {
             problem.constraints.push(Constraint { quantity: Quantity::Distortion(outermost), bounds });
         }
         Ok(problem)
+    }
+
+    /// The task of a run's folder, with the run's lens as it is now.
+    ///
+    /// # Errors
+    /// As [`Task::load`]; a folder without a lens.
+    pub fn of_run(folder: &Path) -> Result<Self> {
+        let lens = folder.join("lens.toml");
+        if !lens.is_file() {
+            let allowed = "a run of `isoplanat design`, which has a lens.toml";
+            return Err(Error::bad(folder.display().to_string(), "lens.toml", "missing", allowed));
+        }
+        // The lens carries its raster and its terms.
+        let task = Self::load(&folder.join(MARKER))?;
+        Ok(Self { lens: lens.display().to_string(), ..task })
     }
 
     /// The task as a file that means the same anywhere: paths in full.

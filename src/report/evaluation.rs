@@ -28,6 +28,12 @@ impl Figure {
         Self { mean, standard_error: (square / (n - 1.0) / n).sqrt() }
     }
 
+    /// Two cells of a line, with commas before them; an error that is not known stays empty.
+    fn cells(self) -> String {
+        let error = if self.standard_error.is_nan() { String::new() } else { self.standard_error.to_string() };
+        format!(",{},{error}", self.mean)
+    }
+
     /// `27.31 ± 0.42`; the mean alone where the error is not known.
     fn text(self, places: usize) -> String {
         if self.standard_error.is_finite() {
@@ -49,6 +55,8 @@ pub struct Closeness {
     pub delta_e: Figure,
     /// The same of means over blocks of 32 × 32 pixels, which blur hardly moves.
     pub colour_shift: Figure,
+    /// PSNR as seen after the gain that brings a patch nearest to the truth in linear light: brightness that is off does not count.
+    pub best_gain_psnr_db: Figure,
 }
 
 /// One zone of the field at one depth.
@@ -56,7 +64,7 @@ pub struct Closeness {
 pub struct Row {
     /// Distance of the scene, mm; infinite is null in JSON.
     pub depth_mm: f64,
-    /// The zone, counted from 1 at the axis; 0 is the mean over the zones.
+    /// The zone, counted from 1 at the axis; 0 is a mean over zones, to the angle that it names.
     pub zone: usize,
     /// Image heights it covers, of the frame's farthest corner's.
     pub field: [f64; 2],
@@ -72,6 +80,8 @@ pub struct Row {
     pub reconstruction: Closeness,
     /// PSNR that the network adds, dB; its error is that of the differences, which vary less than the pictures.
     pub gain_db: Figure,
+    /// PSNR, dB, and SSIM of each picture's reconstruction, in the order of the pictures: what pairs two runs.
+    pub each: Vec<[f64; 2]>,
 }
 
 /// What a run was judged on, and the outcome.
@@ -108,6 +118,7 @@ impl Evaluation {
             "capture dB",
             "network dB",
             "gain dB",
+            "best gain dB",
             "capture SSIM",
             "network SSIM",
             "capture ΔE",
@@ -129,6 +140,7 @@ impl Evaluation {
                 r.capture.psnr_db.text(2),
                 r.reconstruction.psnr_db.text(2),
                 if r.gain_db.mean.is_nan() { "–".into() } else { r.gain_db.text(2) },
+                r.reconstruction.best_gain_psnr_db.text(2),
                 r.capture.ssim.text(4),
                 r.reconstruction.ssim.text(4),
                 r.capture.delta_e.text(2),
@@ -150,15 +162,19 @@ impl Evaluation {
         for of in ["capture", "reconstruction"] {
             let _ = write!(out, ",{of}_delta_e,{of}_delta_e_error,{of}_colour_shift,{of}_colour_shift_error");
         }
-        out.push('\n');
+        out.push_str(",angle_from_deg,angle_to_deg,capture_best_gain_psnr_db,capture_best_gain_psnr_db_error");
+        out.push_str(",reconstruction_best_gain_psnr_db,reconstruction_best_gain_psnr_db_error\n");
         for r in &self.rows {
             let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
             let _ = write!(out, ",{},{}", r.patches, r.patch_px);
             let (a, b) = (r.capture, r.reconstruction);
             let colour = [a.delta_e, a.colour_shift, b.delta_e, b.colour_shift];
             for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db].into_iter().chain(colour) {
-                let error = if f.standard_error.is_nan() { String::new() } else { f.standard_error.to_string() };
-                let _ = write!(out, ",{},{error}", f.mean);
+                out += &f.cells();
+            }
+            let _ = write!(out, ",{},{}", r.angle_deg[0], r.angle_deg[1]);
+            for f in [a.best_gain_psnr_db, b.best_gain_psnr_db] {
+                out += &f.cells();
             }
             out.push('\n');
         }
@@ -212,6 +228,7 @@ mod tests {
             ssim: Figure { mean: psnr / 50.0, standard_error: error / 50.0 },
             delta_e: Figure { mean: 100.0 / psnr, standard_error: 2.0 * error },
             colour_shift: Figure { mean: 0.02 * psnr, standard_error: 0.5 * error },
+            best_gain_psnr_db: Figure { mean: psnr + 0.25, standard_error: error },
         };
         let row = |depth_mm: f64, zone: usize, psnr: f64, error: f64| Row {
             depth_mm,
@@ -223,6 +240,7 @@ mod tests {
             capture: closeness(psnr, error),
             reconstruction: closeness(psnr + 2.5, error),
             gain_db: Figure { mean: 2.5, standard_error: 0.13 },
+            each: vec![[psnr, 0.5]; 3],
         };
         Evaluation {
             schema: 1,
@@ -260,7 +278,7 @@ mod tests {
         }
         let csv = e.csv();
         let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
-        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 24), "{csv}");
+        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 30), "{csv}");
         assert_eq!(
             lines[1],
             [
@@ -287,7 +305,13 @@ mod tests {
                 "3.6363636363636362",
                 "0.5",
                 "0.55",
-                "0.125"
+                "0.125",
+                "1",
+                "2",
+                "25.25",
+                "0.25",
+                "27.75",
+                "0.25"
             ]
         );
         assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));

@@ -490,13 +490,20 @@ fn evaluate_judges_a_run_by_field_and_depth() {
         }
     }
     let csv = std::fs::read_to_string(place.path("a.csv")).expect("written");
-    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(24)), "{csv}");
+    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(30)), "{csv}");
     assert!(std::fs::read_to_string(place.path("a.svg")).expect("written").contains("800 mm"));
     let sheet = place.path("sheets").join("depth-800mm-field-2.png");
     let sheet = isoplanat::imaging::files::read_linear(&sheet).expect("a picture");
     assert_eq!(sheet.dim(), (3, 2 * 32 + 8, 3 * 32 + 16));
     // The same numbers again; built-in scenes say so.
     assert_eq!(read_json(&place.run(command).done()), json);
+    // Against itself nothing differs; of two pictures no interval is known. By field angle, with means to some.
+    let paired = read_json(&place.run(&format!("{command} --against run --to-degrees 6 --means-degrees 2,4")).done());
+    let differences = paired["differences"].as_array().expect("list");
+    assert_eq!((differences.len(), paired["rows"].as_array().map(Vec::len)), (10, Some(10)));
+    assert!(differences.iter().all(|d| d["psnr_db"]["mean"] == json!(0.0) && d["psnr_interval_db"][0].is_null()));
+    place.run("evaluate run --photos photos --to-degrees 50").refused(&["field angle", "50", "corner"]);
+    place.run("evaluate run --photos photos --against nothing").refused(&["nothing"]);
     let ran = place.run("evaluate run --fields 1 --patch 32");
     assert!(ran.err.contains("street scenes") && ran.out.contains("mean") && ran.code == 0, "{ran:?}");
     let ran = place.run("evaluate run --fields 1 --patch 32 --scene color-chart");

@@ -8,9 +8,14 @@ use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
 use isoplanat::imaging::files::write_png8;
+use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::{SceneKind, TRAINING};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;
+use isoplanat::report::evaluation::Evaluation;
+use isoplanat::report::paired;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
 
@@ -40,6 +45,12 @@ pub(crate) struct Args {
     /// Zones of equal width in image height, axis to corner.
     #[arg(long, default_value_t = 5)]
     fields: usize,
+    /// Zones of equal steps of half field angle in the object's space out to this, in place of image height out to the corner.
+    #[arg(long, value_name = "DEG")]
+    to_degrees: Option<f64>,
+    /// Half field angles to which means are taken beside the one over all zones, comma-separated.
+    #[arg(long, value_delimiter = ',', value_name = "DEG,…")]
+    means_degrees: Vec<f64>,
     /// Distances of the scene, comma-separated (`inf` allowed); the lens's own where left out.
     #[arg(long, value_delimiter = ',', value_name = "MM,…")]
     depths_mm: Vec<f64>,
@@ -52,6 +63,9 @@ pub(crate) struct Args {
     /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
     #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
     texels_per_pixel: f64,
+    /// Another run, judged on the same pictures at the same places: differences picture by picture, with 95 % intervals.
+    #[arg(long, value_name = "RUN")]
+    against: Option<PathBuf>,
     /// Seed of places and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
@@ -86,28 +100,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         atomic::check_folder(folder, MARKER, args.force)?;
     }
-    let task = Task::load(&args.run.join("task.toml"))?;
-    let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
-    let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
-    let guide = guide_of(&args.run, &network, &lens)?;
     let pictures = match &args.photos {
         Some(folder) => Pictures::Photos(Photos::open(folder)?),
         None => Pictures::BuiltIn(args.scene, SCENES),
     };
-    let depths_mm = if args.depths_mm.is_empty() { vec![1.0 / lens.object_vergence] } else { args.depths_mm.clone() };
-    let (rays, texels) = (args.reference.map(|n| n as usize), args.texels_per_pixel);
-    if !(0.1..=100.0).contains(&texels) {
-        return Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), "0.1 to 100").into());
+    if !(0.1..=100.0).contains(&args.texels_per_pixel) {
+        let found = args.texels_per_pixel.to_string();
+        return Err(Error::bad("--texels-per-pixel", "value", found, "0.1 to 100").into());
     }
-    let settings = Settings {
-        fields: args.fields,
-        depths_mm,
-        patch: args.patch,
-        seed: args.seed,
-        fineness: FINENESS,
-        rays,
-        texels,
-    };
     if args.photos.is_none() {
         let family = if args.scene == SceneKind::Facades { "street" } else { args.scene.name() };
         let known = if TRAINING.contains(&args.scene) {
@@ -117,20 +117,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         };
         eprintln!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
-    let sheets = args.pictures.is_some();
-    let bytes = memory::of_evaluation(network.config(), &pictures, &settings, sheets)?;
-    crate::memory::limit().allow(
-        "the evaluation",
-        bytes,
-        "a smaller --patch, smaller photographs, or no --pictures",
-    )?;
-    crate::memory::tell(bytes);
-    let bar = Bar::new("captures and reconstructions");
-    let (result, sheets) =
-        evaluate(&lens, (&network, &guide), &task.sensor()?, &pictures, &settings, sheets, &mut |share| {
-            bar.set(share, String::new());
-        })?;
-    bar.done(String::new());
+    let run = Judged::new(args, &args.run)?;
+    let other = args.against.as_ref().map(|folder| Judged::new(args, folder)).transpose()?;
+    let (result, sheets) = run.judge(&pictures, args.pictures.is_some())?;
+    let differences = match &other {
+        Some(other) => Some(paired::against(&result, &other.judge(&pictures, false)?.0)?),
+        None => None,
+    };
     if let Some(path) = &args.csv {
         output::put(&result.csv(), Some(path), out)?;
     }
@@ -138,10 +131,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         output::put(&result.svg(), Some(path), out)?;
     }
     if let Some(folder) = &args.pictures {
-        save(folder, args.force, &sheets, &settings, &pictures)?;
+        save(folder, args.force, &sheets, &result, &run.settings, &pictures)?;
     }
     if args.json {
-        writeln!(out, "{}", result.json())?;
+        let mut json = result.json();
+        if let Some(differences) = &differences {
+            json["differences"] = serde_json::to_value(differences)?;
+        }
+        writeln!(out, "{json}")?;
         return Ok(());
     }
     writeln!(out, "{}, {} {}", result.lens, result.count, result.pictures)?;
@@ -153,11 +150,68 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let list: Vec<String> = result.empty_zones.iter().map(usize::to_string).collect();
         writeln!(out, "no patch of the frame stands in zone {}", list.join(", "))?;
     }
+    if let (Some(differences), Some(other)) = (&differences, &args.against) {
+        writeln!(out, "\nreconstructions of {} less those of {}", args.run.display(), other.display())?;
+        writeln!(out, "{}", paired::table(differences))?;
+    }
     Ok(())
 }
 
+/// A run that is to be judged.
+struct Judged {
+    lens: Lens,
+    network: Reconstructor,
+    guide: Guide,
+    sensor: Sensor,
+    settings: Settings,
+}
+
+impl Judged {
+    /// The run in `folder`.
+    fn new(args: &Args, folder: &Path) -> Result<Self> {
+        let task = Task::load(&folder.join("task.toml"))?;
+        let lens = crate::input::lens(&folder.join("lens.toml").display().to_string())?;
+        let network = Reconstructor::load(&folder.join("network.safetensors"))?;
+        let guide = guide_of(folder, &network, &lens)?;
+        let own = vec![1.0 / lens.object_vergence];
+        let settings = Settings {
+            fields: args.fields,
+            to_deg: args.to_degrees,
+            means_deg: args.means_degrees.clone(),
+            depths_mm: if args.depths_mm.is_empty() { own } else { args.depths_mm.clone() },
+            patch: args.patch,
+            seed: args.seed,
+            fineness: FINENESS,
+            rays: args.reference.map(|n| n as usize),
+            texels: args.texels_per_pixel,
+        };
+        Ok(Self { sensor: task.sensor()?, lens, network, guide, settings })
+    }
+
+    fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
+        let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, sheets)?;
+        let instead = "a smaller --patch, smaller photographs, or no --pictures";
+        crate::memory::limit().allow("the evaluation", bytes, instead)?;
+        crate::memory::tell(bytes);
+        let bar = Bar::new("captures and reconstructions");
+        let told = (&self.network, &self.guide);
+        let judged = evaluate(&self.lens, told, &self.sensor, pictures, &self.settings, sheets, &mut |share| {
+            bar.set(share, String::new());
+        })?;
+        bar.done(String::new());
+        Ok(judged)
+    }
+}
+
 /// Writes the folder of sheets.
-fn save(folder: &Path, force: bool, sheets: &[Sheet], settings: &Settings, pictures: &Pictures) -> Result<()> {
+fn save(
+    folder: &Path,
+    force: bool,
+    sheets: &[Sheet],
+    result: &Evaluation,
+    settings: &Settings,
+    pictures: &Pictures,
+) -> Result<()> {
     atomic::write_folder(folder, MARKER, force, |folder| {
         let mut text = String::from("Columns: truth, capture, reconstruction. Rows:");
         for index in 0..pictures.len().min(4) {
@@ -171,8 +225,7 @@ fn save(folder: &Path, force: bool, sheets: &[Sheet], settings: &Settings, pictu
                 _ => format!("depth-{}mm-field-{}.png", significant(depth, 6), sheet.zone),
             };
             write_png8(&folder.join(&name), &sheet.image)?;
-            #[expect(clippy::cast_precision_loss, reason = "zone counts")]
-            let heights = [sheet.zone - 1, sheet.zone].map(|z| z as f64 / settings.fields as f64);
+            let heights = result.rows.iter().find(|r| r.zone == sheet.zone).map_or([0.0; 2], |r| r.field);
             text +=
                 &format!("{name}: image height {:.2} to {:.2}, {} mm\n", heights[0], heights[1], significant(depth, 6));
         }

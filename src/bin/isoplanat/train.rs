@@ -14,7 +14,7 @@ use crate::progress::Bar;
 /// The final network for a finished lens.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Task file (form in models/README.md); with --resume the run's own.
+    /// Task file (form in models/README.md), or the folder of a design: its task, for its lens; with --resume the run's own.
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: network, log, sample pictures.
@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// The task with the command line's changes.
 fn task(args: &Args, path: &Path) -> Result<Task> {
-    let mut task = Task::load(path)?;
+    let mut task = if path.is_dir() { Task::of_run(path) } else { Task::load(path) }?;
     if args.minutes.is_some() || args.steps.is_some() {
         (task.train.minutes, task.train.steps) = (args.minutes, args.steps);
     }

@@ -1,3 +1,4 @@
+use super::zones::{angle_deg, bounds, check, height_at, places, zones};
 use super::*;
 use crate::design::task::{Task, TaskSensor};
 use crate::lens::catalogue::Glasses;
@@ -6,6 +7,8 @@ use crate::network::UnetConfig;
 fn settings(fields: usize, patch: usize) -> Settings {
     Settings {
         fields,
+        to_deg: None,
+        means_deg: Vec::new(),
         depths_mm: vec![1000.0],
         patch,
         seed: 3,
@@ -28,6 +31,46 @@ fn identity(scales: usize) -> Reconstructor {
     net
 }
 
+/// Image heights between five zones of equal width.
+const FIFTHS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
+
+/// Zones by field angle: their bounds see the angles, places beyond the last are nobody's, and means to an angle are those of the zones
+/// within it.
+#[test]
+fn zones_by_angle_and_means_to_an_angle() {
+    let (lens, sensor) = (lens(), Sensor::generic());
+    let frame = frame_of(&lens).expect("valid");
+    let by_angle = Settings { to_deg: Some(12.0), means_deg: vec![4.0, 6.0], ..settings(3, 32) };
+    let renderer = at_depths(&lens, &frame, &sensor, &by_angle).expect("images");
+    let map = &renderer.optics.maps[0];
+    let between = bounds(map, &frame, &by_angle).expect("seen");
+    for (k, share) in between.iter().enumerate() {
+        assert!((angle_deg(map, &frame, *share) - 4.0 * k as f64).abs() < 1e-9, "{k}: {share}");
+    }
+    assert!(between[3] < 0.9 && height_at(map, &frame, 80.0).is_none());
+    let far = places(&frame, &between, 32).into_iter().flatten();
+    let reach = far.map(|(r, c)| frame.radius_mm(c as f64 + 16.0, r as f64 + 16.0)).fold(0.0, f64::max);
+    assert!(reach <= between[3] * frame.max_radius_mm() && reach > 0.95 * between[3] * frame.max_radius_mm());
+    for bad in
+        [Settings { to_deg: Some(60.0), ..by_angle.clone() }, Settings { means_deg: vec![70.0], ..by_angle.clone() }]
+    {
+        let text = bounds(map, &frame, &bad).expect_err("not seen").to_string();
+        assert!(text.contains("corner"), "{text}");
+    }
+    assert!(check(&frame, &Settings { to_deg: Some(-1.0), ..by_angle.clone() }).is_err());
+    let bare = Guide::bare(&frame);
+    let pictures = Pictures::BuiltIn(SceneKind::Facades, 2);
+    let judged = evaluate(&lens, (&identity(3), &bare), &sensor, &pictures, &by_angle, false, &mut |_| ());
+    let rows = judged.expect("judges").0.rows;
+    let db: Vec<f64> = rows.iter().map(|r| r.capture.psnr_db.mean).collect();
+    assert_eq!(rows.iter().map(|r| r.zone).collect::<Vec<_>>(), [1, 2, 3, 0, 0, 0]);
+    assert!((db[3] - db[0]).abs() < 1e-12, "to the first zone's end");
+    assert!((db[4] - (db[0] + 0.5 * db[1]) / 1.5).abs() < 1e-9, "half of the second");
+    assert!((db[5] - db[..3].iter().sum::<f64>() / 3.0).abs() < 1e-9);
+    assert_eq!((rows[3].patches, rows[4].patches, rows[5].patches), (2, 4, 6));
+    assert!((rows[5].angle_deg[1] - 12.0).abs() < 1e-9 && (rows[4].angle_deg[1] - 6.0).abs() < 1e-12);
+}
+
 /// Of frames of all kinds: every patch lies in the frame, its centre in its zone; every place belongs to one zone; a zone has
 /// smaller patches only where it has room for none of the size asked for.
 #[test]
@@ -39,7 +82,7 @@ fn zones_share_the_places_of_the_frame() {
         let corner =
             [0.0, 1.0].map(|x| [0.0, 1.0].map(|y| (x * columns as f64 - axis[0]).hypot(y * rows as f64 - axis[1])));
         let corner = corner.as_flattened().iter().fold(0f64, |m, v| m.max(*v));
-        let zones = zones(&frame, &settings(5, 256)).expect("room");
+        let zones = zones(&frame, &FIFTHS, 256).expect("room");
         for (z, zone) in zones.iter().enumerate() {
             assert!(!zone.starts.is_empty(), "{columns} × {rows}: zone {z}");
             for (row, col) in &zone.starts {
@@ -49,7 +92,7 @@ fn zones_share_the_places_of_the_frame() {
                 assert!(height >= z as f64 / 5.0 - 1e-12 && height <= (z + 1) as f64 / 5.0 + 1e-12, "{z}: {height}");
             }
         }
-        let whole = places(&frame, 5, 256);
+        let whole = places(&frame, &FIFTHS, 256);
         let counts: Vec<usize> = whole.iter().map(Vec::len).collect();
         assert_eq!(counts.iter().sum::<usize>(), ((rows - 256) / 4 + 1) * ((columns - 256) / 4 + 1));
         for (zone, count) in zones.iter().zip(counts) {
@@ -58,10 +101,10 @@ fn zones_share_the_places_of_the_frame() {
     }
     // A frame smaller than the patch, and one with room for nothing.
     let tiny = Frame::centred(90, 70, 0.01).expect("valid");
-    assert_eq!(zones(&tiny, &settings(2, 256)).expect("room")[0].patch, 68);
-    assert!(zones(&Frame::centred(90, 8, 0.01).expect("valid"), &settings(2, 256)).is_err());
+    assert_eq!(zones(&tiny, &[0.0, 0.5, 1.0], 256).expect("room")[0].patch, 68);
+    assert!(check(&Frame::centred(90, 8, 0.01).expect("valid"), &settings(2, 256)).is_err());
     for (fields, patch) in [(0, 256), (101, 256), (5, 0), (5, 30), (5, 4096)] {
-        assert!(zones(&tiny, &settings(fields, patch)).is_err(), "{fields} {patch}");
+        assert!(check(&tiny, &settings(fields, patch)).is_err(), "{fields} {patch}");
     }
 }
 

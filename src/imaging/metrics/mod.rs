@@ -29,7 +29,23 @@ const C2: f64 = 0.03 * 0.03;
 /// # Panics
 /// If the shapes differ.
 pub fn psnr(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
-    decibel(mean_square(a, b, seen))
+    decibel(mean_square(a, b, seen, seen))
+}
+
+/// [`psnr`] of `a` times the factor that brings it nearest to `b` in linear light: what is left where only brightness is off is no error.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn psnr_at_best_gain(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
+    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    let sums = a.iter().zip(b).fold([0.0, 0.0], |[ab, aa], (x, y)| {
+        let (x, y) = (f64::from(*x), f64::from(*y));
+        [ab + x * y, aa + x * x]
+    });
+    let gain = if sums[1] > 0.0 { sums[0] / sums[1] } else { 1.0 };
+    #[expect(clippy::cast_possible_truncation, reason = "pictures are single precision")]
+    let gain = gain as f32;
+    decibel(mean_square(a, b, |v| seen(gain * v), seen))
 }
 
 /// PSNR in dB of the numbers themselves, in linear light, nothing cut off.
@@ -37,7 +53,7 @@ pub fn psnr(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
 /// # Panics
 /// If the shapes differ.
 pub fn psnr_linear(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
-    decibel(mean_square(a, b, f64::from))
+    decibel(mean_square(a, b, f64::from, f64::from))
 }
 
 /// A value as seen: cut off and encoded.
@@ -50,13 +66,18 @@ pub fn decibel(mean_square: f64) -> f64 {
     -10.0 * mean_square.log10()
 }
 
-/// Mean square difference; rows are summed apart and then in order, whatever the number of threads.
-fn mean_square(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>, value: impl Fn(f32) -> f64 + Sync) -> f64 {
+/// Mean square difference of values as they count; rows are summed apart and then in order, whatever the number of threads.
+fn mean_square(
+    a: ArrayView3<'_, f32>,
+    b: ArrayView3<'_, f32>,
+    of_a: impl Fn(f32) -> f64 + Sync,
+    of_b: impl Fn(f32) -> f64 + Sync,
+) -> f64 {
     assert_eq!(a.dim(), b.dim(), "pictures of one shape");
     let rows: Vec<(usize, usize)> = (0..a.dim().0).flat_map(|k| (0..a.dim().1).map(move |r| (k, r))).collect();
     let square = |&(k, r): &(usize, usize)| -> f64 {
         let pairs = a.slice(s![k, r, ..]).into_iter().zip(b.slice(s![k, r, ..]));
-        pairs.map(|(&x, &y)| (value(x) - value(y)).powi(2)).sum()
+        pairs.map(|(&x, &y)| (of_a(x) - of_b(y)).powi(2)).sum()
     };
     let sums: Vec<f64> = rows.par_iter().map(square).collect();
     sums.iter().sum::<f64>() / a.len().max(1) as f64
@@ -198,6 +219,20 @@ mod tests {
             (a[[k, r, c]] + ripple).clamp(0.0, 1.0)
         });
         (a, b)
+    }
+
+    /// Half the brightness is no error after the best gain, and noise is as much as before.
+    #[test]
+    fn the_best_gain_forgives_brightness_alone() {
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let b = Array3::from_shape_simple_fn((3, 24, 32), || 0.1 + 0.4 * rng.f32());
+        let dark = b.mapv(|v| 0.5 * v);
+        assert!(psnr(dark.view(), b.view()) < 20.0 && psnr_at_best_gain(dark.view(), b.view()) > 100.0);
+        let noisy = b.mapv(|v| v + 0.02 * (rng.f32() - 0.5));
+        let [plain, best] = [psnr(noisy.view(), b.view()), psnr_at_best_gain(noisy.view(), b.view())];
+        assert!((plain - best).abs() < 0.01, "{plain} {best}");
+        let black = Array3::<f32>::zeros((3, 4, 4));
+        assert!(psnr_at_best_gain(black.view(), b.slice(ndarray::s![.., ..4, ..4])).is_finite());
     }
 
     /// scikit-image 0.26.0 on the same formulas, in f64.
