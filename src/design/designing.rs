@@ -338,6 +338,8 @@ impl Designing {
         prescription::save(lens, &self.folder.join(&name))?;
         let variables = self.stage.joint.steps.variables();
         let numbers = variables.parameters.iter().filter_map(|p| Some((p.name(lens), p.value(&**lens)?)));
+        let certain = self.stage.joint.noise.certainty();
+        let certain = variables.parameters.iter().zip(certain).map(|(p, t)| (p.name(lens), t));
         let judgement = Judgement {
             step,
             seconds: self.stage.seconds(),
@@ -347,7 +349,9 @@ impl Designing {
             best: better,
             active: self.stage.active(),
             variables: numbers.collect(),
+            certainty: certain.collect(),
         };
+        self.stage.joint.noise.clear();
         let text = serde_json::to_string(&judgement).map_err(|e| Error::Internal(format!("history: {e}")))?;
         self.history.push(&format!("{text}\n"));
         self.show()?;

@@ -11,6 +11,7 @@ use rayon::prelude::*;
 
 use super::chain::{Patch, PatchForward, forward, forward_vjp};
 use super::lens_steps::{LensSteps, Stepped};
+use super::noise::Noise;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::guide::{Guide, Record};
@@ -39,6 +40,8 @@ pub struct Joint {
     pub steps: LensSteps,
     /// Steps that were taken back.
     pub rejected: usize,
+    /// Gradients of its numbers, since somebody cleared them.
+    pub noise: Noise,
     /// Least illumination of any pixel relative to the axis that a step keeps; `None`: whatever comes.
     pub least_illumination: Option<f64>,
     /// The last lens that was rendered.
@@ -95,6 +98,7 @@ impl Joint {
             refreshed: (0, 0.0),
             steps,
             rejected: 0,
+            noise: Noise::default(),
             least_illumination: None,
             damping: 1.0,
         }
@@ -185,6 +189,7 @@ impl Joint {
         let gradient = renderer.lens_gradient(&self.lens, &bar);
         let mut lens = None;
         if s.loss.is_finite() {
+            self.noise.add(&self.steps.variables().gradient(&gradient));
             let darkest = self.darkest(renderer);
             let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
             self.good = self.lens.clone();

@@ -1,7 +1,7 @@
 //! Lens and network together.
 //!
 //! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
-//! the network and [`lens_steps`] around it; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
+//! the network and [`lens_steps`] around it, [`noise`] how well its gradients are known; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
 //! [`run`] is the loop, [`designing`] the loop with its folder, [`state`] where it stands, [`story`] its page, [`sweep`] many of them by number; [`task`] is the file that asks for one. The final network for a finished lens:
 //! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop with a folder,
 //! [`train_task`] its part of the file.
@@ -18,6 +18,7 @@ pub mod judge;
 pub mod lens_steps;
 pub mod log;
 pub mod memory;
+pub mod noise;
 pub mod pace;
 pub mod pairs;
 pub mod places;

@@ -211,6 +211,7 @@ impl Stage {
         self.joint.rejected = state.rejected;
         self.joint.refreshed = (state.refreshed, state.refreshing_seconds);
         self.joint.steps.remember(state.remembered.clone());
+        self.joint.noise = state.noise.clone();
         self.fineness = state.fineness.iter().map(|f| (f.step, f.chosen)).collect();
         (self.again, self.step, self.before) = (state.again, state.step, state.seconds);
         self.schedule.settled = state.settled;
@@ -227,6 +228,7 @@ impl Stage {
             state.rejected = self.joint.rejected;
             (state.refreshed, state.refreshing_seconds) = self.joint.refreshed;
             state.remembered = self.joint.steps.remembered();
+            state.noise = self.joint.noise.clone();
             state.fineness = self
                 .fineness
                 .iter()

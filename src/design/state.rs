@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::lens_steps::Remembered;
+use super::noise::Noise;
 use crate::error::{Error, Result};
 use crate::imaging::render::Settings;
 use crate::imaging::render::gradient_error::Chosen;
@@ -44,6 +45,8 @@ pub struct State {
     pub settings: Option<Settings>,
     /// What the lens's steps remember.
     pub remembered: Remembered,
+    /// Gradients since the last judgement.
+    pub noise: Noise,
     /// The lens for which rays were chosen, the one for windows and nodes, the one that filters are of, the one that steps' object points
     /// are of, and the one now.
     lenses: [String; 5],
@@ -67,6 +70,7 @@ impl State {
             seen: [0.0; 2],
             settings: None,
             remembered: Remembered::default(),
+            noise: Noise::default(),
             lenses: lenses.map(|l| prescription::to_toml(l)),
             fineness: Vec::new(),
         };

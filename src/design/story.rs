@@ -39,6 +39,9 @@ pub struct Judgement {
     pub active: Vec<String>,
     /// Every number that moves, by name.
     pub variables: BTreeMap<String, f64>,
+    /// Mean of its gradient since the judgement before, in its own standard errors; empty where the lens was held.
+    #[serde(default)]
+    pub certainty: BTreeMap<String, f64>,
 }
 
 impl Judgement {
@@ -102,6 +105,7 @@ pub(super) fn page(
             drawing: lens_svg(&j.lens(folder)?),
             held_out_db: j.held_out_db,
             values: names.iter().map(|n| j.variables.get(n).copied().unwrap_or(f64::NAN)).collect(),
+            certainty: names.iter().map(|n| j.certainty.get(n).copied()).collect(),
         });
     }
     #[expect(clippy::cast_precision_loss, reason = "step counts")]

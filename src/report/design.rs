@@ -19,6 +19,8 @@ pub struct Moment {
     pub held_out_db: [f64; 2],
     /// Value of every number that moves.
     pub values: Vec<f64>,
+    /// Mean of its gradient since the moment before, in its own standard errors, where that is known.
+    pub certainty: Vec<Option<f64>>,
 }
 
 /// A held-out picture: as captured, restored and as it is.
@@ -161,10 +163,16 @@ impl DesignPage {
     fn numbers(&self, page: &mut Page) {
         let (Some(first), Some(last)) = (self.moments.first(), self.moments.last()) else { return };
         page.section("What moved");
-        let mut table = Table::new(["number", "first judgement", "now"]);
+        page.paragraph(
+            "Gradient: its mean between two judgements in its own standard errors, when the lens last moved. Patches are a sample; \
+             below about 2 they do not agree on a direction.",
+        );
+        let mut table = Table::new(["number", "first judgement", "now", "gradient"]);
         for (k, name) in self.variables.iter().enumerate() {
             let value = |m: &Moment| m.values.get(k).map_or(String::new(), |v| significant(*v, 6));
-            table.row([name.clone(), value(first), value(last)]);
+            let known = self.moments.iter().rev().find_map(|m| m.certainty.get(k).copied().flatten());
+            let certainty = known.map_or(String::new(), |t| format!("{t:+.1}"));
+            table.row([name.clone(), value(first), value(last), certainty]);
         }
         page.table(&table);
     }
@@ -181,6 +189,7 @@ mod tests {
             drawing: format!("<svg><title>s{step}</title></svg>"),
             held_out_db: [20.0, 21.0 + step as f64],
             values: vec![step as f64],
+            certainty: vec![(step == 10).then_some(3.25)],
         };
         let image = Array3::from_elem((3, 8, 8), 0.5);
         let page = DesignPage {
@@ -202,7 +211,7 @@ mod tests {
             assert_eq!(text.matches(&format!("<title>s{step}</title>")).count(), 1);
         }
         assert!(text.contains("type=\"range\" min=\"0\" max=\"1\"") && text.contains("a &amp; b"));
-        assert!(text.contains("track"));
+        assert!(text.contains("track") && text.contains("+3.2"));
         assert!(!text.contains("src=\"http") && !text.contains("href=") && !text.contains("<script"));
     }
 }

@@ -219,6 +219,24 @@ impl Evaluation {
 }
 
 #[cfg(test)]
+impl Evaluation {
+    /// Three pictures judged somehow.
+    pub(super) fn of_rows(rows: Vec<Row>) -> Self {
+        Self {
+            schema: 1,
+            lens: "l".into(),
+            pictures: "p".into(),
+            count: 3,
+            empty_zones: vec![],
+            frame: [640, 480],
+            context_px: 24,
+            seed: 1,
+            rows,
+        }
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
@@ -242,22 +260,12 @@ mod tests {
             gain_db: Figure { mean: 2.5, standard_error: 0.13 },
             each: vec![[psnr, 0.5]; 3],
         };
-        Evaluation {
-            schema: 1,
-            lens: "l".into(),
-            pictures: "p".into(),
-            count: 3,
-            empty_zones: vec![],
-            frame: [640, 480],
-            context_px: 24,
-            seed: 1,
-            rows: vec![
-                row(500.0, 1, 25.0, 0.25),
-                row(500.0, 2, 20.0, f64::NAN),
-                row(500.0, 0, 22.5, 0.5),
-                row(f64::INFINITY, 1, f64::INFINITY, f64::NAN),
-            ],
-        }
+        Evaluation::of_rows(vec![
+            row(500.0, 1, 25.0, 0.25),
+            row(500.0, 2, 20.0, f64::NAN),
+            row(500.0, 0, 22.5, 0.5),
+            row(f64::INFINITY, 1, f64::INFINITY, f64::NAN),
+        ])
     }
 
     /// Deviations 1, 0, −1 from 2: sample variance 1, of the mean 1/3.

@@ -141,17 +141,7 @@ mod tests {
             gain_db: figure,
             each,
         };
-        Evaluation {
-            schema: 1,
-            lens: "l".into(),
-            pictures: "p".into(),
-            count: 3,
-            empty_zones: vec![],
-            frame: [640, 480],
-            context_px: 24,
-            seed: 1,
-            rows: vec![row],
-        }
+        Evaluation::of_rows(vec![row])
     }
 
     /// Pictures that vary by 10 dB, differences by 0.1 dB: only the latter count. Deviations 0.1, 0, −0.1 from 0.5.

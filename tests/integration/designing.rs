@@ -78,6 +78,14 @@ fn a_killed_design_ends_with_the_same_bits() {
     for file in ["log.csv", "history.jsonl"] {
         assert_eq!(steps("killed", file), steps("whole", file), "{file}");
     }
+    let history = |run: &str| -> Vec<serde_json::Value> {
+        let text = std::fs::read_to_string(place.path(run).join("history.jsonl")).expect("written");
+        text.lines().map(|l| serde_json::from_str(l).expect("JSON")).collect()
+    };
+    for (k, (a, b)) in history("killed").iter().zip(history("whole")).enumerate() {
+        assert_eq!((&a["certainty"], &a["held_out_db"]), (&b["certainty"], &b["held_out_db"]), "judgement {k}");
+        assert!(a["certainty"]["surface[0].conic"].is_f64(), "judgement {k}: {a}");
+    }
     let page = std::fs::read_to_string(place.path("killed/report.html")).expect("a page");
     assert!(page.contains("Finished.") && page.matches("data-k=").count() == 3);
     // Nothing is left to do; another process may not work in the folder at the same time, and other commands read it.
