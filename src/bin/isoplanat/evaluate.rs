@@ -108,6 +108,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let found = args.texels_per_pixel.to_string();
         return Err(Error::bad("--texels-per-pixel", "value", found, "0.1 to 100").into());
     }
+    let run = Judged::new(args, &args.run)?;
+    let other = args.against.as_ref().map(|folder| Judged::new(args, folder)).transpose()?;
     if args.photos.is_none() {
         let family = if args.scene == SceneKind::Facades { "street" } else { args.scene.name() };
         let known = if TRAINING.contains(&args.scene) {
@@ -117,8 +119,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         };
         eprintln!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
-    let run = Judged::new(args, &args.run)?;
-    let other = args.against.as_ref().map(|folder| Judged::new(args, folder)).transpose()?;
     let (result, sheets) = run.judge(&pictures, args.pictures.is_some())?;
     let differences = match &other {
         Some(other) => Some(paired::against(&result, &other.judge(&pictures, false)?.0)?),
@@ -159,6 +159,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// A run that is to be judged.
 struct Judged {
+    folder: PathBuf,
     lens: Lens,
     network: Reconstructor,
     guide: Guide,
@@ -185,20 +186,27 @@ impl Judged {
             rays: args.reference.map(|n| n as usize),
             texels: args.texels_per_pixel,
         };
-        Ok(Self { sensor: task.sensor()?, lens, network, guide, settings })
+        Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, lens, network, guide, settings })
     }
 
     fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
         let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, sheets)?;
         let instead = "a smaller --patch, smaller photographs, or no --pictures";
         crate::memory::limit().allow("the evaluation", bytes, instead)?;
-        crate::memory::tell(bytes);
-        let bar = Bar::new("captures and reconstructions");
         let told = (&self.network, &self.guide);
+        // From the first picture on: what cannot be judged is refused before.
+        let mut bar = None;
         let judged = evaluate(&self.lens, told, &self.sensor, pictures, &self.settings, sheets, &mut |share| {
+            let bar = bar.get_or_insert_with(|| {
+                crate::memory::tell(bytes);
+                Bar::new("captures and reconstructions")
+            });
             bar.set(share, String::new());
-        })?;
-        bar.done(String::new());
+        })
+        .map_err(|e| e.in_file(&self.folder))?;
+        if let Some(bar) = bar {
+            bar.done(String::new());
+        }
         Ok(judged)
     }
 }

@@ -79,7 +79,8 @@ pub(super) fn bounds(map: &SensorMap, frame: &Frame, settings: &Settings) -> Res
             Error::bad("", "field angle, degrees", deg.to_string(), allowed)
         })
     };
-    for deg in &settings.means_deg {
+    // What was asked for is named, not a zone's share of it.
+    for deg in settings.means_deg.iter().chain(&settings.to_deg) {
         seen(*deg)?;
     }
     match settings.to_deg {
