@@ -5,6 +5,7 @@
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
 
+mod guard;
 mod state;
 
 use std::fs::{self, File};
@@ -33,10 +34,14 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::catalogue::Glasses;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
+use guard::Guard;
 use state::State;
 
 /// Steps in a row without a finite loss and gradient after which training stops.
 const MOST_SKIPPED: u64 = 20;
+
+/// Times a training goes back to its last checkpoint, with half the rate each time, before it stops.
+const MOST_RETURNS: u32 = 6;
 
 /// Steps whose median time is the pace at which a length in minutes becomes one in steps.
 const PACE: usize = 101;
@@ -76,6 +81,7 @@ pub struct Training {
     samples: Vec<(Array4<f32>, Array4<f32>)>,
     schedule: Schedule,
     state: State,
+    guard: Guard,
     log: Log,
     /// Held while the training lives, so that no second one works in the folder.
     _lock: File,
@@ -170,6 +176,7 @@ impl Training {
             samples,
             schedule,
             state,
+            guard: Guard::default(),
             log,
             _lock: lock,
         })
@@ -231,11 +238,17 @@ impl Training {
         self.state.skipped
     }
 
-    /// Trains to the end. `watch` sees every step; where it returns `false` a checkpoint is written and the training ends with
+    /// Times that it lost itself and went back to its last checkpoint, with half the rate each time.
+    pub fn returned(&self) -> u32 {
+        self.state.returned
+    }
+
+    /// Trains to the end. A loss that jumps to many times what it was and stays there takes it back to its last checkpoint, with half the
+    /// rate from then on ([`Training::returned`]). `watch` sees every step; where it returns `false` a checkpoint is written and the training ends with
     /// [`Error::Interrupted`].
     ///
     /// # Errors
-    /// [`Error::Stopped`] where nothing finite comes any more; what the disk says.
+    /// [`Error::Stopped`] where nothing finite comes any more, or where it lost itself too often; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status) -> bool) -> Result<()> {
         let (begun, before) = (Instant::now(), self.state.seconds);
         let mut saved = Instant::now();
@@ -253,6 +266,7 @@ impl Training {
                 self.checkpoint()?;
             }
             let Some(rate) = self.schedule.at(self.state.step) else { break };
+            let rate = rate * 0.5f64.powi(self.state.returned.cast_signed());
             let clock = Instant::now();
             let (step, psnr_db) = self.one_step(rate)?;
             pace.push(clock.elapsed().as_secs_f64());
@@ -269,6 +283,11 @@ impl Training {
                 )));
             }
             self.state.seconds = before + begun.elapsed().as_secs_f64();
+            if self.guard.lost(step.content) {
+                self.go_back(rate)?;
+                (recent, pace, saved) = (Vec::new(), Vec::new(), Instant::now());
+                continue;
+            }
             recent.push(Entry::of(&step, self.state.step, self.state.seconds, rate, psnr_db));
             let mut entry = Entry::mean(&recent);
             if self.state.step.is_multiple_of(SMOOTH) {
@@ -290,7 +309,8 @@ impl Training {
                 self.checkpoint()?;
                 return Err(Error::Interrupted);
             }
-            if saved.elapsed().as_secs_f64() >= self.task.train.checkpoint_seconds {
+            // What a training goes back to must be sound.
+            if saved.elapsed().as_secs_f64() >= self.task.train.checkpoint_seconds && self.guard.sound() {
                 self.checkpoint()?;
                 saved = Instant::now();
             }
@@ -320,6 +340,30 @@ impl Training {
         let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| bounded(psnr(a, b)));
         let psnr_db = each.sum::<f64>() / train.batch as f64;
         Ok((step, psnr_db))
+    }
+
+    /// Back to the last checkpoint, with half of `rate` from there on; the time that was lost stays spent.
+    fn go_back(&mut self, rate: f64) -> Result<()> {
+        let path = self.folder.join(NETWORK);
+        let lost = State { returned: self.state.returned + 1, ..self.state.clone() };
+        if lost.returned > MOST_RETURNS {
+            return Err(Error::Stopped(format!(
+                "training stopped at step {}: its loss jumped away {} times, each time at half the rate of the time before, the last time at {rate:.1e}; \
+                 {} holds the network as it was before; look at the pictures",
+                lost.step,
+                lost.returned,
+                path.display()
+            )));
+        }
+        let compute = self.trainer.compute();
+        let (mut trainer, facts) = Trainer::load(&path, &self.task.train.objective(), compute)?;
+        trainer.check_device(&self.task.train.objective(), self.task.train.batch, self.task.train.patch_px)?;
+        let then = State::from_facts(&facts, &path)?;
+        self.state = State { returned: lost.returned, seconds: lost.seconds, settled: lost.settled, ..then };
+        self.trainer = trainer;
+        self.guard = Guard::default();
+        self.log = Log::open(&self.folder.join("log.csv"), HEADER, self.state.step)?;
+        self.checkpoint()
     }
 
     /// Log, then network: the log is never behind.

@@ -124,16 +124,21 @@ impl Trainer {
         &self.generator
     }
 
+    /// Where it computes.
+    pub fn compute(&self) -> Compute {
+        self.generator.compute()
+    }
+
     /// The network as a result: of averaged weights where they are averaged.
     pub fn result(&self) -> Reconstructor {
         let last = || self.generator.parameters().into_iter().flat_map(|p| p.values).collect();
         self.generator.with_weights(self.average.as_ref().map_or_else(last, |a| a.weights.clone()))
     }
 
-    /// Puts a weight that is no number into the generator.
+    /// Puts a weight into the generator that it should not have.
     #[cfg(test)]
-    pub(crate) fn poison(&mut self) {
-        self.generator.set_parameter("output.bias", &[0.0, f32::NAN, 0.0]).expect("three channels");
+    pub(crate) fn poison(&mut self, weight: f32) {
+        self.generator.set_parameter("output.bias", &[0.0, weight, 0.0]).expect("three channels");
     }
 
     /// The loss, for people.

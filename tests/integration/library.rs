@@ -53,3 +53,23 @@ fn a_wrong_digit_shows() {
     let [right, wrong] = [&lens, &wrong].map(|l| first_order(l, 587.5618).effective_focal_length);
     assert!((wrong / right - 1.0).abs() > 0.02, "{wrong} mm in place of {right} mm");
 }
+
+/// The kits in `models/kits` open, models and filters as their hashes say, and are for the lens beside them.
+#[cfg(feature = "deploy")]
+#[test]
+fn shipped_kits_are_whole_and_for_their_lens() {
+    let folder = crate::support::root().join("models/kits");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(&folder).expect("lists") {
+        let path = entry.expect("entry").path();
+        if !path.is_dir() {
+            continue;
+        }
+        let kit = isoplanat::deploy::kit::Kit::load(&path).expect("a kit");
+        let lens = isoplanat::lens::prescription::load(&path.join("lens.toml")).expect("a lens");
+        assert_eq!(kit.lens.sha256, lens.sha256(), "{}", path.display());
+        names.push(path.file_name().expect("named").to_string_lossy().into_owned());
+    }
+    names.sort();
+    assert_eq!(names, ["lfov-30", "lfov-30-free"]);
+}

@@ -88,10 +88,19 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         eprintln!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
     }
     trained?;
-    let (steps, skipped) = (training.step(), training.skipped());
+    let (steps, skipped, returned) = (training.step(), training.skipped(), training.returned());
+    if returned > 0 {
+        eprintln!(
+            "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.rate would have cost less"
+        );
+    }
     if args.json {
         let entry = last.map(|s| s.entry);
-        writeln!(out, "{}", serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "last": entry }))?;
+        writeln!(
+            out,
+            "{}",
+            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "returned": returned, "last": entry })
+        )?;
     } else {
         if let Some(s) = last {
             writeln!(out, "loss {:.5}  PSNR of training patches {:.2} dB", s.entry.content, s.entry.psnr_db)?;

@@ -13,6 +13,8 @@ pub(super) struct State {
     /// Steps that moved nothing.
     pub(super) skipped: u64,
     pub(super) settled: Option<[u64; 2]>,
+    /// Times it went back, with half the rate each time.
+    pub(super) returned: u32,
 }
 
 impl State {
@@ -22,6 +24,9 @@ impl State {
             ("train.seconds".to_owned(), format!("{:.3}", self.seconds)),
             ("train.skipped".to_owned(), self.skipped.to_string()),
         ]);
+        if self.returned > 0 {
+            facts.insert("train.returned".to_owned(), self.returned.to_string());
+        }
         if let Some([constant, all]) = self.settled {
             facts.insert("train.constant".to_owned(), constant.to_string());
             facts.insert("train.steps".to_owned(), all.to_string());
@@ -43,6 +48,7 @@ impl State {
             seconds: number(facts, "train.seconds", path)?,
             skipped: number(facts, "train.skipped", path)?,
             settled: settled.transpose()?,
+            returned: if facts.contains_key("train.returned") { number(facts, "train.returned", path)? } else { 0 },
         })
     }
 }

@@ -94,7 +94,7 @@ fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
     let ended = training.run(&mut |s| s.step < 5);
     assert!(matches!(ended, Err(Error::Interrupted)));
     let before = weights(&run);
-    training.trainer.poison();
+    training.trainer.poison(f32::NAN);
     let ended = training.run(&mut |_| true);
     // Nothing that is not finite reaches the disk: the first checkpoint is refused, or twenty steps in a row are.
     let text = ended.expect_err("no finite loss").to_string();
@@ -106,8 +106,59 @@ fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
     again.run(&mut |s| s.step < 8).expect_err("stopped");
     // With checkpoints far apart it is the steps that end it, with what to do.
     again.task.train.checkpoint_seconds = 1e4;
-    again.trainer.poison();
+    again.trainer.poison(f32::NAN);
     let ended = again.run(&mut |_| true).expect_err("no finite loss");
     assert!(matches!(&ended, Error::Stopped(text) if text.contains("20 times in a row")), "{ended}");
     assert_eq!((ended.exit_code(), again.skipped()), (1, 20));
+}
+
+/// Weights that are thrown far away, as by a rate that is too large: back to the last sound checkpoint, half the rate from there on, the log
+/// without what was lost; and where that happens again and again, an end with the reason.
+#[test]
+fn a_training_that_loses_itself_goes_back() {
+    let place = tempfile::tempdir().expect("temporary folder");
+    let run = place.path().join("run");
+    let mut long = task();
+    (long.train.steps, long.train.checkpoint_seconds) = (Some(120), 0.0);
+    let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
+    training.run(&mut |s| s.step < 60).expect_err("stopped");
+    let before = weights(&run);
+    training.trainer.poison(1e4);
+    training.run(&mut |s| s.step < 80).expect_err("stopped");
+    assert_eq!((training.returned(), training.step()), (1, 80));
+    assert_ne!(weights(&run), before);
+    drop(training);
+    let mut training = Training::resume(&run, Compute::Cpu).expect("resumes");
+    assert_eq!(training.returned(), 1, "kept");
+    training.run(&mut |_| true).expect("trains");
+    assert_eq!((training.returned(), training.step()), (1, 120));
+    let log = fs::read_to_string(run.join("log.csv")).expect("written");
+    let rows: Vec<Vec<f64>> =
+        log.lines().skip(1).map(|l| l.split(',').map(|v| v.parse().unwrap_or(f64::NAN)).collect()).collect();
+    assert_eq!(
+        rows.iter().map(|r| r[0]).collect::<Vec<_>>(),
+        (1..=12).map(|k| 10.0 * f64::from(k)).collect::<Vec<_>>()
+    );
+    assert!(rows.iter().all(|r| r[3] < 1.0), "{log}");
+    // Rates of the schedule before, and half of them after.
+    let schedule = training.task.train.schedule();
+    for (row, rate) in [(5, schedule.at(59)), (6, schedule.at(69).map(|r| 0.5 * r))] {
+        assert!((rows[row][2] / rate.expect("not over") - 1.0).abs() < 1e-3, "{log}");
+    }
+    drop(training);
+    // Over and over.
+    let mut endless = task();
+    (endless.train.steps, endless.train.checkpoint_seconds) = (Some(2000), 0.0);
+    let mut training =
+        Training::create(endless, &place.path().join("endless"), false, Compute::Cpu, Glasses::shipped());
+    let training = training.as_mut().expect("new");
+    let mut stop = 40;
+    let text = loop {
+        match training.run(&mut |s| s.step < stop) {
+            Err(Error::Interrupted) => training.trainer.poison(1e4),
+            other => break other.expect_err("lost").to_string(),
+        }
+        stop += 40;
+    };
+    assert!(text.contains("7 times") && text.contains("half the rate"), "{text}");
 }
