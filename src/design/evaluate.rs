@@ -1,6 +1,6 @@
 //! How good a finished lens and its network are: PSNR, SSIM and colour over field and depth, on pictures they were not trained on.
 //!
-//! The field is cut into zones of equal width in image height, or of equal steps of field angle ([`zones`]). In each zone every picture is photographed once, at a random
+//! The field is cut into zones of equal width in image height, or of equal steps of field angle. In each zone every picture is photographed once, at a random
 //! place and at every depth, through the fast renderer, sensor and development; the network restores it; capture and
 //! reconstruction are judged against the ideal picture, both as seen ([`metrics`]); colours as developed to sRGB. Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
