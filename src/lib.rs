@@ -32,6 +32,8 @@ pub mod optimize;
 
 pub mod psf;
 
+pub mod analysis;
+
 pub mod imaging;
 
 pub mod report;

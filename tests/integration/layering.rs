@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 15] = [
+const ORDER: [&str; 16] = [
     "error",
     "atomic",
     "units",
@@ -18,6 +18,7 @@ const ORDER: [&str; 15] = [
     "interchange",
     "optimize",
     "psf",
+    "analysis",
     "imaging",
     "report",
     "network",

@@ -87,6 +87,20 @@ impl<'a> Aimer<'a> {
         }
     }
 
+    /// Light that `aimed` brings through a unit of the stop's area, from an object element that radiates by Lambert's law in a plane
+    /// perpendicular to the axis (an infinitely far one: evenly over a plane perpendicular to its light). Comparable between rays
+    /// of one object point only; not a number where the pupil folds.
+    pub fn flux(&self, aimed: &Aimed) -> f64 {
+        let (plane, ray) = (&aimed.plane, &aimed.ray);
+        let area = 1.0 / stop_jacobian(self.system, plane, ray, &aimed.hits).determinant().abs();
+        if plane.object.vergence == 0.0 {
+            return area;
+        }
+        // Solid angle: the plane is perpendicular to the middle ray, (1/v − standoff)/cos away.
+        let cosine = ray.direction.dot(plane.object.direction);
+        area * cosine.powi(3) * ray.direction.z
+    }
+
     /// First guess from a neighbouring ray: one step along its own Jacobian.
     fn step_from(&self, near: &Aimed, plane: &LaunchPlane, target: DVec2) -> DVec2 {
         let p = plane.through(near.ray.origin);

@@ -1,0 +1,1 @@
+//! All rays of one object point and wavelength, over the stop.
