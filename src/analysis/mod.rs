@@ -4,3 +4,7 @@
 //! differentiated: gradients belong to `psf` and `optimize`.
 
 pub mod beam;
+pub mod curves;
+pub mod fan;
+pub mod overview;
+pub mod spot;

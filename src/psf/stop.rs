@@ -78,7 +78,7 @@ impl StopPoints {
     clippy::cast_sign_loss,
     reason = "small counts"
 )]
-fn equal_area_rings(count: usize) -> Vec<DVec2> {
+pub fn equal_area_rings(count: usize) -> Vec<DVec2> {
     let half = count.div_ceil(2).max(1);
     let rings = ((count as f64 / PI).sqrt().round() as usize).clamp(1, half);
     // Ring by ring; the last takes what is left.

@@ -151,6 +151,7 @@ impl Accuracy {
             x_scale: Scale::Log,
             y_scale: Scale::Linear,
             series,
+            keys: vec![],
         }
         .to_svg()
     }

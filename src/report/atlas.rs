@@ -214,6 +214,8 @@ fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result
 pub struct Style {
     /// Exponent applied to values relative to the peak, before the sRGB curve; below 1 lifts faint halos.
     pub gamma: f32,
+    /// Instead of the exponent: decades below the peak that are shown, evenly by the logarithm.
+    pub decades: Option<f32>,
     /// Smallest side of a tile, pixels: smaller kernels are enlarged by a whole factor.
     pub min_tile: usize,
     /// Width of the lines between tiles, pixels.
@@ -222,7 +224,7 @@ pub struct Style {
 
 impl Default for Style {
     fn default() -> Self {
-        Self { gamma: 0.7, min_tile: 96, gap: 2 }
+        Self { gamma: 0.7, decades: None, min_tile: 96, gap: 2 }
     }
 }
 
@@ -260,7 +262,11 @@ pub fn picture(tiles: &Array4<f32>, columns: usize, style: Style) -> Array3<f32>
 }
 
 fn shown(tile: &ArrayView3<'_, f32>, at: [usize; 3], inverse: f32, style: Style) -> f32 {
-    (tile[at] * inverse).max(0.0).powf(style.gamma)
+    let relative = (tile[at] * inverse).max(0.0);
+    match style.decades {
+        Some(decades) => (1.0 + relative.log10() / decades).max(0.0),
+        None => relative.powf(style.gamma),
+    }
 }
 
 /// Pixels at each border that stay below a thousandth of every tile's peak; at least 3 × 3 pixels are left.
@@ -342,11 +348,13 @@ mod tests {
             tiles[[t, 0, 4, 4]] = 0.5;
             tiles[[t, 0, 2, 4]] = 0.05;
         }
-        let style = Style { gamma: 1.0, min_tile: 10, gap: 1 };
+        let style = Style { gamma: 1.0, decades: None, min_tile: 10, gap: 1 };
         let image = picture(&tiles, 2, style);
         // Two rows of two tiles of 5 × 5 kernel pixels, twice as large, with lines of one pixel.
         assert_eq!(image.dim(), (3, 23, 23));
         assert_eq!([image[[0, 5, 5]], image[[2, 6, 6]], image[[0, 1, 5]], image[[0, 0, 0]]], [1.0, 1.0, 0.1, LINE]);
+        let image = picture(&tiles, 2, Style { decades: Some(4.0), ..style });
+        assert_eq!([image[[0, 5, 5]], image[[0, 1, 5]], image[[0, 1, 1]]], [1.0, 0.75, 0.0], "by decades");
         // The place of the fourth tile is empty.
         assert_eq!(image[[0, 16, 16]], LINE);
     }

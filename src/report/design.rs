@@ -81,7 +81,7 @@ impl DesignPage {
                 (m.drawing.clone(), caption)
             })
             .collect();
-        page.stepped(&stepped);
+        page.stepped(&stepped, stepped.len(), "step");
         let pixel =
             |view: &Option<LensView>, caption: &str| view.as_ref().map(|v| (v.atlas.clone(), caption.to_owned()));
         let [first, now] = &self.lenses;
@@ -137,6 +137,7 @@ impl DesignPage {
                 x_scale: Scale::Linear,
                 y_scale,
                 series,
+                keys: vec![],
             };
             (plot.to_svg(), String::new())
         };

@@ -96,6 +96,7 @@ impl GradientAccuracy {
             x_scale: Scale::Log,
             y_scale: Scale::Log,
             series,
+            keys: vec![],
         }
         .to_svg()
     }

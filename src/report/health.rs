@@ -53,7 +53,8 @@ impl<'a> HealthReport<'a> {
         table.csv()
     }
 
-    fn figures(&self) -> Table {
+    /// What was measured, a figure a row.
+    pub fn table(&self) -> Table {
         let mut table = Table::new(["check", "worst", "limit", "verdict", "where"]);
         for f in &self.health.figures {
             let limit = f
@@ -114,7 +115,7 @@ impl fmt::Display for HealthReport<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let h = &self.health;
         writeln!(f, "{}: {} rays aimed over field, stop and wavelengths", self.lens.name, h.rays)?;
-        writeln!(f, "\n{}", self.figures())?;
+        writeln!(f, "\n{}", self.table())?;
         writeln!(f, "{}", self.surfaces())?;
         writeln!(f, "{}", self.variables())?;
         let verdict = if h.passes() { "passes" } else { "FAILS" };

@@ -1,13 +1,14 @@
 //! One self-contained page: nothing is loaded from elsewhere, so it can be mailed and kept.
 //!
-//! Texts are escaped; drawings are inline SVG of this crate; pictures are PNG in data URIs. Readable on a phone, in print,
-//! on light and dark screens.
+//! Texts are escaped by the templates; drawings are inline SVG of this crate; pictures are PNG in data URIs. Readable on a phone, in print,
+//! on light and dark screens. A small script of the page's own (`page.js`) shows the values of plots under the pointer, makes what belongs to one
+//! field stand out everywhere, and steps through drawings by slider; without it the page reads as it stands.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use maud::{DOCTYPE, Markup, PreEscaped, html};
 use ndarray::Array3;
 
-use super::svg::escape;
 use super::table::Table;
 use crate::error::Result;
 use crate::imaging::files::png_bytes_srgb;
@@ -38,101 +39,108 @@ pub struct Fact {
 #[derive(Clone, Debug)]
 pub struct Page {
     title: String,
-    body: String,
-    open: bool,
+    head: Markup,
+    sections: Vec<Section>,
+}
+
+/// A section: its heading, none for what stands before the first, and what it holds.
+#[derive(Clone, Debug)]
+struct Section {
+    title: Option<String>,
+    body: Markup,
+}
+
+impl Section {
+    /// Its name in links: letters and digits of the heading.
+    fn name(&self) -> String {
+        let kept = |c: char| if c.is_ascii_alphanumeric() { c.to_ascii_lowercase() } else { '-' };
+        let name: String = self.title.iter().flat_map(|t| t.chars()).map(kept).collect();
+        name.split('-').filter(|part| !part.is_empty()).collect::<Vec<_>>().join("-")
+    }
 }
 
 impl Page {
     /// A page with its heading and one line below it.
     pub fn new(title: &str, subtitle: &str) -> Self {
-        let body = format!("<header><h1>{}</h1><p>{}</p></header>\n", escape(title), escape(subtitle));
-        Self { title: title.to_owned(), body, open: false }
+        let head = html! { header { h1 { (title) } p { (subtitle) } } };
+        let sections = vec![Section { title: None, body: PreEscaped(String::new()) }];
+        Self { title: title.to_owned(), head, sections }
     }
 
     /// Begins a section.
     pub fn section(&mut self, title: &str) -> &mut Self {
-        self.close();
-        self.open = true;
-        self.add(&format!("<section><h2>{}</h2>", escape(title)))
+        self.sections.push(Section { title: Some(title.to_owned()), body: PreEscaped(String::new()) });
+        self
     }
 
     /// A smaller heading.
     pub fn heading(&mut self, title: &str) -> &mut Self {
-        self.add(&format!("<h3>{}</h3>", escape(title)))
+        self.add(html! { h3 { (title) } })
     }
 
     /// A paragraph of text.
     pub fn paragraph(&mut self, text: &str) -> &mut Self {
-        self.add(&format!("<p>{}</p>", escape(text)))
+        self.add(html! { p { (text) } })
+    }
+
+    /// A paragraph in small type: definitions, settings and accuracy of what stands above it.
+    pub fn note(&mut self, text: &str) -> &mut Self {
+        self.add(html! { p.note { (text) } })
     }
 
     /// A list of texts.
     pub fn list<S: AsRef<str>>(&mut self, items: &[S]) -> &mut Self {
-        let items: String = items.iter().map(|i| format!("<li>{}</li>", escape(i.as_ref()))).collect();
-        self.add(&format!("<ul>{items}</ul>"))
+        self.add(html! { ul { @for item in items { li { (item.as_ref()) } } } })
     }
 
     /// Figures side by side.
     pub fn facts(&mut self, facts: &[Fact]) -> &mut Self {
-        let cell = |f: &Fact| format!("<div><b>{}</b><span>{}</span></div>", escape(&f.value), escape(&f.label));
-        self.add(&format!("<div class=\"facts\">{}</div>", facts.iter().map(cell).collect::<String>()))
+        self.add(html! { div.facts { @for f in facts { div { b { (f.value) } span { (f.label) } } } } })
     }
 
     /// A table; columns of numbers are set to the right.
     pub fn table(&mut self, table: &Table) -> &mut Self {
         let numeric: Vec<bool> = (0..table.heading.len()).map(|i| table.is_numeric(i)).collect();
-        let row = |cells: &[String], tag: &str| {
-            let cells = cells.iter().zip(&numeric).map(|(c, n)| {
-                let class = if *n { " class=\"n\"" } else { "" };
-                format!("<{tag}{class}>{}</{tag}>", escape(c))
-            });
-            format!("<tr>{}</tr>", cells.collect::<String>())
-        };
-        let rows: String = table.rows.iter().map(|r| row(r, "td")).collect();
-        let head = row(&table.heading, "th");
-        self.add(&format!("<div class=\"wide\"><table><thead>{head}</thead><tbody>{rows}</tbody></table></div>"))
+        self.add(html! {
+            div.wide { table {
+                thead { tr { @for (c, n) in table.heading.iter().zip(&numeric) { th.n[*n] { (c) } } } }
+                tbody { @for row in &table.rows { tr { @for (c, n) in row.iter().zip(&numeric) { td.n[*n] { (c) } } } } }
+            } }
+        })
     }
 
     /// Drawings (SVG text of this crate) with captions, side by side where there is room for `min_px` each.
     pub fn drawings(&mut self, drawings: &[(String, String)], min_px: u32) -> &mut Self {
-        let figures = drawings.iter().map(|(svg, caption)| {
-            let caption = if caption.is_empty() {
-                String::new()
-            } else {
-                format!("<figcaption>{}</figcaption>", escape(caption))
-            };
-            format!("<figure>{svg}{caption}</figure>")
-        });
-        let figures: String = figures.collect();
+        let figures = html! {
+            @for (svg, caption) in drawings {
+                figure { (PreEscaped(svg)) @if !caption.is_empty() { figcaption { (caption) } } }
+            }
+        };
         self.grid(&figures, min_px)
     }
 
     /// Drawings with captions and, below each caption, notes of one line; side by side where there is room for `min_px` each.
     pub fn noted_drawings(&mut self, drawings: &[(String, String, Vec<String>)], min_px: u32) -> &mut Self {
-        let figures = drawings.iter().map(|(svg, caption, notes)| {
-            let notes: String = notes.iter().map(|n| format!("<span>{}</span>", escape(n))).collect();
-            format!("<figure>{svg}<figcaption><b>{}</b>{notes}</figcaption></figure>", escape(caption))
-        });
-        let figures: String = figures.collect();
+        let figures = html! {
+            @for (svg, caption, notes) in drawings {
+                figure { (PreEscaped(svg)) figcaption { b { (caption) } @for n in notes { span { (n) } } } }
+            }
+        };
         self.grid(&figures, min_px)
     }
 
-    /// Drawings with captions of which one is seen, the last at first; a slider steps through them.
-    pub fn stepped(&mut self, drawings: &[(String, String)]) -> &mut Self {
+    /// Drawings with captions of which one is seen, number `first` at first; a slider called `label` steps through them.
+    pub fn stepped(&mut self, drawings: &[(String, String)], first: usize, label: &str) -> &mut Self {
         let last = drawings.len().saturating_sub(1);
-        let figures: String = drawings
-            .iter()
-            .enumerate()
-            .map(|(k, (svg, caption))| {
-                let hidden = if k == last { "" } else { " hidden" };
-                format!("<figure data-k=\"{k}\"{hidden}>{svg}<figcaption>{}</figcaption></figure>", escape(caption))
-            })
-            .collect();
-        let slider = format!(
-            "<input type=\"range\" min=\"0\" max=\"{last}\" value=\"{last}\" aria-label=\"step\" oninput=\"for (const f of \
-             this.parentNode.querySelectorAll('figure')) f.hidden = f.dataset.k !== this.value\">"
-        );
-        self.add(&format!("<div class=\"steps\">{}{figures}</div>", if last > 0 { slider } else { String::new() }))
+        let first = first.min(last);
+        self.add(html! {
+            div.steps {
+                @if last > 0 { input type="range" min="0" max=(last) value=(first) aria-label=(label); }
+                @for (k, (svg, caption)) in drawings.iter().enumerate() {
+                    figure data-k=(k) hidden[k != first] { (PreEscaped(svg)) figcaption { (caption) } }
+                }
+            }
+        })
     }
 
     /// Pictures side by side where there is room for `min_px` each.
@@ -140,88 +148,71 @@ impl Page {
     /// # Errors
     /// A picture that is no picture: neither one nor three channels, or without pixels.
     pub fn pictures(&mut self, pictures: &[Picture<'_>], min_px: u32) -> Result<&mut Self> {
-        let mut figures = String::new();
-        for picture in pictures {
-            let png = STANDARD.encode(png_bytes_srgb(picture.image)?);
-            let (_, rows, columns) = picture.image.dim();
-            let class = if picture.pixelated { " class=\"px\"" } else { "" };
-            let caption = escape(&picture.caption);
-            let notes: String = picture.notes.iter().map(|n| format!("<span>{}</span>", escape(n))).collect();
-            figures.push_str(&format!(
-                "<figure><img{class} width=\"{columns}\" height=\"{rows}\" alt=\"{caption}\" \
-                 src=\"data:image/png;base64,{png}\"><figcaption>{caption}{notes}</figcaption></figure>"
-            ));
-        }
+        let encoded = pictures.iter().map(|p| Ok((p, STANDARD.encode(png_bytes_srgb(p.image)?))));
+        let encoded = encoded.collect::<Result<Vec<_>>>()?;
+        let figures = html! {
+            @for (p, png) in &encoded {
+                figure {
+                    img.px[p.pixelated] width=(p.image.dim().2) height=(p.image.dim().1) alt=(p.caption)
+                        src={ "data:image/png;base64," (png) };
+                    figcaption { (p.caption) @for n in &p.notes { span { (n) } } }
+                }
+            }
+        };
         Ok(self.grid(&figures, min_px))
     }
 
-    fn grid(&mut self, figures: &str, min_px: u32) -> &mut Self {
+    fn grid(&mut self, figures: &Markup, min_px: u32) -> &mut Self {
         // What is small on a desk still stands two to a row on a phone.
-        let class = if min_px < 300 { "grid small" } else { "grid" };
-        self.add(&format!("<div class=\"{class}\" style=\"--min:{min_px}px\">{figures}</div>"))
+        self.add(html! { div.grid.small[min_px < 300] style={ "--min:" (min_px) "px" } { (figures) } })
     }
 
-    fn add(&mut self, html: &str) -> &mut Self {
-        self.body.push_str(html);
-        self.body.push('\n');
+    fn add(&mut self, html: Markup) -> &mut Self {
+        if let Some(section) = self.sections.last_mut() {
+            section.body.0.push_str(&html.0);
+            section.body.0.push('\n');
+        }
         self
     }
 
-    fn close(&mut self) {
-        if self.open {
-            self.body.push_str("</section>\n");
-        }
+    /// The whole page; `contents` begins it with a list of its sections.
+    fn page(&self, contents: bool) -> String {
+        let named = || self.sections.iter().filter(|s| s.title.is_some());
+        let page = html! {
+            (DOCTYPE)
+            html lang="en" {
+                head {
+                    meta charset="utf-8";
+                    meta name="viewport" content="width=device-width, initial-scale=1";
+                    title { (self.title) }
+                    style { (PreEscaped(STYLE)) }
+                }
+                body {
+                    (self.head)
+                    @if contents { nav { @for s in named() { a href={ "#" (s.name()) } { (s.title.as_deref().unwrap_or("")) } } } }
+                    @for s in &self.sections {
+                        @if let Some(title) = &s.title { section id=(s.name()) { h2 { (title) } (s.body) } } @else { (s.body) }
+                    }
+                    script { (PreEscaped(SCRIPT)) }
+                }
+            }
+        };
+        page.into_string()
     }
 
     /// The whole page.
-    pub fn finish(mut self) -> String {
-        self.close();
-        let (title, body) = (escape(&self.title), self.body);
-        format!(
-            "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
-             <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n<title>{title}</title>\n\
-             <style>\n{STYLE}</style>\n</head>\n<body>\n{body}</body>\n</html>\n"
-        )
+    pub fn finish(self) -> String {
+        self.page(false)
+    }
+
+    /// The whole page, with a list of its sections on top.
+    pub fn finish_with_contents(self) -> String {
+        self.page(true)
     }
 }
 
-const STYLE: &str = "\
-:root { color-scheme: light dark; --bg: #fcfcfd; --fg: #1b2026; --soft: #5b6570; --line: #dde2e8; --card: #f2f4f7; }
-@media (prefers-color-scheme: dark) {
-  :root { --bg: #14181d; --fg: #dce2e9; --soft: #98a3af; --line: #2c343d; --card: #1c2229; }
-}
-* { box-sizing: border-box; }
-body { margin: 0 auto; padding: 2rem 1.25rem 4rem; max-width: 1180px; background: var(--bg); color: var(--fg);
-  font: 16px/1.55 system-ui, -apple-system, 'Segoe UI', Helvetica, Arial, sans-serif; }
-header { border-bottom: 1px solid var(--line); margin-bottom: 1.5rem; }
-h1 { font-size: 1.9rem; line-height: 1.2; margin: 0 0 .4rem; letter-spacing: -.01em; text-wrap: balance; }
-header p { color: var(--soft); margin: 0 0 1.1rem; max-width: 75ch; }
-h2 { font-size: 1.3rem; margin: 2.6rem 0 .6rem; letter-spacing: -.005em; }
-h3 { font-size: 1.02rem; margin: 1.6rem 0 .5rem; }
-p, ul { max-width: 75ch; margin: .5rem 0 1rem; }
-.facts { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 8.8rem), 1fr)); gap: .75rem; margin: 1rem 0; }
-.facts div { background: var(--card); border-radius: 8px; padding: .7rem .9rem; }
-.facts b { display: block; white-space: nowrap; font-size: 1.2rem; font-weight: 600; font-variant-numeric: tabular-nums; line-height: 1.25; }
-.facts span { color: var(--soft); font-size: .86rem; }
-.grid { display: grid; gap: 1rem; margin: 1rem 0;
-  grid-template-columns: repeat(auto-fit, minmax(min(var(--min), 100%), 1fr)); align-items: start; }
-@media (max-width: 560px) { .small { grid-template-columns: repeat(auto-fit, minmax(min(var(--min), 44%), 1fr)); gap: .6rem; } }
-figure { margin: 0; min-width: 0; }
-figure img { display: block; width: 100%; height: auto; border-radius: 4px; background: #000; }
-img.px { image-rendering: pixelated; }
-figure svg { display: block; max-width: 100%; height: auto; }
-figcaption { font-size: .9rem; line-height: 1.4; padding-top: .4rem; }
-figcaption span { display: block; color: var(--soft); font-size: .84rem; font-variant-numeric: tabular-nums; }
-.steps input { width: 100%; margin: .6rem 0; }
-.steps svg { margin: 0 auto; }
-.wide { overflow-x: auto; margin: 1rem 0; }
-table { border-collapse: collapse; font-size: .92rem; font-variant-numeric: tabular-nums; }
-th, td { padding: .38rem 1.1rem .38rem 0; text-align: left; vertical-align: top; border-bottom: 1px solid var(--line); }
-th { color: var(--soft); font-weight: 600; }
-th:last-child, td:last-child { padding-right: 0; }
-.n { text-align: right; white-space: nowrap; }
-@media print { body { max-width: none; padding: 0; } figure, .facts, tr { break-inside: avoid; } }
-";
+const STYLE: &str = include_str!("page.css");
+const SCRIPT: &str = include_str!("page.js");
 
 #[cfg(test)]
 mod tests {
@@ -238,9 +229,12 @@ mod tests {
         page.drawings(&[("<svg></svg>".into(), "c".into())], 300);
         let picture = Picture { image: &image, caption: "\"x\"".into(), notes: vec!["n".into()], pixelated: true };
         page.section("two").pictures(&[picture], 200).expect("encodes");
-        let text = page.finish();
+        page.stepped(&[("<svg></svg>".into(), "c".into()), ("<svg></svg>".into(), "d".into())], 0, "step");
+        let text = page.finish_with_contents();
+        assert!(text.contains("<a href=\"#one\">one</a>") && text.contains("<section id=\"one\">"));
         assert!(
-            text.contains("<title>a &lt; b</title>") && text.contains("&lt;script&gt;") && !text.contains("<script")
+            text.contains("<title>a &lt; b</title>") && text.contains("&lt;script&gt;") && text.matches("<script").count() == 1,
+            "the page's own script alone"
         );
         assert!(text.contains("src=\"data:image/png;base64,iVBOR") && text.contains("alt=\"&quot;x&quot;\""));
         assert!(!text.contains("http"), "nothing comes from elsewhere");

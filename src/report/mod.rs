@@ -16,6 +16,7 @@ pub mod gradient_accuracy;
 pub mod health;
 pub mod html;
 pub mod library;
+pub mod lens;
 pub mod listing;
 pub mod paired;
 pub mod plot;

@@ -1,6 +1,6 @@
 //! Small plots as SVG: lines and points on linear or logarithmic axes.
 
-use super::svg::{Anchor, HUES, Svg, text_width};
+use super::svg::{Anchor, HUES, Svg, escape, text_width};
 use super::table::significant;
 
 /// How an axis runs.
@@ -69,6 +69,8 @@ pub struct Plot {
     pub y_scale: Scale,
     /// What is shown.
     pub series: Vec<Series>,
+    /// What each series belongs to, in their order: series of one key stand out together on a page. Missing or empty: to nothing.
+    pub keys: Vec<String>,
 }
 
 const WIDTH: f64 = 560.0;
@@ -126,14 +128,19 @@ impl Plot {
         if shown.iter().all(Vec::is_empty) {
             svg.text([0.5 * (left + right), 0.5 * (top + bottom)], Anchor::Middle, 13.0, "no data");
         }
-        for ((series, points), hue) in self.series.iter().zip(&shown).zip(self.hues()) {
+        svg.attributes(&format!("data-x=\"{}\" data-y=\"{}\"", escape(&self.x_label), escape(&self.y_label)));
+        let keys = self.keys.iter().map(String::as_str).chain(std::iter::repeat(""));
+        for (((series, points), hue), key) in self.series.iter().zip(&shown).zip(self.hues()).zip(keys) {
             let placed: Vec<[f64; 2]> = points.iter().map(|p| at(*p)).collect();
-            if let Some(dashes) = series.mark.dashes().filter(|_| placed.len() > 1) {
-                svg.polyline(&placed, &format!("stroke=\"{hue}\" stroke-width=\"1.8\"{dashes}"));
+            svg.open(&Self::described(series, key, points));
+            match series.mark.dashes().filter(|_| placed.len() > 1) {
+                Some(dashes) => svg.polyline(&placed, &format!("stroke=\"{hue}\" stroke-width=\"1.8\"{dashes}")),
+                None => svg.polyline(&placed, "stroke=\"none\""),
             }
             if series.mark.dotted() || placed.len() == 1 {
                 placed.iter().for_each(|p| svg.dot(*p, 3.6, hue));
             }
+            svg.close();
         }
         for Name { series, hue, at: [x, y] } in names {
             if let Some(dashes) = series.mark.dashes() {
@@ -145,6 +152,14 @@ impl Plot {
             svg.text([x + 21.0, y + 4.0], Anchor::Start, 12.0, &series.name);
         }
         svg.finish(&self.title)
+    }
+
+    /// What a page's script reads of a series: its name, what it belongs to, the values of the points of its line in order.
+    fn described(series: &Series, key: &str, points: &[[f64; 2]]) -> String {
+        let values: Vec<String> =
+            points.iter().map(|p| format!("{},{}", significant(p[0], 6), significant(p[1], 6))).collect();
+        let key = if key.is_empty() { String::new() } else { format!(" data-key=\"{}\"", escape(key)) };
+        format!("class=\"s\" data-name=\"{}\"{key} data-v=\"{}\"", escape(&series.name), values.join(" "))
     }
 
     /// Places of the names above the area, row by row.
@@ -264,7 +279,7 @@ mod tests {
 
     fn plot(x_scale: Scale, y_scale: Scale, points: Vec<[f64; 2]>) -> Plot {
         let series = vec![Series { name: "a < b".into(), points, mark: Mark::Both }];
-        Plot { title: "t".into(), x_label: "x".into(), y_label: "y".into(), x_scale, y_scale, series }
+        Plot { title: "t".into(), x_label: "x".into(), y_label: "y".into(), x_scale, y_scale, series, keys: vec![] }
     }
 
     #[test]

@@ -30,12 +30,13 @@ pub struct Svg {
     width: f64,
     height: f64,
     body: String,
+    attributes: String,
 }
 
 impl Svg {
     /// An empty drawing.
     pub fn new(width: f64, height: f64) -> Self {
-        Self { width, height, body: String::new() }
+        Self { width, height, body: String::new(), attributes: String::new() }
     }
 
     /// A line through `points`; those that are not finite are left out. `attributes` are written as they are.
@@ -45,6 +46,23 @@ impl Svg {
             let _ = write!(list, "{x:.2},{y:.2} ");
         }
         self.add(format_args!("<polyline fill=\"none\" points=\"{}\" {attributes}/>", list.trim_end()));
+    }
+
+    /// Dots of `radius` at `points` as one element; those that are not finite are left out.
+    pub fn dots(&mut self, points: &[[f64; 2]], radius: f64, hue: &str) {
+        let mut path = String::new();
+        for [x, y] in points.iter().filter(|p| p[0].is_finite() && p[1].is_finite()) {
+            let _ = write!(path, "M{x:.1} {y:.1}h0");
+        }
+        self.add(format_args!(
+            "<path d=\"{path}\" fill=\"none\" stroke=\"{hue}\" stroke-width=\"{:.1}\" stroke-linecap=\"round\"/>",
+            2.0 * radius
+        ));
+    }
+
+    /// A circle of which the line is drawn.
+    pub fn circle(&mut self, at: [f64; 2], radius: f64, attributes: &str) {
+        self.add(format_args!("<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius:.2}\" fill=\"none\" {attributes}/>", at[0], at[1]));
     }
 
     /// A closed area.
@@ -85,14 +103,30 @@ impl Svg {
         ));
     }
 
+    /// Begins a group of elements; `attributes` are written as they are.
+    pub fn open(&mut self, attributes: &str) {
+        self.add(format_args!("<g {attributes}>"));
+    }
+
+    /// Ends the group begun last.
+    pub fn close(&mut self) {
+        self.add(format_args!("</g>"));
+    }
+
+    /// Attributes of the whole drawing, written as they are.
+    pub fn attributes(&mut self, attributes: &str) {
+        self.attributes.push(' ');
+        self.attributes.push_str(attributes);
+    }
+
     /// The whole drawing; `title` is read out where pictures are not seen.
     pub fn finish(self, title: &str) -> String {
-        let Self { width, height, body } = self;
+        let Self { width, height, body, attributes } = self;
         let title = escape(title);
         format!(
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
              height=\"{height}\" role=\"img\" aria-label=\"{title}\" fill=\"currentColor\" stroke-linecap=\"round\" \
-             stroke-linejoin=\"round\" font-family=\"system-ui,Helvetica,Arial,sans-serif\"><title>{title}</title>\
+             stroke-linejoin=\"round\" font-family=\"system-ui,Helvetica,Arial,sans-serif\"{attributes}><title>{title}</title>\
              <style>{STYLE}</style>\n{body}</svg>\n"
         )
     }

@@ -27,6 +27,7 @@ mod properties;
 #[cfg(unix)]
 mod random_lenses;
 mod renderers;
+mod report;
 mod skips;
 mod stiff;
 mod support;

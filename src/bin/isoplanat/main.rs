@@ -5,6 +5,7 @@
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
 mod accuracy;
+mod analyses;
 mod capture;
 mod check;
 mod convert;
@@ -32,6 +33,7 @@ mod peak;
 mod progress;
 mod psf;
 mod render;
+mod report;
 mod scene;
 #[cfg(feature = "train")]
 mod sweep;
@@ -80,6 +82,14 @@ enum Command {
     Trace(trace::Args),
     /// Point spread functions over field, depth and wavelength
     Psf(psf::Args),
+    /// Geometric MTF over frequency, field and focus
+    Mtf(analyses::Args),
+    /// Spots by field: size, best focus, encircled energy
+    Spot(analyses::Args),
+    /// Distortion over the field
+    Distortion(analyses::Args),
+    /// Spots, fans, curves over the field, PSFs and MTF of a lens on one page; of two side by side
+    Report(report::Args),
     /// The picture on the sensor, by PSF grid or by rays from the sensor
     Render(render::Args),
     /// Error against run time of every way to make the picture
@@ -133,6 +143,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),
+        Command::Mtf(args) => analyses::run(analyses::Kind::Mtf, &args, out),
+        Command::Spot(args) => analyses::run(analyses::Kind::Spot, &args, out),
+        Command::Distortion(args) => analyses::run(analyses::Kind::Distortion, &args, out),
+        Command::Report(args) => report::run(&args, out),
         Command::Render(args) => render::run(&args, out),
         Command::Accuracy(args) => accuracy::run(&args, out),
         Command::Capture(args) => capture::run(&args, out),

@@ -1,0 +1,217 @@
+//! `isoplanat mtf`, `spot` and `distortion`: one analysis of the report by itself.
+
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use isoplanat::analysis::overview::Overview;
+use isoplanat::imaging::files::write_atomic;
+use isoplanat::lens::Lens;
+use isoplanat::report::lens::{Options, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
+use isoplanat::report::plot::Plot;
+use isoplanat::report::table::{Table, significant};
+use isoplanat::{Error, Result};
+use ndarray::{Array1, Array2, Array4};
+use ndarray_npy::NpzWriter;
+use serde_json::{Value, json};
+
+/// Which analysis.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    /// Geometric MTF against frequency, field and focus.
+    Mtf,
+    /// Spots by field.
+    Spot,
+    /// Distortion over the field.
+    Distortion,
+}
+
+/// What every look at a lens's rays can be told.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct View {
+    /// Object distance before the first surface, mm; `inf` is allowed [default: the lens's own]
+    #[arg(long, allow_negative_numbers = true, value_name = "MM")]
+    depth_mm: Option<f64>,
+    /// Largest field angle, degrees [default: where sensor, stated field or light end]
+    #[arg(long, allow_negative_numbers = true, value_name = "DEG")]
+    max_angle_deg: Option<f64>,
+    /// Highest frequency of the MTF, cycles/mm [default: the sensor's Nyquist frequency]
+    #[arg(long, allow_negative_numbers = true, value_name = "CY/MM")]
+    max_cycles_per_mm: Option<f64>,
+    /// Largest shift of the image plane, mm [default: from the foci of the fields]
+    #[arg(long, allow_negative_numbers = true, value_name = "MM")]
+    shift_mm: Option<f64>,
+    /// Rays of a spot and wavelength
+    #[arg(long, default_value_t = 1600, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
+    rays: u32,
+}
+
+impl View {
+    /// The lens `name`, with its object where it was asked for.
+    pub(crate) fn lens(&self, name: &str) -> Result<Lens> {
+        let lens = crate::input::lens(name)?;
+        match self.depth_mm {
+            None => Ok(lens),
+            Some(depth) if depth > 0.0 => {
+                lens.changed(|l| l.object_vergence = 1.0 / depth).map_err(|e| crate::input::in_lens(e, &lens, name))
+            }
+            Some(depth) => Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf")),
+        }
+    }
+
+    /// The checked options; kernels are grey.
+    pub(crate) fn options(&self) -> Result<Options> {
+        let within = |flag: &str, value: Option<f64>, allowed: std::ops::RangeInclusive<f64>, words: &str| match value {
+            Some(v) if !allowed.contains(&v) => Err(Error::bad(flag, "value", v.to_string(), words)),
+            _ => Ok(value),
+        };
+        Ok(Options {
+            rays: self.rays as usize,
+            max_angle_deg: within("--max-angle-deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
+            cycles_per_mm: within("--max-cycles-per-mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
+            shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
+            colour: false,
+            memory: crate::memory::limit(),
+        })
+    }
+}
+
+/// Arguments of the single analyses.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
+    lens: String,
+    /// The same as a drawing
+    #[arg(long, value_name = "OUT.svg")]
+    svg: Option<PathBuf>,
+    /// The curves as comma-separated values
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    /// The numbers as NumPy arrays
+    #[arg(long, value_name = "OUT.npz")]
+    npz: Option<PathBuf>,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    view: View,
+    /// Overwrite outputs
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; figures go to `out`.
+pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    for path in args.svg.iter().chain(&args.csv).chain(&args.npz) {
+        crate::output::check_writable(path, args.force)?;
+    }
+    let options = args.view.options()?;
+    let lens = args.view.lens(&args.lens)?;
+    let (overview, missing) = look(&lens, &options);
+    let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
+    if let Some(path) = &args.svg {
+        let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
+        crate::output::put(&drawing, Some(path), out)?;
+    }
+    if let Some(path) = &args.csv {
+        crate::output::put(&plots_csv(&curves), Some(path), out)?;
+    }
+    if let Some(path) = &args.npz {
+        save(kind, &overview, path)?;
+    }
+    if args.json {
+        let fields = if kind == Kind::Distortion { Vec::new() } else { fields_json(&overview) };
+        let value = json!({ "schema": 1, "name": lens.name, "fields": fields, "plots": plots_json(&curves),
+            "missing": missing });
+        writeln!(out, "{}", without_empty(value))?;
+        return Ok(());
+    }
+    missing.iter().for_each(|m| eprintln!("note: {}: {m}", lens.name));
+    write!(out, "{}", kind.table(&overview))?;
+    Ok(())
+}
+
+/// Without a list of fields where there is none.
+fn without_empty(mut value: Value) -> Value {
+    if let Some(object) = value.as_object_mut()
+        && object["fields"].as_array().is_some_and(Vec::is_empty)
+    {
+        object.remove("fields");
+    }
+    value
+}
+
+impl Kind {
+    /// Whether the plot `name` belongs to it.
+    fn shows(self, name: &str) -> bool {
+        match self {
+            Self::Mtf => name.starts_with("mtf"),
+            Self::Spot => ["rms_focus", "encircled_energy"].contains(&name),
+            Self::Distortion => name == "distortion",
+        }
+    }
+
+    /// Its figures.
+    fn table(self, o: &Overview) -> Table {
+        match self {
+            Self::Spot => spot_table(o),
+            Self::Distortion => {
+                let mut table = Table::new(["field/deg", "image height/mm", "distortion/%"]);
+                for r in &o.curve {
+                    let percent = significant(r.distortion_percent, 5);
+                    table.row([significant(r.angle_deg, 5), significant(r.height, 7), percent]);
+                }
+                table
+            }
+            Self::Mtf => {
+                let angle = |f: &isoplanat::analysis::overview::Field| significant(f.angle_deg, 4);
+                let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
+                let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
+                for (k, f) in o.cycles_per_mm.iter().enumerate() {
+                    let values = o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| format!("{v:.4}"));
+                    table.row(std::iter::once(significant(*f, 5)).chain(values));
+                }
+                table
+            }
+        }
+    }
+}
+
+/// Writes the numbers of `kind` under their names.
+fn save(kind: Kind, o: &Overview, path: &Path) -> Result<()> {
+    let failed = |e: ndarray_npy::WriteNpzError| Error::writing(path, std::io::Error::other(e));
+    let angles: Array1<f64> = o.fields.iter().map(|f| f.angle_deg).collect();
+    write_atomic(path, |file| {
+        let mut npz = NpzWriter::new(file);
+        npz.add_array("schema", &ndarray::arr0(1_i64)).map_err(failed)?;
+        match kind {
+            Kind::Mtf => {
+                let shape = (o.shifts_mm.len(), o.fields.len(), o.cycles_per_mm.len(), 2);
+                let mtf = Array4::from_shape_fn(shape, |(z, f, k, d)| o.fields[f].through_focus[z][k][d]);
+                npz.add_array("mtf", &mtf).map_err(failed)?;
+                npz.add_array("shift_mm", &Array1::from(o.shifts_mm.clone())).map_err(failed)?;
+                npz.add_array("cycles_per_mm", &Array1::from(o.cycles_per_mm.clone())).map_err(failed)?;
+                npz.add_array("field_angle_deg", &angles).map_err(failed)?;
+            }
+            Kind::Spot => {
+                // Rays that do not arrive have no place, and no light.
+                let most = o.fields.iter().flat_map(|f| &f.beams).map(|b| b.landings.len()).max().unwrap_or(0);
+                let ray = |(f, c, k, i): (usize, usize, usize, usize)| match o.fields[f].beams[c].landings.get(k) {
+                    Some(l) => [l.at.x, l.at.y, l.slope.x, l.slope.y, l.weight][i],
+                    None => if i == 4 { 0.0 } else { f64::NAN },
+                };
+                let rays = Array4::from_shape_fn((o.fields.len(), o.colours.len(), most, 5), ray);
+                npz.add_array("rays", &rays).map_err(failed)?;
+                let nm: Array1<f64> = o.colours.iter().map(|c| c.0).collect();
+                npz.add_array("wavelength_nm", &nm).map_err(failed)?;
+                npz.add_array("weight", &o.colours.iter().map(|c| c.1).collect::<Array1<f64>>()).map_err(failed)?;
+                npz.add_array("field_angle_deg", &angles).map_err(failed)?;
+            }
+            Kind::Distortion => {
+                let row = |r: &isoplanat::analysis::curves::FieldRow| [r.angle_deg, r.height, r.distortion_percent];
+                let rows: Vec<[f64; 3]> = o.curve.iter().map(row).collect();
+                npz.add_array("angle_height_percent", &Array2::from(rows)).map_err(failed)?;
+            }
+        }
+        npz.finish().map(drop).map_err(failed)
+    })
+}

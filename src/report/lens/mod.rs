@@ -1,0 +1,317 @@
+//! The page of one lens, or of two side by side: what `isoplanat report` writes.
+//!
+//! One [`LensReport`] holds the numbers; [`LensReport::plots`] are its curves under their names. The page, the JSON form and the table of
+//! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits.
+
+mod bars;
+mod curves;
+mod grid;
+mod page;
+mod spots;
+
+use std::time::Instant;
+
+use ndarray::Array4;
+use serde_json::{Value, json};
+
+use super::atlas::{KernelRequest, KernelSet, colour_kernels};
+use super::field::FieldLine;
+use super::health::HealthReport;
+use super::listing::Listing;
+use super::plot::Plot;
+use super::table::{Table, significant};
+use crate::analysis::overview::{Field, Overview, Settings};
+use crate::error::Result;
+use crate::lens::Lens;
+use crate::math::memory::Limit;
+use crate::psf::{Optics, OpticsSpec, Quadrature};
+
+pub use page::html;
+
+/// What to look at.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Options {
+    /// Rays of a spot and wavelength.
+    pub rays: usize,
+    /// Largest field angle, degrees; `None` takes where sensor, field or light end.
+    pub max_angle_deg: Option<f64>,
+    /// Highest frequency of the MTF, cycles/mm; `None` takes the sensor's Nyquist frequency.
+    pub cycles_per_mm: Option<f64>,
+    /// Largest shift of the image plane, mm; `None` takes what the foci ask for.
+    pub shift_mm: Option<f64>,
+    /// Whether kernels are drawn in the colours of the generic sensor: where its band is covered by the lens's media.
+    pub colour: bool,
+    /// What kernels may take.
+    pub memory: Limit,
+}
+
+/// Rays of a kernel.
+const KERNEL_RAYS: usize = 8192;
+/// Radii at which the irradiance is computed, less one.
+const ILLUMINATIONS: u32 = 64;
+
+/// Kernels of the fields, as drawn.
+#[derive(Clone, Debug)]
+struct Atlas {
+    /// `[field, channel, row, col]`.
+    kernels: Array4<f32>,
+    /// Field angles, degrees.
+    angles_deg: Vec<f64>,
+    /// Share of the light outside the window, at most.
+    outside: f64,
+    /// Pixels of a side.
+    size: usize,
+}
+
+/// A lens and everything that the page shows of it.
+#[derive(Clone, Debug)]
+pub struct LensReport {
+    /// The lens.
+    pub lens: Lens,
+    /// Its rays.
+    pub overview: Overview,
+    /// Sensor radius (mm) and irradiance of white over that on the axis.
+    illumination: Vec<[f64; 2]>,
+    atlas: Option<Atlas>,
+    /// What could not be shown, and why.
+    pub missing: Vec<String>,
+    /// Part of the work and its seconds.
+    pub seconds: Vec<(&'static str, f64)>,
+}
+
+/// Rays, curves and MTF of `lens`, and what could not be shown of it.
+pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
+    let mut missing = Vec::new();
+    let max_angle = options.max_angle_deg.unwrap_or_else(|| {
+        FieldLine::new(lens, lens.object_vergence, 2)
+            .map(|line| line.angle_deg.last().copied().unwrap_or(0.0))
+            .unwrap_or_else(|e| {
+                missing.push(format!("fields end at the stated angle, not with sensor or light: {e}"));
+                lens.max_field_deg
+            })
+    });
+    let usual = Settings::usual(lens, max_angle);
+    let settings = Settings {
+        rays: options.rays,
+        cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
+        shift_mm: options.shift_mm,
+        ..usual
+    };
+    let overview = Overview::new(lens, settings);
+    for f in &overview.fields {
+        let angle = significant(f.angle_deg, 4);
+        if let Some(failure) = f.failure {
+            let cause = failure.cause.name().replace('_', " ");
+            missing.push(format!("at {angle}° some rays end at surface {}: {cause}", failure.surface));
+        }
+        if f.spot.is_none() {
+            missing.push(format!("at {angle}° no light reaches the sensor"));
+        }
+    }
+    (overview, missing)
+}
+
+/// Spots by field as a table.
+pub fn spot_table(o: &Overview) -> Table {
+    let mut table = Table::new([
+        "field/deg",
+        "image height/mm",
+        "rms radius/µm",
+        "along x/µm",
+        "along y/µm",
+        "radius/µm",
+        "50 %/µm",
+        "80 %/µm",
+        "best focus/µm",
+        "rms there/µm",
+        "open part of the stop",
+    ]);
+    for f in &o.fields {
+        let um = |v: Option<f64>| v.map_or("–".to_owned(), |v| significant(1e3 * v, 4));
+        table.row([
+            significant(f.angle_deg, 4),
+            f.chief.map_or("–".to_owned(), |c| significant(c.y, 6)),
+            um(f.rms.map(|r| r.value)),
+            um(f.spot.map(|s| s.rms_along.x)),
+            um(f.spot.map(|s| s.rms_along.y)),
+            um(f.spot.map(|s| s.radius)),
+            um(f.energy.map(|e| e[0])),
+            um(f.energy.map(|e| e[1])),
+            um(f.best_focus.map(|z| z[2])),
+            um(f.best_rms),
+            format!("{:.4}", f.open_part),
+        ]);
+    }
+    table
+}
+
+/// Spots by field as JSON, lengths in mm; `null` where there is no light.
+pub fn fields_json(o: &Overview) -> Vec<Value> {
+    let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
+    let field = |f: &Field| {
+        json!({
+            "angle_deg": f.angle_deg,
+            "chief_height_mm": f.chief.map(|c| c.y),
+            "rms_mm": f.rms.map(|r| r.value),
+            "rms_change_mm": f.rms.map(|r| finite(r.change)),
+            "rms_along_mm": f.spot.map(|s| [s.rms_along.x, s.rms_along.y]),
+            "radius_mm": f.spot.map(|s| s.radius),
+            "centroid_mm": f.spot.map(|s| [s.centroid.x, s.centroid.y]),
+            "best_focus_mm": f.best_focus,
+            "best_rms_mm": f.best_rms,
+            "open_part": f.open_part,
+            "encircled_50_80_95_mm": f.energy,
+            "mtf_change": f.mtf_change,
+        })
+    };
+    o.fields.iter().map(field).collect()
+}
+
+/// The spots on the sensor as one drawing (SVG).
+pub fn spot_svg(o: &Overview) -> String {
+    spots::panels(o, 0.0, spots::half_side(o))
+}
+
+/// Curves of rays alone, under their names: those of [`LensReport::plots`] but for the illumination.
+pub fn plots(o: &Overview) -> Vec<(&'static str, Plot)> {
+    curves::all(o, &[])
+}
+
+/// Curves as JSON: under their names, pairs of numbers by series; what is not finite is left out.
+pub fn plots_json<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) -> Value {
+    let one = |(name, p): &(&'static str, Plot)| {
+        let series = p.series.iter().map(|s| {
+            let points = s.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
+            json!({ "name": s.name, "points": points.collect::<Vec<_>>() })
+        });
+        let series = series.collect::<Vec<_>>();
+        ((*name).to_owned(), json!({ "title": p.title, "x": p.x_label, "y": p.y_label, "series": series }))
+    };
+    plots.into_iter().map(one).collect::<serde_json::Map<String, Value>>().into()
+}
+
+/// Curves as comma-separated values: plot, series, x, y.
+pub fn plots_csv<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) -> String {
+    let mut table = Table::new(["plot", "series", "x", "y"]);
+    for (name, plot) in plots {
+        for s in &plot.series {
+            for [x, y] in s.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite()) {
+                table.row([(*name).to_owned(), s.name.clone(), x.to_string(), y.to_string()]);
+            }
+        }
+    }
+    table.csv()
+}
+
+impl LensReport {
+    /// Looks at `lens`.
+    ///
+    /// What a lens does not have (light off the axis, symmetry for curves over the field) is listed as missing; nothing fails.
+    pub fn new(lens: Lens, options: &Options) -> Self {
+        let start = Instant::now();
+        let (overview, missing) = look(&lens, options);
+        let end = start.elapsed().as_secs_f64() - overview.seconds.iter().sum::<f64>();
+        let [spots, curves] = overview.seconds;
+        let seconds = vec![("end of the field", end), ("spots, fans, MTF", spots), ("curves over field and zones", curves)];
+        let mut report = Self { lens, overview, illumination: Vec::new(), atlas: None, missing, seconds };
+        let start = Instant::now();
+        match report.white() {
+            Ok(white) => report.illumination = white,
+            Err(e) => report.missing.push(format!("relative illumination: {e}")),
+        }
+        report.seconds.push(("relative illumination", start.elapsed().as_secs_f64()));
+        let start = Instant::now();
+        match report.kernels(options) {
+            Ok(atlas) => report.atlas = Some(atlas),
+            Err(e) => report.missing.push(format!("point spread functions: {e}")),
+        }
+        report.seconds.push(("point spread functions", start.elapsed().as_secs_f64()));
+        report
+    }
+
+    /// Irradiance of white over the radius, all wavelengths by their weights.
+    fn white(&self) -> Result<Vec<[f64; 2]>> {
+        let (nm, share): (Vec<f64>, Vec<f64>) = self.overview.colours.iter().copied().unzip();
+        let heights: Vec<f64> = self.overview.curve.iter().map(|r| r.height.abs()).collect();
+        let radius = heights.iter().copied().fold(0.0, f64::max);
+        let spec = OpticsSpec::even(
+            radius.max(1e-3),
+            vec![self.lens.object_vergence],
+            Quadrature { nm, weight: vec![share] },
+        );
+        let optics = Optics::compute(&self.lens, &spec)?.illuminated(ILLUMINATIONS);
+        Ok(heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect())
+    }
+
+    fn kernels(&self, options: &Options) -> Result<Atlas> {
+        let (wavelength_nm, weights) = self.overview.colours.iter().copied().unzip();
+        let request = KernelRequest {
+            depth_mm: vec![1.0 / self.lens.object_vergence],
+            wavelength_nm,
+            weights,
+            fields: self.overview.fields.len().max(1),
+            size: None,
+            pitch_mm: self.lens.sensor.pitch_mm(),
+            rays: KERNEL_RAYS,
+            memory: options.memory,
+        };
+        let set = KernelSet::compute(&self.lens, &request)?;
+        let kernels = if options.colour {
+            colour_kernels(&self.lens, &request)?
+        } else {
+            let grey = set.polychromatic_kernels();
+            let (_, fields, rows, columns) = grey.dim();
+            grey.into_shape_with_order((fields, 1, rows, columns))
+                .map_err(|e| crate::error::Error::Internal(e.to_string()))?
+        };
+        let outside = set.outside.iter().copied().fold(0.0, f64::max);
+        let size = kernels.dim().2;
+        Ok(Atlas { kernels, angles_deg: set.angle_deg.iter().copied().collect(), outside, size })
+    }
+
+    /// Every curve under its name.
+    pub fn plots(&self) -> Vec<(&'static str, Plot)> {
+        curves::all(&self.overview, &self.illumination)
+    }
+
+    /// Figures with what their sampling leaves open: name, unit, value, change from a quarter of the rays.
+    fn sampled(&self) -> Vec<(String, &'static str, f64, f64)> {
+        let mut rows = Vec::new();
+        for f in &self.overview.fields {
+            let angle = significant(f.angle_deg, 4);
+            if let Some(rms) = f.rms {
+                rows.push((format!("rms spot radius at {angle}°"), "µm", 1e3 * rms.value, 1e3 * rms.change));
+            }
+            let middle = f.mtf.len() / 2;
+            if let Some([t, s]) = f.mtf.get(middle) {
+                rows.push((format!("MTF at {angle}°, half of the plotted frequencies"), "", 0.5 * (t + s), f.mtf_change));
+            }
+        }
+        rows
+    }
+
+    /// Everything as one JSON object: lengths in mm (spots too), curves under their names as pairs.
+    pub fn json(&self) -> Value {
+        let o = &self.overview;
+        let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
+        json!({
+            "schema": 1,
+            "lens": Listing::new(&self.lens, o.primary_nm).json(),
+            "wavelengths": o.colours.iter().map(|(nm, share)| json!({"nm": nm, "share": share})).collect::<Vec<_>>(),
+            "rays": o.settings.rays,
+            "airy_radius_mm": finite(o.airy_radius),
+            "shifts_mm": o.shifts_mm,
+            "cycles_per_mm": o.cycles_per_mm,
+            "fields": fields_json(o),
+            "plots": plots_json(&self.plots()),
+            "check_passes": HealthReport::new(&self.lens).health().passes(),
+            "missing": self.missing,
+            "seconds": self.seconds.iter().map(|(k, v)| json!({"part": k, "seconds": v})).collect::<Vec<_>>(),
+        })
+    }
+
+    /// All curves: plot, series, x, y.
+    pub fn csv(&self) -> String {
+        plots_csv(&self.plots())
+    }
+}

@@ -1,0 +1,289 @@
+//! The sections of the page: one lens, or two side by side.
+
+use super::curves::{PATHS, RAYS, frequency};
+use super::spots::{half_side, panels};
+use super::{Atlas, LensReport, bars, grid, spot_table};
+use crate::error::Result;
+use crate::lens::paraxial::first_order;
+use crate::lens::seidel;
+use crate::report::atlas::{Style, picture};
+use crate::report::drawing::lens_svg;
+use crate::report::health::HealthReport;
+use crate::report::html::{Fact, Page, Picture};
+use crate::report::listing::Listing;
+use crate::report::plot::Plot;
+use crate::report::table::{Table, significant};
+
+/// Decades of the logarithmic atlas.
+const DECADES: f32 = 4.0;
+/// Surfaces up to which sums are shown as bars.
+const MOST_BARS: usize = 32;
+
+/// The page of `reports`: one lens, or several beside each other.
+///
+/// # Errors
+/// Pictures that cannot be encoded.
+pub fn html(reports: &[LensReport]) -> Result<String> {
+    let names: Vec<&str> = reports.iter().map(|r| r.lens.name.as_str()).collect();
+    let subtitle = match reports {
+        [one] => one.lens.source.clone(),
+        _ => "Side by side: each row shows the lenses in this order.".to_owned(),
+    };
+    let mut page = Page::new(&names.join(" · "), &subtitle);
+    let pages = Pages { reports, plots: reports.iter().map(LensReport::plots).collect() };
+    pages.summary(&mut page);
+    pages.layout(&mut page);
+    pages.third_order(&mut page);
+    pages.spots(&mut page);
+    pages.fans(&mut page);
+    pages.field(&mut page);
+    pages.kernels(&mut page)?;
+    pages.mtf(&mut page);
+    pages.health(&mut page);
+    pages.accuracy(&mut page);
+    Ok(page.finish_with_contents())
+}
+
+/// What all sections read.
+struct Pages<'a> {
+    reports: &'a [LensReport],
+    plots: Vec<Vec<(&'static str, Plot)>>,
+}
+
+/// A fact, if its value is a number.
+fn fact(value: f64, digits: usize, unit: &str, label: &str) -> Option<Fact> {
+    let value = value.is_finite().then(|| format!("{}{unit}", significant(value, digits)))?;
+    Some(Fact { value, label: label.to_owned() })
+}
+
+impl Pages<'_> {
+    /// What stands before a lens's own part where there are several.
+    fn named(&self, page: &mut Page, report: &LensReport) {
+        if self.reports.len() > 1 {
+            page.heading(&report.lens.name);
+        }
+    }
+
+    /// The plot `name` of every lens.
+    fn plot(&self, name: &str) -> Vec<(String, String)> {
+        let several = self.reports.len() > 1;
+        let caption = |r: &LensReport| if several { r.lens.name.clone() } else { String::new() };
+        let found = self.plots.iter().zip(self.reports).filter_map(|(plots, r)| {
+            let (_, plot) = plots.iter().find(|(n, _)| *n == name)?;
+            Some((plot.to_svg(), caption(r)))
+        });
+        found.collect()
+    }
+
+    fn summary(&self, page: &mut Page) {
+        for r in self.reports {
+            self.named(page, r);
+            let f = first_order(&r.lens, r.overview.primary_nm);
+            let largest = |values: &mut dyn Iterator<Item = f64>| {
+                values.fold(f64::NAN, |m, v| if m.is_nan() || v.abs() > m.abs() { v } else { m })
+            };
+            let end = r.overview.curve.last();
+            let light = r.illumination.iter().map(|p| p[1]).fold(f64::NAN, f64::min);
+            let passes = HealthReport::new(&r.lens).health().passes();
+            let facts = [
+                fact(f.effective_focal_length, 5, " mm", "focal length"),
+                fact(f.working_f_number, 4, "", "working f-number"),
+                fact(end.map_or(f64::NAN, |e| e.angle_deg), 4, "°", "half field shown"),
+                fact(r.lens.length(), 5, " mm", "first vertex to sensor"),
+                fact(
+                    1e3 * largest(&mut r.overview.fields.iter().filter_map(|f| Some(f.rms?.value))),
+                    4,
+                    " µm",
+                    "largest rms spot radius",
+                ),
+                fact(
+                    largest(&mut r.overview.curve.iter().map(|c| c.distortion_percent)),
+                    3,
+                    " %",
+                    "largest distortion",
+                ),
+                fact(100.0 * light, 3, " %", "least relative illumination"),
+                Some(Fact {
+                    value: if passes { "passed" } else { "failed" }.into(),
+                    label: "numerical check".into(),
+                }),
+            ];
+            page.facts(&facts.into_iter().flatten().collect::<Vec<_>>());
+            if !r.missing.is_empty() {
+                page.paragraph("Not shown, or not whole:");
+                page.list(&r.missing);
+            }
+        }
+    }
+
+    fn layout(&self, page: &mut Page) {
+        page.section("Layout");
+        let drawings: Vec<_> = self.reports.iter().map(|r| (lens_svg(&r.lens), String::new())).collect();
+        page.drawings(&drawings, 520);
+        page.note("Rays through the real stop; those that a clear aperture stops end there and are drawn faintly.");
+        for r in self.reports {
+            self.named(page, r);
+            let listing = Listing::new(&r.lens, r.overview.primary_nm);
+            page.table(&listing.surface_table());
+            page.table(&listing.media_table());
+            page.heading("First-order data");
+            page.table(&listing.first_order_table());
+        }
+    }
+
+    fn third_order(&self, page: &mut Page) {
+        page.section("Third-order sums");
+        let names =
+            ["S_I spherical", "S_II coma", "S_III astigmatism", "S_IV Petzval", "S_V distortion", "C_I axial", "C_II lateral"];
+        for r in self.reports {
+            self.named(page, r);
+            let sums = seidel::per_surface(&r.lens, r.overview.primary_nm);
+            if sums.len() <= MOST_BARS {
+                let microns = |s: seidel::Seidel| s.to_array().map(|v| 1e3 * v).to_vec();
+                let mut groups: Vec<_> = sums.iter().enumerate().map(|(i, s)| (i.to_string(), microns(*s))).collect();
+                groups.push(("sum".into(), microns(seidel::total(&sums))));
+                page.drawings(&[(bars::bars("By surface", "µm", &names, &groups), String::new())], 520);
+            }
+            page.table(&Listing::new(&r.lens, r.overview.primary_nm).seidel_table());
+        }
+        page.note("Welford's sums at full aperture and field, primary wavelength; colour between the shortest and the longest wavelength. Wave aberration at the rim: S_I/8 and so on.");
+    }
+
+    fn spots(&self, page: &mut Page) {
+        page.section("Spots");
+        for r in self.reports {
+            self.named(page, r);
+            let o = &r.overview;
+            let half = half_side(o);
+            let figures: Vec<(String, String)> = o
+                .shifts_mm
+                .iter()
+                .map(|z| {
+                    let place = if *z == 0.0 {
+                        "On the sensor.".to_owned()
+                    } else {
+                        format!("{} µm {} the sensor.", significant(1e3 * z.abs(), 3), if *z > 0.0 { "behind" } else { "before" })
+                    };
+                    (panels(o, *z, half), place)
+                })
+                .collect();
+            page.stepped(&figures, o.shifts_mm.len() / 2, "focus");
+            page.table(&spot_table(o));
+        }
+        let rays = self.reports.first().map_or(0, |r| r.overview.settings.rays);
+        page.note(&format!(
+            "All wavelengths by their weights, y upwards in the meridian of the field; the dashed circle is the Airy disc of the primary wavelength on the axis, which rays know nothing of. \
+             Drawn: {} rays a wavelength; figures: about {rays}, by the light they stand for. The slider moves the image plane.",
+            self.reports.first().map_or(0, |r| r.overview.settings.drawn)
+        ));
+        let mut drawings = self.plot("encircled_energy");
+        drawings.extend(self.plot("rms_focus"));
+        page.drawings(&drawings, 440);
+    }
+
+    fn fans(&self, page: &mut Page) {
+        page.section("Ray and path fans");
+        let fields = self.reports.iter().map(|r| r.overview.fields.len()).max().unwrap_or(0).min(RAYS.len());
+        let drawings: Vec<_> =
+            (0..fields).flat_map(|k| [self.plot(RAYS[k]), self.plot(PATHS[k])].concat()).collect();
+        page.drawings(&drawings, 380);
+        page.note(
+            "T: along the meridian, S: across it. Transverse errors from the primary wavelength's chief ray; path differences from the sphere about its landing \
+             through the paraxial exit pupil, positive where the wavefront is ahead (Welford). Rays that an aperture stops are missing.",
+        );
+    }
+
+    fn field(&self, page: &mut Page) {
+        page.section("Over the field");
+        let names = ["field_curvature", "distortion", "lateral_colour", "longitudinal", "illumination", "chief_angle"];
+        let drawings: Vec<_> = names.iter().flat_map(|n| self.plot(n)).collect();
+        page.drawings(&drawings, 440);
+        let grids: Vec<_> = self
+            .reports
+            .iter()
+            .filter_map(|r| {
+                let svg = grid::grid(&r.lens.sensor, &r.overview.curve)?;
+                Some((svg, format!("{}: a square grid on the sensor (dashed) and as the lens shows it.", r.lens.name)))
+            })
+            .collect();
+        page.drawings(&grids, 440);
+        page.note(
+            "Foci of rays close to the chief ray, to 1e-8 of Coddington's equations on one sphere. Distortion against the scale of a thousandth of the field. \
+             Relative illumination is the irradiance of white over that on the axis, edges hard (to 2e-4 rms); the open part counts the stop's area alone.",
+        );
+    }
+
+    fn kernels(&self, page: &mut Page) -> Result<()> {
+        page.section("Point spread functions");
+        let mut shown = Vec::new();
+        for r in self.reports {
+            let Some(Atlas { kernels, angles_deg, outside, size }) = &r.atlas else { continue };
+            let angles: Vec<String> = angles_deg.iter().map(|a| format!("{}°", significant(*a, 3))).collect();
+            let note = format!(
+                "{size} × {size} pixels of {} µm, at most {} % of the light outside",
+                significant(r.lens.sensor.pitch_um, 4),
+                significant(100.0 * outside, 2)
+            );
+            for (style, scale) in [
+                (Style::default(), "by its own peak".to_owned()),
+                (Style { decades: Some(DECADES), ..Style::default() }, format!("{DECADES} decades below its peak")),
+            ] {
+                let image = picture(kernels, angles.len(), style);
+                let caption = format!("{}: {}, each {scale}", r.lens.name, angles.join(", "));
+                shown.push((image, caption, note.clone()));
+            }
+        }
+        let pictures: Vec<Picture<'_>> = shown
+            .iter()
+            .map(|(image, caption, note)| Picture { image, caption: caption.clone(), notes: vec![note.clone()], pixelated: true })
+            .collect();
+        page.pictures(&pictures, 520)?;
+        page.note("Rays on the sensor's pixels, box and tent of a pixel included, without diffraction; upright as in the picture, the field's outward direction upwards.");
+        Ok(())
+    }
+
+    fn mtf(&self, page: &mut Page) {
+        page.section("Modulation transfer");
+        for r in self.reports {
+            self.named(page, r);
+            let o = &r.overview;
+            let figures: Vec<(String, String)> = (0..o.shifts_mm.len())
+                .map(|k| {
+                    let caption = format!("Image plane moved by {} µm.", significant(1e3 * o.shifts_mm[k], 3));
+                    (frequency(o, Some(k)).to_svg(), caption)
+                })
+                .collect();
+            page.stepped(&figures, o.shifts_mm.len() / 2, "focus");
+        }
+        let drawings: Vec<_> = ["mtf_field", "mtf_focus"].iter().flat_map(|n| self.plot(n)).collect();
+        page.drawings(&drawings, 440);
+        page.note("Of rays: modulus of the mean of exp(−2πi f·p) over all wavelengths by their weights. T: lines across the meridian, S: along it.");
+    }
+
+    fn health(&self, page: &mut Page) {
+        page.section("Numerical check");
+        for r in self.reports {
+            self.named(page, r);
+            let check = HealthReport::new(&r.lens);
+            page.table(&check.table());
+        }
+    }
+
+    fn accuracy(&self, page: &mut Page) {
+        page.section("Accuracy and time");
+        for r in self.reports {
+            self.named(page, r);
+            let mut table = Table::new(["what", "value", "unit", "change from a quarter of the rays"]);
+            for (name, unit, value, change) in r.sampled() {
+                table.row([name, significant(value, 5), unit.to_owned(), significant(change, 2)]);
+            }
+            page.table(&table);
+            let mut table = Table::new(["part", "seconds"]);
+            for (part, seconds) in &r.seconds {
+                table.row([(*part).to_owned(), format!("{seconds:.3}")]);
+            }
+            page.table(&table);
+        }
+        page.note("Rays are exact (1e-9 mm against other programs): what is left is how many there are. The change from a quarter of the rays is an estimate from above where pupils are not cut.");
+    }
+}

@@ -1,0 +1,177 @@
+//! `report`, `mtf`, `spot`, `distortion`: what they write, and what they say of lenses that lack something; spots against other programs.
+
+use glam::{DVec2, DVec3};
+use isoplanat::analysis::beam::Landing;
+use isoplanat::analysis::spot::{best_focus, geometric_mtf, spot};
+use isoplanat::trace::Ray;
+use isoplanat::trace::sequential::trace;
+use serde_json::Value;
+
+use crate::golden::{LENSES, number, numbers, read, system};
+use crate::support::Workplace;
+
+fn json(text: &str) -> Value {
+    serde_json::from_str(text).expect("JSON")
+}
+
+/// The golden grid of rays of one field, traced.
+fn landings(golden: &Value, field: &Value, wavelength: usize) -> Vec<Landing> {
+    let s = system(golden, wavelength);
+    let launch = &field["launch"];
+    let [centre, direction] = ["center", "direction"].map(|k| DVec3::from_slice(&numbers(&launch[k])));
+    let half = DVec2::new(number(&launch["half_width_x"]), number(&launch["half_width_y"]));
+    let places = (0..20).map(|i| (f64::from(i) + 0.5) / 20.0 * 2.0 - 1.0).collect::<Vec<f64>>();
+    let points = places.iter().flat_map(|x| places.iter().map(|y| DVec2::new(*x, *y))).filter(|u| u.length_squared() <= 1.0);
+    points
+        .map(|u| {
+            let origin = centre + (u * half).extend(0.0);
+            let hit = trace(&s, Ray { origin, direction }, s.image(), &mut Vec::new()).expect("lands");
+            let slope = hit.direction.truncate() / hit.direction.z;
+            Landing { stop: u, at: hit.at.point.truncate(), slope, weight: 1.0 }
+        })
+        .collect()
+}
+
+/// Centroids, rms radii, best foci and MTF of ray-optics, ray by ray.
+#[test]
+fn spots_agree_with_rayoptics() {
+    let (mut count, mut worst) = (0, 0.0f64);
+    for name in LENSES {
+        let Some(golden) = read(name) else { return };
+        let frequencies = numbers(&golden["spots"]["mtf_frequencies_cy_per_mm"]);
+        for field in golden["spots"]["fields"].as_array().expect("list") {
+            for (w, of) in field["per_wavelength"].as_array().expect("list").iter().enumerate() {
+                let theirs = &of["rayoptics"];
+                let rays = landings(&golden, field, w);
+                let found = spot(&rays, 0.0).expect("light");
+                let shift = best_focus(&rays).expect("rays that meet")[2];
+                let mut differences = vec![
+                    (found.centroid.y - number(&theirs["centroid_y"]), 1e-9),
+                    (found.rms - number(&theirs["rms_nominal"]), 1e-9),
+                    // The least of a parabola: known to the root of what its values are.
+                    (shift - number(&theirs["best_focus_shift"]), 1e-6),
+                    (spot(&rays, shift).expect("light").rms - number(&theirs["rms_best_focus"]), 1e-9),
+                ];
+                for (along, key) in [(DVec2::Y, "geometric_mtf_tangential"), (DVec2::X, "geometric_mtf_sagittal")] {
+                    for (f, value) in frequencies.iter().zip(numbers(&theirs[key])) {
+                        differences.push((geometric_mtf(&rays, along, *f, 0.0) - value, 1e-9));
+                    }
+                }
+                for (k, (difference, limit)) in differences.iter().enumerate() {
+                    assert!(difference.abs() <= *limit, "{name} {} {w} {k}: {difference:e}", field["field_deg"]);
+                    worst = worst.max(difference.abs() / limit);
+                }
+                count += 1;
+            }
+        }
+    }
+    eprintln!("{count} golden spots: worst difference {worst:e} of what is allowed");
+}
+
+#[test]
+fn a_report_has_its_sections_and_says_the_same_in_all_forms() {
+    let place = Workplace::new();
+    let found = json(&place.run("report cooke_triplet -o page.html --csv rows.csv --json").done());
+    assert_eq!(place.files(), ["page.html", "rows.csv"]);
+    let text = |name: &str| std::fs::read_to_string(place.path(name)).expect("reads");
+    let page = text("page.html");
+    for section in [
+        "layout", "third-order-sums", "spots", "ray-and-path-fans", "over-the-field", "point-spread-functions",
+        "modulation-transfer", "numerical-check", "accuracy-and-time",
+    ] {
+        assert!(page.contains(&format!("<section id=\"{section}\">")), "{section}");
+    }
+    assert!(page.len() < 2_000_000, "{} bytes", page.len());
+    assert!(!page.contains("NaN") && !page.contains(">inf") && !page.contains("src=\"http"));
+    assert_eq!(found["missing"], serde_json::json!([]));
+    // What a page shows under the pointer are the numbers of the JSON form, which are those of the table.
+    let curve = &found["plots"]["distortion"]["series"][0]["points"];
+    let last = numbers(&curve[curve.as_array().expect("points").len() - 1]);
+    let shown = format!("{},{}", isoplanat::report::table::significant(last[0], 6), isoplanat::report::table::significant(last[1], 6));
+    assert!(page.contains(&shown), "{shown}");
+    assert!(text("rows.csv").contains(&format!("distortion,,{},{}", last[0], last[1])));
+    // Distortion of the golden file: −0.374 % at 20°.
+    assert!((last[0] - 20.0).abs() < 1e-6 && (last[1] + 0.374).abs() < 0.01, "{last:?}");
+    let fields = found["fields"].as_array().expect("fields");
+    assert_eq!(fields.len(), 5);
+    for f in fields {
+        let (rms, change) = (number(&f["rms_mm"]), number(&f["rms_change_mm"]));
+        assert!(rms > 1e-3 && change < 0.02 * rms, "{f}");
+    }
+    place.run("report cooke_triplet -o page.html").refused(&["page.html", "--force"]);
+}
+
+#[test]
+fn two_lenses_stand_side_by_side() {
+    let place = Workplace::new();
+    let found = json(&place.run("report two_element ac254_050_a --rays 200 -o page.html --json").done());
+    assert_eq!(found["lenses"].as_array().map(Vec::len), Some(2));
+    let page = std::fs::read_to_string(place.path("page.html")).expect("reads");
+    for lens in found["lenses"].as_array().expect("two") {
+        let name = lens["lens"]["name"].as_str().expect("a name");
+        assert!(page.matches(&isoplanat::report::svg::escape(name)).count() > 5, "{name}");
+    }
+}
+
+#[test]
+fn lenses_that_lack_something_get_a_page_that_says_so() {
+    let place = Workplace::new();
+    let text = std::fs::read_to_string(crate::support::root().join("models/lenses/cooke_triplet.toml")).expect("reads");
+    // The last surface is closed to all but the middle: the border of the field is dark.
+    let lines: Vec<&str> = text.lines().collect();
+    let last = lines.iter().rposition(|l| l.starts_with("semi_diameter_mm")).expect("a rim");
+    let mut narrow: Vec<String> = lines.iter().map(|l| (*l).to_owned()).collect();
+    narrow[last] = "semi_diameter_mm = 1.2".into();
+    place.write("dark.toml", narrow.join("\n"));
+    // Tilted: no curves over a radius.
+    let mut tilted: Vec<String> = lines.iter().map(|l| (*l).to_owned()).collect();
+    tilted.insert(last + 1, "tilt_deg = [0.5, 0.0, 0.0]".into());
+    place.write("tilted.toml", tilted.join("\n"));
+    // Plane plates: no focus anywhere.
+    place.write(
+        "afocal.toml",
+        "schema = 1\nname = \"plate\"\nsource = \"test\"\naperture = { entrance_pupil_diameter_mm = 5.0 }\nobject = { distance_mm = inf }\n\
+         field = { max_angle_deg = 50.0 }\nwavelengths = { nm = [587.5618], weights = [1], primary_nm = 587.5618 }\n\
+         sensor = { columns = 600, rows = 400, pitch_um = 20.0 }\n[[surface]]\nradius_mm = inf\nthickness_mm = 3.0\nmedium = \"N-BK7\"\n\
+         semi_diameter_mm = 30.0\nstop = true\n[[surface]]\nradius_mm = inf\nthickness_mm = 5.0\nmedium = \"air\"\nsemi_diameter_mm = 30.0\n",
+    );
+    for (lens, says) in [("dark.toml", "no light"), ("tilted.toml", "symmetr"), ("afocal.toml", "")] {
+        let ran = place.run(&format!("report {lens} --rays 100 --max-angle-deg 20 -o {lens}.html --json"));
+        let found = json(&ran.done());
+        let missing = found["missing"].to_string();
+        assert!(missing.contains(says), "{lens}: {missing}");
+        let page = std::fs::read_to_string(place.path(&format!("{lens}.html"))).expect("reads");
+        assert!(page.contains("modulation-transfer") && !page.contains("NaN"), "{lens}");
+    }
+}
+
+#[test]
+fn single_analyses_print_tables_json_arrays_and_drawings() {
+    let place = Workplace::new();
+    for (command, heading, key) in
+        [("mtf", "cycles/mm", "mtf"), ("spot", "rms radius", "rms_focus"), ("distortion", "distortion/%", "distortion")]
+    {
+        assert!(place.run(&format!("{command} cooke_triplet --rays 200")).done().contains(heading));
+        let found = json(
+            &place
+                .run(&format!("{command} cooke_triplet --rays 200 --json --svg {command}.svg --npz {command}.npz --csv {command}.csv"))
+                .done(),
+        );
+        assert!(found["plots"][key]["series"][0]["points"].as_array().is_some_and(|p| p.len() > 5), "{command}: {found}");
+        let text = |end: &str| std::fs::read(place.path(&format!("{command}.{end}"))).expect("reads");
+        assert!(text("svg").starts_with(b"<svg") && text("npz").starts_with(b"PK") && text("csv").starts_with(b"plot,series"));
+        place.run(&format!("{command} cooke_triplet --svg {command}.svg")).refused(&["svg", "--force"]);
+    }
+}
+
+#[test]
+fn bad_input_of_reports_is_named() {
+    let place = Workplace::new();
+    place.run("report cooke_triplet").refused(&["output", "-o"]);
+    place.run("report cooke_triplet -o a.html --depth-mm -5").refused(&["--depth-mm", "-5"]);
+    place.run("report cooke_triplet -o a.html --max-angle-deg nan").refused(&["--max-angle-deg", "NaN"]);
+    place.run("mtf cooke_triplet --max-cycles-per-mm 0").refused(&["--max-cycles-per-mm", "0.001"]);
+    place.run("report none_such -o a.html").refused(&["none_such"]);
+    place.run("report cooke_triplet two_element --csv a.csv").refused(&["--csv", "one lens"]);
+    assert!(place.files().is_empty());
+}
