@@ -260,7 +260,8 @@ impl Training {
             self.state.seconds = before + begun.elapsed().as_secs_f64();
             // After a resume a few steps come first; very long ones do not wait for others.
             let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 0.1 * self.state.seconds;
-            if known && self.schedule.settle(self.state.step, self.state.seconds, median(&pace)) {
+            // What a training goes back to must be sound: every checkpoint on the way is.
+            if known && self.guard.sound() && self.schedule.settle(self.state.step, self.state.seconds, median(&pace)) {
                 // From here on the length is fixed: a kill must not settle it anew.
                 self.state.settled = self.schedule.settled;
                 self.checkpoint()?;
@@ -306,10 +307,11 @@ impl Training {
                 entry,
             });
             if !go_on {
-                self.checkpoint()?;
+                if self.guard.sound() {
+                    self.checkpoint()?;
+                }
                 return Err(Error::Interrupted);
             }
-            // What a training goes back to must be sound.
             if saved.elapsed().as_secs_f64() >= self.task.train.checkpoint_seconds && self.guard.sound() {
                 self.checkpoint()?;
                 saved = Instant::now();

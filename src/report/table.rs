@@ -63,7 +63,7 @@ impl fmt::Display for Table {
 /// A number with `digits` significant digits, without needless zeros; `inf` where it is infinite.
 pub fn significant(value: f64, digits: usize) -> String {
     if !value.is_finite() || value == 0.0 {
-        return if value.is_nan() { "nan".into() } else { format!("{value}") };
+        return if value.is_nan() { "nan".into() } else { format!("{}", value + 0.0) };
     }
     #[expect(clippy::cast_possible_truncation, reason = "an exponent of f64")]
     let exponent = value.abs().log10().floor() as i32;

@@ -27,11 +27,13 @@ const ORDER: [&str; 16] = [
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 5] = [
+const CRATES: [(&[&str], &[&str]); 7] = [
     (&["burn", "onnx_rs"], &["src/network/", "src/design/"]),
     (&["ort", "tract_onnx"], &["src/deploy/session"]),
     (&["rawler"], &["src/deploy/raw"]),
     (&["image"], &["src/imaging/files.rs"]),
+    (&["maud"], &["src/report/html.rs"]),
+    (&["tiny_http"], &["src/bin/isoplanat/view.rs"]),
     (&["tiff"], &["src/imaging/files.rs", "src/imaging/sensor/dng.rs"]),
 ];
 

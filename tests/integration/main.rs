@@ -34,6 +34,7 @@ mod support;
 mod throughput;
 #[cfg(feature = "train")]
 mod training;
+mod view;
 mod vignetting;
 mod white;
 mod white_axis;

@@ -149,7 +149,7 @@ fn lenses_that_lack_something_get_a_page_that_says_so() {
 fn single_analyses_print_tables_json_arrays_and_drawings() {
     let place = Workplace::new();
     for (command, heading, key) in
-        [("mtf", "cycles/mm", "mtf"), ("spot", "rms radius", "rms_focus"), ("distortion", "distortion/%", "distortion")]
+        [("mtf", "cycles/mm", "mtf"), ("spot", "rms/µm", "rms_focus"), ("distortion", "distortion/%", "distortion")]
     {
         assert!(place.run(&format!("{command} cooke_triplet --rays 200")).done().contains(heading));
         let found = json(

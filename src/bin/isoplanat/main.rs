@@ -40,6 +40,7 @@ mod sweep;
 mod trace;
 #[cfg(feature = "train")]
 mod train;
+mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
 use std::process::ExitCode;
@@ -88,6 +89,8 @@ enum Command {
     Spot(analyses::Args),
     /// Distortion over the field
     Distortion(analyses::Args),
+    /// The page of a lens or a run in a browser, following its file
+    View(view::Args),
     /// Spots, fans, curves over the field, PSFs and MTF of a lens on one page; of two side by side
     Report(report::Args),
     /// The picture on the sensor, by PSF grid or by rays from the sensor
@@ -146,6 +149,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Mtf(args) => analyses::run(analyses::Kind::Mtf, &args, out),
         Command::Spot(args) => analyses::run(analyses::Kind::Spot, &args, out),
         Command::Distortion(args) => analyses::run(analyses::Kind::Distortion, &args, out),
+        Command::View(args) => view::run(&args, out),
         Command::Report(args) => report::run(&args, out),
         Command::Render(args) => render::run(&args, out),
         Command::Accuracy(args) => accuracy::run(&args, out),

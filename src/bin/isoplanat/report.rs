@@ -7,6 +7,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::lens::{LensReport, Options, html};
 use isoplanat::Error;
+use isoplanat::lens::Lens;
 
 use crate::analyses::View;
 
@@ -47,7 +48,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut reports = Vec::new();
     for name in &args.lenses {
         let lens = args.view.lens(name)?;
-        let colour = SpectralDensity::new(&Sensor::generic()).require(&lens).is_ok();
+        let colour = in_colour(&lens);
         reports.push(LensReport::new(lens, &Options { colour, ..options.clone() }));
     }
     if let Some(path) = &args.output {
@@ -77,4 +78,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "open {}", path.display())?;
     }
     Ok(())
+}
+
+/// Whether the generic sensor sees the lens's light, so that kernels can be drawn in its colours.
+pub(crate) fn in_colour(lens: &Lens) -> bool {
+    SpectralDensity::new(&Sensor::generic()).require(lens).is_ok()
 }

@@ -172,7 +172,8 @@ impl Pages<'_> {
         }
         let rays = self.reports.first().map_or(0, |r| r.overview.settings.rays);
         page.note(&format!(
-            "All wavelengths by their weights, y upwards in the meridian of the field; the dashed circle is the Airy disc of the primary wavelength on the axis, which rays know nothing of. \
+            "rms: root mean square distance from the centroid, with its parts in x and y; radius: the farthest ray; 50 and 80 %: radii that hold so much of the light; open: part of the stop's rays that \
+             arrives. All wavelengths by their weights, y upwards in the meridian of the field; the dashed circle is the Airy disc of the primary wavelength on the axis, which rays know nothing of. \
              Drawn: {} rays a wavelength; figures: about {rays}, by the light they stand for. The slider moves the image plane.",
             self.reports.first().map_or(0, |r| r.overview.settings.drawn)
         ));
@@ -233,12 +234,16 @@ impl Pages<'_> {
                 shown.push((image, caption, note.clone()));
             }
         }
+        if shown.is_empty() {
+            page.paragraph("Not made here.");
+            return Ok(());
+        }
         let pictures: Vec<Picture<'_>> = shown
             .iter()
             .map(|(image, caption, note)| Picture { image, caption: caption.clone(), notes: vec![note.clone()], pixelated: true })
             .collect();
         page.pictures(&pictures, 520)?;
-        page.note("Rays on the sensor's pixels, box and tent of a pixel included, without diffraction; upright as in the picture, the field's outward direction upwards.");
+        page.note("Rays gathered by the sensor's pixels, without diffraction; upright as in the picture, the field's outward direction upwards.");
         Ok(())
     }
 

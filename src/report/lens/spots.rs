@@ -19,6 +19,7 @@ pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64) -> String {
     let left = |k: usize| GAP + k as f64 * (PANEL + GAP);
     let width = left(count).max(420.0);
     let mut svg = Svg::new(width, HEAD + PANEL + FOOT);
+    svg.attributes("data-wide=\"\"");
     let scale = 0.5 * PANEL / half_mm;
     for (k, field) in overview.fields.iter().enumerate() {
         let middle = [left(k) + 0.5 * PANEL, HEAD + 0.5 * PANEL];
@@ -43,7 +44,7 @@ pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64) -> String {
             }
             let airy = overview.airy_radius * scale;
             if airy < 0.5 * PANEL {
-                svg.circle(middle, airy, "stroke=\"currentColor\" stroke-opacity=\".7\" stroke-dasharray=\"3 3\"");
+                svg.circle(middle, airy, "stroke=\"currentColor\" stroke-width=\"1.4\" stroke-dasharray=\"3 3\"");
             }
         }
         svg.close();
