@@ -4,3 +4,6 @@
 //! differentiated: gradients belong to `psf` and `optimize`.
 
 pub mod beam;
+pub mod diffraction;
+pub mod wavefront;
+pub mod zernike;

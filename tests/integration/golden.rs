@@ -10,21 +10,21 @@ use isoplanat::trace::wavefront::{Reference, Wavefront};
 use isoplanat::trace::{ObjectPoint, Ray, System, SystemGradient};
 use serde_json::Value;
 
-fn number(v: &Value) -> f64 {
+pub(crate) fn number(v: &Value) -> f64 {
     v.as_f64().unwrap_or_else(|| v.as_str().expect("number").parse().expect("number"))
 }
 
-fn numbers(v: &Value) -> Vec<f64> {
+pub(crate) fn numbers(v: &Value) -> Vec<f64> {
     v.as_array().expect("list").iter().map(number).collect()
 }
 
-fn read(name: &str) -> Option<Value> {
+pub(crate) fn read(name: &str) -> Option<Value> {
     let path = shared(&format!("golden/{name}.json"))?;
     Some(serde_json::from_slice(&std::fs::read(path).expect("readable")).expect("JSON"))
 }
 
 /// The golden file's own numbers: no glass catalogue, no apertures.
-fn system(golden: &Value, wavelength: usize) -> System {
+pub(crate) fn system(golden: &Value, wavelength: usize) -> System {
     let (mut surfaces, mut n, mut distance) = (Vec::new(), 1.0, 0.0);
     for s in golden["surfaces"].as_array().expect("list") {
         let after = number(&s["index_after"][wavelength]);
@@ -42,7 +42,7 @@ fn ray(v: &Value) -> Ray {
     Ray { origin: vec("origin"), direction: vec("direction") }
 }
 
-const LENSES: [&str; 5] =
+pub(crate) const LENSES: [&str; 5] =
     ["singlet_la1131", "achromat_laikin", "cooke_triplet", "double_gauss_us2532751", "asphere_acl5040u"];
 
 #[test]
