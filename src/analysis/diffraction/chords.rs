@@ -151,9 +151,11 @@ impl Chords {
     pub(super) fn ranges(&self, pupil: &Oriented, shift: f64) -> Vec<Part> {
         let mut out = Vec::new();
         for [mut low, high] in self.overlaps(pupil, shift) {
-            for corner in self.corners.iter().filter(|c| (low + 1e-6..high - 1e-6).contains(*c)) {
-                out.push([low, *corner]);
-                low = *corner;
+            for corner in &self.corners {
+                if *corner > low + 1e-6 && *corner < high - 1e-6 {
+                    out.push([low, *corner]);
+                    low = *corner;
+                }
             }
             out.push([low, high]);
         }

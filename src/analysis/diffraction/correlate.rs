@@ -2,11 +2,12 @@
 //!
 //! `T(f) = ∫ P(q + λf u) P*(q) d²q`, `P = A e^{2πi V/λ}` (J. W. Goodman, *Introduction to Fourier Optics*, §6.3, in direction
 //! cosines): chord by chord along `u`, Gauss–Legendre between the exact edges of the open parts, and over the chords by
-//! `η = m + h sin θ`, which takes the roots and corners at both ends. Sizes of both rules follow from the spread of the landings
-//! `r = −∂V/∂q`: the phase difference of the copies turns by at most `spread · min(λf, length)/λ` along a chord.
+//! `η = m + h sin θ`, which takes the roots at both ends, apart between corners of the pupil. The sizes of both rules follow from the
+//! landings `r = −∂V/∂q`: the phase difference of the copies turns by at most `min(spread/λ, f |∂r/∂q|)` for each unit of `q`.
 
 use std::f64::consts::{FRAC_PI_2, TAU};
 
+use glam::DVec2;
 use rustfft::num_complex::Complex;
 
 use super::chords::{Chords, common, open};
@@ -26,20 +27,19 @@ pub(super) struct Overlap {
     pub(super) limit: f64,
 }
 
-/// Points that the rules need: along a chord of unit length of the box and across, for one focus.
+/// Points that the rules need, along a chord of length `extent` (optical cosines) and across the box, for one focus.
 fn sizes(pupil: &Oriented, frequency: f64, focus: f64, extent: f64) -> [f64; 2] {
-    let blur = pupil.blur(focus);
-    let shift = pupil.wavelength * frequency;
-    let along = blur.x * shift.min(extent) / pupil.wavelength;
-    let across = (blur.y * 2.0 * pupil.half.y / pupil.wavelength).min(2.0 * blur.x * frequency);
-    [ALONG[0] + ALONG[1] * along, ACROSS[0] + ACROSS[1] * across]
+    let (blur, steepest) = pupil.blur(focus);
+    let turns = (blur / pupil.wavelength).min(frequency * steepest) * DVec2::new(extent, 2.0 * pupil.half.y);
+    // The phase at the chords' ends turns with their length.
+    [ALONG[0] + ALONG[1] * turns.x, ACROSS[0] + ACROSS[1] * (turns.x + turns.y)]
 }
 
 /// The largest rule that the focus needs over all frequencies.
 pub(super) fn largest(pupil: &Oriented, frequencies: &[f64], foci: &[f64]) -> f64 {
     let most = frequencies.iter().copied().fold(0.0, f64::max);
     let of = |focus: &f64| sizes(pupil, most, *focus, 2.0 * pupil.half.x).into_iter().fold(0.0, f64::max);
-    foci.iter().map(of).filter(|n| *n <= Rules::MOST).fold(64.0, f64::max)
+    foci.iter().map(of).fold(64.0, f64::max).min(Rules::MOST)
 }
 
 /// The overlap at `frequency` (cycles/mm), for image planes `foci` mm behind their place; `fineness` scales the rules.
@@ -139,7 +139,7 @@ pub(super) fn counted(pupil: &Oriented, count: u32, points: u32, focus: f64) -> 
     let scale = 4.0 * pupil.half.x * pupil.half.y / f64::from(count * count);
     for j in 0..count {
         let of = |i: u32| {
-            let point = glam::DVec2::new(at(i), at(j));
+            let point = DVec2::new(at(i), at(j));
             let (path, amplitude) = pupil.at(point)?;
             let q = pupil.middle + pupil.half * point;
             let depth = (pupil.index * pupil.index - q.length_squared()).sqrt();

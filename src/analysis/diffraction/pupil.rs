@@ -55,8 +55,18 @@ pub(super) struct Oriented {
     /// Index of the image space, wavelength in mm.
     pub(super) index: f64,
     pub(super) wavelength: f64,
-    /// Landing and slope `d/d_z` of the open rays, along and across, mm.
-    pub(super) landings: Vec<[DVec2; 2]>,
+    /// The open rays.
+    pub(super) landings: Vec<Landing>,
+}
+
+/// Where a ray lands, by the shift `z` of the image plane: `at + z slope`; along and across, mm.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Landing {
+    at: DVec2,
+    slope: DVec2,
+    /// Derivatives of both by the optical cosine along.
+    at_by: DVec2,
+    slope_by: DVec2,
 }
 
 /// Points of the unit disk for a fit of `degree`: rings that crowd towards the rim, the rim itself among them.
@@ -153,9 +163,14 @@ impl Pupil {
                 clips.push(fitter.fit(&values(&|r| r.clear[k]), ENOUGH[2]).0);
             }
         }
-        let landings = self.rays.iter().filter(|r| r.open());
-        let landings =
-            landings.map(|r| [turned(r.landing.truncate()), turned(r.direction.truncate() / r.direction.z)]).collect();
+        let landing = |r: &StopRay| {
+            let (d, n) = (turned(r.direction.truncate()), r.direction.z);
+            let slope = d / n;
+            // ∂(d/n)/∂q of a unit vector.
+            let slope_by = (DVec2::X + slope * slope.x) / (n * self.index);
+            Landing { at: turned(r.landing.truncate()), slope, at_by: turned(r.stretch * u), slope_by }
+        };
+        let landings = self.rays.iter().filter(|r| r.open()).map(landing).collect();
         let index = self.index;
         Oriented { middle, half, path, amplitude, clips, residual, index, wavelength, landings }
     }
@@ -175,12 +190,16 @@ impl Oriented {
         open.then(|| (of(&self.path), of(&self.amplitude)))
     }
 
-    /// Spread of the landings along and across, mm, with the image plane `focus` mm behind its place.
-    pub(super) fn blur(&self, focus: f64) -> DVec2 {
-        let at = |[landing, slope]: &[DVec2; 2]| *landing + focus * *slope;
-        let least = self.landings.iter().map(at).fold(DVec2::INFINITY, DVec2::min);
-        let most = self.landings.iter().map(at).fold(DVec2::NEG_INFINITY, DVec2::max);
-        most - least
+    /// Spread of the landings along and across, mm, and their steepest change by the cosine along, mm, with the image plane `focus`
+    /// mm behind its place.
+    pub(super) fn blur(&self, focus: f64) -> (DVec2, DVec2) {
+        let (mut least, mut most, mut steepest) = (DVec2::INFINITY, DVec2::NEG_INFINITY, DVec2::ZERO);
+        for l in &self.landings {
+            let at = l.at + focus * l.slope;
+            (least, most) = (least.min(at), most.max(at));
+            steepest = steepest.max((l.at_by + focus * l.slope_by).abs());
+        }
+        (most - least, steepest)
     }
 }
 

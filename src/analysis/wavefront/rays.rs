@@ -5,7 +5,7 @@
 //! `q = n(L, M)` is `−(landing − C)` (M. Born, E. Wolf, *Principles of Optics*, §4.1). It is the phase of the plane wave `q` in the
 //! image.
 
-use glam::{DVec2, DVec3};
+use glam::{DMat2, DVec2, DVec3};
 
 use crate::trace::aim::{Aimed, Aimer};
 use crate::trace::differential::{RayDot, trace_jvp};
@@ -27,6 +27,8 @@ pub struct StopRay {
     pub flux: f64,
     /// `∂q/∂s`, a determinant: area in optical direction cosines per area of the unit stop.
     pub spread: f64,
+    /// `∂landing/∂q` in the image plane, mm: `−∂²V/∂q²`.
+    pub stretch: DMat2,
     /// `1 − r²/a²` at every surface with a clear aperture but the stop: negative beyond it.
     pub clear: Vec<f64>,
     /// The first clear aperture that clips it.
@@ -101,7 +103,9 @@ impl<'a> Source<'a> {
             RayDot { point: (b.origin - a.origin) / (2.0 * step), direction: (b.direction - a.direction) / (2.0 * step) }
         });
         let [a, b] = dots.map(|dot| trace_jvp(system, &hits[..=system.stop], dot).point.truncate());
-        let [c, d] = dots.map(|dot| self.index * trace_jvp(system, &hits, dot).direction.truncate());
+        let ends = dots.map(|dot| trace_jvp(system, &hits, dot));
+        let [c, d] = ends.map(|dot| self.index * dot.direction.truncate());
+        let [e, f] = ends.map(|dot| dot.point.truncate());
         let spread = c.perp_dot(d) / a.perp_dot(b) * radius * radius;
         let path = whole(system, &aimed, hit.optical_path) + self.index * hit.direction.dot(self.centre - hit.at.point);
         let ray = StopRay {
@@ -111,6 +115,7 @@ impl<'a> Source<'a> {
             path: path - self.last.2,
             flux: self.aimer.flux(&aimed) * radius * radius,
             spread,
+            stretch: DMat2::from_cols(e, f) * DMat2::from_cols(c, d).inverse(),
             clear: apertures(system)
                 .map(|i| 1.0 - hits[i].at.point.truncate().length_squared() / system.surfaces[i].semi_diameter.powi(2))
                 .collect(),
