@@ -148,7 +148,8 @@ impl Map {
         let amplitude = scaled(&|r| (r.flux * r.spread.abs()).sqrt());
         let about = waves(DVec3::ZERO, own);
         // The best centre.
-        let directions: Vec<DVec3> = rays.iter().map(|r| source.index / wavelength * (r.direction - source.chief_direction())).collect();
+        let directions: Vec<DVec3> =
+            rays.iter().map(|r| source.index / wavelength * (r.direction - source.chief_direction())).collect();
         let (mut shift, mut best) = (DVec3::ZERO, about.clone());
         for _ in 0..ROUNDS {
             let moved = shift + step(&directions, &best, &flux);

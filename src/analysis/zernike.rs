@@ -108,7 +108,10 @@ impl Term {
         let first = if m < 2 { 4 - m % 2 } else { m };
         let rank = (n - first) / 2;
         const RANKS: [&str; 5] = ["primary", "secondary", "tertiary", "quaternary", "quinary"];
-        let rank = usize::try_from(rank).ok().and_then(|k| RANKS.get(k)).map_or_else(|| format!("order {}", rank + 1), |r| (*r).to_owned());
+        let rank = usize::try_from(rank)
+            .ok()
+            .and_then(|k| RANKS.get(k))
+            .map_or_else(|| format!("order {}", rank + 1), |r| (*r).to_owned());
         let axis = match (m, self.m > 0) {
             (0, _) => "",
             (1, true) => ", x",
@@ -220,7 +223,9 @@ mod tests {
         }
         for j in 1..=FRINGE_TERMS {
             let most = disk.iter().map(|(p, _)| Order::Fringe.value(j, *p).abs()).fold(0.0, f64::max);
-            let rim = (0..48).map(|k| Order::Fringe.value(j, DVec2::from_angle(TAU * f64::from(k) / 48.0))).fold(0.0, f64::max);
+            let rim = (0..48)
+                .map(|k| Order::Fringe.value(j, DVec2::from_angle(TAU * f64::from(k) / 48.0)))
+                .fold(0.0, f64::max);
             assert!(most <= 1.0 + 1e-12, "{j}");
             assert_abs(rim, 1.0, 0.02, "rim");
         }
@@ -229,11 +234,45 @@ mod tests {
     /// Noll's and the fringe table, and closed forms.
     #[test]
     fn terms_are_those_of_the_tables() {
-        let noll = [(0, 0), (1, 1), (1, -1), (2, 0), (2, -2), (2, 2), (3, -1), (3, 1), (3, -3), (3, 3), (4, 0), (4, 2), (4, -2), (4, 4), (4, -4), (5, 1)];
+        let noll = [
+            (0, 0),
+            (1, 1),
+            (1, -1),
+            (2, 0),
+            (2, -2),
+            (2, 2),
+            (3, -1),
+            (3, 1),
+            (3, -3),
+            (3, 3),
+            (4, 0),
+            (4, 2),
+            (4, -2),
+            (4, 4),
+            (4, -4),
+            (5, 1),
+        ];
         for (j, (n, m)) in noll.into_iter().enumerate() {
             assert_eq!(Order::Noll.term(j + 1), Some(Term { n, m }), "Noll {}", j + 1);
         }
-        let fringe = [(0, 0), (1, 1), (1, -1), (2, 0), (2, 2), (2, -2), (3, 1), (3, -1), (4, 0), (3, 3), (3, -3), (4, 2), (4, -2), (5, 1), (5, -1), (6, 0)];
+        let fringe = [
+            (0, 0),
+            (1, 1),
+            (1, -1),
+            (2, 0),
+            (2, 2),
+            (2, -2),
+            (3, 1),
+            (3, -1),
+            (4, 0),
+            (3, 3),
+            (3, -3),
+            (4, 2),
+            (4, -2),
+            (5, 1),
+            (5, -1),
+            (6, 0),
+        ];
         for (j, (n, m)) in fringe.into_iter().enumerate() {
             assert_eq!(Order::Fringe.term(j + 1), Some(Term { n, m }), "fringe {}", j + 1);
         }
@@ -247,17 +286,27 @@ mod tests {
         assert_abs(Order::Noll.value(6, p), 6f64.sqrt() * (p.x * p.x - p.y * p.y), 1e-14, "astigmatism");
         let secondary = Term { n: 6, m: 0 }.value(p);
         assert_abs(secondary, 20.0 * r2.powi(3) - 30.0 * r4 + 12.0 * r2 - 1.0, 1e-14, "secondary spherical");
-        let names: Vec<String> = [4, 5, 7, 9, 11, 16, 22].into_iter().map(|j| Order::Noll.term(j).expect("term").name()).collect();
+        let names: Vec<String> =
+            [4, 5, 7, 9, 11, 16, 22].into_iter().map(|j| Order::Noll.term(j).expect("term").name()).collect();
         assert_eq!(
             names,
-            ["defocus", "primary astigmatism, 45°", "primary coma, y", "primary trefoil, sin", "primary spherical", "secondary coma, x", "secondary spherical"]
+            [
+                "defocus",
+                "primary astigmatism, 45°",
+                "primary coma, y",
+                "primary trefoil, sin",
+                "primary spherical",
+                "secondary coma, x",
+                "secondary spherical"
+            ]
         );
     }
 
     #[test]
     fn known_coefficients_come_back() {
         let rng = &mut fastrand::Rng::with_seed(6);
-        let points: Vec<DVec2> = (0..900).map(|_| between(rng, 0.0, 1.0).sqrt() * DVec2::from_angle(between(rng, 0.0, TAU))).collect();
+        let points: Vec<DVec2> =
+            (0..900).map(|_| between(rng, 0.0, 1.0).sqrt() * DVec2::from_angle(between(rng, 0.0, TAU))).collect();
         let weights: Vec<f64> = points.iter().map(|_| between(rng, 0.5, 2.0)).collect();
         for (order, terms) in [(Order::Noll, 36), (Order::Fringe, 37)] {
             let wanted: Vec<f64> = (0..terms).map(|_| between(rng, -1.0, 1.0)).collect();

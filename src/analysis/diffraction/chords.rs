@@ -77,7 +77,11 @@ fn root(c: &[f64], mut a: f64, mut b: f64) -> f64 {
     let mut x = 0.5 * (a + b);
     for _ in 0..50 {
         let (v, d) = slope(c, x);
-        if (v > 0.0) == start { a = x } else { b = x }
+        if (v > 0.0) == start {
+            a = x
+        } else {
+            b = x
+        }
         let next = x - v / d;
         let next = if next > a && next < b { next } else { 0.5 * (a + b) };
         let done = (next - x).abs() <= 1e-14;
@@ -133,7 +137,8 @@ impl Chords {
         // Uphill from the longest one.
         let mut step = 2.0 / f64::from(LOOK);
         while step > 1e-6 && longest > 0.0 {
-            let tried = [best - step, best + step].map(|eta| (eta.clamp(-1.0, 1.0), length(&open(pupil, eta.clamp(-1.0, 1.0)))));
+            let tried = [best - step, best + step]
+                .map(|eta| (eta.clamp(-1.0, 1.0), length(&open(pupil, eta.clamp(-1.0, 1.0)))));
             match tried.into_iter().find(|(_, l)| *l > longest) {
                 Some(better) => (best, longest) = better,
                 None => step *= 0.5,

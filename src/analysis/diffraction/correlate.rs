@@ -16,8 +16,8 @@ use super::gauss::Rules;
 use super::pupil::Oriented;
 
 /// Points of a rule for a smooth integrand, and for each turn of its phase: along a chord, across the chords.
-const ALONG: [f64; 2] = [12.0, 1.9];
-const ACROSS: [f64; 2] = [24.0, 2.7];
+const ALONG: [f64; 2] = [10.0, 1.7];
+const ACROSS: [f64; 2] = [18.0, 2.2];
 
 /// One displacement of one pupil.
 pub(super) struct Overlap {
@@ -56,7 +56,8 @@ pub(super) fn overlap(
         foci.iter().map(|z| sizes(pupil, frequency, *z, (chords.longest() - shift).max(0.0) * pupil.half.x)).collect();
     let followed: Vec<usize> = (0..foci.len()).filter(|k| wanted[*k].iter().all(|n| *n <= Rules::MOST)).collect();
     let planes: Vec<f64> = followed.iter().map(|k| foci[*k]).collect();
-    let [along, across] = followed.iter().fold([ALONG[0], ACROSS[0]], |[a, b], k| [a.max(wanted[*k][0]), b.max(wanted[*k][1])]);
+    let [along, across] =
+        followed.iter().fold([ALONG[0], ACROSS[0]], |[a, b], k| [a.max(wanted[*k][0]), b.max(wanted[*k][1])]);
     let even = even_step(&planes);
     let degree = |s: &Surface| s.degree();
     let highest = degree(&pupil.path).max(degree(&pupil.amplitude));

@@ -131,7 +131,8 @@ mod tests {
     #[test]
     fn polynomials_come_back() {
         let rng = &mut fastrand::Rng::with_seed(3);
-        let points: Vec<DVec2> = (0..300).map(|_| DVec2::new(between(rng, -1.0, 1.0), between(rng, -1.0, 1.0))).collect();
+        let points: Vec<DVec2> =
+            (0..300).map(|_| DVec2::new(between(rng, -1.0, 1.0), between(rng, -1.0, 1.0))).collect();
         let fitter = Fitter::new(&points, 12);
         let f = |p: &DVec2| 0.3 + p.x * p.y * p.y - 2.0 * p.x.powi(5) * p.y + 0.1 * p.y.powi(6);
         let values: Vec<f64> = points.iter().map(f).collect();

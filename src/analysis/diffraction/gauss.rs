@@ -10,8 +10,8 @@ const SIZES: [usize; 22] =
 pub(super) struct Rules(Vec<Vec<(f64, f64)>>);
 
 impl Rules {
-    /// The largest size.
-    pub(super) const MOST: f64 = 1024.0;
+    /// The most points that are asked for: a finer sampling has 1.4 times as many.
+    pub(super) const MOST: f64 = 720.0;
 
     /// Rules up to the first with at least `points`.
     pub(super) fn up_to(points: f64) -> Self {
@@ -51,7 +51,16 @@ fn rule(n: usize) -> Vec<(f64, f64)> {
         }
         (x, 2.0 / ((1.0 - x * x) * slope * slope))
     };
-    (0..n).map(|i| if i < n / 2 { root(i) } else { let (x, w) = root(n - 1 - i); (-x, w) }).collect()
+    (0..n)
+        .map(|i| {
+            if i < n / 2 {
+                root(i)
+            } else {
+                let (x, w) = root(n - 1 - i);
+                (-x, w)
+            }
+        })
+        .collect()
 }
 
 #[cfg(test)]
@@ -67,7 +76,12 @@ mod tests {
             assert_abs(real(rule.len()), size, 0.0, "size");
             assert_abs(rule.iter().map(|(_, w)| w).sum::<f64>(), 2.0, 1e-12, "length");
             let power = 2.0 * size - 2.0;
-            assert_abs(rule.iter().map(|(x, w)| w * x.abs().powf(power)).sum::<f64>(), 2.0 / (power + 1.0), 1e-12, "power");
+            assert_abs(
+                rule.iter().map(|(x, w)| w * x.abs().powf(power)).sum::<f64>(),
+                2.0 / (power + 1.0),
+                1e-12,
+                "power",
+            );
             let k = 0.9 * size;
             assert_abs(rule.iter().map(|(x, w)| w * (k * x).cos()).sum::<f64>(), 2.0 * k.sin() / k, 1e-6, "wave");
         }

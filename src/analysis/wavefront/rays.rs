@@ -100,7 +100,10 @@ impl<'a> Source<'a> {
         let step = 1e-3 * radius.max(1e-3);
         let dots = [DVec2::X, DVec2::Y].map(|e| {
             let (a, b): (Ray, Ray) = (aimed.plane.ray(p - step * e), aimed.plane.ray(p + step * e));
-            RayDot { point: (b.origin - a.origin) / (2.0 * step), direction: (b.direction - a.direction) / (2.0 * step) }
+            RayDot {
+                point: (b.origin - a.origin) / (2.0 * step),
+                direction: (b.direction - a.direction) / (2.0 * step),
+            }
         });
         let [a, b] = dots.map(|dot| trace_jvp(system, &hits[..=system.stop], dot).point.truncate());
         let ends = dots.map(|dot| trace_jvp(system, &hits, dot));

@@ -9,7 +9,9 @@ const AXIS: ObjectPoint = ObjectPoint { direction: DVec3::Z, vergence: 0.0 };
 
 #[test]
 fn maps_are_the_path_differences_of_the_trace() {
-    for (name, degrees, nm) in [("double_gauss", 12.0, 587.5618), ("cooke_triplet", 18.0, 450.0), ("phone", 20.0, 650.0)] {
+    for (name, degrees, nm) in
+        [("double_gauss", 12.0, 587.5618), ("cooke_triplet", 18.0, 450.0), ("phone", 20.0, 650.0)]
+    {
         let lens = builtin::lens(name).expect("shipped");
         let object = ObjectPoint::in_field(&lens, f64::to_radians(degrees), 1.1);
         let map = Map::of_lens(&lens, object, nm, 24).expect("light");
