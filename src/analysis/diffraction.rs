@@ -174,7 +174,8 @@ pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
             (sums, limit)
         };
         let light = zero(1.0);
-        if !(light.iter().zip(pupils).map(|(l, (_, weight))| l * weight).sum::<f64>() > 0.0) {
+        let whole: f64 = light.iter().zip(pupils).map(|(l, (_, weight))| l * weight).sum();
+        if whole.is_nan() || whole <= 0.0 {
             return Err(Fault::Dark);
         }
         let all: Vec<_> = plan.frequencies.par_iter().map(|f| at(*f, &light, 1.0)).collect();

@@ -155,10 +155,11 @@ impl Map {
             let moved = shift + step(&directions, &best, &flux);
             let Ok(curved) = curvature(aimer, object, centre + moved) else { break };
             let values = waves(moved, curved);
-            if !(Figures::of(&values, &flux, &amplitude).rms <= Figures::of(&best, &flux, &amplitude).rms) {
+            if Figures::of(&values, &flux, &amplitude).rms <= Figures::of(&best, &flux, &amplitude).rms {
+                (shift, best) = (moved, values);
+            } else {
                 break;
             }
-            (shift, best) = (moved, values);
         }
         let point = |k: usize| Point { stop: rays[k].stop, waves: about[k], flux: flux[k], amplitude: amplitude[k] };
         Ok(Self {

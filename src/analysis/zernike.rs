@@ -170,7 +170,8 @@ pub fn fit(order: Order, terms: usize, points: &[DVec2], values: &[f64], weights
     qr.q_tr_mul(&mut right);
     let r = qr.r();
     let diagonal = r.diagonal().map(f64::abs);
-    if !(diagonal.min() > 1e-7 * diagonal.max()) {
+    let told_apart = diagonal.min() > 1e-7 * diagonal.max();
+    if !told_apart {
         return None;
     }
     let solved = r.solve_upper_triangular(&right.rows(0, terms))?;

@@ -303,7 +303,7 @@ fn large_aberrations_come_near_the_ray_sum() {
         for i in 0..count {
             for j in 0..4 {
                 let r = ((f64::from(i) + 0.5) / f64::from(count)).sqrt();
-                let Ok(ray) = source.ray(r * DVec2::from_angle(f64::from(i) * 2.399_963 + 1.570_796 * f64::from(j)))
+                let Ok(ray) = source.ray(r * DVec2::from_angle(f64::from(i) * 2.399_963 + 0.5 * PI * f64::from(j)))
                 else {
                     continue;
                 };
