@@ -6,9 +6,12 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::beam::{Beam, Landing, stop_points};
+use super::diffraction::{self, Mtf, Plan, directions};
 use super::curves::{FieldRow, ZoneRow, object, over_field, over_zones};
 use super::fan::{Fans, path, reference, transverse};
 use super::spot::{Spot, best_focus, encircled, geometric_mtf, joined, radius_of, spot};
+use super::wavefront::Map;
+use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
 use crate::trace::{Failure, System};
 
@@ -33,6 +36,8 @@ pub struct Settings {
     pub shifts: u32,
     /// Largest shift, mm; `None` takes what the lens's own foci and depth of focus ask for.
     pub shift_mm: Option<f64>,
+    /// Points across a map of the wavefront, and Zernike terms; none leaves waves out: no maps, no MTF by diffraction.
+    pub waves: Option<(usize, usize)>,
 }
 
 impl Settings {
@@ -50,6 +55,7 @@ impl Settings {
             frequencies: 41,
             shifts: 6,
             shift_mm: None,
+            waves: Some((64, 28)),
         }
     }
 }
@@ -101,6 +107,11 @@ pub struct Field {
     pub mtf_change: f64,
     /// Geometric MTF `[shift][frequency]` at the overview's shifts.
     pub through_focus: Vec<Vec<Pair>>,
+    /// The wavefront of the primary wavelength about its chief ray's landing, with Zernike coefficients (Noll) where there is enough of
+    /// it; none where there is none, or where waves are left out.
+    pub map: Option<(Map, Option<Fit>)>,
+    /// MTF by diffraction at the overview's frequencies and shifts, tangential and sagittal; why there is none; nothing where waves are left out.
+    pub diffraction: Option<Result<Mtf, diffraction::Fault>>,
     /// Why rays that no aperture stops do not arrive.
     pub failure: Option<Failure>,
 }
@@ -126,8 +137,8 @@ pub struct Overview {
     pub cycles_per_mm: Vec<f64>,
     /// Radius of the Airy disc's first dark ring on the axis, mm: `1.22 λ N` of the working f-number; infinite for an afocal lens.
     pub airy_radius: f64,
-    /// Seconds that spots and fans took, that the curves took.
-    pub seconds: [f64; 2],
+    /// Seconds that spots and fans took, wavefronts and diffraction, the curves.
+    pub seconds: [f64; 3],
 }
 
 impl Overview {
@@ -150,6 +161,19 @@ impl Overview {
             (-steps..=steps).map(|k| largest * f64::from(k) / f64::from(steps.max(1))).collect();
         fields.par_iter_mut().for_each(|f| f.through_focus = f.over_focus(&colours, &shifts_mm, &cycles_per_mm));
         let spots = start.elapsed().as_secs_f64();
+        if let Some((size, terms)) = settings.waves {
+            let plan = Plan { directions: Vec::new(), frequencies: cycles_per_mm.clone(), focus_mm: shifts_mm.clone() };
+            fields.par_iter_mut().for_each(|f| {
+                let point = object(lens, f.angle_deg);
+                f.map = Map::of_lens(lens, point, primary_nm, size).ok().map(|m| {
+                    let fit = m.zernike(Order::Noll, terms);
+                    (m, fit)
+                });
+                let plan = Plan { directions: directions(point).to_vec(), ..plan.clone() };
+                f.diffraction = Some(diffraction::of_lens(lens, point, &plan));
+            });
+        }
+        let waves = start.elapsed().as_secs_f64() - spots;
         let end = settings.angles_deg.last().copied().unwrap_or(0.0);
         let angles = if end > 0.0 { even(settings.places, 0.0, end) } else { vec![0.0] };
         let nm: Vec<f64> = colours.iter().map(|(nm, _)| *nm).collect();
@@ -161,7 +185,7 @@ impl Overview {
             || over_zones(lens, &nm, settings.places),
         );
         let curve = once_each(curve);
-        let seconds = [spots, start.elapsed().as_secs_f64() - spots];
+        let seconds = [spots, waves, start.elapsed().as_secs_f64() - spots - waves];
         Self { settings, colours, primary_nm, fields, curve, zones, shifts_mm, cycles_per_mm, airy_radius, seconds }
     }
 }
@@ -242,6 +266,8 @@ impl View<'_> {
             mtf,
             mtf_change,
             through_focus: Vec::new(),
+            map: None,
+            diffraction: None,
             failure: beams.iter().find_map(|b| b.failure),
             beams,
             drawn,
@@ -301,6 +327,17 @@ mod tests {
             assert_eq!(on, at, "no shift");
             let rms = field.rms.expect("light");
             assert!(field.best_rms.expect("light") <= rms.value && rms.change < 0.05 * rms.value, "{rms:?}");
+        }
+        // Waves: on the axis both directions are alike, and nothing is above the limit.
+        for field in &found.fields {
+            let mtf = field.diffraction.as_ref().expect("asked").as_ref().expect("light");
+            for curve in &mtf.curves {
+                for (k, limit) in curve.limit.iter().enumerate() {
+                    assert!(curve.modulus(6, k).expect("followed") <= limit + 1e-3, "{} {k}", field.angle_deg);
+                }
+            }
+            let (map, fit) = field.map.as_ref().expect("light");
+            assert!(map.best.rms <= map.figures.rms && fit.as_ref().expect("a whole pupil").residual_rms < 0.02);
         }
         // On the axis both directions are alike.
         assert!(found.fields[0].mtf.iter().all(|[t, s]| (t - s).abs() < 2e-3));

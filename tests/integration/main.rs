@@ -6,6 +6,7 @@ mod cli;
 mod commands;
 #[cfg(feature = "train")]
 mod designing;
+mod diffraction;
 mod extremes;
 #[cfg(feature = "deploy")]
 mod glare;

@@ -76,7 +76,7 @@ fn a_report_has_its_sections_and_says_the_same_in_all_forms() {
     let text = |name: &str| std::fs::read_to_string(place.path(name)).expect("reads");
     let page = text("page.html");
     for section in [
-        "layout", "third-order-sums", "spots", "ray-and-path-fans", "over-the-field", "point-spread-functions",
+        "layout", "third-order-sums", "spots", "ray-and-path-fans", "wavefronts", "over-the-field", "point-spread-functions",
         "modulation-transfer", "numerical-check", "accuracy-and-time",
     ] {
         assert!(page.contains(&format!("<section id=\"{section}\">")), "{section}");

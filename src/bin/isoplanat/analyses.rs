@@ -69,7 +69,7 @@ impl View {
             max_angle_deg: within("--max-angle-deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
             cycles_per_mm: within("--max-cycles-per-mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
             shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
-            kernels: true,
+            whole: true,
             colour: false,
             memory: crate::memory::limit(),
         })

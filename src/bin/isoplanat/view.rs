@@ -115,7 +115,7 @@ fn state(path: Option<&Path>) -> Option<(SystemTime, u64)> {
 fn page(lens: &Lens, options: &Options, first: bool) -> Result<String> {
     let colour = !first && crate::report::in_colour(lens);
     let rays = if first { options.rays.min(FIRST_RAYS) } else { options.rays };
-    let options = Options { rays, colour, kernels: !first, ..options.clone() };
+    let options = Options { rays, colour, whole: !first, ..options.clone() };
     html(&[LensReport::new(lens.clone(), &options)])
 }
 

@@ -13,6 +13,9 @@ const PARTS: [f64; 3] = [0.25, 0.5, 1.0];
 pub(super) fn all(o: &Overview, illumination: &[[f64; 2]]) -> Vec<(&'static str, Plot)> {
     let mut plots = vec![
         ("mtf", frequency(o, None)),
+        ("mtf_diffraction", diffraction(o, o.shifts_mm.len() / 2)),
+        ("mtf_diffraction_field", diffraction_over_field(o)),
+        ("mtf_diffraction_focus", diffraction_over_focus(o)),
         ("mtf_field", over_field(o)),
         ("mtf_focus", over_focus(o)),
         ("rms_focus", rms_focus(o)),
@@ -73,6 +76,52 @@ pub(super) fn frequency(o: &Overview, shift: Option<usize>) -> Plot {
     }
 }
 
+/// The modulus by diffraction of a field at numbers of a shift, a frequency and a direction; not a number where there is none.
+fn modulus(f: &Field, shift: usize, frequency: usize, direction: usize) -> f64 {
+    let mtf = f.diffraction.as_ref().and_then(|d| d.as_ref().ok());
+    mtf.and_then(|m| m.curves.get(direction)?.modulus(shift, frequency)).unwrap_or(f64::NAN)
+}
+
+/// The MTF by diffraction against frequency at one of the overview's shifts, with the limit on the axis.
+pub(super) fn diffraction(o: &Overview, shift: usize) -> Plot {
+    let (mut series, keys) =
+        by_field(o, |f, d| o.cycles_per_mm.iter().enumerate().map(|(k, x)| [*x, modulus(f, shift, k, d)]).collect());
+    let axis = o.fields.first().and_then(|f| f.diffraction.as_ref()?.as_ref().ok()?.curves.first());
+    if let Some(curve) = axis {
+        let points = o.cycles_per_mm.iter().zip(&curve.limit).map(|(x, v)| [*x, *v]).collect();
+        series.push(Series { name: "limit on the axis".into(), points, mark: Mark::Line });
+    }
+    Plot {
+        title: "MTF by diffraction, all wavelengths".into(),
+        x_label: "cycles/mm".into(),
+        y_label: "MTF".into(),
+        series,
+        keys,
+        ..Plot::default()
+    }
+}
+
+fn diffraction_over_field(o: &Overview) -> Plot {
+    let on = o.shifts_mm.len() / 2;
+    Plot { title: "MTF by diffraction over the field".into(), ..over_angles(o, |f, k, d| modulus(f, on, k, d)) }
+}
+
+fn diffraction_over_focus(o: &Overview) -> Plot {
+    let i = shown(o)[1];
+    let (series, keys) = by_field(o, |f, d| {
+        o.shifts_mm.iter().enumerate().map(|(s, z)| [1e3 * z, modulus(f, s, i, d)]).collect()
+    });
+    let at = o.cycles_per_mm.get(i).copied().unwrap_or(0.0);
+    Plot {
+        title: format!("MTF by diffraction through focus at {} cycles/mm", significant(at, 3)),
+        x_label: "shift of the image plane, µm".into(),
+        y_label: "MTF".into(),
+        series,
+        keys,
+        ..Plot::default()
+    }
+}
+
 /// The index of each shown frequency.
 fn shown(o: &Overview) -> Vec<usize> {
     let last = o.cycles_per_mm.len().saturating_sub(1);
@@ -86,20 +135,20 @@ fn shown(o: &Overview) -> Vec<usize> {
 }
 
 fn over_field(o: &Overview) -> Plot {
+    let value = |f: &Field, k: usize, d: usize| f.mtf.get(k).map_or(f64::NAN, |v| v[d]);
+    Plot { title: "Geometric MTF over the field".into(), ..over_angles(o, value) }
+}
+
+/// A value over the fields at some frequencies.
+fn over_angles(o: &Overview, value: impl Fn(&Field, usize, usize) -> f64) -> Plot {
     let mut series = Vec::new();
     for i in shown(o) {
         for (d, name, mark) in [(0, "T", Mark::Line), (1, "S", Mark::Dashed)] {
-            let points = o.fields.iter().map(|f| [f.angle_deg, f.mtf.get(i).map_or(f64::NAN, |v| v[d])]).collect();
+            let points = o.fields.iter().map(|f| [f.angle_deg, value(f, i, d)]).collect();
             series.push(Series { name: format!("{}/mm {name}", significant(o.cycles_per_mm[i], 3)), points, mark });
         }
     }
-    Plot {
-        title: "Geometric MTF over the field".into(),
-        x_label: "field angle, °".into(),
-        y_label: "MTF".into(),
-        series,
-        ..Plot::default()
-    }
+    Plot { x_label: "field angle, °".into(), y_label: "MTF".into(), series, ..Plot::default() }
 }
 
 fn over_focus(o: &Overview) -> Plot {

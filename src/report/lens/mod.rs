@@ -8,6 +8,7 @@ mod curves;
 mod grid;
 mod page;
 mod spots;
+mod waves;
 
 use std::time::Instant;
 
@@ -20,7 +21,10 @@ use super::health::HealthReport;
 use super::listing::Listing;
 use super::plot::Plot;
 use super::table::{Table, significant};
+use crate::analysis::diffraction::Mtf;
 use crate::analysis::overview::{Field, Overview, Settings};
+use crate::analysis::wavefront::{Figures, Map};
+use crate::analysis::zernike::Fit;
 use crate::error::Result;
 use crate::lens::Lens;
 use crate::math::memory::Limit;
@@ -39,8 +43,8 @@ pub struct Options {
     pub cycles_per_mm: Option<f64>,
     /// Largest shift of the image plane, mm; `None` takes what the foci ask for.
     pub shift_mm: Option<f64>,
-    /// Whether kernels are made at all.
-    pub kernels: bool,
+    /// Whether all of it is made: without, neither kernels nor what waves do.
+    pub whole: bool,
     /// Whether kernels are drawn in the colours of the generic sensor: where its band is covered by the lens's media.
     pub colour: bool,
     /// What kernels may take.
@@ -97,6 +101,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         rays: options.rays,
         cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
         shift_mm: options.shift_mm,
+        waves: usual.waves.filter(|_| options.whole),
         ..usual
     };
     let overview = Overview::new(lens, settings);
@@ -105,6 +110,9 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         if let Some(failure) = f.failure {
             let cause = failure.cause.name().replace('_', " ");
             missing.push(format!("at {angle}° some rays end at surface {}: {cause}", failure.surface));
+        }
+        if let (Some(Err(fault)), Some(_)) = (&f.diffraction, &f.spot) {
+            missing.push(format!("MTF by diffraction at {angle}°: {fault}"));
         }
         if f.spot.is_none() {
             missing.push(format!("at {angle}° no light reaches the sensor"));
@@ -148,6 +156,30 @@ pub fn spot_table(o: &Overview) -> Table {
     table
 }
 
+/// Largest error of the sampling of a transfer function.
+fn sampling_error(mtf: &Mtf) -> f64 {
+    mtf.curves.iter().map(|c| c.error).fold(0.0, f64::max)
+}
+
+fn wavefront_json((map, fit): &(Map, Option<Fit>)) -> Value {
+    let figures = |f: &Figures| {
+        json!({ "peak_to_valley_waves": f.peak_to_valley, "rms_waves": f.rms, "strehl": f.strehl, "strehl_marechal": f.marechal })
+    };
+    let zernike = fit.as_ref().map(|fit| {
+        let term = |(k, v): (usize, &f64)| json!({ "noll": k + 1, "name": fit.order.term(k + 1).map(|t| t.name()), "waves": v });
+        fit.coefficients.iter().enumerate().map(term).collect::<Vec<_>>()
+    });
+    json!({
+        "wavelength_nm": map.wavelength_nm,
+        "about_the_chief_ray": figures(&map.figures),
+        "about_the_best_point": figures(&map.best),
+        "best_point_mm": map.shift.to_array(),
+        "open_part": map.open,
+        "zernike": zernike,
+        "zernike_residual_rms_waves": fit.as_ref().map(|f| f.residual_rms),
+    })
+}
+
 /// Spots by field as JSON, lengths in mm; `null` where there is no light.
 pub fn fields_json(o: &Overview) -> Vec<Value> {
     let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
@@ -165,6 +197,8 @@ pub fn fields_json(o: &Overview) -> Vec<Value> {
             "open_part": f.open_part,
             "encircled_50_80_95_mm": f.energy,
             "mtf_change": f.mtf_change,
+            "mtf_diffraction_error": f.diffraction.as_ref().and_then(|d| d.as_ref().ok()).map(sampling_error),
+            "wavefront": f.map.as_ref().map(wavefront_json),
         })
     };
     o.fields.iter().map(field).collect()
@@ -214,8 +248,13 @@ impl LensReport {
         let start = Instant::now();
         let (overview, missing) = look(&lens, options);
         let end = start.elapsed().as_secs_f64() - overview.seconds.iter().sum::<f64>();
-        let [spots, curves] = overview.seconds;
-        let seconds = vec![("end of the field", end), ("spots, fans, MTF", spots), ("curves over field and zones", curves)];
+        let [spots, waves, curves] = overview.seconds;
+        let seconds = vec![
+            ("end of the field", end),
+            ("spots, fans, geometric MTF", spots),
+            ("wavefronts, MTF by diffraction", waves),
+            ("curves over field and zones", curves),
+        ];
         let mut report = Self { lens, overview, illumination: Vec::new(), atlas: None, missing, seconds };
         let start = Instant::now();
         match report.white() {
@@ -223,7 +262,7 @@ impl LensReport {
             Err(e) => report.missing.push(format!("relative illumination: {e}")),
         }
         report.seconds.push(("relative illumination", start.elapsed().as_secs_f64()));
-        if options.kernels {
+        if options.whole {
             let start = Instant::now();
             match report.kernels(options) {
                 Ok(atlas) => report.atlas = Some(atlas),
@@ -279,17 +318,23 @@ impl LensReport {
         curves::all(&self.overview, &self.illumination)
     }
 
-    /// Figures with what their sampling leaves open: name, unit, value, change from a quarter of the rays.
+    /// Figures with what their sampling leaves open: name, unit, value, change from a quarter of the rays (by diffraction: to 1.4 times as
+    /// many points each way).
     fn sampled(&self) -> Vec<(String, &'static str, f64, f64)> {
-        let mut rows = Vec::new();
-        for f in &self.overview.fields {
+        let (mut rows, o) = (Vec::new(), &self.overview);
+        for f in &o.fields {
             let angle = significant(f.angle_deg, 4);
             if let Some(rms) = f.rms {
                 rows.push((format!("rms spot radius at {angle}°"), "µm", 1e3 * rms.value, 1e3 * rms.change));
             }
             let middle = f.mtf.len() / 2;
             if let Some([t, s]) = f.mtf.get(middle) {
-                rows.push((format!("MTF at {angle}°, half of the plotted frequencies"), "", 0.5 * (t + s), f.mtf_change));
+                rows.push((format!("geometric MTF at {angle}°, half of the plotted frequencies"), "", 0.5 * (t + s), f.mtf_change));
+            }
+            if let Some(Ok(mtf)) = &f.diffraction {
+                let on = o.shifts_mm.len() / 2;
+                let both: f64 = mtf.curves.iter().filter_map(|c| c.modulus(on, middle)).sum();
+                rows.push((format!("MTF by diffraction at {angle}°, the same frequency"), "", 0.5 * both, sampling_error(mtf)));
             }
         }
         rows
