@@ -28,6 +28,7 @@ mod properties;
 mod random_lenses;
 mod renderers;
 mod skips;
+mod slanted_edge;
 mod stiff;
 mod support;
 mod throughput;

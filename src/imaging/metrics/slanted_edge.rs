@@ -44,6 +44,8 @@ const LEAST_SIDE: usize = 8;
 const LEAST_SAMPLES: usize = 150;
 /// Samples that starts are sought with.
 const THINNED: usize = 12_000;
+/// Modulation below Nyquist that no sharpening of an edge reaches.
+const MOST_SHARPENED: f64 = 2.5;
 /// How often foreign parts at an edge's ends are looked for.
 const TRIMS: usize = 4;
 /// Distance of neighbouring samples along the normal from which nothing is measured, pixels.
@@ -161,6 +163,14 @@ pub fn measure<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, options: &EdgeOpti
     let highest = (0.5 / gap).min(HIGHEST);
     let rounding = quantum::rounding(&fitted.spread, &fitted.points);
     let transfer = Transfer::new(&fitted.spread, &fitted.points, highest, rounding);
+    let highest_value = transfer.curve.iter().filter(|p| p.frequency <= 0.5).map(|p| p.value - 3.0 * p.uncertainty);
+    let rise = highest_value.fold(0.0, f64::max);
+    if rise > MOST_SHARPENED {
+        return Err(bad(
+            format!("a modulation that rises to {rise:.1}"),
+            "one edge between two even areas; a line, a corner or a pattern is none",
+        ));
+    }
     let [first, last] = fitted.ends();
     let length = last - first;
     let mut warnings = warnings(&fitted, options, [low, high], noise);
@@ -294,10 +304,36 @@ fn warnings(fitted: &Fitted, options: &EdgeOptions, [low, high]: [f64; 2], noise
             100.0 * rough / contrast
         ));
     }
+    let shade = shading(fitted, noise);
+    if shade > 0.02 * contrast {
+        out.push(format!(
+            "a side of the edge is not even, by {:.1} % of the contrast: shading is taken for spread, low frequencies are doubtful",
+            100.0 * shade / contrast
+        ));
+    }
     if contrast < 5.0 * noise {
         out.push(format!("the contrast is {:.1} times the noise of a pixel only", contrast / noise));
     }
     out
+}
+
+/// How far the levels beside the edge change with distance, beyond noise.
+fn shading(fitted: &Fitted, noise: f64) -> f64 {
+    let [before, behind] = fitted.spread.knots.reach();
+    let sides: [Box<dyn Fn(f64) -> f64>; 2] = [Box::new(move |d| -d - before), Box::new(move |d| d - behind)];
+    let change = |beyond: &dyn Fn(f64) -> f64| {
+        let flat: Vec<[f64; 2]> = fitted.points.iter().map(|p| [beyond(p.d), p.value]).filter(|v| v[0] > 0.0).collect();
+        let half = 0.5 * flat.iter().fold(0.0f64, |m, v| m.max(v[0]));
+        let [near, far] = [true, false].map(|near| {
+            let part = flat.iter().filter(|v| (v[0] < half) == near);
+            let (n, s) = part.fold((0.0, 0.0), |(n, s), v| (n + 1.0, s + v[1]));
+            (f64::max(n, 1.0), s / f64::max(n, 1.0))
+        });
+        // Over the whole side, twice what its halves' means differ by.
+        let certain = 5.0 * noise * (1.0 / near.0 + 1.0 / far.0).sqrt();
+        if near.0 > 20.0 && far.0 > 20.0 { 2.0 * ((near.1 - far.1).abs() - certain).max(0.0) } else { 0.0 }
+    };
+    sides.iter().map(|s| change(s.as_ref())).fold(0.0, f64::max)
 }
 
 /// How far the curve is from its levels one pixel before the spline ends.

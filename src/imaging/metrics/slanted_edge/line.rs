@@ -31,9 +31,4 @@ impl Line {
         let d = self.offset + 0.5 * self.curvature * t * t;
         [self.centre[0] + d * cos - t * sin, self.centre[1] + d * sin + t * cos]
     }
-
-    /// Slope of the distance with the angle and with the curvature, at the place `t`.
-    pub(super) fn slopes(&self, t: f64) -> [f64; 2] {
-        [t, -0.5 * t * t]
-    }
 }

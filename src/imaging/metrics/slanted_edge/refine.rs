@@ -32,8 +32,6 @@ pub(super) struct Fitted {
     pub(super) angle_error: f64,
     /// Of the curvature, 1/px, where it was fitted.
     pub(super) curvature_error: Option<f64>,
-    /// Distance from the edge that the region holds on the dark and on the bright side, pixels.
-    pub(super) sides: [f64; 2],
     /// 10 to 90 % width, pixels.
     pub(super) width: f64,
     /// Whether the spread function takes all the room there is.
@@ -168,7 +166,6 @@ pub(super) fn refine(samples: &[Sample], start: Line, width: f64, curved: bool) 
         points,
         angle_error: error[0] * deviation,
         curvature_error: curved.then_some(error[1] * deviation),
-        sides,
         width,
         open,
     })
