@@ -86,9 +86,12 @@ impl Transfer {
             let mut falls = pairs.filter(|(i, w)| y(&w[0]) >= 0.0 && y(&w[1]) < 0.0 && stays(*i));
             falls.next().map(|(i, w)| (i, w[0].frequency + FINE * y(&w[0]) / (y(&w[0]) - y(&w[1]))))
         };
-        let (_, frequency) = below(0.0, 0)?;
+        let (at, frequency) = below(0.0, 0)?;
         let (first, low) = below(-1.0, 0)?;
         let high = below(1.0, first.saturating_sub(1)).map_or(f64::INFINITY, |b| b.1);
+        // Noise that makes the curve steep here by chance does not make it certain: at least what a Gaussian of this crossing has.
+        let half = self.coverage * self.curve[at].uncertainty * frequency / (2.0 * level * (1.0 / level).ln());
+        let (low, high) = (low.min(frequency - half).max(0.0), high.max(frequency + half));
         Some(Crossing { frequency, interval: [low, high] })
     }
 }
