@@ -7,7 +7,7 @@
 //! so there is no bin width, no derivative and no window to correct either. Noise is taken from what the spline leaves.
 //!
 //! Sources: ISO 12233:2023; P. D. Burns, "Slanted-edge MTF for digital camera and scanner analysis", PICS 2000. Accuracy on
-//! edges in closed form: MTF50 within 0.2 %, the curve within 0.002 up to Nyquist (`tests`). Not covered: pictures whose shading
+//! edges in closed form: MTF50 within 0.2 %, the curve within 0.002 up to Nyquist (`tests`); of the 95 % intervals of MTF50 88 to 100 % hold the truth over twelve kinds of noisy edges. Not covered: pictures whose shading
 //! over the region is more than the contrast's few per cent (a warning), edges with a corner.
 //!
 //! Angles: at 0° and 90° every row has the same distances, and nothing is learnt between them: an error, as for any edge that
@@ -276,14 +276,12 @@ fn warnings(fitted: &Fitted, options: &EdgeOptions, [low, high]: [f64; 2], noise
     let mut out = Vec::new();
     let (contrast, spread) = (high - low, &fitted.spread);
     if let Some([black, white]) = options.range {
-        let ends = spread.knots.reach();
-        let sides: [(&str, f64, Box<dyn Fn(f64) -> bool>, Box<dyn Fn(f64) -> bool>); 2] = [
-            ("dark", black, Box::new(move |d| d < -ends[0]), Box::new(move |v| v <= black)),
-            ("bright", white, Box::new(move |d| d > ends[1]), Box::new(move |v| v >= white)),
-        ];
-        for (name, level, beside, cut) in sides {
-            let all: Vec<f64> = fitted.points.iter().filter(|p| beside(p.d)).map(|p| p.value).collect();
-            let share = all.iter().filter(|v| cut(**v)).count() as f64 / all.len().max(1) as f64;
+        let [before, behind] = spread.knots.reach();
+        for (name, level, sign, end) in [("dark", black, -1.0, before), ("bright", white, 1.0, behind)] {
+            let cut = |v: &&f64| sign * (**v - level) >= 0.0;
+            let beside = fitted.points.iter().filter(|p| sign * p.d > end);
+            let all: Vec<f64> = beside.map(|p| p.value).collect();
+            let share = all.iter().filter(cut).count() as f64 / all.len().max(1) as f64;
             if share > 0.02 {
                 out.push(format!(
                     "{:.0} % of the {name} side's pixels stand at {level}, where values are cut off: a clipped edge looks sharper than it is",

@@ -22,8 +22,8 @@ pub(super) fn run(fitted: &Fitted) -> Option<[f64; 2]> {
     sorted.sort_by(f64::total_cmp);
     let most = f64::max(FOREIGN.0 * sorted[PIECES / 2], FOREIGN.1 * (high - low));
     let (mut best, mut from) = ([0, 0], 0);
-    for i in 0..=PIECES {
-        if i == PIECES || off[i] > most {
+    for (i, off) in off.into_iter().chain([f64::INFINITY]).enumerate() {
+        if off > most {
             if i - from > best[1] - best[0] {
                 best = [from, i];
             }
