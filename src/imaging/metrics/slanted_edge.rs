@@ -7,8 +7,9 @@
 //! so there is no bin width, no derivative and no window to correct either. Noise is taken from what the spline leaves.
 //!
 //! Sources: ISO 12233:2023; P. D. Burns, "Slanted-edge MTF for digital camera and scanner analysis", PICS 2000. Accuracy on
-//! edges in closed form: MTF50 within 0.2 %, the curve within 0.002 up to Nyquist (`tests`); of the 95 % intervals of MTF50 88 to 100 % hold the truth over twelve kinds of noisy edges. Not covered: pictures whose shading
-//! over the region is more than the contrast's few per cent (a warning), edges with a corner.
+//! edges in closed form: MTF50 within 0.2 %, the curve within 0.002 up to Nyquist (`tests`). Of the 95 % intervals of MTF50
+//! 88 to 100 % hold the truth, over twelve kinds of noisy edges. Not covered: pictures whose shading over the region is more
+//! than a few per cent of the contrast (a warning), edges with a corner.
 //!
 //! Angles: at 0° and 90° every row has the same distances, and nothing is learnt between them: an error, as for any edge that
 //! moves by less than a pixel over the region. At 45° (distances repeat every 0.71 px) the MTF is known up to 0.71 cycles a
