@@ -87,6 +87,62 @@ pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
     })
 }
 
+/// A picture as its file has it: its own number of channels, and what was known of its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Planes {
+    /// Linear values, `[channel, row, col]`: one channel for grey, three for colour; `[0, 1]` for integer samples.
+    pub values: Array3<f64>,
+    /// Bits a sample; `None` for floating point.
+    pub bits: Option<u8>,
+    /// What the samples were taken as.
+    pub encoding: Encoding,
+}
+
+/// Reads a picture to linear channels in double precision: grey stays one channel, 16 bits stay exact.
+///
+/// Without `encoding` 8-bit samples are taken as sRGB and 16-bit ones as linear; floating point is linear whatever is asked for.
+///
+/// # Shapes
+/// Values `[1 or 3, row, col]`.
+///
+/// # Errors
+/// A file that cannot be read, or is no picture.
+pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    let refused = |e| refused(path, e);
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
+    let orientation = decoder.orientation().map_err(refused)?;
+    let mut picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
+    picture.apply_orientation(orientation);
+    let (rows, cols) = (picture.height() as usize, picture.width() as usize);
+    let channels = if picture.color().has_color() { 3 } else { 1 };
+    let shaped = |samples: Vec<f64>| {
+        let interleaved = Array3::from_shape_vec((rows, cols, channels), samples);
+        let interleaved = interleaved.map_err(|e| Error::Internal(format!("picture buffer size: {e}")))?;
+        Ok(interleaved.permuted_axes([2, 0, 1]))
+    };
+    if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
+        let samples = picture.into_rgb32f().into_raw().into_iter().map(f64::from).collect();
+        return Ok(Planes { values: shaped(samples)?, bits: None, encoding: Encoding::Linear });
+    }
+    let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
+    let encoding = encoding.unwrap_or(if deep { Encoding::Linear } else { Encoding::Srgb });
+    let samples: Vec<u16> = match (deep, channels) {
+        (true, 1) => picture.into_luma16().into_raw(),
+        (true, _) => picture.into_rgb16().into_raw(),
+        (false, 1) => picture.into_luma8().into_raw().into_iter().map(u16::from).collect(),
+        (false, _) => picture.into_rgb8().into_raw().into_iter().map(u16::from).collect(),
+    };
+    let top = if deep { u16::MAX } else { 255 };
+    let decoded = (0..=top).map(|v| f64::from(v) / f64::from(top)).map(|v| match encoding {
+        Encoding::Srgb => linear_from_srgb(v),
+        Encoding::Linear => v,
+    });
+    let table: Vec<f64> = decoded.collect();
+    let values = shaped(samples.into_iter().map(|v| table[usize::from(v)]).collect())?;
+    Ok(Planes { values, bits: Some(if deep { 16 } else { 8 }), encoding })
+}
+
 /// Channel planes of interleaved samples.
 fn planes<S: Copy + Sync>((cols, rows): (u32, u32), samples: &[S], value: impl Fn(S) -> f32 + Sync) -> Array3<f32> {
     let (rows, cols) = (rows as usize, cols as usize);
@@ -249,6 +305,31 @@ mod tests {
         write_picture(&at("e.jpg"), &flat, Encoding::Srgb).expect("writes");
         assert!(worst(&read_linear(&at("e.jpg")).expect("reads"), &flat) < 0.01);
         assert_eq!(fs::read_dir(folder.path()).expect("lists").count(), 5, "no partial file is left");
+    }
+
+    /// Grey stays grey, 16 bits stay exact, and the default encoding follows the bits.
+    #[test]
+    fn planes_keep_channels_and_bits() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let deep = ImageBuffer::<image::Luma<u16>, _>::from_fn(5, 3, |x, y| {
+            image::Luma([(7919 * (5 * y + x) % 65536) as u16])
+        });
+        deep.save(at("deep.png")).expect("writes");
+        let read = read_planes(&at("deep.png"), None).expect("reads");
+        assert_eq!((read.values.dim(), read.bits, read.encoding), ((1, 3, 5), Some(16), Encoding::Linear));
+        for ((_, r, c), v) in read.values.indexed_iter() {
+            assert_eq!(*v * 65535.0, (7919 * (5 * r + c) % 65536) as f64);
+        }
+        write_png8(&at("rgb.png"), &picture()).expect("writes");
+        let read = read_planes(&at("rgb.png"), None).expect("reads");
+        assert_eq!((read.values.dim(), read.bits, read.encoding), ((3, 7, 11), Some(8), Encoding::Srgb));
+        assert_eq!(read.values.mapv(|v| v as f32), read_linear(&at("rgb.png")).expect("reads"));
+        let linear = read_planes(&at("rgb.png"), Some(Encoding::Linear)).expect("reads");
+        assert!(
+            linear.values.iter().all(|v| (v * 255.0).fract() == 0.0 || (v * 255.0 - (v * 255.0).round()).abs() < 1e-12)
+        );
+        assert!(read_planes(&at("none.png"), None).expect_err("missing").to_string().contains("none.png"));
     }
 
     #[test]

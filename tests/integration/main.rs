@@ -30,6 +30,7 @@ mod random_lenses;
 mod renderers;
 mod report;
 mod skips;
+mod slanted_edge;
 mod stiff;
 mod support;
 mod throughput;

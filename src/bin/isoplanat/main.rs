@@ -35,6 +35,7 @@ mod psf;
 mod render;
 mod report;
 mod scene;
+mod slanted_edge;
 #[cfg(feature = "train")]
 mod sweep;
 mod trace;
@@ -99,6 +100,8 @@ enum Command {
     Accuracy(accuracy::Args),
     /// A RAW capture of a scene, by rays from the sensor
     Capture(capture::Args),
+    /// The MTF that a picture of a slanted edge shows (ISO 12233 e-SFR)
+    SlantedEdge(slanted_edge::Args),
     /// The whole chain on built-in scenes, with a report
     #[cfg(all(feature = "train", feature = "deploy"))]
     Demo(demo::Args),
@@ -154,6 +157,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Render(args) => render::run(&args, out),
         Command::Accuracy(args) => accuracy::run(&args, out),
         Command::Capture(args) => capture::run(&args, out),
+        Command::SlantedEdge(args) => slanted_edge::run(&args, out),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
         #[cfg(feature = "train")]
@@ -178,7 +182,26 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     }
 }
 
+/// The other side of RAW decoding: this program started by itself as a decoder (`deploy::raw_process`).
+#[cfg(feature = "deploy")]
+fn decoder() -> Option<ExitCode> {
+    use isoplanat::deploy::raw_process;
+    let mut arguments = std::env::args_os().skip(1);
+    let (first, path) = (arguments.next()?, arguments.next()?);
+    if first != raw_process::COMMAND || arguments.next().is_some() {
+        return None;
+    }
+    // A panic of the decoder is told of by the parent.
+    std::panic::set_hook(Box::new(|_| {}));
+    let served = raw_process::serve(std::path::Path::new(&path), &mut std::io::stdout().lock());
+    Some(if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
 fn main() -> ExitCode {
+    #[cfg(feature = "deploy")]
+    if let Some(code) = decoder() {
+        return code;
+    }
     let Cli { command, memory_gib, glass, glass_for } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
     let ready =

@@ -1,4 +1,4 @@
-//! How close two pictures are: PSNR and SSIM; [`delta_e`] for colour.
+//! How close two pictures are: PSNR and SSIM; [`delta_e`] for colour, [`slanted_edge`] for the MTF of one.
 //!
 //! `PSNR = −10 log₁₀ MSE` for a data range of 1. SSIM: Z. Wang, A. C. Bovik, H. R. Sheikh, E. P. Simoncelli, "Image
 //! quality assessment: from error visibility to structural similarity", IEEE Trans. Image Process. 13(4), 2004: Gaussian
@@ -10,6 +10,7 @@
 
 pub mod delta_e;
 pub mod ms_ssim;
+pub mod slanted_edge;
 pub mod wiener;
 
 use ndarray::{Array1, Array2, ArrayView2, ArrayView3, s};

@@ -1,0 +1,128 @@
+//! `isoplanat slanted-edge IMAGE`: the MTF that a picture of a slanted edge shows, channel by channel.
+
+mod listing;
+mod picture;
+
+use std::io::Write;
+use std::path::PathBuf;
+use std::str::FromStr;
+
+use isoplanat::imaging::files::Encoding;
+use isoplanat::imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, find_region, measure};
+use isoplanat::imaging::sensor::cfa::Cfa;
+use isoplanat::{Error, Result};
+
+use listing::{Listing, Measured};
+
+/// What the numbers of an integer picture stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Coding {
+    /// Proportional to light
+    Linear,
+    /// sRGB
+    Srgb,
+}
+
+/// Arguments of `slanted-edge`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Picture (.png, .tif, .jpg) of one slanted edge, or RAW file (.dng, .nef, .arw …; needs the feature `deploy`)
+    image: PathBuf,
+    /// Where the edge is: column and row of the first pixel, width, height [default: the largest part with one straight edge]
+    #[arg(long, value_name = "X,Y,W,H", allow_hyphen_values = true)]
+    region: Option<String>,
+    /// What the numbers stand for [default: sRGB for 8 bits, linear for 16 bits and floating point]
+    #[arg(long, value_enum)]
+    encoding: Option<Coding>,
+    /// The picture is a mosaic behind this Bayer filter: RGGB, GRBG, GBRG, BGGR
+    #[arg(long, value_name = "LAYOUT")]
+    cfa: Option<String>,
+    /// Channel whose figures stand first: grey, R, G, B, luminance [default: grey, or G]
+    #[arg(long)]
+    channel: Option<String>,
+    /// MTF and edge spread function, drawn
+    #[arg(long, value_name = "OUT.svg")]
+    svg: Option<PathBuf>,
+    /// The MTF of every channel as comma-separated values
+    #[arg(long, value_name = "OUT.csv")]
+    csv: Option<PathBuf>,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+    /// Overwrite outputs
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; the result goes to `out`.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    for path in args.svg.iter().chain(&args.csv) {
+        crate::output::check_writable(path, args.force)?;
+    }
+    let region = args.region.as_deref().map(rectangle).transpose()?;
+    let cfa = args.cfa.as_deref().map(layout).transpose()?;
+    let encoding = args.encoding.map(|c| match c {
+        Coding::Linear => Encoding::Linear,
+        Coding::Srgb => Encoding::Srgb,
+    });
+    let picture = picture::read(&args.image, encoding, cfa)?;
+    let names: Vec<&str> = picture.channels.iter().map(|c| c.name).collect();
+    let first = match &args.channel {
+        None => names.iter().position(|n| *n == "G").unwrap_or(0),
+        Some(name) => names.iter().position(|n| n.eq_ignore_ascii_case(name)).ok_or_else(|| {
+            Error::bad("--channel", "value", name.as_str(), format!("this picture has {}", names.join(", ")))
+        })?,
+    };
+    let place = args.image.as_path();
+    // One region for all channels, found in the first.
+    let sought = &picture.channels[first];
+    let region = match region {
+        Some(region) => region,
+        None => find_region(sought.plane.view(), sought.sites).map_err(|e| e.in_file(place))?,
+    };
+    let mut measured = Vec::new();
+    for channel in &picture.channels {
+        let options = EdgeOptions { region: Some(region), sites: channel.sites, range: channel.range };
+        let edge = measure(channel.plane.view(), &options).map_err(|e| in_channel(e, channel.name).in_file(place))?;
+        measured.push(Measured { name: channel.name, edge });
+    }
+    let listing = Listing { first, measured, source: picture.source, image: args.image.display().to_string() };
+    if let Some(path) = &args.csv {
+        crate::output::put(&listing.csv(), Some(path), out)?;
+    }
+    if let Some(path) = &args.svg {
+        crate::output::put(&listing.svg(), Some(path), out)?;
+    }
+    if args.json {
+        writeln!(out, "{:#}", listing.json())?;
+    } else {
+        write!(out, "{listing}")?;
+    }
+    for (name, warning) in listing.warnings() {
+        eprintln!("warning: {}: {name}: {warning}", listing.image);
+    }
+    Ok(())
+}
+
+/// The same error with the channel it concerns.
+fn in_channel(error: Error, name: &str) -> Error {
+    match error {
+        Error::BadInput { file, place, found, allowed } if file.is_empty() => {
+            Error::bad(file, format!("channel {name}, {place}"), found, allowed)
+        }
+        other => other,
+    }
+}
+
+/// The rectangle `x,y,w,h`.
+fn rectangle(text: &str) -> Result<Rectangle> {
+    let numbers: Vec<Option<usize>> = text.split(',').map(|v| usize::from_str(v.trim()).ok()).collect();
+    match numbers[..] {
+        [Some(x), Some(y), Some(width), Some(height)] => Ok(Rectangle { x, y, width, height }),
+        _ => Err(Error::bad("--region", "value", text, "x,y,w,h: four whole numbers of pixels, none negative")),
+    }
+}
+
+fn layout(text: &str) -> Result<Cfa> {
+    Cfa::from_name(text).ok_or_else(|| Error::bad("--cfa", "value", text, "RGGB, GRBG, GBRG or BGGR"))
+}

@@ -1,0 +1,256 @@
+//! What `slanted-edge` shows: a table, JSON, comma-separated values, a drawing.
+
+use std::fmt;
+
+use isoplanat::imaging::metrics::slanted_edge::{Crossing, EdgeMeasurement};
+use isoplanat::report::plot::{Mark, Plot, Series};
+use isoplanat::report::table::Table;
+use serde_json::{Map, Value, json};
+
+/// One channel's edge.
+pub(super) struct Measured {
+    pub(super) name: &'static str,
+    pub(super) edge: EdgeMeasurement,
+}
+
+/// All channels of a picture.
+pub(super) struct Listing {
+    /// The channel whose figures stand first.
+    pub(super) first: usize,
+    pub(super) measured: Vec<Measured>,
+    /// What the numbers were taken as.
+    pub(super) source: String,
+    /// The picture's name.
+    pub(super) image: String,
+}
+
+/// Every so many points of a curve stand in the table.
+const STEP: usize = 5;
+
+impl Listing {
+    /// Warnings, each with its channel; those of several channels once.
+    pub(super) fn warnings(&self) -> Vec<(&'static str, &str)> {
+        let mut out: Vec<(&str, &str)> = Vec::new();
+        for m in &self.measured {
+            for w in &m.edge.warnings {
+                if !out.iter().any(|(_, known)| *known == w) {
+                    out.push((m.name, w));
+                }
+            }
+        }
+        out
+    }
+
+    /// Places of R and B relative to G, where there are such channels.
+    fn lateral(&self) -> Vec<(&'static str, f64)> {
+        let of = |name: &str| self.measured.iter().find(|m| m.name == name);
+        let Some(green) = of("G") else { return Vec::new() };
+        let colours = ["R", "B"].into_iter().filter_map(of);
+        colours.map(|m| (m.name, m.edge.shift_from(&green.edge))).collect()
+    }
+
+    /// The table as values separated by commas: one row a frequency.
+    pub(super) fn csv(&self) -> String {
+        let names = self.measured.iter().flat_map(|m| [format!("mtf_{}", m.name), format!("uncertainty_{}", m.name)]);
+        let mut table = Table::new(std::iter::once("frequency_cy_per_px".to_owned()).chain(names));
+        let longest = self.measured.iter().map(|m| m.edge.mtf.len()).max().unwrap_or(0);
+        let all = self.measured.iter().find(|m| m.edge.mtf.len() == longest);
+        for (i, point) in all.iter().flat_map(|m| m.edge.mtf.iter().enumerate()) {
+            let values = self.measured.iter().flat_map(|m| {
+                let at = m.edge.mtf.get(i);
+                [at.map(|p| p.value), at.map(|p| p.uncertainty)]
+            });
+            let cells = values.map(|v| v.map_or_else(String::new, |v| format!("{v:.6}")));
+            table.row(std::iter::once(format!("{:.2}", point.frequency)).chain(cells));
+        }
+        table.csv()
+    }
+
+    /// Everything, the first channel's figures at the top too.
+    pub(super) fn json(&self) -> Value {
+        let mut top = Map::new();
+        top.insert("schema".into(), json!(1));
+        top.insert("image".into(), json!(self.image));
+        top.insert("taken_as".into(), json!(self.source));
+        top.insert("channel".into(), json!(self.measured[self.first].name));
+        top.extend(channel(&self.measured[self.first].edge));
+        let shifts = self.lateral().into_iter().map(|(name, px)| (name.to_owned(), json!(px)));
+        let shifts: Map<String, Value> = shifts.collect();
+        if !shifts.is_empty() {
+            top.insert("lateral_colour_px".into(), Value::Object(shifts));
+            // The same along the row or column that crosses the edge.
+            let edge = &self.measured[self.first].edge;
+            let slant = edge.normal_deg.to_radians();
+            let main = slant.cos().abs().max(slant.sin().abs());
+            let along = self.lateral().into_iter().map(|(name, px)| (name.to_owned(), json!(px / main)));
+            let key =
+                if slant.cos().abs() >= slant.sin().abs() { "lateral_colour_x_px" } else { "lateral_colour_y_px" };
+            top.insert(key.into(), Value::Object(along.collect()));
+        }
+        let channels = self.measured.iter().map(|m| (m.name.to_owned(), Value::Object(channel(&m.edge))));
+        top.insert("channels".into(), Value::Object(channels.collect()));
+        Value::Object(top)
+    }
+
+    /// MTF and edge spread function, one above the other.
+    pub(super) fn svg(&self) -> String {
+        let mut curves = Vec::new();
+        let mut spreads = Vec::new();
+        for Measured { name, edge } in &self.measured {
+            let points = edge.mtf.iter().map(|p| [p.frequency, p.value]).collect();
+            curves.push(Series { name: (*name).into(), points, mark: Mark::Line });
+            let band =
+                |sign: f64| edge.mtf.iter().map(|p| [p.frequency, p.value + sign * 1.96 * p.uncertainty]).collect();
+            curves.extend([-1.0, 1.0].map(|s| Series { name: String::new(), points: band(s), mark: Mark::Dashed }));
+            let points = edge.spread.iter().map(|p| [p[0], p[1]]).collect();
+            spreads.push(Series { name: (*name).into(), points, mark: Mark::Line });
+        }
+        let mtf = Plot {
+            title: format!("MTF along the edge's normal, 95 % band: {}", self.image),
+            x_label: "cycles/px".into(),
+            y_label: "modulation".into(),
+            series: curves,
+            ..Plot::default()
+        };
+        let esf = Plot {
+            title: "Edge spread function".into(),
+            x_label: "distance from the edge, px".into(),
+            y_label: "level".into(),
+            series: spreads,
+            ..Plot::default()
+        };
+        stacked(&[mtf.to_svg(), esf.to_svg()])
+    }
+}
+
+/// Drawings one below the other, each as it is.
+fn stacked(drawings: &[String]) -> String {
+    let size = |svg: &str, key: &str| -> f64 {
+        let view = svg.split("viewBox=\"").nth(1).and_then(|v| v.split('"').next()).unwrap_or_default();
+        let numbers: Vec<f64> = view.split_whitespace().filter_map(|v| v.parse().ok()).collect();
+        numbers.get(if key == "width" { 2 } else { 3 }).copied().unwrap_or(0.0)
+    };
+    let width = drawings.iter().map(|d| size(d, "width")).fold(0.0, f64::max);
+    let (mut inner, mut y) = (String::new(), 0.0);
+    for drawing in drawings {
+        inner += &format!("<g transform=\"translate(0 {y:.0})\">\n{drawing}</g>\n");
+        y += size(drawing, "height");
+    }
+    let size = format!("viewBox=\"0 0 {width:.0} {y:.0}\" width=\"{width:.0}\" height=\"{y:.0}\"");
+    format!("<svg xmlns=\"http://www.w3.org/2000/svg\" {size}>\n{inner}</svg>\n")
+}
+
+/// An interval's ends; null where it is open.
+fn ends(crossing: Option<&Crossing>) -> Value {
+    crossing.map_or(Value::Null, |c| json!(c.interval.map(|v| v.is_finite().then_some(v))))
+}
+
+/// One channel's figures.
+fn channel(edge: &EdgeMeasurement) -> Map<String, Value> {
+    let curve: Vec<Value> = edge
+        .mtf
+        .iter()
+        .map(|p| json!({ "frequency_cy_per_px": round(p.frequency), "value": p.value, "uncertainty": p.uncertainty }))
+        .collect();
+    let region = edge.region;
+    let value = json!({
+        "mtf50_cy_per_px": edge.mtf50.map(|c| c.frequency),
+        "mtf50_interval_cy_per_px": ends(edge.mtf50.as_ref()),
+        "mtf10_cy_per_px": edge.mtf10.map(|c| c.frequency),
+        "mtf10_interval_cy_per_px": ends(edge.mtf10.as_ref()),
+        "edge_angle_deg": edge.angle_deg,
+        "edge_angle_uncertainty_deg": edge.angle_uncertainty_deg,
+        "normal_to_bright_side_deg": edge.normal_deg,
+        "edge_position_px": { "x": edge.position[0], "y": edge.position[1] },
+        "edge_fit": if edge.sagitta == 0.0 { "line" } else { "parabola" },
+        "edge_sagitta_px": edge.sagitta,
+        "region_px": { "x": region.x, "y": region.y, "width": region.width, "height": region.height },
+        "dark_level": edge.levels[0],
+        "bright_level": edge.levels[1],
+        "contrast": edge.levels[1] - edge.levels[0],
+        "michelson_contrast": edge.michelson(),
+        "noise": edge.noise,
+        "rise_10_90_px": edge.rise,
+        "samples": edge.samples,
+        "oversampling": edge.knots_per_px,
+        "warnings": edge.warnings,
+        "mtf": curve,
+        "spread": edge.spread.iter().map(|[d, e, l]| json!({ "distance_px": d, "esf": e, "lsf_per_px": l })).collect::<Vec<_>>(),
+    });
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}
+
+/// A frequency without the rounding of its sum.
+fn round(f: f64) -> f64 {
+    (f * 1e4).round() / 1e4
+}
+
+impl fmt::Display for Listing {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let edge = &self.measured[self.first].edge;
+        let r = edge.region;
+        writeln!(f, "{}: {}", self.image, self.source)?;
+        writeln!(
+            f,
+            "edge at {:.3}° ± {:.3}° from vertical through ({:.2}, {:.2}) px, region {},{},{},{}, {}",
+            edge.angle_deg,
+            1.96 * edge.angle_uncertainty_deg,
+            edge.position[0],
+            edge.position[1],
+            r.x,
+            r.y,
+            r.width,
+            r.height,
+            if edge.sagitta == 0.0 { "straight".into() } else { format!("bent by {:.3} px (parabola)", edge.sagitta) }
+        )?;
+        let mut table = Table::new([
+            "channel",
+            "MTF50/(cy/px)",
+            "95 %",
+            "MTF10/(cy/px)",
+            "95 %",
+            "10-90/px",
+            "dark",
+            "bright",
+            "noise",
+            "samples",
+        ]);
+        let figure = |c: Option<Crossing>| c.map_or_else(|| "-".into(), |c| format!("{:.4}", c.frequency));
+        let interval = |c: Option<Crossing>| match c {
+            None => "-".into(),
+            Some(c) if c.interval[1].is_finite() => format!("{:.4} to {:.4}", c.interval[0], c.interval[1]),
+            Some(c) => format!("from {:.4}", c.interval[0]),
+        };
+        for Measured { name, edge } in &self.measured {
+            table.row([
+                (*name).to_owned(),
+                figure(edge.mtf50),
+                interval(edge.mtf50),
+                figure(edge.mtf10),
+                interval(edge.mtf10),
+                format!("{:.2}", edge.rise),
+                format!("{:.4}", edge.levels[0]),
+                format!("{:.4}", edge.levels[1]),
+                format!("{:.5}", edge.noise),
+                edge.samples.to_string(),
+            ]);
+        }
+        write!(f, "{table}")?;
+        for (name, px) in self.lateral() {
+            writeln!(f, "{name} lies {px:+.3} px from G along the edge's normal (right or down is positive)")?;
+        }
+        let heading = self.measured.iter().map(|m| format!("{} (± 95 %)", m.name));
+        let mut table = Table::new(std::iter::once("cy/px".to_owned()).chain(heading));
+        for (i, point) in edge.mtf.iter().enumerate().step_by(STEP) {
+            let cell = |m: &Measured| match m.edge.mtf.get(i) {
+                Some(p) => format!("{:.4} ± {:.4}", p.value, 1.96 * p.uncertainty),
+                None => "-".into(),
+            };
+            table.row(std::iter::once(format!("{:.2}", point.frequency)).chain(self.measured.iter().map(cell)));
+        }
+        write!(f, "{table}")
+    }
+}

@@ -1,0 +1,124 @@
+//! The channels of a picture that an edge is measured in: grey, R, G, B with luminance, or the colours of a mosaic.
+
+use std::path::Path;
+
+use isoplanat::imaging::develop::color::XYZ_FROM_SRGB;
+use isoplanat::imaging::files::{Encoding, Planes, read_planes};
+use isoplanat::imaging::metrics::slanted_edge::Sites;
+use isoplanat::imaging::sensor::cfa::Cfa;
+use isoplanat::{Error, Result};
+use ndarray::{ArcArray2, Axis};
+
+/// Names of the colours, in the order of channels.
+const COLOURS: [&str; 3] = ["R", "G", "B"];
+/// Endings of RAW files; everything else is a picture.
+const RAW: [&str; 14] =
+    ["dng", "nef", "nrw", "arw", "sr2", "cr2", "cr3", "crw", "raf", "rw2", "orf", "pef", "srw", "iiq"];
+
+/// One channel: linear values, and which of them count.
+pub(super) struct Channel {
+    pub(super) name: &'static str,
+    pub(super) plane: ArcArray2<f64>,
+    pub(super) sites: Sites,
+    /// Levels at which values are cut off.
+    pub(super) range: Option<[f64; 2]>,
+}
+
+/// What was read.
+pub(super) struct Picture {
+    pub(super) channels: Vec<Channel>,
+    /// What the numbers were taken as, in words.
+    pub(super) source: String,
+}
+
+/// Reads a picture or a RAW file.
+pub(super) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) -> Result<Picture> {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    if RAW.contains(&ending.as_str()) {
+        let found = |option: &str| Error::bad(option, "value", "given for a RAW file", "RAW files say it themselves");
+        if encoding.is_some() {
+            return Err(found("--encoding"));
+        }
+        if cfa.is_some() {
+            return Err(found("--cfa"));
+        }
+        return raw(path);
+    }
+    let Planes { values, bits, encoding } = read_planes(path, encoding)?;
+    let said = match encoding {
+        Encoding::Srgb => "sRGB",
+        Encoding::Linear => "linear",
+    };
+    let form = bits.map_or_else(|| "floating point".into(), |b| format!("{b} bits"));
+    let range = bits.map(|_| [0.0, 1.0]);
+    let mut planes = values.axis_iter(Axis(0)).map(|p| p.to_owned().into_shared()).collect::<Vec<_>>();
+    // Three equal channels are grey.
+    if planes.len() == 3 && planes[0] == planes[1] && planes[1] == planes[2] {
+        planes.truncate(1);
+    }
+    let one = |name, plane: &ArcArray2<f64>| Channel { name, plane: plane.clone(), sites: Sites::ALL, range };
+    if let Some(cfa) = cfa {
+        let [mosaic] = &planes[..] else {
+            let file = path.display().to_string();
+            return Err(Error::bad(file, "picture", "three different channels", "one channel with --cfa"));
+        };
+        let source = format!("{form}, taken as {said}, {cfa} mosaic");
+        return Ok(Picture { channels: mosaic_channels(mosaic, cfa, range), source });
+    }
+    let channels = match &planes[..] {
+        [r, g, b] => {
+            let [red, green, blue] = XYZ_FROM_SRGB[1];
+            let luminance = (red * r + green * g + blue * b).into_shared();
+            let colours = COLOURS.into_iter().zip(&planes).map(|(name, plane)| one(name, plane));
+            // A sum of clipped channels has no level of its own.
+            colours.chain([Channel { range: None, ..one("luminance", &luminance) }]).collect()
+        }
+        _ => vec![one("grey", &planes[0])],
+    };
+    Ok(Picture { channels, source: format!("{form}, taken as {said}") })
+}
+
+/// The colours of a mosaic, each at its own pixels.
+fn mosaic_channels(mosaic: &ArcArray2<f64>, cfa: Cfa, range: Option<[f64; 2]>) -> Vec<Channel> {
+    let channel = |(i, name)| Channel { name, plane: mosaic.clone(), sites: Sites::of(cfa, i), range };
+    COLOURS.into_iter().enumerate().map(|(i, name)| channel((i, name))).collect()
+}
+
+/// A RAW file, decoded in a child process; levels from the file: black 0, white 1.
+#[cfg(feature = "deploy")]
+fn raw(path: &Path) -> Result<Picture> {
+    use isoplanat::deploy::raw::RawPixels;
+    use isoplanat::deploy::raw_process::{self, Limits};
+
+    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+    let raw = raw_process::decode(&program, path, Limits::default())?;
+    let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
+    let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);
+    // Below black is noise, not a cut; the cut lies at the sensor's zero.
+    let range = Some([f64::NEG_INFINITY, 1.0]);
+    match raw.pixels {
+        RawPixels::Mosaic { samples, cfa } => {
+            let at = |(r, c): (usize, usize)| level(samples[[r, c]], (r & 1) * 2 + (c & 1));
+            let mosaic = ndarray::Array2::from_shape_fn(samples.dim(), at).into_shared();
+            let source = format!("RAW of {} {}, {cfa} mosaic", raw.make, raw.model);
+            Ok(Picture { channels: mosaic_channels(&mosaic, cfa, range), source })
+        }
+        RawPixels::Linear(samples) => {
+            let plane = |i: usize| samples.index_axis(Axis(0), i).mapv(|v| level(v, i)).into_shared();
+            let one = |(i, name)| Channel { name, plane: plane(i), sites: Sites::ALL, range };
+            let channels = COLOURS.into_iter().enumerate().map(|(i, name)| one((i, name))).collect();
+            Ok(Picture { channels, source: format!("linear RAW of {} {}", raw.make, raw.model) })
+        }
+    }
+}
+
+/// RAW files need the decoder.
+#[cfg(not(feature = "deploy"))]
+fn raw(path: &Path) -> Result<Picture> {
+    Err(Error::bad(
+        path.display().to_string(),
+        "RAW file",
+        "this build lacks the feature `deploy`, which reads RAW files",
+        "a PNG, JPEG or TIFF picture, or a build with --features deploy",
+    ))
+}

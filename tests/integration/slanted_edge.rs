@@ -1,0 +1,150 @@
+//! `isoplanat slanted-edge` on edges whose MTF is known in closed form, on published edges, and on what is no edge.
+
+use isoplanat::imaging::files::{Encoding, write_picture};
+use isoplanat::testing::shared;
+use ndarray::Array3;
+use serde_json::Value;
+
+use crate::support::Workplace;
+
+/// The program's JSON for a picture of the shared data.
+fn measured(path: &std::path::Path, options: &str) -> Value {
+    let text = Workplace::new().run(&format!("slanted-edge {} --json {options}", path.display())).done();
+    serde_json::from_str(&text).expect("JSON")
+}
+
+fn number(value: &Value, key: &str) -> f64 {
+    value[key].as_f64().unwrap_or(f64::NAN)
+}
+
+/// Panics unless MTF50 is within 1 %, the curve within 0.02 up to Nyquist, and the interval of MTF50 holds the truth.
+#[track_caller]
+fn holds(found: &Value, truth: &Value, name: &str) {
+    let (f50, expected) = (number(found, "mtf50_cy_per_px"), number(truth, "mtf50_cy_per_px"));
+    assert!((f50 / expected - 1.0).abs() < 0.01, "{name}: MTF50 {f50} against {expected}");
+    let ends = &found["mtf50_interval_cy_per_px"];
+    let [low, high] = [0, 1].map(|i| ends[i].as_f64().expect("an end"));
+    assert!(low <= expected && expected <= high, "{name}: {expected} in {low} to {high}");
+    let curve = found["mtf"].as_array().expect("points");
+    for (frequency, value) in truth["mtf"].as_object().expect("a curve") {
+        let frequency: f64 = frequency.parse().expect("a number");
+        if frequency > 0.5 {
+            continue;
+        }
+        let near = |p: &&Value| (number(p, "frequency_cy_per_px") - frequency).abs() < 1e-6;
+        let point = number(curve.iter().find(near).expect("a point"), "value");
+        let value = value.as_f64().expect("a number");
+        assert!((point - value).abs() < 0.02, "{name} at {frequency}: {point} against {value}");
+    }
+}
+
+#[test]
+fn synthetic_edges_have_their_mtf() {
+    let Some(file) = shared("data/mtf/synthetic/truth.json") else { return };
+    let truth: Value = serde_json::from_str(&std::fs::read_to_string(&file).expect("reads")).expect("JSON");
+    let mut edges = 0;
+    for (name, truth) in truth.as_object().expect("cases").iter().filter(|(name, _)| *name != "_about") {
+        let picture = file.with_file_name(truth["file"].as_str().expect("a file"));
+        let found = measured(&picture, if name.contains("bayer") { "--cfa RGGB" } else { "" });
+        let angle = (number(&found, "edge_angle_deg") - number(truth, "edge_angle_from_vertical_deg")).abs();
+        assert!(angle < 0.02, "{name}: {angle}° off");
+        match truth["channels"].as_object() {
+            None => holds(&found, truth, name),
+            Some(channels) => {
+                for (channel, truth) in channels {
+                    holds(&found["channels"][channel], truth, &format!("{name} {channel}"));
+                    edges += 1;
+                }
+            }
+        }
+        edges += usize::from(truth["channels"].is_null());
+        // Channels are shifted along x by (0.8, 0, -0.6) pixels.
+        if name.contains("lateral") {
+            let shift = |colour: &str| found["lateral_colour_x_px"][colour].as_f64().expect("a shift");
+            assert!(
+                (shift("R") - 0.8).abs() < 2e-3 && (shift("B") + 0.6).abs() < 2e-3,
+                "{}",
+                found["lateral_colour_x_px"]
+            );
+        }
+    }
+    assert!(edges >= 11, "{edges}");
+}
+
+#[test]
+fn published_edges_agree_with_another_program() {
+    let Some(file) = shared("data/mtf/published/approx_reference.json") else { return };
+    let reference: Value = serde_json::from_str(&std::fs::read_to_string(&file).expect("reads")).expect("JSON");
+    for (name, expected) in reference.as_object().expect("cases") {
+        let found = measured(&file.with_file_name(name), "--encoding linear");
+        let (f50, expected) = (number(&found, "mtf50_cy_per_px"), number(expected, "mtf50_cy_per_px_ours"));
+        assert!((f50 / expected - 1.0).abs() < 0.03, "{name}: {f50} against {expected}");
+    }
+    // A Gaussian edge that carries its angle and its width along the rows in its name.
+    let name = "MTF_Estimator_myedge_angle_16.776550_fwhm_2.101313.tif";
+    let found = measured(&file.with_file_name(name), "");
+    let angle: f64 = 16.776_550;
+    assert!((number(&found, "edge_angle_deg").abs() - angle).abs() < 1e-3, "{}", found["edge_angle_deg"]);
+    let sigma = 2.101_313 * angle.to_radians().cos() / (8.0 * 2f64.ln()).sqrt();
+    let f50 = (0.5 * 2f64.ln()).sqrt() / (std::f64::consts::PI * sigma);
+    assert!((number(&found, "mtf50_cy_per_px") / f50 - 1.0).abs() < 1e-3, "{} against {f50}", found["mtf50_cy_per_px"]);
+}
+
+/// A soft edge at this slope (columns a row), of three colours that lie apart.
+fn picture(slope: f32) -> Array3<f32> {
+    Array3::from_shape_fn((3, 60, 80), |(k, r, c)| {
+        let d = c as f32 - 39.5 - 0.5 * k as f32 + slope * (r as f32 - 29.5);
+        0.2 + 0.5 / (1.0 + (-2.0 * d).exp())
+    })
+}
+
+#[test]
+fn the_command_writes_what_it_is_asked_for_and_overwrites_nothing() {
+    let place = Workplace::new();
+    write_picture(&place.path("edge.png"), &picture(0.1), Encoding::Linear).expect("writes");
+    let text = place.run("slanted-edge edge.png --svg edge.svg --csv edge.csv").done();
+    for words in ["16 bits, taken as linear", "luminance", "R lies", "MTF50", "0.50"] {
+        assert!(text.contains(words), "`{words}` in {text}");
+    }
+    let csv = std::fs::read_to_string(place.path("edge.csv")).expect("written");
+    assert!(csv.starts_with("frequency_cy_per_px,mtf_R,uncertainty_R") && csv.lines().count() == 102, "{csv}");
+    let svg = std::fs::read_to_string(place.path("edge.svg")).expect("written");
+    assert!(svg.contains("Edge spread function") && !svg.contains("NaN"), "{svg}");
+    assert_eq!(svg.matches("<svg").count(), svg.matches("</svg>").count());
+    place.run("slanted-edge edge.png --svg edge.svg").refused(&["edge.svg", "--force"]);
+    place.run("slanted-edge edge.png --csv edge.csv").refused(&["edge.csv", "--force"]);
+    place.run("slanted-edge edge.png --csv edge.csv --svg edge.svg --force").done();
+    let whole: Value = serde_json::from_str(&place.run("slanted-edge edge.png --json").done()).expect("JSON");
+    let part = place.run("slanted-edge edge.png --json --channel R --region 10,5,60,50").done();
+    let part: Value = serde_json::from_str(&part).expect("JSON");
+    assert_eq!((part["channel"].as_str(), whole["channel"].as_str()), (Some("R"), Some("G")));
+    assert_eq!(part["region_px"]["width"], 60);
+    assert!((number(&part, "mtf50_cy_per_px") / number(&whole, "mtf50_cy_per_px") - 1.0).abs() < 0.01);
+    for channel in ["R", "G", "B", "luminance"] {
+        assert!(number(&whole["channels"][channel], "mtf10_cy_per_px") > 0.0, "{channel}");
+    }
+    assert!((whole["lateral_colour_x_px"]["R"].as_f64().expect("a shift") + 0.5).abs() < 0.01);
+}
+
+#[test]
+fn what_cannot_be_measured_is_one_line() {
+    let place = Workplace::new();
+    write_picture(&place.path("edge.png"), &picture(0.1), Encoding::Linear).expect("writes");
+    write_picture(&place.path("upright.png"), &picture(0.0), Encoding::Linear).expect("writes");
+    write_picture(&place.path("flat.png"), &Array3::from_elem((3, 60, 80), 0.4), Encoding::Linear).expect("writes");
+    place.write("text.png", "no picture");
+    place.run("slanted-edge upright.png").refused(&["upright.png", "0.00°", "0° or 90°"]);
+    place.run("slanted-edge flat.png").refused(&["flat.png", "all pixels are equal"]);
+    place.run("slanted-edge text.png").refused(&["text.png", "PNG, JPEG or TIFF"]);
+    place.run("slanted-edge none.png").refused(&["none.png"]);
+    place.run("slanted-edge edge.png --region 0,0,50").refused(&["--region", "x,y,w,h"]);
+    place.run("slanted-edge edge.png --region -1,0,50,50").refused(&["--region", "x,y,w,h"]);
+    place.run("slanted-edge edge.png --region 40,0,50,50").refused(&["edge.png", "region", "80 x 60"]);
+    place.run("slanted-edge edge.png --region 0,0,20,60").refused(&["edge.png", "region x 0, y 0, 20 x 60"]);
+    place.run("slanted-edge edge.png --cfa RGBW").refused(&["--cfa", "RGGB, GRBG, GBRG or BGGR"]);
+    place.run("slanted-edge edge.png --cfa RGGB").refused(&["edge.png", "one channel"]);
+    place.run("slanted-edge edge.png --channel grey").refused(&["--channel", "R, G, B, luminance"]);
+    if cfg!(not(feature = "deploy")) {
+        place.write("a.dng", "x").run("slanted-edge a.dng").refused(&["a.dng", "`deploy`"]);
+    }
+}
