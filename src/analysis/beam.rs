@@ -125,7 +125,9 @@ mod tests {
             #[expect(clippy::cast_precision_loss, reason = "small counts")]
             let mean = |f: &dyn Fn(&DVec2) -> f64| points.iter().map(f).sum::<f64>() / points.len() as f64;
             // The moments of the unit disk: ⟨r²⟩ = 1/2, ⟨x⟩ = ⟨y⟩ = ⟨xy⟩ = 0.
-            assert!((mean(&|p| p.length_squared()) - 0.5).abs() < 2.0 / f64::from(u32::try_from(count).expect("small")));
+            assert!(
+                (mean(&|p| p.length_squared()) - 0.5).abs() < 2.0 / f64::from(u32::try_from(count).expect("small"))
+            );
             assert!(mean(&|p| p.x).abs() < 1e-12 && mean(&|p| p.y).abs() < 0.02 && mean(&|p| p.x * p.y).abs() < 1e-12);
         }
     }

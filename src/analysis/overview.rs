@@ -6,8 +6,8 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::beam::{Beam, Landing, stop_points};
-use super::diffraction::{self, Mtf, Plan, directions};
 use super::curves::{FieldRow, ZoneRow, object, over_field, over_zones};
+use super::diffraction::{self, Mtf, Plan, directions};
 use super::fan::{Fans, path, reference, transverse};
 use super::spot::{Spot, best_focus, encircled, geometric_mtf, joined, radius_of, spot};
 use super::wavefront::Map;
@@ -157,8 +157,7 @@ impl Overview {
         let airy_radius = 1.22 * primary_nm * 1e-6 * f_number;
         let largest = settings.shift_mm.unwrap_or_else(|| view.shift(&fields, f_number));
         let steps = i32::try_from(settings.shifts).unwrap_or(6);
-        let shifts_mm: Vec<f64> =
-            (-steps..=steps).map(|k| largest * f64::from(k) / f64::from(steps.max(1))).collect();
+        let shifts_mm: Vec<f64> = (-steps..=steps).map(|k| largest * f64::from(k) / f64::from(steps.max(1))).collect();
         fields.par_iter_mut().for_each(|f| f.through_focus = f.over_focus(&colours, &shifts_mm, &cycles_per_mm));
         let spots = start.elapsed().as_secs_f64();
         if let Some((size, terms)) = settings.waves {
@@ -179,7 +178,8 @@ impl Overview {
         let nm: Vec<f64> = colours.iter().map(|(nm, _)| *nm).collect();
         let (curve, zones) = rayon::join(
             || {
-                let rows: Vec<Vec<FieldRow>> = angles.par_chunks(4).map(|a| over_field(lens, &nm, &scaled(a, end))).collect();
+                let rows: Vec<Vec<FieldRow>> =
+                    angles.par_chunks(4).map(|a| over_field(lens, &nm, &scaled(a, end))).collect();
                 rows.into_iter().flatten().filter(|r| angles.contains(&r.angle_deg)).collect::<Vec<_>>()
             },
             || over_zones(lens, &nm, settings.places),
@@ -228,9 +228,8 @@ impl View<'_> {
     }
 
     fn field(&self, angle_deg: f64, cycles_per_mm: &[f64]) -> Field {
-        let of = |beams: &[Beam]| {
-            joined(beams.iter().zip(self.colours).map(|(b, (_, share))| (&b.landings[..], *share)))
-        };
+        let of =
+            |beams: &[Beam]| joined(beams.iter().zip(self.colours).map(|(b, (_, share))| (&b.landings[..], *share)));
         let (beams, fewer) = (self.beams(angle_deg, self.settings.rays), self.beams(angle_deg, self.settings.rays / 4));
         let drawn = self.beams(angle_deg, self.settings.drawn).into_iter().map(|b| b.landings).collect();
         let (rays, quarter) = (of(&beams), of(&fewer));
@@ -278,8 +277,8 @@ impl View<'_> {
     /// (`2 λ N²`, or two pixels of blur), a tenth of the focal length at most.
     fn shift(&self, fields: &[Field], f_number: f64) -> f64 {
         let foci = fields.iter().filter_map(|f| f.best_focus).flatten().fold(0.0, |m: f64, z| m.max(z.abs()));
-        let depth = (2.0 * self.primary.wavelength_nm * 1e-6 * f_number * f_number)
-            .max(self.lens.sensor.pitch_mm() * f_number);
+        let depth =
+            (2.0 * self.primary.wavelength_nm * 1e-6 * f_number * f_number).max(self.lens.sensor.pitch_mm() * f_number);
         let focal = paraxial::first_order(self.lens, self.primary.wavelength_nm).effective_focal_length.abs();
         let wanted = (1.25 * foci).max(2.0 * depth).min(0.1 * focal);
         if wanted.is_finite() && wanted > 0.0 { wanted } else { 0.1 }
@@ -351,8 +350,7 @@ mod tests {
     #[test]
     fn a_field_without_light_is_said_to_be_dark() {
         let lens = builtin::lens("cooke_triplet").expect("shipped");
-        let settings =
-            Settings { rays: 100, angles_deg: vec![0.0, 80.0], places: 5, ..Settings::usual(&lens, 20.0) };
+        let settings = Settings { rays: 100, angles_deg: vec![0.0, 80.0], places: 5, ..Settings::usual(&lens, 20.0) };
         let found = Overview::new(&lens, settings);
         let dark = &found.fields[1];
         assert!(dark.spot.is_none() && dark.rms.is_none() && dark.open_part == 0.0 && dark.encircled.is_empty());

@@ -79,8 +79,7 @@ pub fn geometric_mtf(landings: &[Landing], along: DVec2, cycles_per_mm: f64, dz:
 /// Distances from the centroid, rising, with the share of the light within each, `dz` mm behind the image plane.
 pub fn encircled(landings: &[Landing], dz: f64) -> Vec<[f64; 2]> {
     let Some(spot) = spot(landings, dz) else { return Vec::new() };
-    let mut rays: Vec<[f64; 2]> =
-        landings.iter().map(|l| [l.at_focus(dz).distance(spot.centroid), l.weight]).collect();
+    let mut rays: Vec<[f64; 2]> = landings.iter().map(|l| [l.at_focus(dz).distance(spot.centroid), l.weight]).collect();
     rays.sort_by(|a, b| a[0].total_cmp(&b[0]));
     let light: f64 = rays.iter().map(|r| r[1]).sum();
     let mut within = 0.0;
@@ -151,7 +150,8 @@ mod tests {
 
     #[test]
     fn colours_count_by_their_light_and_nothing_is_nothing() {
-        let (red, blue) = (cone(50), cone(50).iter().map(|l| Landing { at: l.at + DVec2::Y, ..*l }).collect::<Vec<_>>());
+        let (red, blue) =
+            (cone(50), cone(50).iter().map(|l| Landing { at: l.at + DVec2::Y, ..*l }).collect::<Vec<_>>());
         let both = joined([(&red[..], 0.25), (&blue[..], 0.75), (&red[..], 0.0)]);
         assert_eq!(both.len(), 100);
         let [a, b] = [spot(&red, 0.0).expect("light"), spot(&both, 0.0).expect("light")];

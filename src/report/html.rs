@@ -233,7 +233,9 @@ mod tests {
         let text = page.finish_with_contents();
         assert!(text.contains("<a href=\"#one\">one</a>") && text.contains("<section id=\"one\">"));
         assert!(
-            text.contains("<title>a &lt; b</title>") && text.contains("&lt;script&gt;") && text.matches("<script").count() == 1,
+            text.contains("<title>a &lt; b</title>")
+                && text.contains("&lt;script&gt;")
+                && text.matches("<script").count() == 1,
             "the page's own script alone"
         );
         assert!(text.contains("src=\"data:image/png;base64,iVBOR") && text.contains("alt=\"&quot;x&quot;\""));

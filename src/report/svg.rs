@@ -62,7 +62,10 @@ impl Svg {
 
     /// A circle of which the line is drawn.
     pub fn circle(&mut self, at: [f64; 2], radius: f64, attributes: &str) {
-        self.add(format_args!("<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius:.2}\" fill=\"none\" {attributes}/>", at[0], at[1]));
+        self.add(format_args!(
+            "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius:.2}\" fill=\"none\" {attributes}/>",
+            at[0], at[1]
+        ));
     }
 
     /// A closed area.

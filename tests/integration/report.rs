@@ -21,7 +21,8 @@ fn landings(golden: &Value, field: &Value, wavelength: usize) -> Vec<Landing> {
     let [centre, direction] = ["center", "direction"].map(|k| DVec3::from_slice(&numbers(&launch[k])));
     let half = DVec2::new(number(&launch["half_width_x"]), number(&launch["half_width_y"]));
     let places = (0..20).map(|i| (f64::from(i) + 0.5) / 20.0 * 2.0 - 1.0).collect::<Vec<f64>>();
-    let points = places.iter().flat_map(|x| places.iter().map(|y| DVec2::new(*x, *y))).filter(|u| u.length_squared() <= 1.0);
+    let points =
+        places.iter().flat_map(|x| places.iter().map(|y| DVec2::new(*x, *y))).filter(|u| u.length_squared() <= 1.0);
     points
         .map(|u| {
             let origin = centre + (u * half).extend(0.0);
@@ -76,8 +77,16 @@ fn a_report_has_its_sections_and_says_the_same_in_all_forms() {
     let text = |name: &str| std::fs::read_to_string(place.path(name)).expect("reads");
     let page = text("page.html");
     for section in [
-        "layout", "third-order-sums", "spots", "ray-and-path-fans", "wavefronts", "over-the-field", "point-spread-functions",
-        "modulation-transfer", "numerical-check", "accuracy-and-time",
+        "layout",
+        "third-order-sums",
+        "spots",
+        "ray-and-path-fans",
+        "wavefronts",
+        "over-the-field",
+        "point-spread-functions",
+        "modulation-transfer",
+        "numerical-check",
+        "accuracy-and-time",
     ] {
         assert!(page.contains(&format!("<section id=\"{section}\">")), "{section}");
     }
@@ -87,7 +96,11 @@ fn a_report_has_its_sections_and_says_the_same_in_all_forms() {
     // What a page shows under the pointer are the numbers of the JSON form, which are those of the table.
     let curve = &found["plots"]["distortion"]["series"][0]["points"];
     let last = numbers(&curve[curve.as_array().expect("points").len() - 1]);
-    let shown = format!("{},{}", isoplanat::report::table::significant(last[0], 6), isoplanat::report::table::significant(last[1], 6));
+    let shown = format!(
+        "{},{}",
+        isoplanat::report::table::significant(last[0], 6),
+        isoplanat::report::table::significant(last[1], 6)
+    );
     assert!(page.contains(&shown), "{shown}");
     assert!(text("rows.csv").contains(&format!("distortion,,{},{}", last[0], last[1])));
     // Distortion of the golden file: −0.374 % at 20°.
@@ -157,9 +170,16 @@ fn single_analyses_print_tables_json_arrays_and_drawings() {
                 .run(&format!("{command} cooke_triplet --rays 200 --json --svg {command}.svg --npz {command}.npz --csv {command}.csv"))
                 .done(),
         );
-        assert!(found["plots"][key]["series"][0]["points"].as_array().is_some_and(|p| p.len() > 5), "{command}: {found}");
+        assert!(
+            found["plots"][key]["series"][0]["points"].as_array().is_some_and(|p| p.len() > 5),
+            "{command}: {found}"
+        );
         let text = |end: &str| std::fs::read(place.path(&format!("{command}.{end}"))).expect("reads");
-        assert!(text("svg").starts_with(b"<svg") && text("npz").starts_with(b"PK") && text("csv").starts_with(b"plot,series"));
+        assert!(
+            text("svg").starts_with(b"<svg")
+                && text("npz").starts_with(b"PK")
+                && text("csv").starts_with(b"plot,series")
+        );
         place.run(&format!("{command} cooke_triplet --svg {command}.svg")).refused(&["svg", "--force"]);
     }
 }

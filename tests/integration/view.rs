@@ -15,7 +15,8 @@ struct Server {
 
 impl Server {
     fn start(place: &Workplace, what: &str) -> Self {
-        let mut child = place.command(&format!("view {what} --rays 200")).stdout(Stdio::piped()).spawn().expect("starts");
+        let mut child =
+            place.command(&format!("view {what} --rays 200")).stdout(Stdio::piped()).spawn().expect("starts");
         let mut line = String::new();
         BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("an address");
         let address = line.trim().trim_start_matches("http://").trim_end_matches('/').to_owned();
@@ -64,7 +65,9 @@ fn the_page_follows_the_file_and_keeps_the_last_good_one() {
     let server = Server::start(&place, "lens.toml");
     let first = server.get("/", &server.address);
     assert!(first.starts_with("HTTP/1.1 200") && first.contains("Cooke triplet") && first.contains("EventSource"));
-    for (path, host, code) in [("/", "evil.example", 403), ("/", "evil.example:80", 403), ("/etc/passwd", &*server.address, 404)] {
+    for (path, host, code) in
+        [("/", "evil.example", 403), ("/", "evil.example:80", 403), ("/etc/passwd", &*server.address, 404)]
+    {
         assert!(server.get(path, host).starts_with(&format!("HTTP/1.1 {code}")), "{path} {host}");
     }
     let mut events = BufReader::new(server.ask("/events", &server.address));

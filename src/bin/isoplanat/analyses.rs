@@ -198,7 +198,13 @@ fn save(kind: Kind, o: &Overview, path: &Path) -> Result<()> {
                 let most = o.fields.iter().flat_map(|f| &f.beams).map(|b| b.landings.len()).max().unwrap_or(0);
                 let ray = |(f, c, k, i): (usize, usize, usize, usize)| match o.fields[f].beams[c].landings.get(k) {
                     Some(l) => [l.at.x, l.at.y, l.slope.x, l.slope.y, l.weight][i],
-                    None => if i == 4 { 0.0 } else { f64::NAN },
+                    None => {
+                        if i == 4 {
+                            0.0
+                        } else {
+                            f64::NAN
+                        }
+                    }
                 };
                 let rays = Array4::from_shape_fn((o.fields.len(), o.colours.len(), most, 5), ray);
                 npz.add_array("rays", &rays).map_err(failed)?;

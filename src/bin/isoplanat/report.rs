@@ -3,11 +3,11 @@
 use std::io::Write;
 use std::path::PathBuf;
 
+use isoplanat::Error;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::report::lens::{LensReport, Options, html};
-use isoplanat::Error;
 use isoplanat::lens::Lens;
+use isoplanat::report::lens::{LensReport, Options, html};
 
 use crate::analyses::View;
 

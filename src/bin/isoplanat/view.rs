@@ -93,7 +93,12 @@ impl Subject {
         if page.is_file() {
             return Ok(Self::Page(page));
         }
-        Err(Error::bad(what, "report.html", "none", "the folder of a design, which has one from its first judgement on"))
+        Err(Error::bad(
+            what,
+            "report.html",
+            "none",
+            "the folder of a design, which has one from its first judgement on",
+        ))
     }
 
     /// The file that is followed; none for a shipped lens.
@@ -209,7 +214,8 @@ fn answer(request: Request, address: &str, board: &Board) {
     let host = request.headers().iter().find(|h| h.field.equiv("Host")).map(|h| h.value.as_str().to_owned());
     let own = [address.to_owned(), format!("localhost:{port}")];
     if !host.is_some_and(|h| own.contains(&h)) {
-        let _ = request.respond(Response::from_string("this server answers to its own address only\n").with_status_code(403));
+        let _ = request
+            .respond(Response::from_string("this server answers to its own address only\n").with_status_code(403));
         return;
     }
     if *request.method() != Method::Get {
@@ -238,7 +244,9 @@ fn answer(request: Request, address: &str, board: &Board) {
 /// A stream of events: each has the version and, where the file cannot be shown, why.
 fn events(request: Request, board: &Board) -> std::io::Result<()> {
     let mut to = request.into_writer();
-    to.write_all(b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n")?;
+    to.write_all(
+        b"HTTP/1.1 200 OK\r\nContent-Type: text/event-stream\r\nCache-Control: no-store\r\nConnection: close\r\n\r\n",
+    )?;
     let mut version = u64::MAX;
     loop {
         let (now, error) = board.after(version);

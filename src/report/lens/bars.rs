@@ -12,7 +12,8 @@ const FRAME: [f64; 4] = [64.0, 1110.0, 40.0, 262.0];
 pub(super) fn bars(title: &str, unit: &str, names: &[&str], groups: &[(String, Vec<f64>)]) -> String {
     let mut svg = Svg::new(WIDTH, HEIGHT);
     svg.attributes("data-wide=\"\"");
-    let largest = groups.iter().flat_map(|g| &g.1).fold(0.0, |m: f64, v| if v.is_finite() { m.max(v.abs()) } else { m });
+    let largest =
+        groups.iter().flat_map(|g| &g.1).fold(0.0, |m: f64, v| if v.is_finite() { m.max(v.abs()) } else { m });
     let [left, right, top, bottom] = FRAME;
     svg.text([left, 16.0], Anchor::Start, 15.0, title);
     let top_value = if largest > 0.0 { 1.08 * largest } else { 1.0 };

@@ -108,9 +108,8 @@ fn diffraction_over_field(o: &Overview) -> Plot {
 
 fn diffraction_over_focus(o: &Overview) -> Plot {
     let i = shown(o)[1];
-    let (series, keys) = by_field(o, |f, d| {
-        o.shifts_mm.iter().enumerate().map(|(s, z)| [1e3 * z, modulus(f, s, i, d)]).collect()
-    });
+    let (series, keys) =
+        by_field(o, |f, d| o.shifts_mm.iter().enumerate().map(|(s, z)| [1e3 * z, modulus(f, s, i, d)]).collect());
     let at = o.cycles_per_mm.get(i).copied().unwrap_or(0.0);
     Plot {
         title: format!("MTF by diffraction through focus at {} cycles/mm", significant(at, 3)),
@@ -171,11 +170,7 @@ fn rms_focus(o: &Overview) -> Plot {
     let series = o.fields.iter().map(|f| {
         let rays = f.rays(&o.colours);
         let rms = |z: f64| crate::analysis::spot::spot(&rays, z).map_or(f64::NAN, |s| 1e3 * s.rms);
-        Series {
-            name: angle(f),
-            points: o.shifts_mm.iter().map(|z| [1e3 * z, rms(*z)]).collect(),
-            mark: Mark::Line,
-        }
+        Series { name: angle(f), points: o.shifts_mm.iter().map(|z| [1e3 * z, rms(*z)]).collect(), mark: Mark::Line }
     });
     Plot {
         title: "Spots through focus".into(),

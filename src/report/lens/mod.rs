@@ -162,9 +162,7 @@ fn sampling_error(mtf: &Mtf) -> f64 {
 }
 
 fn wavefront_json((map, fit): &(Map, Option<Fit>)) -> Value {
-    let figures = |f: &Figures| {
-        json!({ "peak_to_valley_waves": f.peak_to_valley, "rms_waves": f.rms, "strehl": f.strehl, "strehl_marechal": f.marechal })
-    };
+    let figures = |f: &Figures| json!({ "peak_to_valley_waves": f.peak_to_valley, "rms_waves": f.rms, "strehl": f.strehl, "strehl_marechal": f.marechal });
     let zernike = fit.as_ref().map(|fit| {
         let term = |(k, v): (usize, &f64)| json!({ "noll": k + 1, "name": fit.order.term(k + 1).map(|t| t.name()), "waves": v });
         fit.coefficients.iter().enumerate().map(term).collect::<Vec<_>>()
@@ -278,11 +276,8 @@ impl LensReport {
         let (nm, share): (Vec<f64>, Vec<f64>) = self.overview.colours.iter().copied().unzip();
         let heights: Vec<f64> = self.overview.curve.iter().map(|r| r.height.abs()).collect();
         let radius = heights.iter().copied().fold(0.0, f64::max);
-        let spec = OpticsSpec::even(
-            radius.max(1e-3),
-            vec![self.lens.object_vergence],
-            Quadrature { nm, weight: vec![share] },
-        );
+        let spec =
+            OpticsSpec::even(radius.max(1e-3), vec![self.lens.object_vergence], Quadrature { nm, weight: vec![share] });
         let optics = Optics::compute(&self.lens, &spec)?.illuminated(ILLUMINATIONS);
         Ok(heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect())
     }
@@ -329,12 +324,22 @@ impl LensReport {
             }
             let middle = f.mtf.len() / 2;
             if let Some([t, s]) = f.mtf.get(middle) {
-                rows.push((format!("geometric MTF at {angle}°, half of the plotted frequencies"), "", 0.5 * (t + s), f.mtf_change));
+                rows.push((
+                    format!("geometric MTF at {angle}°, half of the plotted frequencies"),
+                    "",
+                    0.5 * (t + s),
+                    f.mtf_change,
+                ));
             }
             if let Some(Ok(mtf)) = &f.diffraction {
                 let on = o.shifts_mm.len() / 2;
                 let both: f64 = mtf.curves.iter().filter_map(|c| c.modulus(on, middle)).sum();
-                rows.push((format!("MTF by diffraction at {angle}°, the same frequency"), "", 0.5 * both, sampling_error(mtf)));
+                rows.push((
+                    format!("MTF by diffraction at {angle}°, the same frequency"),
+                    "",
+                    0.5 * both,
+                    sampling_error(mtf),
+                ));
             }
         }
         rows

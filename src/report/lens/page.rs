@@ -104,10 +104,7 @@ impl Pages<'_> {
                     "largest distortion",
                 ),
                 fact(100.0 * light, 3, " %", "least relative illumination"),
-                Some(Fact {
-                    value: if passes { "passed" } else { "failed" }.into(),
-                    label: "numerical check".into(),
-                }),
+                Some(Fact { value: if passes { "passed" } else { "failed" }.into(), label: "numerical check".into() }),
             ];
             page.facts(&facts.into_iter().flatten().collect::<Vec<_>>());
             if !r.missing.is_empty() {
@@ -134,8 +131,15 @@ impl Pages<'_> {
 
     fn third_order(&self, page: &mut Page) {
         page.section("Third-order sums");
-        let names =
-            ["S_I spherical", "S_II coma", "S_III astigmatism", "S_IV Petzval", "S_V distortion", "C_I axial", "C_II lateral"];
+        let names = [
+            "S_I spherical",
+            "S_II coma",
+            "S_III astigmatism",
+            "S_IV Petzval",
+            "S_V distortion",
+            "C_I axial",
+            "C_II lateral",
+        ];
         for r in self.reports {
             self.named(page, r);
             let sums = seidel::per_surface(&r.lens, r.overview.primary_nm);
@@ -163,7 +167,11 @@ impl Pages<'_> {
                     let place = if *z == 0.0 {
                         "On the sensor.".to_owned()
                     } else {
-                        format!("{} µm {} the sensor.", significant(1e3 * z.abs(), 3), if *z > 0.0 { "behind" } else { "before" })
+                        format!(
+                            "{} µm {} the sensor.",
+                            significant(1e3 * z.abs(), 3),
+                            if *z > 0.0 { "behind" } else { "before" }
+                        )
                     };
                     (panels(o, *z, half), place)
                 })
@@ -186,8 +194,7 @@ impl Pages<'_> {
     fn fans(&self, page: &mut Page) {
         page.section("Ray and path fans");
         let fields = self.reports.iter().map(|r| r.overview.fields.len()).max().unwrap_or(0).min(RAYS.len());
-        let drawings: Vec<_> =
-            (0..fields).flat_map(|k| [self.plot(RAYS[k]), self.plot(PATHS[k])].concat()).collect();
+        let drawings: Vec<_> = (0..fields).flat_map(|k| [self.plot(RAYS[k]), self.plot(PATHS[k])].concat()).collect();
         page.drawings(&drawings, 380);
         page.note(
             "T: along the meridian, S: across it. Transverse errors from the primary wavelength's chief ray; path differences from the sphere about its landing \
@@ -226,7 +233,10 @@ impl Pages<'_> {
                 })
                 .collect();
             page.pictures(&pictures, 190)?;
-            page.note(&format!("Colours end at ±{} waves: red ahead of the reference sphere, blue behind it.", significant(range, 3)));
+            page.note(&format!(
+                "Colours end at ±{} waves: red ahead of the reference sphere, blue behind it.",
+                significant(range, 3)
+            ));
             page.table(&waves::figures(o));
             if let Some(table) = waves::coefficients(o) {
                 page.table(&table);
@@ -285,7 +295,12 @@ impl Pages<'_> {
         }
         let pictures: Vec<Picture<'_>> = shown
             .iter()
-            .map(|(image, caption, note)| Picture { image, caption: caption.clone(), notes: vec![note.clone()], pixelated: true })
+            .map(|(image, caption, note)| Picture {
+                image,
+                caption: caption.clone(),
+                notes: vec![note.clone()],
+                pixelated: true,
+            })
             .collect();
         page.pictures(&pictures, 520)?;
         page.note("Rays gathered by the sensor's pixels, without diffraction; upright as in the picture, the field's outward direction upwards.");
@@ -308,7 +323,8 @@ impl Pages<'_> {
             page.stepped(&steps(&|k| frequency(o, Some(k))), middle, "focus");
         }
         let names = ["mtf_diffraction_field", "mtf_diffraction_focus", "mtf_field", "mtf_focus"];
-        let made = |n: &&str| !n.contains("diffraction") || self.reports.iter().any(|r| r.overview.settings.waves.is_some());
+        let made =
+            |n: &&str| !n.contains("diffraction") || self.reports.iter().any(|r| r.overview.settings.waves.is_some());
         let drawings: Vec<_> = names.iter().filter(|n| made(n)).flat_map(|n| self.plot(n)).collect();
         page.drawings(&drawings, 440);
         page.note(

@@ -37,7 +37,13 @@ pub(super) fn picture(map: &Map, range: f64) -> Array3<f32> {
 /// Figures of the maps, one field a row.
 pub(super) fn figures(o: &Overview) -> Table {
     let mut table = Table::new([
-        "field/deg", "peak to valley/waves", "rms/waves", "Strehl", "rms at best/waves", "Strehl at best", "best focus/µm",
+        "field/deg",
+        "peak to valley/waves",
+        "rms/waves",
+        "Strehl",
+        "rms at best/waves",
+        "Strehl at best",
+        "best focus/µm",
     ]);
     for f in &o.fields {
         let Some((m, _)) = &f.map else { continue };
@@ -59,7 +65,9 @@ pub(super) fn coefficients(o: &Overview) -> Option<Table> {
     let fits: Vec<_> = o.fields.iter().filter_map(|f| Some((f.angle_deg, f.map.as_ref()?.1.as_ref()?))).collect();
     let (_, first) = fits.first()?;
     let mut table = Table::new(
-        ["Noll".to_owned(), "term".to_owned()].into_iter().chain(fits.iter().map(|(a, _)| format!("{}°", significant(*a, 4)))),
+        ["Noll".to_owned(), "term".to_owned()]
+            .into_iter()
+            .chain(fits.iter().map(|(a, _)| format!("{}°", significant(*a, 4)))),
     );
     // The piston is no aberration.
     for k in 1..first.coefficients.len() {
