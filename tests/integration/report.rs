@@ -91,7 +91,7 @@ fn a_report_has_its_sections_and_says_the_same_in_all_forms() {
         assert!(page.contains(&format!("<section id=\"{section}\">")), "{section}");
     }
     assert!(page.len() < 2_000_000, "{} bytes", page.len());
-    assert!(!page.contains("NaN") && !page.contains(">inf") && !page.contains("src=\"http"));
+    assert!(!page.contains("NaN") && !page.contains("src=\"http"));
     assert_eq!(found["missing"], serde_json::json!([]));
     // What a page shows under the pointer are the numbers of the JSON form, which are those of the table.
     let curve = &found["plots"]["distortion"]["series"][0]["points"];
@@ -130,12 +130,8 @@ fn two_lenses_stand_side_by_side() {
 fn lenses_that_lack_something_get_a_page_that_says_so() {
     let place = Workplace::new();
     let text = std::fs::read_to_string(crate::support::root().join("models/lenses/cooke_triplet.toml")).expect("reads");
-    // The last surface is closed to all but the middle: the border of the field is dark.
     let lines: Vec<&str> = text.lines().collect();
     let last = lines.iter().rposition(|l| l.starts_with("semi_diameter_mm")).expect("a rim");
-    let mut narrow: Vec<String> = lines.iter().map(|l| (*l).to_owned()).collect();
-    narrow[last] = "semi_diameter_mm = 1.2".into();
-    place.write("dark.toml", narrow.join("\n"));
     // Tilted: no curves over a radius.
     let mut tilted: Vec<String> = lines.iter().map(|l| (*l).to_owned()).collect();
     tilted.insert(last + 1, "tilt_deg = [0.5, 0.0, 0.0]".into());
@@ -148,8 +144,13 @@ fn lenses_that_lack_something_get_a_page_that_says_so() {
          sensor = { columns = 600, rows = 400, pitch_um = 20.0 }\n[[surface]]\nradius_mm = inf\nthickness_mm = 3.0\nmedium = \"N-BK7\"\n\
          semi_diameter_mm = 30.0\nstop = true\n[[surface]]\nradius_mm = inf\nthickness_mm = 5.0\nmedium = \"air\"\nsemi_diameter_mm = 30.0\n",
     );
-    for (lens, says) in [("dark.toml", "no light"), ("tilted.toml", "symmetr"), ("afocal.toml", "")] {
-        let ran = place.run(&format!("report {lens} --rays 100 --max-angle-deg 20 -o {lens}.html --json"));
+    // At 60° no rim of the triplet lets light through; a plate makes no image.
+    for (lens, angle, says) in [
+        ("cooke_triplet", "--max-angle-deg 60", "at 60° no light"),
+        ("tilted.toml", "", "symmetr"),
+        ("afocal.toml", "", "one direction"),
+    ] {
+        let ran = place.run(&format!("report {lens} --rays 100 {angle} -o {lens}.html --json"));
         let found = json(&ran.done());
         let missing = found["missing"].to_string();
         assert!(missing.contains(says), "{lens}: {missing}");

@@ -58,11 +58,16 @@ struct Board {
 }
 
 impl Board {
-    fn change(&self, how: impl FnOnce(&mut Shown)) {
+    /// Changes what is shown; with `after` only while that version is. The new version, if it was changed.
+    fn change(&self, after: Option<u64>, how: impl FnOnce(&mut Shown)) -> Option<u64> {
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        if after.is_some_and(|version| version != shown.version) {
+            return None;
+        }
         how(&mut shown);
         shown.version += 1;
         self.news.notify_all();
+        Some(shown.version)
     }
 
     /// What is shown once it is another than `version`, or after [`ALIVE`].
@@ -124,28 +129,65 @@ fn page(lens: &Lens, options: &Options, first: bool) -> Result<String> {
     html(&[LensReport::new(lens.clone(), &options)])
 }
 
-/// Shows the subject as it is now; whether it could be shown. `outdated` ends the work on what the file no longer says.
-fn show(subject: &Subject, args: &Args, options: &Options, board: &Board, outdated: &dyn Fn() -> bool) {
-    let made = |first: bool| -> Result<String> {
-        match subject {
-            Subject::Lens(name) => page(&args.view.lens(name)?, options, first),
-            Subject::Page(file) => std::fs::read_to_string(file).map_err(|e| Error::reading(file, e)),
-        }
-    };
-    let steps: &[bool] = if matches!(subject, Subject::Lens(_)) { &[true, false] } else { &[false] };
-    for first in steps {
-        if outdated() {
-            return;
-        }
-        match made(*first) {
-            Ok(page) => board.change(|s| (s.page, s.error) = (live(&page), None)),
-            Err(e) => {
-                let text = e.to_string().replace('\n', " ");
-                eprintln!("error: {text}");
-                board.change(|s| s.error = Some(text));
-                return;
+/// What is followed, and how it is shown.
+#[derive(Clone, Debug)]
+struct Watch {
+    subject: Subject,
+    view: View,
+    options: Options,
+    board: Arc<Board>,
+}
+
+impl Watch {
+    /// Shows the subject anew whenever its file is another and stays so for a moment: editors write a file in more than one step.
+    fn run(&self) {
+        let mut seen = None;
+        let mut first = true;
+        loop {
+            let now = state(self.subject.file());
+            if first || now != seen {
+                std::thread::sleep(LOOK);
+                if state(self.subject.file()) == now {
+                    (first, seen) = (false, now);
+                    self.show();
+                }
+            } else {
+                std::thread::sleep(LOOK);
             }
         }
+    }
+
+    /// Shows the subject as it is now: a lens at once by few rays, then whole, unless the file is another by then.
+    fn show(&self) {
+        let name = match &self.subject {
+            Subject::Page(file) => {
+                self.put(std::fs::read_to_string(file).map_err(|e| Error::reading(file, e)), None);
+                return;
+            }
+            Subject::Lens(name) => name,
+        };
+        let lens = match self.view.lens(name) {
+            Ok(lens) => lens,
+            Err(e) => {
+                self.put(Err(e), None);
+                return;
+            }
+        };
+        let Some(version) = self.put(page(&lens, &self.options, true), None) else { return };
+        let whole = self.clone();
+        // By itself: an edit does not wait for the whole page of what was there before.
+        std::thread::spawn(move || whole.put(page(&lens, &whole.options, false), Some(version)));
+    }
+
+    /// Shows a page, or why there is none; `after` a version only while it is shown still. The new version, if it is a page's.
+    fn put(&self, made: Result<String>, after: Option<u64>) -> Option<u64> {
+        let error = match made {
+            Ok(page) => return self.board.change(after, |s| (s.page, s.error) = (live(&page), None)),
+            Err(e) => e.to_string().replace('\n', " "),
+        };
+        eprintln!("error: {error}");
+        self.board.change(after, |s| s.error = Some(error));
+        None
     }
 }
 
@@ -172,40 +214,20 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // A first page, or the reason why there is none, before anything is served.
     if let Subject::Lens(name) = &subject {
         let first = page(&args.view.lens(name)?, &options, true)?;
-        board.change(|s| s.page = live(&first));
+        board.change(None, |s| s.page = live(&first));
     }
     let server = Server::http(("127.0.0.1", args.port))
         .map_err(|e| Error::bad("--port", "port", args.port.to_string(), format!("a free port ({e})")))?;
     let address = server.server_addr().to_string();
     writeln!(out, "http://{address}/")?;
     out.flush()?;
-    std::thread::scope(|scope| -> anyhow::Result<()> {
-        let watched = &board;
-        scope.spawn(|| watch(&subject, args, &options, watched));
-        for request in server.incoming_requests() {
-            let (board, address) = (Arc::clone(&board), address.clone());
-            std::thread::spawn(move || answer(request, &address, &board));
-        }
-        Ok(())
-    })
-}
-
-/// Shows the subject anew whenever its file is another and stays so for a moment: editors write a file in more than one step.
-fn watch(subject: &Subject, args: &Args, options: &Options, board: &Board) {
-    let mut seen = None;
-    let mut first = true;
-    loop {
-        let now = state(subject.file());
-        if first || now != seen {
-            std::thread::sleep(LOOK);
-            if state(subject.file()) == now {
-                (first, seen) = (false, now);
-                show(subject, args, options, board, &|| state(subject.file()) != now);
-            }
-        } else {
-            std::thread::sleep(LOOK);
-        }
+    let watch = Watch { subject, view: args.view.clone(), options, board: Arc::clone(&board) };
+    std::thread::spawn(move || watch.run());
+    for request in server.incoming_requests() {
+        let (board, address) = (Arc::clone(&board), address.clone());
+        std::thread::spawn(move || answer(request, &address, &board));
     }
+    Ok(())
 }
 
 /// Answers one request; who went away is not written to.
@@ -226,10 +248,11 @@ fn answer(request: Request, address: &str, board: &Board) {
         "/" => {
             let page = board.shown.lock().unwrap_or_else(PoisonError::into_inner).page.clone();
             let kinds = [("Content-Type", "text/html; charset=utf-8"), ("Cache-Control", "no-store")];
+            // In one piece: chunks are of no use to a page that is ready.
             let response = kinds
                 .iter()
                 .filter_map(|(k, v)| Header::from_bytes(k.as_bytes(), v.as_bytes()).ok())
-                .fold(Response::from_string(page), Response::with_header);
+                .fold(Response::from_string(page).with_chunked_threshold(usize::MAX), Response::with_header);
             let _ = request.respond(response);
         }
         "/events" => {
