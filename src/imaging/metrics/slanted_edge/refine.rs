@@ -11,12 +11,12 @@ use super::samples::Sample;
 use super::spread::{Knots, Point, Spread, Sums};
 
 /// Knots a pixel at least, and knots across the 10 to 90 % width of a blurred edge.
-const KNOTS: [f64; 2] = [4.0, 8.0];
+const KNOTS: [f64; 2] = [4.0, 6.0];
 /// What the penalty takes off at the highest frequency a Gaussian edge of this width has.
 const PENALTY: f64 = 1e-5;
 /// Steps of the penalty, and how much weaker than the best one it is taken.
 const STRONGER: f64 = 3.0;
-const WEAKER: f64 = 30.0;
+const WEAKER: f64 = 10.0;
 /// How much farther the spline goes than where noise hides what it leaves.
 const WIDER: f64 = 1.4;
 /// Rows of samples a level needs beyond the spline's ends, pixels.
@@ -130,12 +130,16 @@ pub(super) fn logistic(samples: &[Sample], start: Line) -> (Line, f64) {
     (line, WIDTH * q)
 }
 
+/// The largest distance from an edge of this 10 to 90 % width that its samples are taken from, pixels.
+pub(super) fn most(width: f64) -> f64 {
+    10.0 * width.max(0.5) + 16.0
+}
+
 /// Line and spread function; `curved` with a curvature. `None` where the samples leave them open.
 pub(super) fn refine(samples: &[Sample], start: Line, width: f64, curved: bool) -> Option<Fitted> {
     let mut line = start;
     let width = width.max(0.5);
-    let most = 10.0 * width + 16.0;
-    let sides = sides(samples, &line).map(|s| s.min(most));
+    let sides = sides(samples, &line).map(|s| s.min(most(width)));
     let step = (width / KNOTS[1]).max(1.0 / KNOTS[0]);
     // Room of the spline on either side.
     let room = sides.map(|s| (((s - FLAT) / step).floor() as usize).max(2));

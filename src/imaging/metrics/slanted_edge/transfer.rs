@@ -63,8 +63,10 @@ impl Transfer {
                 (rr, ri, ii) = (rr + a * a, ri + a * b, ii + b * b);
             }
             let (square, noise) = (re * re + im * im, rr + ii);
-            // Noise across the transfer function lengthens it by half its mean square; where there is little but noise, all goes.
-            let taken = noise * (0.5 + 0.5 * (1.0 - square / noise.max(f64::MIN_POSITIVE)).exp().min(1.0));
+            // Noise across the transfer function lengthens it by half its mean square; where there is little but noise, and
+            // frequencies to choose from, its peaks go too.
+            let ratio = square / noise.max(f64::MIN_POSITIVE);
+            let taken = noise * (0.5 + 2.0 * (-0.25 * ratio).exp());
             let value = (square - taken).max(0.0).sqrt();
             // Along the transfer function where it is known, in any direction where it is not.
             let along = (re * re * rr + 2.0 * re * im * ri + im * im * ii) / square.max(f64::MIN_POSITIVE);
