@@ -28,7 +28,7 @@ pub struct FieldRow {
     pub tangential: f64,
     /// Focus of rays close to the chief ray across the meridian.
     pub sagittal: f64,
-    /// Height against that of a distortion-free lens of the same scale on the axis, per cent; 0 on the axis.
+    /// Height from where the axis lands against that of a distortion-free lens of the same scale there, per cent; 0 on the axis.
     pub distortion_percent: f64,
     /// Height of each wavelength's chief ray less that of the primary one.
     pub lateral_colour: Vec<f64>,
@@ -86,7 +86,9 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
     let chief = |system: &System, angle: f64| Beam::new(system, object(lens, angle), &[]).chief;
     let largest = angles_deg.iter().copied().fold(0.0, f64::max);
     let near = 1e-3 * largest;
-    let scale = chief(&primary, near).map_or(f64::NAN, |l| l.at.y / near.to_radians().tan());
+    // Zero but for tilted lenses, whose axis lands elsewhere.
+    let origin = chief(&primary, 0.0).map_or(f64::NAN, |l| l.at.y);
+    let scale = chief(&primary, near).map_or(f64::NAN, |l| (l.at.y - origin) / near.to_radians().tan());
     let row = |&angle: &f64| {
         let at = chief(&primary, angle)?;
         let [tangential, sagittal] = parabasal_foci(&primary, object(lens, angle)).unwrap_or([f64::NAN; 2]);
@@ -100,7 +102,7 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             height,
             tangential,
             sagittal,
-            distortion_percent: if angle == 0.0 { 0.0 } else { 100.0 * (height / ideal - 1.0) },
+            distortion_percent: if angle == 0.0 { 0.0 } else { 100.0 * ((height - origin) / ideal - 1.0) },
             lateral_colour: systems.iter().map(colour).collect(),
             chief_angle_deg: at.slope.y.atan().to_degrees(),
             open_part,
@@ -180,6 +182,20 @@ mod tests {
         }
         assert_eq!(rows[0].distortion_percent, 0.0);
         assert!(rows[0].lateral_colour.iter().all(|c| c.abs() < 1e-12) && rows[0].open_part > 0.999);
+    }
+
+    /// A tilt moves the picture; that is no distortion.
+    #[test]
+    fn a_displaced_picture_is_not_distorted() {
+        let lens = builtin::lens("cooke_triplet").expect("shipped");
+        let straight = over_field(&lens, &[587.5618], &[0.0, 10.0]);
+        let tilt = |l: &mut crate::lens::Prescription| {
+            let tilt = [0.5f64.to_radians(), 0.0, 0.0];
+            l.surfaces[5].pose = Some(crate::lens::Pose { decentre: [0.0; 2], tilt });
+        };
+        let tilted = over_field(&lens.changed(tilt).expect("a lens"), &[587.5618], &[0.0, 10.0]);
+        assert!((tilted[0].height - straight[0].height).abs() > 0.05, "{tilted:?}");
+        assert!((tilted[1].distortion_percent - straight[1].distortion_percent).abs() < 0.5, "{tilted:?}");
     }
 
     #[test]

@@ -35,6 +35,9 @@ pub struct Fact {
     pub label: String,
 }
 
+/// Cells up to so many characters are not broken into lines.
+const WHOLE: usize = 14;
+
 /// A page under construction.
 #[derive(Clone, Debug)]
 pub struct Page {
@@ -104,7 +107,9 @@ impl Page {
         self.add(html! {
             div.wide { table {
                 thead { tr { @for (c, n) in table.heading.iter().zip(&numeric) { th.n[*n] { (c) } } } }
-                tbody { @for row in &table.rows { tr { @for (c, n) in row.iter().zip(&numeric) { td.n[*n] { (c) } } } } }
+                tbody { @for row in &table.rows { tr {
+                    @for (c, n) in row.iter().zip(&numeric) { td.n[*n].k[c.chars().count() <= WHOLE] { (c) } }
+                } } }
             } }
         })
     }

@@ -76,9 +76,15 @@ pub(super) fn coefficients(o: &Overview) -> Option<Table> {
             continue;
         }
         let name = first.order.term(k + 1).map_or(String::new(), |t| t.name());
-        table.row([(k + 1).to_string(), name].into_iter().chain(values.iter().map(|v| format!("{v:.4}"))));
+        table.row([(k + 1).to_string(), name].into_iter().chain(values.iter().map(|v| fixed(*v))));
     }
-    let left = fits.iter().map(|(_, f)| format!("{:.4}", f.residual_rms));
+    let left = fits.iter().map(|(_, f)| fixed(f.residual_rms));
     table.row([String::new(), "left over, rms".to_owned()].into_iter().chain(left));
     Some(table)
+}
+
+/// Four places, and no minus before nothing.
+fn fixed(value: f64) -> String {
+    let text = format!("{value:.4}");
+    if text == "-0.0000" { "0.0000".to_owned() } else { text }
 }
