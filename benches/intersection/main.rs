@@ -170,6 +170,7 @@ fn main() {
         x_scale: Scale::Linear,
         y_scale: Scale::Log,
         series,
+        keys: Vec::new(),
     };
     std::fs::write(folder.join("intersection.svg"), plot.to_svg()).expect("writes");
     println!("{text}");

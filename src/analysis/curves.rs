@@ -3,6 +3,7 @@
 use std::f64::consts::FRAC_PI_2;
 
 use glam::DVec2;
+use rayon::prelude::*;
 
 use super::beam::{Beam, Landing};
 use crate::lens::Lens;
@@ -14,7 +15,7 @@ use crate::trace::{ObjectPoint, System};
 const CLOSE: f64 = 2e-3;
 /// Zone that stands for the paraxial one.
 const INNER: f64 = 1e-3;
-/// Azimuths at which the pupil's boundary is sought; its area is good to 1e-3.
+/// Azimuths at which the pupil's boundary is sought; its area is good to 3e-3.
 const AZIMUTHS: u32 = 32;
 
 /// One place along the field, in the meridian of y. Lengths in mm; foci are distances behind the image plane.
@@ -28,7 +29,8 @@ pub struct FieldRow {
     pub tangential: f64,
     /// Focus of rays close to the chief ray across the meridian.
     pub sagittal: f64,
-    /// Height from where the axis lands against that of a distortion-free lens of the same scale there, per cent; 0 on the axis.
+    /// Height from where the axis lands against that of a distortion-free lens of the same scale there, per cent; 0 on the axis, not a
+    /// number from 90° on, where no plane picture is free of distortion.
     pub distortion_percent: f64,
     /// Height of each wavelength's chief ray less that of the primary one.
     pub lateral_colour: Vec<f64>,
@@ -43,7 +45,8 @@ pub struct FieldRow {
 pub struct ZoneRow {
     /// Height in the stop over its semi-diameter.
     pub zone: f64,
-    /// Where the zone's rays meet the axis, mm behind the image plane, by wavelength; not a number where a ray does not arrive.
+    /// Where the zone's two rays in the meridian of y meet, on the axis of a symmetric lens, mm behind the image plane, by wavelength;
+    /// not a number where a ray does not arrive.
     pub focus: Vec<f64>,
 }
 
@@ -79,7 +82,7 @@ fn unclipped(system: &System) -> System {
     open
 }
 
-/// The curves at `angles_deg` for `wavelengths_nm`; places whose chief ray does not arrive are left out.
+/// The curves at `angles_deg` for `wavelengths_nm`; places whose chief ray does not arrive are left out. All threads.
 pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Vec<FieldRow> {
     let primary = System::new(lens, lens.wavelengths.primary_nm);
     let systems: Vec<System> = wavelengths_nm.iter().map(|nm| System::new(lens, *nm)).collect();
@@ -102,13 +105,17 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             height,
             tangential,
             sagittal,
-            distortion_percent: if angle == 0.0 { 0.0 } else { 100.0 * ((height - origin) / ideal - 1.0) },
+            distortion_percent: match angle {
+                0.0 => 0.0,
+                _ if angle.abs() >= 90.0 => f64::NAN,
+                _ => 100.0 * ((height - origin) / ideal - 1.0),
+            },
             lateral_colour: systems.iter().map(colour).collect(),
             chief_angle_deg: at.slope.y.atan().to_degrees(),
             open_part,
         })
     };
-    angles_deg.iter().filter_map(row).collect()
+    angles_deg.par_iter().filter_map(row).collect()
 }
 
 /// Foci of `zones` evenly spaced zones from the axis to the stop's rim, an object on the axis.
@@ -117,8 +124,8 @@ pub fn over_zones(lens: &Lens, wavelengths_nm: &[f64], zones: u32) -> Vec<ZoneRo
     let row = |k: u32| {
         let zone = (f64::from(k) / f64::from(zones.max(2) - 1)).max(INNER);
         let focus = |s: &System| {
-            let beam = Beam::new(s, object(lens, 0.0), &[DVec2::Y * zone]);
-            beam.landings.first().map_or(f64::NAN, |l| -l.at.y / l.slope.y)
+            let beam = Beam::new(s, object(lens, 0.0), &[DVec2::Y * zone, DVec2::NEG_Y * zone]);
+            if let [a, b] = &beam.landings[..] { crossing(a, b, DVec2::Y) } else { f64::NAN }
         };
         ZoneRow { zone, focus: systems.iter().map(focus).collect() }
     };

@@ -131,6 +131,7 @@ pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fau
     for (pupil, (_, weight)) in traced.into_iter().zip(&shares) {
         match pupil {
             Ok(pupil) => pupils.push((pupil, *weight)),
+            // A colour without light has none to add; one whose edge is not known would leave the others' sum wrong.
             Err(Fault::Dark) => {}
             Err(fault) => return Err(fault),
         }

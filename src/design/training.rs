@@ -244,8 +244,8 @@ impl Training {
     }
 
     /// Trains to the end. A loss that jumps to many times what it was and stays there takes it back to its last checkpoint, with half the
-    /// rate from then on ([`Training::returned`]). `watch` sees every step; where it returns `false` a checkpoint is written and the training ends with
-    /// [`Error::Interrupted`].
+    /// rate from then on ([`Training::returned`]). `watch` sees every step; where it returns `false` the training ends with [`Error::Interrupted`], after a
+    /// checkpoint unless the loss has just jumped: then the last sound one stays.
     ///
     /// # Errors
     /// [`Error::Stopped`] where nothing finite comes any more, or where it lost itself too often; what the disk says.

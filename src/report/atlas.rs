@@ -147,11 +147,22 @@ impl KernelSet {
 
 /// Kernels in the colours of the generic sensor, `[tile, channel, row, col]`, depth by depth and field by field; the
 /// request's own wavelengths are not used.
-pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<Array4<f32>> {
+pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<ColourKernels> {
     let spectrum = Spectrum::quadrature(&Sensor::generic(), COLOUR_NODES);
     let tiles = tiles(lens, request, Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() })?;
     let shape = (tiles.outside.len(), 3, tiles.size, tiles.size);
-    Array4::from_shape_vec(shape, tiles.kernels).map_err(|e| Error::Internal(e.to_string()))
+    let outside = tiles.outside.iter().flatten().copied().fold(0.0, f64::max);
+    let kernels = Array4::from_shape_vec(shape, tiles.kernels).map_err(|e| Error::Internal(e.to_string()))?;
+    Ok(ColourKernels { kernels, outside })
+}
+
+/// Kernels in the colours of a sensor.
+#[derive(Clone, Debug)]
+pub struct ColourKernels {
+    /// `[depth and field, channel, row, col]`; each channel sums to one less what fell outside.
+    pub kernels: Array4<f32>,
+    /// Largest share of a channel's light outside the window.
+    pub outside: f64,
 }
 
 /// Kernels of every depth and field.

@@ -162,7 +162,7 @@ impl LensView {
         Ok(Self {
             name: lens.name.clone(),
             drawing: lens_svg(lens),
-            atlas: picture(&colour_kernels(lens, &request)?, fields, Style::default()),
+            atlas: picture(&colour_kernels(lens, &request)?.kernels, fields, Style::default()),
             effective_focal_length_mm: first.effective_focal_length,
             f_number: first.f_number,
             distortion: FieldLine::new(lens, 1.0 / depth_mm, 1)?.distortion_percent(lens, 1.0 / depth_mm),

@@ -101,5 +101,6 @@ fn transfer_functions_agree_with_optiland() {
         "Optiland: {} values by FFT, worst {}; {} by rays, worst {}; {} not followed",
         counts[0], worst[0], counts[1], worst[1], counts[2]
     );
-    assert!(worst[0] < 0.02 && worst[1] < 0.02, "{worst:?}");
+    // The bound is 0.02; what is found is held.
+    assert!(counts[0] > 0 && worst[0] < 0.004 && worst[1] < 0.02, "{counts:?} {worst:?}");
 }

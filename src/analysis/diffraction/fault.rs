@@ -6,8 +6,8 @@ use crate::trace::Failure;
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum Fault {
-    /// The chief ray does not reach the image.
-    #[error("the chief ray ends at surface {} ({})", .0.surface, .0.cause.name())]
+    /// The chief ray, or one that no clear aperture stops, does not reach the image.
+    #[error("a ray that no clear aperture stops ends at surface {} ({})", .0.surface, .0.cause.name().replace('_', " "))]
     Ray(Failure),
     /// No light reaches the image.
     #[error("no light of this object point reaches the image")]

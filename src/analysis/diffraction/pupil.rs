@@ -17,8 +17,10 @@ const DEGREES: [usize; 3] = [12, 18, 26];
 const RESIDUAL: f64 = 1e-4;
 /// Rays are kept this far beyond a clear aperture, `r²/a² − 1`, so that its edge lies inside the fit.
 const MARGIN: f64 = 0.06;
-/// An aperture counts where a ray comes this near to it.
+/// An aperture counts where a ray comes this near to it, and rays beyond it may fail.
 const NEAR: f64 = 0.02;
+/// Part of the outline within which every ray must arrive.
+const INNER: f64 = 0.95;
 /// Azimuths of the outline, and steps of its bisection.
 const OUTLINE: (u32, u32) = (48, 9);
 /// Residuals that end a fit at a lower degree: wavelengths; relative; of `1 − r²/a²`.
@@ -112,7 +114,7 @@ impl Pupil {
             let middle = middle(&kept, &source)
                 .or_else(|| FieldPupil::new(aimer, object, 8).centre.map(|c| c / aimer.system().stop_semi_diameter))
                 .ok_or(Fault::Dark)?;
-            Some((middle, outline(&source, middle)))
+            Some((middle, outline(&source, middle)?))
         };
         let at = |(r, a): (f64, f64)| match &outline {
             None => r * DVec2::from_angle(a),
@@ -123,7 +125,7 @@ impl Pupil {
             pupil.rays = if k == 0 && outline.is_none() {
                 all.iter().flatten().cloned().collect()
             } else {
-                rings(degree).into_iter().filter_map(|p| source.ray(at(p)).ok()).collect()
+                traced(rings(degree), &at, &source)?
             };
             if !pupil.rays.iter().any(|r| r.open()) {
                 return Err(Fault::Dark);
@@ -214,23 +216,52 @@ fn middle(open: &[StopRay], source: &Source) -> Option<DVec2> {
     open.iter().max_by(|a, b| clearance(a).total_cmp(&clearance(b))).map(|r| r.stop)
 }
 
+/// The rays of `points` of the unit disk; those on its rim may end between the outline's azimuths.
+///
+/// # Errors
+/// [`Fault::Ray`] where one within fails.
+fn traced(points: Vec<(f64, f64)>, at: &dyn Fn((f64, f64)) -> DVec2, source: &Source) -> Result<Vec<StopRay>, Fault> {
+    let mut rays = Vec::with_capacity(points.len());
+    for point in points {
+        match source.ray(at(point)) {
+            Ok(ray) => rays.push(ray),
+            Err(failure) if point.0 < INNER => return Err(failure.into()),
+            Err(_) => {}
+        }
+    }
+    Ok(rays)
+}
+
 /// Distances from `middle` to the edge of what is kept, over even azimuths.
-fn outline(source: &Source, middle: DVec2) -> Vec<f64> {
+///
+/// # Errors
+/// [`Fault::Ray`] where open rays end not at a clear aperture but by missing a surface or by total reflection: that edge of the pupil
+/// is no polynomial of the clear apertures.
+fn outline(source: &Source, middle: DVec2) -> Result<Vec<f64>, Fault> {
     let (azimuths, steps) = OUTLINE;
     let distance = |k: u32| {
         let u = DVec2::from_angle(TAU * f64::from(k) / f64::from(azimuths));
         let b = middle.dot(u);
         let rim = (b * b + 1.0 - middle.length_squared()).max(0.0).sqrt() - b;
-        let kept = |t: f64| source.ray(middle + t * u).is_ok_and(|r| clearance(&r) > -MARGIN);
-        if kept(rim) {
-            return rim;
+        let kept = |t: f64| source.ray(middle + t * u).map(|r| clearance(&r)).map(|c| (c > -MARGIN).then_some(c));
+        if kept(rim).is_ok_and(|c| c.is_some()) {
+            return Ok(rim);
         }
         let (mut low, mut high) = (0.0, rim);
+        // How clear the last kept ray is, and why the first one beyond it fails.
+        let (mut clear, mut failure) = (1.0, kept(rim).err());
         for _ in 0..steps {
             let t = 0.5 * (low + high);
-            if kept(t) { low = t } else { high = t }
+            match kept(t) {
+                Ok(Some(c)) => (low, clear) = (t, c),
+                Ok(None) => (high, failure) = (t, None),
+                Err(f) => (high, failure) = (t, Some(f)),
+            }
         }
-        low
+        match failure {
+            Some(failure) if clear > NEAR => Err(failure.into()),
+            _ => Ok(low),
+        }
     };
     (0..azimuths).map(distance).collect()
 }

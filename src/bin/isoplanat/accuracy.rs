@@ -106,9 +106,7 @@ fn ways() -> Vec<(&'static str, String, Way)> {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in [&args.output, &args.svg, &args.csv].into_iter().flatten() {
-        output::check_writable(path, args.force)?;
-    }
+    output::check_all(&[args.output.as_deref(), args.svg.as_deref(), args.csv.as_deref()], args.force)?;
     let density = SpectralDensity::new(&Sensor::generic());
     if args.gradient {
         let placed = args.place.place(&args.lens, &args.scene)?;

@@ -17,7 +17,7 @@ use serde_json::{Value, json};
 /// Which analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// Geometric MTF against frequency, field and focus.
+    /// MTF of rays and by diffraction against frequency, field and focus.
     Mtf,
     /// Spots by field.
     Spot,
@@ -102,10 +102,9 @@ pub(crate) struct Args {
 
 /// Runs the command; figures go to `out`.
 pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in args.svg.iter().chain(&args.csv).chain(&args.npz) {
-        crate::output::check_writable(path, args.force)?;
-    }
-    let options = args.view.options()?;
+    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.force)?;
+    // Spots and distortion need no waves.
+    let options = Options { whole: kind == Kind::Mtf, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
     let (overview, missing) = look(&lens, &options);
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
@@ -129,6 +128,11 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     missing.iter().for_each(|m| eprintln!("note: {}: {m}", lens.name));
     write!(out, "{}", kind.table(&overview))?;
     Ok(())
+}
+
+/// A number, or a dash where there is none.
+fn figure(value: f64, words: impl Fn(f64) -> String) -> String {
+    if value.is_finite() { words(value) } else { "–".to_owned() }
 }
 
 /// Without a list of fields where there is none.
@@ -158,7 +162,7 @@ impl Kind {
             Self::Distortion => {
                 let mut table = Table::new(["field/deg", "image height/mm", "distortion/%"]);
                 for r in &o.curve {
-                    let percent = significant(r.distortion_percent, 5);
+                    let percent = figure(r.distortion_percent, |v| significant(v, 5));
                     table.row([significant(r.angle_deg, 5), significant(r.height, 7), percent]);
                 }
                 table
@@ -168,7 +172,8 @@ impl Kind {
                 let names = o.fields.iter().flat_map(|f| [format!("{}° T", angle(f)), format!("{}° S", angle(f))]);
                 let mut table = Table::new(std::iter::once("cycles/mm".to_owned()).chain(names));
                 for (k, f) in o.cycles_per_mm.iter().enumerate() {
-                    let values = o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| format!("{v:.4}"));
+                    let values =
+                        o.fields.iter().flat_map(|field| field.mtf[k]).map(|v| figure(v, |v| format!("{v:.4}")));
                     table.row(std::iter::once(significant(*f, 5)).chain(values));
                 }
                 table
@@ -189,6 +194,11 @@ fn save(kind: Kind, o: &Overview, path: &Path) -> Result<()> {
                 let shape = (o.shifts_mm.len(), o.fields.len(), o.cycles_per_mm.len(), 2);
                 let mtf = Array4::from_shape_fn(shape, |(z, f, k, d)| o.fields[f].through_focus[z][k][d]);
                 npz.add_array("mtf", &mtf).map_err(failed)?;
+                let waves = |(z, f, k, d): (usize, usize, usize, usize)| {
+                    let found = o.fields[f].diffraction.as_ref().and_then(|m| m.as_ref().ok());
+                    found.and_then(|m| m.curves[d].modulus(z, k)).unwrap_or(f64::NAN)
+                };
+                npz.add_array("mtf_diffraction", &Array4::from_shape_fn(shape, waves)).map_err(failed)?;
                 npz.add_array("shift_mm", &Array1::from(o.shifts_mm.clone())).map_err(failed)?;
                 npz.add_array("cycles_per_mm", &Array1::from(o.cycles_per_mm.clone())).map_err(failed)?;
                 npz.add_array("field_angle_deg", &angles).map_err(failed)?;

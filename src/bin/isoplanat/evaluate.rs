@@ -94,9 +94,7 @@ fn kind(text: &str) -> std::result::Result<SceneKind, String> {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in [&args.csv, &args.plot].into_iter().flatten() {
-        output::check_writable(path, args.force)?;
-    }
+    output::check_all(&[args.csv.as_deref(), args.plot.as_deref()], args.force)?;
     if let Some(folder) = &args.pictures {
         atomic::check_folder(folder, MARKER, args.force)?;
     }

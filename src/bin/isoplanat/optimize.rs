@@ -92,9 +92,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let file = args.output.display().to_string();
         return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
     }
-    for path in std::iter::once(&args.output).chain(&args.svg) {
-        crate::output::check_writable(path, args.force)?;
-    }
+    crate::output::check_all(&[Some(&*args.output), args.svg.as_deref()], args.force)?;
     if let Some(folder) = &args.best {
         atomic::check_folder(folder, MARKER, args.force)?;
     }

@@ -25,6 +25,22 @@ pub(crate) fn check_writable(path: &Path, force: bool) -> Result<()> {
     }
 }
 
+/// [`check_writable`] of every output that is asked for, each a file of its own.
+///
+/// # Errors
+/// As there; a file named twice.
+pub(crate) fn check_all(paths: &[Option<&Path>], force: bool) -> Result<()> {
+    let asked: Vec<&Path> = paths.iter().copied().flatten().collect();
+    for (k, path) in asked.iter().enumerate() {
+        check_writable(path, force)?;
+        if asked[..k].contains(path) {
+            let file = path.display().to_string();
+            return Err(Error::bad(file, "output", "named for two outputs", "a file of its own for each"));
+        }
+    }
+    Ok(())
+}
+
 /// Prints `text` to `out`, or puts it into the file at `path`, whole or not at all.
 pub(crate) fn put(text: &str, path: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<()> {
     match path {
@@ -49,5 +65,8 @@ mod tests {
         let nowhere = folder.path().join("none/a.npz");
         assert!(check_writable(&nowhere, true).expect_err("no folder").to_string().contains("none"));
         assert!(check_writable(Path::new("surely-not-there.npz"), false).is_ok());
+        let [a, b] = ["surely-not-there.csv", "surely-not-there.svg"].map(|p| Some(Path::new(p)));
+        assert!(check_all(&[a, None, b], false).is_ok());
+        assert!(check_all(&[a, b, a], true).expect_err("twice").to_string().contains("two outputs"));
     }
 }

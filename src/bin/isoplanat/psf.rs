@@ -57,9 +57,7 @@ pub(crate) struct Args {
 
 /// Runs the command; a summary goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in std::iter::once(&args.output).chain(&args.png).chain(&args.csv) {
-        crate::output::check_writable(path, args.force)?;
-    }
+    crate::output::check_all(&[Some(&*args.output), args.png.as_deref(), args.csv.as_deref()], args.force)?;
     let lens = crate::input::lens(&args.lens)?;
     let request = request(args, &lens)?;
     if args.png.is_some() {
@@ -70,7 +68,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     save(&kernels, &args.output)?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
-        let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?;
+        let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?.kernels;
         write_png8(path, &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let rows = rows(&kernels);

@@ -41,9 +41,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.csv.is_some() && args.lenses.len() > 1 {
         return Err(Error::bad("--csv", "lenses", args.lenses.len().to_string(), "one lens").into());
     }
-    for path in args.output.iter().chain(&args.csv) {
-        crate::output::check_writable(path, args.force)?;
-    }
+    crate::output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.force)?;
     let options = args.view.options()?;
     let mut reports = Vec::new();
     for name in &args.lenses {

@@ -56,9 +56,7 @@ pub(crate) struct Args {
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    for path in args.svg.iter().chain(&args.csv) {
-        crate::output::check_writable(path, args.force)?;
-    }
+    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref()], args.force)?;
     let region = args.region.as_deref().map(rectangle).transpose()?;
     let cfa = args.cfa.as_deref().map(layout).transpose()?;
     let encoding = args.encoding.map(|c| match c {
@@ -78,15 +76,23 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let sought = &picture.channels[first];
     let region = match region {
         Some(region) => region,
-        None => find_region(sought.plane.view(), sought.sites).map_err(|e| e.in_file(place))?,
+        None => {
+            find_region(sought.plane.view(), sought.sites).map_err(|e| in_channel(e, sought.name).in_file(place))?
+        }
     };
-    let mut measured = Vec::new();
-    for channel in &picture.channels {
+    let (mut measured, mut refused) = (Vec::new(), Vec::new());
+    for (k, channel) in picture.channels.iter().enumerate() {
         let options = EdgeOptions { region: Some(region), sites: channel.sites, range: channel.range };
-        let edge = measure(channel.plane.view(), &options).map_err(|e| in_channel(e, channel.name).in_file(place))?;
-        measured.push(Measured { name: channel.name, edge });
+        match measure(channel.plane.view(), &options) {
+            Ok(edge) => measured.push(Measured { name: channel.name, edge }),
+            Err(e) if k == first => return Err(in_channel(e, channel.name).in_file(place).into()),
+            Err(e) => refused.push((channel.name, in_channel(e, channel.name).in_file(place).to_string())),
+        }
     }
-    let listing = Listing { first, measured, source: picture.source, image: args.image.display().to_string() };
+    let first = measured.iter().position(|m| m.name == names[first]).unwrap_or(0);
+    refused.iter().for_each(|(_, why)| eprintln!("warning: {why}"));
+    let image = args.image.display().to_string();
+    let listing = Listing { first, measured, refused, source: picture.source, image };
     if let Some(path) = &args.csv {
         crate::output::put(&listing.csv(), Some(path), out)?;
     }

@@ -1,7 +1,11 @@
-// Keeps the page up to date: an event tells of another version, whose body takes the place of this one; sliders stay where they are.
+// Keeps the page up to date: an event names the page that is shown now; where it is another than this one, its body takes the place of
+// this one's, sliders stay where they are. One event at a time, only the last one counts.
 (() => {
-  let version = null;
-  const banner = text => {
+  const name = of => of.querySelector('meta[name=isoplanat-page]')?.content;
+  let shown = name(document), news = null, away = false, busy = false;
+  const banner = () => {
+    const text = away ? 'The last page: the program that shows it does not answer.'
+      : news?.error ? `The last good page; the file now: ${news.error}` : null;
     let box = document.getElementById('wrong');
     if (!text) { if (box) box.remove(); return; }
     if (!box) {
@@ -11,7 +15,7 @@
       box.style = 'position:sticky;top:0;z-index:8;padding:.6rem .9rem;margin:0 0 1rem;border-radius:8px;background:#b3261e;color:#fff';
       document.body.prepend(box);
     }
-    box.textContent = `The last good page; the file now: ${text}`;
+    box.textContent = text;
   };
   const sliders = () => [...document.querySelectorAll('.steps input')];
   const replace = async () => {
@@ -19,6 +23,7 @@
     const next = new DOMParser().parseFromString(text, 'text/html');
     const values = sliders().map(s => s.value);
     const [x, y] = [scrollX, scrollY];
+    shown = name(next);
     document.title = next.title;
     document.body.replaceWith(document.adoptNode(next.body));
     sliders().forEach((s, k) => { if (k < values.length) s.value = values[k]; });
@@ -28,16 +33,19 @@
       old.replaceWith(script);
     }
     scrollTo(x, y);
-    document.documentElement.dataset.version = version;
+    document.documentElement.dataset.page = shown;
+  };
+  const follow = async () => {
+    if (busy) return;
+    busy = true;
+    try {
+      for (let asked; news.page !== shown && news.page !== asked;) { asked = news.page; await replace(); }
+    } catch { /* The stream of events tells that nobody answers. */ }
+    busy = false;
+    banner();
   };
   const source = new EventSource('/events');
-  source.onmessage = async event => {
-    const news = JSON.parse(event.data);
-    const other = version !== null && news.version !== version && !news.error;
-    version = news.version;
-    if (other) await replace();
-    banner(news.error);
-  };
-  source.onerror = () => banner('the program that shows this page has ended');
-  source.onopen = () => banner(null);
+  source.onmessage = event => { news = JSON.parse(event.data); follow(); };
+  source.onerror = () => { away = true; banner(); };
+  source.onopen = () => { away = false; banner(); };
 })();

@@ -102,6 +102,8 @@ pub struct EdgeMeasurement {
     pub spread: Vec<[f64; 3]>,
     /// The MTF in steps of 0.01 cycles a pixel.
     pub mtf: Vec<MtfPoint>,
+    /// Half of a 95 % interval over the standard uncertainty: Student's factor for the rows that the edge crosses.
+    pub coverage: f64,
     /// Where the MTF first falls below one half.
     pub mtf50: Option<Crossing>,
     /// Where it first falls below one tenth.
@@ -204,6 +206,7 @@ pub fn measure<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, options: &EdgeOpti
         knots_per_px: 1.0 / fitted.spread.knots.step,
         spread: transfer::drawn(&fitted.spread),
         mtf: transfer.curve.iter().step_by(4).copied().collect(),
+        coverage: transfer.coverage,
         mtf50: transfer.crossing(0.5),
         mtf10: transfer.crossing(0.1),
         warnings,

@@ -269,10 +269,10 @@ fn chief_angle(o: &Overview) -> Plot {
 }
 
 fn light(o: &Overview, illumination: &[[f64; 2]]) -> Plot {
-    let open = o.curve.iter().map(|r| [r.height, r.open_part]).collect();
+    let open = o.curve.iter().map(|r| [r.height.abs(), r.open_part]).collect();
     Plot {
         title: "Light over the field".into(),
-        x_label: "image height, mm".into(),
+        x_label: "distance from the axis on the sensor, mm".into(),
         y_label: "part of that on the axis".into(),
         series: vec![
             Series { name: "relative illumination".into(), points: illumination.to_vec(), mark: Mark::Line },

@@ -10,12 +10,21 @@ const MARGIN: f64 = 10.0;
 const MESHES: u32 = 12;
 const POINTS: u32 = 49;
 
-/// The grid over the part of the sensor that `curve` covers; none where there is no curve.
+/// The grid over the part of the sensor that `curve` covers; none where there is no curve. One curve stands for all directions: the
+/// lens is symmetric about its axis.
 pub(super) fn grid(sensor: &SensorRaster, curve: &[FieldRow]) -> Option<String> {
-    // Ideal height over real height by the curve's own percentage.
-    let radii: Vec<[f64; 2]> =
-        curve.iter().map(|r| [r.height / (1.0 + 0.01 * r.distortion_percent), r.height]).collect();
-    let end = radii.last().filter(|r| r[0] > 0.0 && r[1] > 0.0)?[0];
+    // Ideal height by the curve's own percentage, and real height, as far as the ideal one rises; both outwards.
+    let sign = curve.last()?.height.signum();
+    let mut radii: Vec<[f64; 2]> = Vec::with_capacity(curve.len());
+    for row in curve {
+        let height = sign * row.height;
+        let ideal = height / (1.0 + 0.01 * row.distortion_percent);
+        if !ideal.is_finite() || radii.last().is_some_and(|r| ideal <= r[0]) {
+            break;
+        }
+        radii.push([ideal, height]);
+    }
+    let end = radii.last().filter(|r| radii.len() > 1 && r[0] > 0.0)?[0];
     let pitch = sensor.pitch_mm();
     #[expect(clippy::cast_precision_loss, reason = "pixels of a sensor")]
     let size = [sensor.columns, sensor.rows].map(|n| n as f64 * pitch);
@@ -52,4 +61,23 @@ pub(super) fn grid(sensor: &SensorRaster, curve: &[FieldRow]) -> Option<String> 
         }
     }
     Some(svg.finish("A square grid as the lens shows it"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::analysis::curves::over_field;
+    use crate::lens::builtin;
+
+    #[test]
+    fn a_grid_needs_a_curve() {
+        let lens = builtin::lens("cooke_triplet").expect("shipped");
+        let rows = over_field(&lens, &[], &[0.0, 5.0, 10.0]);
+        assert!(grid(&lens.sensor, &rows).is_some_and(|svg| !svg.contains("NaN")));
+        assert!(grid(&lens.sensor, &rows[..1]).is_none() && grid(&lens.sensor, &[]).is_none());
+        // From 90° on nothing is ideal: the grid ends before.
+        let mut wide = rows.clone();
+        wide[2].distortion_percent = f64::NAN;
+        assert!(grid(&lens.sensor, &wide).is_some_and(|svg| !svg.contains("NaN")));
+    }
 }

@@ -1,7 +1,8 @@
 //! The page of one lens, or of two side by side: what `isoplanat report` writes.
 //!
 //! One [`LensReport`] holds the numbers; [`LensReport::plots`] are its curves under their names. The page, the JSON form and the table of
-//! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits.
+//! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits. The MTF at the
+//! other steps of the focus slider is in the page alone.
 
 mod bars;
 mod curves;
@@ -79,6 +80,8 @@ pub struct LensReport {
     /// Sensor radius (mm) and irradiance of white over that on the axis.
     illumination: Vec<[f64; 2]>,
     atlas: Option<Atlas>,
+    /// Whether `isoplanat check` passes, and its table.
+    check: (bool, Table),
     /// What could not be shown, and why.
     pub missing: Vec<String>,
     /// Part of the work and its seconds.
@@ -182,6 +185,7 @@ fn wavefront_json((map, fit): &(Map, Option<Fit>)) -> Value {
 pub fn fields_json(o: &Overview) -> Vec<Value> {
     let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
     let field = |f: &Field| {
+        let waves = f.diffraction.as_ref().and_then(|d| d.as_ref().ok());
         json!({
             "angle_deg": f.angle_deg,
             "chief_height_mm": f.chief.map(|c| c.y),
@@ -194,8 +198,9 @@ pub fn fields_json(o: &Overview) -> Vec<Value> {
             "best_rms_mm": f.best_rms,
             "open_part": f.open_part,
             "encircled_50_80_95_mm": f.energy,
-            "mtf_change": f.mtf_change,
-            "mtf_diffraction_error": f.diffraction.as_ref().and_then(|d| d.as_ref().ok()).map(sampling_error),
+            "mtf_change": finite(f.mtf_change),
+            "mtf_diffraction_error": waves.map(sampling_error),
+            "mtf_diffraction_residual_waves": waves.map(|m| m.residual_waves),
             "wavefront": f.map.as_ref().map(wavefront_json),
         })
     };
@@ -253,7 +258,11 @@ impl LensReport {
             ("wavefronts, MTF by diffraction", waves),
             ("curves over field and zones", curves),
         ];
-        let mut report = Self { lens, overview, illumination: Vec::new(), atlas: None, missing, seconds };
+        let start = Instant::now();
+        let health = HealthReport::new(&lens);
+        let check = (health.health().passes(), health.table());
+        let mut report = Self { lens, overview, illumination: Vec::new(), atlas: None, check, missing, seconds };
+        report.seconds.push(("numerical check", start.elapsed().as_secs_f64()));
         let start = Instant::now();
         match report.white() {
             Ok(white) => report.illumination = white,
@@ -295,15 +304,17 @@ impl LensReport {
             memory: options.memory,
         };
         let set = KernelSet::compute(&self.lens, &request)?;
-        let kernels = if options.colour {
-            colour_kernels(&self.lens, &request)?
+        let (kernels, outside) = if options.colour {
+            let made = colour_kernels(&self.lens, &request)?;
+            (made.kernels, made.outside)
         } else {
             let grey = set.polychromatic_kernels();
             let (_, fields, rows, columns) = grey.dim();
-            grey.into_shape_with_order((fields, 1, rows, columns))
-                .map_err(|e| crate::error::Error::Internal(e.to_string()))?
+            let grey = grey
+                .into_shape_with_order((fields, 1, rows, columns))
+                .map_err(|e| crate::error::Error::Internal(e.to_string()))?;
+            (grey, set.outside.iter().copied().fold(0.0, f64::max))
         };
-        let outside = set.outside.iter().copied().fold(0.0, f64::max);
         let size = kernels.dim().2;
         Ok(Atlas { kernels, angles_deg: set.angle_deg.iter().copied().collect(), outside, size })
     }
@@ -313,8 +324,8 @@ impl LensReport {
         curves::all(&self.overview, &self.illumination)
     }
 
-    /// Figures with what their sampling leaves open: name, unit, value, change from a quarter of the rays (by diffraction: to 1.4 times as
-    /// many points each way).
+    /// Figures with what their sampling leaves open: name, unit, value, largest change (of a transfer function at any of its frequencies)
+    /// from a quarter of the rays, by diffraction to 1.4 times as many points each way.
     fn sampled(&self) -> Vec<(String, &'static str, f64, f64)> {
         let (mut rows, o) = (Vec::new(), &self.overview);
         for f in &o.fields {
@@ -323,23 +334,17 @@ impl LensReport {
                 rows.push((format!("rms spot radius at {angle}°"), "µm", 1e3 * rms.value, 1e3 * rms.change));
             }
             let middle = f.mtf.len() / 2;
-            if let Some([t, s]) = f.mtf.get(middle) {
-                rows.push((
-                    format!("geometric MTF at {angle}°, half of the plotted frequencies"),
-                    "",
-                    0.5 * (t + s),
-                    f.mtf_change,
-                ));
+            let at = o.cycles_per_mm.get(middle).map_or(String::new(), |c| significant(*c, 3));
+            let mean = |name: &str| format!("{name} at {angle}° and {at} cycles/mm, mean of T and S");
+            if let (Some([t, s]), Some(_)) = (f.mtf.get(middle), f.spot) {
+                rows.push((mean("geometric MTF"), "", 0.5 * (t + s), f.mtf_change));
             }
             if let Some(Ok(mtf)) = &f.diffraction {
                 let on = o.shifts_mm.len() / 2;
-                let both: f64 = mtf.curves.iter().filter_map(|c| c.modulus(on, middle)).sum();
-                rows.push((
-                    format!("MTF by diffraction at {angle}°, the same frequency"),
-                    "",
-                    0.5 * both,
-                    sampling_error(mtf),
-                ));
+                let both: Option<Vec<f64>> = mtf.curves.iter().map(|c| c.modulus(on, middle)).collect();
+                if let Some([t, s]) = both.as_deref() {
+                    rows.push((mean("MTF by diffraction"), "", 0.5 * (t + s), sampling_error(mtf)));
+                }
             }
         }
         rows
@@ -359,7 +364,7 @@ impl LensReport {
             "cycles_per_mm": o.cycles_per_mm,
             "fields": fields_json(o),
             "plots": plots_json(&self.plots()),
-            "check_passes": HealthReport::new(&self.lens).health().passes(),
+            "check_passes": self.check.0,
             "missing": self.missing,
             "seconds": self.seconds.iter().map(|(k, v)| json!({"part": k, "seconds": v})).collect::<Vec<_>>(),
         })

@@ -8,7 +8,6 @@ use crate::lens::paraxial::first_order;
 use crate::lens::seidel;
 use crate::report::atlas::{Style, picture};
 use crate::report::drawing::lens_svg;
-use crate::report::health::HealthReport;
 use crate::report::html::{Fact, Page, Picture};
 use crate::report::listing::Listing;
 use crate::report::plot::Plot;
@@ -85,7 +84,7 @@ impl Pages<'_> {
             };
             let end = r.overview.curve.last();
             let light = r.illumination.iter().map(|p| p[1]).fold(f64::NAN, f64::min);
-            let passes = HealthReport::new(&r.lens).health().passes();
+            let passes = r.check.0;
             let facts = [
                 fact(f.effective_focal_length, 5, " mm", "focal length"),
                 fact(f.working_f_number, 4, "", "working f-number"),
@@ -258,14 +257,16 @@ impl Pages<'_> {
             .reports
             .iter()
             .filter_map(|r| {
-                let svg = grid::grid(&r.lens.sensor, &r.overview.curve)?;
+                let symmetric = r.lens.is_symmetric().then_some(&r.overview.curve)?;
+                let svg = grid::grid(&r.lens.sensor, symmetric)?;
                 Some((svg, format!("{}: a square grid on the sensor (dashed) and as the lens shows it.", r.lens.name)))
             })
             .collect();
         page.drawings(&grids, 440);
         page.note(
             "Foci of rays close to the chief ray, to 1e-8 of Coddington's equations on one sphere. Distortion against the scale of a thousandth of the field. \
-             Relative illumination is the irradiance of white over that on the axis, edges hard (to 2e-4 rms); the open part counts the stop's area alone.",
+             Relative illumination is the irradiance of white over that on the axis, edges hard (to 2e-4 rms); the open part counts the stop's area alone (to 3e-3). \
+             The grid stands for a lens that is symmetric about its axis; of another none is drawn.",
         );
     }
 
@@ -303,7 +304,7 @@ impl Pages<'_> {
             })
             .collect();
         page.pictures(&pictures, 520)?;
-        page.note("Rays gathered by the sensor's pixels, without diffraction; upright as in the picture, the field's outward direction upwards.");
+        page.note("Rays gathered by the sensor's pixels, without diffraction; upright as in the picture, the field's outward direction upwards; even radii to where sensor or light ends, whatever field the rest of the page is drawn for.");
         Ok(())
     }
 
@@ -337,8 +338,7 @@ impl Pages<'_> {
         page.section("Numerical check");
         for r in self.reports {
             self.named(page, r);
-            let check = HealthReport::new(&r.lens);
-            page.table(&check.table());
+            page.table(&r.check.1);
         }
     }
 
@@ -357,6 +357,6 @@ impl Pages<'_> {
             }
             page.table(&table);
         }
-        page.note("Rays are exact (1e-9 mm against other programs): what is left is how many there are. Change by sampling: from a quarter of the rays, an estimate from above where pupils are not cut; by diffraction, to 1.4 times as many points each way.");
+        page.note("Rays are exact (1e-9 mm against other programs): what is left is how many there are. Change by sampling: from a quarter of the rays, by diffraction to 1.4 times as many points each way, the largest of all frequencies.");
     }
 }

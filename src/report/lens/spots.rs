@@ -72,7 +72,8 @@ pub(super) fn key(field: usize) -> String {
 /// The half side that holds the spots on the sensor with some room, mm.
 pub(super) fn half_side(overview: &Overview) -> f64 {
     let largest = overview.fields.iter().filter_map(|f| f.spot).map(|s| s.radius.min(4.0 * s.rms)).fold(0.0, f64::max);
-    let half = 1.25 * largest.max(1.2 * overview.airy_radius);
+    let airy = if overview.airy_radius.is_finite() { overview.airy_radius } else { 0.0 };
+    let half = 1.25 * largest.max(1.2 * airy);
     if half.is_finite() && half > 0.0 { half } else { 0.01 }
 }
 

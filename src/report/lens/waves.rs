@@ -15,20 +15,30 @@ const OUTSIDE: [f32; 3] = [0.02, 0.02, 0.02];
 /// Coefficients below this are not listed, waves.
 const NEGLIGIBLE: f64 = 5e-4;
 
+/// Mean of a map by light, waves: its piston.
+fn mean(map: &Map) -> f64 {
+    let points = || map.points.iter().flatten();
+    points().map(|p| p.flux * p.waves).sum::<f64>() / points().map(|p| p.flux).sum::<f64>()
+}
+
 /// Largest departure from the mean of any map of `o`, waves: what the colours end at.
 pub(super) fn range(o: &Overview) -> f64 {
-    let of = |m: &Map| m.points.iter().flatten().map(|p| p.waves.abs()).fold(0.0, f64::max);
+    let of = |m: &Map| {
+        let mean = mean(m);
+        m.points.iter().flatten().map(|p| (p.waves - mean).abs()).fold(0.0, f64::max)
+    };
     o.fields.iter().filter_map(|f| f.map.as_ref()).map(|(m, _)| of(m)).fold(0.0, f64::max).max(1e-6)
 }
 
-/// The map, blue where the wavefront lags, red where it is ahead, by `range` waves.
+/// The map about its mean, blue where the wavefront lags, red where it is ahead, by `range` waves.
 pub(super) fn picture(map: &Map, range: f64) -> Array3<f32> {
     let side = map.size * ENLARGED;
+    let mean = mean(map);
     Array3::from_shape_fn((3, side, side), |(c, row, col)| {
         let point = map.points[row / ENLARGED * map.size + col / ENLARGED];
         let Some(point) = point else { return OUTSIDE[c] };
         #[expect(clippy::cast_possible_truncation, reason = "a colour")]
-        let t = (point.waves / range).clamp(-1.0, 1.0) as f32;
+        let t = ((point.waves - mean) / range).clamp(-1.0, 1.0) as f32;
         let end = if t < 0.0 { COLOURS[0] } else { COLOURS[2] };
         COLOURS[1][c] + t.abs() * (end[c] - COLOURS[1][c])
     })

@@ -18,6 +18,8 @@ pub(super) struct Listing {
     /// The channel whose figures stand first.
     pub(super) first: usize,
     pub(super) measured: Vec<Measured>,
+    /// Channels in which no edge could be measured, and why.
+    pub(super) refused: Vec<(&'static str, String)>,
     /// What the numbers were taken as.
     pub(super) source: String,
     /// The picture's name.
@@ -89,6 +91,8 @@ impl Listing {
         }
         let channels = self.measured.iter().map(|m| (m.name.to_owned(), Value::Object(channel(&m.edge))));
         top.insert("channels".into(), Value::Object(channels.collect()));
+        let refused = self.refused.iter().map(|(name, why)| ((*name).to_owned(), json!(why)));
+        top.insert("not_measured".into(), Value::Object(refused.collect()));
         Value::Object(top)
     }
 
@@ -99,8 +103,9 @@ impl Listing {
         for Measured { name, edge } in &self.measured {
             let points = edge.mtf.iter().map(|p| [p.frequency, p.value]).collect();
             curves.push(Series { name: (*name).into(), points, mark: Mark::Line });
-            let band =
-                |sign: f64| edge.mtf.iter().map(|p| [p.frequency, p.value + sign * 1.96 * p.uncertainty]).collect();
+            let band = |sign: f64| {
+                edge.mtf.iter().map(|p| [p.frequency, p.value + sign * edge.coverage * p.uncertainty]).collect()
+            };
             curves.extend([-1.0, 1.0].map(|s| Series { name: String::new(), points: band(s), mark: Mark::Dashed }));
             let points = edge.spread.iter().map(|p| [p[0], p[1]]).collect();
             spreads.push(Series { name: (*name).into(), points, mark: Mark::Line });
@@ -175,6 +180,7 @@ fn channel(edge: &EdgeMeasurement) -> Map<String, Value> {
         "oversampling": edge.knots_per_px,
         "warnings": edge.warnings,
         "mtf": curve,
+        "interval_95_over_uncertainty": edge.coverage,
         "spread": edge.spread.iter().map(|[d, e, l]| json!({ "distance_px": d, "esf": e, "lsf_per_px": l })).collect::<Vec<_>>(),
     });
     match value {
@@ -246,7 +252,7 @@ impl fmt::Display for Listing {
         let mut table = Table::new(std::iter::once("cy/px".to_owned()).chain(heading));
         for (i, point) in edge.mtf.iter().enumerate().step_by(STEP) {
             let cell = |m: &Measured| match m.edge.mtf.get(i) {
-                Some(p) => format!("{:.4} ± {:.4}", p.value, 1.96 * p.uncertainty),
+                Some(p) => format!("{:.4} ± {:.4}", p.value, m.edge.coverage * p.uncertainty),
                 None => "-".into(),
             };
             table.row(std::iter::once(format!("{:.2}", point.frequency)).chain(self.measured.iter().map(cell)));

@@ -6,6 +6,7 @@ use isoplanat::imaging::develop::color::XYZ_FROM_SRGB;
 use isoplanat::imaging::files::{Encoding, Planes, read_planes};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::imaging::sensor::cfa::Cfa;
+use isoplanat::math::memory::product;
 use isoplanat::{Error, Result};
 use ndarray::{ArcArray2, Axis};
 
@@ -14,6 +15,9 @@ const COLOURS: [&str; 3] = ["R", "G", "B"];
 /// Endings of RAW files; everything else is a picture.
 const RAW: [&str; 14] =
     ["dng", "nef", "nrw", "arw", "sr2", "cr2", "cr3", "crw", "raf", "rw2", "orf", "pef", "srw", "iiq"];
+
+/// Bytes of a pixel while it is read: three channels as they come and twice as double precision, luminance.
+const BYTES: usize = 64;
 
 /// One channel: linear values, and which of them count.
 pub(super) struct Channel {
@@ -43,6 +47,11 @@ pub(super) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) ->
             return Err(found("--cfa"));
         }
         return raw(path);
+    }
+    // What cannot be read is told below.
+    if let Ok((width, height)) = image::image_dimensions(path) {
+        let bytes = product(&[width as usize, height as usize, BYTES]);
+        crate::memory::limit().allow(&format!("a picture of {width} × {height} pixels"), bytes, "a part of it")?;
     }
     let Planes { values, bits, encoding } = read_planes(path, encoding)?;
     let said = match encoding {

@@ -11,6 +11,8 @@ use crate::error::{Error, Result};
 
 /// Cells a side that a window is looked at with.
 const CELLS: usize = 40;
+/// Least cells across a picture.
+const LEAST_CELLS: usize = 4;
 /// Least window, pixels.
 const LEAST: usize = 24;
 /// What a step must explain of a window's variance beyond noise, and what the profile across it must.
@@ -25,12 +27,14 @@ const SIDE: f64 = 0.12;
 pub fn find_region<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites) -> Result<Rectangle> {
     let (rows, columns) = plane.dim();
     let mosaic = sites != Sites::ALL;
+    Rectangle::whole((rows, columns)).check((rows, columns), super::LEAST_SIDE)?;
     let mut share = 1.0;
     let mut any = false;
-    while share * rows.max(columns) as f64 >= LEAST as f64 && rows.min(columns) >= 4 {
+    while share == 1.0 || share * rows.max(columns) as f64 >= LEAST as f64 {
         let longer = (share * rows.max(columns) as f64) as usize;
         let size = [rows, columns].map(|n| n.min(if share == 1.0 { n } else { longer.max(LEAST) }));
-        let mut side = longer.div_ceil(CELLS).max(1);
+        // A strip is seen by its width.
+        let mut side = longer.div_ceil(CELLS).min(rows.min(columns) / LEAST_CELLS).max(1);
         // A cell of a mosaic holds every colour.
         side += usize::from(mosaic && side % 2 == 1);
         let cells = reduced(plane, sites, side)?;

@@ -263,3 +263,24 @@ fn the_largest_edge_of_a_picture_is_found() {
     let error = m.mtf50.expect("falls").frequency / edge.crossing(0.5) - 1.0;
     assert!(error.abs() < 5e-3, "{region:?}: {error}");
 }
+
+/// Long strips are looked at by their width, and what is too small says so.
+#[test]
+fn strips_are_looked_at() {
+    for size in [[400, 8], [8, 400], [2400, 50], [50, 2400], [64, 24]] {
+        let edge = Edge { deg: if size[0] > size[1] { 5.0 } else { 95.0 }, size, ..PLAIN };
+        let picture = edge.picture(0.002, 3);
+        match measure(picture.view(), &EdgeOptions::default()) {
+            Ok(found) => assert!(found.mtf50.is_some(), "{size:?}"),
+            Err(e) => assert!(e.to_string().contains("edge"), "{size:?}: {e}"),
+        }
+        let flat = Array2::from_elem((size[1], size[0]), 0.5);
+        let error = find_region(flat.view(), Sites::ALL).expect_err("nothing there").to_string();
+        assert!(error.contains("all pixels are equal"), "{size:?}: {error}");
+    }
+    for size in [[1, 500], [500, 1], [7, 7], [0, 0]] {
+        let flat = Array2::from_elem((size[1], size[0]), 0.5);
+        let error = find_region(flat.view(), Sites::ALL).expect_err("too small").to_string();
+        assert!(error.contains("8 x 8 pixels"), "{size:?}: {error}");
+    }
+}
