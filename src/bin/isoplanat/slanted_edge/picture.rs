@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use isoplanat::imaging::develop::color::XYZ_FROM_SRGB;
-use isoplanat::imaging::files::{Encoding, Planes, read_planes};
+use isoplanat::imaging::files::{Encoding, Planes, picture_size, read_planes};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
@@ -49,9 +49,9 @@ pub(super) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) ->
         return raw(path);
     }
     // What cannot be read is told below.
-    if let Ok((width, height)) = image::image_dimensions(path) {
-        let bytes = product(&[width as usize, height as usize, BYTES]);
-        crate::memory::limit().allow(&format!("a picture of {width} × {height} pixels"), bytes, "a part of it")?;
+    if let Ok([rows, columns]) = picture_size(path) {
+        let bytes = product(&[rows, columns, BYTES]);
+        crate::memory::limit().allow(&format!("a picture of {columns} × {rows} pixels"), bytes, "a part of it")?;
     }
     let Planes { values, bits, encoding } = read_planes(path, encoding)?;
     let said = match encoding {
