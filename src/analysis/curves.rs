@@ -6,7 +6,7 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::beam::{Beam, Landing};
-use crate::lens::Lens;
+use crate::lens::{Lens, paraxial};
 use crate::trace::aim::Aimer;
 use crate::trace::pupil::FieldPupil;
 use crate::trace::{ObjectPoint, System};
@@ -32,6 +32,9 @@ pub struct FieldRow {
     /// Height from where the axis lands against that of a distortion-free lens of the same scale there, per cent; 0 on the axis, not a
     /// number from 90° on, where no plane picture is free of distortion.
     pub distortion_percent: f64,
+    /// The same against `f tan θ`, f the effective focal length, per cent: it holds the change of scale of a plane beside the paraxial
+    /// image too. Not a number for a near object.
+    pub distortion_of_focal_length: f64,
     /// Height of each wavelength's chief ray less that of the primary one.
     pub lateral_colour: Vec<f64>,
     /// Angle between the chief ray and the axis at the sensor, degrees; positive where it runs outwards.
@@ -92,11 +95,20 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
     // Zero but for tilted lenses, whose axis lands elsewhere.
     let origin = chief(&primary, 0.0).map_or(f64::NAN, |l| l.at.y);
     let scale = chief(&primary, near).map_or(f64::NAN, |l| (l.at.y - origin) / near.to_radians().tan());
+    let focal = match lens.object_vergence {
+        0.0 => paraxial::first_order(lens, lens.wavelengths.primary_nm).effective_focal_length,
+        _ => f64::NAN,
+    };
+    // Per cent against a scale, mm per unit of the field angle's tangent.
+    let against = |scale: f64, angle: f64, height: f64| match angle {
+        0.0 => 0.0 * scale,
+        _ if angle.abs() >= 90.0 => f64::NAN,
+        _ => 100.0 * ((height - origin) / (scale * angle.to_radians().tan()) - 1.0),
+    };
     let row = |&angle: &f64| {
         let at = chief(&primary, angle)?;
         let [tangential, sagittal] = parabasal_foci(&primary, object(lens, angle)).unwrap_or([f64::NAN; 2]);
         let height = at.at.y;
-        let ideal = scale * angle.to_radians().tan();
         let colour = |s| chief(s, angle).map_or(f64::NAN, |l: Landing| l.at.y - height);
         let open_part =
             Aimer::new(&primary).map_or(0.0, |a| FieldPupil::new(&a, object(lens, angle), AZIMUTHS).area_fraction);
@@ -105,11 +117,8 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             height,
             tangential,
             sagittal,
-            distortion_percent: match angle {
-                0.0 => 0.0,
-                _ if angle.abs() >= 90.0 => f64::NAN,
-                _ => 100.0 * ((height - origin) / ideal - 1.0),
-            },
+            distortion_percent: if angle == 0.0 { 0.0 } else { against(scale, angle, height) },
+            distortion_of_focal_length: against(focal, angle, height),
             lateral_colour: systems.iter().map(colour).collect(),
             chief_angle_deg: at.slope.y.atan().to_degrees(),
             open_part,
@@ -135,7 +144,7 @@ pub fn over_zones(lens: &Lens, wavelengths_nm: &[f64], zones: u32) -> Vec<ZoneRo
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::{Shape, builtin, paraxial};
+    use crate::lens::{Shape, builtin};
     use crate::testing::{assert_abs, assert_rel};
     use crate::trace::system::TraceSurface;
 

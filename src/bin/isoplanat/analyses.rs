@@ -160,10 +160,11 @@ impl Kind {
         match self {
             Self::Spot => spot_table(o),
             Self::Distortion => {
-                let mut table = Table::new(["field/deg", "image height/mm", "distortion/%"]);
+                let mut table = Table::new(["field/deg", "image height/mm", "distortion/%", "of f tan θ/%"]);
                 for r in &o.curve {
-                    let percent = figure(r.distortion_percent, |v| significant(v, 5));
-                    table.row([significant(r.angle_deg, 5), significant(r.height, 7), percent]);
+                    let [axis, focal] = [r.distortion_percent, r.distortion_of_focal_length]
+                        .map(|percent| figure(percent, |v| significant(v, 5)));
+                    table.row([significant(r.angle_deg, 5), significant(r.height, 7), axis, focal]);
                 }
                 table
             }
@@ -227,6 +228,8 @@ fn save(kind: Kind, o: &Overview, path: &Path) -> Result<()> {
                 let row = |r: &isoplanat::analysis::curves::FieldRow| [r.angle_deg, r.height, r.distortion_percent];
                 let rows: Vec<[f64; 3]> = o.curve.iter().map(row).collect();
                 npz.add_array("angle_height_percent", &Array2::from(rows)).map_err(failed)?;
+                let focal: Array1<f64> = o.curve.iter().map(|r| r.distortion_of_focal_length).collect();
+                npz.add_array("percent_of_focal_length", &focal).map_err(failed)?;
             }
         }
         npz.finish().map(drop).map_err(failed)

@@ -217,12 +217,21 @@ fn curvature(o: &Overview) -> Plot {
 }
 
 fn distortion(o: &Overview) -> Plot {
-    let points = o.curve.iter().map(|r| [r.angle_deg, r.distortion_percent]).collect();
+    let line = |name: &str, mark, value: &dyn Fn(&crate::analysis::curves::FieldRow) -> f64| Series {
+        name: name.into(),
+        points: o.curve.iter().map(|r| [r.angle_deg, value(r)]).collect(),
+        mark,
+    };
+    let mut series = vec![line("against the scale at the axis", Mark::Line, &|r| r.distortion_percent)];
+    // Of a near object there is none.
+    if o.curve.iter().any(|r| r.distortion_of_focal_length.is_finite()) {
+        series.push(line("against f tan θ", Mark::Dashed, &|r| r.distortion_of_focal_length));
+    }
     Plot {
         title: "Distortion, primary wavelength".into(),
         x_label: "field angle, °".into(),
         y_label: "per cent".into(),
-        series: vec![Series { name: String::new(), points, mark: Mark::Line }],
+        series,
         ..Plot::default()
     }
 }

@@ -264,7 +264,7 @@ impl Pages<'_> {
             .collect();
         page.drawings(&grids, 440);
         page.note(
-            "Foci of rays close to the chief ray, to 1e-8 of Coddington's equations on one sphere. Distortion against the scale of a thousandth of the field. \
+            "Foci of rays close to the chief ray, to 1e-8 of Coddington's equations on one sphere. Distortion against the scale of a thousandth of the field on this plane, and against the effective focal length: what the two differ by is the plane's own change of scale. \
              Relative illumination is the irradiance of white over that on the axis, edges hard (to 2e-4 rms); the open part counts the stop's area alone (to 3e-3). \
              The grid stands for a lens that is symmetric about its axis; of another none is drawn.",
         );
