@@ -11,6 +11,7 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
+mod edges;
 mod zones;
 
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
@@ -36,6 +37,8 @@ use crate::network::Reconstructor;
 use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use zones::Zone;
+
+pub use edges::measured;
 
 /// Most pixels around a patch that the network sees beside it.
 pub const CONTEXT: usize = 64;
@@ -179,7 +182,7 @@ pub fn evaluate(
     let zones = zones::zones(&frame, &bounds, settings.patch)?;
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
     let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
-    let context = network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP);
+    let context = context_of(network);
     let development = Development {
         balance: Balance::from_sensor(sensor),
         flat_field: None,
@@ -273,6 +276,11 @@ pub fn evaluate(
     Ok((evaluation, sheets.collect()))
 }
 
+/// Pixels around a patch that `network` sees beside it.
+fn context_of(network: &Reconstructor) -> usize {
+    network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP)
+}
+
 /// Figure `f` of picture `i`, as captured or as restored, in every zone.
 fn column(by_zone: &[Vec<[Judged; 2]>], i: usize, of: usize, f: usize) -> Vec<f64> {
     by_zone.iter().map(|values| values[i][of][f]).collect()
@@ -351,29 +359,10 @@ impl Shot<'_> {
         (network, guide): (&Reconstructor, &Guide),
         picture: &Array3<f32>,
     ) -> Result<[Array3<f32>; 3]> {
-        let frame = &renderer.plan.frame;
-        let scene = self.scene(frame, map, picture);
-        let inner = self.region.grown(self.context).common(Region::whole(frame));
-        // Rows and columns start as the mosaic does, however far the guide looks.
-        let seen = inner.grown(guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
-        let patch = Patch::whole(scene, seen, self.noise_seed);
-        let done = match self.by_rays {
-            None => forward::<f32>(renderer, electronics, &patch)?,
-            Some(how) => {
-                let mosaic = by_rays(how, electronics, frame, &patch)?;
-                forward_of(renderer, electronics, &patch, mosaic.view())?
-            }
-        };
-        let offset = |at: isize, from: isize| (at - from).unsigned_abs();
-        let at = [offset(self.region.row, seen.row), offset(self.region.col, seen.col)];
-        let cut = |a: ArrayView3<'_, f32>| {
-            a.slice(s![.., at[0]..at[0] + self.region.rows, at[1]..at[1] + self.region.cols]).to_owned()
-        };
-        let size = [self.region.rows, self.region.cols];
-        let told = guide.over(done.developed.view(), seen, inner);
-        let within = [offset(self.region.row, inner.row), offset(self.region.col, inner.col)];
-        let restored = restored(network, told.view(), within, size, self.context)?;
-        Ok([cut(done.truth.view()), cut(done.developed.view()), restored])
+        let scene = self.scene(&renderer.plan.frame, map, picture);
+        let behind = Behind { renderer, electronics, network, guide, context: self.context };
+        let taken = behind.take(scene, self.region, self.noise_seed, self.by_rays)?;
+        Ok([taken.truth, taken.developed, taken.restored])
     }
 
     /// The picture placed so that the region's centre sees a random part of it: the same for every zone and depth.
@@ -398,6 +387,60 @@ impl Shot<'_> {
         let texels_per_slope = texels / (map.ratio(radius) * frame.pitch_mm);
         let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
         Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
+    }
+}
+
+/// A network behind a lens and a sensor.
+struct Behind<'a> {
+    renderer: &'a Renderer,
+    electronics: &'a Electronics,
+    network: &'a Reconstructor,
+    guide: &'a Guide,
+    /// Pixels around a region that the network sees.
+    context: usize,
+}
+
+/// A region as it was and as it is seen, `[3, row, col]`.
+struct Taken {
+    truth: Array3<f32>,
+    developed: Array3<f32>,
+    restored: Array3<f32>,
+    /// Irradiance in each pixel's own colour, without noise, where rays made it.
+    mosaic: Option<Array2<f32>>,
+}
+
+impl Behind<'_> {
+    /// `region` in front of `scene`; by rays from the sensor where those are given.
+    fn take(
+        &self,
+        scene: Plane,
+        region: Region,
+        noise_seed: u64,
+        rays: Option<(&Lens, &SpectralDensity, usize)>,
+    ) -> Result<Taken> {
+        let frame = &self.renderer.plan.frame;
+        let inner = region.grown(self.context).common(Region::whole(frame));
+        // Rows and columns start as the mosaic does, however far the guide looks.
+        let seen = inner.grown(self.guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
+        let patch = Patch::whole(scene, seen, noise_seed);
+        let mosaic = rays.map(|how| by_rays(how, self.electronics, frame, &patch)).transpose()?;
+        let done = match &mosaic {
+            None => forward::<f32>(self.renderer, self.electronics, &patch)?,
+            Some(mosaic) => forward_of(self.renderer, self.electronics, &patch, mosaic.view())?,
+        };
+        let offset = |at: isize, from: isize| (at - from).unsigned_abs();
+        let at = [offset(region.row, seen.row), offset(region.col, seen.col)];
+        let part = s![at[0]..at[0] + region.rows, at[1]..at[1] + region.cols];
+        let cut =
+            |a: ArrayView3<'_, f32>| a.slice(s![.., at[0]..at[0] + region.rows, at[1]..at[1] + region.cols]).to_owned();
+        let told = self.guide.over(done.developed.view(), seen, inner);
+        let within = [offset(region.row, inner.row), offset(region.col, inner.col)];
+        Ok(Taken {
+            truth: cut(done.truth.view()),
+            developed: cut(done.developed.view()),
+            restored: restored(self.network, told.view(), within, [region.rows, region.cols], self.context)?,
+            mosaic: mosaic.map(|m| m.slice(part).to_owned()),
+        })
     }
 }
 

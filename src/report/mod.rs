@@ -18,6 +18,7 @@ pub mod html;
 pub mod lens;
 pub mod library;
 pub mod listing;
+pub mod measured;
 pub mod paired;
 pub mod plot;
 pub mod svg;

@@ -1,22 +1,35 @@
 //! `isoplanat report`: everything about a lens, or about two side by side, on one page.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isoplanat::Error;
+use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::report::lens::{LensReport, Options, html};
+use isoplanat::report::measured::{Measured, Settings, by_rays, close};
 
 use crate::analyses::View;
+use crate::progress::Bar;
 
 /// Arguments of `report`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens; several are shown side by side
-    #[arg(required = true, num_args = 1..=4, value_name = "LENS")]
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a run; several are shown side by side
+    #[arg(required = true, num_args = 1..=4, value_name = "LENS|RUN")]
     lenses: Vec<String>,
+    /// Also what slanted edges show in the reference renderer's captures, at so many places (1 to 6); of a run, which is always measured,
+    /// in the reconstructions too
+    #[arg(long, value_name = "PLACES", num_args = 0..=1, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
+    measure: Option<u32>,
+    /// Rays a pixel of those captures
+    #[arg(long, value_name = "RAYS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(2..=65536))]
+    measure_rays: u32,
+    /// Seed of those captures' rays and noise
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
     /// Where to put the page
     #[arg(short, long, value_name = "OUT.html")]
     output: Option<PathBuf>,
@@ -45,9 +58,23 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let options = args.view.options()?;
     let mut reports = Vec::new();
     for name in &args.lenses {
-        let lens = args.view.lens(name)?;
+        let run = Path::new(name).is_dir();
+        let file = if run { Path::new(name).join("lens.toml").display().to_string() } else { name.clone() };
+        let lens = args.view.lens(&file)?;
         let colour = in_colour(&lens);
-        reports.push(LensReport::new(lens, &Options { colour, ..options.clone() }));
+        // What cannot be measured is told before the page is made.
+        let settings =
+            Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
+        let measured = match (run, args.measure) {
+            (true, _) => Some(of_run(Path::new(name), &lens, settings)?),
+            (false, Some(_)) => Some(of_lens(&lens, settings).map_err(|e| crate::input::in_lens(e, &lens, name))?),
+            (false, None) => None,
+        };
+        let report = LensReport::new(lens, &Options { colour, ..options.clone() });
+        reports.push(match measured {
+            Some(measured) => report.with_measured(measured),
+            None => report,
+        });
     }
     if let Some(path) = &args.output {
         crate::output::put(&html(&reports)?, Some(path), out)?;
@@ -76,6 +103,46 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "open {}", path.display())?;
     }
     Ok(())
+}
+
+/// Slanted edges in front of a lens and the generic sensor.
+fn of_lens(lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
+    let sensor = Sensor::generic();
+    let camera = by_rays(lens, &sensor, &frame_of(lens)?, settings);
+    let bar = Bar::new("slanted edges");
+    let measured = close(lens, &sensor, settings, &camera, &mut |share| bar.set(share, String::new()))?;
+    bar.done(String::new());
+    Ok(measured)
+}
+
+/// Slanted edges in front of a run's lens, sensor and network.
+#[cfg(feature = "train")]
+fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
+    use isoplanat::design::evaluate::measured;
+    use isoplanat::design::task::Task;
+    use isoplanat::design::training::guide_of;
+    use isoplanat::network::Reconstructor;
+
+    let task = Task::load(&folder.join("task.toml"))?;
+    let network = Reconstructor::load(&folder.join("network.safetensors"))?;
+    let guide = guide_of(folder, &network, lens)?;
+    let bar = Bar::new("slanted edges");
+    let told = (&network, &guide);
+    let found = measured(lens, told, &task.sensor()?, settings, &mut |share| bar.set(share, String::new()))
+        .map_err(|e| e.in_file(folder))?;
+    bar.done(String::new());
+    Ok(found)
+}
+
+/// A run's network needs the code that trained it.
+#[cfg(not(feature = "train"))]
+fn of_run(folder: &Path, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
+    Err(Error::bad(
+        folder.display().to_string(),
+        "run",
+        "this build lacks the feature `train`, which a run's network needs",
+        "a lens, or a build with --features train",
+    ))
 }
 
 /// Whether the generic sensor sees the lens's light, so that kernels can be drawn in its colours.

@@ -20,6 +20,7 @@ use super::atlas::{KernelRequest, KernelSet, colour_kernels};
 use super::field::FieldLine;
 use super::health::HealthReport;
 use super::listing::Listing;
+use super::measured::Measured;
 use super::plot::Plot;
 use super::table::{Table, significant};
 use crate::analysis::diffraction::Mtf;
@@ -80,6 +81,8 @@ pub struct LensReport {
     /// Sensor radius (mm) and irradiance of white over that on the axis.
     illumination: Vec<[f64; 2]>,
     atlas: Option<Atlas>,
+    /// What slanted edges show, where they were looked at.
+    measured: Option<Measured>,
     /// Whether `isoplanat check` passes, and its table.
     check: (bool, Table),
     /// What could not be shown, and why.
@@ -261,7 +264,8 @@ impl LensReport {
         let start = Instant::now();
         let health = HealthReport::new(&lens);
         let check = (health.health().passes(), health.table());
-        let mut report = Self { lens, overview, illumination: Vec::new(), atlas: None, check, missing, seconds };
+        let mut report =
+            Self { lens, overview, illumination: Vec::new(), atlas: None, measured: None, check, missing, seconds };
         report.seconds.push(("numerical check", start.elapsed().as_secs_f64()));
         let start = Instant::now();
         match report.white() {
@@ -278,6 +282,15 @@ impl LensReport {
             report.seconds.push(("point spread functions", start.elapsed().as_secs_f64()));
         }
         report
+    }
+
+    /// With what slanted edges show in captures, and in reconstructions of them.
+    #[must_use]
+    pub fn with_measured(mut self, measured: Measured) -> Self {
+        self.missing.extend(measured.missing());
+        self.seconds.push(("slanted edges by rays from the sensor", measured.seconds));
+        self.measured = Some(measured);
+        self
     }
 
     /// Irradiance of white over the radius, all wavelengths by their weights.
@@ -321,7 +334,9 @@ impl LensReport {
 
     /// Every curve under its name.
     pub fn plots(&self) -> Vec<(&'static str, Plot)> {
-        curves::all(&self.overview, &self.illumination)
+        let mut plots = curves::all(&self.overview, &self.illumination);
+        plots.extend(self.measured.iter().flat_map(Measured::plots));
+        plots
     }
 
     /// Figures with what their sampling leaves open: name, unit, value, largest change (of a transfer function at any of its frequencies)
@@ -364,6 +379,7 @@ impl LensReport {
             "cycles_per_mm": o.cycles_per_mm,
             "fields": fields_json(o),
             "plots": plots_json(&self.plots()),
+            "measured": self.measured.as_ref().map(Measured::json),
             "check_passes": self.check.0,
             "missing": self.missing,
             "seconds": self.seconds.iter().map(|(k, v)| json!({"part": k, "seconds": v})).collect::<Vec<_>>(),

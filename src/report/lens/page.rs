@@ -10,6 +10,7 @@ use crate::report::atlas::{Style, picture};
 use crate::report::drawing::lens_svg;
 use crate::report::html::{Fact, Page, Picture};
 use crate::report::listing::Listing;
+use crate::report::measured::TILT_DEG;
 use crate::report::plot::Plot;
 use crate::report::table::{Table, significant};
 
@@ -39,6 +40,7 @@ pub fn html(reports: &[LensReport]) -> Result<String> {
     pages.field(&mut page);
     pages.kernels(&mut page)?;
     pages.mtf(&mut page);
+    pages.measured(&mut page)?;
     pages.health(&mut page);
     pages.accuracy(&mut page);
     Ok(page.finish_with_contents())
@@ -332,6 +334,45 @@ impl Pages<'_> {
             "T: lines across the meridian, S: along it; all wavelengths by their weights and light. By diffraction: autocorrelation of the pupil in direction cosines, amplitude and path of real rays, edges of all \
              clear apertures (1e-4 against closed forms). Geometric: modulus of the mean of exp(−2πi f·p) over rays.",
         );
+    }
+
+    fn measured(&self, page: &mut Page) -> Result<()> {
+        if self.reports.iter().all(|r| r.measured.is_none()) {
+            return Ok(());
+        }
+        page.section("Measured MTF");
+        for r in self.reports {
+            let Some(measured) = &r.measured else { continue };
+            self.named(page, r);
+            let plots = measured.plots();
+            let drawings: Vec<_> = plots.iter().map(|(_, plot)| (plot.to_svg(), String::new())).collect();
+            page.drawings(&drawings, 440);
+            page.table(&measured.table());
+            let mut shown = Vec::new();
+            for place in &measured.places {
+                let pictures = place.edges.iter().filter_map(|e| e.pictures.as_ref()).flatten();
+                for (image, of) in pictures.zip(["T, capture", "T, reconstruction", "S, capture", "S, reconstruction"])
+                {
+                    shown.push((image, format!("{} mm, {of}", significant(place.height_mm, 3))));
+                }
+            }
+            let pictures: Vec<Picture<'_>> = shown
+                .into_iter()
+                .map(|(image, caption)| Picture { image, caption, notes: Vec::new(), pixelated: true })
+                .collect();
+            if !pictures.is_empty() {
+                page.pictures(&pictures, 150)?;
+            }
+            let worst = measured.worst().map_or("no edge".to_owned(), |w| significant(w, 2));
+            page.note(&format!(
+                "Slanted edges (e-SFR, {TILT_DEG}° off the meridian and off its perpendicular) at the middle of patches on the way to the frame's farthest corner. Capture: green pixels of the reference \
+                 renderer's mosaic, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise. Design: mean of exp(−2πi f·p) over rays along the measured \
+                 normal in green light, times the MTF of a square pixel; no diffraction in either. Largest difference of capture and design up to half a cycle a pixel: {worst}, of which rays leave the \
+                 uncertainty that the JSON states. The fastest step of a network may be sharper than its fine texture: an edge is not a photograph.",
+                measured.settings.rays,
+            ));
+        }
+        Ok(())
     }
 
     fn health(&self, page: &mut Page) {

@@ -1,0 +1,50 @@
+//! The MTF of capture and reconstruction, by slanted edges in front of a lens and its network.
+
+use super::{Behind, at_depths, context_of};
+use crate::design::evaluate::{FINENESS, Settings as Evaluated, TEXELS_PER_PIXEL};
+use crate::error::{Error, Result};
+use crate::imaging::develop::simulate::Electronics;
+use crate::imaging::guide::Guide;
+use crate::imaging::plane::{Plane, Region};
+use crate::imaging::render::frame_of;
+use crate::imaging::sensor::Sensor;
+use crate::imaging::sensor::spectrum::SpectralDensity;
+use crate::lens::Lens;
+use crate::network::Reconstructor;
+use crate::report::measured::{Measured, Seen, Settings, close};
+
+/// The loop of [`crate::report::measured`] with what `network`, told by its guide, makes of the captures; they carry the sensor's noise.
+///
+/// # Errors
+/// As [`close`]; a lens that cannot image its frame.
+pub fn measured(
+    lens: &Lens,
+    (network, guide): (&Reconstructor, &Guide),
+    sensor: &Sensor,
+    settings: Settings,
+    progress: &mut dyn FnMut(f64),
+) -> Result<Measured> {
+    let frame = frame_of(lens)?;
+    let depths_mm = vec![1.0 / lens.object_vergence];
+    let evaluated = Evaluated {
+        fields: 1,
+        to_deg: None,
+        means_deg: Vec::new(),
+        depths_mm,
+        patch: 64,
+        seed: settings.seed,
+        fineness: FINENESS,
+        rays: Some(settings.rays),
+        texels: TEXELS_PER_PIXEL,
+    };
+    let renderer = at_depths(lens, &frame, sensor, &evaluated)?;
+    let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
+    let context = context_of(network);
+    let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, context };
+    let camera = |scene: &Plane, region: Region| -> Result<Seen> {
+        let taken = behind.take(scene.clone(), region, settings.seed, Some((lens, &density, settings.rays)))?;
+        let mosaic = taken.mosaic.ok_or_else(|| Error::Internal("a capture by rays has a mosaic".into()))?;
+        Ok(Seen { mosaic, developed: Some([taken.developed, taken.restored]) })
+    };
+    close(lens, sensor, settings, &camera, progress)
+}
