@@ -66,7 +66,7 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        Self { places: 4, rays: 256, seed: 1 }
+        Self { places: 4, rays: 1024, seed: 1 }
     }
 }
 
@@ -497,17 +497,18 @@ mod tests {
     use super::*;
     use crate::lens::builtin;
 
-    /// Rays from the object through the stop and rays from the sensor through the rear aperture see one MTF.
+    /// Rays from the object through the stop and rays from the sensor through the rear aperture see one MTF: within 0.02 everywhere up to half
+    /// a cycle a pixel (what the captures' rays leave), within 0.006 at a tenth.
     #[test]
     fn what_an_edge_shows_is_what_rays_predict() {
         let sensor = Sensor::generic();
-        for (name, limit) in [("cooke_triplet", 0.02), ("double_gauss", 0.02)] {
+        for (name, limit) in [("cooke_triplet", 0.02), ("double_gauss", 0.02), ("phone", 0.02)] {
             let lens = builtin::lens(name).expect("shipped");
             let frame = frame_of(&lens).expect("a frame");
-            let settings = Settings { places: 2, rays: 128, seed: 3 };
+            let settings = Settings { places: 3, rays: 1024, seed: 3 };
             let camera = by_rays(&lens, &sensor, &frame, settings);
             let found = close(&lens, &sensor, settings, &camera, &mut |_| {}).expect("light");
-            assert_eq!((found.places.len(), found.missing()), (2, Vec::<String>::new()));
+            assert_eq!((found.places.len(), found.missing()), (3, Vec::<String>::new()));
             for place in &found.places {
                 for (k, edge) in place.edges.iter().enumerate() {
                     let capture = edge.capture.as_ref().expect("an edge");
@@ -517,6 +518,8 @@ mod tests {
                         .map(|(a, b)| (a[1] - b[1]).abs())
                         .fold(0.0, f64::max);
                     eprintln!("{name} {:.2} mm {}: {off:.4}, {} px", place.height_mm, NAMES[k], place.side);
+                    let low = curve(capture, place.texels, found.pitch_mm)[10][1] - edge.design[10][1];
+                    assert!(low.abs() < 0.006, "{name} {:.2} mm {}: {low:.4}", place.height_mm, NAMES[k]);
                 }
             }
             assert!(found.worst().expect("edges") < limit, "{name}: {:?}", found.worst());

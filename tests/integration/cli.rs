@@ -470,6 +470,16 @@ fn evaluate_judges_a_run_by_field_and_depth() {
     }
     assert_eq!(std::fs::read(place.path("old.csv")).expect("there"), b"kept");
 
+    // The run's page: what slanted edges show before and after its network.
+    let said = place.run("report run --rays 64 --measure 2 --measure-rays 64 -o page.html --json").done();
+    let found: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    let places = found["measured"]["places"].as_array().expect("places");
+    assert_eq!(places.len(), 2);
+    for edge in places.iter().flat_map(|p| p["edges"].as_array().expect("edges")) {
+        assert!(edge["capture"]["mtf50_cy_per_px"].is_number() && edge["reconstruction"].is_object(), "{edge}");
+    }
+    assert!(std::fs::read_to_string(place.path("page.html")).expect("written").contains("T, reconstruction"));
+
     let photo = ndarray::Array3::from_shape_fn((3, 90, 120), |(k, r, c)| ((7 * k + r * c) % 23) as f32 / 23.0);
     for name in ["a.png", "b.png"] {
         isoplanat::imaging::files::write_png8(&place.path("photos").join(name), &photo).expect("written");

@@ -226,3 +226,27 @@ fn bad_input_of_reports_is_named() {
     place.run("report cooke_triplet two_element --csv a.csv").refused(&["--csv", "one lens"]);
     assert!(place.files().is_empty());
 }
+
+/// Slanted edges in the reference renderer's captures show what rays predict, and every form says the same.
+#[test]
+fn a_measured_report_closes_the_loop() {
+    let place = Workplace::new();
+    let found =
+        json(&place.run("report cooke_triplet --rays 100 --measure 1 --measure-rays 256 -o page.html --json").done());
+    assert_eq!(found["missing"], serde_json::json!([]));
+    let edges = found["measured"]["places"][0]["edges"].as_array().expect("edges");
+    assert_eq!(edges.len(), 2);
+    for edge in edges {
+        assert!(edge["reconstruction"].is_null(), "no network: {edge}");
+        let [design, capture] = [&edge["design_cy_per_mm_value"], &edge["capture"]["mtf_cy_per_mm_value_uncertainty"]]
+            .map(|c| numbers(&c[10]));
+        assert_eq!(design[0], capture[0]);
+        assert!((design[1] - capture[1]).abs() < 0.01 && design[1] > 0.9, "{design:?} {capture:?}");
+        assert!(number(&edge["capture"]["mtf50_cy_per_px"]) > 0.2);
+    }
+    let page = std::fs::read_to_string(place.path("page.html")).expect("reads");
+    assert!(page.contains("<section id=\"measured-mtf\">") && !words(&page).contains("NaN"));
+    place.run("report cooke_triplet --measure 9 --json").refused(&["--measure"]);
+    std::fs::create_dir(place.path("empty")).expect("creates");
+    place.run("report empty --json").refused(&["empty"]);
+}

@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "PLACES", num_args = 0..=1, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
     measure: Option<u32>,
     /// Rays a pixel of those captures
-    #[arg(long, value_name = "RAYS", default_value_t = 256, value_parser = clap::value_parser!(u32).range(2..=65536))]
+    #[arg(long, value_name = "RAYS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=65536))]
     measure_rays: u32,
     /// Seed of those captures' rays and noise
     #[arg(long, default_value_t = 1)]

@@ -29,6 +29,9 @@ pub(crate) struct Args {
     /// Write the page to a file and end: the same page, without a server
     #[arg(long, value_name = "OUT.html")]
     export: Option<PathBuf>,
+    /// The address, or the written file, as JSON
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     view: View,
     /// Overwrite the file
@@ -260,7 +263,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Subject::Lens(name) => page(&args.view.lens(name)?, &options, false)?,
             Subject::Page(file) => std::fs::read_to_string(file).map_err(|e| Error::reading(file, e))?,
         };
-        return crate::output::put(&text, Some(path), out);
+        crate::output::put(&text, Some(path), out)?;
+        if args.json {
+            writeln!(out, "{}", serde_json::json!({ "schema": 1, "file": path }))?;
+        }
+        return Ok(());
     }
     let board = Arc::new(Board::default());
     // A first page, or the reason why there is none, before anything is served.
@@ -272,7 +279,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let server = Server::http(("127.0.0.1", args.port))
         .map_err(|e| Error::bad("--port", "port", args.port.to_string(), format!("a free port ({e})")))?;
     let address = server.server_addr().to_string();
-    writeln!(out, "http://{address}/")?;
+    let url = format!("http://{address}/");
+    if args.json {
+        writeln!(out, "{}", serde_json::json!({ "schema": 1, "url": url }))?;
+    } else {
+        writeln!(out, "{url}")?;
+    }
     out.flush()?;
     let (wanted, asked) = channel();
     let (shown, how) = (Arc::clone(&board), options.clone());

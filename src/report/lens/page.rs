@@ -367,8 +367,8 @@ impl Pages<'_> {
             page.note(&format!(
                 "Slanted edges (e-SFR, {TILT_DEG}° off the meridian and off its perpendicular) at the middle of patches on the way to the frame's farthest corner. Capture: green pixels of the reference \
                  renderer's mosaic, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise. Design: mean of exp(−2πi f·p) over rays along the measured \
-                 normal in green light, times the MTF of a square pixel; no diffraction in either. Largest difference of capture and design up to half a cycle a pixel: {worst}, of which rays leave the \
-                 uncertainty that the JSON states. The fastest step of a network may be sharper than its fine texture: an edge is not a photograph.",
+                 normal in green light, times the MTF of a square pixel; no diffraction in either. Largest difference of capture and design up to half a cycle a pixel: {worst}; what the \
+                 captures' rays leave of it is the uncertainty in the JSON. A network may sharpen edges more than fine texture.",
                 measured.settings.rays,
             ));
         }
