@@ -264,6 +264,15 @@ pub fn png_bytes_srgb(image: &Array3<f32>) -> Result<Vec<u8>> {
     Ok(bytes.into_inner())
 }
 
+/// Linear RGB as an sRGB JPEG in memory, for photographs in reports.
+pub fn jpeg_bytes_srgb(image: &Array3<f32>) -> Result<Vec<u8>> {
+    let mut bytes = Cursor::new(Vec::new());
+    let samples = interleaved::<u8>(image, Encoding::Srgb)?;
+    let encoder = JpegEncoder::new_with_quality(&mut bytes, JPEG_QUALITY);
+    samples.write_with_encoder(encoder).map_err(|e| unwritten(Path::new("JPEG"), e))?;
+    Ok(bytes.into_inner())
+}
+
 fn unwritten(path: &Path, e: ImageError) -> Error {
     match e {
         ImageError::IoError(e) => Error::writing(path, e),

@@ -10,12 +10,18 @@ use super::atlas::{KernelRequest, Style, colour_kernels, picture};
 use super::drawing::lens_svg;
 use super::field::FieldLine;
 use super::html::{Fact, Page, Picture};
+use super::lens::{Options, look, plots, spot_svg};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
 use crate::error::{Error, Result};
 use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
 use crate::imaging::metrics::{SSIM_WINDOW, psnr, ssim};
 use crate::lens::{Lens, paraxial};
+
+/// Rays of a spot and wavelength.
+const ANALYSIS_RAYS: usize = 400;
+/// Curves of the lens before and after, by their names.
+const ANALYSES: [&str; 4] = ["mtf_diffraction", "mtf_diffraction_field", "field_curvature", "distortion"];
 
 /// Everything the page shows.
 #[derive(Clone, Debug, Default)]
@@ -67,6 +73,8 @@ pub struct LensView {
     pub f_number: f64,
     /// Field angle in degrees and distortion in per cent.
     pub distortion: Vec<(f64, f64)>,
+    /// Spots on the sensor (SVG), and curves under their names as on the lens's own page; empty unless asked for.
+    pub analysis: Option<(String, Vec<(&'static str, Plot)>)>,
 }
 
 /// One loss over the steps of its stage.
@@ -166,7 +174,28 @@ impl LensView {
             effective_focal_length_mm: first.effective_focal_length,
             f_number: first.f_number,
             distortion: FieldLine::new(lens, 1.0 / depth_mm, 1)?.distortion_percent(lens, 1.0 / depth_mm),
+            analysis: None,
         })
+    }
+
+    /// [`LensView::new`] with spots and curves.
+    ///
+    /// # Errors
+    /// As there.
+    pub fn analysed(lens: &Lens, depth_mm: f64, fields: usize) -> Result<Self> {
+        let view = Self::new(lens, depth_mm, fields)?;
+        let options = Options {
+            rays: ANALYSIS_RAYS,
+            max_angle_deg: None,
+            cycles_per_mm: None,
+            shift_mm: None,
+            whole: true,
+            colour: false,
+            psf_depths_mm: Vec::new(),
+            memory: crate::math::memory::Limit::of_process(),
+        };
+        let (overview, _) = look(&lens.changed(|l| l.object_vergence = 1.0 / depth_mm)?, &options);
+        Ok(Self { analysis: Some((spot_svg(&overview), plots(&overview))), ..view })
     }
 }
 
@@ -304,7 +333,7 @@ impl DemoReport {
         self.scene_section(&mut page)?;
         self.method_section(&mut page);
         self.run_section(&mut page);
-        Ok(page.finish())
+        Ok(page.finish_with_contents())
     }
 
     fn facts(&self) -> Vec<Fact> {
@@ -364,6 +393,24 @@ impl DemoReport {
         page.paragraph(
             "Each kernel is scaled to its own peak; the field grows to the right, its outward direction is up.",
         );
+        let analysed: Vec<_> = views.iter().filter_map(|(when, v)| Some((when, v.analysis.as_ref()?))).collect();
+        if !analysed.is_empty() {
+            page.heading("Spots");
+            let spots: Vec<_> =
+                analysed.iter().map(|(when, (spots, _))| (spots.clone(), (**when).to_owned())).collect();
+            page.drawings(&spots, 440);
+            page.heading("Curves");
+            let find = |name: &str| -> Vec<(String, String)> {
+                let one = |when: &str, plots: &[(&str, Plot)]| {
+                    let (_, plot) = plots.iter().find(|(n, _)| *n == name)?;
+                    Some((plot.to_svg(), when.to_owned()))
+                };
+                analysed.iter().filter_map(|(when, (_, plots))| one(when, plots)).collect()
+            };
+            page.drawings(&ANALYSES.iter().flat_map(|n| find(n)).collect::<Vec<_>>(), 440);
+            page.note("Definitions and accuracy stand on the lens's own page: `isoplanat report`.");
+            return Ok(());
+        }
         let series = views.iter().map(|(when, v)| Series {
             name: (*when).into(),
             points: v.distortion.iter().map(|(a, d)| [*a, *d]).collect(),
@@ -456,6 +503,10 @@ impl DemoReport {
             table.row([m.name.clone(), significant(m.seconds, 3), psnr, significant(m.relative_l2, 2), m.note.clone()]);
         }
         page.table(&table);
+        // One point is no curve.
+        if self.methods.len() < 2 {
+            return;
+        }
         let series = self.methods.iter().map(|m| Series {
             name: m.name.clone(),
             points: vec![[m.seconds, m.psnr_db]],

@@ -11,7 +11,7 @@ use ndarray::Array3;
 
 use super::table::Table;
 use crate::error::Result;
-use crate::imaging::files::png_bytes_srgb;
+use crate::imaging::files::{jpeg_bytes_srgb, png_bytes_srgb};
 
 /// A picture with what stands below it.
 #[derive(Clone, Debug)]
@@ -153,13 +153,18 @@ impl Page {
     /// # Errors
     /// A picture that is no picture: neither one nor three channels, or without pixels.
     pub fn pictures(&mut self, pictures: &[Picture<'_>], min_px: u32) -> Result<&mut Self> {
-        let encoded = pictures.iter().map(|p| Ok((p, STANDARD.encode(png_bytes_srgb(p.image)?))));
-        let encoded = encoded.collect::<Result<Vec<_>>>()?;
+        let encoded = |p: &Picture<'_>| -> Result<String> {
+            // Pixels to be looked at one by one stay as they are; photographs take a tenth of that.
+            let (kind, bytes) =
+                if p.pixelated { ("png", png_bytes_srgb(p.image)?) } else { ("jpeg", jpeg_bytes_srgb(p.image)?) };
+            Ok(format!("data:image/{kind};base64,{}", STANDARD.encode(bytes)))
+        };
+        let encoded = pictures.iter().map(|p| Ok((p, encoded(p)?))).collect::<Result<Vec<_>>>()?;
         let figures = html! {
-            @for (p, png) in &encoded {
+            @for (p, source) in &encoded {
                 figure {
                     img.px[p.pixelated] width=(p.image.dim().2) height=(p.image.dim().1) alt=(p.caption)
-                        src={ "data:image/png;base64," (png) };
+                        src=(source);
                     figcaption { (p.caption) @for n in &p.notes { span { (n) } } }
                 }
             }

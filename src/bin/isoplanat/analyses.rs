@@ -71,6 +71,7 @@ impl View {
             shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
             whole: true,
             colour: false,
+            psf_depths_mm: Vec::new(),
             memory: crate::memory::limit(),
         })
     }

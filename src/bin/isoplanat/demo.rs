@@ -200,8 +200,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     done("Fast renderer against the reference", clock, &mut report);
 
     let depth = 1.0 / lens.object_vergence;
-    report.before = Some(LensView::new(&start, depth, settings.atlas)?);
-    report.after = Some(LensView::new(&lens, depth, settings.atlas)?);
+    report.before = Some(LensView::analysed(&start, depth, settings.atlas)?);
+    report.after = Some(LensView::analysed(&lens, depth, settings.atlas)?);
     report.settings = settings.describe(&sensor, &renderer.plan);
     let finer = fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
     report.settings.extend(finer);

@@ -20,6 +20,9 @@ pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a run; several are shown side by side
     #[arg(required = true, num_args = 1..=4, value_name = "LENS|RUN")]
     lenses: Vec<String>,
+    /// Object distances at which point spread functions are drawn, a row each [default: the lens's own]
+    #[arg(long, value_delimiter = ',', value_name = "MM,…", allow_hyphen_values = true)]
+    psf_depths_mm: Vec<f64>,
     /// Also what slanted edges show in the reference renderer's captures, at so many places (1 to 6); of a run, which is always measured,
     /// in the reconstructions too
     #[arg(long, value_name = "PLACES", num_args = 0..=1, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
@@ -55,7 +58,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad("--csv", "lenses", args.lenses.len().to_string(), "one lens").into());
     }
     crate::output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.force)?;
-    let options = args.view.options()?;
+    if let Some(bad) = args.psf_depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
+        return Err(Error::bad("--psf-depths-mm", "value", bad.to_string(), "positive distances, or inf").into());
+    }
+    let options = Options { psf_depths_mm: args.psf_depths_mm.clone(), ..args.view.options()? };
     let mut reports = Vec::new();
     for name in &args.lenses {
         let run = Path::new(name).is_dir();

@@ -40,7 +40,7 @@ pub(crate) struct Args {
 }
 
 /// How often the file is looked at.
-const LOOK: Duration = Duration::from_millis(25);
+const LOOK: Duration = Duration::from_millis(8);
 /// Rays of a spot for the page that comes at once; the whole page follows it.
 const FIRST_RAYS: usize = 100;
 /// Least time between two signs of life on a stream of events.
@@ -206,7 +206,7 @@ impl Watch {
         loop {
             let now = state(self.subject.file());
             if first || now != seen {
-                std::thread::sleep(LOOK);
+                std::thread::sleep(2 * LOOK);
                 if state(self.subject.file()) == now {
                     (first, seen) = (false, now);
                     self.show();

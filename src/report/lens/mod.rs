@@ -49,6 +49,8 @@ pub struct Options {
     pub whole: bool,
     /// Whether kernels are drawn in the colours of the generic sensor: where its band is covered by the lens's media.
     pub colour: bool,
+    /// Object distances at which kernels are drawn, mm, a row each; empty: the lens's own.
+    pub psf_depths_mm: Vec<f64>,
     /// What kernels may take.
     pub memory: Limit,
 }
@@ -61,9 +63,11 @@ const ILLUMINATIONS: u32 = 64;
 /// Kernels of the fields, as drawn.
 #[derive(Clone, Debug)]
 struct Atlas {
-    /// `[field, channel, row, col]`.
+    /// `[depth and field, channel, row, col]`.
     kernels: Array4<f32>,
-    /// Field angles, degrees.
+    /// Object distances, mm.
+    depths_mm: Vec<f64>,
+    /// Field angles at the first of them, degrees.
     angles_deg: Vec<f64>,
     /// Share of the light outside the window, at most.
     outside: f64,
@@ -105,6 +109,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     let usual = Settings::usual(lens, max_angle);
     let settings = Settings {
         rays: options.rays,
+        drawn: usual.drawn.min(options.rays / 3),
         cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
         shift_mm: options.shift_mm,
         waves: usual.waves.filter(|_| options.whole),
@@ -212,7 +217,7 @@ pub fn fields_json(o: &Overview) -> Vec<Value> {
 
 /// The spots on the sensor as one drawing (SVG).
 pub fn spot_svg(o: &Overview) -> String {
-    spots::panels(o, 0.0, spots::half_side(o))
+    spots::panels(o, 0.0, spots::half_side(o), None)
 }
 
 /// Curves of rays alone, under their names: those of [`LensReport::plots`] but for the illumination.
@@ -307,7 +312,10 @@ impl LensReport {
     fn kernels(&self, options: &Options) -> Result<Atlas> {
         let (wavelength_nm, weights) = self.overview.colours.iter().copied().unzip();
         let request = KernelRequest {
-            depth_mm: vec![1.0 / self.lens.object_vergence],
+            depth_mm: match &options.psf_depths_mm[..] {
+                [] => vec![1.0 / self.lens.object_vergence],
+                depths => depths.to_vec(),
+            },
             wavelength_nm,
             weights,
             fields: self.overview.fields.len().max(1),
@@ -322,14 +330,15 @@ impl LensReport {
             (made.kernels, made.outside)
         } else {
             let grey = set.polychromatic_kernels();
-            let (_, fields, rows, columns) = grey.dim();
+            let (depths, fields, rows, columns) = grey.dim();
             let grey = grey
-                .into_shape_with_order((fields, 1, rows, columns))
+                .into_shape_with_order((depths * fields, 1, rows, columns))
                 .map_err(|e| crate::error::Error::Internal(e.to_string()))?;
             (grey, set.outside.iter().copied().fold(0.0, f64::max))
         };
         let size = kernels.dim().2;
-        Ok(Atlas { kernels, angles_deg: set.angle_deg.iter().copied().collect(), outside, size })
+        let angles_deg = set.angle_deg.row(0).to_vec();
+        Ok(Atlas { kernels, depths_mm: request.depth_mm, angles_deg, outside, size })
     }
 
     /// Every curve under its name.

@@ -174,17 +174,27 @@ impl Pages<'_> {
                             if *z > 0.0 { "behind" } else { "before" }
                         )
                     };
-                    (panels(o, *z, half), place)
+                    (panels(o, *z, half, None), place)
                 })
                 .collect();
             page.stepped(&figures, o.shifts_mm.len() / 2, "focus");
+            if o.colours.len() > 1 {
+                let all = std::iter::once((panels(o, 0.0, half, None), "All wavelengths, on the sensor.".to_owned()));
+                let one = |k: usize| {
+                    (
+                        panels(o, 0.0, half, Some(k)),
+                        format!("{} nm alone, on the sensor.", significant(o.colours[k].0, 4)),
+                    )
+                };
+                page.stepped(&all.chain((0..o.colours.len()).map(one)).collect::<Vec<_>>(), 0, "wavelength");
+            }
             page.table(&spot_table(o));
         }
         let rays = self.reports.first().map_or(0, |r| r.overview.settings.rays);
         page.note(&format!(
             "rms: root mean square distance from the centroid, with its parts in x and y; radius: the farthest ray; 50 and 80 %: radii that hold so much of the light; open: part of the stop's rays that \
              arrives. All wavelengths by their weights, y upwards in the meridian of the field; the dashed circle is the Airy disc of the primary wavelength on the axis, which rays know nothing of. \
-             Drawn: {} rays a wavelength; figures: about {rays}, by the light they stand for. The slider moves the image plane.",
+             Drawn: {} rays a wavelength; figures: about {rays}, by the light they stand for. One slider moves the image plane, the other shows one wavelength alone, in its place within the spot of all.",
             self.reports.first().map_or(0, |r| r.overview.settings.drawn)
         ));
         let mut drawings = self.plot("encircled_energy");
@@ -276,8 +286,15 @@ impl Pages<'_> {
         page.section("Point spread functions");
         let mut shown = Vec::new();
         for r in self.reports {
-            let Some(Atlas { kernels, angles_deg, outside, size }) = &r.atlas else { continue };
+            let Some(Atlas { kernels, depths_mm, angles_deg, outside, size }) = &r.atlas else { continue };
             let angles: Vec<String> = angles_deg.iter().map(|a| format!("{}°", significant(*a, 3))).collect();
+            let rows = match &depths_mm[..] {
+                [_] => String::new(),
+                depths => {
+                    let names: Vec<String> = depths.iter().map(|d| format!("{} mm", significant(*d, 4))).collect();
+                    format!("; rows: {}", names.join(", "))
+                }
+            };
             let note = format!(
                 "{size} × {size} pixels of {} µm, at most {} % of the light outside",
                 significant(r.lens.sensor.pitch_um, 4),
@@ -288,7 +305,7 @@ impl Pages<'_> {
                 (Style { decades: Some(DECADES), ..Style::default() }, format!("{DECADES} decades below its peak")),
             ] {
                 let image = picture(kernels, angles.len(), style);
-                let caption = format!("{}: {}, each {scale}", r.lens.name, angles.join(", "));
+                let caption = format!("{}: {}{rows}, each {scale}", r.lens.name, angles.join(", "));
                 shown.push((image, caption, note.clone()));
             }
         }

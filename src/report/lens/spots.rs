@@ -12,12 +12,15 @@ const GAP: f64 = 8.0;
 const HEAD: f64 = 24.0;
 const FOOT: f64 = 40.0;
 
-/// Panels of every field `dz` mm behind the image plane, each about the centroid of its rays; `half_mm` is half a panel's side.
-pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64) -> String {
+/// Panels of every field `dz` mm behind the image plane, each about the centroid of all its rays; `half_mm` is half a panel's side, `only`
+/// a wavelength that is shown alone.
+pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64, only: Option<usize>) -> String {
     let count = overview.fields.len();
     #[expect(clippy::cast_precision_loss, reason = "few fields")]
     let left = |k: usize| GAP + k as f64 * (PANEL + GAP);
-    let width = left(count).max(420.0);
+    #[expect(clippy::cast_precision_loss, reason = "few wavelengths")]
+    let legend = GAP + 0.5 * PANEL + 80.0 + 78.0 * overview.colours.len() as f64;
+    let width = left(count).max(legend);
     let mut svg = Svg::new(width, HEAD + PANEL + FOOT);
     svg.attributes("data-wide=\"\"");
     let scale = 0.5 * PANEL / half_mm;
@@ -37,7 +40,10 @@ pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64) -> String {
             #[expect(clippy::cast_precision_loss, reason = "few rays")]
             let centre = rays.iter().map(|l| l.at_focus(dz)).sum::<DVec2>() / rays.len() as f64;
             let inside = |p: &[f64; 2]| (0..2).all(|i| (p[i] - middle[i]).abs() <= 0.5 * PANEL - 1.0);
-            for (landings, hue) in field.drawn.iter().zip(HUES) {
+            for (k, (landings, hue)) in field.drawn.iter().zip(HUES.into_iter().cycle()).enumerate() {
+                if only.is_some_and(|only| only != k) {
+                    continue;
+                }
                 let place = |p: DVec2| [middle[0] + (p.x - centre.x) * scale, middle[1] - (p.y - centre.y) * scale];
                 let dots: Vec<[f64; 2]> = landings.iter().map(|l| place(l.at_focus(dz))).filter(inside).collect();
                 svg.dots(&dots, 1.1, hue);
@@ -56,7 +62,10 @@ pub(super) fn panels(overview: &Overview, dz: f64, half_mm: f64) -> String {
     let label = format!("{} µm", significant(bar * 1e3, 3));
     svg.text([x, below + 4.0], Anchor::Start, 12.0, &label);
     x += 72.0;
-    for ((nm, _), hue) in overview.colours.iter().zip(HUES) {
+    for (k, ((nm, _), hue)) in overview.colours.iter().zip(HUES.into_iter().cycle()).enumerate() {
+        if only.is_some_and(|only| only != k) {
+            continue;
+        }
         svg.dot([x, below], 3.4, hue);
         svg.text([x + 8.0, below + 4.0], Anchor::Start, 12.0, &format!("{} nm", significant(*nm, 4)));
         x += 78.0;
