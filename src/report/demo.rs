@@ -10,7 +10,7 @@ use super::atlas::{KernelRequest, Style, colour_kernels, picture};
 use super::drawing::lens_svg;
 use super::field::FieldLine;
 use super::html::{Fact, Page, Picture};
-use super::lens::{Options, look, plots, spot_svg};
+use super::lens::{Options, SHIFTS, look, plots, spot_svg};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
 use crate::error::{Error, Result};
@@ -189,6 +189,7 @@ impl LensView {
             max_angle_deg: None,
             cycles_per_mm: None,
             shift_mm: None,
+            shifts: SHIFTS,
             whole: true,
             colour: false,
             psf_depths_mm: Vec::new(),

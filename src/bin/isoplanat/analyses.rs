@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use isoplanat::analysis::overview::Overview;
 use isoplanat::imaging::files::write_atomic;
 use isoplanat::lens::Lens;
-use isoplanat::report::lens::{Options, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
+use isoplanat::report::lens::{Options, SHIFTS, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
 use isoplanat::report::plot::Plot;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
@@ -69,6 +69,7 @@ impl View {
             max_angle_deg: within("--max-angle-deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
             cycles_per_mm: within("--max-cycles-per-mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
             shift_mm: within("--shift-mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
+            shifts: SHIFTS,
             whole: true,
             colour: false,
             psf_depths_mm: Vec::new(),

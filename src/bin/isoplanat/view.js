@@ -21,12 +21,13 @@
   const replace = async () => {
     const text = await (await fetch('/', { cache: 'no-store' })).text();
     const next = new DOMParser().parseFromString(text, 'text/html');
-    const values = sliders().map(s => s.value);
+    // By their part of the way: pages that come at once have fewer steps.
+    const parts = sliders().map(s => s.value / (s.max || 1));
     const [x, y] = [scrollX, scrollY];
     shown = name(next);
     document.title = next.title;
     document.body.replaceWith(document.adoptNode(next.body));
-    sliders().forEach((s, k) => { if (k < values.length) s.value = values[k]; });
+    sliders().forEach((s, k) => { if (k < parts.length) s.value = Math.round(parts[k] * s.max); });
     for (const old of document.body.querySelectorAll('script')) {
       const script = document.createElement('script');
       script.textContent = old.textContent;

@@ -43,6 +43,8 @@ pub(crate) struct Args {
 const LOOK: Duration = Duration::from_millis(8);
 /// Rays of a spot for the page that comes at once; the whole page follows it.
 const FIRST_RAYS: usize = 100;
+/// Shifts of the image plane to each side on that page.
+const FIRST_SHIFTS: u32 = 1;
 /// Least time between two signs of life on a stream of events.
 const ALIVE: Duration = Duration::from_secs(10);
 
@@ -152,7 +154,8 @@ fn page(lens: &Lens, options: &Options, first: bool) -> Result<String> {
     let make = || {
         let colour = !first && crate::report::in_colour(lens);
         let rays = if first { options.rays.min(FIRST_RAYS) } else { options.rays };
-        let options = Options { rays, colour, whole: !first, ..options.clone() };
+        let shifts = if first { FIRST_SHIFTS } else { options.shifts };
+        let options = Options { rays, colour, shifts, whole: !first, ..options.clone() };
         html(&[LensReport::new(lens.clone(), &options)])
     };
     let made = std::panic::catch_unwind(std::panic::AssertUnwindSafe(make));

@@ -45,6 +45,8 @@ pub struct Options {
     pub cycles_per_mm: Option<f64>,
     /// Largest shift of the image plane, mm; `None` takes what the foci ask for.
     pub shift_mm: Option<f64>,
+    /// Shifts of the image plane to each side.
+    pub shifts: u32,
     /// Whether all of it is made: without, neither kernels nor what waves do.
     pub whole: bool,
     /// Whether kernels are drawn in the colours of the generic sensor: where its band is covered by the lens's media.
@@ -55,6 +57,8 @@ pub struct Options {
     pub memory: Limit,
 }
 
+/// Usual number of shifts of the image plane to each side.
+pub const SHIFTS: u32 = 6;
 /// Rays of a kernel.
 const KERNEL_RAYS: usize = 8192;
 /// Radii at which the irradiance is computed, less one.
@@ -110,6 +114,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     let settings = Settings {
         rays: options.rays,
         drawn: usual.drawn.min(options.rays / 3),
+        shifts: options.shifts,
         cycles_per_mm: options.cycles_per_mm.unwrap_or(usual.cycles_per_mm),
         shift_mm: options.shift_mm,
         waves: usual.waves.filter(|_| options.whole),
