@@ -99,11 +99,12 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
         0.0 => paraxial::first_order(lens, lens.wavelengths.primary_nm).effective_focal_length,
         _ => f64::NAN,
     };
-    // Per cent against a scale, mm per unit of the field angle's tangent.
-    let against = |scale: f64, angle: f64, height: f64| match angle {
-        0.0 => 0.0 * scale,
+    // Per cent against `by`, mm per unit of the field angle's tangent.
+    let against = |by: f64, angle: f64, height: f64| match angle {
+        // What it tends to.
+        0.0 => 100.0 * (scale / by - 1.0),
         _ if angle.abs() >= 90.0 => f64::NAN,
-        _ => 100.0 * ((height - origin) / (scale * angle.to_radians().tan()) - 1.0),
+        _ => 100.0 * ((height - origin) / (by * angle.to_radians().tan()) - 1.0),
     };
     let row = |&angle: &f64| {
         let at = chief(&primary, angle)?;
@@ -117,6 +118,7 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
             height,
             tangential,
             sagittal,
+            // A field of the axis alone has no scale.
             distortion_percent: if angle == 0.0 { 0.0 } else { against(scale, angle, height) },
             distortion_of_focal_length: against(focal, angle, height),
             lateral_colour: systems.iter().map(colour).collect(),

@@ -140,7 +140,7 @@ impl Page {
         let first = first.min(last);
         self.add(html! {
             div.steps {
-                @if last > 0 { input type="range" min="0" max=(last) value=(first) aria-label=(label); }
+                @if last > 0 { label { (label) input type="range" min="0" max=(last) value=(first); } }
                 @for (k, (svg, caption)) in drawings.iter().enumerate() {
                     figure data-k=(k) hidden[k != first] { (PreEscaped(svg)) figcaption { (caption) } }
                 }

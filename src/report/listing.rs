@@ -159,13 +159,14 @@ impl<'a> Listing<'a> {
     /// Media other than air, in the order of the light: where their indices come from, and the wavelengths that they hold for.
     pub fn media_table(&self) -> Table {
         let mut table = Table::new(["medium", "index", "known, nm", "source"]);
-        let mut seen: Vec<String> = Vec::new();
+        // Media of one name may be several: tables of a lens file.
+        let mut seen: Vec<&Medium> = Vec::new();
         for medium in self.lens.surfaces.iter().map(|s| &s.medium).filter(|m| **m != Medium::Air) {
             let ([short, long], name) = (medium.range_nm(), medium.to_string());
-            if !seen.contains(&name) {
+            if !seen.contains(&medium) {
                 let index = format!("{:.6}", medium.index(self.wavelength_nm));
-                table.row([name.clone(), index, format!("{short} to {long}"), medium.source()]);
-                seen.push(name);
+                table.row([name, index, format!("{short} to {long}"), medium.source()]);
+                seen.push(medium);
             }
         }
         table

@@ -2,7 +2,7 @@
 (() => {
   for (const input of document.querySelectorAll('.steps input')) {
     const show = () => {
-      for (const f of input.parentNode.querySelectorAll('figure')) f.hidden = f.dataset.k !== input.value;
+      for (const f of input.closest('.steps').querySelectorAll('figure')) f.hidden = f.dataset.k !== input.value;
     };
     input.addEventListener('input', show);
     show();

@@ -100,7 +100,9 @@ fn raw(path: &Path) -> Result<Picture> {
     use isoplanat::deploy::raw_process::{self, Limits};
 
     let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
-    let raw = raw_process::decode(&program, path, Limits::default())?;
+    let own = Limits::default();
+    let limits = Limits { memory_bytes: own.memory_bytes.min(crate::memory::limit().bytes), ..own };
+    let raw = raw_process::decode(&program, path, limits)?;
     let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
     let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);
     // Below black is noise, not a cut; the cut lies at the sensor's zero.
