@@ -2,7 +2,7 @@
 //! reconstruction of that capture.
 //!
 //! At every place of the field two edges are photographed, one after the other: their normals lie [`TILT_DEG`] off the meridian (tangential MTF) and off
-//! its perpendicular (sagittal MTF). Green pixels of the mosaic, without noise, are measured by [`slanted_edge`]; a network sees the capture with the
+//! its perpendicular (sagittal MTF). Green pixels of the mosaic, without noise, are measured by [`mod@crate::imaging::metrics::slanted_edge`]; a network sees the capture with the
 //! sensor's noise, and the green of what it makes is measured in the same way. The prediction is the modulus of the mean of `exp(−2πi f·p)` over
 //! rays along the measured normal, wavelengths by the green channel's density, times the MTF of a square pixel. The scene's own texels
 //! (up to 8 a pixel, areas of the step between which it runs evenly) are divided out of what is measured: by 2 % at half a cycle a pixel.
