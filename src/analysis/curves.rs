@@ -13,6 +13,8 @@ use crate::trace::{ObjectPoint, System};
 
 /// Half the distance of the rays that make a focus, in semi-diameters of the stop; twice of it takes the error of second order away.
 const CLOSE: f64 = 2e-3;
+/// Focal length over the lens's length from which it counts as afocal.
+const AFOCAL: f64 = 1e6;
 /// Zone that stands for the paraxial one.
 const INNER: f64 = 1e-3;
 /// Azimuths at which the pupil's boundary is sought; its area is good to 3e-3.
@@ -96,9 +98,11 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
     let origin = chief(&primary, 0.0).map_or(f64::NAN, |l| l.at.y);
     let scale = chief(&primary, near).map_or(f64::NAN, |l| (l.at.y - origin) / near.to_radians().tan());
     let focal = match lens.object_vergence {
-        0.0 => paraxial::first_order(lens, lens.wavelengths.primary_nm).effective_focal_length,
-        _ => f64::NAN,
+        0.0 => Some(paraxial::first_order(lens, lens.wavelengths.primary_nm).effective_focal_length),
+        _ => None,
     };
+    // An afocal lens has none, however rounding leaves it.
+    let focal = focal.filter(|f| f.abs() < AFOCAL * lens.length().abs().max(1.0)).unwrap_or(f64::NAN);
     // Per cent against `by`, mm per unit of the field angle's tangent.
     let against = |by: f64, angle: f64, height: f64| match angle {
         // What it tends to.

@@ -81,7 +81,7 @@ impl PupilRay {
 }
 
 impl FieldPupil {
-    /// The pupil of `object`, its boundary at `azimuths` points (32 give the area to about 1e-3).
+    /// The pupil of `object`, its boundary at `azimuths` points (32 give the area to about 3e-3).
     pub fn new(aimer: &Aimer, object: ObjectPoint, azimuths: u32) -> Self {
         let radius = aimer.system().stop_semi_diameter;
         let chief = PupilRay::new(aimer, object, DVec2::ZERO, None);

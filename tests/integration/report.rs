@@ -2,6 +2,7 @@
 
 use glam::{DVec2, DVec3};
 use isoplanat::analysis::beam::{Beam, Landing};
+use isoplanat::analysis::curves::over_field;
 use isoplanat::analysis::spot::{best_focus, geometric_mtf, spot};
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{ObjectPoint, Ray};
@@ -96,6 +97,14 @@ fn distortion_agrees_with_the_golden_values() {
         }
     }
     assert!(count >= 10, "{count}");
+    // The program's own figure, of the one of them that is shipped.
+    let Some(golden) = read("cooke_triplet") else { return };
+    let lens = isoplanat::lens::builtin::lens("cooke_triplet").expect("shipped");
+    for field in golden["distortion_d_line"]["fields"].as_array().expect("list") {
+        let rows = over_field(&lens, &[], &[number(&field["field_deg"])]);
+        let off = rows[0].distortion_of_focal_length - number(&field["distortion_percent"]);
+        assert!(off.abs() < 1e-6, "{}: {off:e} %", field["field_deg"]);
+    }
 }
 
 #[test]
@@ -185,6 +194,8 @@ fn lenses_that_lack_something_get_a_page_that_says_so() {
         assert!(missing.contains(says), "{lens}: {missing}");
         let page = std::fs::read_to_string(place.path(&format!("{lens}.html"))).expect("reads");
         let page = words(&page);
+        let series = found["plots"]["distortion"]["series"].as_array().map(Vec::len);
+        assert_eq!(series, Some(if lens == "afocal.toml" { 1 } else { 2 }), "{lens}");
         assert!(page.contains("modulation-transfer") && !page.contains("NaN"), "{lens}");
     }
 }
@@ -232,7 +243,7 @@ fn bad_input_of_reports_is_named() {
 fn a_measured_report_closes_the_loop() {
     let place = Workplace::new();
     let found =
-        json(&place.run("report cooke_triplet --rays 100 --measure 1 --measure-rays 256 -o page.html --json").done());
+        json(&place.run("report cooke_triplet --rays 100 --measure=1 --measure-rays 256 -o page.html --json").done());
     assert_eq!(found["missing"], serde_json::json!([]));
     let edges = found["measured"]["places"][0]["edges"].as_array().expect("edges");
     assert_eq!(edges.len(), 2);
@@ -246,7 +257,16 @@ fn a_measured_report_closes_the_loop() {
     }
     let page = std::fs::read_to_string(place.path("page.html")).expect("reads");
     assert!(page.contains("<section id=\"measured-mtf\">") && !words(&page).contains("NaN"));
-    place.run("report cooke_triplet --measure 9 --json").refused(&["--measure"]);
+    place.run("report cooke_triplet --measure=9 --json").refused(&["--measure"]);
+    // A frame too small for an edge leaves no place; one that the sensor cannot see at all is refused by name.
+    let text = std::fs::read_to_string(crate::support::root().join("models/lenses/cooke_triplet.toml")).expect("reads");
+    let small = text.lines().map(|l| match l.split_once('=') {
+        Some((key, _)) if key.trim() == "sensor" => "sensor = { columns = 20, rows = 20, pitch_um = 6.0 }".to_owned(),
+        _ => l.to_owned(),
+    });
+    place.write("small.toml", small.collect::<Vec<_>>().join("\n"));
+    let found = json(&place.run("report small.toml --rays 100 --measure --json").done());
+    assert!(found["missing"].to_string().contains("24 × 24"), "{}", found["missing"]);
     std::fs::create_dir(place.path("empty")).expect("creates");
     place.run("report empty --json").refused(&["empty"]);
 }

@@ -23,9 +23,9 @@ pub(crate) struct Args {
     /// Object distances at which point spread functions are drawn, a row each [default: the lens's own]
     #[arg(long, value_delimiter = ',', value_name = "MM,…", allow_hyphen_values = true)]
     psf_depths_mm: Vec<f64>,
-    /// Also what slanted edges show in the reference renderer's captures, at so many places (1 to 6); of a run, which is always measured,
+    /// Also what slanted edges show in the reference renderer's captures, at four places, or so many (`--measure=6`); of a run, which is always measured,
     /// in the reconstructions too
-    #[arg(long, value_name = "PLACES", num_args = 0..=1, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
+    #[arg(long, value_name = "PLACES", num_args = 0..=1, require_equals = true, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
     measure: Option<u32>,
     /// Rays a pixel of those captures
     #[arg(long, value_name = "RAYS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=65536))]
@@ -72,14 +72,23 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let settings =
             Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
         let measured = match (run, args.measure) {
-            (true, _) => Some(of_run(Path::new(name), &lens, settings)?),
-            (false, Some(_)) => Some(of_lens(&lens, settings).map_err(|e| crate::input::in_lens(e, &lens, name))?),
+            (true, _) => Some(of_run(Path::new(name), &lens, settings)),
+            (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
         };
+        let measured =
+            measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(Path::new(name)))).transpose();
         let report = LensReport::new(lens, &Options { colour, ..options.clone() });
         reports.push(match measured {
-            Some(measured) => report.with_measured(measured),
-            None => report,
+            Ok(Some(measured)) => report.with_measured(measured),
+            Ok(None) => report,
+            // What was not asked for by name does not keep the rest from being shown.
+            Err(Error::BadInput { place, found, allowed, .. }) if args.measure.is_none() && place != "run" => {
+                let mut report = report;
+                report.missing.push(format!("measured MTF: {place}: {found}; {allowed}"));
+                report
+            }
+            Err(e) => return Err(e.into()),
         });
     }
     if let Some(path) = &args.output {

@@ -18,16 +18,25 @@
     box.textContent = text;
   };
   const sliders = () => [...document.querySelectorAll('.steps input')];
+  // What the user set, as a part of the way: pages that come at once have fewer steps, and fewer sliders.
+  const kept = new Map();
+  const what = s => `${s.closest('section')?.id}|${s.closest('label')?.textContent}|`
+    + s.closest('.steps').querySelector('svg')?.getAttribute('aria-label')?.split(/[-0-9]/)[0];
+  document.addEventListener('input', e => {
+    if (e.target.matches?.('.steps input')) kept.set(what(e.target), e.target.value / (e.target.max || 1));
+  }, true);
   const replace = async () => {
-    const text = await (await fetch('/', { cache: 'no-store' })).text();
-    const next = new DOMParser().parseFromString(text, 'text/html');
-    // By their part of the way: pages that come at once have fewer steps.
-    const parts = sliders().map(s => s.value / (s.max || 1));
+    const answer = await fetch('/', { cache: 'no-store' });
+    if (!answer.ok) throw new Error(answer.statusText);
+    const next = new DOMParser().parseFromString(await answer.text(), 'text/html');
     const [x, y] = [scrollX, scrollY];
     shown = name(next);
     document.title = next.title;
     document.body.replaceWith(document.adoptNode(next.body));
-    sliders().forEach((s, k) => { if (k < parts.length) s.value = Math.round(parts[k] * s.max); });
+    for (const s of sliders()) {
+      const part = kept.get(what(s));
+      if (part !== undefined) s.value = Math.round(part * s.max);
+    }
     for (const old of document.body.querySelectorAll('script')) {
       const script = document.createElement('script');
       script.textContent = old.textContent;
@@ -41,12 +50,23 @@
     busy = true;
     try {
       for (let asked; news.page !== shown && news.page !== asked;) { asked = news.page; await replace(); }
-    } catch { /* The stream of events tells that nobody answers. */ }
+    } catch {
+      // The stream of events tells that nobody answers; who is busy is asked again.
+      setTimeout(follow, 1000);
+    }
     busy = false;
     banner();
   };
-  const source = new EventSource('/events');
-  source.onmessage = event => { news = JSON.parse(event.data); follow(); };
-  source.onerror = () => { away = true; banner(); };
-  source.onopen = () => { away = false; banner(); };
+  const listen = () => {
+    const source = new EventSource('/events');
+    source.onmessage = event => { news = JSON.parse(event.data); follow(); };
+    source.onerror = () => {
+      away = true;
+      banner();
+      // An answer that is no stream closes it for good.
+      if (source.readyState === EventSource.CLOSED) setTimeout(listen, 1000);
+    };
+    source.onopen = () => { away = false; banner(); };
+  };
+  listen();
 })();

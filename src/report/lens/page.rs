@@ -58,6 +58,11 @@ fn fact(value: f64, digits: usize, unit: &str, label: &str) -> Option<Fact> {
     Some(Fact { value, label: label.to_owned() })
 }
 
+/// An object distance in words.
+fn distance(mm: f64) -> String {
+    if mm.is_finite() { format!("{} mm", significant(mm, 4)) } else { "infinity".to_owned() }
+}
+
 impl Pages<'_> {
     /// What stands before a lens's own part where there are several.
     fn named(&self, page: &mut Page, report: &LensReport) {
@@ -291,8 +296,8 @@ impl Pages<'_> {
             let rows = match &depths_mm[..] {
                 [_] => String::new(),
                 depths => {
-                    let names: Vec<String> = depths.iter().map(|d| format!("{} mm", significant(*d, 4))).collect();
-                    format!("; rows: {}", names.join(", "))
+                    let names: Vec<String> = depths.iter().map(|d| distance(*d)).collect();
+                    format!(" (at the first distance); rows: {}", names.join(", "))
                 }
             };
             let note = format!(
@@ -383,7 +388,7 @@ impl Pages<'_> {
             let worst = measured.worst().map_or("no edge".to_owned(), |w| significant(w, 2));
             page.note(&format!(
                 "Slanted edges (e-SFR, {TILT_DEG}° off the meridian and off its perpendicular) at the middle of patches on the way to the frame's farthest corner. Capture: green pixels of the reference \
-                 renderer's mosaic, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise. Design: mean of exp(−2πi f·p) over rays along the measured \
+                 renderer's mosaic over the relative illumination, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise. Design: mean of exp(−2πi f·p) over rays along the measured \
                  normal in green light, times the MTF of a square pixel; no diffraction in either. Largest difference of capture and design up to half a cycle a pixel: {worst}; what the \
                  captures' rays leave of it is the uncertainty in the JSON. A network may sharpen edges more than fine texture.",
                 measured.settings.rays,
