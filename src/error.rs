@@ -83,6 +83,11 @@ impl Error {
         }
     }
 
+    /// The error as part of a sentence: without the place of a file that nobody has named.
+    pub fn words(&self) -> String {
+        self.to_string().trim_start_matches(": ").to_owned()
+    }
+
     /// The program's exit code for this error.
     pub fn exit_code(&self) -> u8 {
         match self {

@@ -60,12 +60,23 @@ pub struct Plan {
     pub frequencies: Vec<f64>,
     /// Shifts of the image plane along the light, mm; evenly spaced ones are fastest.
     pub focus_mm: Vec<f64>,
+    /// Most points each way of an overlap, up to 720: where blur has more cycles than about a third of them there is no value. Time goes
+    /// with the square of what is needed.
+    pub most_points: f64,
 }
 
 impl Plan {
+    /// The most that can be asked for.
+    pub const MOST_POINTS: f64 = Rules::MOST;
+
     /// The tangential and the sagittal direction of `object`, in focus.
     pub fn new(object: ObjectPoint, frequencies: Vec<f64>) -> Self {
-        Self { directions: directions(object).to_vec(), frequencies, focus_mm: vec![0.0] }
+        Self {
+            directions: directions(object).to_vec(),
+            frequencies,
+            focus_mm: vec![0.0],
+            most_points: Self::MOST_POINTS,
+        }
     }
 }
 
@@ -93,7 +104,7 @@ pub struct Curve {
     /// The direction, a unit vector.
     pub direction: DVec2,
     /// `[focus][frequency]`, 1 at frequency 0, `e^{−2πi f x}` for a point image at `x`; `None` where the blur has so many
-    /// cycles (about 250) that the phase is not followed.
+    /// cycles ([`Plan::most_points`]) that the phase is not followed.
     pub transfer: Vec<Vec<Option<Complex<f64>>>>,
     /// The same pupils without aberration: the diffraction limit, by frequency.
     pub limit: Vec<f64>,
@@ -145,6 +156,7 @@ pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fau
 /// [`Fault::Dark`] without light.
 pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
     let mut mtf = Mtf { curves: Vec::new(), light: Vec::new(), residual_waves: 0.0 };
+    let most = plan.most_points.clamp(64.0, Rules::MOST);
     for direction in &plan.directions {
         let direction = direction.normalize_or(DVec2::Y);
         let oriented: Vec<_> = pupils
@@ -155,10 +167,11 @@ pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
                 (pupil, chords)
             })
             .collect();
-        let points = oriented.iter().map(|(p, _)| largest(p, &plan.frequencies, &plan.focus_mm)).fold(64.0, f64::max);
+        let points =
+            oriented.iter().map(|(p, _)| largest(p, &plan.frequencies, &plan.focus_mm).min(most)).fold(64.0, f64::max);
         let rules = Rules::up_to(FINER.0 * points);
         let zero = |fineness: f64| -> Vec<f64> {
-            oriented.iter().map(|(p, chords)| overlap(p, chords, &rules, 0.0, &[], fineness).limit).collect()
+            oriented.iter().map(|(p, chords)| overlap(p, chords, &rules, (0.0, &[]), most, fineness).limit).collect()
         };
         // All pupils at one frequency: transfer by focus, and limit.
         let at = |frequency: f64, light: &[f64], fineness: f64| {
@@ -166,7 +179,7 @@ pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
             let mut sums = vec![Some(Complex::new(0.0, 0.0)); plan.focus_mm.len()];
             let mut limit = 0.0;
             for ((p, chords), (_, weight)) in oriented.iter().zip(pupils) {
-                let part = overlap(p, chords, &rules, frequency, &plan.focus_mm, fineness);
+                let part = overlap(p, chords, &rules, (frequency, &plan.focus_mm), most, fineness);
                 limit += weight * part.limit / whole;
                 for (sum, part) in sums.iter_mut().zip(part.transfer) {
                     *sum = sum.zip(part).map(|(s, p)| s + p * (weight / whole));

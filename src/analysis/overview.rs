@@ -15,6 +15,9 @@ use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
 use crate::trace::{Failure, System};
 
+/// Points each way of an overlap, at most: a blur of more than about 100 cycles, whose MTF is a few hundredths at most, has no value.
+const MOST_POINTS: f64 = 240.0;
+
 /// How finely a lens is looked at.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Settings {
@@ -161,7 +164,8 @@ impl Overview {
         fields.par_iter_mut().for_each(|f| f.through_focus = f.over_focus(&colours, &shifts_mm, &cycles_per_mm));
         let spots = start.elapsed().as_secs_f64();
         if let Some((size, terms)) = settings.waves {
-            let plan = Plan { directions: Vec::new(), frequencies: cycles_per_mm.clone(), focus_mm: shifts_mm.clone() };
+            let (frequencies, focus_mm) = (cycles_per_mm.clone(), shifts_mm.clone());
+            let plan = Plan { directions: Vec::new(), frequencies, focus_mm, most_points: MOST_POINTS };
             fields.par_iter_mut().for_each(|f| {
                 let point = object(lens, f.angle_deg);
                 f.map = Map::of_lens(lens, point, primary_nm, size).ok().map(|m| {

@@ -153,7 +153,7 @@ pub fn close(
         };
         match place() {
             Ok(place) => places.extend(place),
-            Err(e) => failed.push(format!("slanted edges {} mm from the axis: {e}", significant(*radius, 4))),
+            Err(e) => failed.push(format!("slanted edges {} mm from the axis: {}", significant(*radius, 4), e.words())),
         }
     }
     let seconds = begun.elapsed().as_secs_f64();

@@ -76,7 +76,7 @@ fn transfer_functions_agree_with_optiland() {
                         [low, low + 1.0].map(|k| k / window * curve.cutoff / axis)
                     })
                     .collect();
-                let plan = Plan { directions: vec![curve.direction], frequencies: between, focus_mm: vec![0.0] };
+                let plan = Plan { directions: vec![curve.direction], ..Plan::new(object, between) };
                 let beside = of(&plan);
                 for (k, f) in asked.iter().enumerate() {
                     let read = || {

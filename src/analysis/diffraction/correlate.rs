@@ -42,19 +42,20 @@ pub(super) fn largest(pupil: &Oriented, frequencies: &[f64], foci: &[f64]) -> f6
     foci.iter().map(of).fold(64.0, f64::max).min(Rules::MOST)
 }
 
-/// The overlap at `frequency` (cycles/mm), for image planes `foci` mm behind their place; `fineness` scales the rules.
+/// The overlap at `frequency` (cycles/mm), for image planes `foci` mm behind their place, of which those that need more than `most` points are
+/// left out; `fineness` scales the rules.
 pub(super) fn overlap(
     pupil: &Oriented,
     chords: &Chords,
     rules: &Rules,
-    frequency: f64,
-    foci: &[f64],
+    (frequency, foci): (f64, &[f64]),
+    most: f64,
     fineness: f64,
 ) -> Overlap {
     let shift = pupil.wavelength * frequency / pupil.half.x;
     let wanted: Vec<[f64; 2]> =
         foci.iter().map(|z| sizes(pupil, frequency, *z, (chords.longest() - shift).max(0.0) * pupil.half.x)).collect();
-    let followed: Vec<usize> = (0..foci.len()).filter(|k| wanted[*k].iter().all(|n| *n <= Rules::MOST)).collect();
+    let followed: Vec<usize> = (0..foci.len()).filter(|k| wanted[*k].iter().all(|n| *n <= most)).collect();
     let planes: Vec<f64> = followed.iter().map(|k| foci[*k]).collect();
     let [along, across] =
         followed.iter().fold([ALONG[0], ACROSS[0]], |[a, b], k| [a.max(wanted[*k][0]), b.max(wanted[*k][1])]);

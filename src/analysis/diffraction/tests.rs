@@ -193,7 +193,12 @@ fn clipped_pupils_agree_with_counting() {
         for direction in [directions(object)[0], DVec2::new(0.8, -0.6)] {
             for (points, focus) in [(20, 0.0), (90, 0.05), (240, -0.02)] {
                 let (frequency, counted, limit) = pupil.counted(direction, 800, points, focus);
-                let plan = Plan { directions: vec![direction], frequencies: vec![frequency], focus_mm: vec![focus] };
+                let plan = Plan {
+                    directions: vec![direction],
+                    frequencies: vec![frequency],
+                    focus_mm: vec![focus],
+                    most_points: Plan::MOST_POINTS,
+                };
                 let mtf = of_pupils(&[(pupil.clone(), 1.0)], &plan).expect("light");
                 let t = mtf.curves[0].transfer[0][0].expect("followed");
                 eprintln!(

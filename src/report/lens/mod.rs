@@ -106,7 +106,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         FieldLine::new(lens, lens.object_vergence, 2)
             .map(|line| line.angle_deg.last().copied().unwrap_or(0.0))
             .unwrap_or_else(|e| {
-                missing.push(format!("fields end at the stated angle, not with sensor or light: {e}"));
+                missing.push(format!("fields end at the stated angle, not with sensor or light: {}", e.words()));
                 lens.max_field_deg
             })
     });
@@ -280,14 +280,14 @@ impl LensReport {
         let start = Instant::now();
         match report.white() {
             Ok(white) => report.illumination = white,
-            Err(e) => report.missing.push(format!("relative illumination: {e}")),
+            Err(e) => report.missing.push(format!("relative illumination: {}", e.words())),
         }
         report.seconds.push(("relative illumination", start.elapsed().as_secs_f64()));
         if options.whole {
             let start = Instant::now();
             match report.kernels(options) {
                 Ok(atlas) => report.atlas = Some(atlas),
-                Err(e) => report.missing.push(format!("point spread functions: {e}")),
+                Err(e) => report.missing.push(format!("point spread functions: {}", e.words())),
             }
             report.seconds.push(("point spread functions", start.elapsed().as_secs_f64()));
         }

@@ -190,7 +190,7 @@ impl<'a> Target<'a> {
         let green = EdgeOptions { region: None, sites: Sites::of(sensor.cfa, 1), range: None };
         let whole = |options: EdgeOptions, plane: ndarray::ArrayView2<'_, f32>| {
             let all = Rectangle::whole(plane.dim());
-            measure(plane, &EdgeOptions { region: Some(all), ..options }).map_err(|e| e.to_string())
+            measure(plane, &EdgeOptions { region: Some(all), ..options }).map_err(|e| e.words())
         };
         let capture = whole(green, seen.mosaic.view());
         let reconstruction = seen
