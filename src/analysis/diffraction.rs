@@ -128,6 +128,14 @@ impl Curve {
 /// # Errors
 /// [`Fault`]; wavelengths without light add none.
 pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fault> {
+    of_pupils(&pupils(lens, object)?, plan)
+}
+
+/// The pupils of `object` in the light of `lens`, about the primary wavelength's chief ray, with the weights of their wavelengths.
+///
+/// # Errors
+/// As [`of_lens`].
+pub fn pupils(lens: &Lens, object: ObjectPoint) -> Result<Vec<(Pupil, f64)>, Fault> {
     let primary = System::new(lens, lens.wavelengths.primary_nm);
     let centre = chief_landing(&Aimer::new(&primary)?, object)?;
     let shares: Vec<(f64, f64)> = lens.wavelengths.shares().collect();
@@ -147,7 +155,7 @@ pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fau
             Err(fault) => return Err(fault),
         }
     }
-    of_pupils(&pupils, plan)
+    Ok(pupils)
 }
 
 /// The transfer functions of pupils about one common point, each with its weight.

@@ -354,7 +354,7 @@ impl Pages<'_> {
         page.drawings(&drawings, 440);
         page.note(
             "T: lines across the meridian, S: along it; all wavelengths by their weights and light. By diffraction: autocorrelation of the pupil in direction cosines, amplitude and path of real rays, edges of all \
-             clear apertures (1e-4 against closed forms). Geometric: modulus of the mean of exp(−2πi f·p) over rays.",
+             clear apertures (1e-4 against closed forms); where blur has more than about 100 cycles there is no value but on the sensor, at every fourth frequency, up to about 300. Geometric: modulus of the mean of exp(−2πi f·p) over rays.",
         );
     }
 
