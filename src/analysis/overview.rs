@@ -200,7 +200,7 @@ fn waves_of(lens: &Lens, point: ObjectPoint, plan: &Plan) -> Result<Mtf, diffrac
     let middle = plan.focus_mm.len() / 2;
     let Some(focus) = plan.focus_mm.get(middle) else { return Ok(mtf) };
     for (curve, direction) in mtf.curves.iter_mut().zip(&plan.directions) {
-        let missing = |k: &usize| k % EVERY == 0 && curve.transfer[middle][*k].is_none();
+        let missing = |k: &usize| k.is_multiple_of(EVERY) && curve.transfer[middle][*k].is_none();
         let lost: Vec<usize> = (0..plan.frequencies.len()).filter(missing).collect();
         if lost.is_empty() {
             continue;
