@@ -1,5 +1,6 @@
 //! The camera side: RAW in, picture out. No training code, no gradients.
 
+pub mod edges;
 pub mod kit;
 pub mod onnxruntime;
 mod opcodes;

@@ -6,7 +6,7 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ndarray::{Array3, ArrayView2, ArrayView4};
+use ndarray::{Array3, ArrayView2, ArrayView3, ArrayView4};
 
 use crate::deploy::kit::Kit;
 use crate::deploy::raw::{RawCapture, RawPixels};
@@ -15,7 +15,11 @@ use crate::deploy::tiles;
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::XYZ_FROM_SRGB;
 use crate::imaging::develop::{self, Balance, Development, IDENTITY, glare};
+use crate::imaging::plane::Region;
 use crate::imaging::sensor::cfa::Cfa;
+
+/// Pixels around one that demosaicking looks at.
+const DEMOSAIC_REACH: usize = 4;
 
 /// Which share of the light is taken off as veiling glare.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -139,6 +143,40 @@ impl Camera {
         self.calibrated.as_ref().and_then(|c| c.session.as_ref())
     }
 
+    /// The part of the frame around `region` that the network sees of it: as far as a tile's overlap and its filters reach, from a multiple of
+    /// the network's, to the frame's ends. `None` without a kit.
+    pub fn around(&self, region: Region) -> Option<Region> {
+        let kit = &self.calibrated.as_ref()?.kit;
+        let multiple = kit.model.multiple.next_multiple_of(2);
+        // The demosaicked border of a part is not the whole's.
+        let wide =
+            region.grown(kit.model.overlap_px + kit.guide.reach() + DEMOSAIC_REACH).common(Region::whole(&kit.frame));
+        let step = multiple.cast_signed();
+        let [row, col] = [wide.row, wide.col].map(|first| first.div_euclid(step) * step);
+        let more = |first: isize, from: isize| (from - first).unsigned_abs();
+        Some(Region { row, col, rows: wide.rows + more(row, wide.row), cols: wide.cols + more(col, wide.col) })
+    }
+
+    /// A part of the kit's frame developed as far as the network's input, and behind the network: balanced camera RGB, `[3, row, col]` each. `dn`
+    /// holds raw values over `at`, which [`Self::around`] gives; glare is not taken off.
+    ///
+    /// # Errors
+    /// No kit, or steps without the network; a network that fails.
+    ///
+    /// # Panics
+    /// If `dn` has not the size of `at`.
+    pub fn part(&self, dn: ArrayView2<'_, f32>, at: Region) -> Result<[Array3<f32>; 2]> {
+        let (Some(calibrated), Some(session)) = (&self.calibrated, self.session()) else {
+            return Err(Error::Internal("a part is seen by a kit with its network".into()));
+        };
+        assert_eq!(dn.dim(), (at.rows, at.cols), "values over the part");
+        let Kit { sensor, frame, shading, .. } = &calibrated.kit;
+        let flat_field = Some((frame, shading));
+        let developed = develop::network_input_at(dn, at, sensor.cfa, &Balance::from_sensor(sensor), flat_field);
+        let (restored, _) = calibrated.restored(session, developed.view(), at, &|_, _| ())?;
+        Ok([developed, restored])
+    }
+
     /// Develops a capture; `file` names it in messages, `progress(done, all)` counts tiles.
     ///
     /// # Errors
@@ -176,19 +214,10 @@ impl Camera {
         let mut count = 0;
         if let Some((calibrated, session)) = self.calibrated.as_ref().zip(self.session()) {
             let started = Instant::now();
-            let tiling = calibrated.kit.tiling()?;
-            count = tiling.count(camera.dim().1, camera.dim().2);
-            let inside = std::sync::Mutex::new(Duration::ZERO);
-            let network = |tile: ArrayView4<'_, f32>| {
-                let started = Instant::now();
-                let output = session.run(tile);
-                *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += started.elapsed();
-                output
-            };
-            camera =
-                tiles::run(camera.view(), &calibrated.kit.guide, tiling, session.parallel_tiles(), &network, progress)?;
+            count = calibrated.kit.tiling()?.count(camera.dim().1, camera.dim().2);
+            let whole = Region::whole(&calibrated.kit.frame);
+            (camera, times.runtime) = calibrated.restored(session, camera.view(), whole, progress)?;
             times.network = started.elapsed();
-            times.runtime = inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
         }
         let started = Instant::now();
         let developed = develop::finish(camera, &development);
@@ -199,6 +228,26 @@ impl Camera {
 }
 
 impl Calibrated {
+    /// What the network makes of `camera`, balanced camera RGB at `at` of the frame, and the time within the runtime.
+    fn restored(
+        &self,
+        session: &Session,
+        camera: ArrayView3<'_, f32>,
+        at: Region,
+        progress: &(dyn Fn(usize, usize) + Sync),
+    ) -> Result<(Array3<f32>, Duration)> {
+        let inside = std::sync::Mutex::new(Duration::ZERO);
+        let network = |tile: ArrayView4<'_, f32>| {
+            let started = Instant::now();
+            let output = session.run(tile);
+            *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += started.elapsed();
+            output
+        };
+        let (tiling, parallel) = (self.kit.tiling()?, session.parallel_tiles());
+        let restored = tiles::run(camera, at, &self.kit.guide, tiling, parallel, &network, progress)?;
+        Ok((restored, inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner)))
+    }
+
     /// The kit's own levels, colour and calibration; white balance as the capture was shot.
     fn development(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<Development<'_>> {
         let Kit { sensor, frame, distortion, shading, .. } = &self.kit;
@@ -317,12 +366,47 @@ mod tests {
         let session = Session::open(&kit.model_bytes, Path::new("m"), &tract()).expect("opens");
         let network = |input: Array3<f32>| {
             let tiling = tiles::Tiling::new(256, 24, 4).expect("valid");
-            tiles::run(input.view(), &kit.guide, tiling, 1, &|t: ArrayView4<'_, f32>| session.run(t), &|_, _| ())
+            tiles::run(
+                input.view(),
+                Region::whole(&kit.frame),
+                &kit.guide,
+                tiling,
+                1,
+                &|t: ArrayView4<'_, f32>| session.run(t),
+                &|_, _| (),
+            )
         };
         let expected = develop::develop(samples.view(), *cfa, &development, network).expect("develops");
         let expected = Orientation::from_exif(6).apply(expected.image);
         let worst = (&picture.image - &expected).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
         assert!(worst <= 2e-6, "{worst}");
+    }
+
+    /// A part with what the network sees around it is what it is in the whole: at a corner, at an edge, in the middle.
+    #[test]
+    fn a_part_is_what_it_is_in_the_whole() {
+        let (kit, capture) = (kit(230, 210), capture(230, 210));
+        let RawPixels::Mosaic { samples, .. } = &capture.pixels else { panic!("a mosaic") };
+        let camera = Camera::with_kit(kit.clone(), Steps::default(), &tract()).expect("opens");
+        let [all, restored] = camera.part(samples.view(), Region::whole(&kit.frame)).expect("develops");
+        for (row, col) in [(0, 0), (170, 96), (88, 101)] {
+            let region = Region { row, col, rows: 40, cols: 32 };
+            let at = camera.around(region).expect("a kit");
+            assert!(at.rows < 150 && at.cols < 150, "a part: {at:?}");
+            let within = |r: Region, a: &Array3<f32>| {
+                let (i, j) = ((region.row - r.row).unsigned_abs(), (region.col - r.col).unsigned_abs());
+                a.slice(ndarray::s![.., i..i + region.rows, j..j + region.cols]).to_owned()
+            };
+            let of = |r: Region| {
+                let (i, j) = (r.row.unsigned_abs(), r.col.unsigned_abs());
+                camera.part(samples.slice(ndarray::s![i..i + r.rows, j..j + r.cols]), r).expect("develops")
+            };
+            for (part, whole) in of(at).iter().zip([&all, &restored]) {
+                let off = (&within(at, part) - &within(Region::whole(&kit.frame), whole)).mapv(f32::abs);
+                let worst = off.iter().fold(0.0_f32, |m, v| m.max(*v));
+                assert!(worst <= 2e-6, "{row}, {col}: {worst}");
+            }
+        }
     }
 
     #[test]

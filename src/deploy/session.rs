@@ -71,6 +71,16 @@ pub enum Runtime {
     },
 }
 
+impl Runtime {
+    /// Its name and version, without places of this machine.
+    pub fn name(&self) -> String {
+        match self {
+            Self::OnnxRuntime { version, .. } => format!("ONNX Runtime {version}"),
+            Self::Tract { .. } => "tract".to_owned(),
+        }
+    }
+}
+
 impl std::fmt::Display for Runtime {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {

@@ -108,8 +108,11 @@ impl Tiling {
     }
 }
 
-/// Runs `image` (`[3, row, col]`) through `network`, which maps what `guide` shows of a tile, `[1, channel, rows, columns]` of
-/// [`Tiling::shape`], to `[1, 3, rows, columns]`.
+/// Runs `image` (`[3, row, col]`), which lies at `at` of the guide's frame, through `network`, which maps what `guide` shows of a tile,
+/// `[1, channel, rows, columns]` of [`Tiling::shape`], to `[1, 3, rows, columns]`.
+///
+/// A part of a frame that starts at multiples of the tiling's is what it is within the whole, further than the overlap and the guide's reach from
+/// those of its borders that are not the frame's.
 ///
 /// At most `parallel` tiles are in work at a time. `progress(done, all)` is called after each.
 ///
@@ -117,6 +120,7 @@ impl Tiling {
 /// The network's first error, or an output of another shape.
 pub fn run(
     image: ArrayView3<'_, f32>,
+    at: Region,
     guide: &Guide,
     tiling: Tiling,
     parallel: usize,
@@ -131,7 +135,7 @@ pub fn run(
     let out = Mutex::new(Array3::zeros(image.raw_dim()));
     let done = AtomicUsize::new(0);
     let one = |&(row, column): &(Span, Span)| -> Result<()> {
-        let input = cut(image, guide, tiling, row.start, column.start);
+        let input = cut(image, at, guide, tiling, [row.start, column.start]);
         let output = network(input.view())?;
         let (_, _, height, width) = input.dim();
         if output.dim() != (1, 3, height, width) {
@@ -159,7 +163,13 @@ pub fn run(
 
 /// What the guide shows of the tile that starts at `row`, `column` of the continued picture. It is told of the pixels that the picture
 /// has, and mirrored with them.
-fn cut(image: ArrayView3<'_, f32>, guide: &Guide, tiling: Tiling, row: usize, column: usize) -> Array4<f32> {
+fn cut(
+    image: ArrayView3<'_, f32>,
+    at: Region,
+    guide: &Guide,
+    tiling: Tiling,
+    [row, column]: [usize; 2],
+) -> Array4<f32> {
     let (_, rows, columns) = image.dim();
     let [height, width] = tiling.shape(rows, columns);
     let border = tiling.border().cast_signed();
@@ -172,9 +182,8 @@ fn cut(image: ArrayView3<'_, f32>, guide: &Guide, tiling: Tiling, row: usize, co
         (first, last + 1 - first)
     };
     let ((top, high), (left, wide)) = (span(&down), span(&across));
-    let wanted = Region { row: top.cast_signed(), col: left.cast_signed(), rows: high, cols: wide };
-    let whole = Region { row: 0, col: 0, rows, cols: columns };
-    let image = guide.over(image, whole, wanted);
+    let wanted = Region { row: at.row + top.cast_signed(), col: at.col + left.cast_signed(), rows: high, cols: wide };
+    let image = guide.over(image, at, wanted);
     let (down, across) =
         (down.iter().map(|r| r - top).collect::<Vec<_>>(), across.iter().map(|c| c - left).collect::<Vec<_>>());
     // Most tiles lie within the picture's columns: their rows are copied as they are.
@@ -223,9 +232,14 @@ mod tests {
         Array3::from_shape_fn((3, rows, columns), |_| rng.f32())
     }
 
+    fn all(image: &Array3<f32>) -> Region {
+        Region { row: 0, col: 0, rows: image.dim().1, cols: image.dim().2 }
+    }
+
     /// The whole picture in one tile large enough for it.
     fn whole(image: &Array3<f32>, overlap: usize) -> Array3<f32> {
-        run(image.view(), &bare(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ()).expect("runs")
+        run(image.view(), all(image), &bare(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ())
+            .expect("runs")
     }
 
     #[test]
@@ -236,7 +250,7 @@ mod tests {
             for parallel in [1, 3] {
                 let tiling = Tiling::new(32, 4, 4).expect("valid");
                 let calls = AtomicUsize::new(0);
-                let tiled = run(image.view(), &bare(), tiling, parallel, &network, &|_, all| {
+                let tiled = run(image.view(), all(&image), &bare(), tiling, parallel, &network, &|_, all| {
                     calls.fetch_add(1, Ordering::Relaxed);
                     assert_eq!(all, tiling.count(rows, columns));
                 })
@@ -258,7 +272,8 @@ mod tests {
         let image = picture(100, 130);
         let through = |tile: usize| {
             let tiling = Tiling::new(tile, UNET_RADIUS, 4).expect("valid");
-            run(image.view(), &bare(), tiling, session.parallel_tiles(), &network, &|_, _| ()).expect("runs")
+            run(image.view(), all(&image), &bare(), tiling, session.parallel_tiles(), &network, &|_, _| ())
+                .expect("runs")
         };
         let worst = (&through(96) - &through(192)).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
         assert!(worst <= 1e-6, "{worst}");
@@ -312,9 +327,9 @@ mod tests {
         let tiling = Tiling::new(16, 4, 4).expect("valid");
         for parallel in [1, 4] {
             let fails = |_: ArrayView4<'_, f32>| Err(Error::Internal("no".into()));
-            assert!(run(image.view(), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
+            assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
             let shrinks = |_: ArrayView4<'_, f32>| Ok(Array4::zeros((1, 3, 8, 8)));
-            assert!(run(image.view(), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
+            assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
         }
     }
 }

@@ -11,10 +11,10 @@ use super::scenery::Entry;
 use super::task::Task;
 use crate::error::{Error, Result};
 use crate::lens::{Lens, prescription};
-use crate::report::demo::LensView;
 use crate::report::design::{DesignPage, Moment, Shown};
 use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
+use crate::report::lens_view::LensView;
 
 /// Kernels in a row of the page, and held-out patches it shows.
 const FIELDS: usize = 7;
@@ -95,7 +95,7 @@ pub(super) fn page(
 ) -> Result<String> {
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;
-    let view = |lens: &Lens| LensView::new(lens, distance, FIELDS).ok();
+    let view = |lens: &Lens| LensView::new(lens, distance, FIELDS, false).ok();
     let mut names: Vec<String> = history.last().map(|j| j.variables.keys().cloned().collect()).unwrap_or_default();
     names.sort();
     let mut moments = Vec::new();

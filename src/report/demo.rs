@@ -6,22 +6,13 @@
 use ndarray::{Array3, s};
 use serde_json::{Value, json};
 
-use super::atlas::{KernelRequest, Style, colour_kernels, picture};
-use super::drawing::lens_svg;
-use super::field::FieldLine;
 use super::html::{Fact, Page, Picture};
-use super::lens::{Options, SHIFTS, look, plots, spot_svg};
+use super::lens_view::{self, LensView};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
 use crate::error::{Error, Result};
 use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
 use crate::imaging::metrics::{SSIM_WINDOW, psnr, ssim};
-use crate::lens::{Lens, paraxial};
-
-/// Rays of a spot and wavelength.
-const ANALYSIS_RAYS: usize = 400;
-/// Curves of the lens before and after, by their names.
-const ANALYSES: [&str; 4] = ["mtf_diffraction", "mtf_diffraction_field", "field_curvature", "distortion"];
 
 /// Everything the page shows.
 #[derive(Clone, Debug, Default)]
@@ -56,25 +47,6 @@ pub struct DemoReport {
     pub stages: Vec<(String, f64)>,
     /// What the plan left out and why, and what the demonstration does not show.
     pub left_out: Vec<String>,
-}
-
-/// A lens as the page shows it.
-#[derive(Clone, Debug)]
-pub struct LensView {
-    /// Name.
-    pub name: String,
-    /// Cross-section (SVG).
-    pub drawing: String,
-    /// Kernels from the axis to the border, linear RGB.
-    pub atlas: Array3<f32>,
-    /// Effective focal length, mm.
-    pub effective_focal_length_mm: f64,
-    /// Effective focal length over entrance-pupil diameter.
-    pub f_number: f64,
-    /// Field angle in degrees and distortion in per cent.
-    pub distortion: Vec<(f64, f64)>,
-    /// Spots on the sensor (SVG), and curves under their names as on the lens's own page; empty unless asked for.
-    pub analysis: Option<(String, Vec<(&'static str, Plot)>)>,
 }
 
 /// One loss over the steps of its stage.
@@ -150,54 +122,6 @@ pub struct MethodResult {
     pub relative_l2: f64,
     /// Anything to say.
     pub note: String,
-}
-
-impl LensView {
-    /// Draws `lens` and computes its kernels for an object at `depth_mm`, `fields` of them from the axis to the border. Fails for a
-    /// lens that loses rays its field needs.
-    pub fn new(lens: &Lens, depth_mm: f64, fields: usize) -> Result<Self> {
-        let request = KernelRequest {
-            depth_mm: vec![depth_mm],
-            wavelength_nm: Vec::new(),
-            weights: Vec::new(),
-            fields,
-            size: None,
-            pitch_mm: lens.sensor.pitch_mm(),
-            rays: 8192,
-            memory: crate::math::memory::Limit::of_process(),
-        };
-        let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
-        Ok(Self {
-            name: lens.name.clone(),
-            drawing: lens_svg(lens),
-            atlas: picture(&colour_kernels(lens, &request)?.kernels, fields, Style::default()),
-            effective_focal_length_mm: first.effective_focal_length,
-            f_number: first.f_number,
-            distortion: FieldLine::new(lens, 1.0 / depth_mm, 1)?.distortion_percent(lens, 1.0 / depth_mm),
-            analysis: None,
-        })
-    }
-
-    /// [`LensView::new`] with spots and curves.
-    ///
-    /// # Errors
-    /// As there.
-    pub fn analysed(lens: &Lens, depth_mm: f64, fields: usize) -> Result<Self> {
-        let view = Self::new(lens, depth_mm, fields)?;
-        let options = Options {
-            rays: ANALYSIS_RAYS,
-            max_angle_deg: None,
-            cycles_per_mm: None,
-            shift_mm: None,
-            shifts: SHIFTS,
-            whole: true,
-            colour: false,
-            psf_depths_mm: Vec::new(),
-            memory: crate::math::memory::Limit::of_process(),
-        };
-        let (overview, _) = look(&lens.changed(|l| l.object_vergence = 1.0 / depth_mm)?, &options);
-        Ok(Self { analysis: Some((spot_svg(&overview), plots(&overview))), ..view })
-    }
 }
 
 impl Quality {
@@ -374,58 +298,7 @@ impl DemoReport {
             .into_iter()
             .filter_map(|(n, v)| Some((n, v.as_ref()?)))
             .collect();
-        if views.is_empty() {
-            return Ok(());
-        }
-        page.section("Lens");
-        let caption = |when: &str, v: &LensView| {
-            let (focal, number) = (significant(v.effective_focal_length_mm, 5), significant(v.f_number, 3));
-            format!("{when}: {}, {focal} mm, f/{number}", v.name)
-        };
-        let drawings: Vec<(String, String)> =
-            views.iter().map(|(when, v)| (v.drawing.clone(), caption(when, v))).collect();
-        page.drawings(&drawings, 440);
-        page.heading("Point spread functions, from the axis to the border");
-        let atlases: Vec<Picture<'_>> = views
-            .iter()
-            .map(|(when, v)| Picture { image: &v.atlas, caption: (*when).into(), notes: vec![], pixelated: true })
-            .collect();
-        page.pictures(&atlases, 900)?;
-        page.paragraph(
-            "Each kernel is scaled to its own peak; the field grows to the right, its outward direction is up.",
-        );
-        let analysed: Vec<_> = views.iter().filter_map(|(when, v)| Some((when, v.analysis.as_ref()?))).collect();
-        if !analysed.is_empty() {
-            page.heading("Spots");
-            let spots: Vec<_> =
-                analysed.iter().map(|(when, (spots, _))| (spots.clone(), (**when).to_owned())).collect();
-            page.drawings(&spots, 440);
-            page.heading("Curves");
-            let find = |name: &str| -> Vec<(String, String)> {
-                let one = |when: &str, plots: &[(&str, Plot)]| {
-                    let (_, plot) = plots.iter().find(|(n, _)| *n == name)?;
-                    Some((plot.to_svg(), when.to_owned()))
-                };
-                analysed.iter().filter_map(|(when, (_, plots))| one(when, plots)).collect()
-            };
-            page.drawings(&ANALYSES.iter().flat_map(|n| find(n)).collect::<Vec<_>>(), 440);
-            page.note("Definitions and accuracy stand on the lens's own page: `isoplanat report`.");
-            return Ok(());
-        }
-        let series = views.iter().map(|(when, v)| Series {
-            name: (*when).into(),
-            points: v.distortion.iter().map(|(a, d)| [*a, *d]).collect(),
-            mark: Mark::Both,
-        });
-        let plot = Plot {
-            title: "Distortion".into(),
-            x_label: "field angle / degrees".into(),
-            y_label: "distortion / %".into(),
-            series: series.collect(),
-            ..Plot::default()
-        };
-        page.drawings(&[(plot.to_svg(), String::new())], 440);
-        Ok(())
+        lens_view::section(page, &views)
     }
 
     fn loss_section(&self, page: &mut Page) {

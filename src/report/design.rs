@@ -2,8 +2,8 @@
 
 use ndarray::Array3;
 
-use super::demo::LensView;
 use super::html::{Fact, Page, Picture};
+use super::lens_view::{self, LensView};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
 use crate::error::Result;
@@ -82,18 +82,9 @@ impl DesignPage {
             })
             .collect();
         page.stepped(&stepped, stepped.len(), "step");
-        let pixel =
-            |view: &Option<LensView>, caption: &str| view.as_ref().map(|v| (v.atlas.clone(), caption.to_owned()));
-        let [first, now] = &self.lenses;
-        let atlases: Vec<_> = [pixel(first, "as it began"), pixel(now, "now")].into_iter().flatten().collect();
-        page.section("Point spread functions");
-        page.paragraph("From the axis (left) to the frame's corner, each scaled to its own brightest pixel.");
-        let pictures: Vec<Picture<'_>> = atlases
-            .iter()
-            .map(|(image, caption)| Picture { image, caption: caption.clone(), notes: Vec::new(), pixelated: true })
-            .collect();
-        page.pictures(&pictures, 420)?;
         self.over_time(&mut page);
+        let views = ["As it began", "Now"].into_iter().zip(&self.lenses);
+        lens_view::section(&mut page, &views.filter_map(|(when, v)| Some((when, v.as_ref()?))).collect::<Vec<_>>())?;
         if !self.shown.is_empty() {
             page.section("Pictures it does not train on");
             page.paragraph("Capture, reconstruction, truth.");
@@ -120,7 +111,7 @@ impl DesignPage {
             table.row([name.as_str(), value.as_str()]);
         });
         page.table(&table);
-        Ok(page.finish())
+        Ok(page.finish_with_contents())
     }
 
     fn over_time(&self, page: &mut Page) {
@@ -213,7 +204,7 @@ mod tests {
         }
         assert!(text.contains("type=\"range\" min=\"0\" max=\"1\"") && text.contains("a &amp; b"));
         assert!(text.contains("track") && text.contains("+3.2"));
-        assert!(!text.contains("src=\"http") && !text.contains("href="));
+        assert!(!text.contains("src=\"http") && !text.contains("href=\"http"));
         assert_eq!(text.matches("<script").count(), 1, "the page's own");
     }
 }

@@ -2,7 +2,7 @@
 
 use glam::DVec2;
 
-use super::field::slope_at;
+use super::field::{FieldLine, slope_at};
 use super::svg::{Anchor, HUES, Svg, text_width};
 use super::table::significant;
 use crate::lens::Lens;
@@ -11,7 +11,7 @@ use crate::trace::launch::launch;
 use crate::trace::sequential::{first_vignetted, trace};
 use crate::trace::{FieldPoint, System};
 
-/// Shares of the largest field that are drawn.
+/// Shares of the field that are drawn.
 const FIELDS: [f64; 3] = [0.0, 0.7, 1.0];
 /// Rays of a fan.
 const RAYS: i32 = 7;
@@ -44,11 +44,12 @@ pub fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
     let vertices = vertices(lens);
     let lead =
         (LEAD * length).min(if lens.object_vergence > 0.0 { lens.object_vergence.recip() } else { f64::INFINITY });
-    let fans: Vec<Vec<Path>> = FIELDS.iter().map(|f| fan(lens, *f, lead, &vertices)).collect();
+    let angles = FIELDS.map(|share| share * field_deg(lens));
+    let fans: Vec<Vec<Path>> = angles.iter().map(|angle| fan(lens, *angle, lead, &vertices)).collect();
     let (low, high) = extent(lens, &fans);
     let (z_low, z_high) = (-lead, length.max(1e-9) * 1.01);
     let scale = ((size[0] - 2.0 * MARGIN) / (z_high - z_low)).min((size[1] - 2.0 * MARGIN - FOOT) / (high - low));
-    let foot = Foot::new(lens, scale);
+    let foot = Foot::new(angles, scale);
     let drawn = (z_high - z_low) * scale;
     let (width, height) = (drawn.max(foot.width) + 2.0 * MARGIN, (high - low) * scale + 2.0 * MARGIN + FOOT);
     let left = 0.5 * (width - drawn);
@@ -111,10 +112,10 @@ struct Foot {
 }
 
 impl Foot {
-    fn new(lens: &Lens, scale: f64) -> Self {
+    fn new(angles: [f64; 3], scale: f64) -> Self {
         let bar = round_length(110.0 / scale);
         let label = format!("{} mm", significant(bar, 3));
-        let fields = FIELDS.map(|field| format!("{}°", significant(field * lens.max_field_deg, 3)));
+        let fields = angles.map(|angle| format!("{}°", significant(angle, 3)));
         let names: f64 = fields.iter().map(|f| 46.0 + text_width(f, LETTERS)).sum();
         let width = bar * scale + 34.0 + text_width(&label, LETTERS) + names - 22.0;
         Self { bar: (bar * scale, label), fields, width }
@@ -206,10 +207,16 @@ fn extent(lens: &Lens, fans: &[Vec<Path>]) -> (f64, f64) {
     (low, high)
 }
 
-/// Rays in the meridional plane through evenly spaced points of the stop.
-fn fan(lens: &Lens, field: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
+/// Half field angle, degrees: the stated one, or what the sensor sees of it.
+fn field_deg(lens: &Lens) -> f64 {
+    let seen = FieldLine::new(lens, lens.object_vergence, 2).ok().and_then(|line| line.angle_deg.last().copied());
+    seen.filter(|angle| *angle > 0.0).map_or(lens.max_field_deg, |angle| angle.min(lens.max_field_deg))
+}
+
+/// Rays in the meridional plane through evenly spaced points of the stop, from an angle in degrees.
+fn fan(lens: &Lens, angle: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
     let vergence = lens.object_vergence;
-    let slope = slope_at(lens, vergence, field * lens.max_field_deg.to_radians());
+    let slope = slope_at(lens, vergence, angle.to_radians());
     let system = System::new(lens, lens.wavelengths.primary_nm);
     let point = FieldPoint { slope: DVec2::new(0.0, slope), vergence };
     let pupil = ParaxialPupil::new(lens);

@@ -103,15 +103,26 @@ impl Page {
 
     /// A table; columns of numbers are set to the right.
     pub fn table(&mut self, table: &Table) -> &mut Self {
+        self.add(Self::tabled(table))
+    }
+
+    /// Columns of tables below their headings, beside each other where there is room.
+    pub fn columns(&mut self, columns: &[&[(&str, &Table)]]) -> &mut Self {
+        self.add(html! { div.columns { @for column in columns { div {
+            @for (heading, table) in *column { @if !heading.is_empty() { h3 { (heading) } } (Self::tabled(table)) }
+        } } } })
+    }
+
+    fn tabled(table: &Table) -> Markup {
         let numeric: Vec<bool> = (0..table.heading.len()).map(|i| table.is_numeric(i)).collect();
-        self.add(html! {
+        html! {
             div.wide { table {
                 thead { tr { @for (c, n) in table.heading.iter().zip(&numeric) { th.n[*n] { (c) } } } }
                 tbody { @for row in &table.rows { tr {
                     @for (c, n) in row.iter().zip(&numeric) { td.n[*n].k[c.chars().count() <= WHOLE] { (c) } }
                 } } }
             } }
-        })
+        }
     }
 
     /// Drawings (SVG text of this crate) with captions, side by side where there is room for `min_px` each.
@@ -136,16 +147,31 @@ impl Page {
 
     /// Drawings with captions of which one is seen, number `first` at first; a slider called `label` steps through them.
     pub fn stepped(&mut self, drawings: &[(String, String)], first: usize, label: &str) -> &mut Self {
+        self.add(Self::steps(drawings, first, label))
+    }
+
+    /// Several of these with one label, beside each other where there is room for `min_px` each.
+    pub fn stepped_beside(
+        &mut self,
+        each: &[Vec<(String, String)>],
+        first: usize,
+        label: &str,
+        min_px: u32,
+    ) -> &mut Self {
+        self.grid(&html! { @for drawings in each { (Self::steps(drawings, first, label)) } }, min_px)
+    }
+
+    fn steps(drawings: &[(String, String)], first: usize, label: &str) -> Markup {
         let last = drawings.len().saturating_sub(1);
         let first = first.min(last);
-        self.add(html! {
+        html! {
             div.steps {
                 @if last > 0 { label { (label) input type="range" min="0" max=(last) value=(first); } }
                 @for (k, (svg, caption)) in drawings.iter().enumerate() {
                     figure data-k=(k) hidden[k != first] { (PreEscaped(svg)) figcaption { (caption) } }
                 }
             }
-        })
+        }
     }
 
     /// Pictures side by side where there is room for `min_px` each.

@@ -16,6 +16,7 @@ pub mod gradient_accuracy;
 pub mod health;
 pub mod html;
 pub mod lens;
+pub mod lens_view;
 pub mod library;
 pub mod listing;
 pub mod measured;

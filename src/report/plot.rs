@@ -73,10 +73,11 @@ pub struct Plot {
     pub keys: Vec<String>,
 }
 
-const WIDTH: f64 = 560.0;
-const HEIGHT: f64 = 340.0;
+// As wide as makes the letters readable on a phone.
+const WIDTH: f64 = 440.0;
+const HEIGHT: f64 = 306.0;
 /// Left, right, top, bottom of the drawn area, px.
-const FRAME: [f64; 4] = [66.0, 544.0, 56.0, 288.0];
+const FRAME: [f64; 4] = [62.0, 426.0, 56.0, 254.0];
 
 /// Height of the first row of names.
 const FIRST_ROW: f64 = 40.0;

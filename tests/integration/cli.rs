@@ -440,6 +440,36 @@ fn design_and_export_make_a_run_and_a_kit() {
     assert!(!place.path("none").exists());
 }
 
+/// The kit of `run`, through the camera's own steps, shows the edges that the run showed; a kit of another lens is refused.
+#[cfg(all(feature = "train", feature = "deploy"))]
+fn edges_through_a_kit(place: &Workplace, by_run: &[serde_json::Value]) {
+    place.run("export run -o kit").done();
+    let report = "report run/lens.toml --rays 64 --measure=2 --measure-rays 256 --kit kit";
+    let found = read_json(&place.run(&format!("{report} -o kit.html --json")).done());
+    let by = found["measured"]["reconstruction_by"].as_str().expect("named");
+    assert!(by.contains("ONNX Runtime") || by.contains("tract"), "{by}");
+    assert!(std::fs::read_to_string(place.path("kit.html")).expect("written").contains(by));
+    let by_kit = found["measured"]["places"].as_array().expect("places");
+    assert_eq!(by_kit.len(), by_run.len());
+    for (ours, theirs) in by_kit.iter().zip(by_run) {
+        for k in 0..2 {
+            let curve = |of: &serde_json::Value| -> Vec<f64> {
+                let points = of["edges"][k]["reconstruction"]["mtf_cy_per_mm_value_uncertainty"].as_array();
+                points.expect("a curve").iter().map(|p| p[1].as_f64().expect("a number")).collect()
+            };
+            // Rays and noise are others.
+            let off = curve(ours).iter().zip(curve(theirs)).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 0.08, "{off}: {ours} {theirs}");
+        }
+    }
+    // From another distance it is still the kit's lens.
+    place.run("report run/lens.toml --rays 64 --depth-mm 900 --kit kit --measure=1 -o far.html").done();
+    place.run("report cooke_triplet --rays 64 --kit kit -o no.html").refused(&["cooke_triplet", "the kit's"]);
+    place.run("report run/lens.toml --kit none -o no.html").refused(&["none", "kit.toml"]);
+    place.run("report run/lens.toml cooke_triplet --kit kit -o no.html").refused(&["--kit"]);
+    assert!(!place.path("no.html").exists());
+}
+
 /// A run of two steps, judged on built-in scenes and on photographs; what is refused before any work, and what stays.
 #[cfg(feature = "train")]
 #[test]
@@ -484,6 +514,9 @@ fn evaluate_judges_a_run_by_field_and_depth() {
         assert!((normal(before) - normal(after)).abs() < 2.0, "{edge}");
     }
     assert!(std::fs::read_to_string(place.path("page.html")).expect("written").contains("T, reconstruction"));
+
+    #[cfg(feature = "deploy")]
+    edges_through_a_kit(&place, places);
 
     let photo = ndarray::Array3::from_shape_fn((3, 90, 120), |(k, r, c)| ((7 * k + r * c) % 23) as f32 / 23.0);
     for name in ["a.png", "b.png"] {

@@ -104,7 +104,7 @@ fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
             assert_eq!(ModelCard::from_metadata(session.metadata()).expect("a card"), card);
             let run = |tile: ArrayView4<'_, f32>| session.run(tile);
             let tiling = Tiling::new(96, 24, 4).expect("valid");
-            let theirs = tiles::run(image.view(), &guide, tiling, 2, &run, &|_, _| ()).expect("runs");
+            let theirs = tiles::run(image.view(), whole, &guide, tiling, 2, &run, &|_, _| ()).expect("runs");
             let worst = (&theirs - &ours).iter().fold(0f32, |m, v| m.max(v.abs()));
             eprintln!("{:?}, {blocks:?}, {choice:?}, {} tiles: {worst:e}", inputs.names(), tiling.count(rows, cols));
             assert!(worst <= 2e-5, "{:?}, {blocks:?}, {choice:?}: {worst:e}", inputs.names());

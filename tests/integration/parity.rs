@@ -11,6 +11,7 @@ use isoplanat::deploy::session::{Choice, Options, Session};
 use isoplanat::deploy::tiles::{self, Tiling};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
+use isoplanat::imaging::plane::Region;
 use isoplanat::network::card::{ModelCard, Weights};
 use isoplanat::network::{Blocks, Reconstructor, UnetConfig, onnx};
 use ndarray::{Array4, ArrayView4, Axis, s};
@@ -164,7 +165,8 @@ fn seven_scales_in_tiles_give_what_they_give_in_one_piece() {
         let ours = net.forward(whole.view()).expect("runs");
         let ours = ours.slice(s![0, .., 64..64 + rows, 64..64 + cols]);
         let run = |tile: ArrayView4<'_, f32>| session.run(tile);
-        let theirs = tiles::run(image.view(), &bare, tiling, 1, &run, &|_, _| ()).expect("runs");
+        let all = Region { row: 0, col: 0, rows, cols };
+        let theirs = tiles::run(image.view(), all, &bare, tiling, 1, &run, &|_, _| ()).expect("runs");
         assert_eq!(tiling.count(rows, cols), count, "{rows} × {cols}");
         let worst = difference(ours, &theirs);
         eprintln!("{rows} × {cols} in {count} tiles: {worst:e} of the largest output");

@@ -20,7 +20,8 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::math::memory::{product, threads};
 use isoplanat::network::{Reconstructor, UnetConfig};
-use isoplanat::report::demo::{DemoReport, LensView, LossCurve};
+use isoplanat::report::demo::{DemoReport, LossCurve};
+use isoplanat::report::lens_view::LensView;
 use isoplanat::{Result, atomic};
 
 use crate::kit;
@@ -200,8 +201,8 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     done("Fast renderer against the reference", clock, &mut report);
 
     let depth = 1.0 / lens.object_vergence;
-    report.before = Some(LensView::analysed(&start, depth, settings.atlas)?);
-    report.after = Some(LensView::analysed(&lens, depth, settings.atlas)?);
+    report.before = Some(LensView::new(&start, depth, settings.atlas, true)?);
+    report.after = Some(LensView::new(&lens, depth, settings.atlas, true)?);
     report.settings = settings.describe(&sensor, &renderer.plan);
     let finer = fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
     report.settings.extend(finer);

@@ -27,6 +27,12 @@ pub(crate) struct Args {
     /// in the reconstructions too
     #[arg(long, value_name = "PLACES", num_args = 0..=1, require_equals = true, default_missing_value = "4", value_parser = clap::value_parser!(u32).range(1..=6))]
     measure: Option<u32>,
+    /// Also what slanted edges show in the reconstructions of this kit, which was made for the lens
+    #[arg(long, value_name = "KIT")]
+    kit: Option<PathBuf>,
+    /// The ONNX Runtime library to use with it
+    #[arg(long, requires = "kit", value_name = "FILE")]
+    onnxruntime: Option<PathBuf>,
     /// Rays a pixel of those captures
     #[arg(long, value_name = "RAYS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=65536))]
     measure_rays: u32,
@@ -57,6 +63,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.csv.is_some() && args.lenses.len() > 1 {
         return Err(Error::bad("--csv", "lenses", args.lenses.len().to_string(), "one lens").into());
     }
+    if args.kit.is_some() && args.lenses.len() > 1 {
+        return Err(Error::bad("--kit", "lenses", args.lenses.len().to_string(), "the kit's own").into());
+    }
     crate::output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.force)?;
     if let Some(bad) = args.psf_depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
         return Err(Error::bad("--psf-depths-mm", "value", bad.to_string(), "positive distances, or inf").into());
@@ -72,6 +81,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let settings =
             Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
         let measured = match (run, args.measure) {
+            _ if args.kit.is_some() => Some(of_kit(args, &file, &lens, settings)),
             (true, _) => Some(of_run(Path::new(name), &lens, settings)),
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
@@ -83,7 +93,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Ok(Some(measured)) => report.with_measured(measured),
             Ok(None) => report,
             // What was not asked for by name does not keep the rest from being shown.
-            Err(Error::BadInput { place, found, allowed, .. }) if args.measure.is_none() && place != "run" => {
+            Err(Error::BadInput { place, found, allowed, .. })
+                if args.measure.is_none() && args.kit.is_none() && place != "run" =>
+            {
                 let mut report = report;
                 report.missing.push(format!("measured MTF: {place}: {found}; {allowed}"));
                 report
@@ -122,10 +134,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// Slanted edges in front of a lens and the generic sensor.
 fn of_lens(lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
-    let sensor = Sensor::generic();
-    let camera = by_rays(lens, &sensor, &frame_of(lens)?, settings);
+    let (sensor, frame) = (Sensor::generic(), frame_of(lens)?);
+    let camera = by_rays(lens, &sensor, &frame, settings);
     let bar = Bar::new("slanted edges");
-    let measured = close(lens, &sensor, settings, &camera, &mut |share| bar.set(share, String::new()))?;
+    let measured = close(lens, &sensor, &frame, settings, &camera, &mut |share| bar.set(share, String::new()))?;
     bar.done(String::new());
     Ok(measured)
 }
@@ -147,6 +159,30 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
         .map_err(|e| e.in_file(folder))?;
     bar.done(String::new());
     Ok(found)
+}
+
+/// Slanted edges in front of a lens and the kit that was made for it; the lens in `file` may be looked at from another distance.
+#[cfg(feature = "deploy")]
+fn of_kit(args: &Args, file: &str, lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
+    use isoplanat::deploy::edges::{measured, require};
+    use isoplanat::deploy::kit::Kit;
+    use isoplanat::deploy::session::Options;
+
+    let kit = Kit::load(args.kit.as_deref().unwrap_or(Path::new("")))?;
+    require(&crate::input::lens(file)?, &kit, Path::new(file))?;
+    let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
+    let bar = Bar::new("slanted edges");
+    let found = measured(lens, &kit, &options, settings, &mut |share| bar.set(share, String::new()))?;
+    bar.done(String::new());
+    Ok(found)
+}
+
+/// A kit needs a runtime.
+#[cfg(not(feature = "deploy"))]
+fn of_kit(args: &Args, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
+    let kit = args.kit.as_ref().map_or_else(String::new, |k| k.display().to_string());
+    let found = "this build lacks the feature `deploy`, which a kit's network needs";
+    Err(Error::bad(kit, "kit", found, "a lens alone, or a build with --features deploy"))
 }
 
 /// A run's network needs the code that trained it.

@@ -46,5 +46,5 @@ pub fn measured(
         let mosaic = taken.mosaic.ok_or_else(|| Error::Internal("a capture by rays has a mosaic".into()))?;
         Ok(Seen { mosaic, developed: Some([taken.developed, taken.restored]) })
     };
-    close(lens, sensor, settings, &camera, progress)
+    close(lens, sensor, &frame, settings, &camera, progress)
 }

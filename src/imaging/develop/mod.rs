@@ -25,6 +25,7 @@ use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::shading::Shading;
 use crate::imaging::develop::undistort::undistort;
 use crate::imaging::frame::Frame;
+use crate::imaging::plane::Region;
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::Cfa;
 
@@ -113,9 +114,24 @@ pub fn network_input(
     balance: &Balance,
     flat_field: Option<(&Frame, &Shading)>,
 ) -> Array3<f32> {
+    let at = Region { row: 0, col: 0, rows: mosaic.nrows(), cols: mosaic.ncols() };
+    if let Some((frame, _)) = flat_field {
+        assert_eq!(at, Region::whole(frame), "the mosaic has the frame's size");
+    }
+    network_input_at(mosaic, at, cfa, balance, flat_field)
+}
+
+/// [`network_input`] of a part of the frame; its first pixel is of the colour of the frame's.
+pub fn network_input_at(
+    mosaic: ArrayView2<'_, f32>,
+    at: Region,
+    cfa: Cfa,
+    balance: &Balance,
+    flat_field: Option<(&Frame, &Shading)>,
+) -> Array3<f32> {
     let mut samples = balanced(mosaic, cfa, balance);
     if let Some((frame, shading)) = flat_field {
-        divide_shading(&mut samples, cfa, frame, shading);
+        divide_shading(&mut samples, at, cfa, frame, shading);
     }
     demosaic(samples.view(), cfa)
 }
@@ -141,16 +157,13 @@ pub fn balance_colours(image: &mut Array3<f32>, balance: &Balance) {
     }
 }
 
-/// Step 3, in place.
-///
-/// # Panics
-/// If the frame has not the mosaic's size.
-pub fn divide_shading(samples: &mut Array2<f32>, cfa: Cfa, frame: &Frame, shading: &Shading) {
-    assert_eq!(samples.dim(), (frame.rows, frame.columns), "the mosaic has the frame's size");
+/// Step 3, in place, for samples at `at` of the frame.
+fn divide_shading(samples: &mut Array2<f32>, at: Region, cfa: Cfa, frame: &Frame, shading: &Shading) {
+    let first = [at.col as f64 + 0.5, at.row as f64 + 0.5];
     let gains = shading.gain_table(frame.max_radius_mm());
     samples.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
         for (c, v) in row.iter_mut().enumerate() {
-            *v *= gains.at(cfa.channel(r, c), frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+            *v *= gains.at(cfa.channel(r, c), frame.radius_mm(c as f64 + first[0], r as f64 + first[1]));
         }
     });
 }
@@ -255,6 +268,11 @@ mod tests {
         let balance = Balance { black: [64.0; 4], white: [964.0; 4], neutral: [1.0; 3] };
         let input = network_input(mosaic.view(), cfa, &balance, Some((&frame, &shading)));
         assert!(input.iter().all(|v| (v - 0.5).abs() < 1e-4));
+        // A part of the frame is what it is in the whole.
+        let at = Region { row: 4, col: 6, rows: 8, cols: 10 };
+        let part = mosaic.slice(ndarray::s![4..12, 6..16]);
+        let part = network_input_at(part, at, cfa, &balance, Some((&frame, &shading)));
+        assert!(part.iter().all(|v| (v - 0.5).abs() < 1e-4));
     }
 
     #[test]

@@ -40,8 +40,8 @@ fn report() -> DemoReport {
         summary: "Figures made up for the test of this page; the lenses and their kernels are real.".into(),
         runtime: "2 threads, no inference".into(),
         settings: vec![("seed".into(), "1".into()), ("photographs".into(), "<built in>".into())],
-        before: Some(LensView::analysed(&before, 1000.0, 5).expect("traces")),
-        after: Some(LensView::analysed(&after, 1000.0, 5).expect("traces")),
+        before: Some(LensView::new(&before, 1000.0, 5, true).expect("traces")),
+        after: Some(LensView::new(&after, 1000.0, 5, true).expect("traces")),
         loss: vec![curve("Joint design: image loss", 0.02), curve("Final network: image loss", 0.5)],
         scenes: vec![scene("Rings", 1), scene("More rings", 2)],
         methods: vec![

@@ -128,10 +128,10 @@ impl Pages<'_> {
         for r in self.reports {
             self.named(page, r);
             let listing = Listing::new(&r.lens, r.overview.primary_nm);
-            page.table(&listing.surface_table());
-            page.table(&listing.media_table());
-            page.heading("First-order data");
-            page.table(&listing.first_order_table());
+            page.columns(&[
+                &[("Surfaces", &listing.surface_table()), ("Media", &listing.media_table())],
+                &[("First-order data", &listing.first_order_table())],
+            ]);
         }
     }
 
@@ -342,10 +342,9 @@ impl Pages<'_> {
                 let caption = |k: usize| format!("Image plane moved by {} µm.", significant(1e3 * o.shifts_mm[k], 3));
                 (0..o.shifts_mm.len()).map(|k| (make(k).to_svg(), caption(k))).collect()
             };
-            if o.settings.waves.is_some() {
-                page.stepped(&steps(&|k| diffraction(o, k)), middle, "focus");
-            }
-            page.stepped(&steps(&|k| frequency(o, Some(k))), middle, "focus");
+            let waves = o.settings.waves.is_some().then(|| steps(&|k| diffraction(o, k)));
+            let each: Vec<_> = waves.into_iter().chain([steps(&|k| frequency(o, Some(k)))]).collect();
+            page.stepped_beside(&each, middle, "focus", 440);
         }
         let names = ["mtf_diffraction_field", "mtf_diffraction_focus", "mtf_field", "mtf_focus"];
         let made =
@@ -385,10 +384,11 @@ impl Pages<'_> {
             if !pictures.is_empty() {
                 page.pictures(&pictures, 150)?;
             }
+            let by = if measured.by.is_empty() { String::new() } else { format!(" ({})", measured.by) };
             let worst = measured.worst().map_or("no edge".to_owned(), |w| significant(w, 2));
             page.note(&format!(
                 "Slanted edges (e-SFR, {TILT_DEG}° off the meridian and off its perpendicular) at the middle of patches on the way to the frame's farthest corner. Capture: green pixels of the reference \
-                 renderer's mosaic over the relative illumination, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise. Design: mean of exp(−2πi f·p) over rays along the measured \
+                 renderer's mosaic over the relative illumination, {} rays a pixel, without noise; reconstruction: green of what the network makes of the capture with noise{by}. Design: mean of exp(−2πi f·p) over rays along the measured \
                  normal in green light, times the MTF of a square pixel; no diffraction in either. Largest difference of capture and design up to half a cycle a pixel: {worst}; what the \
                  captures' rays leave of it is the uncertainty in the JSON. A network may sharpen edges more than fine texture.",
                 measured.settings.rays,

@@ -1,4 +1,5 @@
 use super::*;
+use crate::imaging::render::frame_of;
 use crate::lens::builtin;
 
 /// Rays from the object through the stop and rays from the sensor through the rear aperture see one MTF: within 0.02 everywhere up to half
@@ -20,7 +21,7 @@ fn what_an_edge_shows_is_what_rays_predict() {
         let frame = frame_of(&lens).expect("a frame");
         let settings = Settings { places: 3, rays: 1024, seed: 3 };
         let camera = by_rays(&lens, &sensor, &frame, settings);
-        let found = close(&lens, &sensor, settings, &camera, &mut |_| {}).expect("light");
+        let found = close(&lens, &sensor, &frame, settings, &camera, &mut |_| {}).expect("light");
         assert_eq!((found.places.len(), found.missing()), (3, Vec::<String>::new()));
         for place in &found.places {
             for (k, edge) in place.edges.iter().enumerate() {

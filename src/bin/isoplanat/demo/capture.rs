@@ -99,7 +99,7 @@ pub(crate) fn photograph(
         Tiling::new(settings.tile, radius.next_multiple_of(bare.config().multiple()), bare.config().multiple())?;
     let alone = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
         let run = |tile: ArrayView4<'_, f32>| bare.forward(tile);
-        tiles::run(input.view(), &Guide::bare(frame), tiling, 1, &run, &|_, _| ())
+        tiles::run(input.view(), Region::whole(frame), &Guide::bare(frame), tiling, 1, &run, &|_, _| ())
     })?
     .image;
     let psfs = local_psfs(renderer, settings.wiener_spacing)?;
