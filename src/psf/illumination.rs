@@ -12,6 +12,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use rayon::prelude::*;
 
 use super::fit::{Parity, chebyshev, dot, terms};
+use super::stop::Part;
 use super::table::{Row, RowBar, Table, TableBar, Taps, taps};
 
 /// Chords of the half `x > 0`.
@@ -39,6 +40,9 @@ pub struct Illumination {
     pub radii_mm: Vec<f64>,
     /// `[wavelength][radius]`, sr (for a sensor in air).
     pub irradiance: Vec<Vec<f64>>,
+    /// `[radius]`: what is open between knots' own parts of the stop and what they have in common ([`Row::part`]), by the light at the border, of
+    /// the light there; the largest of all wavelengths.
+    pub lost: Vec<f64>,
     edge_mm: f64,
     /// Out to here every wavelength has [`DIM`] of its light on the axis.
     lit_mm: f64,
@@ -55,15 +59,19 @@ impl Illumination {
         let radii_mm: Vec<f64> = (0..=count).map(|i| radius_mm * f64::from(i) / f64::from(count.max(1))).collect();
         let quadrature = Quadrature::new(table.spec.degree);
         let at = |l: usize, r: f64| {
-            if r > table.edge_mm { 0.0 } else { quadrature.integrate(table, &table.row(l, &table.taps(r))) }
+            if r > table.edge_mm { [0.0; 2] } else { quadrature.integrate(table, &table.row(l, &table.taps(r))) }
         };
-        let irradiance: Vec<Vec<f64>> = (0..table.spec.wavelength_nm.len())
+        let light: Vec<Vec<[f64; 2]>> = (0..table.spec.wavelength_nm.len())
             .into_par_iter()
             .map(|l| radii_mm.par_iter().map(|r| at(l, *r)).collect())
             .collect();
+        let share = |[light, lost]: [f64; 2]| if light > 0.0 { lost / light } else { 0.0 };
+        let lost = (0..radii_mm.len()).map(|k| light.iter().map(|of| share(of[k])).fold(0.0, f64::max)).collect();
+        let irradiance: Vec<Vec<f64>> =
+            light.into_iter().map(|of| of.into_iter().map(|[light, _]| light).collect()).collect();
         let dim = |k: &usize| irradiance.iter().any(|of| of[*k] < DIM * of[0]);
         let lit = (1..radii_mm.len()).find(dim).map_or(f64::INFINITY, |k| radii_mm[k - 1]);
-        Self { lit_mm: table.held(lit), radii_mm, irradiance, edge_mm: table.edge_mm, quadrature }
+        Self { lit_mm: table.held(lit), radii_mm, irradiance, lost, edge_mm: table.edge_mm, quadrature }
     }
 
     /// Irradiance at a radius by wavelength; held beyond the last radius, 0 where no light comes.
@@ -71,9 +79,15 @@ impl Illumination {
         if radius_mm > self.edge_mm {
             return vec![0.0; self.irradiance.len()];
         }
-        let taps = taps(&self.radii_mm, radius_mm, TAPS);
+        let taps = taps(&self.radii_mm, radius_mm, TAPS, TAPS);
         let of = |e: &Vec<f64>| taps.iter().map(|t| t.weight * e[t.knot]).sum::<f64>().max(0.0);
         self.irradiance.iter().map(of).collect()
+    }
+
+    /// [`Self::lost`] at a radius: the larger of its neighbours'.
+    pub fn lost_at(&self, radius_mm: f64) -> f64 {
+        let after = self.radii_mm.partition_point(|r| *r < radius_mm).min(self.radii_mm.len() - 1);
+        self.lost[after].max(self.lost[after.saturating_sub(1)])
     }
 
     /// The radius whose kernel stands for that of `radius_mm`: beyond the last place with light, that place's.
@@ -86,7 +100,7 @@ impl Illumination {
         if radius_mm > self.edge_mm {
             return;
         }
-        let taps = taps(&self.radii_mm, radius_mm, TAPS);
+        let taps = taps(&self.radii_mm, radius_mm, TAPS, TAPS);
         for ((e, bar), to) in self.irradiance.iter().zip(bars).zip(irradiance_bar) {
             if taps.iter().map(|t| t.weight * e[t.knot]).sum::<f64>() > 0.0 {
                 taps.iter().for_each(|t| to[t.knot] += t.weight * bar);
@@ -138,8 +152,9 @@ struct Quadrature {
 struct Chord {
     /// `T_p` at its x.
     across: Vec<f64>,
-    /// Half its length, and what it stands for (both halves of the disk).
-    half: f64,
+    /// Its x, the part of it that is looked at, and what it stands for (both halves of the disk).
+    x: f64,
+    ends: [f64; 2],
     weight: f64,
 }
 
@@ -163,9 +178,9 @@ impl Quadrature {
             })
             .collect();
         let mut rule = Self { disk: vec![0.0; terms.len()], degree, rim, terms, chords: Vec::new() };
-        rule.chords = rule.chords_of(1.0);
+        rule.chords = rule.chords_of(Part::WHOLE);
         for chord in &rule.chords {
-            let whole = Open { ends: [-chord.half, chord.half], by: [None; 2] };
+            let whole = Open { ends: chord.ends, by: [None; 2] };
             for (y, w) in gauss(&whole) {
                 let along = chebyshev(y, degree).0;
                 for (d, (p, q)) in rule.disk.iter_mut().zip(&rule.terms) {
@@ -176,19 +191,20 @@ impl Quadrature {
         rule
     }
 
-    /// Chords of the part `kept` of the disk.
-    fn chords_of(&self, kept: f64) -> Vec<Chord> {
-        let step = FRAC_PI_2 / f64::from(CHORDS);
+    /// Chords of a part of the disk.
+    fn chords_of(&self, part: Part) -> Vec<Chord> {
+        let (step, radius) = (FRAC_PI_2 / f64::from(CHORDS), part.radius);
         let chord = |i: u32| {
-            let (x, half) = ((f64::from(i) + 0.5) * step).sin_cos();
-            Chord { across: chebyshev(kept * x, self.degree).0, half: kept * half, weight: 2.0 * kept * half * step }
+            let (sin, cos) = ((f64::from(i) + 0.5) * step).sin_cos();
+            let x = radius * sin;
+            Chord { across: chebyshev(x, self.degree).0, x, ends: part.chord(x), weight: 2.0 * radius * cos * step }
         };
         (0..CHORDS).map(chord).collect()
     }
 
     /// The same; those of the whole disk are at hand.
-    fn chords(&self, kept: f64) -> Cow<'_, [Chord]> {
-        if kept == 1.0 { Cow::Borrowed(&self.chords) } else { Cow::Owned(self.chords_of(kept)) }
+    fn chords(&self, part: Part) -> Cow<'_, [Chord]> {
+        if part.is_whole() { Cow::Borrowed(&self.chords) } else { Cow::Owned(self.chords_of(part)) }
     }
 
     /// Coefficients in y along a chord of the even function `c`.
@@ -202,20 +218,29 @@ impl Quadrature {
 
     /// Whether the whole disk is open.
     fn open(&self, table: &Table, row: &Row) -> bool {
-        row.kept >= 1.0 && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
+        row.part.is_whole()
+            && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
     }
 
-    fn integrate(&self, table: &Table, row: &Row) -> f64 {
+    /// The light of the part that is known, and what may be open beyond it.
+    fn integrate(&self, table: &Table, row: &Row) -> [f64; 2] {
         if self.open(table, row) {
-            return dot(&self.disk, row.weight(table));
+            return [dot(&self.disk, row.weight(table)), 0.0];
         }
-        let chords = self.chords(row.kept);
+        let chords = self.chords(row.part);
         let sums = chords.iter().map(|chord| {
             let weight = self.along(row.weight(table), chord);
             let open = self.intervals(table, row, chord);
-            chord.weight * open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>()
+            let light = open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>();
+            let known = row.known.chord(chord.x);
+            let beyond = |o: &Open, side: usize| {
+                let farther = (o.ends[side] - known[side]).abs();
+                if o.by[side].is_none() { farther * series(&weight, o.ends[side]).0.max(0.0) } else { 0.0 }
+            };
+            let lost = open.iter().map(|o| beyond(o, 0) + beyond(o, 1)).sum::<f64>();
+            [chord.weight * light, chord.weight * lost]
         });
-        sums.sum()
+        sums.fold([0.0; 2], |[a, b], [light, lost]| [a + light, b + lost])
     }
 
     fn integrate_vjp(&self, table: &Table, row: &Row, bar: f64, row_bar: &mut RowBar) {
@@ -223,7 +248,7 @@ impl Quadrature {
             row_bar.weight(table).iter_mut().zip(&self.disk).for_each(|(a, d)| *a += bar * d);
             return;
         }
-        for chord in self.chords(row.kept).iter() {
+        for chord in self.chords(row.part).iter() {
             let weight = self.along(row.weight(table), chord);
             for open in self.intervals(table, row, chord) {
                 for (y, w) in gauss(&open) {
@@ -254,9 +279,12 @@ impl Quadrature {
 
     /// Parts of a chord where no aperture cuts.
     fn intervals(&self, table: &Table, row: &Row, chord: &Chord) -> Vec<Open> {
+        if chord.ends[0] >= chord.ends[1] {
+            return Vec::new();
+        }
         // A series whose first coefficient outweighs the others has one sign: it cuts nothing, or all.
         let mut clips: Vec<Vec<f64>> = Vec::new();
-        let mut cuts: Vec<(f64, Option<usize>)> = vec![(-chord.half, None), (chord.half, None)];
+        let mut cuts: Vec<(f64, Option<usize>)> = chord.ends.map(|y| (y, None)).to_vec();
         for k in 0..table.clips.len() {
             let clip = self.along(row.clip(table, k), chord);
             let others: f64 = clip[1..].iter().map(|c| c.abs()).sum();
@@ -266,7 +294,7 @@ impl Quadrature {
             if clip[0] < -others {
                 return Vec::new();
             }
-            cuts.extend(roots(&clip, chord.half).into_iter().map(|y| (y, Some(k))));
+            cuts.extend(roots(&clip, chord.ends).into_iter().map(|y| (y, Some(k))));
             clips.push(clip);
         }
         cuts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -296,9 +324,9 @@ fn series(c: &[f64], y: f64) -> (f64, f64) {
     (c[0] + y * b1 - b2, b1 + y * d1 - d2)
 }
 
-/// Sign changes of a series over `−half..half`: between [`SAMPLES`] samples, and pairs of them inside one interval.
-fn roots(c: &[f64], half: f64) -> Vec<f64> {
-    let at = |i: u32| half * (2.0 * f64::from(i) / f64::from(SAMPLES) - 1.0);
+/// Sign changes of a series between two ends: between [`SAMPLES`] samples, and pairs of them inside one interval.
+fn roots(c: &[f64], [from, to]: [f64; 2]) -> Vec<f64> {
+    let at = |i: u32| 0.5 * (from + to) + 0.5 * (to - from) * (2.0 * f64::from(i) / f64::from(SAMPLES) - 1.0);
     let values: Vec<(f64, f64)> = (0..=SAMPLES).map(|i| series(c, at(i))).collect();
     let mut out = Vec::new();
     for (i, pair) in (0..SAMPLES).zip(values.windows(2)) {
@@ -375,12 +403,12 @@ mod tests {
             for sign in [1.0, -1.0] {
                 // ±(half² − (y − middle)²).
                 let c = [half * half - middle * middle - 0.5, 2.0 * middle, -0.5].map(|v| sign * v);
-                let found = roots(&c, 0.9);
+                let found = roots(&c, [-0.9, 0.9]);
                 assert_eq!(found.len(), 2, "{middle} {half}");
                 assert_abs(found[0], middle - half, 1e-12 / half, "below");
                 assert_abs(found[1], middle + half, 1e-12 / half, "above");
             }
         }
-        assert!(roots(&[-0.5 - 1e-9, 0.0, -0.5], 0.9).is_empty(), "no more than touches");
+        assert!(roots(&[-0.5 - 1e-9, 0.0, -0.5], [-0.9, 0.9]).is_empty(), "no more than touches");
     }
 }

@@ -46,8 +46,6 @@ impl Place {
 pub struct KernelForm {
     /// Dense points of the stop.
     pub points: StopPoints,
-    /// Nodes that displacements are fitted at.
-    pub nodes: StopNodes,
     /// Weight of every wavelength of the table in every channel, `[channel][wavelength]`; each channel sums to one.
     pub weight: Vec<Vec<f64>>,
     /// Size and samples a cell.
@@ -180,8 +178,8 @@ impl KernelForm {
         let mut light: Vec<f64> = even.at(Of::Value, row.weight(table));
         light.iter_mut().for_each(|w| *w = w.max(0.0));
         let width = WIDTH * self.points.spacing;
-        if row.kept < 1.0 {
-            let at = |p: &glam::DVec2| ramp((row.kept - p.length()) / width).0;
+        if !row.part.is_whole() {
+            let at = |p: &glam::DVec2| ramp(row.part.depth(*p) / width).0;
             light.iter_mut().zip(&self.points.points).for_each(|(w, p)| *w *= at(p));
         }
         let mut edges = Vec::new();
@@ -214,8 +212,9 @@ impl KernelForm {
 
     /// Coefficients of the displacement `x − D(u)`, across the meridian (odd) and along it (even), mm.
     fn displacement(&self, table: &Table, map: &SensorMap, row: &Row, radius_mm: f64) -> [Vec<f64>; 2] {
-        let [even, odd] = &self.nodes.coefficients;
-        let (mut x, mut y) = self.slopes(table, map, row);
+        let nodes = table.nodes(row.part);
+        let [even, odd] = &nodes.coefficients;
+        let (mut x, mut y) = Self::slopes(&nodes, table, map, row);
         for (x, y) in x.iter_mut().zip(&mut y) {
             let ([px, py], _) = map.point([*x, *y], radius_mm);
             (*x, *y) = (-px, radius_mm - py);
@@ -224,8 +223,8 @@ impl KernelForm {
     }
 
     /// Object slopes at the nodes.
-    fn slopes(&self, table: &Table, map: &SensorMap, row: &Row) -> (Vec<f64>, Vec<f64>) {
-        let [even, odd] = &self.nodes.at_nodes;
+    fn slopes(nodes: &StopNodes, table: &Table, map: &SensorMap, row: &Row) -> (Vec<f64>, Vec<f64>) {
+        let [even, odd] = &nodes.at_nodes;
         let [sx, sy] = row.slope(table, map.vergence);
         (odd.at(Of::Value, &sx), even.at(Of::Value, &sy))
     }
@@ -363,7 +362,7 @@ impl KernelForm {
             .points
             .points
             .iter()
-            .map(|p| if row.kept < 1.0 { ramp((row.kept - p.length()) / width).0 } else { 1.0 })
+            .map(|p| if row.part.is_whole() { 1.0 } else { ramp(row.part.depth(*p) / width).0 })
             .collect();
         let shared = |q: usize, but: usize| {
             let others = edges.iter().enumerate().filter(|(k, _)| *k != but);
@@ -387,18 +386,19 @@ impl KernelForm {
             }
         }
         // Displacements: to coefficients, to nodes, through the map, to slopes.
-        let [from_even, from_odd] = &self.nodes.coefficients;
+        let nodes = table.nodes(row.part);
+        let [from_even, from_odd] = &nodes.coefficients;
         let mut c_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
         odd.pull(Of::Value, &bar.x, &mut c_bar[0]);
         even.pull(Of::Value, &bar.y, &mut c_bar[1]);
         let (mut x_bar, mut y_bar) = (apply_transposed(from_odd, &c_bar[0]), apply_transposed(from_even, &c_bar[1]));
-        let (ux, uy) = self.slopes(table, map, row);
+        let (ux, uy) = Self::slopes(&nodes, table, map, row);
         for j in 0..ux.len() {
             let u = [ux[j], uy[j]];
             let radius = map.point(u, radius_mm).1;
             [x_bar[j], y_bar[j]] = map.point_vjp(u, radius, [-x_bar[j], -y_bar[j]], map_bar);
         }
-        let [at_even, at_odd] = &self.nodes.at_nodes;
+        let [at_even, at_odd] = &nodes.at_nodes;
         let mut s_bar = [vec![0.0; from_odd.nrows()], vec![0.0; from_even.nrows()]];
         at_odd.pull(Of::Value, &x_bar, &mut s_bar[0]);
         at_even.pull(Of::Value, &y_bar, &mut s_bar[1]);

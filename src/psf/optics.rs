@@ -27,7 +27,7 @@ use super::illumination::{Illumination, IlluminationBar};
 use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place};
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
-use super::stop::{StopNodes, StopPoints};
+use super::stop::StopPoints;
 use super::table::{Table, TableBar, TableSpec};
 use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient};
@@ -59,7 +59,7 @@ pub struct OpticsSpec {
 impl OpticsSpec {
     /// Sixteen even intervals to `radius_mm`, degree 9.
     pub fn even(radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
-        let radii_mm = (0..=16).map(|i| radius_mm * f64::from(i) / 16.0).collect();
+        let radii_mm = (0..=64).map(|i| radius_mm * f64::from(i) / 64.0).collect();
         Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256 }
     }
 }
@@ -191,7 +191,6 @@ impl Optics {
     pub fn form(&self, dense: usize, size: usize, samples: usize, cell_mm: f64) -> KernelForm {
         KernelForm {
             points: StopPoints::new(self.spec.degree, dense),
-            nodes: StopNodes::new(self.spec.degree, 1.0),
             weight: self.spec.quadrature.weight.clone(),
             raster: Raster { size, samples },
             cell_mm,

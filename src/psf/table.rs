@@ -8,18 +8,20 @@
 //! through the nearest six; the axis counts as a point of symmetry. Cotangents add up in a [`TableBar`] and go back to the
 //! lens once, [`Table::vjp`].
 //!
-//! Where rays of the outer stop fail, the largest concentric part of it whose nodes all survive is kept
-//! ([`Row::kept`]). Light ends at the first knot where none does ([`Table::edge_mm`]).
+//! Where rays of the outer stop fail, a part of it whose nodes all survive is kept ([`Row::part`]): less at the ends along the meridian, since one end
+//! of the beam fails first, or a smaller disk, if that is more. What is open beyond it is lost ([`super::illumination::Illumination::lost`] says how
+//! much). Light ends at the first knot where no part survives ([`Table::edge_mm`]).
 
 mod beam;
 mod refine;
 
 use std::ops::Range;
+use std::sync::Arc;
 
 use rayon::prelude::*;
 
 use super::fit::{Parity, terms};
-use super::stop::StopNodes;
+use super::stop::{Part, StopNodes};
 use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::SensorView;
@@ -96,8 +98,10 @@ impl Layout {
 #[derive(Clone, Debug)]
 pub struct Row {
     coefficients: Vec<f64>,
-    /// Part of the unit stop's radius that light comes through.
-    pub kept: f64,
+    /// Part of the unit stop over which the polynomials stand for rays.
+    pub part: Part,
+    /// What the next knot inwards knows: beyond it rays fail.
+    pub known: Part,
 }
 
 /// One knot of an interpolation.
@@ -112,6 +116,8 @@ pub(super) struct Tap {
 #[derive(Clone, Debug)]
 pub struct Taps {
     all: Vec<Tap>,
+    /// The last knot that lies no farther out.
+    inner: usize,
     /// What interpolated crossings and slopes are divided by ([`Table::horizon`]).
     below: f64,
 }
@@ -189,7 +195,7 @@ impl Table {
         spec.wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))?;
         let views = views(lens, &spec.wavelength_nm);
         let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
-        let mut bases = Bases::new(spec.degree);
+        let bases = Bases::new(spec.degree);
         let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
         let traced: Vec<std::result::Result<(Vec<Beam>, Chief), Failure>> = spec
             .radii_mm
@@ -222,7 +228,6 @@ impl Table {
         let clips = beam::near_apertures(&views, &beams);
         let [even, odd] = StopNodes::terms(spec.degree);
         let layout = Layout { even, odd, clips: clips.len() };
-        bases.prepare(beams.iter().flatten().map(|b| b.kept));
         let mut rows: Vec<Vec<Row>> = beams
             .par_iter()
             .map(|beams| beams.iter().zip(&views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
@@ -268,9 +273,14 @@ impl Table {
         half
     }
 
-    /// Smallest part of the stop's radius that light comes through at any knot.
+    /// Smallest part of the stop's area that rays are known over at any knot.
     pub fn kept(&self) -> f64 {
-        self.pupil * self.rows.iter().flatten().map(|r| r.kept).fold(1.0, f64::min)
+        self.pupil.powi(2) * self.rows.iter().flatten().map(|r| r.part.share()).fold(1.0, f64::min)
+    }
+
+    /// Nodes of a part of the stop.
+    pub(super) fn nodes(&self, part: Part) -> Arc<StopNodes> {
+        self.bases.of(part)
     }
 
     /// The radius whose rays stand for those of `radius_mm`: beyond the last knot with light, that knot's.
@@ -281,12 +291,23 @@ impl Table {
     /// Knots and weights at a sensor radius; held beyond the last knot.
     pub fn taps(&self, radius_mm: f64) -> Taps {
         let held = self.held(radius_mm);
-        Taps { all: taps(&self.spec.radii_mm, radius_mm, TAPS), below: 1.0 - held * held * self.horizon }
+        // Knots farther out that see less of the stop than the next one does are not read.
+        let after = self.spec.radii_mm.partition_point(|r| *r <= held);
+        let farther = self.rows.get(after..(after + TAPS / 2).min(self.rows.len())).unwrap_or_default();
+        let all = |of: &[Vec<Row>], l: usize| of.iter().map(|row| row[l].part).fold(Part::WHOLE, Part::common);
+        let narrows =
+            (0..self.spec.wavelength_nm.len()).any(|l| all(farther, l) != all(farther.get(..1).unwrap_or_default(), l));
+        let beyond = if narrows { 1 } else { TAPS / 2 };
+        Taps {
+            all: taps(&self.spec.radii_mm, radius_mm, TAPS, beyond),
+            inner: after.saturating_sub(1),
+            below: 1.0 - held * held * self.horizon,
+        }
     }
 
     /// The polynomials of wavelength `l` at an interpolated radius.
     pub fn row(&self, l: usize, taps: &Taps) -> Row {
-        let mut row = Row { coefficients: vec![0.0; self.layout.len()], kept: 0.0 };
+        let mut row = Row { coefficients: vec![0.0; self.layout.len()], part: Part::WHOLE, known: Part::WHOLE };
         for t in &taps.all {
             let from = &self.rows[t.knot][l];
             let pairs = row.coefficients.iter_mut().zip(&from.coefficients);
@@ -299,8 +320,10 @@ impl Table {
         if self.horizon > 0.0 {
             row.coefficients[..self.layout.weight().start].iter_mut().for_each(|c| *c /= taps.below);
         }
-        // The part that is kept has corners: the least of the knots' that are read.
-        row.kept = taps.all.iter().map(|t| self.rows[t.knot][l].kept).fold(1.0, f64::min);
+        // Parts have corners: what all knots have that are read.
+        let of = |t: &Tap| if t.mirrored { self.rows[t.knot][l].part.turned() } else { self.rows[t.knot][l].part };
+        row.part = taps.all.iter().map(of).fold(Part::WHOLE, Part::common);
+        row.known = row.part.around(self.rows[taps.inner][l].part);
         row
     }
 
@@ -408,14 +431,15 @@ fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
     wavelength_nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect()
 }
 
-/// Knots and Lagrange weights at `radius_mm`; radii are mirrored at the axis, held beyond the last.
-pub(super) fn taps(radii: &[f64], radius_mm: f64, most: usize) -> Vec<Tap> {
+/// Knots and Lagrange weights at `radius_mm`, at most `beyond` of them farther out; radii are mirrored at the axis, held beyond the last.
+pub(super) fn taps(radii: &[f64], radius_mm: f64, most: usize, beyond: usize) -> Vec<Tap> {
     let n = radii.len();
     let radius = radius_mm.min(radii[n - 1]);
     // Signed indices: −k is knot k mirrored.
     let after = radii.partition_point(|r| *r <= radius).cast_signed();
     let count = most.min(2 * n - 1);
-    let first = (after - (count / 2).cast_signed()).min(n.cast_signed() - count.cast_signed());
+    let most_beyond = after + beyond.cast_signed() - count.cast_signed();
+    let first = (after - (count / 2).cast_signed()).min(n.cast_signed() - count.cast_signed()).min(most_beyond);
     let at = |i: isize| if i < 0 { -radii[i.unsigned_abs()] } else { radii[i.unsigned_abs()] };
     (first..first + count.cast_signed())
         .map(|i| {

@@ -106,11 +106,11 @@ impl Page {
         self.add(Self::tabled(table))
     }
 
-    /// Columns of tables below their headings, beside each other where there is room.
-    pub fn columns(&mut self, columns: &[&[(&str, &Table)]]) -> &mut Self {
-        self.add(html! { div.columns { @for column in columns { div {
-            @for (heading, table) in *column { @if !heading.is_empty() { h3 { (heading) } } (Self::tabled(table)) }
-        } } } })
+    /// A drawing and a table below its heading, beside each other where there is room.
+    pub fn drawing_beside(&mut self, svg: &str, heading: &str, table: &Table) -> &mut Self {
+        self.add(html! {
+            div.columns { figure { (PreEscaped(svg)) } div { h3 { (heading) } (Self::tabled(table)) } }
+        })
     }
 
     fn tabled(table: &Table) -> Markup {

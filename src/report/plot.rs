@@ -79,6 +79,8 @@ const HEIGHT: f64 = 306.0;
 /// Left, right, top, bottom of the drawn area, px.
 const FRAME: [f64; 4] = [62.0, 426.0, 56.0, 254.0];
 
+/// Letters of a heading that has room, px.
+const TITLE: f64 = 15.0;
 /// Height of the first row of names.
 const FIRST_ROW: f64 = 40.0;
 
@@ -111,7 +113,8 @@ impl Plot {
         let at =
             |p: [f64; 2]| [left + x_axis.share(p[0]) * (right - left), bottom - y_axis.share(p[1]) * (bottom - top)];
         let mut svg = Svg::new(WIDTH, height);
-        svg.text([left, 20.0], Anchor::Start, 15.0, &self.title);
+        let size = TITLE.min(TITLE * (WIDTH - left - 4.0) / text_width(&self.title, TITLE).max(1.0));
+        svg.text([left, 20.0], Anchor::Start, size, &self.title);
         let grid = "stroke=\"currentColor\" stroke-opacity=\".14\"";
         for t in &x_axis.ticks {
             let x = at([x_axis.value(*t), y_axis.value(y_axis.low)])[0];

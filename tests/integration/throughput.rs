@@ -5,12 +5,14 @@ use std::f64::consts::TAU;
 use glam::{DVec2, DVec3};
 use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_order, unchecked};
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature};
+use isoplanat::report::field::FieldLine;
 use isoplanat::testing::{assert_rel, central_difference};
 use isoplanat::trace::aim::{ParaxialPupil, SensorView, aim};
 use isoplanat::trace::launch::{FieldPoint, launch};
 use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
 use isoplanat::trace::{Ray, System};
+use rayon::prelude::*;
 
 const NM: f64 = 550.0;
 
@@ -132,6 +134,70 @@ fn the_soft_edge_has_little_bias() {
     eprintln!("hard edges {worst_hard:.2e}; worst bias {a:.2e} (60 points), {b:.2e} (200), {c:.2e} (3000)");
     assert!(b < 1e-2 && c < 2e-3, "{worst:?}");
     assert!(worst_hard < 5e-4, "{worst_hard:e}");
+}
+
+/// Irradiance of every ray from the rear aperture, as [`hard_irradiance`] has it, but that nothing is aimed: a coarse raster over the rear surface
+/// tells where a fine one is needed.
+fn counted(lens: &Lens, nm: f64, radius_mm: f64) -> f64 {
+    let view = SensorView::new(&System::new(lens, nm));
+    let (system, at) = (&view.system, DVec2::new(0.0, radius_mm));
+    let rear = lens.surfaces.last().expect("surfaces");
+    let wide = 1.05 * rear.semi_diameter;
+    let depth = (rear.shape.curvature * wide).abs().min(1.0);
+    let sag = wide * depth / (1.0 + (1.0 - depth * depth).sqrt());
+    let far = [rear.thickness - sag, rear.thickness + sag, (rear.thickness + sag).hypot(wide)];
+    let cosines = [-wide, wide].into_iter().flat_map(|y| far.map(|d| (y - radius_mm) / (y - radius_mm).hypot(d)));
+    let (low, high) = cosines.fold((1.0f64, -1.0f64), |(a, b), c| (a.min(c), b.max(c)));
+    // By symmetry half of it: across from 0, along the meridian from low to high.
+    let mut frame = [DVec2::new(0.0, low), DVec2::new(wide / wide.hypot(far[0]), high)];
+    let mut hits = Vec::new();
+    let mut sum = 0.0;
+    for side in [160, 700] {
+        let step = (frame[1] - frame[0]) / f64::from(side);
+        let open: Vec<DVec2> = (0..side * side)
+            .map(|k| frame[0] + step * DVec2::new(f64::from(k % side) + 0.5, f64::from(k / side) + 0.5))
+            .filter(|p| p.length_squared() < 1.0)
+            .filter(|p| {
+                let direction = p.extend((1.0 - p.length_squared()).sqrt());
+                let ray = Ray { origin: at.extend(0.0), direction };
+                trace(system, ray, system.image(), &mut hits).is_ok() && first_vignetted(system, &hits).is_none()
+            })
+            .collect();
+        sum = 2.0 * step.x * step.y * f64::from(u32::try_from(open.len()).expect("a raster"));
+        let (from, to) = open.iter().fold((DVec2::INFINITY, -DVec2::INFINITY), |(a, b), p| (a.min(*p), b.max(*p)));
+        frame = [(from - 2.0 * step).max(DVec2::new(0.0, -1.0)), to + 2.0 * step];
+    }
+    view.image_index().powi(2) * sum
+}
+
+/// Light over the field of lenses whose stop's rim is not seen from everywhere, or hardly: rays of a part of the stop fail, mostly of one that other
+/// apertures close.
+#[test]
+fn light_over_the_field_is_counted_light() {
+    let names = ["biotar", "sonnar", "tessar", "heliar", "petzval", "retrofocus", "wide_angle", "hologon", "phone"];
+    let found: Vec<(f64, String)> = names
+        .into_par_iter()
+        .flat_map_iter(|name| {
+            let lens = builtin::lens(name).expect("shipped");
+            let radius = FieldLine::new(&lens, lens.object_vergence, 2).expect("a field").radius_mm[1];
+            let quadrature = Quadrature { nm: vec![NM], weight: vec![vec![1.0]] };
+            let optics = Optics::compute(&lens, &OpticsSpec::even(radius, vec![lens.object_vergence], quadrature));
+            let optics = optics.expect("light");
+            let axis = counted(&lens, NM, 0.0);
+            [0.6, 0.8, 0.85, 0.9, 0.95, 1.0].map(|part| {
+                let r = part * radius;
+                let expected = counted(&lens, NM, r) / axis;
+                let found = optics.relative_illumination(r)[0];
+                let part = optics.table.row(0, &optics.table.taps(r)).part;
+                let (lost, heights) = (optics.illumination.lost_at(r), part.heights);
+                let line = format!("{name} {r:.2} mm: {found:.4}, counted {expected:.4}; {heights:?}, lost {lost:.1e}");
+                ((found - expected).abs(), line)
+            })
+        })
+        .collect();
+    found.iter().for_each(|(_, line)| eprintln!("{line}"));
+    let worst = found.into_iter().reduce(|a, b| if a.0 > b.0 { a } else { b }).expect("some");
+    assert!(worst.0 < 2e-3, "{}", worst.1);
 }
 
 /// Irradiance at a sensor point and its gradient.

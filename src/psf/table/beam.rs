@@ -1,45 +1,44 @@
 //! The rays of one sensor point and wavelength through the nodes of the stop, as polynomials, and back.
 
 use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use glam::DVec2;
 
 use super::super::fit::{Of, apply, apply_transposed};
-use super::super::stop::StopNodes;
+use super::super::stop::{Part, StopNodes};
 use super::{Layout, Row, STEEPEST, STEEPEST_RAY};
 use crate::trace::aim::{Crossings, SceneRayBar, SensorView};
 use crate::trace::sequential::Hit;
 use crate::trace::{Cause, Failure, SystemGradient};
 
-/// Parts of the unit stop's radius tried in turn where rays fail.
-const PARTS: [f64; 6] = [1.0, 0.93, 0.85, 0.75, 0.6, 0.4];
+/// Heights of caps, steps to the stop's radius, and radii of the unit stop that are tried where rays fail.
+const STEPS: u32 = 1000;
+const RADII: [f64; 5] = [0.93, 0.85, 0.75, 0.6, 0.4];
 /// Parts of the stop's radius tried in turn for the unit stop: a stop may be larger than anything that comes through.
 const PUPILS: [f64; 9] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02];
 /// Apertures that a ray passes nearer to its edge than this part of its radius may clip some other ray.
 const NEAR: f64 = 0.85;
 
-/// Nodes and matrices by the part of the unit stop that they cover.
+/// Nodes and matrices by the part of the unit stop that they cover; those of smaller parts when they are asked for.
 #[derive(Clone, Debug)]
 pub(super) struct Bases {
-    degree: usize,
-    of: HashMap<u64, StopNodes>,
+    whole: Arc<StopNodes>,
+    parts: Arc<Mutex<HashMap<[u64; 3], Arc<StopNodes>>>>,
 }
 
 impl Bases {
     pub(super) fn new(degree: usize) -> Self {
-        let mut bases = Self { degree, of: HashMap::new() };
-        bases.prepare(PARTS.into_iter());
-        bases
+        Self { whole: Arc::new(StopNodes::new(degree, Part::WHOLE)), parts: Arc::default() }
     }
 
-    pub(super) fn prepare(&mut self, kept: impl Iterator<Item = f64>) {
-        for part in kept {
-            self.of.entry(part.to_bits()).or_insert_with(|| StopNodes::new(self.degree, part));
+    pub(super) fn of(&self, part: Part) -> Arc<StopNodes> {
+        if part.is_whole() {
+            return Arc::clone(&self.whole);
         }
-    }
-
-    pub(super) fn of(&self, kept: f64) -> &StopNodes {
-        &self.of[&kept.to_bits()]
+        let mut parts = self.parts.lock().unwrap_or_else(PoisonError::into_inner);
+        let key = [part.radius, part.heights[0], part.heights[1]].map(f64::to_bits);
+        Arc::clone(parts.entry(key).or_insert_with(|| Arc::new(StopNodes::new(self.whole.degree, part))))
     }
 }
 
@@ -47,7 +46,7 @@ impl Bases {
 #[derive(Clone, Debug)]
 pub(super) struct Beam {
     radius_mm: f64,
-    pub(super) kept: f64,
+    pub(super) part: Part,
     /// Radius of the unit stop, mm, over the stop's.
     pupil: f64,
     pub(super) nodes: Vec<Crossings>,
@@ -57,7 +56,8 @@ pub(super) struct Beam {
 pub(super) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
     let mut failure = None;
     for part in PUPILS {
-        let tried = views.iter().try_for_each(|view| Beam::nodes(view, bases.of(1.0), 0.0, part, None).map(|_| ()));
+        let tried =
+            views.iter().try_for_each(|view| Beam::nodes(view, &bases.whole.nodes, 0.0, part, None).map(|_| ()));
         match tried {
             Ok(()) => return Ok(part),
             Err(f) => failure = failure.or(Some(f)),
@@ -80,20 +80,41 @@ impl Beam {
         pupil: f64,
         near: Option<&Self>,
     ) -> Result<Self, Failure> {
-        let mut failure = None;
-        for kept in PARTS {
-            let near = near.filter(|b| b.kept == kept);
-            match Self::nodes(view, bases.of(kept), radius_mm, pupil, near) {
-                Ok(nodes) => return Ok(Self { radius_mm, kept, pupil, nodes }),
-                Err(f) => failure = failure.or(Some(f)),
+        let through = |part: Part| {
+            let near = near.filter(|b| b.part == part);
+            let nodes = Self::nodes(view, &bases.of(part).nodes, radius_mm, pupil, near)?;
+            Ok(Self { radius_mm, part, pupil, nodes })
+        };
+        let failure = match through(Part::WHOLE) {
+            Ok(beam) => return Ok(beam),
+            Err(f) => f,
+        };
+        // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly.
+        let height = |step: u32| f64::from(step) / f64::from(STEPS);
+        let reach = |heights: &dyn Fn(f64) -> [f64; 2]| {
+            let seen = |step: u32| {
+                let nodes = Part::between(heights(height(step))).nodes(bases.whole.degree);
+                Self::nodes(view, &nodes, radius_mm, pupil, None).is_ok()
+            };
+            let (mut through, mut fails) = (0, STEPS + 1);
+            while fails - through > 1 {
+                let middle = u32::midpoint(through, fails);
+                *(if seen(middle) { &mut through } else { &mut fails }) = middle;
             }
-        }
-        Err(failure.expect("at least one part was tried"))
+            through
+        };
+        let (high, low) = (reach(&|h| [0.0, h]), reach(&|h| [-h, 0.0]));
+        // A step less: rays that hardly get through run steeply over the stop.
+        let fewer = (1..high.min(low)).step_by(20).map(|k| Part::between([-height(low - k), height(high - k)]));
+        let caps = fewer.into_iter().find_map(|part| through(part).ok());
+        let enough = caps.as_ref().map_or(0.0, |c| c.part.share());
+        let disk = RADII.iter().filter(|r| r.powi(2) > enough).find_map(|r| through(Part::disk(*r)).ok());
+        disk.or(caps).ok_or(failure)
     }
 
     fn nodes(
         view: &SensorView,
-        basis: &StopNodes,
+        places: &[DVec2],
         radius_mm: f64,
         pupil: f64,
         near: Option<&Self>,
@@ -102,7 +123,7 @@ impl Beam {
         let scale = pupil * view.system.stop_semi_diameter;
         let mut chief_hits: Vec<Hit> = Vec::new();
         let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits)?;
-        let targets: Vec<DVec2> = basis.nodes.iter().map(|s| *s * scale).collect();
+        let targets: Vec<DVec2> = places.iter().map(|s| *s * scale).collect();
         let starts: Vec<DVec2> = match near {
             Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
             None => targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect(),
@@ -133,7 +154,7 @@ impl Beam {
 
     /// The polynomials; `clips` are surfaces of the lens.
     pub(super) fn row(&self, view: &SensorView, bases: &Bases, layout: &Layout, clips: &[usize]) -> Row {
-        let basis = bases.of(self.kept);
+        let basis = &*bases.of(self.part);
         let [even, odd] = &basis.coefficients;
         let mut out = Vec::with_capacity(layout.len());
         out.extend(apply(odd, &self.values(|n| n.ray.entrance.x)));
@@ -149,7 +170,7 @@ impl Beam {
             let square = view.system.surfaces[k].semi_diameter.powi(2);
             out.extend(apply(even, &self.values(|n| 1.0 - n.heights[k].length_squared() / square)));
         }
-        Row { coefficients: out, kept: self.kept }
+        Row { coefficients: out, part: self.part, known: self.part }
     }
 
     /// `∂L/∂x, ∂L/∂y` and `∂M/∂x, ∂M/∂y` over the unit stop, at the nodes.
@@ -174,7 +195,7 @@ impl Beam {
         if bar.iter().all(|b| *b == 0.0) {
             return;
         }
-        let basis = bases.of(self.kept);
+        let basis = &*bases.of(self.part);
         let [even, odd] = &basis.coefficients;
         let [ex, ey] = layout.entrance();
         let [gx, gy] = layout.slope();
@@ -253,7 +274,7 @@ pub(super) fn near_apertures(views: &[SensorView], beams: &[Vec<Beam>]) -> Vec<u
 
 /// Largest distance of the slopes at the nodes from their polynomial, relative to their range.
 pub(super) fn residual(beam: &Beam, row: &Row, bases: &Bases, layout: &Layout) -> f64 {
-    let fitted = bases.of(beam.kept).at_nodes[0].at(Of::Value, &row.coefficients[layout.slope()[1].clone()]);
+    let fitted = bases.of(beam.part).at_nodes[0].at(Of::Value, &row.coefficients[layout.slope()[1].clone()]);
     let values = beam.values(|n| n.ray.slope.y);
     let (low, high) = values.iter().fold((f64::MAX, f64::MIN), |(a, b), v| (a.min(*v), b.max(*v)));
     let worst = fitted.iter().zip(&values).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

@@ -4,7 +4,8 @@ use rayon::prelude::*;
 
 use super::super::fit::Of;
 use super::super::sensor_map::SensorMap;
-use super::{Table, TableSpec};
+use super::super::stop::StopPoints;
+use super::{Row, Table, TableSpec};
 use crate::error::Result;
 use crate::lens::Lens;
 
@@ -16,6 +17,9 @@ const GAIN: f64 = 16.0;
 /// Part of the radius over which growth is looked at, and the least growth of the object's height, of its mean.
 const STEP: f64 = 1e-3;
 const FOLDS: f64 = 0.3;
+
+/// Points of the stop that tell how much light is not known.
+const POINTS: usize = 400;
 
 /// What the edge of the light is found to, of its radius.
 const EDGE: f64 = 1e-5;
@@ -50,6 +54,7 @@ pub fn knots(
         [first, .., last] => vec![*first, *last],
         few => few.to_vec(),
     };
+    let points = StopPoints::new(degree, POINTS);
     // Where light ends before the radius does, knots are spread up to there, and the last one stands in the dark.
     let (frame_mm, radius_mm) = (radius_mm, lit(lens, vergence, &ends, degree, radius_mm)?);
     let even = |n: u32| (0..=n).map(|i| radius_mm * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
@@ -59,11 +64,14 @@ pub fn knots(
     loop {
         let spec = TableSpec { radii_mm: even(2 * n), wavelength_nm: ends.clone(), degree };
         let fine = Table::compute(lens, &spec)?;
-        let coarse = difference(&fine.halved(), &fine, vergence);
-        if holds(coarse) {
-            return Ok((within(n), coarse));
+        let (coarse, lost) = difference(&fine.halved(), &fine, vergence, &points);
+        let all = Tolerance { weight: coarse.weight.max(lost), ..coarse };
+        if holds(all) {
+            return Ok((within(n), all));
         }
-        let finer = Tolerance { landing_mm: coarse.landing_mm / GAIN, weight: coarse.weight / GAIN };
+        // The ends of a beam that rays fail at are between knots what both know: half of it at half the distance.
+        let weight = (coarse.weight / GAIN).max(0.5 * lost);
+        let finer = Tolerance { landing_mm: coarse.landing_mm / GAIN, weight };
         if holds(finer) || 4 * n > INTERVALS[1] {
             return Ok((within(2 * n), finer));
         }
@@ -106,16 +114,17 @@ fn lit(lens: &Lens, vergence: f64, wavelength_nm: &[f64], degree: usize, radius_
     Ok(last)
 }
 
-/// Largest errors of `table` at the knots of `truth` that both have light at.
-fn difference(table: &Table, truth: &Table, vergence: f64) -> Tolerance {
+/// Largest errors of `table` at the knots of `truth` that both have light at; largest share of the light there that is beyond what `table` knows.
+fn difference(table: &Table, truth: &Table, vergence: f64, points: &StopPoints) -> (Tolerance, f64) {
     let slopes = truth.chief_slopes(vergence);
     let radii = &truth.spec.radii_mm;
     let errors = (1..radii.len()).into_par_iter().filter(|k| radii[*k] <= table.edge_mm).map(|k| {
         let mm_per_slope = (radii[k] - radii[k - 1]) / (slopes[k] - slopes[k - 1]);
-        let mut worst = [0.0f64; 2];
+        let mut worst = [0.0f64; 3];
         for l in 0..truth.spec.wavelength_nm.len() {
             let (here, there) = (table.row(l, &table.taps(radii[k])), &truth.rows[k][l]);
-            let basis = table.bases.of(1.0);
+            // Polynomials stand for rays where all that they come from got through.
+            let basis = table.bases.of(here.part.common(there.part));
             let values = |of: usize, c: &[f64]| basis.at_nodes[of].at(Of::Value, c);
             let (a, b) = (here.slope(table, vergence), there.slope(truth, vergence));
             let (mut square, mut count) = (0.0, 0.0);
@@ -130,9 +139,29 @@ fn difference(table: &Table, truth: &Table, vergence: f64) -> Tolerance {
             let all: f64 = v.iter().map(|b| b.abs()).sum();
             worst[0] = worst[0].max((square / count).sqrt() * mm_per_slope.abs());
             worst[1] = worst[1].max(if all > 0.0 { off / all } else { 0.0 });
+            worst[2] = worst[2].max(unknown(&here, there, truth, points));
         }
         worst
     });
-    let [landing_mm, weight] = errors.reduce(|| [0.0; 2], |a, b| [a[0].max(b[0]), a[1].max(b[1])]);
-    Tolerance { landing_mm, weight }
+    let [landing_mm, weight, lost] =
+        errors.reduce(|| [0.0; 3], |a, b| [a[0].max(b[0]), a[1].max(b[1]), a[2].max(b[2])]);
+    (Tolerance { landing_mm, weight }, lost)
+}
+
+/// Share of the light of `there` that comes through a part of the stop over which `here` is not known.
+fn unknown(here: &Row, there: &Row, table: &Table, points: &StopPoints) -> f64 {
+    if here.part == here.part.around(there.part) {
+        return 0.0;
+    }
+    let [even, _] = &points.at;
+    let light = even.at(Of::Value, there.weight(table));
+    let clips: Vec<Vec<f64>> = (0..table.clips.len()).map(|k| even.at(Of::Value, there.clip(table, k))).collect();
+    let (mut all, mut lost) = (0.0, 0.0);
+    for (q, at) in points.points.iter().enumerate() {
+        if there.part.depth(*at) > 0.0 && clips.iter().all(|g| g[q] > 0.0) {
+            all += light[q].max(0.0);
+            lost += if here.part.depth(*at) > 0.0 { 0.0 } else { light[q].max(0.0) };
+        }
+    }
+    if all > 0.0 { lost / all } else { 0.0 }
 }

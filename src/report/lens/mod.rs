@@ -61,6 +61,8 @@ pub struct Options {
 pub const SHIFTS: u32 = 6;
 /// Rays of a kernel.
 const KERNEL_RAYS: usize = 8192;
+/// What may be missing of the light somewhere without a word.
+const LOST: f64 = 0.01;
 /// Radii at which the irradiance is computed, less one.
 const ILLUMINATIONS: u32 = 64;
 
@@ -279,7 +281,14 @@ impl LensReport {
         report.seconds.push(("numerical check", start.elapsed().as_secs_f64()));
         let start = Instant::now();
         match report.white() {
-            Ok(white) => report.illumination = white,
+            Ok((white, lost)) => {
+                report.illumination = white;
+                if lost > LOST {
+                    let lost = significant(100.0 * lost, 2);
+                    let cause = "rays of a part of the stop fail there, and not everywhere beside it";
+                    report.missing.push(format!("up to {lost} % of the light near the end of the field: {cause}"));
+                }
+            }
             Err(e) => report.missing.push(format!("relative illumination: {}", e.words())),
         }
         report.seconds.push(("relative illumination", start.elapsed().as_secs_f64()));
@@ -303,15 +312,16 @@ impl LensReport {
         self
     }
 
-    /// Irradiance of white over the radius, all wavelengths by their weights.
-    fn white(&self) -> Result<Vec<[f64; 2]>> {
+    /// Irradiance of white over the radius, all wavelengths by their weights; what of it may be missing somewhere, a share.
+    fn white(&self) -> Result<(Vec<[f64; 2]>, f64)> {
         let (nm, share): (Vec<f64>, Vec<f64>) = self.overview.colours.iter().copied().unzip();
         let heights: Vec<f64> = self.overview.curve.iter().map(|r| r.height.abs()).collect();
         let radius = heights.iter().copied().fold(0.0, f64::max);
         let spec =
             OpticsSpec::even(radius.max(1e-3), vec![self.lens.object_vergence], Quadrature { nm, weight: vec![share] });
         let optics = Optics::compute(&self.lens, &spec)?.illuminated(ILLUMINATIONS);
-        Ok(heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect())
+        let lost = optics.illumination.lost.iter().copied().fold(0.0, f64::max);
+        Ok((heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect(), lost))
     }
 
     fn kernels(&self, options: &Options) -> Result<Atlas> {

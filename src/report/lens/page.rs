@@ -7,7 +7,7 @@ use crate::error::Result;
 use crate::lens::paraxial::first_order;
 use crate::lens::seidel;
 use crate::report::atlas::{Style, picture};
-use crate::report::drawing::lens_svg;
+use crate::report::drawing::lens_svg_within;
 use crate::report::html::{Fact, Page, Picture};
 use crate::report::listing::Listing;
 use crate::report::measured::TILT_DEG;
@@ -57,6 +57,9 @@ fn fact(value: f64, digits: usize, unit: &str, label: &str) -> Option<Fact> {
     let value = value.is_finite().then(|| format!("{}{unit}", significant(value, digits)))?;
     Some(Fact { value, label: label.to_owned() })
 }
+
+/// Largest size of the cross-section, px.
+const LAYOUT: [f64; 2] = [620.0, 440.0];
 
 /// An object distance in words.
 fn distance(mm: f64) -> String {
@@ -122,16 +125,16 @@ impl Pages<'_> {
 
     fn layout(&self, page: &mut Page) {
         page.section("Layout");
-        let drawings: Vec<_> = self.reports.iter().map(|r| (lens_svg(&r.lens), String::new())).collect();
-        page.drawings(&drawings, 520);
-        page.note("Rays through the real stop; those that a clear aperture stops end there and are drawn faintly.");
         for r in self.reports {
             self.named(page, r);
             let listing = Listing::new(&r.lens, r.overview.primary_nm);
-            page.columns(&[
-                &[("Surfaces", &listing.surface_table()), ("Media", &listing.media_table())],
-                &[("First-order data", &listing.first_order_table())],
-            ]);
+            let drawing = lens_svg_within(&r.lens, LAYOUT);
+            page.drawing_beside(&drawing, "First-order data", &listing.first_order_table());
+            page.note("Rays through the real stop; those that a clear aperture stops end there and are drawn faintly.");
+            page.heading("Surfaces");
+            page.table(&listing.surface_table());
+            page.heading("Media");
+            page.table(&listing.media_table());
         }
     }
 
@@ -282,7 +285,7 @@ impl Pages<'_> {
         page.drawings(&grids, 440);
         page.note(
             "Foci of rays close to the chief ray, to 1e-8 of Coddington's equations on one sphere. Distortion against the scale of a thousandth of the field on this plane, and against the effective focal length: what the two differ by is the plane's own change of scale. \
-             Relative illumination is the irradiance of white over that on the axis, edges hard (to 2e-4 rms); the open part counts the stop's area alone (to 3e-3). \
+             Relative illumination is the irradiance of white over that on the axis, edges hard (within 1e-3 of counted rays, mostly 1e-4); the open part counts the stop's area alone (to 3e-3). \
              The grid stands for a lens that is symmetric about its axis; of another none is drawn.",
         );
     }
