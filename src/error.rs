@@ -19,14 +19,14 @@ pub enum Error {
         allowed: String,
     },
     /// A file that could not be read or written.
-    #[error("{}: {what}: {source}", path.display())]
+    #[error("{}: {what}: {reason}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
         /// What was being done: `reading`, `writing`.
         what: &'static str,
         /// The system's reason.
-        source: std::io::Error,
+        reason: std::io::Error,
     },
     /// An output that exists already, without `--force`.
     #[error("{}: exists already; name another output or pass --force", .0.display())]
@@ -57,13 +57,13 @@ impl Error {
     }
 
     /// A file that could not be read.
-    pub fn reading(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { path: path.to_owned(), what: "reading", source }
+    pub fn reading(path: &Path, reason: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), what: "reading", reason }
     }
 
     /// A file that could not be written.
-    pub fn writing(path: &Path, source: std::io::Error) -> Self {
-        Self::Io { path: path.to_owned(), what: "writing", source }
+    pub fn writing(path: &Path, reason: std::io::Error) -> Self {
+        Self::Io { path: path.to_owned(), what: "writing", reason }
     }
 
     /// A TOML text that does not parse: its line, and what the parser said.

@@ -51,7 +51,7 @@ pub fn measured(
     };
     let found = close(lens, sensor, frame, settings, &seen, progress)?;
     let runtime = camera.session().map_or_else(String::new, |s| s.runtime().name());
-    Ok(Measured { by: format!("kit {}, {runtime}", kit.name), ..found })
+    Ok(Measured { by: format!("{}, {runtime}", kit.name), ..found })
 }
 
 /// Refuses a lens that is not the kit's; `file` names it.

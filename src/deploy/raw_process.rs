@@ -76,7 +76,7 @@ pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
             // The parent knows the file's name and puts it before the sentence again.
             let (found, allowed) = match error {
                 Error::BadInput { found, allowed, .. } => (found, allowed),
-                Error::Io { source, .. } => (source.to_string(), ALLOWED.into()),
+                Error::Io { reason, .. } => (reason.to_string(), ALLOWED.into()),
                 other => (other.to_string(), ALLOWED.into()),
             };
             return write_line(out, &Reply::Refused { found, allowed });

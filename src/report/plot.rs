@@ -332,6 +332,6 @@ mod tests {
     #[test]
     fn points_stand_where_they_belong() {
         let svg = plot(Scale::Linear, Scale::Log, vec![[0.0, 1.0], [10.0, 1000.0]]).to_svg();
-        assert!(svg.contains("cx=\"66.00\" cy=\"288.00\"") && svg.contains("cx=\"544.00\" cy=\"56.00\""), "{svg}");
+        assert!(svg.contains("cx=\"62.00\" cy=\"254.00\"") && svg.contains("cx=\"426.00\" cy=\"56.00\""), "{svg}");
     }
 }

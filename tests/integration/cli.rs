@@ -462,6 +462,10 @@ fn edges_through_a_kit(place: &Workplace, by_run: &[serde_json::Value]) {
             assert!(off < 0.08, "{off}: {ours} {theirs}");
         }
     }
+    // A kit's folder with its lens, as the shipped ones are.
+    std::fs::copy(place.path("run/lens.toml"), place.path("kit/lens.toml")).expect("copied");
+    let own = read_json(&place.run("report kit --rays 64 --measure=1 --measure-rays 64 --json").done());
+    assert_eq!(own["measured"]["reconstruction_by"], *by);
     // From another distance it is still the kit's lens.
     place.run("report run/lens.toml --rays 64 --depth-mm 900 --kit kit --measure=1 -o far.html").done();
     place.run("report cooke_triplet --rays 64 --kit kit -o no.html").refused(&["cooke_triplet", "the kit's"]);

@@ -236,7 +236,7 @@ fn save(
                 &format!("{name}: image height {:.2} to {:.2}, {} mm\n", heights[0], heights[1], significant(depth, 6));
         }
         atomic::write_bytes(&folder.join(MARKER), text.as_bytes()).map_err(|e| match e {
-            Error::Io { source, .. } => Error::writing(folder, source),
+            Error::Io { reason, .. } => Error::writing(folder, reason),
             other => other,
         })
     })

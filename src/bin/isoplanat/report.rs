@@ -17,8 +17,9 @@ use crate::progress::Bar;
 /// Arguments of `report`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a run; several are shown side by side
-    #[arg(required = true, num_args = 1..=4, value_name = "LENS|RUN")]
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a run, or of a kit with its lens; several are
+    /// shown side by side
+    #[arg(required = true, num_args = 1..=4, value_name = "LENS|RUN|KIT")]
     lenses: Vec<String>,
     /// Object distances at which point spread functions are drawn, a row each [default: the lens's own]
     #[arg(long, value_delimiter = ',', value_name = "MM,…", allow_hyphen_values = true)]
@@ -30,8 +31,8 @@ pub(crate) struct Args {
     /// Also what slanted edges show in the reconstructions of this kit, which was made for the lens
     #[arg(long, value_name = "KIT")]
     kit: Option<PathBuf>,
-    /// The ONNX Runtime library to use with it
-    #[arg(long, requires = "kit", value_name = "FILE")]
+    /// The ONNX Runtime library to use with a kit
+    #[arg(long, value_name = "FILE")]
     onnxruntime: Option<PathBuf>,
     /// Rays a pixel of those captures
     #[arg(long, value_name = "RAYS", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=65536))]
@@ -81,7 +82,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let settings =
             Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
         let measured = match (run, args.measure) {
-            _ if args.kit.is_some() => Some(of_kit(args, &file, &lens, settings)),
+            _ if args.kit.is_some() => Some(of_kit(args, args.kit.as_deref(), &file, &lens, settings)),
+            (true, _) if Path::new(name).join("kit.toml").is_file() => {
+                Some(of_kit(args, Some(Path::new(name)), &file, &lens, settings))
+            }
             (true, _) => Some(of_run(Path::new(name), &lens, settings)),
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
@@ -163,12 +167,18 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
 
 /// Slanted edges in front of a lens and the kit that was made for it; the lens in `file` may be looked at from another distance.
 #[cfg(feature = "deploy")]
-fn of_kit(args: &Args, file: &str, lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
+fn of_kit(
+    args: &Args,
+    folder: Option<&Path>,
+    file: &str,
+    lens: &Lens,
+    settings: Settings,
+) -> isoplanat::Result<Measured> {
     use isoplanat::deploy::edges::{measured, require};
     use isoplanat::deploy::kit::Kit;
     use isoplanat::deploy::session::Options;
 
-    let kit = Kit::load(args.kit.as_deref().unwrap_or(Path::new("")))?;
+    let kit = Kit::load(folder.unwrap_or(Path::new("")))?;
     require(&crate::input::lens(file)?, &kit, Path::new(file))?;
     let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
     let bar = Bar::new("slanted edges");
@@ -179,8 +189,8 @@ fn of_kit(args: &Args, file: &str, lens: &Lens, settings: Settings) -> isoplanat
 
 /// A kit needs a runtime.
 #[cfg(not(feature = "deploy"))]
-fn of_kit(args: &Args, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
-    let kit = args.kit.as_ref().map_or_else(String::new, |k| k.display().to_string());
+fn of_kit(_: &Args, folder: Option<&Path>, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
+    let kit = folder.map_or_else(String::new, |k| k.display().to_string());
     let found = "this build lacks the feature `deploy`, which a kit's network needs";
     Err(Error::bad(kit, "kit", found, "a lens alone, or a build with --features deploy"))
 }
