@@ -1,7 +1,7 @@
-//! Files and folders that appear whole or not at all: written beside their place, then renamed there.
+//! Files and folders that appear whole or not at all: written beside their place, then renamed there. Files that are read whole, up to a size.
 
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
 
@@ -10,6 +10,35 @@ use crate::error::{Error, Result};
 /// Writes bytes, whole or not at all.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_atomic(path, |out| out.write_all(bytes).map_err(|e| Error::writing(path, e)))
+}
+
+/// Refuses what is no file: opening a pipe waits for its writer, a device may have no end.
+///
+/// # Errors
+/// [`Error::Io`] for what is not there, [`Error::BadInput`] for a folder, a pipe, a device.
+pub fn regular(path: &Path) -> Result<()> {
+    let found = fs::metadata(path).map_err(|e| Error::reading(path, e))?;
+    if found.is_file() {
+        return Ok(());
+    }
+    let found = if found.is_dir() { "a folder" } else { "a pipe, a socket or a device" };
+    Err(Error::bad(path.display().to_string(), "file", found, "a file"))
+}
+
+/// The bytes of a file of at most `most` bytes.
+///
+/// # Errors
+/// As [`regular`]; a larger file; [`Error::Io`].
+pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>> {
+    regular(path)?;
+    let mut bytes = Vec::new();
+    let file = File::open(path).map_err(|e| Error::reading(path, e))?;
+    file.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| Error::reading(path, e))?;
+    if bytes.len() as u64 > most {
+        let found = format!("more than {most} bytes");
+        return Err(Error::bad(path.display().to_string(), "size", found, format!("at most {most} bytes")));
+    }
+    Ok(bytes)
 }
 
 /// Runs `fill` on a file beside `path` and renames it to `path` when that went well; otherwise nothing is left behind.
@@ -84,6 +113,31 @@ fn beside(path: &Path, what: &str) -> PathBuf {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// What has no end is not read, nor more than was asked for.
+    #[test]
+    fn only_files_of_a_size_are_read() {
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let path = place.path().join("a");
+        std::fs::write(&path, [1u8; 11]).expect("writes");
+        assert_eq!(read_bounded(&path, 11).expect("reads").len(), 11);
+        let refused = |path: &Path, said: &str| {
+            let error = read_bounded(path, 10).expect_err("refused").to_string();
+            assert!(error.contains(said) && error.contains(&path.display().to_string()), "{error}");
+        };
+        refused(&path, "10 bytes");
+        refused(place.path(), "a folder");
+        refused(&place.path().join("none"), "reading");
+        #[cfg(unix)]
+        {
+            refused(Path::new("/dev/zero"), "a device");
+            let pipe = place.path().join("pipe");
+            let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+            if made.is_ok_and(|s| s.success()) {
+                refused(&pipe, "a pipe");
+            }
+        }
+    }
 
     /// A folder of ours gives way to a new one; another folder, and a failed writing, leave everything as it was.
     #[test]

@@ -1,10 +1,11 @@
 //! The kit folder: everything a camera needs to reconstruct the captures of one lens on one sensor.
 //!
 //! ```text
-//! KIT/kit.toml     schema = 1: names, hashes, tiles, sensor, frame, distortion, shading
+//! KIT/kit.toml     schema = 3: names, hashes, tiles, sensor, frame, distortion, shading
 //! KIT/model.onnx   the network, its card in the metadata
-//! KIT/filters.npz  Wiener filters, where the network sees the capture through them; schema = 2 then
+//! KIT/filters.npz  Wiener filters, where the network sees the capture through them
 //! ```
+//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration.
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
 //! was written with, a network trained for another lens.
 
@@ -24,8 +25,11 @@ use crate::imaging::guide::{self, Filters, Guide};
 use crate::imaging::sensor::Sensor;
 use crate::network::card::{DEMOSAIC, ModelCard, sha256_hex};
 
-/// The newest form of `kit.toml`. Kits whose network sees the capture alone have the first.
-pub const SCHEMA: u32 = 2;
+/// The newest form of `kit.toml`.
+pub const SCHEMA: u32 = 3;
+/// Largest `kit.toml` and largest other part that are read, bytes.
+const LARGEST_TOML: u64 = 4 << 20;
+const LARGEST_PART: u64 = 1 << 30;
 
 /// The file that makes a folder a kit.
 pub const FILE: &str = "kit.toml";
@@ -110,6 +114,8 @@ struct KitFile {
     demosaic: String,
     lens: LensEntry,
     model: ModelEntry,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    calibration_sha256: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     glare: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -221,7 +227,10 @@ impl Kit {
             let found = if folder.exists() { "not a folder" } else { "there is no such folder" };
             return Err(Error::bad(folder.display().to_string(), "kit", found, format!("a folder with {FILE}")));
         }
-        let text = std::fs::read_to_string(&path).map_err(|e| Error::reading(&path, e))?;
+        let text = String::from_utf8(atomic::read_bounded(&path, LARGEST_TOML)?).map_err(|e| {
+            let found = format!("no text at byte {}", e.utf8_error().valid_up_to());
+            Error::bad(path.display().to_string(), "text", found, "UTF-8")
+        })?;
         let file = parse(&text, &path.display().to_string())?;
         let (model_path, model_bytes) = whole(folder, &path, "model", &file.model.file, &file.model.sha256)?;
         let metadata = session::metadata(&model_bytes, &model_path)?;
@@ -262,6 +271,15 @@ impl Kit {
             filters: file_of,
         };
         kit.check(&path.display().to_string())?;
+        let (found, stated) = (kit.calibration_sha256()?, file.calibration_sha256);
+        if let Some(stated) = stated.filter(|s| *s != found) {
+            let allowed = format!(
+                "the calibration the kit was written with, {}; without this line a changed one is taken as it is",
+                short(&stated)
+            );
+            let file = path.display().to_string();
+            return Err(Error::bad(file, "calibration_sha256", format!("a calibration of {}", short(&found)), allowed));
+        }
         Ok(kit)
     }
 
@@ -290,12 +308,13 @@ impl Kit {
     pub fn to_toml(&self) -> Result<String> {
         let Distortion { max_slope, coefficients_mm, residual_mm } = self.distortion;
         let file = KitFile {
-            schema: if self.guide.inputs().is_bare() { 1 } else { SCHEMA },
+            schema: SCHEMA,
             name: self.name.clone(),
             created_by: self.created_by.clone(),
             demosaic: self.card.demosaic.clone(),
             lens: self.lens.clone(),
             model: self.model.clone(),
+            calibration_sha256: Some(self.calibration_sha256()?),
             glare: self.glare,
             filters: self.filters.as_ref().map(|(entry, _)| entry.clone()),
             frame: self.frame.clone(),
@@ -304,6 +323,22 @@ impl Kit {
             sensor: self.sensor.clone(),
         };
         toml::to_string(&file).map_err(|e| Error::Internal(format!("kit to TOML: {e}")))
+    }
+
+    /// SHA-256 (hex) of frame, distortion, illumination, glare and sensor as `kit.toml` states them.
+    fn calibration_sha256(&self) -> Result<String> {
+        #[derive(Serialize)]
+        struct Calibration<'a> {
+            glare: Option<f64>,
+            frame: &'a Frame,
+            distortion: &'a Distortion,
+            shading: &'a Shading,
+            sensor: &'a Sensor,
+        }
+        let Self { glare, frame, distortion, shading, sensor, .. } = self;
+        let all = Calibration { glare: *glare, frame, distortion, shading, sensor };
+        let text = toml::to_string(&all).map_err(|e| Error::Internal(format!("calibration to TOML: {e}")))?;
+        Ok(sha256_hex(text.as_bytes()))
     }
 
     /// How the network is tiled.
@@ -326,6 +361,11 @@ impl Kit {
             let allowed =
                 format!("the lens the network was trained for, {} ({})", short(&card.lens_sha256), card.lens_name);
             return bad("lens.sha256", found, allowed);
+        }
+        let sensor = sha256_hex(toml::to_string(&self.sensor).unwrap_or_default().as_bytes());
+        if !card.calibration_sha256.is_empty() && card.calibration_sha256 != sensor {
+            let allowed = format!("the sensor the network was trained for, {}", short(&card.calibration_sha256));
+            return bad("sensor", format!("{} ({})", short(&sensor), self.sensor.name), allowed);
         }
         if card.multiple != model.multiple {
             return bad("model.multiple", model.multiple.to_string(), format!("{}, as the model says", card.multiple));
@@ -354,7 +394,7 @@ fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> R
         return Err(Error::bad(path.display().to_string(), place, name, "a file in the kit's folder"));
     }
     let file = folder.join(name);
-    let bytes = std::fs::read(&file).map_err(|e| Error::reading(&file, e))?;
+    let bytes = atomic::read_bounded(&file, LARGEST_PART)?;
     let found = sha256_hex(&bytes);
     if found != sha256 {
         let allowed = format!("the file the kit was written with, {}", short(sha256));
@@ -484,8 +524,10 @@ pub(crate) mod tests {
         let cases = [
             ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
             ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
-            ("newer schema", with("schema = 1", "schema = 3\nnews = 1"), "newer isoplanat-camera"),
-            ("no schema", with("schema = 1", ""), "schema"),
+            ("newer schema", with("schema = 3", "schema = 4\nnews = 1"), "newer isoplanat-camera"),
+            ("no schema", with("schema = 3", ""), "schema"),
+            ("white level", with("white_level = 4095.0", "white_level = 4000.0"), "calibration_sha256"),
+            ("distortion", with("residual_mm = 0.0001", "residual_mm = 0.0002"), "calibration_sha256"),
             ("lens", with(&sha256_hex(b"lens"), &sha256_hex(b"other")), "trained for"),
             ("model elsewhere", with("file = \"model.onnx\"", "file = \"../model.onnx\""), "kit's folder"),
             ("model missing", with("file = \"model.onnx\"", "file = \"none.onnx\""), "none.onnx"),

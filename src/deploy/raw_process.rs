@@ -2,8 +2,8 @@
 //!
 //! The program starts itself again with [`COMMAND`] as its first argument; that child calls [`serve`], which writes one
 //! line of JSON and then the samples to its standard output. Whatever happens to the child (a panic, an abort, a
-//! refused allocation, no end), the parent turns it into one sentence. On Unix the memory limit is the shell's
-//! `ulimit -v`; where the system has no such limit (Windows, macOS) only the time limit holds.
+//! refused allocation, no end), the parent turns it into one sentence. On Unix the limits of memory and processor time are the shell's
+//! `ulimit -v` and `-t`; where the system has no such limit (Windows, macOS) only the parent's time limit holds. On Linux a child dies with its parent.
 
 use std::ffi::OsString;
 use std::io::{Read, Write};
@@ -15,6 +15,7 @@ use std::time::Duration;
 use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
 
+use crate::atomic;
 use crate::deploy::orientation::Orientation;
 use crate::deploy::raw::{self, ALLOWED, RawCapture, RawPixels};
 use crate::error::{Error, Result};
@@ -23,12 +24,15 @@ use crate::imaging::sensor::cfa::Cfa;
 /// First argument that makes the program a decoder child; the path of the RAW file follows.
 pub const COMMAND: &str = "decode-raw-child";
 
+/// Threads of a child at most.
+const WORKERS: usize = 4;
+
 /// What a decoder child may use.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
     /// Address space, bytes.
     pub memory_bytes: u64,
-    /// Time until it is stopped.
+    /// Time until it is stopped; its processor time is limited to so much on each of its threads, whoever waits for it.
     pub time: Duration,
 }
 
@@ -70,6 +74,9 @@ struct Header {
 /// # Errors
 /// A reply that cannot be written. A refused file is a reply.
 pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
+    // A parent that is killed takes the child with it.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL));
     let capture = match raw::decode(path) {
         Ok(capture) => capture,
         Err(error) => {
@@ -125,7 +132,8 @@ fn write_line(out: &mut impl Write, reply: &Reply) -> std::io::Result<()> {
 /// # Errors
 /// What [`raw::decode`] refuses, and a child that failed, was stopped by a limit, or could not be started.
 pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture> {
-    // Said here, the system's own reason reaches the user.
+    // Said here, the system's own reason reaches the user; what is no file would be waited for.
+    atomic::regular(path)?;
     std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
     let refused = |found: String, allowed: String| Error::bad(path.display().to_string(), "RAW", found, allowed);
     let failed = |found: String| refused(found, ALLOWED.into());
@@ -168,7 +176,10 @@ fn spawn(program: &Path, path: &Path, limits: Limits) -> std::io::Result<Child> 
         command
             // Each allocator arena and each worker's stack reserves address space, which is what is limited.
             .env("MALLOC_ARENA_MAX", "2")
-            .env("RAYON_NUM_THREADS", std::thread::available_parallelism().map_or(1, |n| n.get().min(4)).to_string())
+            .env(
+                "RAYON_NUM_THREADS",
+                std::thread::available_parallelism().map_or(1, |n| n.get().min(WORKERS)).to_string(),
+            )
             .stdin(Stdio::null())
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
@@ -176,8 +187,11 @@ fn spawn(program: &Path, path: &Path, limits: Limits) -> std::io::Result<Child> 
     };
     if cfg!(unix) {
         let mut command = Command::new("sh");
-        let script = "ulimit -c 0 2>/dev/null; ulimit -v \"$1\" 2>/dev/null; shift; exec \"$@\"";
-        command.args(["-c", script, "sh"]).arg((limits.memory_bytes >> 10).to_string()).arg(program).args(&arguments);
+        let script =
+            "ulimit -c 0 2>/dev/null; ulimit -v \"$1\" 2>/dev/null; ulimit -t \"$2\" 2>/dev/null; shift 2; exec \"$@\"";
+        let seconds = limits.time.as_secs().max(1) * WORKERS as u64;
+        command.args(["-c", script, "sh"]).arg((limits.memory_bytes >> 10).to_string()).arg(seconds.to_string());
+        command.arg(program).args(&arguments);
         if let Ok(child) = start(command) {
             return Ok(child);
         }

@@ -276,6 +276,10 @@ impl Calibrated {
                 capture.black[0], capture.white[0], balance.black[0], balance.white[0]
             ));
         }
+        let camera = format!("{} {}", capture.make, capture.model);
+        if !same_camera(&camera, &sensor.name) {
+            notes.push(format!("the file is of {}, the kit is for {}", camera.trim(), sensor.name));
+        }
         match capture.neutral {
             Some(neutral) => balance.neutral = neutral,
             None => notes.push("the file names no white balance; the kit's is used".into()),
@@ -287,6 +291,16 @@ impl Calibrated {
             srgb_from_camera: sensor.srgb_from_camera,
         })
     }
+}
+
+/// Whether a file's make and model can be the camera that a kit's sensor is named after.
+fn same_camera(file: &str, sensor: &str) -> bool {
+    let words = |text: &str| -> Vec<String> {
+        let parts = text.split(|c: char| !c.is_alphanumeric()).filter(|w| !w.is_empty());
+        parts.map(str::to_lowercase).collect()
+    };
+    let (file, sensor) = (words(file), words(sensor));
+    file.is_empty() || sensor.iter().all(|w| file.contains(w)) || file.iter().all(|w| sensor.contains(w))
 }
 
 /// Levels and colour as the file has them.
@@ -417,6 +431,17 @@ mod tests {
         let picture = camera.reconstruct(capture, Path::new("a.dng"), &|_, _| ()).expect("develops");
         assert!(camera.session().is_none() && picture.tiles == 0 && picture.outside_fraction == 0.0);
         assert!(picture.notes.iter().any(|n| n.contains("white balance")));
+    }
+
+    #[test]
+    fn other_cameras_are_told_of() {
+        assert!(same_camera("NIKON CORPORATION NIKON D50", "Nikon D50") && same_camera("", "generic"));
+        assert!(same_camera("Isoplanat generic 12-bit RGB sensor", "generic 12-bit RGB sensor"));
+        assert!(!same_camera("Canon EOS 6D", "Nikon D50") && !same_camera("Nikon D60", "Nikon D50"));
+        let camera =
+            Camera::with_kit(kit(150, 110), Steps { network: false, undistort: true }, &tract()).expect("opens");
+        let picture = camera.reconstruct(capture(150, 110), Path::new("a.dng"), &|_, _| ()).expect("develops");
+        assert!(picture.notes.iter().any(|n| n.contains("of Test Test")), "{:?}", picture.notes);
     }
 
     #[test]

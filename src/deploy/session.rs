@@ -17,6 +17,12 @@ use tract_onnx::prelude::{
 use crate::deploy::onnxruntime::{Candidate, candidates, version_of};
 use crate::error::{Error, Result};
 
+/// Operators that the exporter writes.
+const OPERATORS: [&str; 10] =
+    ["Add", "Cast", "Concat", "Conv", "ConvTranspose", "MaxPool", "Mul", "PRelu", "Slice", "Split"];
+/// Nodes of a graph at most: the exporter's largest networks have some hundreds.
+const MOST_NODES: usize = 20_000;
+
 /// How often slower tract was than ONNX Runtime, per thread, on U-Nets of three scales (32 to 128 channels).
 const TRACT_SLOWDOWN: &str = "3 to 4";
 
@@ -230,6 +236,17 @@ fn read_proto(model: &[u8], file: &Path) -> Result<Proto> {
     let read = || tract_onnx::onnx().proto_model_for_read(&mut &model[..]).map_err(|e| e.to_string());
     let proto = guarded(read).map_err(|_| bad_model(file, "cannot be read as ONNX"))?;
     let Some(graph) = &proto.graph else { return Err(bad_model(file, "holds no graph")) };
+    // Loops have no end, and files elsewhere are not the kit's.
+    let foreign = |op: &str, domain: &str| !(domain.is_empty() && OPERATORS.contains(&op));
+    if let Some(node) = graph.node.iter().find(|n| foreign(&n.op_type, &n.domain)) {
+        let allowed = format!("the operators that `isoplanat export` writes: {}", OPERATORS.join(", "));
+        let found: String = node.op_type.chars().take(60).collect();
+        return Err(Error::bad(file.display().to_string(), "operator", found, allowed));
+    }
+    if graph.node.len() > MOST_NODES || graph.initializer.iter().any(|t| !t.external_data.is_empty()) {
+        let found = format!("{} nodes, or weights in other files", graph.node.len());
+        return Err(bad_model(file, &found));
+    }
     let weights: Vec<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
     let inputs = graph.input.iter().filter(|i| !weights.contains(&i.name.as_str())).count();
     if inputs != 1 || graph.output.len() != 1 {
@@ -399,6 +416,18 @@ mod tests {
 
     fn open(model: &[u8], choice: Choice) -> Result<Session> {
         Session::open(model, Path::new("model.onnx"), &Options { choice, threads: 2, ..Options::default() })
+    }
+
+    /// Operators that the exporter does not write, a loop say, are refused before any runtime sees them.
+    #[test]
+    fn foreign_operators_are_refused() {
+        let model = test_model::unet(4, 3, &[]);
+        let (from, to) = (b"MaxPool", b"LoopAll");
+        let mut changed = model.clone();
+        let at = model.windows(from.len()).position(|w| w == from).expect("pools");
+        changed[at..at + to.len()].copy_from_slice(to);
+        let error = open(&changed, Choice::Tract).expect_err("refused").to_string();
+        assert!(error.contains("operator") && error.contains("LoopAll") && error.contains("MaxPool"), "{error}");
     }
 
     /// ONNX Runtime, or `None` after a visible message; a failure where the environment requires it.

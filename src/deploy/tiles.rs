@@ -117,7 +117,7 @@ impl Tiling {
 /// At most `parallel` tiles are in work at a time. `progress(done, all)` is called after each.
 ///
 /// # Errors
-/// The network's first error, or an output of another shape.
+/// The network's first error, or an output of another shape, or of values that are no numbers.
 pub fn run(
     image: ArrayView3<'_, f32>,
     at: Region,
@@ -141,6 +141,11 @@ pub fn run(
         if output.dim() != (1, 3, height, width) {
             let found = format!("an output of {:?} for an input of {:?}", output.dim(), input.dim());
             return Err(Error::bad("", "network", found, "three channels of the same shape"));
+        }
+        if let Some(bad) = output.iter().find(|v| !v.is_finite()) {
+            let found =
+                format!("{bad} in the tile at row {}, column {}", row.kept[0] - border, column.kept[0] - border);
+            return Err(Error::bad("", "network", found, "numbers"));
         }
         let within = |span: Span| span.kept[0] - span.start..span.kept[1] - span.start;
         let target = |span: Span| span.kept[0] - border..span.kept[1] - border;
@@ -330,6 +335,10 @@ mod tests {
             assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
             let shrinks = |_: ArrayView4<'_, f32>| Ok(Array4::zeros((1, 3, 8, 8)));
             assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
+            let breaks = |tile: ArrayView4<'_, f32>| Ok(tile.mapv(|v| if v > 0.9 { f32::NAN } else { v }));
+            let error =
+                run(image.view(), all(&image), &bare(), tiling, parallel, &breaks, &|_, _| ()).expect_err("NaN");
+            assert!(error.to_string().contains("NaN in the tile at row"), "{error}");
         }
     }
 }
