@@ -59,7 +59,12 @@ pub struct OpticsSpec {
 impl OpticsSpec {
     /// Sixteen even intervals to `radius_mm`, degree 9.
     pub fn even(radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
-        let radii_mm = (0..=64).map(|i| radius_mm * f64::from(i) / 64.0).collect();
+        Self::knots(16, radius_mm, vergences, quadrature)
+    }
+
+    /// `intervals` of it.
+    fn knots(intervals: u32, radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
+        let radii_mm = (0..=intervals).map(|i| radius_mm * f64::from(i) / f64::from(intervals)).collect();
         Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256 }
     }
 }
@@ -119,6 +124,29 @@ impl OpticsBar {
 }
 
 impl Optics {
+    /// `lens` by [`OpticsSpec::even`], with the irradiance at `illuminations + 1` radii; in four times as many intervals where rays of a part of the
+    /// stop fail, since between knots what both know of it is used.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    pub fn even(
+        lens: &Lens,
+        radius_mm: f64,
+        vergences: Vec<f64>,
+        quadrature: Quadrature,
+        illuminations: u32,
+    ) -> Result<Self> {
+        let spec = OpticsSpec { illuminations, ..OpticsSpec::even(radius_mm, vergences, quadrature) };
+        let optics = Self::compute(lens, &spec)?;
+        if !optics.table.is_partial() {
+            return Ok(optics);
+        }
+        Self::compute(
+            lens,
+            &OpticsSpec { illuminations, ..OpticsSpec::knots(64, radius_mm, spec.vergences, spec.quadrature) },
+        )
+    }
+
     /// Traces `lens`.
     ///
     /// # Errors

@@ -92,6 +92,9 @@ impl Part {
     /// Its share of the stop's area, to 1e-3.
     pub fn share(self) -> f64 {
         const CHORDS: u32 = 200;
+        if self.cut() == [false; 2] {
+            return self.radius.powi(2);
+        }
         let at = |k: u32| self.radius * (f64::from(k) + 0.5) / f64::from(CHORDS);
         let length = |[low, high]: [f64; 2]| (high - low).max(0.0);
         2.0 * self.radius * (0..CHORDS).map(|k| length(self.chord(at(k)))).sum::<f64>() / f64::from(CHORDS) / PI
@@ -247,7 +250,7 @@ mod tests {
             let area = grid.filter(|p| inside(*p)).count() as f64 * 4.0 / f64::from(n * n);
             assert_rel(part.share(), area / PI, 2e-3, 1.0, "share");
             assert!(stop.nodes.iter().all(|p| p.length() < 1.0 + 1e-12 && part.depth(*p) > -1e-12));
-            for x in [0.0, 0.3, 0.7] {
+            for x in [0.0, 0.3, 0.7].into_iter().filter(|x| *x < part.radius) {
                 let [low, high] = part.chord(x);
                 for y in [low, high] {
                     let at = DVec2::new(x, y);

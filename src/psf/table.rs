@@ -278,6 +278,11 @@ impl Table {
         self.pupil.powi(2) * self.rows.iter().flatten().map(|r| r.part.share()).fold(1.0, f64::min)
     }
 
+    /// Whether rays of a part of the stop fail anywhere.
+    pub fn is_partial(&self) -> bool {
+        self.rows.iter().flatten().any(|r| !r.part.is_whole())
+    }
+
     /// Nodes of a part of the stop.
     pub(super) fn nodes(&self, part: Part) -> Arc<StopNodes> {
         self.bases.of(part)

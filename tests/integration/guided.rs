@@ -139,10 +139,9 @@ fn kits_carry_their_filters_and_refuse_others() {
     assert_eq!(std::fs::read_dir(&folder).expect("a folder").count(), 3);
     let back = Kit::load(&folder).expect("loads");
     assert_eq!((back.guide.clone(), back.to_toml().expect("text")), (told.clone(), whole.to_toml().expect("text")));
-    assert!(back.to_toml().expect("text").contains("schema = 2"));
-    // A kit of a network that sees the capture alone has the old form.
+    assert!(back.to_toml().expect("text").contains("schema = 3"));
     let bare = kit(Inputs::BARE, &Guide::bare(&frame()), Weights::F32).expect("a kit").to_toml().expect("text");
-    assert!(bare.contains("schema = 1") && !bare.contains("filters"));
+    assert!(bare.contains("schema = 3") && !bare.contains("filters"));
     // Filters without a network for them, a network without filters.
     for (inputs, with) in [(Inputs::BARE, &told), (BOTH, &Guide::bare(&frame()))] {
         let error = kit(inputs, with, Weights::F32).expect_err("refused");

@@ -181,8 +181,7 @@ fn light_over_the_field_is_counted_light() {
             let lens = builtin::lens(name).expect("shipped");
             let radius = FieldLine::new(&lens, lens.object_vergence, 2).expect("a field").radius_mm[1];
             let quadrature = Quadrature { nm: vec![NM], weight: vec![vec![1.0]] };
-            let optics = Optics::compute(&lens, &OpticsSpec::even(radius, vec![lens.object_vergence], quadrature));
-            let optics = optics.expect("light");
+            let optics = Optics::even(&lens, radius, vec![lens.object_vergence], quadrature, 256).expect("light");
             let axis = counted(&lens, NM, 0.0);
             [0.6, 0.8, 0.85, 0.9, 0.95, 1.0].map(|part| {
                 let r = part * radius;

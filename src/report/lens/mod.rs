@@ -30,7 +30,7 @@ use crate::analysis::zernike::Fit;
 use crate::error::Result;
 use crate::lens::Lens;
 use crate::math::memory::Limit;
-use crate::psf::{Optics, OpticsSpec, Quadrature};
+use crate::psf::{Optics, Quadrature};
 
 pub use page::html;
 
@@ -317,9 +317,8 @@ impl LensReport {
         let (nm, share): (Vec<f64>, Vec<f64>) = self.overview.colours.iter().copied().unzip();
         let heights: Vec<f64> = self.overview.curve.iter().map(|r| r.height.abs()).collect();
         let radius = heights.iter().copied().fold(0.0, f64::max);
-        let spec =
-            OpticsSpec::even(radius.max(1e-3), vec![self.lens.object_vergence], Quadrature { nm, weight: vec![share] });
-        let optics = Optics::compute(&self.lens, &spec)?.illuminated(ILLUMINATIONS);
+        let (vergence, quadrature) = (self.lens.object_vergence, Quadrature { nm, weight: vec![share] });
+        let optics = Optics::even(&self.lens, radius.max(1e-3), vec![vergence], quadrature, ILLUMINATIONS)?;
         let lost = optics.illumination.lost.iter().copied().fold(0.0, f64::max);
         Ok((heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect(), lost))
     }

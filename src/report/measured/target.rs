@@ -14,7 +14,7 @@ use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::psf::table::chief_slopes;
-use crate::psf::{Optics, OpticsSpec, Quadrature};
+use crate::psf::{Optics, Quadrature};
 use crate::report::table::significant;
 use crate::trace::{ObjectPoint, System};
 
@@ -54,8 +54,8 @@ impl Light {
         let systems = spectrum.wavelength_nm.iter().map(|nm| System::new(lens, *nm)).collect();
         let [_, shares, _] = spectrum.weight;
         let quadrature = Quadrature { nm: spectrum.wavelength_nm, weight: vec![shares.clone()] };
-        let spec = OpticsSpec::even(radius.max(1e-3), vec![lens.object_vergence], quadrature);
-        Ok(Self { systems, shares, optics: Optics::compute(lens, &spec)?.illuminated(ILLUMINATIONS) })
+        let optics = Optics::even(lens, radius.max(1e-3), vec![lens.object_vergence], quadrature, ILLUMINATIONS)?;
+        Ok(Self { systems, shares, optics })
     }
 
     /// Irradiance of white at a distance from the axis, mm, over that on it.
