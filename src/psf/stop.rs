@@ -10,7 +10,7 @@ use ndarray::Array2;
 use super::fit::{Evaluation, Parity, from_nodes, terms};
 
 /// A part of the unit stop: the disk of a radius, cut by caps that end at two heights along the meridian, the centre inside. Caps are flatter
-/// than the rim ([`CAP`]): what fails or is closed at the ends of an oblique beam has edges like that.
+/// than the rim (radius 2 to its 1): what fails or is closed at the ends of an oblique beam has edges like that.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Part {
     /// Radius.
