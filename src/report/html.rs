@@ -37,6 +37,8 @@ pub struct Fact {
 
 /// Cells up to so many characters are not broken into lines.
 const WHOLE: usize = 14;
+/// Cells of more characters are given wide lines on a phone, too.
+const LONG: usize = 50;
 
 /// A page under construction.
 #[derive(Clone, Debug)]
@@ -119,7 +121,7 @@ impl Page {
             div.wide { table {
                 thead { tr { @for (c, n) in table.heading.iter().zip(&numeric) { th.n[*n] { (c) } } } }
                 tbody { @for row in &table.rows { tr {
-                    @for (c, n) in row.iter().zip(&numeric) { td.n[*n].k[c.chars().count() <= WHOLE] { (c) } }
+                    @for (c, n) in row.iter().zip(&numeric) { td.n[*n].k[c.chars().count() <= WHOLE].long[c.chars().count() > LONG] { (c) } }
                 } } }
             } }
         }
