@@ -1,7 +1,5 @@
 //! The MTF of capture and reconstruction, by slanted edges in front of a lens and the kit that was made for it.
 
-use std::path::Path;
-
 use ndarray::s;
 
 use crate::deploy::kit::Kit;
@@ -10,17 +8,18 @@ use crate::deploy::session::Options;
 use crate::error::{Error, Result};
 use crate::imaging::capture::{expose, signal};
 use crate::imaging::plane::{Plane, Region};
-use crate::imaging::reference::{self, Channels, Sampling};
 use crate::imaging::sensor::noise::mixed;
-use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::report::measured::{Measured, Seen, Settings, close};
+use crate::report::measured::{Measured, Seen, Settings, by_rays, close};
+
+/// Sets the seed of rays apart from that of noise.
+const RAYS: u64 = 0x7261_7973;
 
 /// The loop of [`crate::report::measured`] with what the camera program makes of the captures: raw values with the sensor's noise, levels and steps, the
 /// kit's flat field and network. There is no veiling glare in these scenes, and none is taken off.
 ///
 /// # Errors
-/// A model that the runtime refuses; as [`close`]. Whether the kit was made for this lens, [`require`] tells.
+/// A model that the runtime refuses; as [`close`]. Whether the kit was made for this lens, [`Kit::require`] tells.
 pub fn measured(
     lens: &Lens,
     kit: &Kit,
@@ -30,16 +29,10 @@ pub fn measured(
 ) -> Result<Measured> {
     let (sensor, frame) = (&kit.sensor, &kit.frame);
     let camera = Camera::with_kit(kit.clone(), Steps { network: true, undistort: false }, options)?;
-    let density = SpectralDensity::new(sensor);
-    let how = reference::Settings {
-        samples: settings.rays,
-        seed: mixed(settings.seed, 0x7261_7973),
-        channels: Channels::Bayer(sensor.cfa),
-        sampling: Sampling::Bounded,
-    };
+    let rays = by_rays(lens, sensor, frame, Settings { seed: mixed(settings.seed, RAYS), ..settings });
     let seen = |scene: &Plane, region: Region| -> Result<Seen> {
         let at = camera.around(region).ok_or_else(|| Error::Internal("a camera with a kit".into()))?;
-        let mosaic = reference::render(lens, scene, &density, frame, at, how, None)?.mosaic();
+        let mosaic = rays(scene, at)?.mosaic;
         let dn = expose(signal(mosaic.view(), sensor, 1.0).view(), sensor, Some(settings.seed));
         let developed = camera.part(dn.mapv(f32::from).view(), at)?;
         let (i, j) = ((region.row - at.row).unsigned_abs(), (region.col - at.col).unsigned_abs());
@@ -52,18 +45,4 @@ pub fn measured(
     let found = close(lens, sensor, frame, settings, &seen, progress)?;
     let runtime = camera.session().map_or_else(String::new, |s| s.runtime().name());
     Ok(Measured { by: format!("{}, {runtime}", kit.name), ..found })
-}
-
-/// Refuses a lens that is not the kit's; `file` names it.
-///
-/// # Errors
-/// Other numbers than those of the lens that the kit's network was trained for.
-pub fn require(lens: &Lens, kit: &Kit, file: &Path) -> Result<()> {
-    let (own, theirs) = (lens.sha256(), &kit.lens.sha256);
-    if own == *theirs {
-        return Ok(());
-    }
-    let short = |hash: &str| hash.chars().take(12).collect::<String>();
-    let allowed = format!("the kit's, {}… ({})", short(theirs), kit.lens.name);
-    Err(Error::bad(file.display().to_string(), "lens", format!("{}… ({})", short(&own), lens.name), allowed))
 }

@@ -23,7 +23,8 @@ use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::{self, Filters, Guide};
 use crate::imaging::sensor::Sensor;
-use crate::network::card::{DEMOSAIC, ModelCard, sha256_hex};
+use crate::lens::Lens;
+use crate::network::card::{DEMOSAIC, ModelCard, sensor_sha256, sha256_hex};
 
 /// The newest form of `kit.toml`.
 pub const SCHEMA: u32 = 3;
@@ -325,6 +326,19 @@ impl Kit {
         toml::to_string(&file).map_err(|e| Error::Internal(format!("kit to TOML: {e}")))
     }
 
+    /// Refuses a lens that is not the kit's; `file` names it.
+    ///
+    /// # Errors
+    /// Other numbers than those of the lens that the kit's network was trained for.
+    pub fn require(&self, lens: &Lens, file: &Path) -> Result<()> {
+        let own = lens.sha256();
+        if own == self.lens.sha256 {
+            return Ok(());
+        }
+        let allowed = format!("the kit's, {} ({})", short(&self.lens.sha256), self.lens.name);
+        Err(Error::bad(file.display().to_string(), "lens", format!("{} ({})", short(&own), lens.name), allowed))
+    }
+
     /// SHA-256 (hex) of frame, distortion, illumination, glare and sensor as `kit.toml` states them.
     fn calibration_sha256(&self) -> Result<String> {
         #[derive(Serialize)]
@@ -362,7 +376,7 @@ impl Kit {
                 format!("the lens the network was trained for, {} ({})", short(&card.lens_sha256), card.lens_name);
             return bad("lens.sha256", found, allowed);
         }
-        let sensor = sha256_hex(toml::to_string(&self.sensor).unwrap_or_default().as_bytes());
+        let sensor = sensor_sha256(&self.sensor);
         if !card.calibration_sha256.is_empty() && card.calibration_sha256 != sensor {
             let allowed = format!("the sensor the network was trained for, {}", short(&card.calibration_sha256));
             return bad("sensor", format!("{} ({})", short(&sensor), self.sensor.name), allowed);

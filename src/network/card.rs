@@ -11,6 +11,7 @@ use sha2::{Digest, Sha256};
 use super::blocks::Blocks;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
+use crate::imaging::sensor::Sensor;
 
 /// The newest form of a card. Networks of the paper's blocks have an older one: the second, which says nothing of blocks, or,
 /// where they see the capture alone, the first, which says nothing of inputs either.
@@ -233,6 +234,11 @@ pub const fn receptive_radius_px(blocks: Blocks, scales: usize) -> usize {
     let coarsest = 1 << scales.saturating_sub(1);
     let down_and_up = 2 * blocks.convolutions() * (coarsest - 1);
     down_and_up + blocks.convolutions() * coarsest + 1 + (coarsest - 1)
+}
+
+/// What a card says of the sensor its network was trained for ([`ModelCard::calibration_sha256`]).
+pub fn sensor_sha256(sensor: &Sensor) -> String {
+    sha256_hex(toml::to_string(sensor).unwrap_or_default().as_bytes())
 }
 
 /// SHA-256 of `bytes` as 64 lower-case hexadecimal digits.

@@ -84,12 +84,6 @@ impl Illumination {
         self.irradiance.iter().map(of).collect()
     }
 
-    /// [`Self::lost`] at a radius: the larger of its neighbours'.
-    pub fn lost_at(&self, radius_mm: f64) -> f64 {
-        let after = self.radii_mm.partition_point(|r| *r < radius_mm).min(self.radii_mm.len() - 1);
-        self.lost[after].max(self.lost[after.saturating_sub(1)])
-    }
-
     /// The radius whose kernel stands for that of `radius_mm`: beyond the last place with light, that place's.
     pub fn held(&self, radius_mm: f64) -> f64 {
         radius_mm.min(self.lit_mm)

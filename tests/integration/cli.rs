@@ -471,6 +471,7 @@ fn edges_through_a_kit(place: &Workplace, by_run: &[serde_json::Value]) {
     place.run("report cooke_triplet --rays 64 --kit kit -o no.html").refused(&["cooke_triplet", "the kit's"]);
     place.run("report run/lens.toml --kit none -o no.html").refused(&["none", "kit.toml"]);
     place.run("report run/lens.toml cooke_triplet --kit kit -o no.html").refused(&["--kit"]);
+    place.run("report cooke_triplet --onnxruntime x -o no.html").refused(&["--onnxruntime", "kit"]);
     assert!(!place.path("no.html").exists());
 }
 

@@ -11,7 +11,7 @@ use isoplanat::imaging::render::plan::{quadrature, spec};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
-use isoplanat::network::card::{ModelCard, sha256_hex};
+use isoplanat::network::card::{ModelCard, sensor_sha256};
 use isoplanat::network::{Reconstructor, onnx};
 use isoplanat::psf::Optics;
 
@@ -55,7 +55,7 @@ pub(crate) fn card(
     let mut card = bare.seeing(config.inputs).made_of(config.blocks);
     card.lens_name.clone_from(&lens.name);
     card.lens_sha256 = lens.sha256();
-    card.calibration_sha256 = sha256_hex(toml::to_string(sensor).unwrap_or_default().as_bytes());
+    card.calibration_sha256 = sensor_sha256(sensor);
     card.training_sha256 = training_sha256;
     card
 }

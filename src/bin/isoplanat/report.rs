@@ -81,11 +81,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         // What cannot be measured is told before the page is made.
         let settings =
             Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
+        let own = Some(Path::new(name)).filter(|folder| folder.join("kit.toml").is_file());
+        let kit = args.kit.as_deref().or(own);
+        if args.onnxruntime.is_some() && kit.is_none() {
+            return Err(Error::bad("--onnxruntime", "kit", "none", "--kit KIT, or the folder of a kit").into());
+        }
         let measured = match (run, args.measure) {
-            _ if args.kit.is_some() => Some(of_kit(args, args.kit.as_deref(), &file, &lens, settings)),
-            (true, _) if Path::new(name).join("kit.toml").is_file() => {
-                Some(of_kit(args, Some(Path::new(name)), &file, &lens, settings))
-            }
+            _ if kit.is_some() => kit.map(|kit| of_kit(kit, args.onnxruntime.as_deref(), &file, &lens, settings)),
             (true, _) => Some(of_run(Path::new(name), &lens, settings)),
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
@@ -168,19 +170,19 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
 /// Slanted edges in front of a lens and the kit that was made for it; the lens in `file` may be looked at from another distance.
 #[cfg(feature = "deploy")]
 fn of_kit(
-    args: &Args,
-    folder: Option<&Path>,
+    folder: &Path,
+    onnxruntime: Option<&Path>,
     file: &str,
     lens: &Lens,
     settings: Settings,
 ) -> isoplanat::Result<Measured> {
-    use isoplanat::deploy::edges::{measured, require};
+    use isoplanat::deploy::edges::measured;
     use isoplanat::deploy::kit::Kit;
     use isoplanat::deploy::session::Options;
 
-    let kit = Kit::load(folder.unwrap_or(Path::new("")))?;
-    require(&crate::input::lens(file)?, &kit, Path::new(file))?;
-    let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
+    let kit = Kit::load(folder)?;
+    kit.require(&crate::input::lens(file)?, Path::new(file))?;
+    let options = Options { onnxruntime: onnxruntime.map(Path::to_owned), ..Options::default() };
     let bar = Bar::new("slanted edges");
     let found = measured(lens, &kit, &options, settings, &mut |share| bar.set(share, String::new()))?;
     bar.done(String::new());
@@ -189,8 +191,8 @@ fn of_kit(
 
 /// A kit needs a runtime.
 #[cfg(not(feature = "deploy"))]
-fn of_kit(_: &Args, folder: Option<&Path>, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
-    let kit = folder.map_or_else(String::new, |k| k.display().to_string());
+fn of_kit(folder: &Path, _: Option<&Path>, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
+    let kit = folder.display().to_string();
     let found = "this build lacks the feature `deploy`, which a kit's network needs";
     Err(Error::bad(kit, "kit", found, "a lens alone, or a build with --features deploy"))
 }
