@@ -14,6 +14,7 @@
 
 mod beam;
 mod refine;
+mod tracing;
 
 use std::ops::Range;
 use std::sync::Arc;
@@ -28,6 +29,7 @@ use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System, SystemGradient};
 use beam::{Bases, Beam, Chief};
 pub use refine::{Tolerance, knots};
+use tracing::Tracing;
 
 /// Knots that one interpolation reads.
 const TAPS: usize = 6;
@@ -144,7 +146,7 @@ pub struct Table {
     signs: Vec<f64>,
     bases: Bases,
     /// `[knot][wavelength]`.
-    beams: Vec<Vec<Beam>>,
+    beams: Vec<Arc<Vec<Beam>>>,
     rows: Vec<Vec<Row>>,
     chiefs: Vec<Chief>,
 }
@@ -191,46 +193,35 @@ impl Table {
     /// # Errors
     /// A lens without rotational symmetry; wavelengths at which its indices are not known; a sensor without light on the axis.
     pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
-        lens.require_symmetry("a table of sensor radii")?;
-        spec.wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))?;
-        let views = views(lens, &spec.wavelength_nm);
-        let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
-        let bases = Bases::new(spec.degree);
-        let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
-        let traced: Vec<std::result::Result<(Vec<Beam>, Chief), Failure>> = spec
-            .radii_mm
-            .par_iter()
-            .map(|r| {
-                let mut beams: Vec<Beam> = Vec::with_capacity(views.len());
-                for view in &views {
-                    let beam = Beam::trace(view, &bases, *r, pupil, beams.last())?;
-                    beams.push(beam);
-                }
-                Ok((beams, Chief::trace(&reference, *r)?))
-            })
-            .collect();
-        let mut spec = spec.clone();
+        Tracing::new(lens, &spec.wavelength_nm, spec.degree)?.table(&spec.radii_mm)
+    }
+
+    /// The table of the rays that `tracing` finds at `radii_mm`.
+    fn of(tracing: &mut Tracing<'_>, radii_mm: &[f64]) -> Result<Self> {
+        tracing.trace(radii_mm);
+        let mut spec = tracing.spec(radii_mm);
         let (mut beams, mut chiefs, mut edge_mm) = (Vec::new(), Vec::new(), f64::INFINITY);
-        for (k, traced) in traced.into_iter().enumerate() {
-            match traced {
+        for (k, radius) in radii_mm.iter().enumerate() {
+            match tracing.seen(*radius) {
                 Ok((beam, chief)) => {
-                    beams.push(beam);
-                    chiefs.push(chief);
+                    beams.push(Arc::clone(beam));
+                    chiefs.push(chief.clone());
                 }
-                Err(f) if k == 0 => return Err(failed(lens, spec.radii_mm[0], f)),
+                Err(f) if k == 0 => return Err(failed(tracing.lens, *radius, *f)),
                 Err(_) => {
-                    edge_mm = spec.radii_mm[k - 1];
+                    edge_mm = radii_mm[k - 1];
                     spec.radii_mm.truncate(k);
                     break;
                 }
             }
         }
-        let clips = beam::near_apertures(&views, &beams);
+        let (views, bases, pupil) = (&tracing.views, tracing.bases.clone(), tracing.pupil);
+        let clips = beam::near_apertures(views, &beams);
         let [even, odd] = StopNodes::terms(spec.degree);
         let layout = Layout { even, odd, clips: clips.len() };
         let mut rows: Vec<Vec<Row>> = beams
             .par_iter()
-            .map(|beams| beams.iter().zip(&views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
+            .map(|beams| beams.iter().zip(views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
             .collect();
         let residual = beams.par_iter().zip(&rows).map(|(b, r)| beam::residual(&b[0], &r[0], &bases, &layout));
         let residual = residual.reduce(|| 0.0, f64::max);
@@ -246,7 +237,7 @@ impl Table {
         Ok(Self {
             horizon,
             residual,
-            rays: beams.iter().flatten().map(|b| b.nodes.len()).sum::<usize>() + chiefs.len(),
+            rays: beams.iter().flat_map(|b| b.iter()).map(|b| b.nodes.len()).sum::<usize>() + chiefs.len(),
             signs: layout.signs(spec.degree),
             spec,
             clips,

@@ -3,12 +3,12 @@
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use glam::DVec2;
+use glam::{DMat2, DVec2};
 
 use super::super::fit::{Of, apply, apply_transposed};
 use super::super::stop::{Part, StopNodes};
 use super::{Layout, Row, STEEPEST, STEEPEST_RAY};
-use crate::trace::aim::{Crossings, SceneRayBar, SensorView};
+use crate::trace::aim::{Crossings, SceneRay, SceneRayBar, SensorView};
 use crate::trace::sequential::Hit;
 use crate::trace::{Cause, Failure, SystemGradient};
 
@@ -56,8 +56,9 @@ pub(super) struct Beam {
 pub(super) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
     let mut failure = None;
     for part in PUPILS {
-        let tried =
-            views.iter().try_for_each(|view| Beam::nodes(view, &bases.whole.nodes, 0.0, part, None).map(|_| ()));
+        let tried = views.iter().try_for_each(|view| {
+            Aimed::at(view, 0.0, part)?.through(&bases.whole.nodes, None).map(|_| ()).map_err(|f| f.1)
+        });
         match tried {
             Ok(()) => return Ok(part),
             Err(f) => failure = failure.or(Some(f)),
@@ -71,6 +72,56 @@ pub(super) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure>
     }
 }
 
+/// A sensor point whose ray through the centre of the stop is known; all others begin there.
+struct Aimed<'a> {
+    view: &'a SensorView,
+    at: DVec2,
+    /// Radius of the unit stop, mm.
+    scale: f64,
+    chief: DVec2,
+    chief_hits: Vec<Hit>,
+    /// Where the ray meets the stop, mm, and what a step there costs in cosines.
+    met: DVec2,
+    per_mm: DMat2,
+}
+
+impl<'a> Aimed<'a> {
+    fn at(view: &'a SensorView, radius_mm: f64, pupil: f64) -> Result<Self, Failure> {
+        let (at, scale) = (DVec2::new(0.0, radius_mm), pupil * view.system.stop_semi_diameter);
+        let mut chief_hits = Vec::new();
+        let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits)?;
+        let (met, per_mm) = view.around(at, chief, &chief_hits);
+        Ok(Self { view, at, scale, chief, chief_hits, met, per_mm })
+    }
+
+    /// Rays through `places` of the unit stop. `near` is the beam of a neighbouring wavelength.
+    ///
+    /// # Errors
+    /// The first that does not get through, and why.
+    fn through(&self, places: &[DVec2], near: Option<&Beam>) -> Result<Vec<Crossings>, (usize, Failure)> {
+        let Self { view, at, chief, .. } = *self;
+        let targets: Vec<DVec2> = places.iter().map(|s| *s * self.scale).collect();
+        let starts: Vec<DVec2> = match near {
+            Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
+            None => targets.iter().map(|t| chief + self.per_mm * (t - self.met)).collect(),
+        };
+        let across = Failure { cause: Cause::Missed, surface: view.system.image() };
+        let steep = |n: &SceneRay| n.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY;
+        if let Some(nodes) = view.bundle(at, &targets, &starts, (chief, &self.chief_hits)) {
+            return nodes.iter().position(|n| steep(&n.ray)).map_or(Ok(nodes), |k| Err((k, across)));
+        }
+        // One by one, with all that aiming can do.
+        let mut hits = Vec::with_capacity(view.system.surfaces.len());
+        let mut nodes = Vec::with_capacity(targets.len());
+        for (k, (target, start)) in targets.iter().zip(starts).enumerate() {
+            let found = view.aim(at, *target, Some(start), &mut hits).and_then(|c| view.follow(at, c, &mut hits));
+            let ray = found.and_then(|ray| if steep(&ray) { Err(across) } else { Ok(ray) }).map_err(|f| (k, f))?;
+            nodes.push(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
+        }
+        Ok(nodes)
+    }
+}
+
 impl Beam {
     /// Traces the nodes of the largest part of the stop that gets through. `near` is the beam of a neighbouring wavelength.
     pub(super) fn trace(
@@ -80,9 +131,10 @@ impl Beam {
         pupil: f64,
         near: Option<&Self>,
     ) -> Result<Self, Failure> {
+        let aimed = Aimed::at(view, radius_mm, pupil)?;
         let through = |part: Part| {
             let near = near.filter(|b| b.part == part);
-            let nodes = Self::nodes(view, &bases.of(part).nodes, radius_mm, pupil, near)?;
+            let nodes = aimed.through(&bases.of(part).nodes, near).map_err(|f| f.1)?;
             Ok(Self { radius_mm, part, pupil, nodes })
         };
         let failure = match through(Part::WHOLE) {
@@ -92,16 +144,20 @@ impl Beam {
         // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly.
         let height = |step: u32| f64::from(step) / f64::from(STEPS);
         let reach = |heights: &dyn Fn(f64) -> [f64; 2]| {
-            let seen = |step: u32| {
-                let nodes = Part::between(heights(height(step))).nodes(bases.whole.degree);
-                Self::nodes(view, &nodes, radius_mm, pupil, None).is_ok()
-            };
-            let (mut through, mut fails) = (0, STEPS + 1);
-            while fails - through > 1 {
-                let middle = u32::midpoint(through, fails);
-                *(if seen(middle) { &mut through } else { &mut fails }) = middle;
+            let nodes = |step: u32| Part::between(heights(height(step))).nodes(bases.whole.degree);
+            let (mut passes, mut fails, mut last) = (0, STEPS + 1, None);
+            while fails - passes > 1 {
+                let middle = u32::midpoint(passes, fails);
+                let nodes = nodes(middle);
+                // The node that failed last is asked first: it costs less than all.
+                let one = last.map_or(Ok(()), |k: usize| aimed.through(&nodes[k..=k], None).map(|_| ()));
+                let all = one.map_err(|_| last).and_then(|()| aimed.through(&nodes, None).map_err(|(k, _)| Some(k)));
+                match all {
+                    Ok(_) => passes = middle,
+                    Err(k) => (fails, last) = (middle, k),
+                }
             }
-            through
+            passes
         };
         let (high, low) = (reach(&|h| [0.0, h]), reach(&|h| [-h, 0.0]));
         // A step less: rays that hardly get through run steeply over the stop.
@@ -110,41 +166,6 @@ impl Beam {
         let enough = caps.as_ref().map_or(0.0, |c| c.part.share());
         let disk = RADII.iter().filter(|r| r.powi(2) > enough).find_map(|r| through(Part::disk(*r)).ok());
         disk.or(caps).ok_or(failure)
-    }
-
-    fn nodes(
-        view: &SensorView,
-        places: &[DVec2],
-        radius_mm: f64,
-        pupil: f64,
-        near: Option<&Self>,
-    ) -> Result<Vec<Crossings>, Failure> {
-        let at = DVec2::new(0.0, radius_mm);
-        let scale = pupil * view.system.stop_semi_diameter;
-        let mut chief_hits: Vec<Hit> = Vec::new();
-        let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits)?;
-        let targets: Vec<DVec2> = places.iter().map(|s| *s * scale).collect();
-        let starts: Vec<DVec2> = match near {
-            Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
-            None => targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect(),
-        };
-        let across = Failure { cause: Cause::Missed, surface: view.system.image() };
-        let steep = |n: &Crossings| n.ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY;
-        if let Some(nodes) = view.bundle(at, &targets, &starts, (chief, &chief_hits)) {
-            return if nodes.iter().any(steep) { Err(across) } else { Ok(nodes) };
-        }
-        // One by one, with all that aiming can do.
-        let mut hits = Vec::with_capacity(view.system.surfaces.len());
-        let mut nodes = Vec::with_capacity(targets.len());
-        for (target, start) in targets.iter().zip(starts) {
-            let cosines = view.aim(at, *target, Some(start), &mut hits)?;
-            let ray = view.follow(at, cosines, &mut hits)?;
-            if ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY {
-                return Err(across);
-            }
-            nodes.push(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
-        }
-        Ok(nodes)
     }
 
     /// Values at the nodes.
@@ -259,7 +280,7 @@ impl Beam {
 }
 
 /// Surfaces of the lens, other than the stop, whose clear apertures some ray comes near.
-pub(super) fn near_apertures(views: &[SensorView], beams: &[Vec<Beam>]) -> Vec<usize> {
+pub(super) fn near_apertures(views: &[SensorView], beams: &[Arc<Vec<Beam>>]) -> Vec<usize> {
     let Some(view) = views.first() else { return Vec::new() };
     let image = view.system.image();
     (0..image)
@@ -267,7 +288,9 @@ pub(super) fn near_apertures(views: &[SensorView], beams: &[Vec<Beam>]) -> Vec<u
             let k = image - surface;
             let radius = view.system.surfaces[k].semi_diameter;
             let nearer = |n: &Crossings| n.heights[k].length() > NEAR * radius;
-            k != view.system.stop && radius.is_finite() && beams.iter().flatten().any(|b| b.nodes.iter().any(nearer))
+            k != view.system.stop
+                && radius.is_finite()
+                && beams.iter().flat_map(|b| b.iter()).any(|b| b.nodes.iter().any(nearer))
         })
         .collect()
 }

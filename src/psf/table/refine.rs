@@ -5,7 +5,8 @@ use rayon::prelude::*;
 use super::super::fit::Of;
 use super::super::sensor_map::SensorMap;
 use super::super::stop::StopPoints;
-use super::{Row, Table, TableSpec};
+use super::tracing::Tracing;
+use super::{Row, Table};
 use crate::error::Result;
 use crate::lens::Lens;
 
@@ -55,15 +56,15 @@ pub fn knots(
         few => few.to_vec(),
     };
     let points = StopPoints::new(degree, POINTS);
+    let mut tracing = Tracing::new(lens, &ends, degree)?;
     // Where light ends before the radius does, knots are spread up to there, and the last one stands in the dark.
-    let (frame_mm, radius_mm) = (radius_mm, lit(lens, vergence, &ends, degree, radius_mm)?);
+    let (frame_mm, radius_mm) = (radius_mm, lit(&mut tracing, vergence, radius_mm)?);
     let even = |n: u32| (0..=n).map(|i| radius_mm * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
     let within = |n: u32| even(n).into_iter().chain((radius_mm < frame_mm).then_some(frame_mm)).collect();
     let holds = |t: Tolerance| t.landing_mm <= tolerance.landing_mm && t.weight <= tolerance.weight;
     let mut n = INTERVALS[0];
     loop {
-        let spec = TableSpec { radii_mm: even(2 * n), wavelength_nm: ends.clone(), degree };
-        let fine = Table::compute(lens, &spec)?;
+        let fine = tracing.table(&even(2 * n))?;
         let (coarse, lost) = difference(&fine.halved(), &fine, vergence, &points);
         let all = Tolerance { weight: coarse.weight.max(lost), ..coarse };
         if holds(all) {
@@ -81,22 +82,21 @@ pub fn knots(
 
 /// The largest radius with light, up to `radius_mm`, to [`EDGE`]: where knots of the first look see no more, it is looked
 /// for between the last that does and the next. It ends as well where the picture of an object at `vergence` would fold.
-fn lit(lens: &Lens, vergence: f64, wavelength_nm: &[f64], degree: usize, radius_mm: f64) -> Result<f64> {
-    let of = |radii_mm: Vec<f64>| {
-        Table::compute(lens, &TableSpec { radii_mm, wavelength_nm: wavelength_nm.to_vec(), degree })
-    };
-    let first = of((0..=INTERVALS[0]).map(|i| radius_mm * f64::from(i) / f64::from(INTERVALS[0])).collect())?;
+fn lit(tracing: &mut Tracing<'_>, vergence: f64, radius_mm: f64) -> Result<f64> {
+    let even = |n: u32, to: f64| (0..=n).map(|i| to * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
+    let first = tracing.table(&even(INTERVALS[0], radius_mm))?;
     if first.edge_mm == f64::INFINITY {
         return Ok(radius_mm);
     }
-    let grows = |table: &Table| match table.chief_slopes(vergence)[..] {
-        [_, near, at] => at - near > FOLDS * STEP * at,
-        _ => false,
+    // Chief rays first: they cost the least.
+    let grows = |tracing: &mut Tracing<'_>, at: f64| {
+        let slopes = [(1.0 - STEP) * at, at].map(|r| tracing.chief_slope(r, vergence));
+        matches!(slopes, [Some(near), Some(far)] if far - near > FOLDS * STEP * far) && tracing.is_lit(at)
     };
     let (mut low, mut high) = (first.edge_mm, first.edge_mm + radius_mm / f64::from(INTERVALS[0]));
     while high - low > EDGE * high {
         let middle = 0.5 * (low + high);
-        if grows(&of(vec![0.0, (1.0 - STEP) * middle, middle])?) {
+        if grows(tracing, middle) {
             low = middle;
         } else {
             high = middle;
@@ -104,9 +104,8 @@ fn lit(lens: &Lens, vergence: f64, wavelength_nm: &[f64], degree: usize, radius_
     }
     // The map that will be fitted has the last word.
     let last = if first.edge_mm > 0.0 { first.edge_mm } else { return Ok(radius_mm) };
-    let radii = |edge: f64| (0..=2 * INTERVALS[0]).map(|i| edge * f64::from(i) / f64::from(2 * INTERVALS[0])).collect();
     for _ in 0..TRIES {
-        if SensorMap::fit(lens, &of(radii(low))?, vergence).is_ok() {
+        if SensorMap::fit(tracing.lens, &tracing.table(&even(2 * INTERVALS[0], low))?, vergence).is_ok() {
             return Ok(low);
         }
         low = last + 0.5 * (low - last);

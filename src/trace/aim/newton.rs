@@ -12,7 +12,10 @@ use super::super::{Cause, Failure, Ray, System};
 const TOLERANCE: f64 = 1e-12;
 /// Accepted where rounding lets no step come nearer, relative to the stop's semi-diameter.
 const ROUNDING: f64 = 1e-9;
-const ITERATIONS: u32 = 30;
+const ITERATIONS: usize = 30;
+/// Given up where so many steps win less than this part of the distance: shortened more than eightfold, they end at the edge of what
+/// gets through.
+const STALLED: (usize, f64) = (4, 0.2);
 
 /// A family of launch rays with two coordinates.
 pub(super) trait Launching {
@@ -75,11 +78,17 @@ pub(super) fn solve(
     let (mut p, mut ray) = (start, launching.ray(start));
     let (mut iterations, mut upright) = (1, true);
     let mut miss = trace(system, ray, stop, hits)?.at.point.truncate() - target;
+    let mut before = [f64::INFINITY; STALLED.0];
     // Written so that a NaN is never accepted.
-    for _ in 0..ITERATIONS {
+    for k in 0..ITERATIONS {
         if miss.length() <= TOLERANCE * scale {
             return Ok(Solved { p, residual: miss.length() / scale, iterations, upright });
         }
+        let distance = miss.length();
+        if distance > ROUNDING * scale && distance > (1.0 - STALLED.1) * before[k % STALLED.0] {
+            return Err(lost);
+        }
+        before[k % STALLED.0] = distance;
         let jacobian = stop_jacobian(system, launching, &ray, hits);
         upright = jacobian.determinant() > 0.0;
         let step = jacobian.inverse() * miss;

@@ -24,8 +24,8 @@ use super::newton::{Launching, Solved, solve, stop_jacobian};
 const TOLERANCE: f64 = 1e-12;
 /// Traces of a bundle at most, until it meets the stop where it should.
 const TRACES: u32 = 12;
-/// Steps of the walk out from the axis, fewest and most.
-const WALKS: [u32; 3] = [4, 16, 64];
+/// Steps of the walk out from the axis, of the way: the longest and the shortest.
+const STEPS: [f64; 2] = [0.25, 1.0 / 64.0];
 
 /// All rays of one point of the sensor; the coordinates are direction cosines.
 #[derive(Clone, Copy, Debug)]
@@ -135,17 +135,15 @@ impl SensorView {
                 Err(f) => failure = f,
             }
         }
-        // Out from the axis, every ray the next one's guess.
-        for steps in WALKS {
-            let mut p = DVec2::ZERO;
-            let walked = (0..=steps).try_for_each(|k| {
-                let share = f64::from(k) / f64::from(steps);
-                p = self.solve(at * share, target * share, p, hits)?;
-                Ok(())
-            });
-            match walked {
-                Ok(()) => return Ok(p),
-                Err(f) => failure = f,
+        // Out from the axis, every ray the next one's guess, in steps as long as they arrive.
+        let (mut done, mut step) = (0.0, STEPS[0]);
+        let mut p = self.solve(DVec2::ZERO, DVec2::ZERO, DVec2::ZERO, hits)?;
+        while step >= STEPS[1] {
+            let share = f64::min(done + step, 1.0);
+            match self.solve(at * share, target * share, p, hits) {
+                Ok(found) if share == 1.0 => return Ok(found),
+                Ok(found) => (p, done, step) = (found, share, STEPS[0].min(2.0 * step)),
+                Err(f) => (failure, step) = (f, 0.5 * step),
             }
         }
         Err(failure)
@@ -234,13 +232,12 @@ impl SensorView {
         Some(())
     }
 
-    /// A first guess for `target` from the ray with cosines `near`, which meets the stop at `met`, one step along its Jacobian;
+    /// Where the ray of `cosines` from `at` meets the stop, mm, and how cosines change with that point; zero where that is not known.
     /// `hits` are that ray's.
-    pub fn step(&self, at: DVec2, near: DVec2, hits: &[Hit], target: DVec2) -> DVec2 {
+    pub fn around(&self, at: DVec2, cosines: DVec2, hits: &[Hit]) -> (DVec2, DMat2) {
         let point = SensorPoint(at);
-        let met = hits[self.system.stop].at.point.truncate();
-        let step = stop_jacobian(&self.system, &point, &point.ray(near), hits).inverse() * (target - met);
-        if step.is_finite() { near + step } else { near }
+        let inverse = stop_jacobian(&self.system, &point, &point.ray(cosines), hits).inverse();
+        (hits[self.system.stop].at.point.truncate(), if inverse.is_finite() { inverse } else { DMat2::ZERO })
     }
 
     /// Follows the ray of `cosines` from `at` into the scene; `hits` are those of all surfaces, the sensor first.
@@ -383,7 +380,8 @@ mod tests {
                 .collect();
             let (mut hits, mut chief_hits) = (Vec::new(), Vec::new());
             let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits).expect("aims");
-            let starts: Vec<DVec2> = targets.iter().map(|t| view.step(at, chief, &chief_hits, *t)).collect();
+            let (met, per_mm) = view.around(at, chief, &chief_hits);
+            let starts: Vec<DVec2> = targets.iter().map(|t| chief + per_mm * (*t - met)).collect();
             let bundle = view
                 .bundle(at, &targets, &starts, (chief, &chief_hits))
                 .unwrap_or_else(|| panic!("{}: a ray does not arrive", lens.name));
