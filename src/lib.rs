@@ -36,6 +36,8 @@ pub mod analysis;
 
 pub mod imaging;
 
+pub mod calibrate;
+
 pub mod report;
 
 pub mod network;

@@ -8,13 +8,16 @@ use std::time::{Duration, Instant};
 
 use ndarray::{Array3, ArrayView2, ArrayView3, ArrayView4};
 
+use crate::calibrate::file::MeasuredDistortion;
 use crate::deploy::kit::Kit;
 use crate::deploy::raw::{RawCapture, RawPixels};
 use crate::deploy::session::{Options, Session};
 use crate::deploy::tiles;
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::XYZ_FROM_SRGB;
+use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::{self, Balance, Development, IDENTITY, glare};
+use crate::imaging::frame::Frame;
 use crate::imaging::plane::Region;
 use crate::imaging::sensor::cfa::Cfa;
 
@@ -54,7 +57,17 @@ impl Default for Steps {
 #[derive(Debug, Default)]
 pub struct Camera {
     calibrated: Option<Calibrated>,
+    /// Without a kit: the distortion to take out.
+    measured: Option<Measured>,
     veil: Veil,
+}
+
+/// A measured distortion, the frame it was measured in, and the camera's name, which may be empty.
+#[derive(Debug)]
+struct Measured {
+    frame: Frame,
+    distortion: Distortion,
+    camera: String,
 }
 
 #[derive(Debug)]
@@ -109,7 +122,16 @@ impl Camera {
             None
         };
         let calibrated = Some(Calibrated { kit, session, undistort: steps.undistort });
-        Ok(Self { calibrated, veil: Veil::Kit })
+        Ok(Self { calibrated, measured: None, veil: Veil::Kit })
+    }
+
+    /// A camera without a kit that takes a measured distortion out.
+    ///
+    /// # Errors
+    /// A frame that is none.
+    pub fn straightening(measured: &MeasuredDistortion) -> Result<Self> {
+        let (frame, distortion) = (measured.frame()?, measured.distortion());
+        Ok(Self { measured: Some(Measured { frame, distortion, camera: measured.camera.clone() }), ..Self::default() })
     }
 
     /// The camera that takes `veil` off.
@@ -191,7 +213,10 @@ impl Camera {
         let orientation = capture.orientation;
         let development = match &self.calibrated {
             Some(calibrated) => calibrated.development(&capture, file, &mut notes)?,
-            None => plain_development(&capture, &mut notes),
+            None => {
+                let distortion = self.measured.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
+                Development { distortion, ..plain_development(&capture, &mut notes) }
+            }
         };
         let started = Instant::now();
         let mut camera = match capture.pixels {
@@ -224,6 +249,23 @@ impl Camera {
         let image = orientation.apply(developed.image);
         times.finish = started.elapsed();
         Ok(Picture { image, notes, outside_fraction: developed.outside_fraction, tiles: count, times })
+    }
+}
+
+impl Measured {
+    /// Frame and distortion for a capture of the size that they were measured at.
+    fn of(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<(&Frame, &Distortion)> {
+        let ((rows, columns), frame) = (capture.size(), &self.frame);
+        if (rows, columns) != (frame.rows, frame.columns) {
+            let allowed =
+                format!("{} × {}, the pictures that the distortion was measured in", frame.columns, frame.rows);
+            return Err(Error::bad(file.display().to_string(), "size", format!("{columns} × {rows} pixels"), allowed));
+        }
+        let camera = format!("{} {}", capture.make, capture.model);
+        if !self.camera.is_empty() && !same_camera(&camera, &self.camera) {
+            notes.push(format!("the file is of {}, the distortion was measured on {}", camera.trim(), self.camera));
+        }
+        Ok((frame, &self.distortion))
     }
 }
 
@@ -361,6 +403,26 @@ mod tests {
 
     fn tract() -> Options {
         Options { choice: Choice::Tract, threads: 2, ..Options::default() }
+    }
+
+    /// A measured distortion is taken out of a capture of its own size as a kit's is; another size is refused, another camera told.
+    #[test]
+    fn a_measured_distortion_is_taken_out() {
+        let text = "schema = 1\ncamera = \"Other 5\"\nlens = \"\"\nsource = \"test\"\ncolumns = 150\nrows = 110\n\
+            focal_length_px = 120.0\ncentre_px = [70.0, 60.0]\nk = [-0.2, 0.01, 0.0]\nmax_slope = 0.7\nrms_px = 0.1\n";
+        let measured = MeasuredDistortion::parse(text, "d.toml").expect("valid");
+        let camera = Camera::straightening(&measured).expect("a frame");
+        let straight = camera.reconstruct(capture(150, 110), Path::new("a.dng"), &|_, _| ()).expect("develops");
+        assert!(straight.notes.iter().any(|n| n.contains("Other 5")), "{:?}", straight.notes);
+        let bent = Camera::plain().reconstruct(capture(150, 110), Path::new("a.dng"), &|_, _| ()).expect("develops");
+        assert_eq!(bent.outside_fraction, 0.0);
+        // Barrel distortion taken out: the corners of the straight picture lie beyond nothing, the centre stays.
+        let centre = |p: &Picture| p.image[[1, 70, 110 - 60]];
+        assert!((centre(&straight) - centre(&bent)).abs() < 0.02, "{} {}", centre(&straight), centre(&bent));
+        let off = (&straight.image - &bent.image).mapv(f32::abs).mean().expect("pixels");
+        assert!(off > 0.01, "{off}");
+        let error = camera.reconstruct(capture(152, 110), Path::new("a.dng"), &|_, _| ()).expect_err("another size");
+        assert!(error.to_string().contains("150 × 110") && error.exit_code() == 2, "{error}");
     }
 
     #[test]

@@ -431,15 +431,15 @@ fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
 pub(super) fn taps(radii: &[f64], radius_mm: f64, most: usize, beyond: usize) -> Vec<Tap> {
     let n = radii.len();
     let radius = radius_mm.min(radii[n - 1]);
-    // Signed indices: −k is knot k mirrored.
-    let after = radii.partition_point(|r| *r <= radius).cast_signed();
-    let count = most.min(2 * n - 1);
-    let most_beyond = after + beyond.cast_signed() - count.cast_signed();
-    let first = (after - (count / 2).cast_signed()).min(n.cast_signed() - count.cast_signed()).min(most_beyond);
+    // Signed indices: −k is knot k mirrored. Few knots may have fewer than are asked for, up to the last that may be read.
+    let (after, lowest) = (radii.partition_point(|r| *r <= radius).cast_signed(), 1 - n.cast_signed());
+    let end = (after + beyond.cast_signed()).min(n.cast_signed());
+    let count = most.cast_signed().min(end - lowest);
+    let first = (after - count / 2).min(end - count);
     let at = |i: isize| if i < 0 { -radii[i.unsigned_abs()] } else { radii[i.unsigned_abs()] };
-    (first..first + count.cast_signed())
+    (first..first + count)
         .map(|i| {
-            let others = (first..first + count.cast_signed()).filter(|j| *j != i);
+            let others = (first..first + count).filter(|j| *j != i);
             let weight = others.map(|j| (radius - at(j)) / (at(i) - at(j))).product();
             Tap { knot: i.unsigned_abs(), weight, mirrored: i < 0 }
         })

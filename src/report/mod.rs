@@ -22,5 +22,6 @@ pub mod listing;
 pub mod measured;
 pub mod paired;
 pub mod plot;
+pub mod residuals;
 pub mod svg;
 pub mod table;

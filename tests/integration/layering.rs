@@ -7,7 +7,7 @@ use std::process::Command;
 use crate::support::root;
 
 /// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 16] = [
+const ORDER: [&str; 17] = [
     "error",
     "atomic",
     "units",
@@ -20,6 +20,7 @@ const ORDER: [&str; 16] = [
     "psf",
     "analysis",
     "imaging",
+    "calibrate",
     "report",
     "network",
     "design",
@@ -27,7 +28,8 @@ const ORDER: [&str; 16] = [
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 7] = [
+const CRATES: [(&[&str], &[&str]); 8] = [
+    (&["calib_targets_chessboard"], &["src/calibrate/chart.rs"]),
     (&["burn", "onnx_rs"], &["src/network/", "src/design/"]),
     (&["ort", "tract_onnx"], &["src/deploy/session"]),
     (&["rawler"], &["src/deploy/raw"]),

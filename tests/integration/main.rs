@@ -1,6 +1,7 @@
 //! Tests across modules, in the order of the data flow.
 
 mod adjoints;
+mod calibrate;
 mod circles;
 mod cli;
 mod commands;

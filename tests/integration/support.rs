@@ -58,7 +58,7 @@ impl Workplace {
 
     /// The same under limits: seconds of processor time, KiB of addresses. A run that is ended by them has the exit code −1.
     pub(crate) fn run_limited(&self, arguments: &str, seconds: u32, kib: u32) -> Ran {
-        self.run_under(&format!("ulimit -t {seconds} -v {kib}"), arguments)
+        self.run_under(&format!("ulimit -t {seconds} && ulimit -v {kib}"), arguments)
     }
 
     /// The same where a write fails, as on a full disk, once its file has so many blocks of 512 bytes.
@@ -69,7 +69,7 @@ impl Workplace {
 
     fn run_under(&self, limits: &str, arguments: &str) -> Ran {
         let mut command = Command::new("sh");
-        command.arg("-c").arg(format!("{limits}; exec \"$0\" \"$@\"")).arg(env!("CARGO_BIN_EXE_isoplanat"));
+        command.arg("-c").arg(format!("{limits} && exec \"$0\" \"$@\"")).arg(env!("CARGO_BIN_EXE_isoplanat"));
         command.args(arguments.split_whitespace()).current_dir(self.folder.path());
         Self::finish(command, "")
     }

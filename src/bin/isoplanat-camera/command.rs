@@ -6,6 +6,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use indicatif::{ProgressBar, ProgressStyle};
+use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::deploy::kit::Kit;
 use isoplanat::deploy::raw_process::{self, Limits};
 use isoplanat::deploy::reconstruct::{Camera, Steps, Veil};
@@ -42,6 +43,9 @@ pub(crate) struct Arguments {
     /// Leave the lens's distortion in.
     #[arg(long, requires = "kit")]
     no_undistort: bool,
+    /// Distortion to take out, as `isoplanat calibrate` measured it; a kit has its own.
+    #[arg(long, value_name = "DISTORTION.toml", conflicts_with = "kit")]
+    distortion: Option<PathBuf>,
     /// Veiling glare to take off: a share of the light, `guess` from the picture's darkest parts, or `none` [default: the kit's]
     #[arg(long, value_name = "SHARE", value_parser = veil)]
     glare: Option<Veil>,
@@ -124,7 +128,9 @@ fn work(arguments: &Arguments) -> Result<u8> {
 fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let Some(kit) = kit else {
         eprintln!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
-        return Camera::plain().without(arguments.glare.unwrap_or(Veil::Keep));
+        let measured = arguments.distortion.as_deref().map(MeasuredDistortion::load).transpose()?;
+        let camera = measured.as_ref().map_or_else(|| Ok(Camera::plain()), Camera::straightening)?;
+        return camera.without(arguments.glare.unwrap_or(Veil::Keep));
     };
     let steps = Steps { network: !arguments.no_network, undistort: !arguments.no_undistort };
     let options =

@@ -6,6 +6,8 @@
 
 mod accuracy;
 mod analyses;
+#[cfg(feature = "calibrate")]
+mod calibrate;
 mod capture;
 mod check;
 mod convert;
@@ -30,6 +32,7 @@ mod missing;
 mod optimize;
 mod output;
 mod peak;
+mod picture;
 mod progress;
 mod psf;
 mod render;
@@ -102,6 +105,12 @@ enum Command {
     Capture(capture::Args),
     /// The MTF that a picture of a slanted edge shows (ISO 12233 e-SFR)
     SlantedEdge(slanted_edge::Args),
+    /// The distortion of a real lens from photographs of a chessboard
+    #[cfg(feature = "calibrate")]
+    Calibrate(calibrate::Args),
+    /// The distortion of a real lens from photographs of a chessboard (needs the feature `calibrate`)
+    #[cfg(not(feature = "calibrate"))]
+    Calibrate(missing::Args),
     /// The whole chain on built-in scenes, with a report
     #[cfg(all(feature = "train", feature = "deploy"))]
     Demo(demo::Args),
@@ -158,6 +167,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Accuracy(args) => accuracy::run(&args, out),
         Command::Capture(args) => capture::run(&args, out),
         Command::SlantedEdge(args) => slanted_edge::run(&args, out),
+        #[cfg(feature = "calibrate")]
+        Command::Calibrate(args) => calibrate::run(&args, out),
+        #[cfg(not(feature = "calibrate"))]
+        Command::Calibrate(_) => missing::feature("calibrate"),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
         #[cfg(feature = "train")]

@@ -1,7 +1,6 @@
 //! `isoplanat slanted-edge IMAGE`: the MTF that a picture of a slanted edge shows, channel by channel.
 
 mod listing;
-mod picture;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -12,6 +11,7 @@ use isoplanat::imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, find_reg
 use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::{Error, Result};
 
+use crate::picture;
 use listing::{Listing, Measured};
 
 /// What the numbers of an integer picture stand for.

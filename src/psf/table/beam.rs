@@ -14,6 +14,8 @@ use crate::trace::{Cause, Failure, SystemGradient};
 
 /// Heights of caps, steps to the stop's radius, and radii of the unit stop that are tried where rays fail.
 const STEPS: u32 = 1000;
+/// Ends of the beam at another wavelength are this near, mostly.
+const ABOUT: u32 = 10;
 const RADII: [f64; 5] = [0.93, 0.85, 0.75, 0.6, 0.4];
 /// Parts of the stop's radius tried in turn for the unit stop: a stop may be larger than anything that comes through.
 const PUPILS: [f64; 9] = [1.0, 0.7, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02];
@@ -143,11 +145,15 @@ impl Beam {
         };
         // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly.
         let height = |step: u32| f64::from(step) / f64::from(STEPS);
-        let reach = |heights: &dyn Fn(f64) -> [f64; 2]| {
+        let reach = |heights: &dyn Fn(f64) -> [f64; 2], end: usize| {
             let nodes = |step: u32| Part::between(heights(height(step))).nodes(bases.whole.degree);
             let (mut passes, mut fails, mut last) = (0, STEPS + 1, None);
+            // Other wavelengths get about as far.
+            let about = near.map(|b| (b.part.heights[end].abs() * f64::from(STEPS)).round() as u32);
+            let mut guesses = about.into_iter().flat_map(|a| [a + ABOUT, a.saturating_sub(ABOUT)]);
             while fails - passes > 1 {
-                let middle = u32::midpoint(passes, fails);
+                let guess = guesses.next().filter(|g| (passes + 1..fails).contains(g));
+                let middle = guess.unwrap_or_else(|| u32::midpoint(passes, fails));
                 let nodes = nodes(middle);
                 // The node that failed last is asked first: it costs less than all.
                 let one = last.map_or(Ok(()), |k: usize| aimed.through(&nodes[k..=k], None).map(|_| ()));
@@ -159,7 +165,7 @@ impl Beam {
             }
             passes
         };
-        let (high, low) = (reach(&|h| [0.0, h]), reach(&|h| [-h, 0.0]));
+        let (high, low) = (reach(&|h| [0.0, h], 1), reach(&|h| [-h, 0.0], 0));
         // A step less: rays that hardly get through run steeply over the stop.
         let fewer = (1..high.min(low)).step_by(20).map(|k| Part::between([-height(low - k), height(high - k)]));
         let caps = fewer.into_iter().find_map(|part| through(part).ok());

@@ -45,3 +45,31 @@ fn rows_and_chief_rays_pull_back_to_the_lens() {
         }
     }
 }
+
+/// Any number of knots, read from anywhere, no farther out than allowed: weights of polynomials, even where knots are mirrored.
+#[test]
+fn taps_are_knots_that_are_there() {
+    for n in 1..9usize {
+        let radii: Vec<f64> = (0..n).map(|i| 0.5 * i as f64).collect();
+        for place in 0..40 {
+            let radius = 0.1 * f64::from(place);
+            let after = radii.partition_point(|r| *r <= radius);
+            for beyond in [1, 3, 4] {
+                let all = taps(&radii, radius, TAPS, beyond);
+                assert!(
+                    all.len() <= TAPS
+                        && all.iter().all(|t| t.knot < if t.mirrored { n } else { (after + beyond).min(n) }),
+                    "{n} {radius} {beyond}"
+                );
+                let sum = |f: &dyn Fn(f64) -> f64| -> f64 {
+                    all.iter().map(|t| t.weight * f(if t.mirrored { -radii[t.knot] } else { radii[t.knot] })).sum()
+                };
+                assert_rel(sum(&|_| 1.0), 1.0, 1e-12, 0.0, "weights");
+                let held = radius.min(radii[n - 1]);
+                if n > 1 {
+                    assert_rel(sum(&|r| r * r), held * held, 1e-11, 1.0, "squares");
+                }
+            }
+        }
+    }
+}

@@ -78,7 +78,7 @@ pub(super) fn solve(
     let (mut p, mut ray) = (start, launching.ray(start));
     let (mut iterations, mut upright) = (1, true);
     let mut miss = trace(system, ray, stop, hits)?.at.point.truncate() - target;
-    let mut before = [f64::INFINITY; STALLED.0];
+    let (mut before, mut factor) = ([f64::INFINITY; STALLED.0], 1.0);
     // Written so that a NaN is never accepted.
     for k in 0..ITERATIONS {
         if miss.length() <= TOLERANCE * scale {
@@ -95,8 +95,8 @@ pub(super) fn solve(
         if !step.is_finite() {
             return Err(lost);
         }
-        // Halve the step while it loses the ray or the distance.
-        let mut factor = 1.0;
+        // Halve the step while it loses the ray or the distance; what was shortened before begins short.
+        factor = f64::min(1.0, 4.0 * factor);
         loop {
             let trial = p - factor * step;
             let trial_ray = launching.ray(trial);

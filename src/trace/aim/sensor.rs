@@ -142,7 +142,7 @@ impl SensorView {
             let share = f64::min(done + step, 1.0);
             match self.solve(at * share, target * share, p, hits) {
                 Ok(found) if share == 1.0 => return Ok(found),
-                Ok(found) => (p, done, step) = (found, share, STEPS[0].min(2.0 * step)),
+                Ok(found) => (p, done) = (found, share),
                 Err(f) => (failure, step) = (f, 0.5 * step),
             }
         }

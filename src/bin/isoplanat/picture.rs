@@ -1,4 +1,4 @@
-//! The channels of a picture that an edge is measured in: grey, R, G, B with luminance, or the colours of a mosaic.
+//! The channels of a picture that is measured in: grey, R, G, B with luminance, or the colours of a mosaic.
 
 use std::path::Path;
 
@@ -20,23 +20,23 @@ const RAW: [&str; 14] =
 const BYTES: usize = 64;
 
 /// One channel: linear values, and which of them count.
-pub(super) struct Channel {
-    pub(super) name: &'static str,
-    pub(super) plane: ArcArray2<f64>,
-    pub(super) sites: Sites,
+pub(crate) struct Channel {
+    pub(crate) name: &'static str,
+    pub(crate) plane: ArcArray2<f64>,
+    pub(crate) sites: Sites,
     /// Levels at which values are cut off.
-    pub(super) range: Option<[f64; 2]>,
+    pub(crate) range: Option<[f64; 2]>,
 }
 
 /// What was read.
-pub(super) struct Picture {
-    pub(super) channels: Vec<Channel>,
+pub(crate) struct Picture {
+    pub(crate) channels: Vec<Channel>,
     /// What the numbers were taken as, in words.
-    pub(super) source: String,
+    pub(crate) source: String,
 }
 
 /// Reads a picture or a RAW file.
-pub(super) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) -> Result<Picture> {
+pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) -> Result<Picture> {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
     if RAW.contains(&ending.as_str()) {
         let found = |option: &str| Error::bad(option, "value", "given for a RAW file", "RAW files say it themselves");
