@@ -1,9 +1,12 @@
-//! Files and folders that appear whole or not at all: written beside their place, then renamed there. Files that are read whole, up to a size.
+//! Files and folders that appear whole or not at all: written beside their place, then renamed there. Files that are read whole, up to a size; texts of a stated form.
 
 use std::fs::{self, File};
 use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU64, Ordering};
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
 
 use crate::error::{Error, Result};
 
@@ -39,6 +42,25 @@ pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>> {
         return Err(Error::bad(path.display().to_string(), "size", found, format!("at most {most} bytes")));
     }
     Ok(bytes)
+}
+
+/// A TOML text of form `schema`; `file` names it in messages, `allowed` says where its keys are listed. A newer file is refused by its
+/// number, not by its first new key.
+///
+/// # Errors
+/// Another form; what is no TOML, or not of this type.
+pub fn of_schema<T: DeserializeOwned>(text: &str, file: &str, schema: u32, allowed: &str) -> Result<T> {
+    #[derive(Deserialize)]
+    struct Form {
+        schema: Option<u32>,
+    }
+    let syntax = |e: toml::de::Error| Error::toml(file, text, &e, allowed);
+    let form: Form = toml::from_str(text).map_err(syntax)?;
+    if form.schema != Some(schema) {
+        let found = form.schema.map_or("missing".into(), |s| s.to_string());
+        return Err(Error::bad(file, "schema", found, format!("this version reads schema = {schema}")));
+    }
+    toml::from_str(text).map_err(syntax)
 }
 
 /// Runs `fill` on a file beside `path` and renames it to `path` when that went well; otherwise nothing is left behind.

@@ -51,13 +51,9 @@ impl MeasuredDistortion {
     /// # Errors
     /// A file that cannot be read, of another form, or with values that mean nothing.
     pub fn load(path: &Path) -> Result<Self> {
-        atomic::regular(path)?;
-        let size = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
         let file = path.display().to_string();
-        if size > MOST {
-            return Err(Error::bad(file, "size", format!("{size} bytes"), format!("at most {MOST} bytes")));
-        }
-        let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+        let text = String::from_utf8(atomic::read_bounded(path, MOST)?)
+            .map_err(|_| Error::bad(file.as_str(), "text", "not UTF-8", ALLOWED))?;
         Self::parse(&text, &file)
     }
 
@@ -66,18 +62,7 @@ impl MeasuredDistortion {
     /// # Errors
     /// As [`Self::load`].
     pub fn parse(text: &str, file: &str) -> Result<Self> {
-        /// Only the form, so that a newer file is refused by its number, not by its first new key.
-        #[derive(Deserialize)]
-        struct Form {
-            schema: Option<u32>,
-        }
-        let syntax = |e: toml::de::Error| Error::toml(file, text, &e, ALLOWED);
-        let form: Form = toml::from_str(text).map_err(syntax)?;
-        if form.schema != Some(SCHEMA) {
-            let found = form.schema.map_or("missing".into(), |s| s.to_string());
-            return Err(Error::bad(file, "schema", found, format!("this version reads schema = {SCHEMA}")));
-        }
-        let measured: Self = toml::from_str(text).map_err(syntax)?;
+        let measured: Self = atomic::of_schema(text, file, SCHEMA, ALLOWED)?;
         measured.check(file)?;
         Ok(measured)
     }

@@ -175,8 +175,9 @@ mod tests {
                     by[column] = h;
                     land(&camera, &pose.moved(&by))
                 };
+                // Some hundred pixels a unit; these differences of pixels are rounded by 5e-9.
                 let d = (shifted(1e-5) - shifted(-1e-5)) / 2e-5;
-                (0..2).for_each(|row| assert_rel(outer[(row, column)], d[row], 1e-7, 1e-3, "pose"));
+                (0..2).for_each(|row| assert_rel(outer[(row, column)], d[row], 1e-7, 1.0, "pose"));
             }
             let slope = DVec2::new(between(rng, -0.5, 0.5), between(rng, -0.5, 0.5));
             let back = camera.slope(camera.land(slope), 0.75).expect("within");

@@ -257,6 +257,15 @@ mod program {
         isoplanat::imaging::files::write_png8(&place.path("black.png"), &ndarray::Array3::zeros((3, 720, 1280)))
             .expect("writes");
         place.write("text.jpg", "no picture");
+        // Pictures of any size, noise among them.
+        let rng = &mut fastrand::Rng::with_seed(4);
+        for (rows, columns) in [(1, 1), (50, 1), (1, 50), (3, 200), (31, 33), (33, 32), (60, 300), (200, 200)] {
+            let noise = ndarray::Array3::from_shape_fn((3, rows, columns), |_| rng.f32());
+            isoplanat::imaging::files::write_png8(&place.path("noise.png"), &noise).expect("writes");
+            let ran = place.run("calibrate noise.png");
+            assert_eq!(ran.code, 2, "{columns} × {rows}: {}", ran.err);
+            assert!(ran.err.contains("left out: noise.png") && !ran.err.contains("panicked"), "{}", ran.err);
+        }
         let some: Vec<&str> = charts.split(' ').take(8).collect();
         let ran = place.run(&format!("calibrate grey.png black.png text.jpg gone.jpg {} -o d.toml", some.join(" ")));
         assert_eq!(ran.code, 0, "{}", ran.err);

@@ -11,7 +11,7 @@ use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
-use ndarray::{Array2, Ix2};
+use ndarray::{Array2, ArrayView2};
 
 use crate::picture;
 use crate::progress::Bar;
@@ -146,13 +146,13 @@ fn look(path: &Path) -> Result<(View, [usize; 2])> {
     let named = |name: &str| channels.iter().find(|c| c.name == name);
     let chosen = named("luminance").or_else(|| named("G")).unwrap_or(&channels[0]);
     let (rows, columns) = chosen.plane.dim();
-    let find = |plane: &Array2<f64>| chart::find(plane.view()).map_err(|e| e.in_file(path));
+    let find = |plane: ArrayView2<'_, f64>| chart::find(plane).map_err(|e| e.in_file(path));
     if chosen.sites == Sites::ALL {
-        return Ok((find(&chosen.plane.to_owned().into_dimensionality::<Ix2>().unwrap_or_default())?, [columns, rows]));
+        return Ok((find(chosen.plane.view())?, [columns, rows]));
     }
     // Of a mosaic, cells of four pixels.
     let cell = |(r, c): (usize, usize)| (0..4).map(|i| chosen.plane[[2 * r + i / 2, 2 * c + i % 2]]).sum::<f64>() / 4.0;
-    let mut view = find(&Array2::from_shape_fn((rows / 2, columns / 2), cell))?;
+    let mut view = find(Array2::from_shape_fn((rows / 2, columns / 2), cell).view())?;
     view.seen.iter_mut().for_each(|p| *p *= 2.0);
     Ok((view, [columns, rows]))
 }

@@ -13,6 +13,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::files;
 use crate::imaging::sensor::cfa::Cfa;
@@ -86,19 +87,8 @@ impl Sensor {
 
     /// Parses and checks the text of a `sensor.toml`; `file` names it in messages.
     pub fn parse(text: &str, file: &str) -> Result<Self> {
-        /// Only the form, so that a newer file is refused by its number, not by its first new key.
-        #[derive(Deserialize)]
-        struct Form {
-            schema: Option<u32>,
-        }
-        let syntax =
-            |e: toml::de::Error| Error::toml(file, text, &e, "calibration/README.md lists the keys of a sensor.toml");
-        let form: Form = toml::from_str(text).map_err(syntax)?;
-        if form.schema != Some(SCHEMA) {
-            let found = form.schema.map_or("missing".into(), |s| s.to_string());
-            return Err(Error::bad(file, "schema", found, format!("this version reads schema = {SCHEMA}")));
-        }
-        let sensor: Self = toml::from_str(text).map_err(syntax)?;
+        let allowed = "calibration/README.md lists the keys of a sensor.toml";
+        let sensor: Self = atomic::of_schema(text, file, SCHEMA, allowed)?;
         sensor.check(file)?;
         Ok(sensor)
     }
