@@ -244,6 +244,57 @@ mod program {
         assert!(std::fs::read_to_string(place.path("d.svg")).expect("written").starts_with("<svg"));
     }
 
+    /// A RAW file of a chart: the same corners as in the picture that its mosaic was cut from, as seen in cells of four pixels.
+    #[cfg(feature = "deploy")]
+    #[test]
+    fn charts_may_be_raw_files() {
+        use isoplanat::imaging::files::read_planes;
+        use isoplanat::imaging::sensor::Sensor;
+        use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
+
+        let Some(charts) = charts() else { return };
+        let place = Workplace::new();
+        let sensor = Sensor::generic();
+        // Boards that fill much of the frame.
+        let some = ["calibration2.jpg", "calibration3.jpg", "calibration12.jpg"];
+        let mut names = Vec::new();
+        for chart in charts.split(' ').filter(|p| some.iter().any(|s| p.ends_with(&format!("/{s}")))) {
+            let planes = read_planes(std::path::Path::new(chart), None).expect("reads").values;
+            let (_, rows, columns) = planes.dim();
+            let range = sensor.white_level - sensor.black_level;
+            let value = |(r, c): (usize, usize)| {
+                let light = planes[[sensor.cfa.channel(r, c), r, c]];
+                (sensor.black_level + 0.9 * range * light).round() as u16
+            };
+            let mosaic = ndarray::Array2::from_shape_fn((rows, columns), value);
+            let name = format!("{}.dng", names.len());
+            write_dng(&place.path(&name), mosaic.view(), &sensor, &DngInfo::default()).expect("writes");
+            names.push((name, chart));
+        }
+        let corners = |pictures: &str, csv: &str| -> Vec<(String, DVec2)> {
+            place.run(&format!("calibrate {pictures} --terms 1 --centre middle --csv {csv}")).done();
+            let text = std::fs::read_to_string(place.path(csv)).expect("written");
+            let cells = |line: &str| line.split(',').map(str::to_owned).collect::<Vec<_>>();
+            let number = |text: &str| text.parse::<f64>().expect("a number");
+            text.lines().skip(1).map(cells).map(|c| (c[0].clone(), DVec2::new(number(&c[3]), number(&c[4])))).collect()
+        };
+        let list = |k: usize| names.iter().map(|n| [n.0.as_str(), n.1][k]).collect::<Vec<_>>().join(" ");
+        let (raw, there) = (corners(&list(0), "raw.csv"), corners(&list(1), "jpg.csv"));
+        let (mut sum, mut square, mut count) = (DVec2::ZERO, 0.0, 0.0);
+        for (name, chart) in &names {
+            for (_, at) in there.iter().filter(|c| c.0 == *chart) {
+                let own = raw.iter().filter(|c| c.0 == *name).map(|c| c.1 - *at);
+                let off = own.min_by(|a, b| a.length().total_cmp(&b.length())).expect("corners");
+                if off.length() < 3.0 {
+                    (sum, square, count) = (sum + off, square + off.length_squared(), count + 1.0);
+                }
+            }
+        }
+        assert!(count > 0.95 * there.len() as f64, "{count} of {}", there.len());
+        let (mean, spread) = (sum / count, f64::sqrt(square / count));
+        assert!(mean.length() < 0.1 && spread < 0.6, "off by {mean} on the mean, {spread} rms");
+    }
+
     /// Pictures without a chart are left out and told, pictures of another size refused; nothing is overwritten.
     #[test]
     fn what_is_no_chart_is_told() {
