@@ -1,6 +1,6 @@
 //! Real cameras: the distortion of a lens from photographs of a chessboard (paper §4.1), as one file.
 //!
-//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`file`] keeps the result.
+//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`mod@file`] keeps the result.
 //! All in pixels of the pictures; pixel (row `i`, column `j`) has its centre at `(j + ½, i + ½)`, as in [`crate::imaging::frame`].
 
 #[cfg(feature = "calibrate")]
