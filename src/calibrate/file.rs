@@ -110,10 +110,9 @@ impl MeasuredDistortion {
 
     /// The distortion in that frame.
     pub fn distortion(&self) -> Distortion {
-        let (f, r) = (self.focal_length_px, self.max_slope);
-        let [a, b, c] = self.k;
-        let coefficients_mm = [f * r, f * a * r.powi(3), f * b * r.powi(5), f * c * r.powi(7)];
-        Distortion { max_slope: r, coefficients_mm, residual_mm: self.rms_px }
+        let unit = self.camera().distortion(self.max_slope);
+        let coefficients_mm = unit.coefficients_mm.map(|b| self.focal_length_px * b);
+        Distortion { coefficients_mm, residual_mm: self.rms_px, ..unit }
     }
 }
 

@@ -7,6 +7,8 @@
 use glam::{DMat3, DVec2, DVec3};
 use nalgebra::{SMatrix, SVector};
 
+use crate::imaging::develop::distortion::Distortion;
+
 /// Radial terms at most.
 pub const TERMS: usize = 3;
 /// Numbers of the camera: two focal lengths, centre, terms.
@@ -61,22 +63,18 @@ impl Pinhole {
         (0..=256).map(|i| most * f64::from(i) / 256.0).find(|r| !grows(r))
     }
 
-    /// Slopes of what lands at a point, as far as slopes of length `most`; `None` beyond them.
-    pub fn slope(&self, at: DVec2, most: f64) -> Option<DVec2> {
+    /// The radial polynomial for a focal length of 1, known up to `max_slope` and continued linearly beyond it.
+    pub fn distortion(&self, max_slope: f64) -> Distortion {
+        let (r, [a, b, c]) = (max_slope, self.k);
+        let coefficients_mm = [r, a * r.powi(3), b * r.powi(5), c * r.powi(7)];
+        Distortion { max_slope, coefficients_mm, residual_mm: 0.0 }
+    }
+
+    /// Slopes of what lands at a point; beyond `max_slope` the polynomial is continued linearly.
+    pub fn slope(&self, at: DVec2, max_slope: f64) -> DVec2 {
         let bent = (at - self.centre_px) / self.focal_px;
         let height = bent.length();
-        let (mut low, mut high) = (0.0, most);
-        if height > most * self.scale(most * most).0 {
-            return None;
-        }
-        for _ in 0..200 {
-            let middle = 0.5 * (low + high);
-            if middle <= low || middle >= high {
-                break;
-            }
-            *(if middle * self.scale(middle * middle).0 < height { &mut low } else { &mut high }) = middle;
-        }
-        Some(if height > 0.0 { bent * (0.5 * (low + high) / height) } else { DVec2::ZERO })
+        if height > 0.0 { bent * (self.distortion(max_slope).slope_from_sensor(height) / height) } else { DVec2::ZERO }
     }
 
     /// Slopes of a board point; `None` where it is not before the camera.
@@ -180,7 +178,7 @@ mod tests {
                 (0..2).for_each(|row| assert_rel(outer[(row, column)], d[row], 1e-7, 1.0, "pose"));
             }
             let slope = DVec2::new(between(rng, -0.5, 0.5), between(rng, -0.5, 0.5));
-            let back = camera.slope(camera.land(slope), 0.75).expect("within");
+            let back = camera.slope(camera.land(slope), 0.75);
             assert_abs((back - slope).length(), 0.0, 1e-14, "slope");
         }
     }

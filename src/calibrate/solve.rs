@@ -62,10 +62,7 @@ impl Fit {
 
     /// Where the corners of a view would be without distortion, pixels.
     pub fn straight(&self, view: &View) -> Vec<DVec2> {
-        let slope = |at: &DVec2| {
-            let most = 2.0 * self.max_slope;
-            self.camera.slope(*at, most).unwrap_or((*at - self.camera.centre_px) / self.camera.focal_px)
-        };
+        let slope = |at: &DVec2| self.camera.slope(*at, self.max_slope);
         view.seen.iter().map(|at| self.camera.centre_px + self.camera.focal_px * slope(at)).collect()
     }
 }

@@ -255,17 +255,12 @@ impl Camera {
 impl Measured {
     /// Frame and distortion for a capture of the size that they were measured at.
     fn of(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<(&Frame, &Distortion)> {
-        let ((rows, columns), frame) = (capture.size(), &self.frame);
-        if (rows, columns) != (frame.rows, frame.columns) {
-            let allowed =
-                format!("{} × {}, the pictures that the distortion was measured in", frame.columns, frame.rows);
-            return Err(Error::bad(file.display().to_string(), "size", format!("{columns} × {rows} pixels"), allowed));
-        }
+        of_size(capture, &self.frame, file, "the pictures that the distortion was measured in")?;
         let camera = format!("{} {}", capture.make, capture.model);
         if !self.camera.is_empty() && !same_camera(&camera, &self.camera) {
             notes.push(format!("the file is of {}, the distortion was measured on {}", camera.trim(), self.camera));
         }
-        Ok((frame, &self.distortion))
+        Ok((&self.frame, &self.distortion))
     }
 }
 
@@ -293,12 +288,8 @@ impl Calibrated {
     /// The kit's own levels, colour and calibration; white balance as the capture was shot.
     fn development(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<Development<'_>> {
         let Kit { sensor, frame, distortion, shading, .. } = &self.kit;
+        of_size(capture, frame, file, "the kit's frame")?;
         let file = file.display().to_string();
-        let (rows, columns) = capture.size();
-        if (rows, columns) != (frame.rows, frame.columns) {
-            let allowed = format!("{} × {}, the kit's frame", frame.columns, frame.rows);
-            return Err(Error::bad(file, "size", format!("{columns} × {rows} pixels"), allowed));
-        }
         match capture.pixels {
             RawPixels::Mosaic { cfa, .. } if cfa == sensor.cfa => {}
             RawPixels::Mosaic { cfa, .. } => {
@@ -333,6 +324,16 @@ impl Calibrated {
             srgb_from_camera: sensor.srgb_from_camera,
         })
     }
+}
+
+/// Refuses a capture that has not the size of `frame`, which is `whose`.
+fn of_size(capture: &RawCapture, frame: &Frame, file: &Path, whose: &str) -> Result<()> {
+    let (rows, columns) = capture.size();
+    if (rows, columns) == (frame.rows, frame.columns) {
+        return Ok(());
+    }
+    let allowed = format!("{} × {}, {whose}", frame.columns, frame.rows);
+    Err(Error::bad(file.display().to_string(), "size", format!("{columns} × {rows} pixels"), allowed))
 }
 
 /// Whether a file's make and model can be the camera that a kit's sensor is named after.

@@ -193,7 +193,7 @@ impl Table {
     /// # Errors
     /// A lens without rotational symmetry; wavelengths at which its indices are not known; a sensor without light on the axis.
     pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
-        Tracing::new(lens, &spec.wavelength_nm, spec.degree)?.table(&spec.radii_mm)
+        Self::of(&mut Tracing::new(lens, &spec.wavelength_nm, spec.degree)?, &spec.radii_mm)
     }
 
     /// The table of the rays that `tracing` finds at `radii_mm`.

@@ -231,7 +231,7 @@ mod program {
         };
         let bend = |camera: &Pinhole| {
             let of = |v: &View| {
-                let straight = |p: &DVec2| camera.slope(*p, 1.0).expect("within") * 1158.0;
+                let straight = |p: &DVec2| camera.slope(*p, 1.0) * 1158.0;
                 v.bend(&v.seen.iter().map(straight).collect::<Vec<_>>()).powi(2)
             };
             (views.iter().map(|v| of(&v.1)).sum::<f64>() / views.len() as f64).sqrt()

@@ -64,7 +64,7 @@ pub fn knots(
     let holds = |t: Tolerance| t.landing_mm <= tolerance.landing_mm && t.weight <= tolerance.weight;
     let mut n = INTERVALS[0];
     loop {
-        let fine = tracing.table(&even(2 * n))?;
+        let fine = Table::of(&mut tracing, &even(2 * n))?;
         let (coarse, lost) = difference(&fine.halved(), &fine, vergence, &points);
         let all = Tolerance { weight: coarse.weight.max(lost), ..coarse };
         if holds(all) {
@@ -84,7 +84,7 @@ pub fn knots(
 /// for between the last that does and the next. It ends as well where the picture of an object at `vergence` would fold.
 fn lit(tracing: &mut Tracing<'_>, vergence: f64, radius_mm: f64) -> Result<f64> {
     let even = |n: u32, to: f64| (0..=n).map(|i| to * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
-    let first = tracing.table(&even(INTERVALS[0], radius_mm))?;
+    let first = Table::of(tracing, &even(INTERVALS[0], radius_mm))?;
     if first.edge_mm == f64::INFINITY {
         return Ok(radius_mm);
     }
@@ -105,7 +105,7 @@ fn lit(tracing: &mut Tracing<'_>, vergence: f64, radius_mm: f64) -> Result<f64> 
     // The map that will be fitted has the last word.
     let last = if first.edge_mm > 0.0 { first.edge_mm } else { return Ok(radius_mm) };
     for _ in 0..TRIES {
-        if SensorMap::fit(tracing.lens, &tracing.table(&even(2 * INTERVALS[0], low))?, vergence).is_ok() {
+        if SensorMap::fit(tracing.lens, &Table::of(tracing, &even(2 * INTERVALS[0], low))?, vergence).is_ok() {
             return Ok(low);
         }
         low = last + 0.5 * (low - last);

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::beam::{self, Bases, Beam, Chief};
-use super::{Table, TableSpec, failed, views};
+use super::{TableSpec, failed, views};
 use crate::error::Result;
 use crate::lens::Lens;
 use crate::trace::aim::SensorView;
@@ -33,7 +33,7 @@ impl<'a> Tracing<'a> {
     /// Nothing but the axis is traced yet.
     ///
     /// # Errors
-    /// As [`Table::compute`].
+    /// As [`super::Table::compute`].
     pub(super) fn new(lens: &'a Lens, wavelength_nm: &[f64], degree: usize) -> Result<Self> {
         lens.require_symmetry("a table of sensor radii")?;
         wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))?;
@@ -43,14 +43,6 @@ impl<'a> Tracing<'a> {
         let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
         let wavelength_nm = wavelength_nm.to_vec();
         Ok(Self { lens, views, bases, pupil, wavelength_nm, degree, reference, seen: HashMap::new() })
-    }
-
-    /// The table with knots at `radii_mm`.
-    ///
-    /// # Errors
-    /// As [`Table::compute`].
-    pub(super) fn table(&mut self, radii_mm: &[f64]) -> Result<Table> {
-        Table::of(self, radii_mm)
     }
 
     pub(super) fn spec(&self, radii_mm: &[f64]) -> TableSpec {
