@@ -118,7 +118,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         oblong_pixels: false,
     };
     let views: Vec<View> = charts.iter().map(|c| c.view.clone()).collect();
-    let fit = solve(&views, &settings)?;
+    let fit = solve(&views, &settings).map_err(|e| e.in_file(Path::new("CHART")))?;
     let measured = measured(args, size, &charts, &fit);
     let listing = Listing { settings, charts, skipped, fit, measured };
     if let Some(path) = &args.out {
