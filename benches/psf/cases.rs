@@ -3,7 +3,7 @@
 use glam::DVec2;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::splat::Raster;
-use isoplanat::psf::table::{Tolerance, knots};
+use isoplanat::psf::table::{Adapted, Tolerance};
 use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
 use isoplanat::trace::aim::{ParaxialPupil, SceneRayBar, SensorView, aim};
 use isoplanat::trace::launch::{FieldPoint, launch};
@@ -69,7 +69,8 @@ impl Case {
         let quadrature = Quadrature { nm, weight };
         let tolerance = Tolerance { landing_mm: 0.02 * self.pitch_mm, weight: 1e-4 };
         let v = self.lens.object_vergence;
-        let radii_mm = knots(&self.lens, v, &quadrature.nm, degree, self.radius_mm, tolerance).expect("traces").0;
+        let nm = &quadrature.nm;
+        let radii_mm = Adapted::compute(&self.lens, v, nm, degree, self.radius_mm, tolerance).expect("traces").radii_mm;
         OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192 }
     }
 

@@ -210,21 +210,22 @@ impl Quadrature {
         out
     }
 
-    /// Whether the whole disk is open.
-    fn open(&self, table: &Table, row: &Row) -> bool {
-        row.part.is_whole()
-            && (0..table.clips.len()).all(|k| self.rim.iter().all(|at| dot(at, row.clip(table, k)) > 0.0))
+    /// Apertures that may cut something of the part that is known: of the whole disk, those that cut its rim.
+    fn cutting(&self, table: &Table, row: &Row) -> Vec<usize> {
+        let cuts = |k: &usize| self.rim.iter().any(|at| dot(at, row.clip(table, *k)) <= 0.0);
+        (0..table.clips.len()).filter(|k| !row.part.is_whole() || cuts(k)).collect()
     }
 
     /// The light of the part that is known, and what may be open beyond it.
     fn integrate(&self, table: &Table, row: &Row) -> [f64; 2] {
-        if self.open(table, row) {
+        let cutting = self.cutting(table, row);
+        if row.part.is_whole() && cutting.is_empty() {
             return [dot(&self.disk, row.weight(table)), 0.0];
         }
         let chords = self.chords(row.part);
         let sums = chords.iter().map(|chord| {
             let weight = self.along(row.weight(table), chord);
-            let open = self.intervals(table, row, chord);
+            let open = self.intervals((table, row), &cutting, chord);
             let light = open.iter().flat_map(gauss).map(|(y, w)| w * series(&weight, y).0).sum::<f64>();
             let known = row.known.chord(chord.x);
             let beyond = |o: &Open, side: usize| {
@@ -238,13 +239,14 @@ impl Quadrature {
     }
 
     fn integrate_vjp(&self, table: &Table, row: &Row, bar: f64, row_bar: &mut RowBar) {
-        if self.open(table, row) {
+        let cutting = self.cutting(table, row);
+        if row.part.is_whole() && cutting.is_empty() {
             row_bar.weight(table).iter_mut().zip(&self.disk).for_each(|(a, d)| *a += bar * d);
             return;
         }
         for chord in self.chords(row.part).iter() {
             let weight = self.along(row.weight(table), chord);
-            for open in self.intervals(table, row, chord) {
+            for open in self.intervals((table, row), &cutting, chord) {
                 for (y, w) in gauss(&open) {
                     self.scatter(chord, y, bar * chord.weight * w, row_bar.weight(table));
                 }
@@ -272,23 +274,21 @@ impl Quadrature {
     }
 
     /// Parts of a chord where no aperture cuts.
-    fn intervals(&self, table: &Table, row: &Row, chord: &Chord) -> Vec<Open> {
+    fn intervals(&self, (table, row): (&Table, &Row), cutting: &[usize], chord: &Chord) -> Vec<Open> {
         if chord.ends[0] >= chord.ends[1] {
             return Vec::new();
         }
-        // A series whose first coefficient outweighs the others has one sign: it cuts nothing, or all.
         let mut clips: Vec<Vec<f64>> = Vec::new();
         let mut cuts: Vec<(f64, Option<usize>)> = chord.ends.map(|y| (y, None)).to_vec();
-        for k in 0..table.clips.len() {
-            let clip = self.along(row.clip(table, k), chord);
-            let others: f64 = clip[1..].iter().map(|c| c.abs()).sum();
-            if clip[0] > others {
-                continue;
+        for k in cutting {
+            let clip = self.along(row.clip(table, *k), chord);
+            let near = NearParabola::of(&clip);
+            match near.one_sign(chord.ends) {
+                Some(true) => continue,
+                Some(false) => return Vec::new(),
+                None => {}
             }
-            if clip[0] < -others {
-                return Vec::new();
-            }
-            cuts.extend(roots(&clip, chord.ends).into_iter().map(|y| (y, Some(k))));
+            cuts.extend(roots(&clip, &near, chord.ends).into_iter().map(|y| (y, Some(*k))));
             clips.push(clip);
         }
         cuts.sort_by(|a, b| a.0.total_cmp(&b.0));
@@ -318,8 +318,75 @@ fn series(c: &[f64], y: f64) -> (f64, f64) {
     (c[0] + y * b1 - b2, b1 + y * d1 - d2)
 }
 
-/// Sign changes of a series between two ends: between [`SAMPLES`] samples, and pairs of them inside one interval.
-fn roots(c: &[f64], [from, to]: [f64; 2]) -> Vec<f64> {
+/// The first three terms of a series as a parabola `a y² + b y + c`, and how far the others can take the series and its derivative from it:
+/// apertures are near to parabolas, so most of what is asked of a chord is told by these few numbers.
+struct NearParabola {
+    at: [f64; 3],
+    /// Rounding included.
+    off: f64,
+    slope_off: f64,
+}
+
+impl NearParabola {
+    fn of(series: &[f64]) -> Self {
+        let term = |k: usize| series.get(k).copied().unwrap_or(0.0);
+        let (mut off, mut slope_off, mut square) = (0.0, 0.0, 9.0);
+        for (c, odd) in series.iter().skip(3).zip((7..).step_by(2)) {
+            off += c.abs();
+            slope_off += square * c.abs();
+            square += f64::from(odd);
+        }
+        off += 1e-13 * (0..3).map(|k| term(k).abs()).sum::<f64>();
+        Self { at: [2.0 * term(2), term(1), term(0) - term(2)], off, slope_off }
+    }
+
+    fn value(&self, y: f64) -> f64 {
+        let [a, b, c] = self.at;
+        c + y * (b + a * y)
+    }
+
+    fn vertex(&self) -> f64 {
+        -0.5 * self.at[1] / self.at[0]
+    }
+
+    /// Whether the series is positive, or negative, all along between two ends; nothing where that cannot be told.
+    fn one_sign(&self, [from, to]: [f64; 2]) -> Option<bool> {
+        let vertex = self.vertex();
+        let places = [from, to, if vertex > from && vertex < to { vertex } else { from }];
+        let [low, high] =
+            [f64::min, f64::max].map(|of| places.map(|y| self.value(y)).into_iter().reduce(of).unwrap_or(f64::NAN));
+        if low > self.off {
+            Some(true)
+        } else if high < -self.off {
+            Some(false)
+        } else {
+            None
+        }
+    }
+
+    /// Where its one root on either side of the vertex can only be; nothing where there may be none or several.
+    fn bands(&self) -> Option<[[f64; 2]; 2]> {
+        let (vertex, steep) = (self.vertex(), self.at[0].abs());
+        let depth = -self.value(vertex) * self.at[0].signum();
+        let [near, far] = [depth - self.off, depth + self.off].map(|d| (d / steep).sqrt());
+        let told = depth > self.off && 2.0 * steep * near > self.slope_off && far.is_finite();
+        told.then(|| [[vertex - far, vertex - near], [vertex + near, vertex + far]])
+    }
+}
+
+/// Sign changes of a series between two ends.
+fn roots(c: &[f64], near: &NearParabola, [from, to]: [f64; 2]) -> Vec<f64> {
+    let Some(bands) = near.bands() else { return sampled_roots(c, [from, to]) };
+    let within = bands.map(|[low, high]| [low.max(from), high.min(to)]);
+    let found = within.into_iter().filter(|[low, high]| low < high).filter_map(|band| {
+        let values = band.map(|y| series(c, y).0);
+        ((values[0] > 0.0) != (values[1] > 0.0)).then(|| root(c, band, values))
+    });
+    found.collect()
+}
+
+/// The same of any series: between [`SAMPLES`] samples, and pairs of them inside one interval.
+fn sampled_roots(c: &[f64], [from, to]: [f64; 2]) -> Vec<f64> {
     let at = |i: u32| 0.5 * (from + to) + 0.5 * (to - from) * (2.0 * f64::from(i) / f64::from(SAMPLES) - 1.0);
     let values: Vec<(f64, f64)> = (0..=SAMPLES).map(|i| series(c, at(i))).collect();
     let mut out = Vec::new();
@@ -374,8 +441,9 @@ fn root(c: &[f64], [mut a, mut b]: [f64; 2], values: [f64; 2]) -> f64 {
         } else {
             b = y;
         }
+        // A step that ends where it began is a step within.
         let next = y - v / slope;
-        let next = if next > a && next < b { next } else { 0.5 * (a + b) };
+        let next = if next >= a && next <= b { next } else { 0.5 * (a + b) };
         let done = (next - y).abs() <= 1e-14;
         y = next;
         if done {
@@ -390,6 +458,48 @@ mod tests {
     use super::*;
     use crate::testing::assert_abs;
 
+    /// Signs and roots that few terms tell are those of the whole series, at every place: random series of any size.
+    #[test]
+    fn what_parabolas_tell_holds_of_the_series() {
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let (mut signs, mut bands, mut asked) = ([0; 2], 0, [0; 2]);
+        for k in 0..6000usize {
+            let tail = [0.5, 1e-2, 1e-4][k % 3];
+            let c: Vec<f64> =
+                (0..k % 9 + 1).map(|j| (rng.f64() * 2.0 - 1.0) * if j < 3 { 1.0 } else { tail }).collect();
+            let [a, b] = [rng.f64() * 2.0 - 1.0, rng.f64() * 2.0 - 1.0];
+            let ends = [a.min(b), a.max(b)];
+            let near = NearParabola::of(&c);
+            let at = |i: u32| ends[0] + (ends[1] - ends[0]) * f64::from(i) / 1000.0;
+            let values: Vec<f64> = (0..=1000).map(|i| series(&c, at(i)).0).collect();
+            let positive = values.iter().filter(|v| **v > 0.0).count();
+            asked[0] += usize::from(positive % values.len() == 0);
+            if let Some(sign) = near.one_sign(ends) {
+                assert_eq!(positive, if sign { values.len() } else { 0 }, "{c:?} {ends:?}");
+                signs[usize::from(sign)] += 1;
+                continue;
+            }
+            asked[1] += 1;
+            if near.bands().is_some() {
+                bands += 1;
+                let found = roots(&c, &near, ends);
+                // Of values that all have one sign between two roots: as many changes as roots, each where a change is.
+                let changes: Vec<u32> =
+                    (0..1000).filter(|i| (values[*i as usize] > 0.0) != (values[*i as usize + 1] > 0.0)).collect();
+                assert!(found.len() >= changes.len() && found.windows(2).all(|p| p[0] < p[1]), "{c:?} {ends:?}");
+                for i in changes {
+                    assert!(found.iter().any(|y| *y >= at(i) - 1e-12 && *y <= at(i + 1) + 1e-12), "{c:?} {ends:?}");
+                }
+                for y in found {
+                    let (v, slope) = series(&c, y);
+                    assert!((v / slope).abs() < 1e-13, "{c:?} {y}");
+                }
+            }
+        }
+        assert!(signs[0] + signs[1] > asked[0] * 3 / 4 && signs[0].min(signs[1]) > 1000, "{signs:?} {asked:?}");
+        assert!(bands > asked[1] / 3, "{bands} {asked:?}");
+    }
+
     /// An aperture that leaves less of a chord open than two samples are apart, or closes as little.
     #[test]
     fn narrow_openings_are_seen() {
@@ -397,12 +507,12 @@ mod tests {
             for sign in [1.0, -1.0] {
                 // ±(half² − (y − middle)²).
                 let c = [half * half - middle * middle - 0.5, 2.0 * middle, -0.5].map(|v| sign * v);
-                let found = roots(&c, [-0.9, 0.9]);
+                let found = sampled_roots(&c, [-0.9, 0.9]);
                 assert_eq!(found.len(), 2, "{middle} {half}");
                 assert_abs(found[0], middle - half, 1e-12 / half, "below");
                 assert_abs(found[1], middle + half, 1e-12 / half, "above");
             }
         }
-        assert!(roots(&[-0.5 - 1e-9, 0.0, -0.5], [-0.9, 0.9]).is_empty(), "no more than touches");
+        assert!(sampled_roots(&[-0.5 - 1e-9, 0.0, -0.5], [-0.9, 0.9]).is_empty(), "no more than touches");
     }
 }

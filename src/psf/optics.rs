@@ -28,7 +28,7 @@ use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place};
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
-use super::table::{Table, TableBar, TableSpec};
+use super::table::{Adapted, Table, TableBar, TableSpec, Tolerance};
 use crate::error::{Error, Result};
 use crate::lens::{Lens, LensGradient};
 
@@ -123,6 +123,13 @@ impl OpticsBar {
     }
 }
 
+fn finite(vergences: &[f64]) -> Result<()> {
+    vergences
+        .iter()
+        .find(|v| !v.is_finite())
+        .map_or(Ok(()), |v| Err(Error::bad("", "object distance", format!("vergence {v} /mm"), "a finite number")))
+}
+
 impl Optics {
     /// `lens` by [`OpticsSpec::even`], with the irradiance at `illuminations + 1` radii; in four times as many intervals where rays of a part of the
     /// stop fail, since between knots what both know of it is used.
@@ -152,16 +159,31 @@ impl Optics {
     /// # Errors
     /// A lens without rotational symmetry, or without light on the axis; an object distance at which the picture folds.
     pub fn compute(lens: &Lens, spec: &OpticsSpec) -> Result<Self> {
-        if let Some(v) = spec.vergences.iter().find(|v| !v.is_finite()) {
-            return Err(Error::bad("", "object distance", format!("vergence {v} /mm"), "a finite number"));
-        }
+        finite(&spec.vergences)?;
         let Quadrature { nm, .. } = &spec.quadrature;
         let table_spec = TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
-        let table = Table::compute(lens, &table_spec)?;
+        Self::of(lens, Table::compute(lens, &table_spec)?, spec.clone())
+    }
+
+    /// Traces `lens` at knots that hold `tolerance` up to the last radius of `spec`, whose other radii are not looked at; and what their errors are.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    pub fn adapted(lens: &Lens, spec: OpticsSpec, tolerance: Tolerance) -> Result<(Self, Tolerance)> {
+        finite(&spec.vergences)?;
+        let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
+        let nearest = spec.vergences.iter().copied().fold(0.0, f64::max);
+        let nm = &spec.quadrature.nm;
+        let Adapted { table, radii_mm, errors } =
+            Adapted::compute(lens, nearest, nm, spec.degree, radius_mm, tolerance)?;
+        Ok((Self::of(lens, table, OpticsSpec { radii_mm, ..spec })?, errors))
+    }
+
+    fn of(lens: &Lens, table: Table, spec: OpticsSpec) -> Result<Self> {
         let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
         let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);
         let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
-        Ok(Self { spec: spec.clone(), table, illumination, maps })
+        Ok(Self { spec, table, illumination, maps })
     }
 
     /// The same with the illumination at another number of radii, less one.

@@ -60,17 +60,22 @@ impl SensorMap {
             let radius = radius_mm * f64::from(i) / 256.0;
             let slope = map.inside_derivative(radius);
             if slope.is_nan() || slope <= 0.0 {
-                return Err(Error::bad(
-                    lens.name.clone(),
-                    format!("distortion at {radius:.3} mm on the sensor, object at vergence {vergence} /mm"),
-                    "the object's height does not grow with the image's there".to_owned(),
-                    "an image whose height grows over the whole field; narrow the frame or change the lens",
-                ));
+                return Err(Self::folds(lens, radius, vergence));
             }
         }
         let off = |(r, s): (&f64, &f64)| ((map.slope(*r) - s) / map.derivative(*r)).abs();
         map.residual_mm = radii.iter().zip(&slopes).map(off).fold(0.0, f64::max);
         Ok(map)
+    }
+
+    /// What is said of a picture that folds at a radius.
+    pub(super) fn folds(lens: &Lens, radius_mm: f64, vergence: f64) -> Error {
+        Error::bad(
+            lens.name.clone(),
+            format!("distortion at {radius_mm:.3} mm on the sensor, object at vergence {vergence} /mm"),
+            "the object's height does not grow with the image's there".to_owned(),
+            "an image whose height grows over the whole field; narrow the frame or change the lens",
+        )
     }
 
     fn find_edge(&mut self) {

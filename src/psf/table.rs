@@ -28,7 +28,7 @@ use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System, SystemGradient};
 use beam::{Bases, Beam, Chief};
-pub use refine::{Tolerance, knots};
+pub use refine::{Adapted, Tolerance};
 use tracing::Tracing;
 
 /// Knots that one interpolation reads.
@@ -146,7 +146,7 @@ pub struct Table {
     signs: Vec<f64>,
     bases: Bases,
     /// `[knot][wavelength]`.
-    beams: Vec<Arc<Vec<Beam>>>,
+    beams: Vec<Vec<Arc<Beam>>>,
     rows: Vec<Vec<Row>>,
     chiefs: Vec<Chief>,
 }
@@ -193,21 +193,23 @@ impl Table {
     /// # Errors
     /// A lens without rotational symmetry; wavelengths at which its indices are not known; a sensor without light on the axis.
     pub fn compute(lens: &Lens, spec: &TableSpec) -> Result<Self> {
-        Self::of(&mut Tracing::new(lens, &spec.wavelength_nm, spec.degree)?, &spec.radii_mm)
+        let mut tracing = Tracing::new(lens, &spec.wavelength_nm, spec.degree)?;
+        let colours = tracing.colours();
+        Self::of(&mut tracing, &spec.radii_mm, &colours)
     }
 
-    /// The table of the rays that `tracing` finds at `radii_mm`.
-    fn of(tracing: &mut Tracing<'_>, radii_mm: &[f64]) -> Result<Self> {
-        tracing.trace(radii_mm);
-        let mut spec = tracing.spec(radii_mm);
+    /// The table of the rays that `tracing` finds at `radii_mm`, of the wavelengths numbered `colours`.
+    fn of(tracing: &mut Tracing<'_>, radii_mm: &[f64], colours: &[usize]) -> Result<Self> {
+        tracing.trace(radii_mm, colours);
+        let mut spec = tracing.spec(radii_mm, colours);
         let (mut beams, mut chiefs, mut edge_mm) = (Vec::new(), Vec::new(), f64::INFINITY);
         for (k, radius) in radii_mm.iter().enumerate() {
-            match tracing.seen(*radius) {
+            match tracing.seen(*radius, colours) {
                 Ok((beam, chief)) => {
-                    beams.push(Arc::clone(beam));
-                    chiefs.push(chief.clone());
+                    beams.push(beam);
+                    chiefs.push(chief);
                 }
-                Err(f) if k == 0 => return Err(failed(tracing.lens, *radius, *f)),
+                Err(f) if k == 0 => return Err(failed(tracing.lens, *radius, f)),
                 Err(_) => {
                     edge_mm = radii_mm[k - 1];
                     spec.radii_mm.truncate(k);
@@ -215,13 +217,14 @@ impl Table {
                 }
             }
         }
-        let (views, bases, pupil) = (&tracing.views, tracing.bases.clone(), tracing.pupil);
-        let clips = beam::near_apertures(views, &beams);
+        let views: Vec<&SensorView> = colours.iter().map(|l| &tracing.views[*l]).collect();
+        let (bases, pupil) = (tracing.bases.clone(), tracing.pupil);
+        let clips = beam::near_apertures(&views, &beams);
         let [even, odd] = StopNodes::terms(spec.degree);
         let layout = Layout { even, odd, clips: clips.len() };
         let mut rows: Vec<Vec<Row>> = beams
             .par_iter()
-            .map(|beams| beams.iter().zip(views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
+            .map(|beams| beams.iter().zip(&views).map(|(b, v)| b.row(v, &bases, &layout, &clips)).collect())
             .collect();
         let residual = beams.par_iter().zip(&rows).map(|(b, r)| beam::residual(&b[0], &r[0], &bases, &layout));
         let residual = residual.reduce(|| 0.0, f64::max);

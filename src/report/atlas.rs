@@ -12,7 +12,7 @@ use crate::imaging::sensor::spectrum::Spectrum;
 use crate::lens::Lens;
 use crate::math::memory::{BASE, Limit, product, threads};
 
-use crate::psf::table::{Tolerance, knots};
+use crate::psf::table::Tolerance;
 use crate::psf::{Optics, OpticsSpec, Place, Quadrature};
 
 /// Wavelengths of a picture in colour.
@@ -186,10 +186,8 @@ fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result
     lines.iter_mut().for_each(|l| l.radius_mm.truncate(fields));
     let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
     let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
-    let nearest = vergences.iter().copied().fold(0.0, f64::max);
-    let mut spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
-    spec.radii_mm = knots(lens, nearest, &spec.quadrature.nm, spec.degree, far.max(1e-3), tolerance)?.0;
-    let optics = Optics::compute(lens, &spec)?;
+    let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
+    let optics = Optics::adapted(lens, spec, tolerance)?.0;
     let size = match request.size {
         Some(size) => size,
         None => {

@@ -7,7 +7,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::variables::Variables;
 use isoplanat::psf::SensorMap;
-use isoplanat::psf::table::{STEEPEST, Table, TableSpec, Tolerance, knots};
+use isoplanat::psf::table::{Adapted, STEEPEST, Tolerance};
 use isoplanat::trace::aim::Aimer;
 use isoplanat::trace::object::ObjectPoint;
 use isoplanat::trace::{System, sequential::trace};
@@ -171,9 +171,7 @@ fn the_map_of_a_fisheye_reaches_the_horizon() {
     let pitch = 0.012;
     for vergence in [0.0, 1.0 / 300.0] {
         let tolerance = Tolerance { landing_mm: 0.02 * pitch, weight: 1e-4 };
-        let radii_mm = knots(&lens, vergence, &[480.0, 620.0], 7, 8.0, tolerance).expect("traces").0;
-        let spec = TableSpec { radii_mm, wavelength_nm: vec![480.0, 620.0], degree: 7 };
-        let table = Table::compute(&lens, &spec).expect("traces");
+        let table = Adapted::compute(&lens, vergence, &[480.0, 620.0], 7, 8.0, tolerance).expect("traces").table;
         let map = SensorMap::fit(&lens, &table, vergence).expect("grows");
         let last = map.slope(map.radius_mm);
         assert!(last > 0.8 * STEEPEST && table.edge_mm < 8.0, "ends at {last}");

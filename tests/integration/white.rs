@@ -1,7 +1,7 @@
 //! A white frame against hard-edge quadrature from the sensor, over the whole field of six lenses.
 
 use isoplanat::imaging::frame::Frame;
-use isoplanat::imaging::render::plan::spec;
+use isoplanat::imaging::render::plan::{ILLUMINATIONS, optics};
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::table::chief_slopes;
 use isoplanat::psf::{Optics, Quadrature};
@@ -33,8 +33,7 @@ fn white_is_right(count: u32) {
         let frame = whole_field(&lens);
         let corner = frame.max_radius_mm();
         let rule = Quadrature { nm: vec![NM], weight: vec![vec![1.0]] };
-        let spec = spec(&lens, &frame, &[lens.object_vergence], rule, 7).expect("traces").0;
-        let optics = Optics::compute(&lens, &spec).expect("traces");
+        let optics = optics(&lens, &frame, &[lens.object_vergence], rule, (7, ILLUMINATIONS)).expect("traces").0;
         let onsets = vignetting_onsets(&lens, NM, corner);
         let even = (1..=count).map(|k| corner * f64::from(k) / f64::from(count));
         let axis = irradiance(&lens, NM, 0.0, 1000);

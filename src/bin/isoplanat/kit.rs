@@ -7,7 +7,7 @@ use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::render::light::Light;
-use isoplanat::imaging::render::plan::{quadrature, spec};
+use isoplanat::imaging::render::plan::{self, ILLUMINATIONS, quadrature};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
@@ -31,8 +31,8 @@ impl Calibration {
     /// Of `lens` on `sensor` over `frame`, for objects at the lens's own distance; no kernel is made for it.
     pub(crate) fn of(lens: &Lens, sensor: &Sensor, frame: &Frame) -> Result<Self> {
         let rule = quadrature(&SpectralDensity::new(sensor), WAVELENGTHS, &[0, 1, 2]);
-        let optics = Optics::compute(lens, &spec(lens, frame, &[lens.object_vergence], rule, DEGREE)?.0)?;
-        Self::read(&optics, frame)
+        let fineness = (DEGREE, ILLUMINATIONS);
+        Self::read(&plan::optics(lens, frame, &[lens.object_vergence], rule, fineness)?.0, frame)
     }
 
     /// From optics that were traced already, at their first distance.

@@ -1,7 +1,7 @@
 //! A plan under way: what is known of lens and scenes before anything is chosen.
 
 use super::needs::{Channels, Needs};
-use super::plan::{DepthPlan, Settings, quadrature, spec, unplaced, widths};
+use super::plan::{DepthPlan, Settings, optics, quadrature, unplaced, widths};
 use super::scene_plan::Request;
 use crate::error::Result;
 use crate::imaging::frame::Frame;
@@ -59,8 +59,8 @@ impl<'a> Draft<'a> {
             Request::Settings(_) | Request::Everything => base.wavelengths,
         };
         let rule = |count| quadrature(density, count, &[0, 1, 2]);
-        let (light, table_error) = spec(lens, frame, &[vergence], rule(FEW_WAVELENGTHS), base.degree)?;
-        let light = Optics::compute(lens, &OpticsSpec { illuminations: DRAFT_ILLUMINATIONS, ..light })?;
+        let (light, table_error) =
+            optics(lens, frame, &[vergence], rule(FEW_WAVELENGTHS), (base.degree, DRAFT_ILLUMINATIONS))?;
         let colours = Optics::compute(lens, &OpticsSpec { quadrature: rule(many), ..light.spec.clone() })?;
         let whole = Region::whole(frame);
         let shares: Vec<f64> = Settings::OUTSIDE.into_iter().chain([base.outside]).collect();

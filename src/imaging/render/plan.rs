@@ -14,7 +14,7 @@ use crate::imaging::plane::Region;
 use crate::imaging::render::node_grid::NodeGrid;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::psf::table::{Tolerance, knots};
+use crate::psf::table::Tolerance;
 use crate::psf::{Optics, OpticsSpec, Quadrature};
 
 /// Largest error of rays between the table's radii, pixels.
@@ -22,7 +22,7 @@ const LANDING_ERROR_PX: f64 = 0.02;
 /// Largest error of their étendue between the table's radii, relative.
 const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
-pub(super) const ILLUMINATIONS: u32 = 192;
+pub const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
 const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
@@ -133,27 +133,26 @@ pub fn frame_of(lens: &Lens) -> Result<Frame> {
     Frame::centred(lens.sensor.columns, lens.sensor.rows, lens.sensor.pitch_mm())?.with_axis(lens.sensor.axis_px)
 }
 
-/// What is traced of `lens` for `frame` and objects at `vergences`: knots that hold the table's tolerance.
+/// `lens` over `frame` for objects at `vergences`, illuminated at `illuminations + 1` radii, at knots that hold the table's tolerance; and the
+/// table's errors.
 ///
 /// # Errors
 /// As [`Optics::compute`].
-pub fn spec(
+pub fn optics(
     lens: &Lens,
     frame: &Frame,
     vergences: &[f64],
     quadrature: Quadrature,
-    degree: usize,
-) -> Result<(OpticsSpec, Tolerance)> {
-    let radius_mm = frame.max_radius_mm();
+    (degree, illuminations): (usize, u32),
+) -> Result<(Optics, Tolerance)> {
+    let radii_mm = vec![0.0, frame.max_radius_mm()];
     let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * frame.pitch_mm, weight: WEIGHT_ERROR };
-    let nearest = vergences.iter().copied().fold(0.0, f64::max);
-    let (radii_mm, seen) = knots(lens, nearest, &quadrature.nm, degree, radius_mm, tolerance)?;
-    let spec = OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations: ILLUMINATIONS };
-    Ok((spec, seen))
+    let spec = OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations };
+    Optics::adapted(lens, spec, tolerance)
 }
 
 impl RenderPlan {
-    /// Widths and nodes for `optics` over the whole of `frame`; `table_error` is what [`spec`] saw.
+    /// Widths and nodes for `optics` over the whole of `frame`; `table_error` is what [`optics`](optics()) saw.
     ///
     /// # Errors
     /// None for a valid frame.

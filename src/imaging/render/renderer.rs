@@ -14,7 +14,7 @@ use super::inputs::{Kept, NodeKernels, Seen};
 use super::light::Light;
 use super::needs::Channels;
 use super::nodes::place;
-use super::plan::{DepthPlan, RenderPlan, Settings, quadrature, spec};
+use super::plan::{self, DepthPlan, ILLUMINATIONS, RenderPlan, Settings, quadrature};
 use super::source::{WarpedScene, warp, warp_vjp};
 use crate::error::Result;
 use crate::imaging::frame::Frame;
@@ -73,8 +73,7 @@ impl Renderer {
     ) -> Result<Self> {
         density.require(lens)?;
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
-        let (spec, table_error) = spec(lens, frame, vergences, rule, settings.degree)?;
-        let optics = Optics::compute(lens, &spec)?;
+        let (optics, table_error) = plan::optics(lens, frame, vergences, rule, (settings.degree, ILLUMINATIONS))?;
         let plan = RenderPlan::of(&optics, frame, settings, table_error)?;
         Ok(Self::with(optics, plan))
     }

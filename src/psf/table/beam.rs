@@ -286,7 +286,7 @@ impl Beam {
 }
 
 /// Surfaces of the lens, other than the stop, whose clear apertures some ray comes near.
-pub(super) fn near_apertures(views: &[SensorView], beams: &[Arc<Vec<Beam>>]) -> Vec<usize> {
+pub(super) fn near_apertures(views: &[&SensorView], beams: &[Vec<Arc<Beam>>]) -> Vec<usize> {
     let Some(view) = views.first() else { return Vec::new() };
     let image = view.system.image();
     (0..image)

@@ -37,34 +37,61 @@ pub struct Tolerance {
     pub weight: f64,
 }
 
-/// Even knots from the axis to `radius_mm` that hold `tolerance` for objects at `vergence`, and their errors (in the
-/// tolerance's own terms): what every second knot misses at the others, over what halving wins.
-///
-/// # Errors
-/// As [`Table::compute`].
-pub fn knots(
-    lens: &Lens,
+/// A table of even knots from the axis to a radius that hold a tolerance.
+#[derive(Clone, Debug)]
+pub struct Adapted {
+    /// The table.
+    pub table: Table,
+    /// Its knots, mm, and where light ends before the radius does, that radius too.
+    pub radii_mm: Vec<f64>,
+    /// Its errors (in the tolerance's own terms): what every second knot misses at the others, over what halving wins.
+    pub errors: Tolerance,
+}
+
+impl Adapted {
+    /// Of `lens` for objects at `vergence`. Knots are chosen by the ends of the spectrum; what was traced to choose them serves the table.
+    ///
+    /// # Errors
+    /// As [`Table::compute`]; a picture that is folded from the axis on.
+    pub fn compute(
+        lens: &Lens,
+        vergence: f64,
+        wavelength_nm: &[f64],
+        degree: usize,
+        radius_mm: f64,
+        tolerance: Tolerance,
+    ) -> Result<Self> {
+        let mut tracing = Tracing::new(lens, wavelength_nm, degree)?;
+        let (radii_mm, errors) = knots(&mut tracing, vergence, degree, radius_mm, tolerance)?;
+        let colours = tracing.colours();
+        Ok(Self { table: Table::of(&mut tracing, &radii_mm, &colours)?, radii_mm, errors })
+    }
+}
+
+fn knots(
+    tracing: &mut Tracing<'_>,
     vergence: f64,
-    wavelength_nm: &[f64],
     degree: usize,
     radius_mm: f64,
     tolerance: Tolerance,
 ) -> Result<(Vec<f64>, Tolerance)> {
     // The ends of the spectrum tell.
-    let ends = match wavelength_nm {
-        [first, .., last] => vec![*first, *last],
-        few => few.to_vec(),
+    let ends = match tracing.colours()[..] {
+        [first, .., last] => vec![first, last],
+        ref few => few.to_vec(),
     };
     let points = StopPoints::new(degree, POINTS);
-    let mut tracing = Tracing::new(lens, &ends, degree)?;
+    if tracing.chief_slope(STEP * radius_mm, vergence).is_some_and(|slope| slope <= 0.0) {
+        return Err(SensorMap::folds(tracing.lens, 0.0, vergence));
+    }
     // Where light ends before the radius does, knots are spread up to there, and the last one stands in the dark.
-    let (frame_mm, radius_mm) = (radius_mm, lit(&mut tracing, vergence, radius_mm)?);
+    let (frame_mm, radius_mm) = (radius_mm, lit(tracing, &ends, vergence, radius_mm)?);
     let even = |n: u32| (0..=n).map(|i| radius_mm * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
     let within = |n: u32| even(n).into_iter().chain((radius_mm < frame_mm).then_some(frame_mm)).collect();
     let holds = |t: Tolerance| t.landing_mm <= tolerance.landing_mm && t.weight <= tolerance.weight;
     let mut n = INTERVALS[0];
     loop {
-        let fine = Table::of(&mut tracing, &even(2 * n))?;
+        let fine = Table::of(tracing, &even(2 * n), &ends)?;
         let (coarse, lost) = difference(&fine.halved(), &fine, vergence, &points);
         let all = Tolerance { weight: coarse.weight.max(lost), ..coarse };
         if holds(all) {
@@ -82,16 +109,16 @@ pub fn knots(
 
 /// The largest radius with light, up to `radius_mm`, to [`EDGE`]: where knots of the first look see no more, it is looked
 /// for between the last that does and the next. It ends as well where the picture of an object at `vergence` would fold.
-fn lit(tracing: &mut Tracing<'_>, vergence: f64, radius_mm: f64) -> Result<f64> {
+fn lit(tracing: &mut Tracing<'_>, colours: &[usize], vergence: f64, radius_mm: f64) -> Result<f64> {
     let even = |n: u32, to: f64| (0..=n).map(|i| to * f64::from(i) / f64::from(n)).collect::<Vec<f64>>();
-    let first = Table::of(tracing, &even(INTERVALS[0], radius_mm))?;
+    let first = Table::of(tracing, &even(INTERVALS[0], radius_mm), colours)?;
     if first.edge_mm == f64::INFINITY {
         return Ok(radius_mm);
     }
     // Chief rays first: they cost the least.
     let grows = |tracing: &mut Tracing<'_>, at: f64| {
         let slopes = [(1.0 - STEP) * at, at].map(|r| tracing.chief_slope(r, vergence));
-        matches!(slopes, [Some(near), Some(far)] if far - near > FOLDS * STEP * far) && tracing.is_lit(at)
+        matches!(slopes, [Some(near), Some(far)] if far - near > FOLDS * STEP * far) && tracing.is_lit(at, colours)
     };
     let (mut low, mut high) = (first.edge_mm, first.edge_mm + radius_mm / f64::from(INTERVALS[0]));
     while high - low > EDGE * high {
@@ -105,7 +132,7 @@ fn lit(tracing: &mut Tracing<'_>, vergence: f64, radius_mm: f64) -> Result<f64> 
     // The map that will be fitted has the last word.
     let last = if first.edge_mm > 0.0 { first.edge_mm } else { return Ok(radius_mm) };
     for _ in 0..TRIES {
-        if SensorMap::fit(tracing.lens, &Table::of(tracing, &even(2 * INTERVALS[0], low))?, vergence).is_ok() {
+        if SensorMap::fit(tracing.lens, &Table::of(tracing, &even(2 * INTERVALS[0], low), colours)?, vergence).is_ok() {
             return Ok(low);
         }
         low = last + 0.5 * (low - last);

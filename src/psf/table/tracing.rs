@@ -1,4 +1,5 @@
-//! Rays of one lens by sensor radius, traced when they are asked for and kept: tables of ever more knots share what they have in common.
+//! Rays of one lens by sensor radius and wavelength, traced when they are asked for and kept: tables of ever more knots, and of more wavelengths,
+//! share what they have in common.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -12,8 +13,16 @@ use crate::lens::Lens;
 use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System};
 
-/// The beams of all wavelengths at one sensor radius, and the reference wavelength's chief ray.
-type Seen = std::result::Result<(Arc<Vec<Beam>>, Chief), Failure>;
+/// What was traced at one sensor radius.
+struct Looked {
+    /// The reference wavelength's chief ray.
+    chief: std::result::Result<Chief, Failure>,
+    /// By wavelength; nothing where none was asked for, or another one failed before.
+    beams: Vec<Option<std::result::Result<Arc<Beam>, Failure>>>,
+}
+
+/// Beams of the wavelengths asked for, and the chief ray.
+type Seen = std::result::Result<(Vec<Arc<Beam>>, Chief), Failure>;
 
 /// A lens whose sensor points are looked at one by one.
 pub(super) struct Tracing<'a> {
@@ -26,7 +35,7 @@ pub(super) struct Tracing<'a> {
     degree: usize,
     reference: SensorView,
     /// By the bits of the radius.
-    seen: HashMap<u64, Seen>,
+    looked: HashMap<u64, Looked>,
 }
 
 impl<'a> Tracing<'a> {
@@ -42,11 +51,17 @@ impl<'a> Tracing<'a> {
         let bases = Bases::new(degree);
         let pupil = beam::pupil(&views, &bases).map_err(|f| failed(lens, 0.0, f))?;
         let wavelength_nm = wavelength_nm.to_vec();
-        Ok(Self { lens, views, bases, pupil, wavelength_nm, degree, reference, seen: HashMap::new() })
+        Ok(Self { lens, views, bases, pupil, wavelength_nm, degree, reference, looked: HashMap::new() })
     }
 
-    pub(super) fn spec(&self, radii_mm: &[f64]) -> TableSpec {
-        TableSpec { radii_mm: radii_mm.to_vec(), wavelength_nm: self.wavelength_nm.clone(), degree: self.degree }
+    /// Every wavelength's number.
+    pub(super) fn colours(&self) -> Vec<usize> {
+        (0..self.wavelength_nm.len()).collect()
+    }
+
+    pub(super) fn spec(&self, radii_mm: &[f64], colours: &[usize]) -> TableSpec {
+        let wavelength_nm = colours.iter().map(|l| self.wavelength_nm[*l]).collect();
+        TableSpec { radii_mm: radii_mm.to_vec(), wavelength_nm, degree: self.degree }
     }
 
     /// Object slope of the chief ray of a sensor radius, for an object at `vergence`; `None` where there is none.
@@ -54,32 +69,51 @@ impl<'a> Tracing<'a> {
         Chief::trace(&self.reference, radius_mm).ok().map(|c| c.slope - vergence * c.entrance)
     }
 
-    /// Whether light of every wavelength gets through to a sensor radius.
-    pub(super) fn is_lit(&mut self, radius_mm: f64) -> bool {
-        self.trace(&[radius_mm]);
-        self.seen(radius_mm).is_ok()
+    /// Whether light of some wavelengths gets through to a sensor radius.
+    pub(super) fn is_lit(&mut self, radius_mm: f64, colours: &[usize]) -> bool {
+        self.trace(&[radius_mm], colours);
+        self.seen(radius_mm, colours).is_ok()
     }
 
     /// Traces what has not been traced yet.
-    pub(super) fn trace(&mut self, radii_mm: &[f64]) {
-        let missing: Vec<f64> = radii_mm.iter().copied().filter(|r| !self.seen.contains_key(&r.to_bits())).collect();
-        let found: Vec<Seen> = missing.par_iter().map(|r| self.look(*r)).collect();
-        self.seen.extend(missing.iter().map(|r| r.to_bits()).zip(found));
+    pub(super) fn trace(&mut self, radii_mm: &[f64], colours: &[usize]) {
+        let asked = radii_mm.iter().map(|r| (*r, self.looked.remove(&r.to_bits()))).collect::<Vec<_>>();
+        let looked: Vec<(u64, Looked)> =
+            asked.into_par_iter().map(|(r, before)| (r.to_bits(), self.look(r, colours, before))).collect();
+        self.looked.extend(looked);
     }
 
-    /// What was traced at one of the radii asked for.
-    pub(super) fn seen(&self, radius_mm: f64) -> &Seen {
-        &self.seen[&radius_mm.to_bits()]
+    /// What was traced at a radius and for wavelengths that were asked for.
+    ///
+    /// # Errors
+    /// The first ray, of these wavelengths, that does not get through.
+    pub(super) fn seen(&self, radius_mm: f64, colours: &[usize]) -> Seen {
+        let Looked { chief, beams } = &self.looked[&radius_mm.to_bits()];
+        let chief = chief.as_ref().map_err(|f| *f)?;
+        let asked = colours.iter().filter_map(|l| beams[*l].clone());
+        Ok((asked.collect::<std::result::Result<_, _>>()?, chief.clone()))
     }
 
-    fn look(&self, radius_mm: f64) -> Seen {
+    fn look(&self, radius_mm: f64, colours: &[usize], before: Option<Looked>) -> Looked {
+        let none = || Looked { chief: Chief::trace(&self.reference, radius_mm), beams: vec![None; self.views.len()] };
+        let mut looked = before.unwrap_or_else(none);
         // One ray tells of most sensor points without light.
-        let chief = Chief::trace(&self.reference, radius_mm)?;
-        let mut beams: Vec<Beam> = Vec::with_capacity(self.views.len());
-        for view in &self.views {
-            let beam = Beam::trace(view, &self.bases, radius_mm, self.pupil, beams.last())?;
-            beams.push(beam);
+        if looked.chief.is_err() {
+            return looked;
         }
-        Ok((Arc::new(beams), chief))
+        for l in colours {
+            let found = looked.beams[*l].take().unwrap_or_else(|| {
+                // Of those that were traced, the wavelength next to this one.
+                let traced = looked.beams.iter().enumerate().filter_map(|(k, b)| Some((k, b.as_ref()?.as_ref().ok()?)));
+                let near = traced.min_by_key(|(k, _)| k.abs_diff(*l)).map(|(_, b)| &**b);
+                Beam::trace(&self.views[*l], &self.bases, radius_mm, self.pupil, near).map(Arc::new)
+            });
+            let failed = found.is_err();
+            looked.beams[*l] = Some(found);
+            if failed {
+                break;
+            }
+        }
+        looked
     }
 }
