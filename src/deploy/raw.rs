@@ -8,6 +8,7 @@ use std::path::Path;
 
 use ndarray::{Array2, Array3};
 use rawler::decoders::{Decoder, FormatHint, RawDecodeParams, WellKnownIFD};
+use rawler::formats::tiff::{Rational, SRational};
 use rawler::imgop::xyz::Illuminant;
 use rawler::rawimage::{RawImage, RawImageData, RawPhotometricInterpretation};
 use rawler::rawsource::RawSource;
@@ -16,6 +17,7 @@ use rawler::tags::{DngTag, TiffCommonTag};
 use crate::deploy::opcodes;
 use crate::deploy::orientation::Orientation;
 use crate::error::{Error, Result};
+use crate::imaging::exif::{Directory, Exif, Value, tags};
 use crate::imaging::sensor::cfa::Cfa;
 
 /// The sensor's samples in digital numbers, active area only.
@@ -52,6 +54,8 @@ pub struct RawCapture {
     pub make: String,
     /// Camera model.
     pub model: String,
+    /// Facts of the exposure, maker and model among them.
+    pub exif: Exif,
     /// What the file asks for and is not done, one sentence each.
     pub notes: Vec<String>,
 }
@@ -68,6 +72,12 @@ impl RawCapture {
 
 /// What a file to decode may be.
 pub(super) const ALLOWED: &str = "a RAW file of a supported camera, or a DNG";
+
+/// Whether a file's name ends as RAW files' do that the decoder knows.
+pub fn has_raw_name(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    rawler::decoders::supported_extensions().iter().any(|known| known.eq_ignore_ascii_case(&ending))
+}
 
 /// Decodes a RAW file in this process.
 ///
@@ -91,10 +101,12 @@ pub fn decode(path: &Path) -> Result<RawCapture> {
         let parameters = RawDecodeParams::default();
         let image = decoder.raw_image(&source, &parameters, false).map_err(|e| refused(path, &e.to_string()))?;
         let exif = catch_unwind(AssertUnwindSafe(|| decoder.raw_metadata(&source, &parameters).ok()));
-        let exif_orientation = exif.ok().flatten().and_then(|m| m.exif.orientation);
+        let exif = exif.ok().flatten().map(|m| m.exif);
+        let exif_orientation = exif.as_ref().and_then(|e| e.orientation);
         let orientation = exif_orientation.unwrap_or_else(|| image.orientation.to_u16());
         let dng = decoder.format_hint() == FormatHint::DNG;
         let mut capture = capture_from(path, image, Orientation::from_exif(orientation), dng)?;
+        capture.exif = facts_of(exif.as_ref(), &capture.make, &capture.model);
         if dng {
             apply_opcodes(path, decoder.as_ref(), &mut capture)?;
         }
@@ -208,13 +220,93 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: boo
         pixels,
         black,
         white,
-        neutral: neutral(&image),
+        neutral: neutral(&image, dng),
         camera_from_xyz: camera_from_xyz(&image),
         orientation,
         make,
         model,
+        exif: Exif::default(),
         notes: Vec::new(),
     })
+}
+
+/// What the decoder found of the exposure's facts.
+fn facts_of(found: Option<&rawler::exif::Exif>, make: &str, model: &str) -> Exif {
+    use Directory::{Exposure, Picture, Place};
+    let mut facts = Exif::default();
+    let text = |v: &Option<String>| v.clone().map(Value::Text);
+    let short = |v: Option<u16>| v.map(Value::Short);
+    let ratio = |v: &Option<Rational>| v.as_ref().map(|r| Value::Ratios(vec![[r.n, r.d]]));
+    let signed = |v: &Option<SRational>| v.as_ref().map(|r| Value::SignedRatios(vec![[r.n, r.d]]));
+    let three =
+        |v: &Option<[Rational; 3]>| v.as_ref().map(|all| Value::Ratios(all.iter().map(|r| [r.n, r.d]).collect()));
+    let mut put = |directory, entries: Vec<(u16, Option<Value>)>| {
+        entries.into_iter().for_each(|(tag, v)| {
+            if let Some(v) = v {
+                facts.set(directory, tag, v);
+            }
+        });
+    };
+    put(Picture, vec![(tags::MAKE, Some(Value::Text(make.into()))), (tags::MODEL, Some(Value::Text(model.into())))]);
+    let Some(e) = found else { return facts };
+    put(Picture, vec![(0x013b, text(&e.artist)), (0x8298, text(&e.copyright)), (0x0132, text(&e.modify_date))]);
+    let lens_spec = e.lens_spec.as_ref().map(|all| Value::Ratios(all.iter().map(|r| [r.n, r.d]).collect()));
+    put(
+        Exposure,
+        vec![
+            (tags::EXPOSURE_TIME, ratio(&e.exposure_time)),
+            (tags::F_NUMBER, ratio(&e.fnumber)),
+            (0x8822, short(e.exposure_program)),
+            (tags::ISO, short(e.iso_speed_ratings)),
+            (0x8830, short(e.sensitivity_type)),
+            (tags::ISO_LONG, e.recommended_exposure_index.or(e.iso_speed).map(Value::Long)),
+            (tags::TAKEN, text(&e.date_time_original)),
+            (0x9004, text(&e.create_date)),
+            (0x9010, text(&e.offset_time)),
+            (0x9011, text(&e.offset_time_original)),
+            (0x9012, text(&e.offset_time_digitized)),
+            (0x9201, signed(&e.shutter_speed_value)),
+            (0x9202, ratio(&e.aperture_value)),
+            (0x9203, signed(&e.brightness_value)),
+            (0x9204, signed(&e.exposure_bias)),
+            (0x9205, ratio(&e.max_aperture_value)),
+            (tags::SUBJECT_DISTANCE, ratio(&e.subject_distance)),
+            (0x9207, short(e.metering_mode)),
+            (0x9208, short(e.light_source)),
+            (0x9209, short(e.flash)),
+            (tags::FOCAL_LENGTH, ratio(&e.focal_length)),
+            (0x9290, text(&e.sub_sec_time)),
+            (0x9291, text(&e.sub_sec_time_original)),
+            (0x9292, text(&e.sub_sec_time_digitized)),
+            (0xa402, short(e.exposure_mode)),
+            (0xa403, short(e.white_balance)),
+            (0xa406, short(e.scene_capture_type)),
+            (0xa430, text(&e.owner_name)),
+            (0xa431, text(&e.serial_number)),
+            (0xa432, lens_spec),
+            (0xa433, text(&e.lens_make)),
+            (tags::LENS_MODEL, text(&e.lens_model)),
+            (0xa435, text(&e.lens_serial_number)),
+        ],
+    );
+    let Some(g) = &e.gps else { return facts };
+    put(
+        Place,
+        vec![
+            (0x0001, text(&g.gps_latitude_ref)),
+            (0x0002, three(&g.gps_latitude)),
+            (0x0003, text(&g.gps_longitude_ref)),
+            (0x0004, three(&g.gps_longitude)),
+            (0x0005, g.gps_altitude_ref.map(|v| Value::Bytes(vec![v]))),
+            (0x0006, ratio(&g.gps_altitude)),
+            (0x0007, three(&g.gps_timestamp)),
+            (0x0010, text(&g.gps_img_direction_ref)),
+            (0x0011, ratio(&g.gps_img_direction)),
+            (0x0012, text(&g.gps_map_datum)),
+            (0x001d, text(&g.gps_date_stamp)),
+        ],
+    );
+    facts
 }
 
 /// Does what the DNG's second opcode list asks; the samples then run from 0 to 1.
@@ -291,9 +383,9 @@ fn levels(path: &Path, image: &RawImage, top: usize, left: usize) -> Result<([f3
 }
 
 /// Camera response to neutral, green 1, from the gains the file names; `None` where they are missing or absurd.
-fn neutral(image: &RawImage) -> Option<[f64; 3]> {
+fn neutral(image: &RawImage, dng: bool) -> Option<[f64; 3]> {
     let [mut r, g, mut b, _] = image.wb_coeffs;
-    if image.clean_model == "D1" {
+    if image.clean_model == "D1" && !dng {
         // The Nikon D1 writes its gains on top of fixed ones that its samples already carry (dcraw and RawSpeed: 527/256
         // for red, 317/256 for blue); the decoder leaves them in.
         r *= 256.0 / 527.0;

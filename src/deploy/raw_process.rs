@@ -19,6 +19,7 @@ use crate::atomic;
 use crate::deploy::orientation::Orientation;
 use crate::deploy::raw::{self, ALLOWED, RawCapture, RawPixels};
 use crate::error::{Error, Result};
+use crate::imaging::exif::Exif;
 use crate::imaging::sensor::cfa::Cfa;
 
 /// First argument that makes the program a decoder child; the path of the RAW file follows.
@@ -66,6 +67,7 @@ struct Header {
     orientation: Orientation,
     make: String,
     model: String,
+    exif: Exif,
     notes: Vec<String>,
 }
 
@@ -107,6 +109,7 @@ pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
         orientation: capture.orientation,
         make: capture.make,
         model: capture.model,
+        exif: capture.exif,
         notes: capture.notes,
     };
     write_line(out, &Reply::Capture(header))?;
@@ -235,6 +238,7 @@ fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String
         orientation: header.orientation,
         make: header.make,
         model: header.model,
+        exif: header.exif,
         notes: header.notes,
     }))
 }

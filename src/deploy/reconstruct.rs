@@ -16,10 +16,12 @@ use crate::deploy::tiles;
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::XYZ_FROM_SRGB;
 use crate::imaging::develop::distortion::Distortion;
-use crate::imaging::develop::{self, Balance, Development, IDENTITY, glare};
+use crate::imaging::develop::{self, Balance, Development, IDENTITY, Rendering, glare};
+use crate::imaging::exif::Exif;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::Region;
 use crate::imaging::sensor::cfa::Cfa;
+use crate::imaging::sensor::dng::CameraColour;
 
 /// Pixels around one that demosaicking looks at.
 const DEMOSAIC_REACH: usize = 4;
@@ -36,6 +38,21 @@ pub enum Veil {
     Guess,
     /// None.
     Keep,
+}
+
+/// What a capture is made into.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Target {
+    /// A picture to look at.
+    Rendered(Rendering),
+    /// The camera's own linear colours, for programs that develop it further.
+    Camera,
+}
+
+impl Default for Target {
+    fn default() -> Self {
+        Self::Rendered(Rendering::default())
+    }
 }
 
 /// Which steps of a kit to do.
@@ -60,6 +77,7 @@ pub struct Camera {
     /// Without a kit: the distortion to take out.
     measured: Option<Measured>,
     veil: Veil,
+    target: Target,
 }
 
 /// A measured distortion, the frame it was measured in, and the camera's name, which may be empty.
@@ -80,8 +98,14 @@ struct Calibrated {
 /// A finished picture.
 #[derive(Clone, Debug)]
 pub struct Picture {
-    /// Linear sRGB from 0 to 1, upright, `[3, row, col]`.
+    /// Linear light from 0 to 1, upright, `[3, row, col]`, in the colours asked for.
     pub image: Array3<f32>,
+    /// What the camera's own colours stand for.
+    pub colour: CameraColour,
+    /// Facts of the exposure.
+    pub exif: Exif,
+    /// The camera's name.
+    pub camera: String,
     /// What the user should know, one sentence each.
     pub notes: Vec<String>,
     /// Fraction of pixels that undistortion had no source for (black).
@@ -122,7 +146,7 @@ impl Camera {
             None
         };
         let calibrated = Some(Calibrated { kit, session, undistort: steps.undistort });
-        Ok(Self { calibrated, measured: None, veil: Veil::Kit })
+        Ok(Self { calibrated, ..Self::default() })
     }
 
     /// A camera without a kit that takes a measured distortion out.
@@ -143,6 +167,12 @@ impl Camera {
             glare::check(share)?;
         }
         Ok(Self { veil, ..self })
+    }
+
+    /// The camera that makes captures into `target`.
+    #[must_use]
+    pub fn making(self, target: Target) -> Self {
+        Self { target, ..self }
     }
 
     /// The share of glare in a capture, and what is said of it.
@@ -210,8 +240,9 @@ impl Camera {
         progress: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<Picture> {
         let mut notes = capture.notes.clone();
-        let orientation = capture.orientation;
-        let development = match &self.calibrated {
+        let (orientation, exif) = (capture.orientation, capture.exif.clone());
+        let name = format!("{} {}", capture.make, capture.model).trim().to_owned();
+        let mut development = match &self.calibrated {
             Some(calibrated) => calibrated.development(&capture, file, &mut notes)?,
             None => {
                 let distortion = self.measured.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
@@ -245,10 +276,19 @@ impl Camera {
             times.network = started.elapsed();
         }
         let started = Instant::now();
-        let developed = develop::finish(camera, &development);
+        let colour =
+            CameraColour { srgb_from_camera: development.srgb_from_camera, neutral: development.balance.neutral };
+        let developed = match self.target {
+            Target::Rendered(rendering) => {
+                development.rendering = rendering;
+                develop::finish(camera, &development)
+            }
+            Target::Camera => develop::unfinished(camera, &development),
+        };
         let image = orientation.apply(developed.image);
         times.finish = started.elapsed();
-        Ok(Picture { image, notes, outside_fraction: developed.outside_fraction, tiles: count, times })
+        let outside_fraction = developed.outside_fraction;
+        Ok(Picture { image, colour, exif, camera: name, notes, outside_fraction, tiles: count, times })
     }
 }
 
@@ -322,6 +362,7 @@ impl Calibrated {
             flat_field: Some((frame, shading)),
             distortion: self.undistort.then_some((frame, distortion)),
             srgb_from_camera: sensor.srgb_from_camera,
+            rendering: Rendering::default(),
         })
     }
 }
@@ -363,6 +404,7 @@ fn plain_development(capture: &RawCapture, notes: &mut Vec<String>) -> Developme
         flat_field: None,
         distortion: None,
         srgb_from_camera,
+        rendering: Rendering::default(),
     }
 }
 
@@ -398,6 +440,7 @@ mod tests {
             orientation: Orientation::from_exif(6),
             make: "Test".into(),
             model: "Test".into(),
+            exif: Exif::default(),
             notes: Vec::new(),
         }
     }
@@ -439,6 +482,7 @@ mod tests {
             flat_field: Some((&kit.frame, &kit.shading)),
             distortion: Some((&kit.frame, &kit.distortion)),
             srgb_from_camera: kit.sensor.srgb_from_camera,
+            rendering: Rendering::default(),
         };
         let session = Session::open(&kit.model_bytes, Path::new("m"), &tract()).expect("opens");
         let network = |input: Array3<f32>| {

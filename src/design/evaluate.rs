@@ -19,7 +19,7 @@ use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 use super::chain::{Patch, forward, forward_of};
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::develop::{Balance, Development, finish};
+use crate::imaging::develop::{Balance, Development, Rendering, finish};
 use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
 use crate::imaging::metrics;
@@ -188,6 +188,7 @@ pub fn evaluate(
         flat_field: None,
         distortion: None,
         srgb_from_camera: sensor.srgb_from_camera,
+        rendering: Rendering::default(),
     };
     // By depth and zone, for each picture.
     let mut figures = vec![vec![Vec::<[Judged; 2]>::new(); used.len()]; maps.len()];

@@ -8,14 +8,19 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use image::codecs::{jpeg::JpegEncoder, png::PngEncoder, tiff::TiffEncoder};
-use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageError, ImageReader, Rgb};
+use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
+use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageEncoder, ImageError, ImageReader, Rgb};
 use ndarray::{Array3, Axis};
 use rayon::prelude::*;
+use tiff::TiffError;
+use tiff::encoder::{TiffEncoder, colortype};
+use tiff::tags::Tag;
 
 pub use crate::atomic::{write_atomic, write_bytes};
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::{linear_from_srgb, srgb_from_linear};
+use crate::imaging::develop::gamut::Gamut;
+use crate::imaging::exif::Exif;
 
 /// JPEG quality of [`write_picture`].
 const JPEG_QUALITY: u8 = 95;
@@ -209,41 +214,114 @@ fn sides(rows: usize, cols: usize) -> Result<(u32, u32)> {
         .ok_or_else(|| Error::bad("", "picture", format!("{rows} × {cols}"), "at most 4294967295 pixels a side"))
 }
 
-/// Writes linear RGB as an 8-bit sRGB PNG.
-pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
-    let samples = interleaved::<u8>(image, Encoding::Srgb).map_err(|e| e.in_file(path))?;
-    write_atomic(path, |out| samples.write_with_encoder(PngEncoder::new(out)).map_err(|e| unwritten(path, e)))
+/// What stands in a picture's file beside its pixels.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Annotation {
+    /// The colours that the numbers stand for; sRGB without a profile where it is not told.
+    pub gamut: Option<Gamut>,
+    /// Facts of the exposure; none where it is empty.
+    pub exif: Exif,
 }
 
-/// Writes linear RGB as a 16-bit PNG.
-pub fn write_png16(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
-    let samples = interleaved::<u16>(image, encoding).map_err(|e| e.in_file(path))?;
-    write_atomic(path, |out| samples.write_with_encoder(PngEncoder::new(out)).map_err(|e| unwritten(path, e)))
+impl Annotation {
+    fn profile(&self, encoding: Encoding) -> Result<Option<Vec<u8>>> {
+        self.gamut.map(|g| g.icc(encoding == Encoding::Linear)).transpose()
+    }
+
+    fn color_space(&self, encoding: Encoding) -> u16 {
+        self.gamut.unwrap_or_default().exif(encoding == Encoding::Linear)
+    }
+
+    /// Hands both to an encoder of the `image` crate.
+    fn put(&self, encoder: &mut impl ImageEncoder, encoding: Encoding) -> Result<()> {
+        let refused = |e: image::error::UnsupportedError| Error::Internal(format!("annotation: {e}"));
+        if let Some(profile) = self.profile(encoding)? {
+            encoder.set_icc_profile(profile).map_err(refused)?;
+        }
+        if !self.exif.entries().is_empty() {
+            let block =
+                self.exif.block(self.color_space(encoding)).map_err(|e| Error::Internal(format!("Exif: {e}")))?;
+            encoder.set_exif_metadata(block).map_err(refused)?;
+        }
+        Ok(())
+    }
+}
+
+/// Writes linear RGB as a PNG of 8 or 16 bits.
+fn write_png<S: Sample>(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
+where
+    Rgb<S>: image::PixelWithColorType + image::Pixel<Subpixel = S>,
+    [S]: image::EncodableLayout,
+{
+    let samples = interleaved::<S>(image, encoding).map_err(|e| e.in_file(path))?;
+    write_atomic(path, |out| {
+        let mut encoder = PngEncoder::new(out);
+        beside.put(&mut encoder, encoding)?;
+        samples.write_with_encoder(encoder).map_err(|e| unwritten(path, e))
+    })
+}
+
+/// Writes linear RGB as an 8-bit sRGB PNG.
+pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
+    write_png::<u8>(path, image, Encoding::Srgb, &Annotation::default())
 }
 
 /// Writes linear RGB as an uncompressed 16-bit TIFF.
-pub fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()> {
     let samples = interleaved::<u16>(image, encoding).map_err(|e| e.in_file(path))?;
-    write_atomic(path, |out| samples.write_with_encoder(TiffEncoder::new(out)).map_err(|e| unwritten(path, e)))
+    let profile = beside.profile(encoding)?;
+    let write = |out: &mut std::io::BufWriter<std::fs::File>| {
+        let mut file = TiffEncoder::new(out)?;
+        let has_exif = !beside.exif.entries().is_empty();
+        let directories =
+            if has_exif { Some(beside.exif.write_directories(&mut file, beside.color_space(encoding))?) } else { None };
+        let mut picture = file.new_image::<colortype::RGB16>(samples.width(), samples.height())?;
+        if let Some(profile) = &profile {
+            picture.encoder().write_tag(Tag::IccProfile, &profile[..])?;
+        }
+        if let Some(directories) = directories {
+            beside.exif.write_picture_entries(picture.encoder(), directories)?;
+        }
+        picture.write_data(samples.as_raw())
+    };
+    write_atomic(path, |out| {
+        write(out).map_err(|e| match e {
+            TiffError::IoError(e) => Error::writing(path, e),
+            e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a size the format can hold"),
+        })
+    })
 }
 
-/// Writes linear RGB as an sRGB JPEG of the given quality, 1 to 100.
-pub fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8) -> Result<()> {
+/// Writes linear RGB as a JPEG of the given quality, 1 to 100.
+fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8, beside: &Annotation) -> Result<()> {
     let samples = interleaved::<u8>(image, Encoding::Srgb).map_err(|e| e.in_file(path))?;
     write_atomic(path, |out| {
-        let encoder = JpegEncoder::new_with_quality(out, quality.clamp(1, 100));
+        let mut encoder = JpegEncoder::new_with_quality(out, quality.clamp(1, 100));
+        beside.put(&mut encoder, Encoding::Srgb)?;
         samples.write_with_encoder(encoder).map_err(|e| unwritten(path, e))
     })
 }
 
 /// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`.
 ///
-/// JPEG is always sRGB.
+/// JPEG has the sRGB curve always.
 pub fn write_picture(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+    write_annotated(path, image, encoding, true, &Annotation::default())
+}
+
+/// The same with what stands beside the pixels; PNG with 16 bits only if `deep`.
+pub fn write_annotated(
+    path: &Path,
+    image: &Array3<f32>,
+    encoding: Encoding,
+    deep: bool,
+    beside: &Annotation,
+) -> Result<()> {
     match extension(path).as_str() {
-        "png" => write_png16(path, image, encoding),
-        "tif" | "tiff" => write_tiff16(path, image, encoding),
-        "jpg" | "jpeg" => write_jpeg(path, image, JPEG_QUALITY),
+        "png" if deep => write_png::<u16>(path, image, encoding, beside),
+        "png" => write_png::<u8>(path, image, encoding, beside),
+        "tif" | "tiff" => write_tiff16(path, image, encoding, beside),
+        "jpg" | "jpeg" => write_jpeg(path, image, JPEG_QUALITY, beside),
         other => {
             let (file, found) = (path.display().to_string(), format!("`.{other}`"));
             Err(Error::bad(file, "file name", found, "a picture's name ends in .png, .tif, .tiff, .jpg or .jpeg"))

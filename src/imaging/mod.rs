@@ -7,6 +7,7 @@
 
 pub mod capture;
 pub mod develop;
+pub mod exif;
 pub mod files;
 pub mod frame;
 pub mod guide;

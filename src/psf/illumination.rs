@@ -370,7 +370,7 @@ impl NearParabola {
         let depth = -self.value(vertex) * self.at[0].signum();
         let [near, far] = [depth - self.off, depth + self.off].map(|d| (d / steep).sqrt());
         let told = depth > self.off && 2.0 * steep * near > self.slope_off && far.is_finite();
-        told.then(|| [[vertex - far, vertex - near], [vertex + near, vertex + far]])
+        told.then_some([[vertex - far, vertex - near], [vertex + near, vertex + far]])
     }
 }
 

@@ -2,6 +2,8 @@
 
 mod adjoints;
 mod calibrate;
+#[cfg(feature = "deploy")]
+mod camera;
 mod circles;
 mod cli;
 mod commands;

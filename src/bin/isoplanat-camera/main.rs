@@ -1,8 +1,11 @@
 //! `isoplanat-camera`: RAW captures in, pictures out, through a kit's network.
 
+mod batch;
 mod bench;
 mod command;
 mod output;
+mod show;
+mod watch;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;

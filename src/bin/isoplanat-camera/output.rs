@@ -1,34 +1,84 @@
 //! Which file a capture's picture goes to, and writing it.
 
 use std::collections::HashMap;
+use std::ffi::{OsStr, OsString};
 use std::path::{Path, PathBuf};
 
-use isoplanat::imaging::files::{self, Encoding};
+use isoplanat::deploy::raw::has_raw_name;
+use isoplanat::deploy::reconstruct::Picture;
+use isoplanat::imaging::exif::{Directory, Value, tags};
+use isoplanat::imaging::files::{self, Annotation, Encoding};
+use isoplanat::imaging::sensor::dng::{DngInfo, write_linear_dng};
 use isoplanat::{Error, Result};
-use ndarray::Array3;
 
-/// Quality of JPEG pictures, of 100.
-const JPEG_QUALITY: u8 = 95;
+use crate::command::{Arguments, Format};
+
+/// Captures named, and those in folders named, by name; files of other kinds in a folder are left alone.
+///
+/// # Errors
+/// A folder that cannot be read, or has no capture.
+pub(crate) fn captures(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
+    let mut all = Vec::new();
+    for path in named {
+        if !path.is_dir() {
+            all.push(path.clone());
+            continue;
+        }
+        let entries = std::fs::read_dir(path).map_err(|e| Error::reading(path, e))?;
+        let mut within: Vec<PathBuf> =
+            entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && has_raw_name(p)).collect();
+        within.sort();
+        if within.is_empty() {
+            return Err(Error::bad(
+                path.display().to_string(),
+                "captures",
+                "no RAW file in it",
+                "a folder of captures",
+            ));
+        }
+        all.append(&mut within);
+    }
+    Ok(all)
+}
+
+/// A capture's name without its ending.
+pub(crate) fn stem(capture: &Path) -> OsString {
+    capture.file_stem().unwrap_or(capture.as_os_str()).to_owned()
+}
+
+/// What the picture of a capture is called.
+pub(crate) fn named(stem: impl AsRef<OsStr>, format: Option<Format>) -> OsString {
+    let mut name = stem.as_ref().to_owned();
+    name.push(".");
+    name.push(format.unwrap_or(Format::Png).ending());
+    name
+}
 
 /// Output paths for `captures`: beside the working folder's other files, the file or the folder `out`.
 ///
 /// # Errors
-/// Two captures with one output, an ending that is no picture format (or too shallow for `linear`), an output that exists
-/// (unless `force`) or that is a capture itself.
-pub(crate) fn plan(captures: &[PathBuf], out: Option<&Path>, linear: bool, force: bool) -> Result<Vec<PathBuf>> {
-    let into_folder = out.is_some_and(|o| captures.len() > 1 || o.is_dir() || ends_with_separator(o));
+/// Two captures with one output, an ending that is no picture format (or too shallow for linear light), an output that exists
+/// (unless forced) or that is a capture itself.
+pub(crate) fn plan(captures: &[PathBuf], arguments: &Arguments) -> Result<Vec<PathBuf>> {
+    let out = arguments.out.as_deref();
+    let folders = arguments.captures.iter().any(|c| c.is_dir());
+    let into_folder = out.is_some_and(|o| captures.len() > 1 || folders || o.is_dir() || ends_with_separator(o));
     let mut planned = Vec::new();
     let mut taken: HashMap<PathBuf, &Path> = HashMap::new();
     for capture in captures {
-        let stem = capture.file_stem().unwrap_or(capture.as_os_str());
-        let mut name = stem.to_owned();
-        name.push(".png");
+        let name = named(stem(capture), arguments.format);
         let path = match out {
             Some(out) if into_folder => out.join(name),
-            Some(out) => out.to_owned(),
+            Some(out) => {
+                if let Some(format) = arguments.format.filter(|f| files_ending(out) != f.ending()) {
+                    let found = format!("`{}` where -o names the file", format.ending());
+                    return Err(Error::bad(out.display().to_string(), "--format", found, "one of both"));
+                }
+                out.to_owned()
+            }
             None => PathBuf::from(name),
         };
-        check(&path, captures, linear, force)?;
+        check(&path, captures, arguments)?;
         if let Some(other) = taken.insert(path.clone(), capture) {
             let found =
                 format!("{} and {} would both be written to {}", other.display(), capture.display(), path.display());
@@ -39,6 +89,16 @@ pub(crate) fn plan(captures: &[PathBuf], out: Option<&Path>, linear: bool, force
     Ok(planned)
 }
 
+/// The letters after the last dot, in lower case.
+fn files_ending(path: &Path) -> String {
+    path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
+}
+
+/// Whether a name is that of a DNG.
+pub(crate) fn is_dng(path: &Path) -> bool {
+    files_ending(path) == "dng"
+}
+
 /// Makes the folder for several captures.
 pub(crate) fn make_folder(path: &Path) -> Result<()> {
     match path.parent().filter(|p| !p.as_os_str().is_empty()) {
@@ -47,13 +107,17 @@ pub(crate) fn make_folder(path: &Path) -> Result<()> {
     }
 }
 
-fn check(path: &Path, captures: &[PathBuf], linear: bool, force: bool) -> Result<()> {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    if !["png", "tif", "tiff", "jpg", "jpeg"].contains(&ending.as_str()) {
+/// Whether a picture may be written to a path.
+///
+/// # Errors
+/// As [`plan`].
+pub(crate) fn check(path: &Path, captures: &[PathBuf], arguments: &Arguments) -> Result<()> {
+    let ending = files_ending(path);
+    if !["png", "tif", "tiff", "jpg", "jpeg", "dng"].contains(&ending.as_str()) {
         let found = if ending.is_empty() { "no ending".into() } else { format!("`.{ending}`") };
-        return Err(Error::bad(path.display().to_string(), "-o", found, ".png, .tif, .tiff, .jpg or .jpeg"));
+        return Err(Error::bad(path.display().to_string(), "-o", found, ".png, .tif, .tiff, .jpg, .jpeg or .dng"));
     }
-    if linear && ending.starts_with('j') {
+    if arguments.linear && ending.starts_with('j') {
         return Err(Error::bad(path.display().to_string(), "--linear", "JPEG has 8 bits", ".tif or .png"));
     }
     let same = |a: &Path, b: &Path| a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b);
@@ -63,7 +127,7 @@ fn check(path: &Path, captures: &[PathBuf], linear: bool, force: bool) -> Result
     if path.is_dir() {
         return Err(Error::bad(path.display().to_string(), "-o", "is a folder", "a file"));
     }
-    if path.exists() && !force {
+    if path.exists() && !arguments.force {
         return Err(Error::Exists(path.to_owned()));
     }
     Ok(())
@@ -73,18 +137,22 @@ fn ends_with_separator(path: &Path) -> bool {
     path.as_os_str().to_string_lossy().ends_with(std::path::is_separator)
 }
 
-/// Writes a linear picture in the format its name asks for: PNG with 8 bits (16 if `linear`), TIFF with 16, JPEG.
-pub(crate) fn write(path: &Path, image: &Array3<f32>, linear: bool, force: bool) -> Result<()> {
-    if path.exists() && !force {
+/// Writes a picture in the format its name asks for: PNG with 8 bits (16 if linear), TIFF and DNG with 16, JPEG; colours and the exposure's facts beside
+/// the pixels.
+pub(crate) fn write(path: &Path, picture: &Picture, arguments: &Arguments) -> Result<()> {
+    if path.exists() && !arguments.force {
         // It was not there when the program started.
         return Err(Error::Exists(path.to_owned()));
     }
-    let encoding = if linear { Encoding::Linear } else { Encoding::Srgb };
-    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    match ending.as_str() {
-        "tif" | "tiff" => files::write_tiff16(path, image, encoding),
-        "jpg" | "jpeg" => files::write_jpeg(path, image, JPEG_QUALITY),
-        _ if linear => files::write_png16(path, image, encoding),
-        _ => files::write_png8(path, image),
+    let software = format!("isoplanat-camera {}", env!("CARGO_PKG_VERSION"));
+    let mut exif = picture.exif.clone();
+    exif.set(Directory::Picture, tags::SOFTWARE, Value::Text(software.clone()));
+    if is_dng(path) {
+        let model = picture.camera.clone();
+        let info = DngInfo { software, description: String::new(), lens: String::new(), model };
+        return write_linear_dng(path, &picture.image, &picture.colour, &info, &exif);
     }
+    let encoding = if arguments.linear { Encoding::Linear } else { Encoding::Srgb };
+    let beside = Annotation { gamut: Some(arguments.rendering().gamut), exif };
+    files::write_annotated(path, &picture.image, encoding, arguments.linear, &beside)
 }

@@ -10,6 +10,7 @@
 pub mod color;
 pub mod demosaic;
 pub mod distortion;
+pub mod gamut;
 pub mod glare;
 pub mod shading;
 pub mod simulate;
@@ -22,6 +23,7 @@ use crate::error::Result;
 use crate::imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
 use crate::imaging::develop::demosaic::demosaic;
 use crate::imaging::develop::distortion::Distortion;
+use crate::imaging::develop::gamut::Gamut;
 use crate::imaging::develop::shading::Shading;
 use crate::imaging::develop::undistort::undistort;
 use crate::imaging::frame::Frame;
@@ -76,12 +78,37 @@ pub struct Development<'a> {
     pub distortion: Option<(&'a Frame, &'a Distortion)>,
     /// Balanced camera RGB to linear sRGB.
     pub srgb_from_camera: [[f64; 3]; 3],
+    /// How the finished picture looks.
+    pub rendering: Rendering,
+}
+
+/// What happens to light beyond white once a picture is made brighter.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tone {
+    /// It is cut off.
+    #[default]
+    Cut,
+    /// It is drawn in: `L (1 + L/W²) / (1 + L)` of the luminance `L`, where `W` is what saturation was raised to (E. Reinhard, M. Stark, P. Shirley,
+    /// J. Ferwerda, "Photographic tone reproduction for digital images", ACM TOG 21(3), 2002, equation 4). Shadows keep the whole gain,
+    /// saturation is white; a picture that is not made brighter stays as it is.
+    Soft,
+}
+
+/// How a finished picture looks.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Rendering {
+    /// The colours its numbers stand for.
+    pub gamut: Gamut,
+    /// Steps (powers of two) that it is made brighter by.
+    pub exposure_ev: f64,
+    /// What happens to light beyond white then.
+    pub tone: Tone,
 }
 
 /// A developed picture.
 #[derive(Clone, Debug)]
 pub struct Developed {
-    /// Linear sRGB from 0 to 1, `[3, row, col]`.
+    /// Linear light from 0 to 1, `[3, row, col]`, in the colours asked for (sRGB by default).
     pub image: Array3<f32>,
     /// Fraction of pixels that undistortion had no source for (black).
     pub outside_fraction: f64,
@@ -173,23 +200,50 @@ fn divide_shading(samples: &mut Array2<f32>, at: Region, cfa: Cfa, frame: &Frame
 /// # Panics
 /// If the frame has not the picture's size.
 pub fn finish(mut camera: Array3<f32>, development: &Development<'_>) -> Developed {
-    let mut outside_fraction = 0.0;
-    if let Some((frame, distortion)) = development.distortion {
-        let resampled = undistort(camera.view(), frame, distortion);
-        (camera, outside_fraction) = (resampled.image, resampled.outside_fraction);
-    }
+    let outside_fraction = straighten(&mut camera, development);
+    let Rendering { gamut, exposure_ev, tone } = development.rendering;
+    let gain = exposure_ev.exp2();
     // Beyond the first channel's saturation the ratio of the channels means nothing: such pixels turn white.
     let white = development.balance.saturation();
-    let matrix = development.srgb_from_camera.map(|row| row.map(|v| (v / white) as f32));
+    let matrix = product(&gamut.from_srgb(), &development.srgb_from_camera);
+    let matrix = matrix.map(|row| row.map(|v| (gain * v / white) as f32));
+    let luminance = (tone == Tone::Soft && gain > 1.0).then(|| gamut.luminance().map(|v| v as f32));
+    let squared = (gain * gain) as f32;
     let top = white as f32;
     let (mut red, rest) = camera.view_mut().split_at(Axis(0), 1);
     let (mut green, mut blue) = rest.split_at(Axis(0), 1);
     Zip::from(&mut red).and(&mut green).and(&mut blue).par_for_each(|r, g, b| {
         // `max` before `min` also turns a NaN into black.
         let pixel = [*r, *g, *b].map(|v| v.max(0.0).min(top));
-        let [x, y, z] = matrix.map(|m| (m[0] * pixel[0] + m[1] * pixel[1] + m[2] * pixel[2]).clamp(0.0, 1.0));
-        (*r, *g, *b) = (x, y, z);
+        let mut out = matrix.map(|m| m[0] * pixel[0] + m[1] * pixel[1] + m[2] * pixel[2]);
+        if let Some(of) = luminance {
+            let light = (of[0] * out[0] + of[1] * out[1] + of[2] * out[2]).max(0.0);
+            out = out.map(|v| v * (1.0 + light / squared) / (1.0 + light));
+        }
+        [*r, *g, *b] = out.map(|v| v.clamp(0.0, 1.0));
     });
+    Developed { image: camera, outside_fraction }
+}
+
+/// Step 6 alone: what undistortion had no source for.
+fn straighten(camera: &mut Array3<f32>, development: &Development<'_>) -> f64 {
+    let Some((frame, distortion)) = development.distortion else { return 0.0 };
+    let resampled = undistort(camera.view(), frame, distortion);
+    *camera = resampled.image;
+    resampled.outside_fraction
+}
+
+/// Step 6, and the white balance of step 2 taken back: the camera's own linear RGB, 1 where it saturates, for programs that develop it further.
+///
+/// # Panics
+/// If the frame has not the picture's size.
+pub fn unfinished(mut camera: Array3<f32>, development: &Development<'_>) -> Developed {
+    let outside_fraction = straighten(&mut camera, development);
+    for (mut plane, response) in camera.axis_iter_mut(Axis(0)).zip(development.balance.neutral) {
+        let (response, top) = (response as f32, 1.0f32);
+        // As above: what is no number is black.
+        plane.par_mapv_inplace(|v| (v * response).max(0.0).min(top));
+    }
     Developed { image: camera, outside_fraction }
 }
 
@@ -223,6 +277,33 @@ mod tests {
             flat_field: None,
             distortion: None,
             srgb_from_camera: [[1.6, -0.4, -0.2], [-0.2, 1.6, -0.4], [0.0, -0.4, 1.4]],
+            rendering: Rendering::default(),
+        }
+    }
+
+    /// Two steps brighter: grey has four times the light or is white; drawn in, shadows keep nearly all of the gain and saturation stays white. The
+    /// camera's own light is neither.
+    #[test]
+    fn exposure_is_a_gain_and_a_soft_shoulder_keeps_white() {
+        let neutral = [0.5, 1.0, 0.7];
+        let of = |level: f64, tone| {
+            let mosaic = flat(Cfa::RGGB, neutral).mapv(|v| 64.0 + (v - 64.0) * (level / 0.5) as f32);
+            let rendering = Rendering { exposure_ev: 2.0, tone, gamut: Gamut::DisplayP3 };
+            let d = Development { rendering, ..development(neutral) };
+            let out = develop(mosaic.view(), Cfa::RGGB, &d, Ok).expect("develops").image;
+            assert!(out.iter().all(|v| (v - out[[0, 0, 0]]).abs() < 2e-3), "grey stays grey");
+            f64::from(out[[1, 3, 3]])
+        };
+        for (level, cut, soft) in
+            [(0.01, 0.04, 0.04 * (1.0 + 0.04 / 16.0) / 1.04), (0.5, 1.0, 2.0 * 1.125 / 3.0), (1.0, 1.0, 1.0)]
+        {
+            assert!((of(level, Tone::Cut) - cut).abs() < 1e-3, "{level}");
+            assert!((of(level, Tone::Soft) - soft).abs() < 1e-3, "{level}: {} {soft}", of(level, Tone::Soft));
+        }
+        let camera = network_input(flat(Cfa::RGGB, neutral).view(), Cfa::RGGB, &development(neutral).balance, None);
+        let raw = unfinished(camera, &development(neutral)).image;
+        for (plane, response) in raw.outer_iter().zip(neutral) {
+            assert!(plane.iter().all(|v| (f64::from(*v) - 0.5 * response).abs() < 1e-5), "{response}");
         }
     }
 

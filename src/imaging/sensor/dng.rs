@@ -1,4 +1,5 @@
-//! Virtual captures as DNG: an uncompressed 16-bit CFA file that raw converters open.
+//! Virtual captures, and developed ones, as DNG: uncompressed 16-bit files that raw converters open, a mosaic ([`write_dng`]) or three linear colours
+//! a pixel ([`write_linear_dng`]).
 //!
 //! Adobe Digital Negative specification 1.4. `ColorMatrix1` takes CIE XYZ under D65 to unbalanced camera RGB:
 //! `diag(neutral) · srgb_from_camera⁻¹ · XYZ_from_sRGB⁻¹`, so D65 white has the raw response `AsShotNeutral`. The noise of the
@@ -7,13 +8,15 @@
 
 use std::path::Path;
 
-use ndarray::ArrayView2;
+use ndarray::{Array3, ArrayView2, Axis};
+use rayon::prelude::*;
 use tiff::TiffError;
-use tiff::encoder::{Rational, SRational, TiffEncoder};
+use tiff::encoder::{DirectoryEncoder, Rational, SRational, TiffEncoder, TiffKindStandard};
 use tiff::tags::Tag;
 
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
+use crate::imaging::exif::Exif;
 use crate::imaging::files::write_atomic;
 use crate::imaging::sensor::Sensor;
 
@@ -46,21 +49,146 @@ pub fn write_dng(path: &Path, mosaic_dn: ArrayView2<'_, u16>, sensor: &Sensor, i
         let (file, found) = (path.display().to_string(), format!("{rows} × {cols} pixels"));
         return Err(Error::bad(file, "mosaic", found, "1 to 2147483647 pixels"));
     };
-    let Some(camera_from_srgb) = inverse(&sensor.srgb_from_camera) else {
-        let (file, found) = (sensor.name.clone(), format!("{:?}", sensor.srgb_from_camera));
-        return Err(Error::bad(file, "srgb_from_camera", found, "a matrix with an inverse"));
+    let camera_from_xyz = camera_from_xyz(&sensor.srgb_from_camera, sensor.neutral_response, &sensor.name)?;
+    write_atomic(path, |out| {
+        write_tags(out, sides, mosaic_dn, sensor, info, &camera_from_xyz).map_err(|e| unwritten(path, e))
+    })
+}
+
+fn unwritten(path: &Path, e: TiffError) -> Error {
+    match e {
+        TiffError::IoError(e) => Error::writing(path, e),
+        e => Error::bad(path.display().to_string(), "DNG", e.to_string(), "values a DNG can hold"),
+    }
+}
+
+/// CIE XYZ under D65 to unbalanced camera RGB.
+fn camera_from_xyz(srgb_from_camera: &[[f64; 3]; 3], neutral: [f64; 3], name: &str) -> Result<[[f64; 3]; 3]> {
+    let Some(camera_from_srgb) = inverse(srgb_from_camera) else {
+        let found = format!("{srgb_from_camera:?}");
+        return Err(Error::bad(name, "srgb_from_camera", found, "a matrix with an inverse"));
     };
     let srgb_from_xyz = inverse(&XYZ_FROM_SRGB).expect("a constant with an inverse");
     let mut camera_from_xyz = product(&camera_from_srgb, &srgb_from_xyz);
-    for (row, response) in camera_from_xyz.iter_mut().zip(sensor.neutral_response) {
+    for (row, response) in camera_from_xyz.iter_mut().zip(neutral) {
         row.iter_mut().for_each(|v| *v *= response);
     }
-    write_atomic(path, |out| {
-        write_tags(out, sides, mosaic_dn, sensor, info, &camera_from_xyz).map_err(|e| match e {
-            TiffError::IoError(e) => Error::writing(path, e),
-            e => Error::bad(path.display().to_string(), "DNG", e.to_string(), "values a DNG can hold"),
-        })
-    })
+    Ok(camera_from_xyz)
+}
+
+/// What camera RGB stands for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CameraColour {
+    /// Balanced camera RGB to linear sRGB.
+    pub srgb_from_camera: [[f64; 3]; 3],
+    /// Response to what is taken as neutral, R, G, B relative to green.
+    pub neutral: [f64; 3],
+}
+
+/// Writes camera RGB, linear, 1 where the camera saturates, as a DNG of three colours a pixel, with the facts of its exposure.
+///
+/// # Shapes
+/// `image`: `[3, row, col]`, upright.
+///
+/// # Errors
+/// A picture without pixels or too large for the format, colours without an inverse, a file that cannot be written.
+pub fn write_linear_dng(
+    path: &Path,
+    image: &Array3<f32>,
+    colour: &CameraColour,
+    info: &DngInfo,
+    exif: &Exif,
+) -> Result<()> {
+    let (channels, rows, cols) = image.dim();
+    let sides = u32::try_from(rows).ok().zip(u32::try_from(cols).ok());
+    let fits = |(h, w): &(u32, u32)| channels == 3 && (1..(1 << 32) / 6).contains(&(u64::from(*h) * u64::from(*w)));
+    let Some((height, width)) = sides.filter(fits) else {
+        let (file, found) = (path.display().to_string(), format!("{channels} colours of {rows} × {cols} pixels"));
+        return Err(Error::bad(file, "picture", found, "three colours of 1 to 715827881 pixels"));
+    };
+    let matrix = camera_from_xyz(&colour.srgb_from_camera, colour.neutral, &info.model)?;
+    let mut samples = vec![0u16; 3 * rows * cols];
+    samples.par_chunks_mut(3 * cols).zip(image.axis_iter(Axis(1))).for_each(|(to, from)| {
+        for (c, pixel) in to.chunks_exact_mut(3).enumerate() {
+            // `as` cuts off to the range, and makes 0 of what is no number.
+            (0..3).for_each(|k| pixel[k] = (from[[k, c]] * f32::from(u16::MAX) + 0.5) as u16);
+        }
+    });
+    let write = |out: &mut std::io::BufWriter<std::fs::File>| -> tiff::TiffResult<()> {
+        let mut file = TiffEncoder::new(out)?;
+        let directories = exif.write_directories(&mut file, u16::MAX)?;
+        let mut dng = file.image_directory()?;
+        let place = u32::try_from(dng.write_data(&samples[..])?)?;
+        dng.write_tag(Tag::BitsPerSample, &[16u16; 3][..])?;
+        dng.write_tag(Tag::PhotometricInterpretation, 34892u16)?; // linear camera colours
+        dng.write_tag(Tag::SamplesPerPixel, 3u16)?;
+        write_strip(&mut dng, (height, width), place, 2 * samples.len())?;
+        // Maker and camera stand in its words, not twice.
+        exif.write_picture_entries(&mut dng, directories)?;
+        dng.write_tag(Tag::ImageDescription, ascii(&info.description).as_str())?;
+        write_levels(&mut dng, &ascii(&info.model), &[0.0; 3], &[65535; 3])?;
+        write_colour(&mut dng, &matrix, colour.neutral)?;
+        write_area(&mut dng, (height, width))?;
+        dng.finish()
+    };
+    write_atomic(path, |out| write(out).map_err(|e| unwritten(path, e)))
+}
+
+type Directory<'a, W> = DirectoryEncoder<'a, W, TiffKindStandard>;
+
+/// Size, and one strip of pixels.
+fn write_strip<W: std::io::Write + std::io::Seek>(
+    dng: &mut Directory<'_, W>,
+    (rows, cols): (u32, u32),
+    place: u32,
+    bytes: usize,
+) -> tiff::TiffResult<()> {
+    dng.write_tag(Tag::NewSubfileType, 0u32)?;
+    dng.write_tag(Tag::ImageWidth, cols)?;
+    dng.write_tag(Tag::ImageLength, rows)?;
+    dng.write_tag(Tag::Compression, 1u16)?;
+    dng.write_tag(Tag::PlanarConfiguration, 1u16)?;
+    dng.write_tag(Tag::RowsPerStrip, rows)?;
+    dng.write_tag(Tag::StripOffsets, place)?;
+    dng.write_tag(Tag::StripByteCounts, u32::try_from(bytes)?)
+}
+
+/// DNG version, camera and levels, one or one a colour.
+fn write_levels<W: std::io::Write + std::io::Seek>(
+    dng: &mut Directory<'_, W>,
+    model: &str,
+    black: &[f64],
+    white: &[u32],
+) -> tiff::TiffResult<()> {
+    dng.write_tag(Tag::Unknown(50706), &[1u8, 4, 0, 0][..])?; // DNGVersion
+    dng.write_tag(Tag::Unknown(50707), &[1u8, 1, 0, 0][..])?; // DNGBackwardVersion
+    dng.write_tag(Tag::Unknown(50708), model)?; // UniqueCameraModel
+    dng.write_tag(Tag::Unknown(50713), &[1u16, 1][..])?; // BlackLevelRepeatDim
+    let black: Vec<Rational> = black.iter().map(|v| level(*v)).collect();
+    dng.write_tag(Tag::Unknown(50714), &black[..])?; // BlackLevel
+    dng.write_tag(Tag::Unknown(50717), white) // WhiteLevel
+}
+
+fn write_colour<W: std::io::Write + std::io::Seek>(
+    dng: &mut Directory<'_, W>,
+    camera_from_xyz: &[[f64; 3]; 3],
+    neutral: [f64; 3],
+) -> tiff::TiffResult<()> {
+    let matrix: Vec<SRational> = camera_from_xyz.iter().flatten().map(|v| signed(*v)).collect();
+    dng.write_tag(Tag::Unknown(50721), &matrix[..])?; // ColorMatrix1
+    let neutral: Vec<Rational> = neutral.iter().map(|v| unsigned(*v)).collect();
+    dng.write_tag(Tag::Unknown(50728), &neutral[..])?; // AsShotNeutral
+    dng.write_tag(Tag::Unknown(50730), &[signed(0.0)][..])?; // BaselineExposure
+    dng.write_tag(Tag::Unknown(50778), 21u16) // CalibrationIlluminant1: D65
+}
+
+fn write_area<W: std::io::Write + std::io::Seek>(
+    dng: &mut Directory<'_, W>,
+    (rows, cols): (u32, u32),
+) -> tiff::TiffResult<()> {
+    dng.write_tag(Tag::Unknown(50829), &[0u32, 0, rows, cols][..])?; // ActiveArea
+    dng.write_tag(Tag::Unknown(50719), &[0u32, 0][..])?; // DefaultCropOrigin
+    dng.write_tag(Tag::Unknown(50720), &[cols, rows][..]) // DefaultCropSize
 }
 
 fn write_tags<W: std::io::Write + std::io::Seek>(
@@ -85,17 +213,10 @@ fn write_tags<W: std::io::Write + std::io::Seek>(
     let offset = dng.write_data(pixels)?;
     let place = u32::try_from(offset)?;
     // Pixels.
-    dng.write_tag(Tag::NewSubfileType, 0u32)?;
-    dng.write_tag(Tag::ImageWidth, cols)?;
-    dng.write_tag(Tag::ImageLength, rows)?;
     dng.write_tag(Tag::BitsPerSample, 16u16)?;
-    dng.write_tag(Tag::Compression, 1u16)?;
     dng.write_tag(Tag::PhotometricInterpretation, 32803u16)?; // colour filter array
     dng.write_tag(Tag::SamplesPerPixel, 1u16)?;
-    dng.write_tag(Tag::PlanarConfiguration, 1u16)?;
-    dng.write_tag(Tag::RowsPerStrip, rows)?;
-    dng.write_tag(Tag::StripOffsets, place)?;
-    dng.write_tag(Tag::StripByteCounts, u32::try_from(2 * pixels.len())?)?;
+    write_strip(&mut dng, (rows, cols), place, 2 * pixels.len())?;
     dng.write_tag(Tag::Orientation, 1u16)?;
     // Words.
     dng.write_tag(Tag::ImageDescription, ascii(&info.description).as_str())?;
@@ -108,22 +229,9 @@ fn write_tags<W: std::io::Write + std::io::Seek>(
     dng.write_tag(Tag::Unknown(33422), &sensor.cfa.0[..])?; // CFAPattern
     dng.write_tag(Tag::Unknown(50710), &[0u8, 1, 2][..])?; // CFAPlaneColor
     dng.write_tag(Tag::Unknown(50711), 1u16)?; // CFALayout: rectangular
-    // DNG version, camera, levels, colour.
-    dng.write_tag(Tag::Unknown(50706), &[1u8, 4, 0, 0][..])?; // DNGVersion
-    dng.write_tag(Tag::Unknown(50707), &[1u8, 1, 0, 0][..])?; // DNGBackwardVersion
-    dng.write_tag(Tag::Unknown(50708), model.as_str())?; // UniqueCameraModel
-    dng.write_tag(Tag::Unknown(50713), &[1u16, 1][..])?; // BlackLevelRepeatDim
-    dng.write_tag(Tag::Unknown(50714), &[level(sensor.black_level)][..])?; // BlackLevel
-    dng.write_tag(Tag::Unknown(50717), sensor.white_level.round() as u32)?; // WhiteLevel
-    let matrix: Vec<SRational> = camera_from_xyz.iter().flatten().map(|v| signed(*v)).collect();
-    dng.write_tag(Tag::Unknown(50721), &matrix[..])?; // ColorMatrix1
-    let neutral: Vec<Rational> = sensor.neutral_response.iter().map(|v| unsigned(*v)).collect();
-    dng.write_tag(Tag::Unknown(50728), &neutral[..])?; // AsShotNeutral
-    dng.write_tag(Tag::Unknown(50730), &[signed(0.0)][..])?; // BaselineExposure
-    dng.write_tag(Tag::Unknown(50778), 21u16)?; // CalibrationIlluminant1: D65
-    dng.write_tag(Tag::Unknown(50829), &[0u32, 0, rows, cols][..])?; // ActiveArea
-    dng.write_tag(Tag::Unknown(50719), &[0u32, 0][..])?; // DefaultCropOrigin
-    dng.write_tag(Tag::Unknown(50720), &[cols, rows][..])?; // DefaultCropSize
+    write_levels(&mut dng, &model, &[sensor.black_level], &[sensor.white_level.round() as u32])?;
+    write_colour(&mut dng, camera_from_xyz, sensor.neutral_response)?;
+    write_area(&mut dng, (rows, cols))?;
     // Variance = S·signal + O, the model of `imaging::sensor::noise`.
     let read = sensor.read_noise_electrons / sensor.full_well_electrons;
     dng.write_tag(Tag::Unknown(51041), &[1.0 / sensor.full_well_electrons, read * read][..])?; // NoiseProfile
@@ -193,6 +301,44 @@ mod tests {
         let error = write_dng(&path, mosaic().view(), &flat, &info()).expect_err("singular").to_string();
         assert!(error.contains("srgb_from_camera"), "{error}");
         assert!(!path.exists());
+    }
+
+    /// An independent reader finds the colours, the neutral and the facts of the exposure.
+    #[cfg(feature = "deploy")]
+    #[test]
+    fn linear_pictures_come_back() {
+        use crate::deploy::raw::{RawPixels, decode};
+        use crate::imaging::exif::{Directory, Value, tags};
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("linear.dng");
+        let image = Array3::from_shape_fn((3, 5, 8), |(k, r, c)| (k * 40 + r * 8 + c) as f32 / 130.0);
+        let (sensor, mut exif) = (Sensor::generic(), Exif::default());
+        exif.set(Directory::Picture, tags::MAKE, Value::Text("Some".into()));
+        exif.set(Directory::Picture, tags::MODEL, Value::Text("Some 5".into()));
+        exif.set(Directory::Exposure, tags::ISO, Value::Short(400));
+        exif.set(Directory::Exposure, tags::F_NUMBER, Value::Ratios(vec![[56, 10]]));
+        exif.set(Directory::Exposure, tags::LENS_MODEL, Value::Text("Old lens".into()));
+        let colour = CameraColour { srgb_from_camera: sensor.srgb_from_camera, neutral: sensor.neutral_response };
+        let info = DngInfo { model: "Some 5".into(), ..info() };
+        write_linear_dng(&path, &image, &colour, &info, &exif).expect("writes");
+        let back = decode(&path).expect("decodes");
+        let RawPixels::Linear(samples) = &back.pixels else { panic!("three colours") };
+        assert_eq!((back.black[..3].to_vec(), back.white[..3].to_vec()), (vec![0.0; 3], vec![65535.0; 3]));
+        let worst = (samples / 65535.0 - &image).iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        assert!(worst <= 0.501 / 65535.0, "{worst}");
+        let neutral = back.neutral.expect("as shot");
+        for (a, b) in neutral.iter().zip(colour.neutral) {
+            assert!((a - b / colour.neutral[1]).abs() < 1e-5, "{neutral:?}");
+        }
+        let facts = &back.exif;
+        assert_eq!((facts.iso(), facts.f_number(), facts.lens()), (Some(400.0), Some(5.6), Some("Old lens")));
+        // Colours come out as they went in.
+        let again =
+            crate::imaging::develop::srgb_from_camera(&back.camera_from_xyz.expect("a matrix")).expect("regular");
+        for (a, b) in again.iter().flatten().zip(sensor.srgb_from_camera.iter().flatten()) {
+            assert!((a - b).abs() < 1e-3, "{again:?}");
+        }
+        assert!(write_linear_dng(&path, &Array3::zeros((3, 0, 4)), &colour, &info, &exif).is_err());
     }
 
     /// An independent reader finds the pixels, the layout, the levels and the neutral.

@@ -11,7 +11,7 @@ use isoplanat::deploy::tiles::{self, Tiling};
 use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::undistort::captured_radius;
-use isoplanat::imaging::develop::{self, Balance, Development};
+use isoplanat::imaging::develop::{self, Balance, Development, Rendering};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::wiener::{LocalPsfs, tune};
@@ -91,6 +91,7 @@ pub(crate) fn photograph(
         flat_field: Some((frame, &kit.shading)),
         distortion: Some((frame, &kit.distortion)),
         srgb_from_camera: sensor.srgb_from_camera,
+        rendering: Rendering::default(),
     };
     let mosaic = taken.dn.mapv(f32::from);
     // The network that sees the capture alone, in the other one's place.

@@ -1,0 +1,123 @@
+//! Captures one after the other, one bar for all of them.
+
+use std::path::Path;
+use std::time::Instant;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use isoplanat::deploy::raw_process::{self, Limits};
+use isoplanat::deploy::reconstruct::Camera;
+use isoplanat::deploy::session::Session;
+use isoplanat::{Error, Result};
+use serde_json::json;
+
+use crate::bench::Figures;
+use crate::command::{Arguments, complain, say};
+use crate::output;
+
+/// Steps of the bar for one capture.
+const STEPS: u64 = 1000;
+
+/// A run over captures.
+pub(crate) struct Batch<'a> {
+    arguments: &'a Arguments,
+    camera: &'a Camera,
+    bar: ProgressBar,
+}
+
+impl<'a> Batch<'a> {
+    pub(crate) fn new(arguments: &'a Arguments, camera: &'a Camera) -> Self {
+        Self { arguments, camera, bar: ProgressBar::hidden() }
+    }
+
+    /// The bar goes.
+    pub(crate) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    /// Says an error, the bar stays below; its exit code.
+    pub(crate) fn complain(&self, error: &Error) -> u8 {
+        self.bar.suspend(|| complain(error))
+    }
+
+    fn note(&self, capture: &Path, text: &str) {
+        self.bar.suspend(|| eprintln!("isoplanat-camera: {}: {text}", capture.display()));
+    }
+
+    /// Moves the bar to a share of the capture `k` of `n`; it is shown once there is something to wait for.
+    fn show(&self, (k, n): (usize, usize), capture: &Path, share: f64) {
+        if self.bar.length().is_none() {
+            self.bar.set_draw_target(ProgressDrawTarget::stderr());
+            self.bar.set_length(STEPS * n as u64);
+            if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}") {
+                self.bar.set_style(style);
+            }
+        }
+        let count = if n > 1 { format!("{}/{n} ", k + 1) } else { String::new() };
+        self.bar.set_message(format!("{count}{}", capture.display()));
+        self.bar.set_position(STEPS * k as u64 + (share * STEPS as f64) as u64);
+    }
+
+    /// Develops the capture `k` of `n` into `out`.
+    pub(crate) fn develop(&self, (k, n): (usize, usize), capture: &Path, out: &Path) -> Result<serde_json::Value> {
+        let (arguments, camera) = (self.arguments, self.camera);
+        let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+        if n > 1 {
+            self.show((k, n), capture, 0.0);
+        }
+        let started = Instant::now();
+        let raw = raw_process::decode(&program, capture, Limits::default())?;
+        let decode = started.elapsed();
+        let (make, model) = (raw.make.clone(), raw.model.clone());
+        let picture =
+            camera.reconstruct(raw, capture, &|done, all| self.show((k, n), capture, done as f64 / all as f64))?;
+        for note in &picture.notes {
+            self.note(capture, note);
+        }
+        if picture.outside_fraction > 0.0 {
+            let percent = 100.0 * picture.outside_fraction;
+            self.note(capture, &format!("{percent:.2} % of the picture lies outside the capture"));
+        }
+        let started = Instant::now();
+        output::make_folder(out)?;
+        output::write(out, &picture, arguments)?;
+        let (_, rows, columns) = picture.image.dim();
+        let figures = Figures {
+            decode,
+            times: picture.times,
+            write: started.elapsed(),
+            megapixels: (rows * columns) as f64 / 1e6,
+            tiles: picture.tiles,
+            parallel: camera.session().map_or(1, Session::parallel_tiles),
+        };
+        if !arguments.json {
+            self.bar.suspend(|| {
+                say(&format!("{} -> {} ({columns} × {rows}, {make} {model})", capture.display(), out.display()));
+                if arguments.bench {
+                    if let Some(session) = camera.session() {
+                        say(&format!("runtime             {}", session.runtime()));
+                    }
+                    say(&figures.text());
+                }
+            });
+        }
+        let exif = &picture.exif;
+        Ok(json!({
+            "capture": capture.display().to_string(),
+            "picture": out.display().to_string(),
+            "columns": columns,
+            "rows": rows,
+            "camera": format!("{make} {model}"),
+            "exposure": {
+                "lens": exif.lens(),
+                "iso": exif.iso(),
+                "f_number": exif.f_number(),
+                "time_s": exif.exposure_s(),
+                "focal_length_mm": exif.focal_length_mm(),
+            },
+            "network": picture.tiles > 0,
+            "outside_fraction": picture.outside_fraction,
+            "notes": picture.notes,
+            "times": figures.json(),
+        }))
+    }
+}

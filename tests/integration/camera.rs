@@ -1,0 +1,191 @@
+//! The camera program as it runs: formats, what stands beside the pixels, folders, captures that arrive.
+
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use isoplanat::imaging::develop::color::{inverse, product};
+use isoplanat::imaging::develop::gamut::Gamut;
+use isoplanat::imaging::files::{Encoding, read_picture};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
+use ndarray::{Array2, Array3};
+
+use crate::support::Workplace;
+
+/// A capture of smooth colours, none of them saturated.
+fn capture(path: &Path, seed: u16) {
+    let sensor = Sensor::generic();
+    let mosaic = Array2::from_shape_fn((48, 64), |(r, c)| {
+        let channel = sensor.cfa.channel(r, c) as f64;
+        let wave = 0.3 + 0.08 * ((r as f64 / 9.0).sin() + (c as f64 / 11.0 + channel + f64::from(seed)).cos());
+        (sensor.black_level + wave * sensor.neutral_response[channel as usize] * 3000.0).round() as u16
+    });
+    let info = DngInfo { lens: "Tessar 50".into(), model: "Virtual 3".into(), ..DngInfo::default() };
+    write_dng(path, mosaic.view(), &sensor, &info).expect("writes");
+}
+
+fn program(place: &Workplace, arguments: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_isoplanat-camera"));
+    command.args(arguments.split_whitespace()).current_dir(place.path(""));
+    command
+}
+
+fn run(place: &Workplace, arguments: &str) -> (i32, String, String) {
+    let ran = program(place, arguments).output().expect("starts");
+    let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+    (ran.status.code().unwrap_or(-1), text(ran.stdout), text(ran.stderr))
+}
+
+fn worst(a: &Array3<f32>, b: &Array3<f32>) -> f32 {
+    assert_eq!(a.dim(), b.dim());
+    (a - b).iter().fold(0.0, |m: f32, v| m.max(v.abs()))
+}
+
+/// Every format says its colours and carries the exposure's facts; a DNG developed again is the picture itself; equal runs are equal bytes.
+#[test]
+fn formats_hold_the_same_picture() {
+    let place = Workplace::new();
+    capture(&place.path("a.dng"), 0);
+    for out in ["a.png", "again.png", "a.tif --linear", "a.jpg", "wide.tif --color display-p3", "c.dng"] {
+        let (code, _, err) = run(&place, &format!("a.dng -o {out}"));
+        assert_eq!(code, 0, "{out}: {err}");
+    }
+    let bytes = |name: &str| std::fs::read(place.path(name)).expect("reads");
+    assert_eq!(bytes("a.png"), bytes("again.png"));
+    let holds = |name: &str, part: &[u8]| bytes(name).windows(part.len()).any(|w| w == part);
+    for name in ["a.png", "a.tif", "a.jpg", "wide.tif", "c.dng"] {
+        assert!(holds(name, b"Tessar 50\0") && holds(name, b"Virtual 3\0"), "{name}: lens and camera");
+        assert!(holds(name, b"isoplanat-camera "), "{name}: program");
+    }
+    assert!(holds("a.tif", b"mntrRGB XYZ ") && holds("a.jpg", b"ICC_PROFILE\0") && holds("a.png", b"iCCP"));
+    assert!(holds("a.jpg", b"Exif\0\0") && holds("a.png", b"eXIf"));
+
+    let linear = read_picture(&place.path("a.tif"), Encoding::Linear).expect("reads");
+    let png = read_picture(&place.path("a.png"), Encoding::Srgb).expect("reads");
+    assert!(worst(&linear, &png) < 2.28 * 0.51 / 255.0, "{}", worst(&linear, &png));
+    // The wider space has the same light by other numbers.
+    let wide = read_picture(&place.path("wide.tif"), Encoding::Srgb).expect("reads");
+    let back = inverse(&Gamut::DisplayP3.from_srgb()).expect("an inverse");
+    let same = product(&back, &Gamut::DisplayP3.from_srgb());
+    assert!((same[0][0] - 1.0).abs() < 1e-9);
+    let srgb = Array3::from_shape_fn(wide.dim(), |(k, r, c)| (0..3).map(|j| back[k][j] as f32 * wide[[j, r, c]]).sum());
+    assert!(worst(&srgb, &linear) < 1e-4 && worst(&wide, &linear) > 1e-3, "{}", worst(&srgb, &linear));
+
+    let (code, _, err) = run(&place, "c.dng -o developed.tif --linear");
+    assert_eq!(code, 0, "{err}");
+    let developed = read_picture(&place.path("developed.tif"), Encoding::Linear).expect("reads");
+    assert!(worst(&developed, &linear) < 2e-4, "{}", worst(&developed, &linear));
+}
+
+/// Two steps brighter: four times the light where it is not cut; drawn in, it is less, and no pixel is lost.
+#[test]
+fn exposure_is_in_steps() {
+    let place = Workplace::new();
+    capture(&place.path("a.dng"), 0);
+    for (name, more) in
+        [("plain", ""), ("bright", "--exposure 1"), ("dark", "--exposure -2"), ("soft", "--exposure 2 --tone soft")]
+    {
+        let (code, _, err) = run(&place, &format!("a.dng -o {name}.tif --linear {more}"));
+        assert_eq!(code, 0, "{err}");
+    }
+    let read = |name: &str| read_picture(&place.path(&format!("{name}.tif")), Encoding::Linear).expect("reads");
+    let plain = read("plain");
+    assert!(worst(&read("bright"), &plain.mapv(|v| (2.0 * v).min(1.0))) < 1e-4);
+    assert!(worst(&read("dark"), &(&plain / 4.0)) < 1e-4);
+    let soft = read("soft");
+    assert!(soft.iter().zip(&plain).all(|(s, p)| *s < 4.0 * p && *s > *p && *s < 1.0), "between");
+}
+
+/// What contradicts itself is refused with one sentence, and nothing is written.
+#[test]
+fn contradictions_are_refused() {
+    let place = Workplace::new();
+    capture(&place.path("a.dng"), 0);
+    std::fs::create_dir(place.path("empty")).expect("a folder");
+    for (arguments, words) in [
+        ("a.dng -o b.dng --exposure 1", "--exposure: a DNG holds the camera's own light"),
+        ("a.dng -o b.dng --color display-p3", "--color"),
+        ("a.dng -o b.jpg --linear", "JPEG has 8 bits"),
+        ("a.dng -o b.png --format tif", "--format"),
+        ("a.dng -o a.dng --force", "is a capture"),
+        ("a.dng -o b.png --exposure 11", "steps from -10 to 10"),
+        ("a.dng -o b.png --exposure NaN", "steps from -10 to 10"),
+        ("a.dng -o b.gif", ".jpeg or .dng"),
+        ("empty -o out", "no RAW file in it"),
+        ("a.dng -o out --watch", "no folder"),
+        ("a.dng --watch", "--out"),
+    ] {
+        let (code, out, err) = run(&place, arguments);
+        assert!(code == 2 && out.is_empty() && err.contains(words), "{arguments}: {code} {err}");
+    }
+    assert_eq!(place.files(), ["a.dng", "empty"]);
+}
+
+/// A folder is its captures; one that is none is said, and the others are developed.
+#[test]
+fn folders_are_batches() {
+    let place = Workplace::new();
+    std::fs::create_dir(place.path("in")).expect("a folder");
+    for (k, name) in ["b", "a"].iter().enumerate() {
+        capture(&place.path(&format!("in/{name}.dng")), k as u16);
+    }
+    place.write("in/broken.dng", "no picture").write("in/notes.txt", "none");
+    let (code, out, err) = run(&place, "in -o out --format jpg --json");
+    assert!(code == 2 && err.contains("broken.dng"), "{code} {err}");
+    let json: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let pictures = json["pictures"].as_array().expect("a list");
+    assert_eq!(pictures.len(), 2);
+    assert_eq!(pictures[0]["exposure"]["lens"], "Tessar 50");
+    for name in ["out/a.jpg", "out/b.jpg"] {
+        assert!(place.path(name).is_file(), "{name}");
+    }
+    let before = std::fs::read(place.path("out/a.jpg")).expect("reads");
+    let (code, _, err) = run(&place, "in -o out --format jpg");
+    assert!(code == 2 && err.contains("exists"), "{err}");
+    assert_eq!(std::fs::read(place.path("out/a.jpg")).expect("reads"), before);
+}
+
+struct Watching(Child);
+
+impl Drop for Watching {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Captures are developed as they arrive, whole; what has a picture is left alone; Ctrl-C ends it.
+#[cfg(unix)]
+#[test]
+fn captures_that_arrive_are_developed() {
+    let place = Workplace::new();
+    for folder in ["in", "out"] {
+        std::fs::create_dir(place.path(folder)).expect("a folder");
+    }
+    capture(&place.path("in/old.dng"), 0);
+    place.write("out/old.png", "mine");
+    capture(&place.path("new.dng"), 1);
+    let mut command = program(&place, "in -o out --watch");
+    let mut child =
+        Watching(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts"));
+    let wait = |what: &dyn Fn() -> bool| {
+        let until = Instant::now() + Duration::from_secs(60);
+        while !what() && Instant::now() < until {
+            std::thread::sleep(Duration::from_millis(50));
+        }
+        what()
+    };
+    // In two parts, as a card is copied.
+    let bytes = std::fs::read(place.path("new.dng")).expect("reads");
+    place.write("in/new.dng", &bytes[..bytes.len() / 2]);
+    std::thread::sleep(Duration::from_millis(200));
+    place.write("in/new.dng", &bytes);
+    place.write("in/broken.dng", "no picture");
+    assert!(wait(&|| place.path("out/new.png").is_file()), "it is developed");
+    let interrupted = Command::new("kill").args(["-INT", &child.0.id().to_string()]).status().expect("starts");
+    assert!(interrupted.success());
+    let status = child.0.wait().expect("ends");
+    assert!(matches!(status.code(), Some(0 | 2)), "{status}");
+    assert_eq!(std::fs::read(place.path("out/old.png")).expect("reads"), b"mine");
+}
