@@ -1,14 +1,18 @@
-//! Real cameras: the distortion of a lens from photographs of a chessboard (paper §4.1), as one file.
+//! Real cameras: the distortion of a lens from photographs of a chessboard (paper §4.1), its relative illumination and the sensor's levels and noise from
+//! flat and dark frames; each as one file.
 //!
-//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`mod@file`] keeps the result.
+//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`mod@file`] keeps the result. [`transfer`] measures the
+//! sensor, [`shading`] the lens's falling light.
 //! All in pixels of the pictures; pixel (row `i`, column `j`) has its centre at `(j + ½, i + ½)`, as in [`crate::imaging::frame`].
 
 #[cfg(feature = "calibrate")]
 pub mod chart;
 pub mod file;
 pub mod model;
+pub mod shading;
 pub mod solve;
 mod start;
+pub mod transfer;
 
 use glam::DVec2;
 

@@ -473,6 +473,43 @@ mod tests {
         assert!((mean / expected - 1.0).abs() < 2e-3, "{mean} {expected}");
     }
 
+    /// An independent reader finds the colours, the neutral and the facts of the exposure.
+    #[test]
+    fn linear_pictures_come_back() {
+        use crate::imaging::sensor::Sensor;
+        use crate::imaging::sensor::dng::{CameraColour, DngInfo, write_linear_dng};
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let path = folder.path().join("linear.dng");
+        let image = Array3::from_shape_fn((3, 5, 8), |(k, r, c)| (k * 40 + r * 8 + c) as f32 / 130.0);
+        let (sensor, mut exif) = (Sensor::generic(), Exif::default());
+        exif.set(Directory::Picture, tags::MAKE, Value::Text("Some".into()));
+        exif.set(Directory::Picture, tags::MODEL, Value::Text("Some 5".into()));
+        exif.set(Directory::Exposure, tags::ISO, Value::Short(400));
+        exif.set(Directory::Exposure, tags::F_NUMBER, Value::Ratios(vec![[56, 10]]));
+        exif.set(Directory::Exposure, tags::LENS_MODEL, Value::Text("Old lens".into()));
+        let colour = CameraColour { srgb_from_camera: sensor.srgb_from_camera, neutral: sensor.neutral_response };
+        let info = DngInfo { model: "Some 5".into(), ..DngInfo::default() };
+        write_linear_dng(&path, &image, &colour, &info, &exif).expect("writes");
+        let back = decode(&path).expect("decodes");
+        let RawPixels::Linear(samples) = &back.pixels else { panic!("three colours") };
+        assert_eq!((back.black[..3].to_vec(), back.white[..3].to_vec()), (vec![0.0; 3], vec![65535.0; 3]));
+        let worst = (samples / 65535.0 - &image).iter().fold(0.0f32, |m, v| m.max(v.abs()));
+        assert!(worst <= 0.501 / 65535.0, "{worst}");
+        let neutral = back.neutral.expect("as shot");
+        for (a, b) in neutral.iter().zip(colour.neutral) {
+            assert!((a - b / colour.neutral[1]).abs() < 1e-5, "{neutral:?}");
+        }
+        let facts = &back.exif;
+        assert_eq!((facts.iso(), facts.f_number(), facts.lens()), (Some(400.0), Some(5.6), Some("Old lens")));
+        // Colours come out as they went in.
+        let again =
+            crate::imaging::develop::srgb_from_camera(&back.camera_from_xyz.expect("a matrix")).expect("regular");
+        for (a, b) in again.iter().flatten().zip(sensor.srgb_from_camera.iter().flatten()) {
+            assert!((a - b).abs() < 1e-3, "{again:?}");
+        }
+        assert!(write_linear_dng(&path, &Array3::zeros((3, 0, 4)), &colour, &info, &exif).is_err());
+    }
+
     #[test]
     fn files_that_are_not_what_they_say_are_refused() {
         let dir = tempfile::tempdir().expect("temporary folder");

@@ -9,9 +9,10 @@ use isoplanat::imaging::develop::gamut::Gamut;
 use isoplanat::imaging::files::{Encoding, read_picture};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
+use isoplanat::testing::shared;
 use ndarray::{Array2, Array3};
 
-use crate::support::Workplace;
+use crate::support::{Workplace, root};
 
 /// A capture of smooth colours, none of them saturated.
 fn capture(path: &Path, seed: u16) {
@@ -144,6 +145,108 @@ fn folders_are_batches() {
     let (code, _, err) = run(&place, "in -o out --format jpg");
     assert!(code == 2 && err.contains("exists"), "{err}");
     assert_eq!(std::fs::read(place.path("out/a.jpg")).expect("reads"), before);
+}
+
+/// Bytes of a file cut short, changed at random places, mostly near its head, or with a run of them overwritten.
+fn mutated(bytes: &[u8], rng: &mut fastrand::Rng) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    match rng.u32(0..4) {
+        0 => bytes.truncate(rng.usize(0..bytes.len())),
+        1 => {
+            let from = rng.usize(0..bytes.len());
+            let to = (from + rng.usize(1..256)).min(bytes.len());
+            bytes[from..to].fill([0, 0xff, rng.u8(..)][rng.usize(0..3)]);
+        }
+        _ => {
+            let head = if rng.bool() { bytes.len().min(4096) } else { bytes.len() };
+            for _ in 0..rng.usize(1..17) {
+                bytes[rng.usize(0..head)] = rng.u8(..);
+            }
+        }
+    }
+    bytes
+}
+
+/// RAW files and kits with random damage: a picture or one clear refusal, within limits of time and memory, and no partial output.
+/// `ISOPLANAT_CAMERA_MUTATIONS=N` takes N in place of 200.
+#[cfg(unix)]
+#[test]
+fn damaged_files_are_developed_or_refused() {
+    use rayon::prelude::*;
+    let count = std::env::var("ISOPLANAT_CAMERA_MUTATIONS").map_or(200, |v| v.parse().expect("a number"));
+    let own = Workplace::new();
+    capture(&own.path("own.dng"), 0);
+    let mut raws = vec![own.path("own.dng")];
+    for name in
+        ["nikon_crop_gbrg_u16.dng", "nikon_crop_rggb_lj92.dng", "canon_eos_6d_linear_lossy.dng", "RAW_NIKON_D1.NEF"]
+    {
+        raws.extend(shared(&format!("data/raw/{name}")));
+    }
+    let raws: Vec<(String, Vec<u8>)> = raws
+        .iter()
+        .map(|p| (p.extension().expect("an ending").to_string_lossy().into_owned(), std::fs::read(p).expect("reads")))
+        .collect();
+    let kit = root().join("models/kits/lfov-30-free");
+    let parts: Vec<(String, Vec<u8>)> = std::fs::read_dir(&kit)
+        .expect("lists")
+        .map(|e| e.expect("an entry").path())
+        .filter(|p| p.is_file())
+        .map(|p| (p.file_name().expect("a name").to_string_lossy().into_owned(), std::fs::read(&p).expect("reads")))
+        .collect();
+    let hash = |bytes: &[u8]| isoplanat::network::card::sha256_hex(bytes);
+    let faults: Vec<String> = (0..count)
+        .into_par_iter()
+        .filter_map(|seed: u64| {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let place = Workplace::new();
+            let arguments = if seed % 4 > 0 {
+                let (ending, bytes) = &raws[rng.usize(0..raws.len())];
+                place.write(&format!("a.{ending}"), mutated(bytes, rng));
+                format!("a.{ending} -o out.png")
+            } else {
+                // Every other one with the hash of the damaged part, as somebody who means it would write it.
+                std::fs::create_dir(place.path("kit")).expect("a folder");
+                let damaged = rng.usize(0..parts.len());
+                let mut all = parts.clone();
+                all[damaged].1 = mutated(&parts[damaged].1, rng);
+                if rng.bool() {
+                    let (old, new) = (hash(&parts[damaged].1), hash(&all[damaged].1));
+                    for (_, bytes) in all.iter_mut().filter(|(name, _)| name == "kit.toml") {
+                        if let Ok(text) = std::str::from_utf8(bytes) {
+                            *bytes = text.replace(&old, &new).into_bytes();
+                        }
+                    }
+                }
+                for (name, bytes) in &all {
+                    place.write(&format!("kit/{name}"), bytes);
+                }
+                place.write("a.dng", &raws[0].1);
+                "a.dng --kit kit -o out.png".to_owned()
+            };
+            let before = place.files();
+            let limits = "ulimit -v 6291456 && ulimit -t 60";
+            let ran = Command::new("sh")
+                .args(["-c", &format!("{limits} && exec \"$0\" \"$@\""), env!("CARGO_BIN_EXE_isoplanat-camera")])
+                .args(arguments.split_whitespace())
+                .current_dir(place.path(""))
+                .output()
+                .expect("starts");
+            let (err, mut after) = (String::from_utf8_lossy(&ran.stderr).into_owned(), place.files());
+            let wrong = match ran.status.code() {
+                Some(0) => {
+                    let whole = read_picture(&place.path("out.png"), Encoding::Srgb).is_ok();
+                    after.retain(|name| name != "out.png");
+                    (!whole).then_some("no whole picture")
+                }
+                Some(2) => (!err.lines().any(|l| l.starts_with("isoplanat-camera: "))).then_some("no word of why"),
+                Some(_) => Some("an internal error"),
+                None => Some("killed"),
+            };
+            let wrong = wrong.or_else(|| (before != after).then_some("something is left behind"));
+            wrong.map(|what| format!("seed {seed}: {what}: {arguments}: {:?} {err}", ran.status))
+        })
+        .collect();
+    assert!(faults.is_empty(), "{} of {count}:\n{}", faults.len(), faults[..faults.len().min(8)].join("\n"));
 }
 
 struct Watching(Child);

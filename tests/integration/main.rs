@@ -3,6 +3,8 @@
 mod adjoints;
 mod calibrate;
 #[cfg(feature = "deploy")]
+mod calibrate_sensor;
+#[cfg(feature = "deploy")]
 mod camera;
 mod circles;
 mod cli;

@@ -3,8 +3,8 @@
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::render::plan::{ILLUMINATIONS, optics};
 use isoplanat::lens::{Lens, builtin};
+use isoplanat::psf::Quadrature;
 use isoplanat::psf::table::chief_slopes;
-use isoplanat::psf::{Optics, Quadrature};
 
 use crate::support::lens_file;
 use crate::white_oracle::{irradiance, vignetting_onsets};

@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use clap::{Parser, ValueEnum};
 use isoplanat::calibrate::file::MeasuredDistortion;
+use isoplanat::calibrate::shading::MeasuredShading;
 use isoplanat::deploy::kit::Kit;
 use isoplanat::deploy::reconstruct::{Camera, Steps, Target, Veil};
 use isoplanat::deploy::session::{Options, Runtime};
@@ -63,6 +64,9 @@ pub(crate) struct Arguments {
     /// Distortion to take out, as `isoplanat calibrate` measured it; a kit has its own.
     #[arg(long, value_name = "DISTORTION.toml", conflicts_with = "kit")]
     distortion: Option<PathBuf>,
+    /// The lens's falling light to divide out, as `isoplanat calibrate-sensor` measured it; a kit has its own.
+    #[arg(long, value_name = "SHADING.toml", conflicts_with = "kit")]
+    shading: Option<PathBuf>,
     /// Veiling glare to take off: a share of the light, `guess` from the picture's darkest parts, or `none` [default: the kit's]
     #[arg(long, value_name = "SHARE", value_parser = veil)]
     glare: Option<Veil>,
@@ -231,8 +235,13 @@ fn target(arguments: &Arguments, outputs: &[PathBuf]) -> Result<Target> {
 fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let Some(kit) = kit else {
         eprintln!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
-        let measured = arguments.distortion.as_deref().map(MeasuredDistortion::load).transpose()?;
-        let camera = measured.as_ref().map_or_else(|| Ok(Camera::plain()), Camera::straightening)?;
+        let mut camera = Camera::plain();
+        if let Some(path) = &arguments.distortion {
+            camera = camera.straightening(&MeasuredDistortion::load(path)?)?;
+        }
+        if let Some(path) = &arguments.shading {
+            camera = camera.evening(&MeasuredShading::load(path)?)?;
+        }
         return camera.without(arguments.glare.unwrap_or(Veil::Keep));
     };
     let steps = Steps { network: !arguments.no_network, undistort: !arguments.no_undistort };

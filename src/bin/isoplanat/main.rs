@@ -8,6 +8,8 @@ mod accuracy;
 mod analyses;
 #[cfg(feature = "calibrate")]
 mod calibrate;
+#[cfg(feature = "deploy")]
+mod calibrate_sensor;
 mod capture;
 mod check;
 mod convert;
@@ -111,6 +113,12 @@ enum Command {
     /// The distortion of a real lens from photographs of a chessboard (needs the feature `calibrate`)
     #[cfg(not(feature = "calibrate"))]
     Calibrate(missing::Args),
+    /// Black level, gain and noise of a sensor, and a lens's falling light, from dark and flat frames
+    #[cfg(feature = "deploy")]
+    CalibrateSensor(calibrate_sensor::Args),
+    /// Black level, gain and noise of a sensor, and a lens's falling light, from dark and flat frames (needs the feature `deploy`)
+    #[cfg(not(feature = "deploy"))]
+    CalibrateSensor(missing::Args),
     /// The whole chain on built-in scenes, with a report
     #[cfg(all(feature = "train", feature = "deploy"))]
     Demo(demo::Args),
@@ -171,6 +179,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Calibrate(args) => calibrate::run(&args, out),
         #[cfg(not(feature = "calibrate"))]
         Command::Calibrate(_) => missing::feature("calibrate"),
+        #[cfg(feature = "deploy")]
+        Command::CalibrateSensor(args) => calibrate_sensor::run(&args, out),
+        #[cfg(not(feature = "deploy"))]
+        Command::CalibrateSensor(_) => missing::feature("deploy"),
         #[cfg(feature = "train")]
         Command::Design(args) => design::run(&args, out),
         #[cfg(feature = "train")]

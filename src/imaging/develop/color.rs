@@ -8,6 +8,9 @@ use crate::math::real::Real;
 /// Linear sRGB (D65) to CIE XYZ, IEC 61966-2-1.
 pub const XYZ_FROM_SRGB: [[f64; 3]; 3] = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]];
 
+/// No correction of colour.
+pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+
 /// sRGB value (0 to 1) of a linear one.
 pub fn srgb_from_linear<T: Real>(v: T) -> T {
     if v <= T::real(0.003_130_8) {

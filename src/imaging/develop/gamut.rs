@@ -6,8 +6,7 @@
 use moxcms::{ColorProfile, LocalizableString, ProfileText, ToneReprCurve};
 use serde::{Deserialize, Serialize};
 
-use super::IDENTITY;
-use super::color::{XYZ_FROM_SRGB, inverse, product};
+use super::color::{IDENTITY, XYZ_FROM_SRGB, inverse, product};
 use crate::error::{Error, Result};
 
 /// Linear Display P3 to CIE XYZ: SMPTE EG 432-1 primaries (0.680, 0.320), (0.265, 0.690), (0.150, 0.060), white (0.3127, 0.3290).

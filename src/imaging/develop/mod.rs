@@ -20,6 +20,7 @@ use ndarray::parallel::prelude::*;
 use ndarray::{Array2, Array3, ArrayView2, Axis, Zip};
 
 use crate::error::Result;
+pub use crate::imaging::develop::color::IDENTITY;
 use crate::imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
 use crate::imaging::develop::demosaic::demosaic;
 use crate::imaging::develop::distortion::Distortion;
@@ -30,9 +31,6 @@ use crate::imaging::frame::Frame;
 use crate::imaging::plane::Region;
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::Cfa;
-
-/// No correction of colour.
-pub const IDENTITY: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
 
 /// Levels and white balance: what leads from digital numbers to black at 0, white at 1 and neutral grey.
 #[derive(Clone, Debug, PartialEq)]
