@@ -119,7 +119,9 @@ impl Plot {
         for t in &x_axis.ticks {
             let x = at([x_axis.value(*t), y_axis.value(y_axis.low)])[0];
             svg.line([x, top], [x, bottom], grid);
-            svg.text([x, bottom + 17.0], Anchor::Middle, 12.0, &x_axis.label(*t));
+            let label = x_axis.label(*t);
+            let middle = x.min(WIDTH - 1.0 - 0.5 * text_width(&label, 12.0));
+            svg.text([middle, bottom + 17.0], Anchor::Middle, 12.0, &label);
         }
         for t in &y_axis.ticks {
             let y = at([x_axis.value(x_axis.low), y_axis.value(*t)])[1];

@@ -58,7 +58,7 @@ pub(crate) fn run(arguments: &Arguments, out: &Path, batch: &Batch<'_>) -> Resul
                 break;
             }
             done.insert(capture.clone(), *state);
-            let picture = out.join(output::named(&output::stem(capture), arguments.format));
+            let picture = out.join(output::named(output::stem(capture), arguments.format));
             if picture.exists() && !arguments.force {
                 continue;
             }

@@ -272,7 +272,8 @@ impl Listing<'_> {
             let step = own.len().div_ceil(DRAWN).max(1);
             own.into_iter().step_by(step).collect()
         };
-        let mut series: Vec<Series> = [(1, "green"), (0, "red"), (2, "blue")]
+        // In the order of the plot's own hues.
+        let mut series: Vec<Series> = [(2, "blue"), (1, "green"), (0, "red")]
             .map(|(k, name)| Series { name: name.into(), points: points(k), mark: Mark::Dots })
             .into();
         let most = measured.points.iter().map(|p| p.mean).fold(1.0, f64::max);
