@@ -44,6 +44,17 @@ pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// The text of a file of at most `most` bytes.
+///
+/// # Errors
+/// As [`read_bounded`]; what is not UTF-8.
+pub fn read_text(path: &Path, most: u64) -> Result<String> {
+    String::from_utf8(read_bounded(path, most)?).map_err(|e| {
+        let found = format!("no text at byte {}", e.utf8_error().valid_up_to());
+        Error::bad(path.display().to_string(), "text", found, "UTF-8")
+    })
+}
+
 /// A TOML text of form `schema`; `file` names it in messages, `allowed` says where its keys are listed. A newer file is refused by its
 /// number, not by its first new key.
 ///

@@ -67,10 +67,7 @@ impl MeasuredShading {
     /// # Errors
     /// A file that cannot be read, of another form, or with values that mean nothing.
     pub fn load(path: &Path) -> Result<Self> {
-        let file = path.display().to_string();
-        let text = String::from_utf8(atomic::read_bounded(path, MOST)?)
-            .map_err(|_| Error::bad(file.as_str(), "text", "not UTF-8", ALLOWED))?;
-        Self::parse(&text, &file)
+        Self::parse(&atomic::read_text(path, MOST)?, &path.display().to_string())
     }
 
     /// Parses and checks a text; `file` names it in messages.

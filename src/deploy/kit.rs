@@ -1,11 +1,11 @@
 //! The kit folder: everything a camera needs to reconstruct the captures of one lens on one sensor.
 //!
 //! ```text
-//! KIT/kit.toml     schema = 3: names, hashes, tiles, sensor, frame, distortion, shading
+//! KIT/kit.toml     schema = 4: names, hashes, tiles, sensor, frame, distortion, shading, what captures it is for
 //! KIT/model.onnx   the network, its card in the metadata
 //! KIT/filters.npz  Wiener filters, where the network sees the capture through them
 //! ```
-//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration.
+//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration; 4 is written where a kit states what it is for, else 3.
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
 //! was written with, a network trained for another lens.
 
@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::atomic;
 use crate::deploy::session;
 use crate::deploy::tiles::Tiling;
+use crate::deploy::valid::Valid;
 use crate::error::{Error, Result};
 use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::glare;
@@ -27,7 +28,9 @@ use crate::lens::Lens;
 use crate::network::card::{DEMOSAIC, ModelCard, sensor_sha256, sha256_hex};
 
 /// The newest form of `kit.toml`.
-pub const SCHEMA: u32 = 3;
+pub const SCHEMA: u32 = 4;
+/// Form of a kit that does not state what it is for.
+const WITHOUT_RANGES: u32 = 3;
 /// Largest `kit.toml` and largest other part that are read, bytes.
 const LARGEST_TOML: u64 = 4 << 20;
 const LARGEST_PART: u64 = 1 << 30;
@@ -56,6 +59,8 @@ pub struct Kit {
     pub shading: Shading,
     /// Share of the light that the lens spreads over the frame as veiling glare, to be taken off first; `None`: nobody measured it.
     pub glare: Option<f64>,
+    /// Captures that it is for.
+    pub valid: Valid,
     /// What the network says of itself.
     pub card: ModelCard,
     /// The bytes of `model.onnx`.
@@ -121,6 +126,8 @@ struct KitFile {
     glare: Option<f64>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     filters: Option<FilterEntry>,
+    #[serde(default, skip_serializing_if = "Valid::is_empty")]
+    valid: Valid,
     frame: Frame,
     distortion: DistortionTable,
     shading: Shading,
@@ -209,6 +216,7 @@ impl Kit {
             distortion,
             shading,
             glare: None,
+            valid: Valid::default(),
             card,
             model_bytes: model,
             guide,
@@ -228,10 +236,7 @@ impl Kit {
             let found = if folder.exists() { "not a folder" } else { "there is no such folder" };
             return Err(Error::bad(folder.display().to_string(), "kit", found, format!("a folder with {FILE}")));
         }
-        let text = String::from_utf8(atomic::read_bounded(&path, LARGEST_TOML)?).map_err(|e| {
-            let found = format!("no text at byte {}", e.utf8_error().valid_up_to());
-            Error::bad(path.display().to_string(), "text", found, "UTF-8")
-        })?;
+        let text = atomic::read_text(&path, LARGEST_TOML)?;
         let file = parse(&text, &path.display().to_string())?;
         let (model_path, model_bytes) = whole(folder, &path, "model", &file.model.file, &file.model.sha256)?;
         let metadata = session::metadata(&model_bytes, &model_path)?;
@@ -266,6 +271,7 @@ impl Kit {
             distortion: Distortion { max_slope, coefficients_mm, residual_mm },
             shading: file.shading,
             glare: file.glare,
+            valid: file.valid,
             card,
             model_bytes,
             guide,
@@ -309,7 +315,7 @@ impl Kit {
     pub fn to_toml(&self) -> Result<String> {
         let Distortion { max_slope, coefficients_mm, residual_mm } = self.distortion;
         let file = KitFile {
-            schema: SCHEMA,
+            schema: if self.valid.is_empty() { WITHOUT_RANGES } else { SCHEMA },
             name: self.name.clone(),
             created_by: self.created_by.clone(),
             demosaic: self.card.demosaic.clone(),
@@ -318,6 +324,7 @@ impl Kit {
             calibration_sha256: Some(self.calibration_sha256()?),
             glare: self.glare,
             filters: self.filters.as_ref().map(|(entry, _)| entry.clone()),
+            valid: self.valid,
             frame: self.frame.clone(),
             distortion: DistortionTable { max_slope, coefficients_mm, residual_mm },
             shading: self.shading.clone(),
@@ -339,18 +346,20 @@ impl Kit {
         Err(Error::bad(file.display().to_string(), "lens", format!("{} ({})", short(&own), lens.name), allowed))
     }
 
-    /// SHA-256 (hex) of frame, distortion, illumination, glare and sensor as `kit.toml` states them.
+    /// SHA-256 (hex) of frame, distortion, illumination, glare, ranges and sensor as `kit.toml` states them.
     fn calibration_sha256(&self) -> Result<String> {
         #[derive(Serialize)]
         struct Calibration<'a> {
             glare: Option<f64>,
+            #[serde(skip_serializing_if = "Valid::is_empty")]
+            valid: Valid,
             frame: &'a Frame,
             distortion: &'a Distortion,
             shading: &'a Shading,
             sensor: &'a Sensor,
         }
-        let Self { glare, frame, distortion, shading, sensor, .. } = self;
-        let all = Calibration { glare: *glare, frame, distortion, shading, sensor };
+        let Self { glare, valid, frame, distortion, shading, sensor, .. } = self;
+        let all = Calibration { glare: *glare, valid: *valid, frame, distortion, shading, sensor };
         let text = toml::to_string(&all).map_err(|e| Error::Internal(format!("calibration to TOML: {e}")))?;
         Ok(sha256_hex(text.as_bytes()))
     }
@@ -368,6 +377,7 @@ impl Kit {
         let bad = |place: &str, found: String, allowed: String| Err(Error::bad(file, place, found, allowed));
         self.sensor.check(file)?;
         self.glare.map_or(Ok(0.0), glare::check).map_err(|e| e.in_file(Path::new(file)))?;
+        self.valid.check(file)?;
         self.tiling().map_err(|e| e.in_file(Path::new(file)))?;
         let (card, model) = (&self.card, &self.model);
         if card.lens_sha256 != self.lens.sha256 {
@@ -538,7 +548,7 @@ pub(crate) mod tests {
         let cases = [
             ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
             ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
-            ("newer schema", with("schema = 3", "schema = 4\nnews = 1"), "newer isoplanat-camera"),
+            ("newer schema", with("schema = 3", "schema = 5\nnews = 1"), "newer isoplanat-camera"),
             ("no schema", with("schema = 3", ""), "schema"),
             ("white level", with("white_level = 4095.0", "white_level = 4000.0"), "calibration_sha256"),
             ("distortion", with("residual_mm = 0.0001", "residual_mm = 0.0002"), "calibration_sha256"),

@@ -12,3 +12,4 @@ pub mod session;
 #[cfg(test)]
 mod test_model;
 pub mod tiles;
+pub mod valid;

@@ -370,6 +370,7 @@ impl Calibrated {
         if !same_camera(&camera, &sensor.name) {
             notes.push(format!("the file is of {}, the kit is for {}", camera.trim(), sensor.name));
         }
+        notes.extend(self.kit.valid.notes(&capture.exif));
         match capture.neutral {
             Some(neutral) => balance.neutral = neutral,
             None => notes.push("the file names no white balance; the kit's is used".into()),

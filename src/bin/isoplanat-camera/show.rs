@@ -45,6 +45,7 @@ pub(crate) fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             "frame": kit.frame,
             "distortion": distortion,
             "glare": kit.glare,
+            "valid": kit.valid,
             "shading": kit.shading,
             "sensor": kit.sensor,
         });
@@ -92,6 +93,7 @@ pub(crate) fn show_kit(kit: &Kit, as_json: bool) -> Result<()> {
             "glare      {}",
             kit.glare.map_or("not measured".into(), |g| format!("{:.1} % of the light", 100.0 * g))
         ),
+        format!("valid for  {}", kit.valid.told()),
         format!("shading    {} at the last radius (R, G, B)", corner.join(", ")),
         format!(
             "sensor     {}, {}, {} bits, black {}, white {}",

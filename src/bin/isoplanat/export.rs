@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::deploy::kit::{FILE, tile_px};
 use isoplanat::deploy::session::{Options, Session};
+use isoplanat::deploy::valid::Valid;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
 use isoplanat::imaging::develop::glare;
@@ -38,6 +39,10 @@ pub(crate) struct Args {
     /// Share of the light that the lens spreads over the frame as veiling glare (measured): the camera takes it off.
     #[arg(long, value_name = "SHARE")]
     glare: Option<f64>,
+    /// Captures that the kit is for, as iso=LOW..HIGH, f_number=…, focal_length_mm=… or distance_m=…, as often as wanted: the camera compares them with a
+    /// file's Exif facts and tells what does not fit.
+    #[arg(long, value_name = "KEY=LOW..HIGH")]
+    valid: Vec<String>,
     /// Figures as JSON.
     #[arg(long)]
     json: bool,
@@ -53,6 +58,8 @@ const JUDGED: usize = 384;
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.force)?;
     args.glare.map(glare::check).transpose().map_err(|e| e.in_file(Path::new("isoplanat")))?;
+    let mut valid = Valid::default();
+    args.valid.iter().try_for_each(|text| valid.put(text))?;
     let task = Task::load(&args.run.join("task.toml"))?;
     let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
@@ -79,6 +86,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let calibration = kit::Calibration::of(&lens, &sensor, &frame)?;
     let mut kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
     kit.glare = args.glare;
+    kit.valid = valid;
     kit.save(&args.output, args.force)?;
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);

@@ -202,3 +202,29 @@ fn the_same_scene_from_both_layouts_is_the_same_picture() {
         assert!((mean(&a, c) / mean(&b, c) - 1.0).abs() < 0.01, "channel {c}");
     }
 }
+
+/// A kit that states its ISO comes back from its folder, is refused where the statement was changed, and tells of captures at another.
+#[test]
+fn a_kit_tells_of_captures_that_it_is_not_for() {
+    use crate::imaging::exif::{Directory, Value, tags};
+    let folder = tempfile::tempdir().expect("a temporary folder");
+    let at = folder.path().join("kit");
+    let mut made = kit(150, 110);
+    made.valid.put("iso=100..200").expect("a range");
+    made.save(&at, false).expect("writes");
+    let loaded = Kit::load(&at).expect("loads");
+    assert_eq!(loaded.valid, made.valid);
+    let text = std::fs::read_to_string(at.join("kit.toml")).expect("reads");
+    assert!(text.starts_with("schema = 4") && text.contains("iso = [100.0, 200.0]"), "{text}");
+    std::fs::write(at.join("kit.toml"), text.replace("200.0]", "900.0]")).expect("writes");
+    assert!(Kit::load(&at).expect_err("changed").to_string().contains("calibration_sha256"));
+    let steps = Steps { network: false, ..Steps::default() };
+    let camera = Camera::with_kit(loaded, steps, &tract()).expect("opens");
+    let notes = |iso: u16| {
+        let mut taken = capture(150, 110);
+        taken.exif.set(Directory::Exposure, tags::ISO, Value::Short(iso));
+        camera.reconstruct(taken, Path::new("a.dng"), &|_, _| ()).expect("develops").notes
+    };
+    assert!(notes(1600).iter().any(|n| n == "taken at ISO 1600; the kit is for 100 to 200"), "{:?}", notes(1600));
+    assert!(!notes(200).iter().any(|n| n.contains("ISO")));
+}
