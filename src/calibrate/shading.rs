@@ -76,7 +76,22 @@ impl MeasuredShading {
     /// As [`Self::load`].
     pub fn parse(text: &str, file: &str) -> Result<Self> {
         let measured: Self = atomic::of_schema(text, file, SCHEMA, ALLOWED)?;
-        let named = |e: Error| e.in_file(Path::new(file));
+        // By the file's own keys.
+        let named = |e: Error| match e.in_file(Path::new(file)) {
+            Error::BadInput { file, place, found, allowed } => {
+                let keys = [
+                    ("shading.radius_mm", "illumination.radius_px"),
+                    ("shading.illumination[0]", "illumination.red"),
+                    ("shading.illumination[1]", "illumination.green"),
+                    ("shading.illumination[2]", "illumination.blue"),
+                    ("frame.axis_px", "centre_px"),
+                ];
+                let key = keys.iter().find(|(own, _)| *own == place).map(|(_, key)| (*key).to_owned());
+                let key = key.unwrap_or_else(|| place.strip_prefix("frame.").unwrap_or(&place).to_owned());
+                Error::BadInput { file, place: key, found, allowed }
+            }
+            other => other,
+        };
         measured.frame().map_err(named)?;
         measured.shading().map_err(named)?;
         if !(0.0..=1.0).contains(&measured.rms) {
@@ -257,9 +272,10 @@ mod tests {
         for (from, to, words) in [
             ("schema = 1", "schema = 2", "schema"),
             ("rows = 64", "rows = 0", "rows"),
-            ("radius_px = [0.0,", "radius_px = [1.0,", "radius"),
-            ("red = [1.0,", "red = [", "illumination"),
-            ("blue = [1.0,", "blue = [-1.0,", "illumination"),
+            ("radius_px = [0.0,", "radius_px = [1.0,", "illumination.radius_px"),
+            ("red = [1.0,", "red = [", "illumination.red"),
+            ("blue = [1.0,", "blue = [-1.0,", "illumination.blue"),
+            ("centre_px = [40.0", "centre_px = [nan", "centre_px"),
             ("lens = \"\"", "lens = \"\"\nzoom = 1", "zoom"),
         ] {
             assert!(text.contains(from), "{from} in {text}");

@@ -71,6 +71,8 @@ pub struct Transfer {
     pub read_by_flats_dn: f64,
     /// Root mean square departure of variances from the line, relative to what their pixel count lets expect: 1 for a sensor of that kind.
     pub scatter: f64,
+    /// Share of the dark frames' pixels that are 0, below which nothing is told.
+    pub cut: f64,
     /// Every tile.
     pub points: Vec<Point>,
     /// Digital number at which a pixel is cut off.
@@ -101,6 +103,10 @@ impl Transfer {
         }
         if self.scatter > 1.5 {
             all.push(format!("variances lie {:.1} times as far from a line as chance puts them: the frames are not of one ISO, moved, or were changed by the camera", self.scatter));
+        }
+        if self.cut > 0.01 {
+            let percent = 100.0 * self.cut;
+            all.push(format!("{percent:.0} % of the dark pixels are 0: the camera takes black off before it writes, so that black and read noise are not what they seem"));
         }
         let apart = self.blacks.iter().map(|b| (b - self.black.value).abs()).fold(0.0, f64::max);
         if apart > 1.0 {
@@ -155,7 +161,14 @@ pub fn transfer(frames: &Frames) -> Result<Transfer> {
         let value = line.slope.recip();
         Measured { value, error: line.error * value * value }
     });
+    let names = ["red", "green", "blue"];
+    if let Some((name, gain)) = names.iter().zip(&gain).find(|(_, g)| !(g.value > 0.0 && g.value.is_finite())) {
+        let found = format!("{name} pixels with {} electrons a DN", gain.value);
+        return refuse("flats", found, "raw frames with light, and no colour cut off everywhere");
+    }
+    let cut = darks.iter().flatten().filter(|v| **v <= 0.0).count() as f64 / (darks.len() * darks[0].len()) as f64;
     Ok(Transfer {
+        cut,
         black,
         blacks,
         read_dn,
@@ -193,7 +206,10 @@ fn dark_noise(darks: &[Array2<f32>]) -> Measured {
         count += n - 1.0;
     }
     let value = (square / count).sqrt();
-    Measured { value, error: value / (2.0 * count).sqrt() }
+    // Neighbouring differences share a frame (J. von Neumann, Ann. Math. Stat. 12(4), 1941): of n frames the variance is (3n − 4)/(2(n − 1)) times that of
+    // as many that share none.
+    let n = darks.len() as f64;
+    Measured { value, error: value * ((3.0 * n - 4.0) / (2.0 * (n - 1.0)) / (2.0 * count)).sqrt() }
 }
 
 /// Flats of one exposure that follow each other by their means, each used once; those with less light than `faintest` tell nothing.
@@ -362,11 +378,15 @@ mod tests {
     #[test]
     fn frames_that_tell_nothing_are_refused() {
         let whole = frames(2.0, 6.0, &[4000.0]);
+        let mut green = whole.flats[0].clone();
+        green.indexed_iter_mut().filter(|((r, c), _)| (r + c) % 2 == 1).for_each(|(_, v)| *v = 16383.0);
         for (frames, words) in [
             (Frames { darks: vec![], ..whole.clone() }, "darks"),
             (Frames { darks: whole.darks[..1].to_vec(), ..whole.clone() }, "darks"),
             (Frames { flats: whole.flats[..1].to_vec(), ..whole.clone() }, "flats"),
             (Frames { flats: whole.darks.clone(), ..whole.clone() }, "flats"),
+            // Green pixels cut off everywhere.
+            (Frames { flats: vec![green.clone(); 2], ..whole.clone() }, "flats"),
             (Frames { white: 600.0, ..whole.clone() }, "flats"),
             (Frames { flats: vec![Array2::zeros((3, 4)); 2], ..whole.clone() }, "one size"),
             (Frames { flats: vec![Array2::from_elem((256, 384), 3000.0); 2], ..whole.clone() }, "flats"),

@@ -250,6 +250,13 @@ fn facts_of(found: Option<&rawler::exif::Exif>, make: &str, model: &str) -> Exif
     put(Picture, vec![(tags::MAKE, Some(Value::Text(make.into()))), (tags::MODEL, Some(Value::Text(model.into())))]);
     let Some(e) = found else { return facts };
     put(Picture, vec![(0x013b, text(&e.artist)), (0x8298, text(&e.copyright)), (0x0132, text(&e.modify_date))]);
+    // Which of the two is named has to be there.
+    let sensitivity = e.sensitivity_type.filter(|kind| match kind {
+        2 => e.recommended_exposure_index.is_some(),
+        3 => e.iso_speed.is_some(),
+        6 => e.recommended_exposure_index.is_some() && e.iso_speed.is_some(),
+        _ => false,
+    });
     let lens_spec = e.lens_spec.as_ref().map(|all| Value::Ratios(all.iter().map(|r| [r.n, r.d]).collect()));
     put(
         Exposure,
@@ -258,8 +265,9 @@ fn facts_of(found: Option<&rawler::exif::Exif>, make: &str, model: &str) -> Exif
             (tags::F_NUMBER, ratio(&e.fnumber)),
             (0x8822, short(e.exposure_program)),
             (tags::ISO, short(e.iso_speed_ratings)),
-            (0x8830, short(e.sensitivity_type)),
-            (tags::ISO_LONG, e.recommended_exposure_index.or(e.iso_speed).map(Value::Long)),
+            (tags::SENSITIVITY_TYPE, short(sensitivity)),
+            (tags::EXPOSURE_INDEX, e.recommended_exposure_index.map(Value::Long)),
+            (tags::ISO_LONG, e.iso_speed.map(Value::Long)),
             (tags::TAKEN, text(&e.date_time_original)),
             (0x9004, text(&e.create_date)),
             (0x9010, text(&e.offset_time)),

@@ -176,6 +176,9 @@ pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture>
 fn spawn(program: &Path, path: &Path, limits: Limits) -> std::io::Result<Child> {
     let arguments: [OsString; 2] = [COMMAND.into(), std::path::absolute(path)?.into()];
     let start = |mut command: Command| {
+        // Ctrl-C in a terminal is the parent's affair.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
         command
             // Each allocator arena and each worker's stack reserves address space, which is what is limited.
             .env("MALLOC_ARENA_MAX", "2")

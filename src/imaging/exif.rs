@@ -3,12 +3,13 @@
 //! CIPA DC-008 (Exif 2.32). Entries are kept as number, kind and value, each in its directory; maker notes, previews and what
 //! describes the RAW file's own samples are not among them.
 
+use std::borrow::Cow;
 use std::io::{Seek, Write};
 
 use serde::{Deserialize, Serialize};
 use tiff::TiffResult;
-use tiff::encoder::{DirectoryEncoder, Rational, SRational, TiffEncoder, TiffKindStandard};
-use tiff::tags::Tag;
+use tiff::encoder::{DirectoryEncoder, Rational, SRational, TiffEncoder, TiffKindStandard, TiffValue};
+use tiff::tags::{Tag, Type};
 
 /// Longest text that is kept, characters.
 const LONGEST: usize = 1000;
@@ -68,8 +69,12 @@ pub mod tags {
     pub const F_NUMBER: u16 = 0x829d;
     /// ISO speed.
     pub const ISO: u16 = 0x8827;
-    /// ISO speed where 16 bits do not hold it.
-    pub const ISO_LONG: u16 = 0x8832;
+    /// Which of the following tell the speed.
+    pub const SENSITIVITY_TYPE: u16 = 0x8830;
+    /// Recommended exposure index: a speed beyond 16 bits.
+    pub const EXPOSURE_INDEX: u16 = 0x8832;
+    /// ISO speed: the same.
+    pub const ISO_LONG: u16 = 0x8833;
     /// When it was taken.
     pub const TAKEN: u16 = 0x9003;
     /// Metres.
@@ -81,6 +86,27 @@ pub mod tags {
     pub(super) const VERSION: u16 = 0x9000;
     pub(super) const COLOR_SPACE: u16 = 0xa001;
     pub(super) const GPS_VERSION: u16 = 0x0000;
+}
+
+/// Bytes of the kind that TIFF calls undefined.
+pub(crate) struct Undefined<'a>(pub(crate) &'a [u8]);
+
+impl TiffValue for Undefined<'_> {
+    const BYTE_LEN: u8 = 1;
+    const FIELD_TYPE: Type = Type::UNDEFINED;
+
+    fn count(&self) -> usize {
+        self.0.len()
+    }
+
+    fn data(&self) -> Cow<'_, [u8]> {
+        Cow::Borrowed(self.0)
+    }
+}
+
+/// Printable ASCII, of bounded length; other letters become `?`.
+pub(crate) fn ascii(text: &str) -> String {
+    text.chars().map(|c| if matches!(c, ' '..='~') { c } else { '?' }).take(LONGEST).collect()
 }
 
 /// The facts of one exposure; empty where a file tells none.
@@ -95,8 +121,7 @@ impl Exif {
     pub fn set(&mut self, directory: Directory, tag: u16, value: Value) {
         let value = match value {
             Value::Text(text) => {
-                let printable = |c: char| if matches!(c, ' '..='~') { c } else { '?' };
-                let text: String = text.trim_matches(['\0', ' ']).chars().map(printable).take(LONGEST).collect();
+                let text = ascii(text.trim_matches(['\0', ' ']));
                 if text.is_empty() {
                     return;
                 }
@@ -133,7 +158,10 @@ impl Exif {
         let short = self.number(tags::ISO).filter(|v| *v > 0.0);
         match short {
             Some(v) if v < f64::from(u16::MAX) => Some(v),
-            _ => self.number(tags::ISO_LONG).filter(|v| *v > 0.0).or(short),
+            _ => {
+                let long = [tags::EXPOSURE_INDEX, tags::ISO_LONG].into_iter().filter_map(|tag| self.number(tag));
+                long.filter(|v| *v > 0.0).max_by(f64::total_cmp).or(short)
+            }
         }
     }
 
@@ -189,7 +217,7 @@ impl Exif {
         color_space: u16,
     ) -> TiffResult<[Option<u32>; 2]> {
         let mut exposure = file.extra_directory()?;
-        exposure.write_tag(Tag::Unknown(tags::VERSION), &b"0232"[..])?;
+        exposure.write_tag(Tag::Unknown(tags::VERSION), Undefined(b"0232"))?;
         exposure.write_tag(Tag::Unknown(tags::COLOR_SPACE), color_space)?;
         self.write_entries(&mut exposure, Directory::Exposure)?;
         let exposure = exposure.finish_with_offsets()?.offset;
@@ -251,7 +279,7 @@ mod tests {
         assert_eq!((exif.iso(), exif.f_number(), exif.lens()), (None, None, None));
         exposure(&mut exif, tags::ISO, Value::Short(u16::MAX));
         assert_eq!(exif.iso(), Some(65535.0));
-        exposure(&mut exif, tags::ISO_LONG, Value::Long(102_400));
+        exposure(&mut exif, tags::EXPOSURE_INDEX, Value::Long(102_400));
         assert_eq!(exif.iso(), Some(102_400.0));
         exposure(&mut exif, tags::ISO, Value::Short(200));
         assert_eq!(exif.iso(), Some(200.0));
@@ -299,6 +327,7 @@ mod tests {
         assert_eq!(ratio(exposure, tags::EXPOSURE_TIME, 0), (5, 1, 250));
         assert_eq!(ratio(exposure, 0x9204, 0), (10, -1, 3));
         assert_eq!(short(find(exposure, tags::COLOR_SPACE).2), 1);
+        assert_eq!(find(exposure, tags::VERSION).0, 7, "undefined, as the standard has it");
         assert_eq!((find(place, 2).1, ratio(place, 2, 2)), (3, (5, 30, 1)));
     }
 }

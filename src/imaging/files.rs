@@ -20,7 +20,7 @@ pub use crate::atomic::{write_atomic, write_bytes};
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::{linear_from_srgb, srgb_from_linear};
 use crate::imaging::develop::gamut::Gamut;
-use crate::imaging::exif::Exif;
+use crate::imaging::exif::{Exif, Undefined};
 
 /// JPEG quality of [`write_picture`].
 const JPEG_QUALITY: u8 = 95;
@@ -277,7 +277,7 @@ fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &A
             if has_exif { Some(beside.exif.write_directories(&mut file, beside.color_space(encoding))?) } else { None };
         let mut picture = file.new_image::<colortype::RGB16>(samples.width(), samples.height())?;
         if let Some(profile) = &profile {
-            picture.encoder().write_tag(Tag::IccProfile, &profile[..])?;
+            picture.encoder().write_tag(Tag::IccProfile, Undefined(profile))?;
         }
         if let Some(directories) = directories {
             beside.exif.write_picture_entries(picture.encoder(), directories)?;
@@ -330,7 +330,7 @@ pub fn write_annotated(
 }
 
 /// The letters after the last dot of a file's name, in lower case.
-pub(crate) fn extension(path: &Path) -> String {
+pub fn extension(path: &Path) -> String {
     path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
 }
 

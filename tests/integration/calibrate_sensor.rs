@@ -124,7 +124,7 @@ fn frames_that_do_not_belong_together_are_refused() {
         ("--darks d0.dng d1.dng --flats cut0.dng cut1.dng", "below saturation"),
         ("--darks d0.dng d1.dng --flats f0.dng small.dng", "small.dng: size"),
         ("--darks d0.dng d1.dng --flats f0.dng missing.dng", "missing.dng"),
-        ("--darks d0.dng d1.dng --flats f0.dng f1.dng --centre 900,3", "within the frame"),
+        ("--darks d0.dng d1.dng --flats f0.dng f1.dng --centre 900,3", "--centre"),
     ] {
         let ran = place.run(&format!("calibrate-sensor {frames} -o sensor.toml --shading shading.toml"));
         assert!(ran.code == 2 && ran.err.contains(words), "{frames}: {}", ran.err);

@@ -103,10 +103,17 @@ fn exposure_is_in_steps() {
 fn contradictions_are_refused() {
     let place = Workplace::new();
     capture(&place.path("a.dng"), 0);
-    std::fs::create_dir(place.path("empty")).expect("a folder");
+    for folder in ["empty", "in"] {
+        std::fs::create_dir(place.path(folder)).expect("a folder");
+    }
+    capture(&place.path("in/a.dng"), 0);
     for (arguments, words) in [
         ("a.dng -o b.dng --exposure 1", "--exposure: a DNG holds the camera's own light"),
         ("a.dng -o b.dng --color display-p3", "--color"),
+        ("a.dng -o b.dng --linear", "linear already"),
+        ("in -o out.dng", "one picture"),
+        ("in -o in --watch --format dng", "a folder that is watched"),
+        ("in -o out --watch --linear --format jpg", "JPEG has 8 bits"),
         ("a.dng -o b.jpg --linear", "JPEG has 8 bits"),
         ("a.dng -o b.png --format tif", "--format"),
         ("a.dng -o a.dng --force", "is a capture"),
@@ -120,7 +127,11 @@ fn contradictions_are_refused() {
         let (code, out, err) = run(&place, arguments);
         assert!(code == 2 && out.is_empty() && err.contains(words), "{arguments}: {code} {err}");
     }
-    assert_eq!(place.files(), ["a.dng", "empty"]);
+    assert_eq!(place.files(), ["a.dng", "empty", "in"]);
+    // What agrees is none.
+    for arguments in ["a.dng -o b.jpeg --format jpg", "a.dng -o b.tiff --format tif"] {
+        assert_eq!(run(&place, arguments).0, 0, "{arguments}");
+    }
 }
 
 /// A folder is its captures; one that is none is said, and the others are developed.
@@ -131,7 +142,7 @@ fn folders_are_batches() {
     for (k, name) in ["b", "a"].iter().enumerate() {
         capture(&place.path(&format!("in/{name}.dng")), k as u16);
     }
-    place.write("in/broken.dng", "no picture").write("in/notes.txt", "none");
+    place.write("in/broken.dng", "no picture").write("in/notes.txt", "none").write("in/._a.dng", "macOS");
     let (code, out, err) = run(&place, "in -o out --format jpg --json");
     assert!(code == 2 && err.contains("broken.dng"), "{code} {err}");
     let json: serde_json::Value = serde_json::from_str(&out).expect("JSON");
@@ -269,9 +280,9 @@ fn captures_that_arrive_are_developed() {
     capture(&place.path("in/old.dng"), 0);
     place.write("out/old.png", "mine");
     capture(&place.path("new.dng"), 1);
+    let err = std::fs::File::create(place.path("err.txt")).expect("a file");
     let mut command = program(&place, "in -o out --watch");
-    let mut child =
-        Watching(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts"));
+    let mut child = Watching(command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(err).spawn().expect("starts"));
     let wait = |what: &dyn Fn() -> bool| {
         let until = Instant::now() + Duration::from_secs(60);
         while !what() && Instant::now() < until {
@@ -286,6 +297,16 @@ fn captures_that_arrive_are_developed() {
     place.write("in/new.dng", &bytes);
     place.write("in/broken.dng", "no picture");
     assert!(wait(&|| place.path("out/new.png").is_file()), "it is developed");
+    let first = std::fs::read(place.path("out/new.png")).expect("reads");
+    // Another capture of that name does not take its picture.
+    std::fs::create_dir(place.path("other")).expect("a folder");
+    capture(&place.path("other/new.dng"), 5);
+    std::fs::rename(place.path("other/new.dng"), place.path("in/new.DNG")).expect("moves");
+    assert!(
+        wait(&|| std::fs::read_to_string(place.path("err.txt")).is_ok_and(|t| t.contains("both be written"))),
+        "told"
+    );
+    assert_eq!(std::fs::read(place.path("out/new.png")).expect("reads"), first);
     let interrupted = Command::new("kill").args(["-INT", &child.0.id().to_string()]).status().expect("starts");
     assert!(interrupted.success());
     let status = child.0.wait().expect("ends");

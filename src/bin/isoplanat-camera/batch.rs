@@ -45,6 +45,9 @@ impl<'a> Batch<'a> {
 
     /// Moves the bar to a share of the capture `k` of `n`; it is shown once there is something to wait for.
     fn show(&self, (k, n): (usize, usize), capture: &Path, share: f64) {
+        if self.bar.is_finished() {
+            self.bar.reset();
+        }
         if self.bar.length().is_none() {
             self.bar.set_draw_target(ProgressDrawTarget::stderr());
             self.bar.set_length(STEPS * n as u64);

@@ -100,14 +100,21 @@ pub(crate) enum Format {
 }
 
 impl Format {
-    /// A file's ending.
-    pub(crate) fn ending(self) -> &'static str {
+    pub(crate) const ALL: [Self; 4] = [Self::Png, Self::Tif, Self::Jpg, Self::Dng];
+
+    /// Endings of its files.
+    pub(crate) fn endings(self) -> &'static [&'static str] {
         match self {
-            Self::Png => "png",
-            Self::Tif => "tif",
-            Self::Jpg => "jpg",
-            Self::Dng => "dng",
+            Self::Png => &["png"],
+            Self::Tif => &["tif", "tiff"],
+            Self::Jpg => &["jpg", "jpeg"],
+            Self::Dng => &["dng"],
         }
+    }
+
+    /// The ending that its files get here.
+    pub(crate) fn ending(self) -> &'static str {
+        self.endings()[0]
     }
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use isoplanat::deploy::raw::has_raw_name;
 use isoplanat::deploy::reconstruct::Picture;
 use isoplanat::imaging::exif::{Directory, Value, tags};
-use isoplanat::imaging::files::{self, Annotation, Encoding};
+use isoplanat::imaging::files::{self, Annotation, Encoding, extension};
 use isoplanat::imaging::sensor::dng::{DngInfo, write_linear_dng};
 use isoplanat::{Error, Result};
 
@@ -26,7 +26,7 @@ pub(crate) fn captures(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
         }
         let entries = std::fs::read_dir(path).map_err(|e| Error::reading(path, e))?;
         let mut within: Vec<PathBuf> =
-            entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && has_raw_name(p)).collect();
+            entries.flatten().map(|e| e.path()).filter(|p| p.is_file() && is_capture(p)).collect();
         within.sort();
         if within.is_empty() {
             return Err(Error::bad(
@@ -39,6 +39,11 @@ pub(crate) fn captures(named: &[PathBuf]) -> Result<Vec<PathBuf>> {
         all.append(&mut within);
     }
     Ok(all)
+}
+
+/// Whether a file of a folder is taken for a capture: named as RAW files are, and not hidden (macOS puts `._NAME` beside them).
+pub(crate) fn is_capture(path: &Path) -> bool {
+    has_raw_name(path) && !path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'))
 }
 
 /// A capture's name without its ending.
@@ -63,6 +68,15 @@ pub(crate) fn plan(captures: &[PathBuf], arguments: &Arguments) -> Result<Vec<Pa
     let out = arguments.out.as_deref();
     let folders = arguments.captures.iter().any(|c| c.is_dir());
     let into_folder = out.is_some_and(|o| captures.len() > 1 || folders || o.is_dir() || ends_with_separator(o));
+    if let Some(out) = out.filter(|o| folders && !o.is_dir() && is_picture(o) && !ends_with_separator(o)) {
+        let found = "the name of one picture, for a folder of captures";
+        return Err(Error::bad(
+            out.display().to_string(),
+            "-o",
+            found,
+            "a folder; --format says what is written into it",
+        ));
+    }
     let mut planned = Vec::new();
     let mut taken: HashMap<PathBuf, &Path> = HashMap::new();
     for capture in captures {
@@ -70,7 +84,7 @@ pub(crate) fn plan(captures: &[PathBuf], arguments: &Arguments) -> Result<Vec<Pa
         let path = match out {
             Some(out) if into_folder => out.join(name),
             Some(out) => {
-                if let Some(format) = arguments.format.filter(|f| files_ending(out) != f.ending()) {
+                if let Some(format) = arguments.format.filter(|f| !f.endings().contains(&extension(out).as_str())) {
                     let found = format!("`{}` where -o names the file", format.ending());
                     return Err(Error::bad(out.display().to_string(), "--format", found, "one of both"));
                 }
@@ -80,23 +94,46 @@ pub(crate) fn plan(captures: &[PathBuf], arguments: &Arguments) -> Result<Vec<Pa
         };
         check(&path, captures, arguments)?;
         if let Some(other) = taken.insert(path.clone(), capture) {
-            let found =
-                format!("{} and {} would both be written to {}", other.display(), capture.display(), path.display());
-            return Err(Error::bad("captures", "output", found, "captures with different names"));
+            return Err(both(other, capture, &path));
         }
         planned.push(path);
     }
     Ok(planned)
 }
 
-/// The letters after the last dot, in lower case.
-fn files_ending(path: &Path) -> String {
-    path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default()
+/// What is said of two captures with one picture.
+pub(crate) fn both(one: &Path, other: &Path, picture: &Path) -> Error {
+    let found = format!("{} and {} would both be written to {}", one.display(), other.display(), picture.display());
+    Error::bad("captures", "output", found, "captures with different names")
 }
 
 /// Whether a name is that of a DNG.
 pub(crate) fn is_dng(path: &Path) -> bool {
-    files_ending(path) == "dng"
+    extension(path) == "dng"
+}
+
+/// Whether a name is that of a picture.
+fn is_picture(path: &Path) -> bool {
+    let ending = extension(path);
+    Format::ALL.iter().any(|f| f.endings().contains(&ending.as_str()))
+}
+
+/// Whether a picture of this name can be what is asked for.
+pub(crate) fn check_format(path: &Path, arguments: &Arguments) -> Result<()> {
+    let refuse =
+        |place: &str, found: String, allowed: &str| Err(Error::bad(path.display().to_string(), place, found, allowed));
+    let ending = extension(path);
+    if !is_picture(path) {
+        let found = if ending.is_empty() { "no ending".into() } else { format!("`.{ending}`") };
+        return refuse("-o", found, ".png, .tif, .tiff, .jpg, .jpeg or .dng");
+    }
+    match ending.as_str() {
+        "jpg" | "jpeg" if arguments.linear => refuse("--linear", "JPEG has 8 bits".into(), ".tif or .png"),
+        "dng" if arguments.linear => {
+            refuse("--linear", "a DNG is linear already".into(), "no --linear, or .tif or .png")
+        }
+        _ => Ok(()),
+    }
 }
 
 /// Makes the folder for several captures.
@@ -112,14 +149,7 @@ pub(crate) fn make_folder(path: &Path) -> Result<()> {
 /// # Errors
 /// As [`plan`].
 pub(crate) fn check(path: &Path, captures: &[PathBuf], arguments: &Arguments) -> Result<()> {
-    let ending = files_ending(path);
-    if !["png", "tif", "tiff", "jpg", "jpeg", "dng"].contains(&ending.as_str()) {
-        let found = if ending.is_empty() { "no ending".into() } else { format!("`.{ending}`") };
-        return Err(Error::bad(path.display().to_string(), "-o", found, ".png, .tif, .tiff, .jpg, .jpeg or .dng"));
-    }
-    if arguments.linear && ending.starts_with('j') {
-        return Err(Error::bad(path.display().to_string(), "--linear", "JPEG has 8 bits", ".tif or .png"));
-    }
+    check_format(path, arguments)?;
     let same = |a: &Path, b: &Path| a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b);
     if captures.iter().any(|c| same(c, path)) {
         return Err(Error::bad(path.display().to_string(), "-o", "is a capture", "another file"));

@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime};
 
-use isoplanat::deploy::raw::has_raw_name;
 use isoplanat::{Error, Result};
 
 use crate::batch::Batch;
@@ -21,26 +20,38 @@ static STOP: AtomicBool = AtomicBool::new(false);
 /// What tells a file that is still being written: its size and when it was changed.
 type State = (u64, SystemTime);
 
-/// Whether the captures are folders and the output is one; the latter.
+/// Whether the captures are folders and the output is one that pictures may go to; the latter.
 pub(crate) fn folders(arguments: &Arguments) -> Result<&Path> {
     if let Some(file) = arguments.captures.iter().find(|c| !c.is_dir()) {
         return Err(Error::bad(file.display().to_string(), "--watch", "no folder", "folders that captures arrive in"));
     }
-    match arguments.out.as_deref() {
-        Some(out) if !out.is_file() => Ok(out),
-        out => {
-            let name = out.map_or_else(String::new, |o| o.display().to_string());
-            Err(Error::bad(name, "-o", "no folder", "a folder, with --watch"))
-        }
+    let Some(out) = arguments.out.as_deref().filter(|o| !o.is_file()) else {
+        let name = arguments.out.as_ref().map_or_else(String::new, |o| o.display().to_string());
+        return Err(Error::bad(name, "-o", "no folder", "a folder, with --watch"));
+    };
+    let example = out.join(output::named("a", arguments.format));
+    output::check_format(&example, arguments)?;
+    let place = |p: &Path| p.canonicalize().ok();
+    // A DNG that is written there would be developed again.
+    if output::is_dng(&example) && arguments.captures.iter().any(|c| place(c) == place(out)) {
+        let found = "a folder that is watched";
+        return Err(Error::bad(out.display().to_string(), "-o", found, "another folder, with --format dng"));
     }
+    Ok(out)
 }
 
-/// Develops what arrives until Ctrl-C; the exit code of the worst capture.
+/// Develops what arrives until Ctrl-C; the exit code of the worst capture. A second Ctrl-C ends the program at once.
 pub(crate) fn run(arguments: &Arguments, out: &Path, batch: &Batch<'_>) -> Result<u8> {
-    ctrlc::set_handler(|| STOP.store(true, Ordering::Relaxed))
-        .map_err(|e| Error::Internal(format!("Ctrl-C cannot be heard: {e}")))?;
+    ctrlc::set_handler(|| {
+        if STOP.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|e| Error::Internal(format!("Ctrl-C cannot be heard: {e}")))?;
     let mut done: HashMap<PathBuf, State> = HashMap::new();
     let mut growing: HashMap<PathBuf, State> = HashMap::new();
+    // Which capture a picture of this run is of.
+    let mut written: HashMap<PathBuf, PathBuf> = HashMap::new();
     let mut code = 0;
     if !arguments.json {
         let folders: Vec<String> = arguments.captures.iter().map(|f| f.display().to_string()).collect();
@@ -53,20 +64,31 @@ pub(crate) fn run(arguments: &Arguments, out: &Path, batch: &Batch<'_>) -> Resul
         let mut fresh: Vec<(&PathBuf, &State)> =
             complete.filter(|(path, state)| done.get(*path) != Some(*state)).collect();
         fresh.sort();
+        let all: Vec<PathBuf> = now.keys().cloned().collect();
         for (capture, state) in fresh {
             if STOP.load(Ordering::Relaxed) {
                 break;
             }
             done.insert(capture.clone(), *state);
             let picture = out.join(output::named(output::stem(capture), arguments.format));
-            if picture.exists() && !arguments.force {
+            let other = written.get(&picture).filter(|c| *c != capture);
+            if other.is_none() && picture.exists() && !arguments.force {
                 continue;
             }
-            let developed = output::check(&picture, std::slice::from_ref(capture), arguments)
-                .and_then(|()| batch.develop((0, 1), capture, &picture));
+            let developed = match other {
+                Some(other) => Err(output::both(other, capture, &picture)),
+                None => {
+                    output::check(&picture, &all, arguments).and_then(|()| batch.develop((0, 1), capture, &picture))
+                }
+            };
             match developed {
-                Ok(result) if arguments.json => say(&result.to_string()),
-                Ok(_) => {}
+                Ok(mut result) => {
+                    written.insert(picture, capture.clone());
+                    if arguments.json {
+                        result["schema"] = 1.into();
+                        say(&result.to_string());
+                    }
+                }
                 Err(error) => code = code.max(batch.complain(&error)),
             }
             batch.finish();
@@ -85,7 +107,7 @@ fn look(folders: &[PathBuf]) -> Result<HashMap<PathBuf, State>> {
             let path = entry.path();
             // A file may be gone again.
             let Ok(facts) = std::fs::metadata(&path) else { continue };
-            if facts.is_file() && facts.len() > 0 && has_raw_name(&path) {
+            if facts.is_file() && facts.len() > 0 && output::is_capture(&path) {
                 found.insert(path, (facts.len(), facts.modified().unwrap_or(SystemTime::UNIX_EPOCH)));
             }
         }

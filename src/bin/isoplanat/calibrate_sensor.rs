@@ -41,7 +41,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "shading.toml")]
     shading: Option<PathBuf>,
     /// Centre of the illumination, column and row in pixels [default: the middle]
-    #[arg(long, value_name = "COLUMN,ROW", value_parser = place)]
+    #[arg(long, value_name = "COLUMN,ROW", value_parser = place, requires = "shading")]
     centre: Option<[f64; 2]>,
     /// Lens that the file names [default: as the frames say]
     #[arg(long)]
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let outputs = [&args.out, &args.shading, &args.svg, &args.csv].map(Option::as_deref);
     crate::output::check_all(&outputs, args.force)?;
     let (frames, camera) = read(args)?;
-    let measured = transfer(&frames).map_err(|e| e.in_file(Path::new("FRAMES")))?;
+    let measured = transfer(&frames).map_err(|e| e.in_file(Path::new("calibrate-sensor")))?;
     let sensor = sensor(args, &camera, &measured)?;
     let shading = if args.shading.is_some() { Some(illumination(args, &frames, &camera, &measured)?) } else { None };
     if let Some(path) = &args.out {
@@ -128,6 +128,11 @@ fn read(args: &Args) -> Result<(Frames, Camera)> {
                 let (rows, columns) = found.size;
                 let what = format!("{count} frames of {columns} × {rows} pixels");
                 limit.allow(&what, product(&[count, rows, columns, BYTES]), "fewer frames")?;
+                let within = |[x, y]: &[f64; 2]| (0.0..=columns as f64).contains(x) && (0.0..=rows as f64).contains(y);
+                if let Some(centre) = args.centre.filter(|c| !within(c)) {
+                    let (found, allowed) = (format!("{centre:?}"), format!("a place within {columns} × {rows} pixels"));
+                    return Err(Error::bad("--centre", "value", found, allowed));
+                }
                 camera = Some(found);
             }
             Some(first) => first.agrees(&found, path)?,
@@ -216,7 +221,7 @@ fn sensor(args: &Args, camera: &Camera, measured: &Transfer) -> Result<Sensor> {
         srgb_from_camera: camera.srgb_from_camera.unwrap_or(IDENTITY),
         spectral_response: generic.spectral_response,
     };
-    sensor.check("sensor.toml")?;
+    sensor.check(&args.out.as_ref().map_or_else(|| "sensor".to_owned(), |o| o.display().to_string()))?;
     Ok(sensor)
 }
 
@@ -231,7 +236,7 @@ fn illumination(args: &Args, frames: &Frames, camera: &Camera, measured: &Transf
         sum.zip_mut_with(flat, |s, v| *s += f64::from(*v));
         used += 1;
     }
-    let named = |e: Error| e.in_file(Path::new("FLAT"));
+    let named = |e: Error| e.in_file(Path::new("--flats"));
     if used == 0 {
         let found = "every frame is cut off somewhere";
         return Err(named(Error::bad("", "flats", found, "a flat whose brightest part is below saturation")));

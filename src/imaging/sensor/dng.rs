@@ -16,7 +16,7 @@ use tiff::tags::Tag;
 
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::{XYZ_FROM_SRGB, inverse, product};
-use crate::imaging::exif::Exif;
+use crate::imaging::exif::{Exif, Undefined, ascii};
 use crate::imaging::files::write_atomic;
 use crate::imaging::sensor::Sensor;
 
@@ -106,7 +106,17 @@ pub fn write_linear_dng(
         let (file, found) = (path.display().to_string(), format!("{channels} colours of {rows} × {cols} pixels"));
         return Err(Error::bad(file, "picture", found, "three colours of 1 to 715827881 pixels"));
     };
-    let matrix = camera_from_xyz(&colour.srgb_from_camera, colour.neutral, &info.model)?;
+    let matrix = camera_from_xyz(&colour.srgb_from_camera, colour.neutral, &path.display().to_string())?;
+    if let Some(v) = matrix.iter().flatten().find(|v| !v.is_finite() || v.abs() * UNIT >= f64::from(i32::MAX)) {
+        let file = path.display().to_string();
+        return Err(Error::bad(
+            file,
+            "colour matrix",
+            v.to_string(),
+            "colours of a camera, whose matrix has entries of a few",
+        ));
+    }
+    let model = if info.model.trim().is_empty() { "unknown camera" } else { &info.model };
     let mut samples = vec![0u16; 3 * rows * cols];
     samples.par_chunks_mut(3 * cols).zip(image.axis_iter(Axis(1))).for_each(|(to, from)| {
         for (c, pixel) in to.chunks_exact_mut(3).enumerate() {
@@ -126,7 +136,7 @@ pub fn write_linear_dng(
         // Maker and camera stand in its words, not twice.
         exif.write_picture_entries(&mut dng, directories)?;
         dng.write_tag(Tag::ImageDescription, ascii(&info.description).as_str())?;
-        write_levels(&mut dng, &ascii(&info.model), &[0.0; 3], &[65535; 3])?;
+        write_levels(&mut dng, &ascii(model), &[0.0; 3], &[65535; 3])?;
         write_colour(&mut dng, &matrix, colour.neutral)?;
         write_area(&mut dng, (height, width))?;
         dng.finish()
@@ -202,7 +212,7 @@ fn write_tags<W: std::io::Write + std::io::Seek>(
     let mut file = TiffEncoder::new(out)?;
     // The lens stands in an EXIF directory of its own.
     let mut exif = file.extra_directory()?;
-    exif.write_tag(Tag::Unknown(36864), &b"0230"[..])?; // ExifVersion
+    exif.write_tag(Tag::Unknown(36864), Undefined(b"0230"))?; // ExifVersion
     exif.write_tag(Tag::Unknown(42036), ascii(&info.lens).as_str())?; // LensModel
     let exif = exif.finish_with_offsets()?;
 
@@ -249,10 +259,6 @@ fn unsigned(v: f64) -> Rational {
 
 fn signed(v: f64) -> SRational {
     SRational { n: (v * UNIT).round() as i32, d: UNIT as i32 }
-}
-
-fn ascii(text: &str) -> String {
-    text.chars().map(|c| if matches!(c, ' '..='~') { c } else { '?' }).collect()
 }
 
 #[cfg(test)]
