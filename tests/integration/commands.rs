@@ -29,7 +29,7 @@ fn every_command_has_help_json_and_force() {
             assert!(has(&help, option), "{command} {option}:\n{help}");
         }
         // What prints rows of a table writes them as well.
-        let analyses = ["mtf", "spot", "distortion", "report", "slanted-edge", "calibrate"];
+        let analyses = ["mtf", "spot", "distortion", "report", "slanted-edge", "calibrate", "calibrate-sensor"];
         let rows = ["inspect", "lenses", "check", "psf", "accuracy", "evaluate"].contains(&command.as_str())
             || analyses.contains(&command.as_str());
         assert_eq!(has(&help, "--csv"), rows, "{command} --csv");
