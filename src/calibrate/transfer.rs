@@ -362,7 +362,7 @@ mod tests {
         }
     }
 
-    /// Colours that the camera has scaled, and frames that a program has smoothed, are told.
+    /// Colours that the camera has scaled are told.
     #[test]
     fn what_is_no_raw_frame_is_told() {
         let mut scaled = frames(2.0, 6.0, &[4000.0, 12000.0]);
