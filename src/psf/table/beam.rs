@@ -107,21 +107,85 @@ impl<'a> Aimed<'a> {
             Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
             None => targets.iter().map(|t| chief + self.per_mm * (t - self.met)).collect(),
         };
-        let across = Failure { cause: Cause::Missed, surface: view.system.image() };
-        let steep = |n: &SceneRay| n.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY;
-        if let Some(nodes) = view.bundle(at, &targets, &starts, (chief, &self.chief_hits)) {
-            return nodes.iter().position(|n| steep(&n.ray)).map_or(Ok(nodes), |k| Err((k, across)));
-        }
-        // One by one, with all that aiming can do.
+        // What does not arrive with the others is aimed one by one, with all that aiming can do.
         let mut hits = Vec::with_capacity(view.system.surfaces.len());
-        let mut nodes = Vec::with_capacity(targets.len());
-        for (k, (target, start)) in targets.iter().zip(starts).enumerate() {
-            let found = view.aim(at, *target, Some(start), &mut hits).and_then(|c| view.follow(at, c, &mut hits));
-            let ray = found.and_then(|ray| if steep(&ray) { Err(across) } else { Ok(ray) }).map_err(|f| (k, f))?;
-            nodes.push(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() });
-        }
-        Ok(nodes)
+        let together = view.bundle(at, &targets, &starts, (chief, &self.chief_hits));
+        let partly = together.iter().any(Option::is_none);
+        let all = together.into_iter().enumerate().map(|(k, found)| {
+            // Where some get lost others may arrive by the wrong way: through a pupil seen upside down, or too flat.
+            let right = |n: &Crossings, hits: &mut _| !is_steep(&n.ray) && !(partly && self.is_turned(n, hits));
+            if let Some(node) = found.filter(|n| right(n, &mut hits)) {
+                return Ok(node);
+            }
+            let aimed = view.aim(at, targets[k], Some(starts[k]), &mut hits);
+            let ray = aimed.and_then(|c| self.follow(c, &mut hits)).map_err(|f| (k, f))?;
+            Ok(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() })
+        });
+        all.collect()
     }
+
+    /// Whether the stop is not seen around a ray as it is around the chief ray.
+    fn is_turned(&self, node: &Crossings, hits: &mut Vec<Hit>) -> bool {
+        let around = self.view.follow(self.at, node.ray.cosines, hits);
+        around.is_err()
+            || self.view.around(self.at, node.ray.cosines, hits).1.determinant() * self.per_mm.determinant() <= 0.0
+    }
+
+    fn follow(&self, cosines: DVec2, hits: &mut Vec<Hit>) -> Result<SceneRay, Failure> {
+        let ray = self.view.follow(self.at, cosines, hits)?;
+        let across = Failure { cause: Cause::Missed, surface: self.view.system.image() };
+        if is_steep(&ray) { Err(across) } else { Ok(ray) }
+    }
+
+    /// Whether the ray through `place` of the unit stop gets through, as one attempt from the cosines of another place finds.
+    fn follows(&self, place: DVec2, (from, cosines): (DVec2, DVec2), hits: &mut Vec<Hit>) -> bool {
+        let start = cosines + self.per_mm * (self.scale * (place - from));
+        let found = self.view.aim_from(self.at, self.scale * place, start, hits);
+        found.and_then(|c| self.follow(c, hits)).is_ok()
+    }
+
+    /// Most steps, of [`STEPS`], for which all rays through `places` get through; none of them leaves the centre at no step. `about` so
+    /// many are tried first.
+    fn reach(&self, about: Option<u32>, places: impl Fn(f64) -> Vec<DVec2>) -> u32 {
+        let at = |step: u32| places(f64::from(step) / f64::from(STEPS));
+        let (mut last, mut sure) = match self.through(&at(STEPS), None) {
+            Ok(_) => return STEPS,
+            Err((k, _)) => (k, STEPS),
+        };
+        let (mut passes, mut fails, mut known, mut cheaply) = (0, STEPS, Vec::new(), true);
+        let mut guesses = about.into_iter().flat_map(|a| [a + ABOUT, a.saturating_sub(ABOUT)]);
+        let mut hits = Vec::new();
+        loop {
+            while fails - passes > 1 {
+                let guess = guesses.next().filter(|g| (passes + 1..fails).contains(g));
+                let middle = guess.unwrap_or_else(|| u32::midpoint(passes, fails));
+                let places = at(middle);
+                // The node that failed last is asked first: one attempt costs far less than all that aiming can do.
+                let from = known.get(last).copied().unwrap_or((DVec2::ZERO, self.chief));
+                if cheaply && !self.follows(places[last], from, &mut hits) {
+                    fails = middle;
+                    continue;
+                }
+                match self.through(&places, None) {
+                    Ok(nodes) => {
+                        passes = middle;
+                        known = places.into_iter().zip(nodes.iter().map(|n| n.ray.cosines)).collect();
+                    }
+                    Err((k, _)) => (fails, sure, last) = (middle, middle, k),
+                }
+            }
+            if fails == sure || self.through(&at(fails), None).is_err() {
+                return passes;
+            }
+            // One attempt was not enough.
+            (passes, fails, cheaply) = (fails, sure, false);
+        }
+    }
+}
+
+/// Whether a ray runs too flat over the first vertex plane.
+fn is_steep(ray: &SceneRay) -> bool {
+    ray.slope.length_squared() > STEEPEST_RAY * STEEPEST_RAY
 }
 
 impl Beam {
@@ -143,30 +207,14 @@ impl Beam {
             Ok(beam) => return Ok(beam),
             Err(f) => f,
         };
-        // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly.
-        let height = |step: u32| f64::from(step) / f64::from(STEPS);
-        let reach = |heights: &dyn Fn(f64) -> [f64; 2], end: usize| {
-            let nodes = |step: u32| Part::between(heights(height(step))).nodes(bases.whole.degree);
-            let (mut passes, mut fails, mut last) = (0, STEPS + 1, None);
-            // Other wavelengths get about as far.
-            let about = near.map(|b| (b.part.heights[end].abs() * f64::from(STEPS)).round() as u32);
-            let mut guesses = about.into_iter().flat_map(|a| [a + ABOUT, a.saturating_sub(ABOUT)]);
-            while fails - passes > 1 {
-                let guess = guesses.next().filter(|g| (passes + 1..fails).contains(g));
-                let middle = guess.unwrap_or_else(|| u32::midpoint(passes, fails));
-                let nodes = nodes(middle);
-                // The node that failed last is asked first: it costs less than all.
-                let one = last.map_or(Ok(()), |k: usize| aimed.through(&nodes[k..=k], None).map(|_| ()));
-                let all = one.map_err(|_| last).and_then(|()| aimed.through(&nodes, None).map_err(|(k, _)| Some(k)));
-                match all {
-                    Ok(_) => passes = middle,
-                    Err(k) => (fails, last) = (middle, k),
-                }
-            }
-            passes
-        };
-        let (high, low) = (reach(&|h| [0.0, h], 1), reach(&|h| [-h, 0.0], 0));
+        // As high, and as low, as what lies beyond the centre gets through: what fails is one end of the beam, mostly. Other wavelengths get
+        // about as far.
+        let about = |end: usize| near.map(|b| (b.part.heights[end].abs() * f64::from(STEPS)).round() as u32);
+        let degree = bases.whole.degree;
+        let high = aimed.reach(about(1), |h| Part::between([0.0, h]).nodes(degree));
+        let low = aimed.reach(about(0), |h| Part::between([-h, 0.0]).nodes(degree));
         // A step less: rays that hardly get through run steeply over the stop.
+        let height = |step: u32| f64::from(step) / f64::from(STEPS);
         let fewer = (1..high.min(low)).step_by(20).map(|k| Part::between([-height(low - k), height(high - k)]));
         let caps = fewer.into_iter().find_map(|part| through(part).ok());
         let enough = caps.as_ref().map_or(0.0, |c| c.part.share());

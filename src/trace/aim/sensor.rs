@@ -10,7 +10,7 @@
 //! ([`crate::trace::launch`]), so one traced ray serves every object distance.
 //!
 //! [`SensorView::bundle`] aims many rays of one point at once, by tiles of vector lanes; Broyden's updates stand in for ray
-//! differentials there. Where one of them does not arrive the caller aims them one by one.
+//! differentials there. Those that do not arrive the caller aims one by one.
 
 use glam::{DMat2, DVec2, DVec3};
 
@@ -130,17 +130,17 @@ impl SensorView {
     pub fn aim(&self, at: DVec2, target: DVec2, start: Option<DVec2>, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
         let mut failure = Failure { cause: Cause::NotConverged, surface: self.system.stop };
         for guess in start.into_iter().chain([self.guess(at, target)]) {
-            match self.solve(at, target, guess, hits) {
+            match self.aim_from(at, target, guess, hits) {
                 Ok(p) => return Ok(p),
                 Err(f) => failure = f,
             }
         }
         // Out from the axis, every ray the next one's guess, in steps as long as they arrive.
         let (mut done, mut step) = (0.0, STEPS[0]);
-        let mut p = self.solve(DVec2::ZERO, DVec2::ZERO, DVec2::ZERO, hits)?;
+        let mut p = self.aim_from(DVec2::ZERO, DVec2::ZERO, DVec2::ZERO, hits)?;
         while step >= STEPS[1] {
             let share = f64::min(done + step, 1.0);
-            match self.solve(at * share, target * share, p, hits) {
+            match self.aim_from(at * share, target * share, p, hits) {
                 Ok(found) if share == 1.0 => return Ok(found),
                 Ok(found) => (p, done) = (found, share),
                 Err(f) => (failure, step) = (f, 0.5 * step),
@@ -149,87 +149,60 @@ impl SensorView {
         Err(failure)
     }
 
-    fn solve(&self, at: DVec2, target: DVec2, guess: DVec2, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
-        let Solved { p, .. } = solve(&self.system, &SensorPoint(at), target, guess, hits)?;
+    /// As [`Self::aim`], from `start` and nowhere else.
+    ///
+    /// # Errors
+    /// Where no step from there comes nearer.
+    pub fn aim_from(&self, at: DVec2, target: DVec2, start: DVec2, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
+        let Solved { p, .. } = solve(&self.system, &SensorPoint(at), target, start, hits)?;
         Ok(p)
     }
 
     /// Rays from `at` through all of `targets` (mm in the stop), aimed together from `starts`; `hits` are those of the ray of
-    /// cosines `chief`, whose Jacobian all begin with. `None` where one of them does not arrive.
+    /// cosines `chief`, whose Jacobian all begin with. Nothing in the place of those that do not arrive.
     pub fn bundle(
         &self,
         at: DVec2,
         targets: &[DVec2],
         starts: &[DVec2],
         (chief, hits): (DVec2, &[Hit]),
-    ) -> Option<Vec<Crossings>> {
+    ) -> Vec<Option<Crossings>> {
         let point = SensorPoint(at);
-        let inverse = stop_jacobian(&self.system, &point, &point.ray(chief), hits).inverse();
-        let mut tile = Tile::new();
+        let ray = point.ray(chief);
+        let inverse = stop_jacobian(&self.system, &point, &ray, hits).inverse();
+        let limit = TOLERANCE * self.system.stop_semi_diameter;
         let mut out = Vec::with_capacity(targets.len());
         for (targets, starts) in targets.chunks(TILE).zip(starts.chunks(TILE)) {
-            tile.resize(targets.len());
+            let mut tile = Aiming { view: self, tile: Tile::new(), lost: vec![false; targets.len()] };
+            tile.tile.resize(targets.len());
             let mut aimed: Vec<Broyden> = starts.iter().map(|p| Broyden::new(*p, inverse)).collect();
-            let limit = TOLERANCE * self.system.stop_semi_diameter;
             for _ in 0..TRACES {
-                aimed.iter().enumerate().for_each(|(lane, b)| tile.rays.set(lane, point.ray(b.p)));
-                self.pass(&mut tile, 1..=self.system.stop, |_, _| ())?;
-                let met = |lane: usize| DVec2::new(tile.rays.x[lane], tile.rays.y[lane]);
-                let misses: Vec<DVec2> = targets.iter().enumerate().map(|(lane, t)| met(lane) - *t).collect();
-                let worst = misses.iter().map(|m| m.length()).fold(0.0, f64::max);
-                if !worst.is_finite() {
-                    return None;
+                tile.launch(&point, &aimed, ray);
+                tile.pass(1..=self.system.stop, |_, _| ());
+                let mut worst = 0.0f64;
+                for (lane, (b, target)) in aimed.iter_mut().zip(targets).enumerate().filter(|(k, _)| !tile.lost[*k]) {
+                    let miss = tile.met(lane) - *target;
+                    worst = worst.max(miss.length());
+                    // The last step goes to rounding: what was missed by would be noise on every difference of lenses.
+                    b.step(miss);
                 }
-                // The last step goes to rounding: what was missed by would be noise on every difference of lenses.
-                aimed.iter_mut().zip(&misses).for_each(|(b, m)| b.step(*m));
                 if worst <= limit {
                     break;
                 }
             }
-            out.extend(self.crossings(&mut tile, point, &aimed, targets, limit)?);
+            tile.launch(&point, &aimed, ray);
+            let mut heights = vec![vec![point.0]; targets.len()];
+            tile.pass(1..=self.system.image(), |_, tile| {
+                let all = heights.iter_mut().enumerate();
+                all.for_each(|(lane, h)| h.push(DVec2::new(tile.rays.x[lane], tile.rays.y[lane])));
+            });
+            out.extend(heights.into_iter().zip(&aimed).enumerate().map(|(lane, (heights, b))| {
+                let (ray, met) = (tile.tile.rays.ray(lane), heights[self.system.stop]);
+                let arrived = !tile.lost[lane] && (met - targets[lane]).length() <= limit && ray.direction.z > 0.0;
+                arrived.then(|| Crossings { ray: SceneRay::of(b.p, ray.origin, ray.direction), heights })
+            }));
         }
-        Some(out)
-    }
-
-    /// Follows aimed rays through all surfaces; none may miss its target by more than `limit`.
-    fn crossings(
-        &self,
-        tile: &mut Tile,
-        point: SensorPoint,
-        aimed: &[Broyden],
-        targets: &[DVec2],
-        limit: f64,
-    ) -> Option<Vec<Crossings>> {
-        aimed.iter().enumerate().for_each(|(lane, b)| tile.rays.set(lane, point.ray(b.p)));
-        let mut heights = vec![vec![point.0]; targets.len()];
-        let image = self.system.image();
-        self.pass(tile, 1..=image, |_, tile| {
-            let all = heights.iter_mut().enumerate();
-            all.for_each(|(lane, h)| h.push(DVec2::new(tile.rays.x[lane], tile.rays.y[lane])));
-        })?;
-        let crossing = |(lane, (heights, b)): (usize, (Vec<DVec2>, &Broyden))| {
-            let (ray, met) = (tile.rays.ray(lane), heights[self.system.stop]);
-            let arrived = (met - targets[lane]).length() <= limit && ray.direction.z > 0.0;
-            arrived.then(|| Crossings { ray: SceneRay::of(b.p, ray.origin, ray.direction), heights })
-        };
-        heights.into_iter().zip(aimed).enumerate().map(crossing).collect()
-    }
-
-    /// Traces a tile through surfaces one by one; `None` where a ray fails.
-    fn pass(
-        &self,
-        tile: &mut Tile,
-        surfaces: std::ops::RangeInclusive<usize>,
-        mut seen: impl FnMut(usize, &Tile),
-    ) -> Option<()> {
-        for k in surfaces {
-            self.surfaces[k - 1].trace_tile(tile);
-            if tile.status[..tile.len()].iter().any(Option::is_some) {
-                return None;
-            }
-            seen(k, tile);
-        }
-        Some(())
+        out
     }
 
     /// Where the ray of `cosines` from `at` meets the stop, mm, and how cosines change with that point; zero where that is not known.
@@ -291,6 +264,42 @@ impl SceneRay {
     fn of(cosines: DVec2, point: DVec3, direction: DVec3) -> Self {
         let run = direction.truncate() / direction.z;
         Self { cosines, entrance: point.truncate() - point.z * run, slope: -run }
+    }
+}
+
+/// Rays that are aimed together.
+struct Aiming<'a> {
+    view: &'a SensorView,
+    tile: Tile,
+    /// Those that failed on the way.
+    lost: Vec<bool>,
+}
+
+impl Aiming<'_> {
+    /// Puts every ray at the sensor, `instead` in the place of those lost.
+    fn launch(&mut self, point: &SensorPoint, aimed: &[Broyden], instead: Ray) {
+        for (lane, (b, lost)) in aimed.iter().zip(&self.lost).enumerate() {
+            self.tile.rays.set(lane, if *lost { instead } else { point.ray(b.p) });
+        }
+    }
+
+    /// Where a ray is.
+    fn met(&self, lane: usize) -> DVec2 {
+        DVec2::new(self.tile.rays.x[lane], self.tile.rays.y[lane])
+    }
+
+    /// Traces them through surfaces, one after the other.
+    fn pass(&mut self, surfaces: std::ops::RangeInclusive<usize>, mut seen: impl FnMut(usize, &Tile)) {
+        for k in surfaces {
+            self.view.surfaces[k - 1].trace_tile(&mut self.tile);
+            for (lost, status) in self.lost.iter_mut().zip(&self.tile.status) {
+                *lost |= status.is_some();
+            }
+            seen(k, &self.tile);
+        }
+        for lane in 0..self.lost.len() {
+            self.lost[lane] |= !self.met(lane).is_finite();
+        }
     }
 }
 
@@ -382,9 +391,8 @@ mod tests {
             let chief = view.aim(at, DVec2::ZERO, None, &mut chief_hits).expect("aims");
             let (met, per_mm) = view.around(at, chief, &chief_hits);
             let starts: Vec<DVec2> = targets.iter().map(|t| chief + per_mm * (*t - met)).collect();
-            let bundle = view
-                .bundle(at, &targets, &starts, (chief, &chief_hits))
-                .unwrap_or_else(|| panic!("{}: a ray does not arrive", lens.name));
+            let bundle: Option<Vec<_>> = view.bundle(at, &targets, &starts, (chief, &chief_hits)).into_iter().collect();
+            let bundle = bundle.unwrap_or_else(|| panic!("{}: a ray does not arrive", lens.name));
             for (found, target) in bundle.iter().zip(&targets) {
                 let p = view.aim(at, *target, None, &mut hits).expect("aims");
                 let ray = view.follow(at, p, &mut hits).expect("leaves the lens");
