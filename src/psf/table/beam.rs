@@ -394,3 +394,57 @@ impl Chief {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::trace::System;
+
+    /// Where rays fail: the ends found are those that all rays, one by one, with all that aiming can do, get through to; rays
+    /// aimed together are those aimed alone.
+    #[test]
+    fn ends_of_beams_are_where_rays_fail() {
+        let (mut ends, mut partly) = (0, 0);
+        for (name, height_mm) in [("sonnar", 21.6), ("biotar", 21.6)] {
+            let lens = builtin::lens(name).expect("shipped");
+            let view = SensorView::new(&System::new(&lens, 486.0));
+            for share in [0.7, 0.8, 0.9, 1.0] {
+                let aimed = Aimed::at(&view, share * height_mm, 1.0).expect("sees the stop");
+                let alone = |place: DVec2| {
+                    let mut hits = Vec::new();
+                    let start = aimed.chief + aimed.per_mm * (place * aimed.scale - aimed.met);
+                    let cosines = view.aim(aimed.at, place * aimed.scale, Some(start), &mut hits).ok()?;
+                    aimed.follow(cosines, &mut hits).ok()
+                };
+                for up in [false, true] {
+                    let places = |h: f64| Part::between(if up { [0.0, h] } else { [-h, 0.0] }).nodes(9);
+                    let found = aimed.reach(None, places);
+                    let at = |step: u32| places(f64::from(step) / f64::from(STEPS));
+                    let passes = |step: u32| at(step).into_iter().all(|p| alone(p).is_some());
+                    assert!(found > 0 && passes(found), "{name} {share} {up}: {found}");
+                    for about in [Some(found), Some(found.saturating_sub(3 * ABOUT))] {
+                        assert_eq!(aimed.reach(about, places), found, "{name} {share} {up}");
+                    }
+                    if found < STEPS {
+                        assert!(!passes(found + 1), "{name} {share} {up}: more than {found}");
+                        ends += 1;
+                    }
+                    let rays = aimed.through(&at(found), None).expect("they get through");
+                    for (ray, place) in rays.iter().zip(at(found)) {
+                        let one = alone(place).expect("gets through");
+                        let off = (ray.ray.cosines - one.cosines).length();
+                        assert!(off < 1e-11, "{name} {share} {up} {place}: {off:.1e}");
+                    }
+                    let targets: Vec<DVec2> = at(found).iter().map(|p| *p * aimed.scale).collect();
+                    let starts: Vec<DVec2> =
+                        targets.iter().map(|t| aimed.chief + aimed.per_mm * (*t - aimed.met)).collect();
+                    let lost = view.bundle(aimed.at, &targets, &starts, (aimed.chief, &aimed.chief_hits));
+                    partly += usize::from(lost.iter().any(Option::is_some) && lost.iter().any(Option::is_none));
+                }
+            }
+        }
+        assert!(ends >= 2 && partly >= 1, "{ends} {partly}");
+        eprintln!("{ends} ends, {partly} bundles in part");
+    }
+}
