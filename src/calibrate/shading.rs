@@ -8,6 +8,7 @@ use std::path::Path;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
+use super::transfer::{Frames, Transfer, ceiling};
 use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::shading::Shading;
@@ -20,6 +21,8 @@ const ALLOWED: &str = "calibration/README.md lists the keys of a shading.toml";
 const MOST: u64 = 1 << 20;
 /// Rings from the centre to the farthest corner.
 const RINGS: usize = 64;
+/// A flat with more than one of so many pixels cut off (hot ones are) does not count.
+const CUT: usize = 1000;
 /// Pixels of a colour that a ring has, at least; narrower ones join the next.
 const FEWEST: u32 = 50;
 
@@ -124,6 +127,27 @@ impl MeasuredShading {
         let Rings { radius_px, red, green, blue } = &self.illumination;
         Shading::new(radius_px.clone(), [red.clone(), green.clone(), blue.clone()])
     }
+}
+
+/// Mean of all flats that are not cut off, black taken off, and how many they are.
+///
+/// # Errors
+/// Every one is cut off.
+pub fn mean_of_flats(frames: &Frames, measured: &Transfer) -> Result<(Array2<f64>, u32)> {
+    let ceiling = ceiling(measured.black.value, measured.white) as f32;
+    let whole = |flat: &&Array2<f32>| flat.iter().filter(|v| **v > ceiling).count() * CUT <= flat.len();
+    let mut mean = Array2::<f64>::zeros(frames.flats.first().map_or((0, 0), Array2::dim));
+    let mut used = 0;
+    for flat in frames.flats.iter().filter(whole) {
+        mean.zip_mut_with(flat, |s, v| *s += f64::from(*v));
+        used += 1;
+    }
+    if used == 0 {
+        let found = "every frame is cut off somewhere";
+        return Err(Error::bad("", "flats", found, "a flat whose brightest part is below saturation"));
+    }
+    mean.indexed_iter_mut().for_each(|((r, c), v)| *v = *v / f64::from(used) - measured.blacks[(r & 1) * 2 + (c & 1)]);
+    Ok((mean, used))
 }
 
 /// Relative illumination of a mean of flat frames, black taken off, about `centre_px`.

@@ -21,6 +21,11 @@ const FAINTEST: f64 = 3.0;
 /// Fits of straight lines with weights from the last one.
 const ROUNDS: usize = 20;
 
+/// Digital number above which a pixel counts as cut off.
+pub(super) fn ceiling(black: f64, white: f64) -> f64 {
+    black + BRIGHTEST * (white - black)
+}
+
 /// Frames of one camera at one ISO.
 #[derive(Clone, Debug)]
 pub struct Frames {
@@ -239,7 +244,7 @@ fn tiles(a: ArrayView2<'_, f32>, b: ArrayView2<'_, f32>, blacks: &[f64; 4], cfa:
         for (place, black) in blacks.iter().enumerate() {
             let part = ndarray::s![top + place / 2..top + TILE;2, left + place % 2..left + TILE;2];
             let (a, b) = (a.slice(part), b.slice(part));
-            let ceiling = black + BRIGHTEST * (white - black);
+            let ceiling = ceiling(*black, white);
             if a.iter().chain(&b).any(|v| f64::from(*v) > ceiling) {
                 continue;
             }

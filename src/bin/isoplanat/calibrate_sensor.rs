@@ -15,7 +15,6 @@ use isoplanat::math::memory::product;
 use isoplanat::report::plot::{Mark, Plot, Series};
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
-use ndarray::Array2;
 use serde_json::json;
 
 use crate::progress::Bar;
@@ -225,25 +224,11 @@ fn sensor(args: &Args, camera: &Camera, measured: &Transfer) -> Result<Sensor> {
     Ok(sensor)
 }
 
-/// The relative illumination of all flats that are not cut off.
+/// The relative illumination of the flats.
 fn illumination(args: &Args, frames: &Frames, camera: &Camera, measured: &Transfer) -> Result<MeasuredShading> {
     let (rows, columns) = camera.size;
-    let ceiling = (measured.black.value + 0.95 * (camera.white - measured.black.value)) as f32;
-    let mut sum = Array2::<f64>::zeros(camera.size);
-    let mut used = 0;
-    // A frame with a thousandth of its pixels cut off (hot ones) still counts.
-    for flat in frames.flats.iter().filter(|f| f.iter().filter(|v| **v > ceiling).count() * 1000 <= f.len()) {
-        sum.zip_mut_with(flat, |s, v| *s += f64::from(*v));
-        used += 1;
-    }
     let named = |e: Error| e.in_file(Path::new("--flats"));
-    if used == 0 {
-        let found = "every frame is cut off somewhere";
-        return Err(named(Error::bad("", "flats", found, "a flat whose brightest part is below saturation")));
-    }
-    let blacks = measured.blacks;
-    let mean =
-        Array2::from_shape_fn(camera.size, |(r, c)| sum[[r, c]] / f64::from(used) - blacks[(r & 1) * 2 + (c & 1)]);
+    let (mean, used) = shading::mean_of_flats(frames, measured).map_err(named)?;
     let centre_px = args.centre.unwrap_or([0.5 * columns as f64, 0.5 * rows as f64]);
     let (illumination, rms) = shading::measure(&mean, camera.cfa, centre_px).map_err(named)?;
     Ok(MeasuredShading {

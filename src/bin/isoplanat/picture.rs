@@ -2,6 +2,8 @@
 
 use std::path::Path;
 
+#[cfg(feature = "deploy")]
+use isoplanat::deploy::raw::has_raw_name;
 use isoplanat::imaging::develop::color::XYZ_FROM_SRGB;
 use isoplanat::imaging::files::{Encoding, Planes, picture_size, read_planes};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
@@ -12,9 +14,6 @@ use ndarray::{ArcArray2, Axis};
 
 /// Names of the colours, in the order of channels.
 const COLOURS: [&str; 3] = ["R", "G", "B"];
-/// Endings of RAW files; everything else is a picture.
-const RAW: [&str; 14] =
-    ["dng", "nef", "nrw", "arw", "sr2", "cr2", "cr3", "crw", "raf", "rw2", "orf", "pef", "srw", "iiq"];
 
 /// Bytes of a pixel while it is read: three channels as they come and twice as double precision, luminance.
 const BYTES: usize = 64;
@@ -37,8 +36,7 @@ pub(crate) struct Picture {
 
 /// Reads a picture or a RAW file.
 pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) -> Result<Picture> {
-    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    if RAW.contains(&ending.as_str()) {
+    if has_raw_name(path) {
         let found = |option: &str| Error::bad(option, "value", "given for a RAW file", "RAW files say it themselves");
         if encoding.is_some() {
             return Err(found("--encoding"));
@@ -121,6 +119,13 @@ fn raw(path: &Path) -> Result<Picture> {
             Ok(Picture { channels, source: format!("linear RAW of {} {}", raw.make, raw.model) })
         }
     }
+}
+
+/// Endings of the best-known RAW files: builds that read none still say what is missing.
+#[cfg(not(feature = "deploy"))]
+fn has_raw_name(path: &Path) -> bool {
+    let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    ["dng", "nef", "arw", "cr2", "cr3", "raf", "rw2", "orf", "pef"].contains(&ending.as_str())
 }
 
 /// RAW files need the decoder.
