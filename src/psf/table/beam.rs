@@ -113,8 +113,8 @@ impl<'a> Aimed<'a> {
         let partly = together.iter().any(Option::is_none);
         let all = together.into_iter().enumerate().map(|(k, found)| {
             // Where some get lost others may arrive by the wrong way: through a pupil seen upside down, or too flat.
-            let right = |n: &Crossings, hits: &mut _| !is_steep(&n.ray) && !(partly && self.is_turned(n, hits));
-            if let Some(node) = found.filter(|n| right(n, &mut hits)) {
+            let wrong = |n: &Crossings, hits: &mut _| is_steep(&n.ray) || partly && self.is_turned(n, hits);
+            if let Some(node) = found.filter(|n| !wrong(n, &mut hits)) {
                 return Ok(node);
             }
             let aimed = view.aim(at, targets[k], Some(starts[k]), &mut hits);
