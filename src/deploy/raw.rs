@@ -76,7 +76,9 @@ pub(super) const ALLOWED: &str = "a RAW file of a supported camera, or a DNG";
 /// Whether a file's name ends as RAW files' do that the decoder knows.
 pub fn has_raw_name(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    rawler::decoders::supported_extensions().iter().any(|known| known.eq_ignore_ascii_case(&ending))
+    // The decoder goes by content: Sony's older ending of what it reads as ARW is not in its list.
+    let mut known = rawler::decoders::supported_extensions().iter().copied().chain(["SR2"]);
+    known.any(|known| known.eq_ignore_ascii_case(&ending))
 }
 
 /// Decodes a RAW file in this process.

@@ -125,7 +125,8 @@ fn raw(path: &Path) -> Result<Picture> {
 #[cfg(not(feature = "deploy"))]
 fn has_raw_name(path: &Path) -> bool {
     let ending = path.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    ["dng", "nef", "arw", "cr2", "cr3", "raf", "rw2", "orf", "pef"].contains(&ending.as_str())
+    let known = ["dng", "nef", "nrw", "arw", "sr2", "cr2", "cr3", "crw", "raf", "rw2", "orf", "pef", "srw", "iiq"];
+    known.contains(&ending.as_str())
 }
 
 /// RAW files need the decoder.
