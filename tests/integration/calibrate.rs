@@ -340,3 +340,128 @@ mod program {
         }
     }
 }
+
+#[cfg(all(feature = "calibrate", feature = "deploy"))]
+mod kernels {
+    use super::*;
+    use crate::support::Workplace;
+    use isoplanat::imaging::files::{Encoding, write_picture};
+    use isoplanat::imaging::sensor::Sensor;
+    use isoplanat::imaging::sensor::spectrum::Spectrum;
+    use isoplanat::lens::builtin;
+    use isoplanat::psf::measured::MeasuredPsf;
+    use isoplanat::psf::splat::Raster;
+    use isoplanat::psf::{Optics, Place, Quadrature};
+    use rayon::prelude::*;
+
+    const SIZE: [usize; 2] = [640, 432];
+    /// Texels of the board's picture along a pixel: their own blur is a variance of 0.007 square pixels.
+    const FINE: usize = 6;
+
+    /// A board without end, in perspective: what stands before the lens. Squares of some 32 pixels.
+    fn board(turn: DMat3) -> ndarray::Array3<f32> {
+        let [columns, rows] = SIZE.map(|n| n * FINE * 6 / 5);
+        let focal = 333.0 * FINE as f64;
+        let distance = focal / (32.0 * FINE as f64);
+        let pose = Pose { turn, at: DVec3::new(0.3, 0.2, distance) };
+        let back = pose.turn.transpose();
+        let origin = back * pose.at;
+        let even = |x: f64, y: f64| {
+            let slope = DVec2::new(x - 0.5 * columns as f64, y - 0.5 * rows as f64) / focal;
+            let along = back * slope.extend(1.0);
+            let place = (origin.z / along.z * along - origin).truncate().floor();
+            (place.x + place.y).rem_euclid(2.0) == 0.0
+        };
+        let mut light = ndarray::Array3::zeros((3, rows, columns));
+        light.axis_iter_mut(ndarray::Axis(1)).into_par_iter().enumerate().for_each(|(r, mut row)| {
+            for c in 0..columns {
+                let inside = (0..4).filter(|k| {
+                    let (x, y) = (f64::from(k % 2) + 0.5, f64::from(k / 2) + 0.5);
+                    even(c as f64 + x / 2.0, r as f64 + y / 2.0)
+                });
+                let value = 0.04 + 0.8 * inside.count() as f32 / 4.0;
+                (0..3).for_each(|k| row[[k, c]] = value);
+            }
+        });
+        light
+    }
+
+    /// RAW captures of a board by rays, as of a real lens: kernels come back as they are traced, their place along the meridian aside. Mean
+    /// and largest distance, L2, of the kernel's own, at five radii and three colours.
+    fn recovered(name: &str, pitch_mm: f64, options: &str) -> [f64; 2] {
+        let place = Workplace::new();
+        let mut names = Vec::new();
+        for (k, [y, x, z]) in
+            [[0.35, -0.1, 0.1], [-0.3, 0.25, -0.3], [0.1, 0.35, 0.5], [-0.2, -0.35, 0.8]].iter().enumerate()
+        {
+            let turn = DMat3::from_rotation_y(*y) * DMat3::from_rotation_x(*x) * DMat3::from_rotation_z(*z);
+            write_picture(&place.path("board.png"), &board(turn), Encoding::Srgb).expect("writes");
+            let [columns, rows] = SIZE;
+            let frame = format!("--columns {columns} --rows {rows} --pitch-um {}", 1e3 * pitch_mm);
+            let more = format!("--samples 48 --texels-per-pixel {FINE} --exposure 0.9 --seed {k}");
+            place.run(&format!("capture {name} board.png -o {k}.dng {frame} {more}")).done();
+            names.push(format!("{k}.dng"));
+        }
+        let files = "--psf psf.npz --psf-picture psf.png -o d.toml";
+        let ran = place.run(&format!("calibrate {} {files} {options}", names.join(" ")));
+        eprintln!("{name}\n{}{}", ran.out, ran.err);
+        assert_eq!(ran.code, 0);
+        if let Some(keep) = std::env::var_os("ISOPLANAT_KEEP") {
+            let to = std::path::Path::new(&keep).join(format!("{name}.png"));
+            std::fs::copy(place.path("psf.png"), to).expect("copies");
+        }
+        let psf = MeasuredPsf::load(&place.path("psf.npz")).expect("reads");
+        let lens = builtin::lens(name).expect("shipped");
+        let spectrum = Spectrum::quadrature(&Sensor::generic(), 9);
+        let quadrature = Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() };
+        let far_mm = psf.radii_px[psf.radii_px.len() - 1] * pitch_mm;
+        let optics = Optics::even(&lens, far_mm, vec![lens.object_vergence], quadrature, 64).expect("traces");
+        let size = 2 * psf.moves.reach_px.ceil() as usize + 9;
+        let form = optics.form(4000, size, 1, pitch_mm);
+        let raster = Raster { size, samples: 1 };
+        let (mut worst, mut sum) = (0.0f64, 0.0);
+        for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
+            let radius_mm = share * far_mm;
+            let mut traced = vec![0.0; 3 * raster.len()];
+            optics.kernels(&form, 0, Place { radius_mm, outward: [1.0, 0.0] }, &mut traced);
+            for (channel, expected) in traced.chunks(raster.len()).enumerate() {
+                let weights = psf.at(radius_mm / pitch_mm, channel);
+                // Where corners are seen and where chief rays land need not be the same.
+                let off = |shift: f64| {
+                    let mut found = vec![0.0; raster.len()];
+                    let all = psf.moves.iter().zip(&weights).flat_map(|(([a, b], n), w)| {
+                        let one = ([a + shift, b], *w);
+                        std::iter::once(one).chain((n > 1.0).then_some(([a + shift, -b], *w)))
+                    });
+                    raster.splat(&mut found, &[(0, 1.0)], all);
+                    let square: f64 = found.iter().zip(expected).map(|(a, b)| (a - b).powi(2)).sum();
+                    (square / expected.iter().map(|v| v * v).sum::<f64>()).sqrt()
+                };
+                let all = (-150..=150).map(|k| f64::from(k) * 0.02);
+                let best = all.min_by(|a, b| off(*a).total_cmp(&off(*b))).expect("some");
+                eprintln!("{share} {channel}: {:.4} moved by {best:.2} px, {:.4} as it is", off(best), off(0.0));
+                worst = worst.max(off(best));
+                sum += off(best);
+            }
+        }
+        let mean = sum / 15.0;
+        eprintln!("{name}: {mean:.3} on the mean, {worst:.3} at worst");
+        [mean, worst]
+    }
+
+    #[test]
+    fn kernels_of_a_lens_come_back_from_captures_of_a_board() {
+        let [mean, worst] = recovered("landscape", 0.0064, "--terms 2");
+        assert!(mean < 0.04 && worst < 0.1, "kernels off by {mean} on the mean, {worst} at worst, L2");
+    }
+
+    #[test]
+    #[ignore = "prints figures of other lenses"]
+    fn kernels_of_other_lenses() {
+        for (name, pitch_mm, options) in
+            [("petzval", 0.045, ""), ("heliar", 0.1, ""), ("double_gauss", 0.03, ""), ("sonnar", 0.05, "--reach 11")]
+        {
+            recovered(name, pitch_mm, options);
+        }
+    }
+}

@@ -1,6 +1,7 @@
 //! `isoplanat calibrate CHART…`: the distortion of a real lens from photographs of a chessboard.
 
 mod listing;
+mod psf;
 
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -9,6 +10,7 @@ use glam::DVec2;
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart};
+use isoplanat::imaging::files::{Encoding, write_bytes, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -36,6 +38,15 @@ pub(crate) struct Args {
     /// Focal length in pixels, held [default: fitted]
     #[arg(long, value_name = "F")]
     focal_px: Option<f64>,
+    /// Point spread functions over the field, from the board's edges (RAW files tell most; squares of 20 pixels and more)
+    #[arg(long, value_name = "OUT.npz")]
+    psf: Option<PathBuf>,
+    /// The point spread functions as a picture: from the centre (left) outwards, which is up
+    #[arg(long, value_name = "OUT.png", requires = "psf")]
+    psf_picture: Option<PathBuf>,
+    /// Largest move of light that is looked for, pixels [default: 8, or what the squares allow]
+    #[arg(long, value_name = "PX", requires = "psf")]
+    reach: Option<f64>,
     /// Camera that the file names
     #[arg(long, default_value = "", hide_default_value = true)]
     camera: String,
@@ -79,7 +90,11 @@ fn centre(text: &str) -> std::result::Result<Centre, String> {
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    crate::output::check_all(&[args.out.as_deref(), args.svg.as_deref(), args.csv.as_deref()], args.force)?;
+    let outputs = [&args.out, &args.svg, &args.csv, &args.psf, &args.psf_picture].map(Option::as_deref);
+    crate::output::check_all(&outputs, args.force)?;
+    if let Some(reach) = args.reach.filter(|r| !(1.0..=64.0).contains(r)) {
+        return Err(Error::bad("--reach", "value", reach.to_string(), "1 to 64 pixels").into());
+    }
     if let Some(focal) = args.focal_px.filter(|f| !(*f > 0.0 && *f < 1e9)) {
         return Err(Error::bad("--focal-px", "value", focal.to_string(), "pixels above 0 and below 1e9").into());
     }
@@ -120,6 +135,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let views: Vec<View> = charts.iter().map(|c| c.view.clone()).collect();
     let fit = solve(&views, &settings).map_err(|e| e.in_file(Path::new("CHART")))?;
     let measured = measured(args, size, &charts, &fit);
+    let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
     let listing = Listing { settings, charts, skipped, fit, measured };
     if let Some(path) = &args.out {
         crate::output::put(&listing.measured.text()?, Some(path), out)?;
@@ -130,11 +146,25 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
         crate::output::put(&listing.csv(), Some(path), out)?;
     }
+    if let (Some(path), Some(spread)) = (&args.psf, &spread) {
+        write_bytes(path, &spread.measured.psf.to_npz()?)?;
+    }
+    if let (Some(path), Some(spread)) = (&args.psf_picture, &spread) {
+        write_picture(path, &spread.picture(), Encoding::Srgb)?;
+    }
     if args.json {
-        writeln!(out, "{:#}", listing.json())?;
+        let mut all = listing.json();
+        if let Some(spread) = &spread {
+            all["psf"] = spread.json();
+        }
+        writeln!(out, "{all:#}")?;
     } else {
         write!(out, "{listing}")?;
+        if let Some(spread) = &spread {
+            write!(out, "\n{spread}")?;
+        }
     }
+    spread.iter().flat_map(psf::Spread::warnings).for_each(|w| eprintln!("warning: {w}"));
     listing.warnings().iter().for_each(|w| eprintln!("warning: {w}"));
     Ok(())
 }
