@@ -1,10 +1,10 @@
 //! Point spread functions of a lens without a prescription, from photographs of a chessboard.
 //!
 //! The fit of [`super::solve`] says where every edge of the board would stand without blur. What a pixel shows, between the black and the white of the
-//! squares around it ([`levels`]), is then the board's own picture ([`board`]), moved by every move of a grid and weighted: `y(p) = Σ w(d) B(p − d)`,
+//! squares around it (`levels.rs`), is then the board's own picture (`board.rs`), moved by every move of a grid and weighted: `y(p) = Σ w(d) B(p − d)`,
 //! `B` a pixel's mean. The weights belong to the radius (linear between knots), turn with the azimuth and mirror across the meridian
 //! ([`MeasuredPsf`]); edges of one radius are seen under all angles to the meridian, so that a few photographs tell the kernel like the projections
-//! of a tomograph. Weights are fitted by least squares, none below zero ([`descent`]), smooth over moves and radius; how smooth is what predicts
+//! of a tomograph. Weights are fitted by least squares, none below zero (`descent.rs`), smooth over moves and radius; how smooth is what predicts
 //! half of the board's corners best from the other half. How far the kernels of the two halves differ is their statistical error.
 //!
 //! Not covered: lenses that are not round, a decentred or tilted one among them; light that goes farther than the reach (veiling glare: it lifts
@@ -25,6 +25,7 @@ use super::View;
 use super::solve::Fit;
 use crate::error::{Error, Result};
 use crate::imaging::metrics::slanted_edge::Sites;
+use crate::math::memory::{product, threads};
 use crate::psf::measured::{MeasuredPsf, Moves};
 use board::{Board, Corner};
 use descent::{Smoothness, descend};
@@ -39,6 +40,11 @@ const SMOOTH: [f64; 9] = [1e-1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5];
 const END: f64 = 6.0 / 7.0;
 /// Size of the kernels that halves are compared by, pixels beyond the reach.
 const MARGIN: f64 = 2.0;
+
+/// What has to be clear of edges between the reach and the middle of a square, pixels: levels are read there.
+const CLEAR: f64 = 3.0;
+/// Pixels of a colour between two radii, at most.
+const PIXELS: usize = 1_000_000;
 
 /// What is fitted.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -82,7 +88,7 @@ pub struct Quality {
     pub held_out_rms: f64,
     /// The same of pixels that no edge is near: what noise and paper leave of any fit.
     pub noise: f64,
-    /// Pixels that were fitted.
+    /// Pixels that were fitted; they are drawn, and some of them twice.
     pub pixels: usize,
     /// By knot: how far the kernels of the two halves are from their mean, L2, of the mean.
     pub half_difference: Vec<f64>,
@@ -125,14 +131,16 @@ impl Edges {
     /// Settings that are none; corners too near to each other for the reach, or all near the centre.
     pub fn new(views: &[View], fit: &Fit, size: [usize; 2], settings: &Settings) -> Result<Self> {
         let Settings { spacing_px, knots, pixels, .. } = *settings;
-        if !(2..=64).contains(&knots) || pixels == 0 {
-            let found = format!("{knots} radii, {pixels} pixels");
-            return Err(Error::bad("", "settings", found, "2 to 64 radii, one pixel and more"));
+        if !(2..=64).contains(&knots) || !(1..=PIXELS).contains(&pixels) || !(0.1..=1.0).contains(&spacing_px) {
+            let found = format!("{knots} radii, {pixels} pixels, a spacing of {spacing_px}");
+            let allowed = format!("2 to 64 radii, 1 to {PIXELS} pixels, a spacing of 0.1 to 1 pixels");
+            return Err(Error::bad("", "settings", found, allowed));
         }
         let centre = fit.camera.centre_px;
         let boards: Vec<Board> =
             views.iter().zip(&fit.poses).map(|(v, p)| Board::new(&fit.camera, fit.max_slope, v, p)).collect();
-        let reach_px = reach(&boards, settings)?;
+        // As far as the grid goes.
+        let reach_px = (reach(&boards, settings)? / spacing_px + 1e-9).floor() * spacing_px;
         let moves = Moves::within(reach_px, spacing_px)?;
         let large = |c: &&Corner| REACH * c.side_px[0] >= reach_px;
         let far = boards.iter().flat_map(|b| b.corners().filter(large)).map(|c| c.at.distance(centre));
@@ -144,7 +152,7 @@ impl Edges {
                 let mut patches = Vec::new();
                 for (k, board) in boards.iter().enumerate() {
                     for corner in board.corners().filter(large) {
-                        if (corner.parity + k) % 2 == half && corner.meets(ring, centre) {
+                        if (corner.parity + k) % 2 == half && corner.meets(ring, centre, reach_px) {
                             patches.push((k, *corner));
                         }
                     }
@@ -161,9 +169,11 @@ impl Edges {
         self.moves.reach_px
     }
 
-    /// Bytes that all sums take, of three channels.
+    /// Bytes that all sums take of three channels, once more as halves and whole, and the board's pictures.
     pub fn bytes(&self) -> u64 {
-        crate::math::memory::product(&[self.tasks.len(), 3, 3, self.moves.len(), self.moves.len(), size_of::<f64>()])
+        let (n, knots) = (self.moves.len(), self.radii.len());
+        let sums = product(&[3 * (3 * self.tasks.len() + 3 * 2 * knots), n, n, size_of::<f64>()]);
+        sums.saturating_add(product(&[threads(), board::picture_bytes(self.moves.reach_px)]))
     }
 
     /// Adds the pixels of photograph `k`; as it is where it is refused.
@@ -172,12 +182,7 @@ impl Edges {
     /// Another number of channels than the first's; squares without levels, or too small for the reach.
     pub fn add(&mut self, k: usize, pixels: &Pixels<'_>) -> Result<()> {
         let channels = pixels.channels.len();
-        if self.parts.is_empty() {
-            let none = || (0..channels).map(|_| Part::new(self.moves.len())).collect();
-            self.parts = self.tasks.iter().map(|_| none()).collect();
-            self.noise = vec![0.0; channels];
-        }
-        if channels != self.noise.len() {
+        if self.seen > 0 && channels != self.noise.len() {
             let found = format!("{channels} channels");
             return Err(Error::bad("", "channels", found, format!("{}, as the first picture's", self.noise.len())));
         }
@@ -189,6 +194,11 @@ impl Edges {
         let reach_px = self.moves.reach_px;
         let levels: Vec<Levels> =
             (0..channels).map(|c| Levels::fit(pixels, c, board, reach_px, k as u64)).collect::<Result<_>>()?;
+        if self.seen == 0 {
+            let none = || (0..channels).map(|_| Part::new(self.moves.len())).collect();
+            self.parts = self.tasks.iter().map(|_| none()).collect();
+            self.noise = vec![0.0; channels];
+        }
         let lines =
             Lines { moves: &self.moves, radii: &self.radii, centre: self.centre, board, levels: &levels, pixels };
         self.parts.par_iter_mut().zip(&self.tasks).for_each(|(parts, task)| lines.add(task, k, parts));
@@ -204,6 +214,16 @@ impl Edges {
     pub fn fit(&self, progress: &(dyn Fn(f64) + Sync)) -> Result<Measured> {
         let done = AtomicUsize::new(0);
         let channels = self.noise.len();
+        if self.seen == 0 {
+            return Err(Error::bad("", "charts", "no picture with edges", "photographs of a chessboard"));
+        }
+        for (task, parts) in self.tasks.iter().zip(&self.parts) {
+            if parts.iter().any(|p| p.pixels == 0) {
+                let [from, to] = [self.radii[task.interval], self.radii[task.interval + 1]];
+                let found = format!("no edges between {from:.0} and {to:.0} pixels from the centre");
+                return Err(Error::bad("", "charts", found, "boards over the whole field, from the centre outwards"));
+            }
+        }
         let fitted: Vec<ChannelFit> = (0..channels)
             .into_par_iter()
             .map(|channel| {
@@ -216,9 +236,6 @@ impl Edges {
                 fitted
             })
             .collect::<Result<_>>()?;
-        if fitted.is_empty() {
-            return Err(Error::bad("", "charts", "no picture with edges", "photographs of a chessboard"));
-        }
         let made = |of: &dyn Fn(&ChannelFit) -> &Vec<Vec<f64>>| {
             let weights = (0..self.radii.len()).map(|j| fitted.iter().map(|f| of(f)[j].clone()).collect()).collect();
             let (centre, radii) = (self.centre.to_array(), self.radii.clone());
@@ -269,7 +286,7 @@ fn reach(boards: &[Board], settings: &Settings) -> Result<f64> {
     }
     let tenth = sides.len() / 10;
     let small = *sides.select_nth_unstable_by(tenth, f64::total_cmp).1;
-    let reach = settings.reach_px.unwrap_or(OWN_REACH.min(REACH * small));
+    let reach = settings.reach_px.unwrap_or(OWN_REACH.min(REACH * small).min(0.5 * small - CLEAR));
     if !(1.0..=64.0).contains(&reach) {
         let found = format!("{reach:.2} pixels; a tenth of the squares are smaller than {small:.1} pixels");
         return Err(Error::bad("", "reach", found, "1 to 64 pixels, 0.4 of the squares' sides at most"));
@@ -305,9 +322,6 @@ struct ChannelFit {
 fn channel_fit(moves: &Moves, halves: &[Gram; 2]) -> Result<ChannelFit> {
     let smooth = Smoothness::new(moves);
     let all = halves[0].and(&halves[1]);
-    if all.pixels == 0 || halves.iter().any(|h| h.pixels == 0) {
-        return Err(Error::bad("", "charts", "no pixels beside edges", "corners over the whole field"));
-    }
     let start = vec![vec![0.0; moves.len()]; all.knots()];
     let mut at = [start.clone(), start.clone()];
     let mut best: Option<(f64, f64, [Weights; 2])> = None;

@@ -47,7 +47,9 @@ impl Moves {
     /// A reach or a spacing that is not positive, or more moves than can be told apart (20,000).
     pub fn within(reach_px: f64, spacing_px: f64) -> Result<Self> {
         let count = (reach_px / spacing_px + 1e-9).floor();
-        if !(spacing_px > 0.0 && reach_px > 0.0 && count * count < MOST as f64) {
+        let finite = spacing_px > 0.0 && spacing_px.is_finite() && reach_px > 0.0;
+        // Half a disk.
+        if !(finite && 0.5 * std::f64::consts::PI * count * count < MOST as f64) {
             let allowed = format!("positive numbers with fewer than {MOST} moves");
             return Err(Error::bad("", "reach_px, spacing_px", format!("{reach_px}, {spacing_px}"), allowed));
         }
@@ -197,9 +199,9 @@ impl MeasuredPsf {
 
 /// The knot at or below a radius and how far the way to the next is, from 0 to 1; held beyond the last.
 pub fn knot(radii: &[f64], radius: f64) -> (usize, f64) {
-    let last = radii.len() - 1;
+    let last = radii.len().saturating_sub(1);
     let above = radii.partition_point(|r| *r <= radius);
-    if above > last {
+    if above > last || last == 0 {
         return (last, 0.0);
     }
     let low = above.saturating_sub(1);
@@ -259,7 +261,9 @@ mod tests {
         assert!(changed(0, f64::NAN).contains("weights[0][0]") && changed(0, -1.0).contains("0 or more"));
         assert!(changed(0, 0.5).contains("sum"));
         assert!(one(good[1..].to_vec(), &moves).is_err());
-        for (reach, spacing) in [(0.0, 1.0), (1.0, 0.0), (f64::NAN, 1.0), (1e9, 1e-3), (1.0, -1.0)] {
+        for (reach, spacing) in
+            [(0.0, 1.0), (1.0, 0.0), (f64::NAN, 1.0), (1e9, 1e-3), (1.0, -1.0), (1.0, f64::INFINITY)]
+        {
             assert!(Moves::within(reach, spacing).is_err(), "{reach} {spacing}");
         }
         let twice = vec![vec![good.clone()]; 2];

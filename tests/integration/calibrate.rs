@@ -327,7 +327,17 @@ mod program {
         assert!(again.code == 2 && again.err.contains("d.toml"), "{}", again.err);
         let none = place.run("calibrate grey.png");
         assert!(none.code == 2 && none.err.contains("no chessboard"), "{}", none.err);
-        for options in ["--terms 4", "--centre here", "--focal-px -3", "--focal-px nan"] {
+        for options in [
+            "--terms 4",
+            "--centre here",
+            "--focal-px -3",
+            "--focal-px nan",
+            "--psf k.npz --reach 0",
+            "--psf k.npz --reach nan",
+            "--psf-picture k.png",
+            "--psf k.npz --psf-picture k.bmp",
+            "--psf k.npz --psf-picture k.npz",
+        ] {
             let ran = place.run(&format!("calibrate grey.png {options}"));
             assert_eq!(ran.code, 2, "{options}: {}", ran.err);
         }
@@ -440,6 +450,7 @@ mod kernels {
                 let all = (-150..=150).map(|k| f64::from(k) * 0.02);
                 let best = all.min_by(|a, b| off(*a).total_cmp(&off(*b))).expect("some");
                 eprintln!("{share} {channel}: {:.4} moved by {best:.2} px, {:.4} as it is", off(best), off(0.0));
+                assert!(best.abs() < 1.0, "{name} {share} {channel}: moved by {best} px");
                 worst = worst.max(off(best));
                 sum += off(best);
             }

@@ -10,7 +10,7 @@ use glam::DVec2;
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart};
-use isoplanat::imaging::files::{Encoding, write_bytes, write_picture};
+use isoplanat::imaging::files::{Encoding, extension, write_bytes, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -67,6 +67,9 @@ pub(crate) struct Args {
     force: bool,
 }
 
+/// Endings of pictures that are written.
+const PICTURES: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
+
 /// Where the centre of distortion is.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Centre {
@@ -92,6 +95,10 @@ fn centre(text: &str) -> std::result::Result<Centre, String> {
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let outputs = [&args.out, &args.svg, &args.csv, &args.psf, &args.psf_picture].map(Option::as_deref);
     crate::output::check_all(&outputs, args.force)?;
+    if let Some(path) = args.psf_picture.as_ref().filter(|p| !PICTURES.contains(&extension(p).as_str())) {
+        let found = path.display().to_string();
+        return Err(Error::bad("--psf-picture", "ending", found, PICTURES.join(", ")).into());
+    }
     if let Some(reach) = args.reach.filter(|r| !(1.0..=64.0).contains(r)) {
         return Err(Error::bad("--reach", "value", reach.to_string(), "1 to 64 pixels").into());
     }
@@ -135,11 +142,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let views: Vec<View> = charts.iter().map(|c| c.view.clone()).collect();
     let fit = solve(&views, &settings).map_err(|e| e.in_file(Path::new("CHART")))?;
     let measured = measured(args, size, &charts, &fit);
-    let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
-    let listing = Listing { settings, charts, skipped, fit, measured };
+    // Whatever becomes of the kernels.
     if let Some(path) = &args.out {
-        crate::output::put(&listing.measured.text()?, Some(path), out)?;
+        crate::output::put(&measured.text()?, Some(path), out)?;
     }
+    let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
+    let listing = Listing { settings, charts, skipped, fit };
     if let Some(path) = &args.svg {
         crate::output::put(&listing.svg(), Some(path), out)?;
     }

@@ -13,6 +13,18 @@ const FINE: usize = 8;
 /// Part of a square around a corner within which pixels are looked at: what blurs into them comes from the four squares about the corner.
 pub(super) const NEAR: f64 = 0.5;
 
+/// Farthest that pixels are looked at from a corner along columns and rows.
+fn largest_px(reach_px: f64) -> f64 {
+    8.0 + 3.0 * reach_px
+}
+
+/// Bytes of the picture of the board about a corner, at most.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
+pub(super) fn picture_bytes(reach_px: f64) -> usize {
+    let side = (2.0 * (largest_px(reach_px) + reach_px + 4.0)).ceil() as usize * FINE;
+    side * side * size_of::<f64>()
+}
+
 /// Where a picture's pixels lie on the board.
 #[derive(Clone, Debug)]
 pub(super) struct Board {
@@ -41,14 +53,15 @@ pub(super) struct Corner {
 }
 
 impl Corner {
-    /// How far from it the pixels that are nearest to it may be along columns and rows; sheared squares reach farther than half a side.
-    pub(super) fn around_px(&self) -> f64 {
-        1.5 * NEAR * self.side_px[1]
+    /// How far from it pixels are looked at along columns and rows: those nearest to it (sheared squares reach farther than half a side), of large
+    /// squares a part.
+    pub(super) fn around_px(&self, reach_px: f64) -> f64 {
+        (1.5 * NEAR * self.side_px[1]).min(largest_px(reach_px))
     }
 
     /// Whether some of those lie between two radii about `centre`.
-    pub(super) fn meets(&self, ring: [f64; 2], centre: DVec2) -> bool {
-        let (radius, far) = (self.at.distance(centre), 1.5 * self.around_px());
+    pub(super) fn meets(&self, ring: [f64; 2], centre: DVec2, reach_px: f64) -> bool {
+        let (radius, far) = (self.at.distance(centre), 1.5 * self.around_px(reach_px));
         radius + far >= ring[0] && radius - far <= ring[1]
     }
 }

@@ -21,7 +21,7 @@ pub(super) struct Part {
     right: [Array1<f64>; 2],
     square: f64,
     weight: f64,
-    pixels: usize,
+    pub(super) pixels: usize,
 }
 
 /// Pixels that are added up together: of every second corner, between two knots.
@@ -103,7 +103,7 @@ impl Lines<'_, '_> {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "inside the picture")]
     fn patch(&self, corner: &Corner, task: &Task, rng: &mut fastrand::Rng, parts: &mut [Part], batches: &mut [Batch]) {
         let (rows, columns) = self.pixels.channels[0].0.dim();
-        let (at, size) = (corner.at, corner.around_px());
+        let (at, size) = (corner.at, corner.around_px(self.moves.reach_px));
         let clip = |v: f64, n: usize| v.clamp(0.0, n as f64);
         let low = DVec2::new(clip((at.x - size).floor(), columns), clip((at.y - size).floor(), rows));
         let high = DVec2::new(clip((at.x + size).ceil(), columns), clip((at.y + size).ceil(), rows));

@@ -14,6 +14,8 @@ const TRIED: usize = 60_000;
 const LEAST: usize = 60;
 /// Pixels farther than so many deviations from the fit are dust or shadow, in the second round.
 const FAR: f64 = 4.0;
+/// Share of the clear pixels that may be cut off (hot ones are).
+const CUT: f64 = 0.01;
 /// Contrast of white over black at least, of white.
 const CONTRAST: f64 = 0.1;
 
@@ -33,9 +35,10 @@ impl Levels {
         let rng = &mut fastrand::Rng::with_seed(seed);
         let (plane, sites) = &pixels.channels[channel];
         let (rows, columns) = plane.dim();
-        let span = board.span;
         let inside = |[low, high]: [f64; 2], n: usize| [low.max(0.0), high.min(n as f64)];
-        let (x, y) = (inside(span[0], columns), inside(span[1], rows));
+        let (x, y) = (inside(board.span[0], columns), inside(board.span[1], rows));
+        let span = [x, y];
+        let mut cut = 0;
         let mut clear: [Vec<(DVec2, f64)>; 2] = [Vec::new(), Vec::new()];
         let size = [x[1] - x[0], y[1] - y[0]];
         if size.iter().all(|s| *s >= 1.0) {
@@ -49,9 +52,19 @@ impl Levels {
                 if let Some((spot, far)) = board.clear_px(at)
                     && far > reach_px + 1.0
                 {
-                    clear[usize::from(spot.even)].push((at, plane[[r, c]]));
+                    let value = plane[[r, c]];
+                    if pixels.range.is_some_and(|[low, high]| value <= low || value >= high) {
+                        cut += 1;
+                    } else if value.is_finite() {
+                        clear[usize::from(spot.even)].push((at, value));
+                    }
                 }
             }
+        }
+        let all = cut + clear.iter().map(Vec::len).sum::<usize>();
+        if cut as f64 > CUT * all as f64 {
+            let found = format!("{cut} of {all} pixels of its squares are cut off at white or black");
+            return Err(Error::bad("", "chart", found, "an exposure between black and white"));
         }
         let fewest = clear.iter().map(Vec::len).min().unwrap_or(0);
         if fewest < LEAST {

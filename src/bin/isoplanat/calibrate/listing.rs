@@ -6,7 +6,6 @@ use std::path::PathBuf;
 use glam::DVec2;
 use isoplanat::Error;
 use isoplanat::calibrate::View;
-use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, rms};
 use isoplanat::report::residuals::{Residuals, Seen};
 use isoplanat::report::table::{Table, significant};
@@ -30,7 +29,6 @@ pub(super) struct Listing {
     /// Pictures without a chart, and why.
     pub(super) skipped: Vec<Error>,
     pub(super) fit: Fit,
-    pub(super) measured: MeasuredDistortion,
 }
 
 /// Figures of one picture, pixels.

@@ -17,6 +17,8 @@ use crate::progress::Bar;
 
 /// Share of the light at the end of the reach that is worth a word.
 const FAR: f64 = 0.02;
+/// Distance of a kernel's sum from one that is.
+const SUM: f64 = 0.02;
 /// Residual over noise that is.
 const OFF: f64 = 1.5;
 /// Reprojection, pixels, beyond which kernels are said to be widened by it.
@@ -103,6 +105,10 @@ impl Spread {
                 out.push(format!(
                     "{name}: {percent} % of the light lies at the end of the reach of {reach} pixels: --reach, or larger squares"
                 ));
+            }
+            if q.sum_error > SUM {
+                let percent = significant(100.0 * q.sum_error, 2);
+                out.push(format!("{name}: the light of a kernel summed to {percent} % off one: levels that are wrong, or light beyond the reach"));
             }
             if q.rms > OFF * q.noise {
                 let [rms, noise] = [q.rms, q.noise].map(|v| significant(100.0 * v, 2));
