@@ -96,17 +96,14 @@ impl<'a> Aimed<'a> {
         Ok(Self { view, at, scale, chief, chief_hits, met, per_mm })
     }
 
-    /// Rays through `places` of the unit stop. `near` is the beam of a neighbouring wavelength.
+    /// Rays through `places` of the unit stop. `starts` are cosines that are tried first, those of like rays; the chief ray's where there are none.
     ///
     /// # Errors
     /// The first that does not get through, and why.
-    fn through(&self, places: &[DVec2], near: Option<&Beam>) -> Result<Vec<Crossings>, (usize, Failure)> {
+    fn through(&self, places: &[DVec2], starts: Option<Vec<DVec2>>) -> Result<Vec<Crossings>, (usize, Failure)> {
         let Self { view, at, chief, .. } = *self;
         let targets: Vec<DVec2> = places.iter().map(|s| *s * self.scale).collect();
-        let starts: Vec<DVec2> = match near {
-            Some(beam) => beam.nodes.iter().map(|n| n.ray.cosines).collect(),
-            None => targets.iter().map(|t| chief + self.per_mm * (t - self.met)).collect(),
-        };
+        let starts = starts.unwrap_or_else(|| targets.iter().map(|t| chief + self.per_mm * (t - self.met)).collect());
         // What does not arrive with the others is aimed one by one, with all that aiming can do.
         let mut hits = Vec::with_capacity(view.system.surfaces.len());
         let together = view.bundle(at, &targets, &starts, (chief, &self.chief_hits));
@@ -137,9 +134,14 @@ impl<'a> Aimed<'a> {
         if is_steep(&ray) { Err(across) } else { Ok(ray) }
     }
 
+    /// A first guess of the ray through `place` of the unit stop, from the cosines of another place.
+    fn beside(&self, place: DVec2, (from, cosines): (DVec2, DVec2)) -> DVec2 {
+        cosines + self.per_mm * (self.scale * (place - from))
+    }
+
     /// Whether the ray through `place` of the unit stop gets through, as one attempt from the cosines of another place finds.
-    fn follows(&self, place: DVec2, (from, cosines): (DVec2, DVec2), hits: &mut Vec<Hit>) -> bool {
-        let start = cosines + self.per_mm * (self.scale * (place - from));
+    fn follows(&self, place: DVec2, known: (DVec2, DVec2), hits: &mut Vec<Hit>) -> bool {
+        let start = self.beside(place, known);
         let found = self.view.aim_from(self.at, self.scale * place, start, hits);
         found.and_then(|c| self.follow(c, hits)).is_ok()
     }
@@ -152,7 +154,12 @@ impl<'a> Aimed<'a> {
             Ok(_) => return STEPS,
             Err((k, _)) => (k, STEPS),
         };
-        let (mut passes, mut fails, mut known, mut cheaply) = (0, STEPS, Vec::new(), true);
+        let (mut passes, mut fails, mut cheaply) = (0, STEPS, true);
+        // Places of the last step that passes, and their rays: those of the next step begin there.
+        let mut known: Vec<(DVec2, DVec2)> = Vec::new();
+        let starts = |places: &[DVec2], known: &[(DVec2, DVec2)]| {
+            (known.len() == places.len()).then(|| places.iter().zip(known).map(|(p, k)| self.beside(*p, *k)).collect())
+        };
         let mut guesses = about.into_iter().flat_map(|a| [a + ABOUT, a.saturating_sub(ABOUT)]);
         let mut hits = Vec::new();
         loop {
@@ -166,7 +173,7 @@ impl<'a> Aimed<'a> {
                     fails = middle;
                     continue;
                 }
-                match self.through(&places, None) {
+                match self.through(&places, starts(&places, &known)) {
                     Ok(nodes) => {
                         passes = middle;
                         known = places.into_iter().zip(nodes.iter().map(|n| n.ray.cosines)).collect();
@@ -174,7 +181,8 @@ impl<'a> Aimed<'a> {
                     Err((k, _)) => (fails, sure, last) = (middle, middle, k),
                 }
             }
-            if fails == sure || self.through(&at(fails), None).is_err() {
+            let beyond = at(fails);
+            if fails == sure || self.through(&beyond, starts(&beyond, &known)).is_err() {
                 return passes;
             }
             // One attempt was not enough.
@@ -199,7 +207,7 @@ impl Beam {
     ) -> Result<Self, Failure> {
         let aimed = Aimed::at(view, radius_mm, pupil)?;
         let through = |part: Part| {
-            let near = near.filter(|b| b.part == part);
+            let near = near.filter(|b| b.part == part).map(|b| b.nodes.iter().map(|n| n.ray.cosines).collect());
             let nodes = aimed.through(&bases.of(part).nodes, near).map_err(|f| f.1)?;
             Ok(Self { radius_mm, part, pupil, nodes })
         };
