@@ -120,7 +120,9 @@ impl Spread {
         }
         if self.rms_px > LOOSE {
             let rms = significant(self.rms_px, 2);
-            out.push(format!("corners are off by {rms} pixels rms: kernels are widened by as much"));
+            out.push(format!(
+                "corners are off by {rms} pixels rms: what of it is the board or the lens model, not the finding of corners, widens kernels"
+            ));
         }
         out
     }
