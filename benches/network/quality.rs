@@ -21,7 +21,7 @@ const NETWORKS: [(usize, usize); 6] = [(8, 3), (16, 3), (32, 3), (16, 2), (16, 5
 /// Trains and judges everything; `steps` each. Writes a table to stdout and a plot to `benches/results`.
 pub(crate) fn print(steps: u64) {
     let task = task(steps);
-    let (lens, sensor) = (task.lens(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
+    let (lens, sensor) = (task.subject(Glasses::shipped()).expect("shipped"), task.sensor().expect("generic"));
     let pictures = Pictures::BuiltIn(SceneKind::Facades, 8);
     let settings = Settings {
         fields: 3,
@@ -33,6 +33,7 @@ pub(crate) fn print(steps: u64) {
         fineness: FINENESS,
         rays: None,
         texels: TEXELS_PER_PIXEL,
+        through: None,
     };
     println!(
         "| width, scales | 10^6 parameters | s a training step | forward, s/Mpixel | capture, dB | f32, dB | SSIM | f16, dB | f16 \

@@ -38,7 +38,7 @@ fn design_steps(c: &mut Criterion) {
     for step in step::Step::all() {
         let mut group = c.benchmark_group(format!("step/{}", step.name));
         group.sample_size(10).throughput(Throughput::Elements(step.pixels()));
-        group.bench_function("trace", |b| b.iter(|| black_box(step.renderer().optics.table.rays)));
+        group.bench_function("trace", |b| b.iter(|| black_box(step.renderer().optics.table().rays)));
         group.bench_function("forward", |b| b.iter(|| black_box(step.forward())));
         group.bench_function("forward_and_gradient", |b| b.iter(|| black_box(step.gradient())));
         group.finish();

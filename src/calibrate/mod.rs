@@ -2,12 +2,13 @@
 //! flat and dark frames; each as one file.
 //!
 //! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`mod@file`] keeps the result. [`transfer`] measures the
-//! sensor, [`shading`] the lens's falling light, [`psf`] its point spread functions.
+//! sensor, [`shading`] the lens's falling light, [`psf`] its point spread functions; [`lens`] is all of a lens as image formation reads it.
 //! All in pixels of the pictures; pixel (row `i`, column `j`) has its centre at `(j + ½, i + ½)`, as in [`crate::imaging::frame`].
 
 #[cfg(feature = "calibrate")]
 pub mod chart;
 pub mod file;
+pub mod lens;
 pub mod model;
 pub mod psf;
 pub mod shading;

@@ -4,13 +4,12 @@
 //! gradient is that of the deterministic loss a step sees. The lens is traced once for all patches of a step; what comes back
 //! from them adds up in the optics' cotangent.
 
-use ndarray::{Array3, ArrayView2, ArrayView3};
+use ndarray::{Array3, ArrayView3};
 
 use crate::error::Result;
 use crate::imaging::develop::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
 use crate::imaging::plane::{Plane, Region};
 use crate::imaging::render::{Rendered, Renderer};
-use crate::imaging::sensor::cfa::mosaic_vjp;
 use crate::imaging::sensor::noise::standard_normal;
 use crate::math::real::Real;
 use crate::psf::OpticsBar;
@@ -45,12 +44,6 @@ pub struct PatchForward<T: Real> {
     simulated: SimulateRecord<T>,
 }
 
-/// The electronics as the patch's first pixel sees them.
-fn electronics_at(electronics: &Electronics, region: Region) -> Electronics {
-    let parity = |v: isize| usize::from(v.rem_euclid(2) == 1);
-    Electronics { cfa: electronics.cfa.shifted(parity(region.row), parity(region.col)), ..electronics.clone() }
-}
-
 /// Scene → developed picture, through the lens that `renderer` holds.
 ///
 /// # Errors
@@ -61,23 +54,23 @@ pub fn forward<T: Real>(renderer: &Renderer, electronics: &Electronics, patch: &
     Ok(developed(electronics, patch, rendered))
 }
 
-/// [`forward`] of `mosaic`, irradiance over the patch's region from elsewhere, in each pixel's own colour `[row, col]`.
+/// [`forward`] of an image from elsewhere: irradiance over the patch's region `[3, row, col]`, of which a pixel's own colour counts.
 pub(super) fn forward_of(
     renderer: &Renderer,
     electronics: &Electronics,
     patch: &Patch,
-    mosaic: ArrayView2<'_, f32>,
+    image: Array3<f32>,
 ) -> Result<PatchForward<f32>> {
     let depth = renderer.plan.depth(patch.scene.vergence)?;
     let mut rendered = renderer.record(&patch.scene, depth, patch.region);
-    rendered.image = mosaic_vjp(mosaic, electronics_at(electronics, patch.region).cfa);
+    rendered.image = image;
     Ok(developed(electronics, patch, rendered))
 }
 
 fn developed<T: Real>(electronics: &Electronics, patch: &Patch, rendered: Rendered<T>) -> PatchForward<T> {
     let eps = standard_normal(patch.noise_seed, (patch.region.rows, patch.region.cols));
     let (developed, simulated) =
-        simulate(&electronics_at(electronics, patch.region), rendered.image.view(), rendered.illumination.view(), eps);
+        simulate(&electronics.at(patch.region), rendered.image.view(), rendered.illumination.view(), eps);
     let truth = rendered.truth.clone();
     PatchForward { developed, truth, rendered, simulated }
 }
@@ -91,8 +84,7 @@ pub fn forward_vjp<T: Real>(
     developed_bar: ArrayView3<'_, T>,
     truth_bar: ArrayView3<'_, T>,
 ) -> OpticsBar {
-    let (image_bar, illumination_bar) =
-        simulate_vjp(&electronics_at(electronics, patch.region), &done.simulated, developed_bar);
+    let (image_bar, illumination_bar) = simulate_vjp(&electronics.at(patch.region), &done.simulated, developed_bar);
     renderer.vjp(&patch.scene, &done.rendered, image_bar.view(), truth_bar, illumination_bar.view())
 }
 

@@ -11,12 +11,14 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
+mod camera;
 mod edges;
 mod zones;
 
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
+use super::subject::Subject;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::develop::{Balance, Development, Rendering, finish};
@@ -25,17 +27,16 @@ use crate::imaging::guide::Guide;
 use crate::imaging::metrics;
 use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
 use crate::imaging::plane::{Plane, Region, mirrored};
-use crate::imaging::reference;
-use crate::imaging::render::{Renderer, Settings as Fineness, frame_of};
+use crate::imaging::render::{Renderer, Settings as Fineness};
 use crate::imaging::scene::photos::Photos;
 use crate::imaging::scene::{SceneKind, generate};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
 use crate::network::Reconstructor;
 use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
+use camera::{Camera, Image};
 use zones::Zone;
 
 pub use edges::measured;
@@ -145,6 +146,9 @@ pub struct Settings {
     pub rays: Option<usize>,
     /// Texels of a picture that a pixel sees at a patch's centre.
     pub texels: f64,
+    /// Captures are made through this lens in place of the subject's own, which still says what the ideal picture is, what light is divided out, and
+    /// what the network is told; pictures are of one size and about one centre on both. `None`: its own.
+    pub through: Option<Subject>,
 }
 
 /// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
@@ -161,12 +165,12 @@ pub struct Sheet {
 /// PSNR, SSIM, ΔE, colour shift and PSNR after the best gain of a picture.
 type Judged = [f64; 5];
 
-/// Judges a network, told by its guide, behind `lens` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
+/// Judges a network, told by its guide, behind `subject` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
 ///
 /// # Errors
 /// Settings out of range, a picture that cannot be read, a lens that cannot image its frame at a depth.
 pub fn evaluate(
-    lens: &Lens,
+    subject: &Subject,
     (network, guide): (&Reconstructor, &Guide),
     sensor: &Sensor,
     pictures: &Pictures,
@@ -174,14 +178,15 @@ pub fn evaluate(
     sheets: bool,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(Evaluation, Vec<Sheet>)> {
-    let frame = frame_of(lens)?;
+    let frame = subject.frame()?;
     zones::check(&frame, settings)?;
-    let renderer = at_depths(lens, &frame, sensor, settings)?;
+    let renderer = at_depths(subject, sensor, settings)?;
+    let camera = Camera::of(subject, sensor, &renderer, settings)?;
     let maps = &renderer.optics.maps;
     let bounds = zones::bounds(&maps[0], &frame, settings)?;
     let zones = zones::zones(&frame, &bounds, settings.patch)?;
     let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
-    let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
+    let electronics = Electronics::of(sensor);
     let context = context_of(network);
     let development = Development {
         balance: Balance::from_sensor(sensor),
@@ -205,9 +210,8 @@ pub fn evaluate(
             for (d, map) in maps.iter().enumerate() {
                 let part = mixed(settings.seed, index as u64);
                 let noise_seed = mixed(seed, 1 + d as u64);
-                let by_rays = settings.rays.map(|rays| (lens, &density, rays));
                 let (whole, texels) = (settings.patch, settings.texels);
-                let shot = Shot { region, whole, texels, context, part, noise_seed, by_rays };
+                let shot = Shot { region, whole, texels, context, part, noise_seed, camera: &camera };
                 let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
                 let shown = finish(truth.clone(), &development).image;
                 let judged = |p: &Array3<f32>| -> Result<Judged> {
@@ -265,7 +269,7 @@ pub fn evaluate(
     });
     let evaluation = Evaluation {
         schema: 1,
-        lens: lens.name.clone(),
+        lens: camera.describe(subject),
         pictures: pictures.describe(),
         count: pictures.len(),
         empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
@@ -322,7 +326,7 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
 }
 
 /// The lens at all distances.
-fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -> Result<Renderer> {
+fn at_depths(subject: &Subject, sensor: &Sensor, settings: &Settings) -> Result<Renderer> {
     let vergence = |depth_mm: &f64| {
         if depth_mm.is_nan() || *depth_mm <= 0.0 {
             return Err(Error::bad("", "depth, mm", depth_mm.to_string(), "a positive distance, or inf"));
@@ -330,7 +334,7 @@ fn at_depths(lens: &Lens, frame: &Frame, sensor: &Sensor, settings: &Settings) -
         Ok(1.0 / depth_mm)
     };
     let vergences = settings.depths_mm.iter().map(vergence).collect::<Result<Vec<f64>>>()?;
-    Renderer::planned(lens, frame, &SpectralDensity::new(sensor), &vergences, settings.fineness)
+    subject.renderer(&SpectralDensity::new(sensor), &vergences, settings.fineness)
 }
 
 /// One picture at one place.
@@ -346,8 +350,7 @@ struct Shot<'a> {
     /// Seed of the part of the picture that is shown.
     part: u64,
     noise_seed: u64,
-    /// Lens, light and rays a pixel of a capture by the reference.
-    by_rays: Option<(&'a Lens, &'a SpectralDensity, usize)>,
+    camera: &'a Camera,
 }
 
 impl Shot<'_> {
@@ -362,7 +365,7 @@ impl Shot<'_> {
     ) -> Result<[Array3<f32>; 3]> {
         let scene = self.scene(&renderer.plan.frame, map, picture);
         let behind = Behind { renderer, electronics, network, guide, context: self.context };
-        let taken = behind.take(scene, self.region, self.noise_seed, self.by_rays)?;
+        let taken = behind.take(scene, self.region, self.noise_seed, self.camera)?;
         Ok([taken.truth, taken.developed, taken.restored])
     }
 
@@ -411,23 +414,18 @@ struct Taken {
 }
 
 impl Behind<'_> {
-    /// `region` in front of `scene`; by rays from the sensor where those are given.
-    fn take(
-        &self,
-        scene: Plane,
-        region: Region,
-        noise_seed: u64,
-        rays: Option<(&Lens, &SpectralDensity, usize)>,
-    ) -> Result<Taken> {
+    /// `region` in front of `scene`, as `camera` captures it.
+    fn take(&self, scene: Plane, region: Region, noise_seed: u64, camera: &Camera) -> Result<Taken> {
         let frame = &self.renderer.plan.frame;
         let inner = region.grown(self.context).common(Region::whole(frame));
         // Rows and columns start as the mosaic does, however far the guide looks.
         let seen = inner.grown(self.guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
         let patch = Patch::whole(scene, seen, noise_seed);
-        let mosaic = rays.map(|how| by_rays(how, self.electronics, frame, &patch)).transpose()?;
-        let done = match &mosaic {
-            None => forward::<f32>(self.renderer, self.electronics, &patch)?,
-            Some(mosaic) => forward_of(self.renderer, self.electronics, &patch, mosaic.view())?,
+        let (done, mosaic) = match camera.image(self.renderer, self.electronics, &patch)? {
+            None => (forward::<f32>(self.renderer, self.electronics, &patch)?, None),
+            Some(Image { irradiance, mosaic }) => {
+                (forward_of(self.renderer, self.electronics, &patch, irradiance)?, mosaic)
+            }
         };
         let offset = |at: isize, from: isize| (at - from).unsigned_abs();
         let at = [offset(region.row, seen.row), offset(region.col, seen.col)];
@@ -443,18 +441,6 @@ impl Behind<'_> {
             mosaic: mosaic.map(|m| m.slice(part).to_owned()),
         })
     }
-}
-
-/// Irradiance over a patch by rays from the sensor, in each pixel's own colour, `[row, col]`.
-fn by_rays(
-    (lens, density, samples): (&Lens, &SpectralDensity, usize),
-    electronics: &Electronics,
-    frame: &Frame,
-    patch: &Patch,
-) -> Result<Array2<f32>> {
-    let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
-    let how = reference::Settings { samples, seed, channels, sampling: reference::Sampling::Bounded };
-    Ok(reference::render(lens, &patch.scene, density, frame, patch.region, how, None)?.mosaic())
 }
 
 /// The network's output on the `size` pixels at `at` of `capture`, which it sees with `context` pixels around them, mirrored

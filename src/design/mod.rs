@@ -4,7 +4,7 @@
 //! the network and [`lens_steps`] around it, [`noise`] how well its gradients are known; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
 //! [`run`] is the loop, [`designing`] the loop with its folder, [`state`] where it stands, [`story`] its page, [`sweep`] many of them by number; [`task`] is the file that asks for one. The final network for a finished lens:
 //! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop with a folder,
-//! [`train_task`] its part of the file.
+//! [`train_task`] its part of the file, [`subject`] what stands before the sensor: a lens, or one that was measured.
 //! [`evaluate`] judges what came out; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 pub mod chain;
@@ -27,6 +27,7 @@ pub mod scenery;
 pub mod schedule;
 pub mod state;
 pub mod story;
+pub mod subject;
 pub mod sweep;
 pub mod sweep_task;
 pub mod task;

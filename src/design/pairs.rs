@@ -11,17 +11,16 @@ use ndarray::{Array2, Array3, Array4, Axis, s};
 
 use super::chain::Patch;
 use super::data::Textures;
+use super::subject::Subject;
 use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::{Electronics, simulate};
-use crate::imaging::frame::Frame;
 use crate::imaging::guide::Guide;
 use crate::imaging::plane::{Region, turned};
 use crate::imaging::render::{Channels, Renderer, Settings};
 use crate::imaging::sensor::haze::add_haze;
 use crate::imaging::sensor::noise::{mixed, standard_normal};
 use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
 use crate::network::card::sha256_hex;
 
 /// The sensor's image of a region and its ideal picture, `[3, row, col]` each.
@@ -155,7 +154,8 @@ pub struct PairSettings {
 /// Pairs by number.
 #[derive(Debug)]
 pub struct Pairs {
-    lens: Lens,
+    /// What is known of the lens, by its hash.
+    known: String,
     settings: PairSettings,
     /// The lens at all distances.
     renderer: Renderer,
@@ -169,10 +169,10 @@ impl Pairs {
     ///
     /// # Errors
     /// A lens that cannot be rendered at one of the distances.
-    pub fn new(lens: &Lens, frame: &Frame, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
-        let renderer = Renderer::planned(lens, frame, density, &settings.vergences, Settings::TRAINING)?;
+    pub fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
+        let renderer = subject.renderer(density, &settings.vergences, Settings::TRAINING)?;
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + PLACE as u64;
-        Ok(Self { lens: lens.clone(), bytes, settings, renderer, cache: None })
+        Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None })
     }
 
     /// Keeps pairs in `folder` from now on, as many as the budget holds. Pairs of another lens, task or program version found
@@ -187,7 +187,7 @@ impl Pairs {
         let facts = format!(
             "{} {} {:?} {:?} {}",
             env!("CARGO_PKG_VERSION"),
-            self.lens.sha256(),
+            self.known,
             self.settings,
             self.renderer.plan,
             textures.sha256()
@@ -276,6 +276,7 @@ impl Pairs {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::imaging::frame::Frame;
     use crate::imaging::guide::{Filters, Inputs};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::cfa::Cfa;
@@ -289,7 +290,10 @@ mod tests {
     #[test]
     fn kept_pairs_are_those_that_were_rendered() {
         let lens = builtin::lens("two_element").expect("shipped");
-        let frame = Frame::centred(128, 96, 0.12).expect("valid");
+        let lens = lens.changed(|l| {
+            (l.sensor.columns, l.sensor.rows, l.sensor.pitch_um, l.sensor.axis_px) = (128, 96, 120.0, [64.0, 48.0])
+        });
+        let subject = Subject::from(lens.expect("valid"));
         let density = SpectralDensity::new(&Sensor::generic());
         let textures = Textures::built_in(3, 2, 300);
         let folder = tempfile::tempdir().expect("temporary folder");
@@ -297,7 +301,7 @@ mod tests {
         let settings =
             |seed, budget| PairSettings { seed, region_px: 32, count: 5, vergences: vec![1e-3, 1e-3 / 1.5], budget };
         let open = |seed, budget, at: Option<&Path>| {
-            let mut pairs = Pairs::new(&lens, &frame, &density, settings(seed, budget)).expect("plans");
+            let mut pairs = Pairs::new(&subject, &density, settings(seed, budget)).expect("plans");
             at.map_or(Ok(()), |at| pairs.keep_in(at, &textures)).expect("writable");
             pairs
         };

@@ -166,7 +166,7 @@ pub(super) fn page(
 /// What the plan does not need.
 fn left_out(stage: &Stage) -> String {
     let plan = &stage.renderer().plan;
-    let light = &stage.renderer().optics.table;
+    let light = stage.renderer().optics.table();
     let apertures = light.clips.len();
     let depth = &plan.depths[0];
     format!(

@@ -9,8 +9,10 @@ use super::folder::MARKER;
 use super::lens_steps::Steps;
 use super::places::Spread;
 use super::schedule::Length;
+use super::subject::Subject;
 use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
+use crate::calibrate::lens::MeasuredLens;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::imaging::sensor::Sensor;
@@ -42,7 +44,7 @@ pub const SCHEMA: u32 = 1;
 pub struct Task {
     /// Form of the file: 1.
     pub schema: u32,
-    /// Lens file, or the name of a shipped lens.
+    /// Lens file, or the name of a shipped lens; for `isoplanat train` also the folder of a measured one.
     pub lens: String,
     /// Raster in place of the lens file's own.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -257,7 +259,7 @@ impl Task {
         }
         task.train.resolve(folder);
         let beside = folder.join(&task.lens);
-        if beside.is_file() {
+        if beside.is_file() || MeasuredLens::is_at(&beside) {
             task.lens = beside.display().to_string();
         }
         task.check(&file)?;
@@ -378,9 +380,11 @@ impl Task {
     /// # Errors
     /// As [`Task::load`]; a folder without a lens.
     pub fn of_run(folder: &Path) -> Result<Self> {
-        let lens = folder.join("lens.toml");
-        if !lens.is_file() {
-            let allowed = "a run of `isoplanat design`, which has a lens.toml";
+        let measured = folder.join("lens");
+        let lens = if MeasuredLens::is_at(&measured) { measured } else { folder.join("lens.toml") };
+        if !lens.exists() {
+            let allowed =
+                "a run of `isoplanat design` or `train`, which has a lens.toml or the folder of a measured lens";
             return Err(Error::bad(folder.display().to_string(), "lens.toml", "missing", allowed));
         }
         // The lens carries its raster and its terms.
@@ -401,7 +405,7 @@ impl Task {
         for p in [&mut task.photos, &mut task.calibration, &mut task.train.start, &mut task.train.vgg] {
             p.as_mut().map_or(Ok(()), full)?;
         }
-        if Path::new(&task.lens).is_file() {
+        if Path::new(&task.lens).exists() {
             let mut path = PathBuf::from(&task.lens);
             full(&mut path)?;
             task.lens = path.display().to_string();
@@ -409,8 +413,36 @@ impl Task {
         toml::to_string(&task).map_err(|e| Error::Internal(format!("task: {e}")))
     }
 
+    /// What stands before the sensor: the lens on the task's raster, or a measured one on its own.
+    ///
+    /// # Errors
+    /// A lens that cannot be read; a measured one with a raster or with terms that may move.
+    pub fn subject(&self, glasses: &Glasses) -> Result<Subject> {
+        let folder = Path::new(&self.lens);
+        if !MeasuredLens::is_at(folder) {
+            return Ok(self.lens(glasses)?.into());
+        }
+        if self.sensor.is_some() || self.asphere_power > 0 {
+            let found = "sensor or asphere_power";
+            return Err(Error::bad(
+                &self.lens,
+                "task",
+                found,
+                "neither: a measured lens has its pictures' raster and no surfaces",
+            ));
+        }
+        Ok(Subject::Measured(Box::new(MeasuredLens::load(folder)?)))
+    }
+
     /// The lens, on the task's raster.
+    ///
+    /// # Errors
+    /// A lens that cannot be read; one that was measured, which has no surfaces.
     pub fn lens(&self, glasses: &Glasses) -> Result<Lens> {
+        if MeasuredLens::is_at(Path::new(&self.lens)) {
+            let allowed = "a lens with a prescription; `isoplanat train` takes measured ones";
+            return Err(Error::bad(&self.lens, "lens", "a measured lens, which has no surfaces to move", allowed));
+        }
         let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
         overlapping_rims(&lens, &self.lens)?;
         let n = lens.indices(lens.wavelengths.primary_nm);

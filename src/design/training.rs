@@ -1,6 +1,6 @@
 //! `isoplanat train`: the final network for a finished lens, in a folder that can be killed and resumed at any point.
 //!
-//! The folder holds the task (paths in full), the lens, `network.safetensors` (the last checkpoint: generator,
+//! The folder holds the task (paths in full), the lens (or what was measured of it), `network.safetensors` (the last checkpoint: generator,
 //! discriminators, optimisers, step; readable as a plain network), `log.csv`, sample pictures, and kept pairs while it runs.
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
@@ -19,20 +19,20 @@ use super::folder::{MARKER, check, lock, made, sweep};
 use super::log::{Entry, HEADER, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
+use super::subject::Subject;
 use super::task::Task;
 use super::train_task::NETWORK;
 use crate::atomic;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
+use crate::imaging::frame::Frame;
 use crate::imaging::guide::{self, Filters, Guide};
 use crate::imaging::metrics::psnr;
 use crate::imaging::plane::Region;
-use crate::imaging::render::frame_of;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor, TrainStep, Trainer};
 use guard::Guard;
 use state::State;
@@ -103,17 +103,17 @@ impl Training {
     /// A task that cannot be trained; nothing is written then.
     pub fn create(task: Task, folder: &Path, replace: bool, compute: Compute, glasses: &Glasses) -> Result<Self> {
         check(folder, replace)?;
-        let (lens, network, textures) = (task.lens(glasses)?, start(&task, compute)?, task.textures()?);
-        Self::begin(task, &lens, network, textures, folder, replace)
+        let (subject, network, textures) = (task.subject(glasses)?, start(&task, compute)?, task.textures()?);
+        Self::begin(task, &subject, network, textures, folder, replace)
     }
 
-    /// As [`Training::create`], for `lens`, from `network` and with `textures` in place of the task's.
+    /// As [`Training::create`], for `subject`, from `network` and with `textures` in place of the task's.
     ///
     /// # Errors
     /// As [`Training::create`].
     pub fn begin(
         task: Task,
-        lens: &Lens,
+        subject: &Subject,
         network: Reconstructor,
         textures: Textures,
         folder: &Path,
@@ -122,11 +122,11 @@ impl Training {
         check(folder, replace)?;
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
-        let parts = Parts::new(&task, lens, textures, None)?;
+        let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();
         let locked = made(folder, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
-            prescription::save(lens, &inside.join("lens.toml"))?;
+            subject.save(inside)?;
             if let Some(filters) = parts.guide.filters() {
                 atomic::write_bytes(&inside.join(guide::FILE), &filters.to_npz()?)?;
             }
@@ -148,13 +148,13 @@ impl Training {
         let task = Task::load(&folder.join(MARKER))?;
         // Locked before the checkpoint is read, so that nobody writes a newer one.
         let locked = lock(folder)?;
-        let lens = prescription::load(&folder.join("lens.toml"))?;
+        let subject = Subject::of_run(folder)?;
         let path = folder.join(NETWORK);
         let (mut trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let state = State::from_facts(&facts, &path)?;
-        let kept = guide_of(folder, trainer.generator(), &lens)?;
-        let parts = Parts::new(&task, &lens, task.textures()?, Some(kept))?;
+        let kept = guide_of(folder, trainer.generator(), &subject.frame()?)?;
+        let parts = Parts::new(&task, &subject, task.textures()?, Some(kept))?;
         Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
@@ -410,8 +410,8 @@ fn median(values: &[f64]) -> f64 {
 
 impl Parts {
     /// `guide`: that of a training that goes on.
-    fn new(task: &Task, lens: &Lens, textures: Textures, guide: Option<Guide>) -> Result<Self> {
-        let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
+    fn new(task: &Task, subject: &Subject, textures: Textures, guide: Option<Guide>) -> Result<Self> {
+        let (sensor, frame) = (task.sensor()?, subject.frame()?);
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
         let electronics = Electronics::of(&sensor);
         let largest = frame.rows.min(frame.columns);
@@ -420,7 +420,7 @@ impl Parts {
             return Err(Error::bad(MARKER, "train.region_px", found, format!("at most {largest}")));
         }
         let vergences = match train.depths_mm.as_slice() {
-            [] => vec![lens.object_vergence],
+            [] => vec![subject.vergence()],
             depths => depths.iter().map(|d| 1.0 / d).collect(),
         };
         let settings = PairSettings {
@@ -430,7 +430,7 @@ impl Parts {
             budget: train.cache_mib << 20,
             vergences,
         };
-        let pairs = Pairs::new(lens, &frame, &density, settings)?;
+        let pairs = Pairs::new(subject, &density, settings)?;
         let guide = guide.map_or_else(|| Guide::new(train.inputs, pairs.renderer(), &electronics), Ok)?;
         let samples =
             if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics, &guide)? } else { vec![] };
@@ -471,12 +471,12 @@ fn samples(
         .collect()
 }
 
-/// What the network of a run's folder, trained for `lens`, is told beside the capture.
+/// What the network of a run's folder, trained for a lens on `frame`, is told beside the capture.
 ///
 /// # Errors
 /// A folder without the filters that the network needs, or with those of another frame.
-pub fn guide_of(folder: &Path, network: &Reconstructor, lens: &Lens) -> Result<Guide> {
-    let (inputs, frame) = (network.config().inputs, frame_of(lens)?);
+pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result<Guide> {
+    let inputs = network.config().inputs;
     let path = folder.join(guide::FILE);
     let filters = if inputs.wiener {
         let bytes = fs::read(&path).map_err(|e| Error::reading(&path, e))?;
@@ -484,7 +484,7 @@ pub fn guide_of(folder: &Path, network: &Reconstructor, lens: &Lens) -> Result<G
     } else {
         None
     };
-    Guide::from_parts(inputs, &frame, filters).map_err(|e| e.in_file(&path))
+    Guide::from_parts(inputs, frame, filters).map_err(|e| e.in_file(&path))
 }
 
 /// The network a task begins with.

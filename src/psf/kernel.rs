@@ -74,7 +74,8 @@ pub struct Rays {
 pub struct Pencil {
     /// Radius, mm, with light.
     radius_mm: f64,
-    taps: Taps,
+    /// Knots of the table; none where light was measured.
+    taps: Option<Taps>,
     /// Share of each wavelength in each channel's light, `[channel][wavelength]`.
     shares: Vec<Vec<f64>>,
     /// Irradiance of each channel.
@@ -88,7 +89,8 @@ pub struct Pencil {
 struct Colour {
     /// Channels that it feeds, with its share of each.
     fed: Vec<(usize, f64)>,
-    row: Row,
+    /// What the rays are made of; none where light was measured.
+    row: Option<Row>,
     rays: Rays,
 }
 
@@ -272,11 +274,22 @@ impl KernelForm {
             (!fed.is_empty()).then(|| {
                 let row = table.row(l, &taps);
                 let rays = self.rays_of(table, map, &row, radius_mm);
-                Colour { fed, row, rays }
+                Colour { fed, row: Some(row), rays }
             })
         };
         let colours = (0..table.spec.wavelength_nm.len()).map(of).collect();
-        Pencil { radius_mm, taps, shares, levels, colours }
+        Pencil { radius_mm, taps: Some(taps), shares, levels, colours }
+    }
+
+    /// The light of colours that were measured: this form's weights say which channel sees which. It has no pull-back.
+    pub fn pencil_of(&self, radius_mm: f64, colours: Vec<Rays>) -> Pencil {
+        let shares = self.weight.clone();
+        let of = |(l, rays): (usize, Rays)| {
+            let fed = Self::fed(&shares, l);
+            (!fed.is_empty()).then_some(Colour { fed, row: None, rays })
+        };
+        let colours = colours.into_iter().enumerate().map(of).collect();
+        Pencil { radius_mm, taps: None, levels: vec![1.0; shares.len()], shares, colours }
     }
 
     /// Writes the fine kernels of all channels where the radius of `pencil` grows along `outward`, `[channel][row][col]` on the
@@ -311,16 +324,19 @@ impl KernelForm {
     }
 
     /// Pulls cotangents on [`Self::pencil`] back.
+    ///
+    /// # Panics
+    /// For a pencil of [`Self::pencil_of`].
     pub fn pencil_vjp(&self, table: &Table, map: &SensorMap, pencil: &Pencil, bar: &PencilBar) -> KernelBar {
         let mut back = KernelBar {
             radius_mm: pencil.radius_mm,
             rows: Vec::new(),
             irradiance: vec![0.0; pencil.colours.len()],
             map: vec![0.0; map.coefficients.len()],
-            taps: pencil.taps.clone(),
+            taps: pencil.taps.clone().expect("a traced pencil"),
         };
         for (l, colour) in pencil.colours.iter().enumerate() {
-            let Some(Colour { row, rays, .. }) = colour else { continue };
+            let Some(Colour { row: Some(row), rays, .. }) = colour else { continue };
             let mut row_bar = RowBar::zeros(table);
             self.rays_vjp(table, map, (row, pencil.radius_mm), (rays, &bar.rays[l]), &mut row_bar, &mut back.map);
             back.rows.push((l, row_bar));
@@ -407,6 +423,17 @@ impl KernelForm {
 }
 
 impl Rays {
+    /// Light that moves by `[across the meridian, along it]` mm, with the share that each of a move and its mirror image has.
+    pub fn of(moves: impl Iterator<Item = ([f64; 2], f64)>) -> Self {
+        let mut rays = Self { sum: 1.0, ..Self::default() };
+        for ([x, y], share) in moves {
+            rays.x.push(x);
+            rays.y.push(y);
+            rays.share.push(share);
+        }
+        rays
+    }
+
     /// Étendue of the beam, edges by their ramps; [`Illumination`] has it with hard edges.
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     pub fn etendue(&self) -> f64 {
@@ -449,7 +476,7 @@ mod tests {
         let bars: Vec<Vec<f64>> =
             azimuths.iter().map(|_| (0..3 * 31 * 31).map(|_| rng.f64() - 0.5).collect()).collect();
         let value = |illumination: &Illumination, map: &SensorMap| {
-            let pencil = form.pencil(&o.table, illumination, map, 13.0);
+            let pencil = form.pencil(o.table(), illumination, map, 13.0);
             let mut kernel = vec![0.0; 3 * 31 * 31];
             let one = |(outward, bar): (&[f64; 2], &Vec<f64>)| {
                 form.kernels(&pencil, *outward, &mut kernel);
@@ -457,23 +484,23 @@ mod tests {
             };
             azimuths.iter().zip(&bars).map(one).sum::<f64>()
         };
-        let pencil = form.pencil(&o.table, &o.illumination, &o.maps[0], 13.0);
+        let pencil = form.pencil(o.table(), o.illumination(), &o.maps[0], 13.0);
         let mut bar = PencilBar::zeros(&pencil);
         azimuths.iter().zip(&bars).for_each(|(outward, b)| form.kernels_vjp(&pencil, *outward, b, &mut bar));
-        let back = form.pencil_vjp(&o.table, &o.maps[0], &pencil, &bar);
+        let back = form.pencil_vjp(o.table(), &o.maps[0], &pencil, &bar);
         let largest = back.map.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         for (i, pulled) in back.map.iter().enumerate() {
             let moved = |h: f64| {
                 let mut map = o.maps[0].clone();
                 map.coefficients[i] += h;
-                value(&o.illumination, &map)
+                value(o.illumination(), &map)
             };
             // Rays that pass from one cell to the next make kinks of the second order: they err as the step.
             assert_rel(*pulled, central_difference(moved, 1e-10), 1e-6, 1e-2 * largest, &format!("coefficient {i}"));
         }
         for (l, pulled) in back.irradiance.iter().enumerate() {
             let moved = |h: f64| {
-                let mut light = o.illumination.clone();
+                let mut light = o.illumination().clone();
                 light.irradiance[l].iter_mut().for_each(|e| *e += h);
                 value(&light, &o.maps[0])
             };

@@ -197,6 +197,29 @@ impl MeasuredPsf {
     }
 }
 
+/// How light falls off from the centre, by colour R, G, B; relative to the centre, linear between radii and held beyond the last.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Falloff {
+    /// Radii, pixels, growing, the first 0.
+    pub radii_px: Vec<f64>,
+    /// Relative illumination at them.
+    pub light: [Vec<f64>; 3],
+}
+
+impl Falloff {
+    /// None.
+    pub fn none() -> Self {
+        Self { radii_px: vec![0.0], light: std::array::from_fn(|_| vec![1.0]) }
+    }
+
+    /// Of every colour at a radius.
+    pub fn at(&self, radius_px: f64) -> Vec<f64> {
+        let (knot, share) = knot(&self.radii_px, radius_px);
+        let next = (knot + 1).min(self.radii_px.len() - 1);
+        self.light.iter().map(|v| (1.0 - share) * v[knot] + share * v[next]).collect()
+    }
+}
+
 /// The knot at or below a radius and how far the way to the next is, from 0 to 1; held beyond the last.
 pub fn knot(radii: &[f64], radius: f64) -> (usize, f64) {
     let last = radii.len().saturating_sub(1);

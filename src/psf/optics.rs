@@ -24,7 +24,8 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use super::illumination::{Illumination, IlluminationBar};
-use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place};
+use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place, Rays};
+use super::measured::{Falloff, MeasuredPsf};
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
@@ -35,9 +36,9 @@ use crate::lens::{Lens, LensGradient};
 /// A quadrature over wavelength: nodes and, by channel, weights that sum to one.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Quadrature {
-    /// Wavelengths, nm.
+    /// Wavelengths, nm; of measured kernels, which have colours in their place, none.
     pub nm: Vec<f64>,
-    /// Weight of each wavelength in each channel.
+    /// Weight of each wavelength, or measured colour, in each channel.
     pub weight: Vec<Vec<f64>>,
 }
 
@@ -74,12 +75,18 @@ impl OpticsSpec {
 pub struct Optics {
     /// What was asked for.
     pub spec: OpticsSpec,
-    /// The rays.
-    pub table: Table,
-    /// Irradiance of white.
-    pub illumination: Illumination,
     /// Sensor radius ⇄ object slope, by object distance.
     pub maps: Vec<SensorMap>,
+    beams: Beams,
+}
+
+/// Where the light of every sensor radius comes from.
+#[derive(Clone, Debug)]
+enum Beams {
+    /// From rays through a lens.
+    Traced { table: Box<Table>, illumination: Illumination },
+    /// From measurements on a camera: kernels, and how light falls off. A pixel is `pitch_mm` wide.
+    Measured { psf: MeasuredPsf, light: Falloff, pitch_mm: f64 },
 }
 
 /// Cotangents on what is read from an [`Optics`].
@@ -97,8 +104,8 @@ impl OpticsBar {
     /// All zero, in the form of `optics`.
     pub fn zeros(optics: &Optics) -> Self {
         Self {
-            table: TableBar::zeros(&optics.table),
-            illumination: optics.illumination.no_bar(),
+            table: TableBar::zeros(optics.table()),
+            illumination: optics.illumination().no_bar(),
             maps: optics.maps.iter().map(|m| vec![0.0; m.coefficients.len()]).collect(),
         }
     }
@@ -106,9 +113,9 @@ impl OpticsBar {
     /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
     pub fn add_kernel(&mut self, optics: &Optics, depth: usize, back: &KernelBar) {
         for (l, row) in &back.rows {
-            optics.table.row_vjp(*l, &back.taps, &row.0, &mut self.table);
+            optics.table().row_vjp(*l, &back.taps, &row.0, &mut self.table);
         }
-        optics.illumination.at_vjp(back.radius_mm, &back.irradiance, &mut self.illumination);
+        optics.illumination().at_vjp(back.radius_mm, &back.irradiance, &mut self.illumination);
         self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
     }
 
@@ -145,7 +152,7 @@ impl Optics {
     ) -> Result<Self> {
         let spec = OpticsSpec { illuminations, ..OpticsSpec::even(radius_mm, vergences, quadrature) };
         let optics = Self::compute(lens, &spec)?;
-        if !optics.table.is_partial() {
+        if !optics.table().is_partial() {
             return Ok(optics);
         }
         Self::compute(
@@ -183,15 +190,61 @@ impl Optics {
         let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
         let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);
         let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
-        Ok(Self { spec, table, illumination, maps })
+        Ok(Self { spec, maps, beams: Beams::Traced { table: Box::new(table), illumination } })
+    }
+
+    /// What was measured on a camera in place of a lens: kernels, how light falls off, and where on the sensor an object's slope is seen, in
+    /// whose mm a pixel is `pitch_mm` wide. Three channels; a psf of one colour serves all of them.
+    pub fn measured(psf: MeasuredPsf, light: Falloff, map: SensorMap, pitch_mm: f64) -> Self {
+        let colours = psf.channels();
+        let sees = |c: usize| (0..colours).map(|k| f64::from(u8::from(k == c.min(colours - 1)))).collect();
+        let spec = OpticsSpec {
+            radii_mm: psf.radii_px.iter().map(|r| r * pitch_mm).collect(),
+            vergences: vec![map.vergence],
+            quadrature: Quadrature { nm: Vec::new(), weight: (0..3).map(sees).collect() },
+            // No rays, no polynomials.
+            degree: 1,
+            illuminations: 0,
+        };
+        Self { spec, maps: vec![map], beams: Beams::Measured { psf, light, pitch_mm } }
+    }
+
+    /// The rays of a lens, and the irradiance of white behind it.
+    ///
+    /// # Panics
+    /// Where there is no lens: what was measured has neither rays nor gradients.
+    fn traced(&self) -> (&Table, &Illumination) {
+        match &self.beams {
+            Beams::Traced { table, illumination } => (table, illumination),
+            Beams::Measured { .. } => panic!("rays of a measured lens"),
+        }
+    }
+
+    /// The rays of the lens.
+    ///
+    /// # Panics
+    /// Of [`Self::measured`]: there is no lens to trace.
+    pub fn table(&self) -> &Table {
+        self.traced().0
+    }
+
+    /// Irradiance of white behind the lens.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
+    pub fn illumination(&self) -> &Illumination {
+        self.traced().1
     }
 
     /// The same with the illumination at another number of radii, less one.
+    /// What was measured stays as it is.
     #[must_use]
     pub fn illuminated(mut self, illuminations: u32) -> Self {
-        let radius_mm = self.illumination.radii_mm[self.illumination.radii_mm.len() - 1];
-        self.illumination = Illumination::compute(&self.table, radius_mm, illuminations);
-        self.spec.illuminations = illuminations;
+        if let Beams::Traced { table, illumination } = &mut self.beams {
+            let radius_mm = illumination.radii_mm[illumination.radii_mm.len() - 1];
+            *illumination = Illumination::compute(table, radius_mm, illuminations);
+            self.spec.illuminations = illuminations;
+        }
         self
     }
 
@@ -200,9 +253,12 @@ impl Optics {
         self.spec.quadrature.weight.len()
     }
 
-    /// Irradiance of white by channel, sr for a sensor in air.
+    /// Irradiance of white by channel, sr for a sensor in air; of what was measured, relative to the centre.
     pub fn irradiance(&self, radius_mm: f64) -> Vec<f64> {
-        let light = self.illumination.at(radius_mm);
+        let light = match &self.beams {
+            Beams::Traced { illumination, .. } => illumination.at(radius_mm),
+            Beams::Measured { light, pitch_mm, .. } => return light.at(radius_mm / pitch_mm),
+        };
         let of = |w: &Vec<f64>| w.iter().zip(&light).map(|(w, e)| w * e).sum();
         self.spec.quadrature.weight.iter().map(of).collect()
     }
@@ -214,6 +270,9 @@ impl Optics {
     }
 
     /// Adds the pull-back of cotangents on [`Self::relative_illumination`] at some radii to `bar`.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
     pub fn relative_illumination_vjp<'a>(&self, places: impl Iterator<Item = (f64, &'a [f64])>, bar: &mut OpticsBar) {
         let weights = &self.spec.quadrature.weight;
         let scale: Vec<f64> = self.irradiance(0.0).iter().map(|e| if *e > 0.0 { e.recip() } else { 0.0 }).collect();
@@ -226,7 +285,7 @@ impl Optics {
         };
         for (radius_mm, value_bar) in places {
             pull(value_bar, &mut bars);
-            self.illumination.at_vjp(radius_mm, &bars, &mut bar.illumination);
+            self.illumination().at_vjp(radius_mm, &bars, &mut bar.illumination);
             for ((to, here), (b, scale)) in
                 axis_bar.iter_mut().zip(self.irradiance(radius_mm)).zip(value_bar.iter().zip(&scale))
             {
@@ -234,11 +293,12 @@ impl Optics {
             }
         }
         pull(&axis_bar, &mut bars);
-        self.illumination.at_vjp(0.0, &bars, &mut bar.illumination);
+        self.illumination().at_vjp(0.0, &bars, &mut bar.illumination);
     }
 
     /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.
     pub fn form(&self, dense: usize, size: usize, samples: usize, cell_mm: f64) -> KernelForm {
+        let dense = if matches!(self.beams, Beams::Traced { .. }) { dense } else { 1 };
         KernelForm {
             points: StopPoints::new(self.spec.degree, dense),
             weight: self.spec.quadrature.weight.clone(),
@@ -248,7 +308,49 @@ impl Optics {
     }
 
     fn pencil(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Pencil {
-        form.pencil(&self.table, &self.illumination, &self.maps[depth], radius_mm)
+        match &self.beams {
+            Beams::Traced { table, illumination } => form.pencil(table, illumination, &self.maps[depth], radius_mm),
+            Beams::Measured { psf, pitch_mm, .. } => form.pencil_of(radius_mm, Self::moved(psf, *pitch_mm, radius_mm)),
+        }
+    }
+
+    /// The light of every measured colour at a radius.
+    fn moved(psf: &MeasuredPsf, pitch_mm: f64, radius_mm: f64) -> Vec<Rays> {
+        (0..psf.channels())
+            .map(|c| {
+                let weights = psf.at(radius_mm / pitch_mm, c);
+                let all = psf.moves.iter().zip(&weights).filter(|(_, w)| **w > 0.0);
+                Rays::of(all.map(|(([along, across], n), w)| ([across * pitch_mm, along * pitch_mm], 0.5 * n * w)))
+            })
+            .collect()
+    }
+
+    /// Light by whole cells of distance from a kernel's centre, for every channel, at a radius.
+    fn spread(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Vec<Vec<f64>> {
+        let (rays, levels) = match &self.beams {
+            Beams::Traced { table, illumination } => {
+                let of = |l: usize| form.rays(table, &self.maps[depth], l, radius_mm);
+                let rays: Vec<Rays> = (0..self.spec.quadrature.nm.len()).map(of).collect();
+                (rays, illumination.at(radius_mm))
+            }
+            Beams::Measured { psf, pitch_mm, .. } => {
+                let rays = Self::moved(psf, *pitch_mm, radius_mm);
+                let even = vec![1.0; rays.len()];
+                (rays, even)
+            }
+        };
+        let by_channel = |weight: &Vec<f64>| {
+            let total: f64 = weight.iter().zip(&levels).map(|(w, e)| w * e).sum();
+            let mut light = Vec::new();
+            for (l, rays) in rays.iter().enumerate() {
+                let scale = weight[l] * levels[l] / total;
+                if scale.is_finite() {
+                    rays.add_reach(form.cell_mm, scale, &mut light);
+                }
+            }
+            light
+        };
+        self.spec.quadrature.weight.iter().map(by_channel).collect()
     }
 
     /// Writes the fine kernels of all channels at `place` for object distance `depth`, `[channel][row][col]` on the form's raster;
@@ -282,6 +384,9 @@ impl Optics {
 
     /// Pulls cotangents on the kernels of `places` back, one result a distance from the axis; `bar` writes those of a place
     /// over zeros, or says that there are none. [`OpticsBar::add_kernel`] takes what comes.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
     pub fn kernels_vjp(
         &self,
         form: &KernelForm,
@@ -289,6 +394,7 @@ impl Optics {
         places: &[Place],
         bar: impl Fn(usize, &mut [f64]) -> bool + Sync,
     ) -> Vec<KernelBar> {
+        let table = self.table();
         let of_radius = |group: &Vec<usize>| {
             let mut pulled: Option<(Pencil, PencilBar)> = None;
             let mut fine = vec![0.0; form.channels() * form.raster.len()];
@@ -304,7 +410,7 @@ impl Optics {
                 });
                 form.kernels_vjp(pencil, places[*i].outward, &fine, to);
             }
-            pulled.map(|(pencil, bar)| form.pencil_vjp(&self.table, &self.maps[depth], &pencil, &bar))
+            pulled.map(|(pencil, bar)| form.pencil_vjp(table, &self.maps[depth], &pencil, &bar))
         };
         by_radius(places).par_iter().filter_map(of_radius).collect()
     }
@@ -314,7 +420,10 @@ impl Optics {
     pub fn half_widths(&self, form: &KernelForm, depth: usize, shares: &[f64], radii_mm: [f64; 2]) -> Vec<usize> {
         let [low, high] = radii_mm;
         // As kernels are made: those of dim places are those of the last place with light.
-        let edge = self.table.edge_mm.min(self.illumination.held(f64::INFINITY));
+        let edge = match &self.beams {
+            Beams::Traced { table, illumination } => table.edge_mm.min(illumination.held(f64::INFINITY)),
+            Beams::Measured { .. } => f64::INFINITY,
+        };
         let high = high.min(edge);
         let inner = self.spec.radii_mm.iter().copied().filter(|r| *r > low && *r < high);
         let radii: Vec<f64> = [low, high].into_iter().chain(inner).filter(|r| *r <= edge).collect();
@@ -322,18 +431,7 @@ impl Optics {
             .par_iter()
             .map(|r| {
                 let mut widest = vec![0; shares.len()];
-                let rays: Vec<_> = (0..self.spec.quadrature.nm.len())
-                    .map(|l| form.rays(&self.table, &self.maps[depth], l, *r))
-                    .collect();
-                let (levels, totals) = (self.illumination.at(*r), self.irradiance(*r));
-                for (weight, total) in self.spec.quadrature.weight.iter().zip(totals) {
-                    let mut light = Vec::new();
-                    for (l, rays) in rays.iter().enumerate() {
-                        let scale = weight[l] * levels[l] / total;
-                        if scale.is_finite() {
-                            rays.add_reach(form.cell_mm, scale, &mut light);
-                        }
-                    }
+                for light in self.spread(form, depth, *r) {
                     for (share, widest) in shares.iter().zip(&mut widest) {
                         let mut sum = 0.0;
                         let passes = |k: &usize| {
@@ -350,13 +448,17 @@ impl Optics {
     }
 
     /// Pulls cotangents back to the lens.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
     pub fn vjp(&self, lens: &Lens, bar: &OpticsBar) -> LensGradient {
+        let (rays, illumination) = self.traced();
         let mut table = bar.table.clone();
-        self.illumination.vjp(&self.table, &bar.illumination, &mut table);
+        illumination.vjp(rays, &bar.illumination, &mut table);
         for (map, map_bar) in self.maps.iter().zip(&bar.maps) {
-            map.fit_vjp(&self.table, map_bar, &mut table);
+            map.fit_vjp(rays, map_bar, &mut table);
         }
-        self.table.vjp(lens, &table)
+        rays.vjp(lens, &table)
     }
 }
 

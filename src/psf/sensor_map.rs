@@ -45,14 +45,19 @@ impl SensorMap {
     /// # Errors
     /// Object slopes that do not grow with the sensor radius: the picture folds.
     pub fn fit(lens: &Lens, table: &Table, vergence: f64) -> Result<Self> {
-        let radii = &table.spec.radii_mm;
-        let slopes = table.chief_slopes(vergence);
+        Self::through(&lens.name, &table.spec.radii_mm, &table.chief_slopes(vergence), table.horizon, vergence)
+    }
+
+    /// Fits object slopes at sensor radii that grow from 0, mm; `horizon` is `1/R₉₀²` where slopes have a pole, else 0, and `name` is for errors.
+    ///
+    /// # Errors
+    /// As [`Self::fit`].
+    pub fn through(name: &str, radii: &[f64], slopes: &[f64], horizon: f64, vergence: f64) -> Result<Self> {
         let radius_mm = radii[radii.len() - 1];
-        let rows = operator(radii, table.horizon);
+        let rows = operator(radii, horizon);
         let coefficients: Vec<f64> =
-            rows.rows().into_iter().map(|row| row.iter().zip(&slopes).map(|(a, s)| a * s).sum()).collect();
+            rows.rows().into_iter().map(|row| row.iter().zip(slopes).map(|(a, s)| a * s).sum()).collect();
         let inverse_square = (radius_mm * radius_mm).recip();
-        let horizon = table.horizon;
         let mut map =
             Self { coefficients, radius_mm, vergence, residual_mm: 0.0, inverse_square, horizon, edge: [0.0; 2] };
         map.find_edge();
@@ -60,18 +65,18 @@ impl SensorMap {
             let radius = radius_mm * f64::from(i) / 256.0;
             let slope = map.inside_derivative(radius);
             if slope.is_nan() || slope <= 0.0 {
-                return Err(Self::folds(lens, radius, vergence));
+                return Err(Self::folds(name, radius, vergence));
             }
         }
         let off = |(r, s): (&f64, &f64)| ((map.slope(*r) - s) / map.derivative(*r)).abs();
-        map.residual_mm = radii.iter().zip(&slopes).map(off).fold(0.0, f64::max);
+        map.residual_mm = radii.iter().zip(slopes).map(off).fold(0.0, f64::max);
         Ok(map)
     }
 
     /// What is said of a picture that folds at a radius.
-    pub(super) fn folds(lens: &Lens, radius_mm: f64, vergence: f64) -> Error {
+    pub(super) fn folds(name: &str, radius_mm: f64, vergence: f64) -> Error {
         Error::bad(
-            lens.name.clone(),
+            name,
             format!("distortion at {radius_mm:.3} mm on the sensor, object at vergence {vergence} /mm"),
             "the object's height does not grow with the image's there".to_owned(),
             "an image whose height grows over the whole field; narrow the frame or change the lens",

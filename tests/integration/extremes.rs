@@ -243,7 +243,7 @@ fn a_fisheye_has_kernels_pictures_and_gradients() {
         let rendered = renderer.record::<f64>(&white, 0, whole);
         let off = (&rendered.image - &rendered.illumination).iter().fold(0.0f64, |m, v| m.max(v.abs()));
         assert!(off <= 2.0 * settings.outside, "white: {off:e}");
-        let (edge, light) = (renderer.optics.table.edge_mm, rendered.image.slice(ndarray::s![1, 40, ..]));
+        let (edge, light) = (renderer.optics.table().edge_mm, rendered.image.slice(ndarray::s![1, 40, ..]));
         let dark = light.iter().enumerate().filter(|(j, _)| frame.radius_mm(*j as f64 + 0.5, 40.5) > edge + 0.12);
         assert!(dark.clone().count() > 2 && dark.clone().all(|(_, v)| *v == 0.0), "black beyond {edge} mm");
         let street = Plane {
@@ -261,7 +261,7 @@ fn a_fisheye_has_kernels_pictures_and_gradients() {
         eprintln!(
             "1/v {:.0} mm: light to {edge:.2} mm, white off by {off:.1e}, kept {:.2}",
             1.0 / vergence,
-            renderer.optics.table.kept()
+            renderer.optics.table().kept()
         );
     }
 }

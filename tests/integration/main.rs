@@ -22,6 +22,8 @@ mod guided;
 mod layering;
 mod lens_files;
 mod library;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod measured_lens;
 mod memory;
 mod one_way;
 mod optimize;

@@ -305,8 +305,8 @@ fn outcome(what: &str, lens: &Lens, frame: &Frame, vergence: f64, settings: Sett
         d.half_width,
         d.bin,
         d.grid.len(),
-        renderer.optics.table.kept(),
-        renderer.optics.table.edge_mm,
+        renderer.optics.table().kept(),
+        renderer.optics.table().edge_mm,
         frame.max_radius_mm()
     );
     Some(renderer)
@@ -368,7 +368,7 @@ fn a_frame_beyond_the_image_is_black_there() {
         for request in [Request::Settings(QUICK), Request::Everything] {
             let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
             let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
-            let edge = plan.renderer.optics.table.edge_mm;
+            let edge = plan.renderer.optics.table().edge_mm;
             assert!(edge < frame.max_radius_mm(), "{name}: light everywhere");
             let light = plan.renderer.light.over::<f64>(&frame, whole(&frame), &[0, 1, 2]);
             let mut worst = 0.0f64;

@@ -109,7 +109,7 @@ fn the_soft_edge_has_little_bias() {
         let exact = optics.irradiance(radius)[0];
         let open = exact / irradiance(&builtin::lens(name).expect("shipped"), radius);
         let bias = |count: usize| {
-            let rays = optics.form(count, 3, 1, 0.01).rays(&optics.table, &optics.maps[0], 0, radius);
+            let rays = optics.form(count, 3, 1, 0.01).rays(optics.table(), &optics.maps[0], 0, radius);
             [rays.etendue() / exact - 1.0, rays.etendue() / hard - 1.0]
         };
         let (b60, b200, b3000) = (bias(60), bias(200), bias(3000));
@@ -118,7 +118,7 @@ fn the_soft_edge_has_little_bias() {
             "{name} slope {slope}: {hard:.6} sr counted, {off:+.2e} in closed form; {:.0} % open, clipped by {:?}; \
              soft edges {:+.2e} (60 points) {:+.2e} (200) {:+.2e} (3000)",
             1e2 * open,
-            optics.table.clips,
+            optics.table().clips,
             b60[0],
             b200[0],
             b3000[0]
@@ -182,9 +182,9 @@ fn light_over_the_field_is_counted_light() {
             let radius = FieldLine::new(&lens, lens.object_vergence, 2).expect("a field").radius_mm[1];
             let quadrature = Quadrature { nm: vec![NM], weight: vec![vec![1.0]] };
             let optics = Optics::even(&lens, radius, vec![lens.object_vergence], quadrature, 256).expect("light");
-            let lost = optics.illumination.lost.iter().copied().fold(0.0, f64::max);
+            let lost = optics.illumination().lost.iter().copied().fold(0.0, f64::max);
             assert!(
-                optics.table.is_partial() || lost < 1e-12,
+                optics.table().is_partial() || lost < 1e-12,
                 "{name}: {lost:e} of the light lost though no ray fails"
             );
             let axis = counted(&lens, NM, 0.0);
@@ -192,7 +192,7 @@ fn light_over_the_field_is_counted_light() {
                 let r = part * radius;
                 let expected = counted(&lens, NM, r) / axis;
                 let found = optics.relative_illumination(r)[0];
-                let part = optics.table.row(0, &optics.table.taps(r)).part;
+                let part = optics.table().row(0, &optics.table().taps(r)).part;
                 let heights = part.heights;
                 let line = format!("{name} {r:.2} mm: {found:.4}, counted {expected:.4}; {heights:?}, lost {lost:.1e}");
                 ((found - expected).abs(), line)
@@ -208,7 +208,7 @@ fn light_over_the_field_is_counted_light() {
 fn gradient(lens: &Lens, radius_mm: f64) -> (f64, LensGradient) {
     let optics = optics(lens, radius_mm);
     let mut bar = OpticsBar::zeros(&optics);
-    optics.illumination.at_vjp(radius_mm, &[1.0], &mut bar.illumination);
+    optics.illumination().at_vjp(radius_mm, &[1.0], &mut bar.illumination);
     (optics.irradiance(radius_mm)[0], optics.vjp(lens, &bar))
 }
 

@@ -73,7 +73,7 @@ fn white_on_the_axis_is_the_cone_of_light() {
         let spec = OpticsSpec::even(radius, vec![lens.object_vergence], quadrature);
         let optics = Optics::compute(&lens, &spec).expect("traces");
         for (l, nm) in nm.iter().enumerate() {
-            let (exact, found) = (on_axis(&lens, *nm), optics.illumination.irradiance[l][0]);
+            let (exact, found) = (on_axis(&lens, *nm), optics.illumination().irradiance[l][0]);
             eprintln!("{name} {nm}: {:e}", found / exact - 1.0);
             assert_rel(found, exact, 2e-5, 0.0, name);
         }

@@ -7,11 +7,13 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use isoplanat::deploy::kit::LensEntry;
 use isoplanat::deploy::session::Options;
 use isoplanat::design::designing::prepare;
 use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, joint_stage, network};
 use isoplanat::design::scenery::Scenery;
+use isoplanat::design::subject::Subject;
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Inputs;
@@ -146,7 +148,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         let mut task = task.clone();
         task.train.inputs = inputs;
         let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
-        let mut training = Training::begin(task, &lens, network, textures.clone(), &run, false)?;
+        let mut training = Training::begin(task, &Subject::from(lens.clone()), network, textures.clone(), &run, false)?;
         prescription::save(&start, &run.join("lens-start.toml"))?;
         report.loss.push(followed(&mut training, name)?);
         done(&format!("Final training: {name}"), clock, &mut report);
@@ -163,7 +165,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
     let kit = kit::build(
         "isoplanat demo",
-        &lens,
+        &LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
         &training.network(),
         &sensor,
         &frame,
@@ -239,7 +241,7 @@ fn followed(training: &mut Training, name: &str) -> Result<LossCurve> {
 
 /// What this lens and scene did not need.
 fn left_out(lens: &isoplanat::lens::Lens, renderer: &Renderer) -> Vec<String> {
-    let (plan, table) = (&renderer.plan, &renderer.optics.table);
+    let (plan, table) = (&renderer.plan, renderer.optics.table());
     let depth = &plan.depths[0];
     let apertures: Vec<String> = (0..lens.surfaces.len())
         .filter(|i| *i != lens.stop && !table.clips.contains(i))

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate};
 use isoplanat::design::memory;
+use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
 use isoplanat::imaging::files::write_png8;
@@ -12,7 +13,6 @@ use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::{SceneKind, TRAINING};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::paired;
@@ -34,7 +34,7 @@ const MARKER: &str = "sheets.txt";
 /// 64 pixels) around each patch is captured and restored with it and then cut off, so that no patch has a border.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Run folder: task.toml, lens.toml, network.safetensors.
+    /// Run folder: task.toml, lens.toml (or lens/, measured), network.safetensors.
     run: PathBuf,
     /// Folder of photographs; built-in scenes where left out.
     #[arg(long, value_name = "DIR", conflicts_with = "scene")]
@@ -60,6 +60,10 @@ pub(crate) struct Args {
     /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
     #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
     reference: Option<u32>,
+    /// Lens file, shipped lens or folder of a measured lens that captures are made through, in place of the run's own lens, which still says what the
+    /// ideal picture is and what light is divided out: how good a network is behind a lens that is not quite the one it was trained for.
+    #[arg(long, value_name = "LENS")]
+    through: Option<String>,
     /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
     #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
     texels_per_pixel: f64,
@@ -158,7 +162,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// A run that is to be judged.
 struct Judged {
     folder: PathBuf,
-    lens: Lens,
+    subject: Subject,
     network: Reconstructor,
     guide: Guide,
     sensor: Sensor,
@@ -169,10 +173,10 @@ impl Judged {
     /// The run in `folder`.
     fn new(args: &Args, folder: &Path) -> Result<Self> {
         let task = Task::load(&folder.join("task.toml"))?;
-        let lens = crate::input::lens(&folder.join("lens.toml").display().to_string())?;
+        let subject = crate::input::of_run(folder)?;
         let network = Reconstructor::load(&folder.join("network.safetensors"))?;
-        let guide = guide_of(folder, &network, &lens)?;
-        let own = vec![1.0 / lens.object_vergence];
+        let guide = guide_of(folder, &network, &subject.frame()?)?;
+        let own = vec![1.0 / subject.vergence()];
         let settings = Settings {
             fields: args.fields,
             to_deg: args.to_degrees,
@@ -183,8 +187,9 @@ impl Judged {
             fineness: FINENESS,
             rays: args.reference.map(|n| n as usize),
             texels: args.texels_per_pixel,
+            through: args.through.as_deref().map(crate::input::subject).transpose()?,
         };
-        Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, lens, network, guide, settings })
+        Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, subject, network, guide, settings })
     }
 
     fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
@@ -194,7 +199,7 @@ impl Judged {
         let told = (&self.network, &self.guide);
         // From the first picture on: what cannot be judged is refused before.
         let mut bar = None;
-        let judged = evaluate(&self.lens, told, &self.sensor, pictures, &self.settings, sheets, &mut |share| {
+        let judged = evaluate(&self.subject, told, &self.sensor, pictures, &self.settings, sheets, &mut |share| {
             let bar = bar.get_or_insert_with(|| {
                 crate::memory::tell(bytes);
                 Bar::new("captures and reconstructions")

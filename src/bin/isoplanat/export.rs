@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::deploy::kit::{FILE, tile_px};
+use isoplanat::deploy::kit::{FILE, LensEntry, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::deploy::valid::Valid;
 use isoplanat::design::task::Task;
@@ -12,7 +12,6 @@ use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::plane::Region;
-use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::Weights;
@@ -61,10 +60,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut valid = Valid::default();
     args.valid.iter().try_for_each(|text| valid.put(text))?;
     let task = Task::load(&args.run.join("task.toml"))?;
-    let lens = crate::input::lens(&args.run.join("lens.toml").display().to_string())?;
+    let subject = crate::input::of_run(&args.run)?;
+    let lens = LensEntry { name: subject.name().to_owned(), sha256: subject.sha256() };
     let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
-    let guide = guide_of(&args.run, &network, &lens)?;
-    let (sensor, frame) = (task.sensor()?, frame_of(&lens)?);
+    let (sensor, frame) = (task.sensor()?, subject.frame()?);
+    let guide = guide_of(&args.run, &network, &frame)?;
     let config = network.config();
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
     let weights = std::fs::metadata(args.run.join("network.safetensors")).map_or(0, |m| m.len());
@@ -83,7 +83,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     } else {
         None
     };
-    let calibration = kit::Calibration::of(&lens, &sensor, &frame)?;
+    let calibration = kit::Calibration::of(&subject, &sensor)?;
     let mut kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
     kit.glare = args.glare;
     kit.valid = valid;
@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);
     if args.json {
-        let figures = serde_json::json!({ "schema": 1, "kit": args.output, "lens_sha256": lens.sha256(),
+        let figures = serde_json::json!({ "schema": 1, "kit": args.output, "lens_sha256": lens.sha256,
             "distortion_residual_px": residual, "distortion_radius_mm": seen_mm, "corner_mm": frame.max_radius_mm(),
             "memory_bytes": bytes, "f16": cost });
         return Ok(writeln!(out, "{figures}")?);
@@ -101,7 +101,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays out to {:.3} mm (the \
          frame's corner: {:.3} mm); memory: at most {}",
         args.output.display(),
-        &lens.sha256()[..12],
+        &lens.sha256[..12],
         seen_mm,
         frame.max_radius_mm(),
         words(bytes)

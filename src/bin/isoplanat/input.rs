@@ -3,6 +3,10 @@
 use std::io::Read;
 use std::path::Path;
 
+#[cfg(feature = "train")]
+use isoplanat::calibrate::lens::MeasuredLens;
+#[cfg(feature = "train")]
+use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::interchange::{self, Imported};
 use isoplanat::lens::Lens;
@@ -51,8 +55,35 @@ pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) ->
 /// Says what is doubtful about the lens of a task, and refuses one made for other light than its sensor's.
 #[cfg(feature = "train")]
 pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
+    if let Subject::Measured(_) = subject(&task.lens)? {
+        return Ok(());
+    }
     let read = lens(&task.lens)?;
     in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens)
+}
+
+/// A lens by its name or file, or a measured one by its folder; stderr is told what is doubtful about it.
+#[cfg(feature = "train")]
+pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
+    let folder = Path::new(name_or_path);
+    if !MeasuredLens::is_at(folder) {
+        return Ok(lens(name_or_path)?.into());
+    }
+    let measured = MeasuredLens::load(folder)?;
+    for note in measured.notes()? {
+        eprintln!("note: {name_or_path}: {note}");
+    }
+    Ok(Subject::Measured(Box::new(measured)))
+}
+
+/// What stands before the sensor of a run.
+#[cfg(feature = "train")]
+pub(crate) fn of_run(folder: &Path) -> Result<Subject> {
+    match Subject::of_run(folder)? {
+        // Read once more for what there is to say about it.
+        Subject::Lens(_) => Ok(lens(&folder.join("lens.toml").display().to_string())?.into()),
+        measured @ Subject::Measured(_) => Ok(measured),
+    }
 }
 
 /// The same error with the argument that named the lens in place of the lens's own name.

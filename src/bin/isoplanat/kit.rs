@@ -2,22 +2,17 @@
 
 use isoplanat::Result;
 use isoplanat::deploy::kit::{Kit, LensEntry};
+use isoplanat::design::subject::Subject;
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::render::light::Light;
-use isoplanat::imaging::render::plan::{self, ILLUMINATIONS, quadrature};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::Lens;
 use isoplanat::network::card::{ModelCard, sensor_sha256};
 use isoplanat::network::{Reconstructor, onnx};
 use isoplanat::psf::Optics;
-
-/// Wavelengths that a kit's flat field is averaged over, and the degree of the polynomials over the stop.
-const WAVELENGTHS: usize = 7;
-const DEGREE: usize = 9;
 
 /// What a kit says of a lens: where things are seen, and how bright.
 pub(crate) struct Calibration {
@@ -28,11 +23,10 @@ pub(crate) struct Calibration {
 }
 
 impl Calibration {
-    /// Of `lens` on `sensor` over `frame`, for objects at the lens's own distance; no kernel is made for it.
-    pub(crate) fn of(lens: &Lens, sensor: &Sensor, frame: &Frame) -> Result<Self> {
-        let rule = quadrature(&SpectralDensity::new(sensor), WAVELENGTHS, &[0, 1, 2]);
-        let fineness = (DEGREE, ILLUMINATIONS);
-        Self::read(&plan::optics(lens, frame, &[lens.object_vergence], rule, fineness)?.0, frame)
+    /// Of `subject` on `sensor`.
+    pub(crate) fn of(subject: &Subject, sensor: &Sensor) -> Result<Self> {
+        let (distortion, shading) = subject.calibration(&SpectralDensity::new(sensor))?;
+        Ok(Self { distortion, shading })
     }
 
     /// From optics that were traced already, at their first distance.
@@ -45,7 +39,7 @@ impl Calibration {
 /// What the file of `network`, trained for `lens`, says of itself.
 pub(crate) fn card(
     name: &str,
-    lens: &Lens,
+    lens: &LensEntry,
     network: &Reconstructor,
     sensor: &Sensor,
     training_sha256: String,
@@ -54,7 +48,7 @@ pub(crate) fn card(
     let bare = ModelCard::for_unet(name, config.base_width, config.scales);
     let mut card = bare.seeing(config.inputs).made_of(config.blocks);
     card.lens_name.clone_from(&lens.name);
-    card.lens_sha256 = lens.sha256();
+    card.lens_sha256.clone_from(&lens.sha256);
     card.calibration_sha256 = sensor_sha256(sensor);
     card.training_sha256 = training_sha256;
     card
@@ -65,7 +59,7 @@ pub(crate) fn card(
 pub(crate) fn around(
     model: Vec<u8>,
     card: &ModelCard,
-    lens: &Lens,
+    lens: &LensEntry,
     sensor: &Sensor,
     frame: &Frame,
     calibration: &Calibration,
@@ -74,7 +68,7 @@ pub(crate) fn around(
 ) -> Result<Kit> {
     Kit::new(
         card.name.clone(),
-        LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
+        lens.clone(),
         model,
         tile,
         sensor.clone(),
@@ -89,7 +83,7 @@ pub(crate) fn around(
 #[expect(clippy::too_many_arguments, reason = "the parts of a kit")]
 pub(crate) fn build(
     name: &str,
-    lens: &Lens,
+    lens: &LensEntry,
     network: &Reconstructor,
     sensor: &Sensor,
     frame: &Frame,

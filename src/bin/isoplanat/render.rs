@@ -278,11 +278,11 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
         "kernel_cells": depth.size(),
         "psf_nodes": depth.grid.len(),
         "node_error": depth.node_error,
-        "radii_traced": optics.table.spec.radii_mm.len(),
-        "rays_traced": optics.table.rays,
+        "radii_traced": optics.table().spec.radii_mm.len(),
+        "rays_traced": optics.table().rays,
         "method": format!("{:?}", plan.method),
-        "pupil_residual": optics.table.residual,
-        "traced_pupil_fraction": optics.table.kept(),
+        "pupil_residual": optics.table().residual,
+        "traced_pupil_fraction": optics.table().kept(),
         "chief_ray_residual_px": optics.maps[0].residual_mm / render.frame.pitch_mm,
     })
 }

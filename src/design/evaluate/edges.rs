@@ -1,14 +1,13 @@
 //! The MTF of capture and reconstruction, by slanted edges in front of a lens and its network.
 
-use super::{Behind, at_depths, context_of};
+use super::{Behind, Camera, at_depths, context_of};
 use crate::design::evaluate::{FINENESS, Settings as Evaluated, TEXELS_PER_PIXEL};
+use crate::design::subject::Subject;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::guide::Guide;
 use crate::imaging::plane::{Plane, Region};
-use crate::imaging::render::frame_of;
 use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::network::Reconstructor;
 use crate::report::measured::{Measured, Seen, Settings, close};
@@ -24,7 +23,8 @@ pub fn measured(
     settings: Settings,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Measured> {
-    let frame = frame_of(lens)?;
+    let subject = Subject::from(lens.clone());
+    let frame = subject.frame()?;
     let depths_mm = vec![1.0 / lens.object_vergence];
     let evaluated = Evaluated {
         fields: 1,
@@ -36,13 +36,14 @@ pub fn measured(
         fineness: FINENESS,
         rays: Some(settings.rays),
         texels: TEXELS_PER_PIXEL,
+        through: None,
     };
-    let renderer = at_depths(lens, &frame, sensor, &evaluated)?;
-    let (electronics, density) = (Electronics::of(sensor), SpectralDensity::new(sensor));
+    let renderer = at_depths(&subject, sensor, &evaluated)?;
+    let (electronics, by_rays) = (Electronics::of(sensor), Camera::by_rays(lens, sensor, settings.rays));
     let context = context_of(network);
     let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, context };
     let camera = |scene: &Plane, region: Region| -> Result<Seen> {
-        let taken = behind.take(scene.clone(), region, settings.seed, Some((lens, &density, settings.rays)))?;
+        let taken = behind.take(scene.clone(), region, settings.seed, &by_rays)?;
         let mosaic = taken.mosaic.ok_or_else(|| Error::Internal("a capture by rays has a mosaic".into()))?;
         Ok(Seen { mosaic, developed: Some([taken.developed, taken.restored]) })
     };

@@ -15,12 +15,13 @@ fn settings(fields: usize, patch: usize) -> Settings {
         fineness: Fineness::DESIGN,
         rays: None,
         texels: TEXELS_PER_PIXEL,
+        through: None,
     }
 }
 
-fn lens() -> Lens {
+fn lens() -> Subject {
     let sensor = Some(TaskSensor { columns: 240, rows: 160, pitch_um: 80.0, axis_px: Some([0.0, 0.0]) });
-    Task { sensor, ..Task::demo() }.lens(Glasses::shipped()).expect("valid")
+    Task { sensor, ..Task::demo() }.subject(Glasses::shipped()).expect("valid")
 }
 
 /// A network whose last layer is nought returns its input.
@@ -39,9 +40,9 @@ const FIFTHS: [f64; 6] = [0.0, 0.2, 0.4, 0.6, 0.8, 1.0];
 #[test]
 fn zones_by_angle_and_means_to_an_angle() {
     let (lens, sensor) = (lens(), Sensor::generic());
-    let frame = frame_of(&lens).expect("valid");
+    let frame = lens.frame().expect("valid");
     let by_angle = Settings { to_deg: Some(12.0), means_deg: vec![4.0, 6.0], ..settings(3, 32) };
-    let renderer = at_depths(&lens, &frame, &sensor, &by_angle).expect("images");
+    let renderer = at_depths(&lens, &sensor, &by_angle).expect("images");
     let map = &renderer.optics.maps[0];
     let between = bounds(map, &frame, &by_angle).expect("seen");
     for (k, share) in between.iter().enumerate() {
@@ -113,7 +114,7 @@ fn zones_share_the_places_of_the_frame() {
 #[test]
 fn an_identity_restores_nothing() {
     let (lens, sensor) = (lens(), Sensor::generic());
-    let bare = Guide::bare(&frame_of(&lens).expect("valid"));
+    let bare = Guide::bare(&lens.frame().expect("valid"));
     let judge = || {
         // Nodes near enough to tell the axis from the field, on pixels of 80 µm.
         let fineness = Fineness { node_error: 0.05, ..Fineness::DESIGN };
@@ -174,13 +175,15 @@ fn a_patch_is_restored_as_within_the_picture() {
 #[test]
 fn every_zone_shows_the_same_part_of_a_picture() {
     let (lens, settings) = (lens(), Settings { depths_mm: vec![1000.0, 700.0], ..settings(3, 64) });
-    let frame = frame_of(&lens).expect("valid");
-    let depths = at_depths(&lens, &frame, &Sensor::generic(), &settings).expect("images").optics.maps;
+    let frame = lens.frame().expect("valid");
+    let renderer = at_depths(&lens, &Sensor::generic(), &settings).expect("images");
     let picture = Pictures::BuiltIn(SceneKind::Facades, 1).load(0).expect("made");
+    let camera = Camera::of(&lens, &Sensor::generic(), &renderer, &settings).expect("its own");
+    let depths = renderer.optics.maps;
     // The middle of the truth, whatever place, patch, context and depth.
     let truth = |row: isize, col: isize, part: u64, side: usize, context: usize, depth: &SensorMap| {
         let region = Region { row, col, rows: side, cols: side };
-        let scene = Shot { region, whole: 64, context, part, noise_seed: 1, by_rays: None, texels: TEXELS_PER_PIXEL }
+        let scene = Shot { region, whole: 64, context, part, noise_seed: 1, camera: &camera, texels: TEXELS_PER_PIXEL }
             .scene(&frame, depth, &picture);
         let truth = crate::imaging::render::source::warp::<f32>(&scene, depth, &frame, region, &[0, 1, 2]);
         let from = side / 2 - 16;
@@ -197,4 +200,33 @@ fn every_zone_shows_the_same_part_of_a_picture() {
         let same = metrics::psnr(a.view(), b.view());
         assert!(same > 20.0 && same > unlike + 6.0, "{same:.1} dB, {unlike:.1} dB");
     }
+}
+
+/// Through another lens the ideal picture stays: its own lens in the other's place changes nothing, nor does its frame's axis where pictures are aligned by
+/// the pixels; another lens, or a frame of another size, does or is refused.
+#[test]
+fn captures_through_another_lens_are_judged_by_the_ideal_picture_of_its_own() {
+    let (own, sensor) = (lens(), Sensor::generic());
+    let frame = own.frame().expect("valid");
+    let bare = Guide::bare(&frame);
+    let judge = |rays: Option<usize>, through: Option<Subject>| {
+        let settings = Settings { rays, through, ..settings(2, 32) };
+        let pictures = Pictures::BuiltIn(SceneKind::Facades, 1);
+        evaluate(&own, (&identity(3), &bare), &sensor, &pictures, &settings, false, &mut |_| ()).map(|e| e.0)
+    };
+    let db = |rays, through| {
+        judge(rays, through).expect("judges").rows.iter().map(|r| r.capture.psnr_db.mean).collect::<Vec<_>>()
+    };
+    for rays in [None, Some(16)] {
+        assert_eq!(db(rays, None), db(rays, Some(own.clone())), "{rays:?}");
+    }
+    let Subject::Lens(lens) = &own else { unreachable!("a prescription") };
+    let changed = |change: fn(&mut crate::lens::Prescription)| Subject::from(lens.changed(change).expect("a lens"));
+    let worse = db(None, Some(changed(|l| l.surfaces[3].thickness += 0.4)));
+    assert!(worse[0] < db(None, None)[0] - 0.5, "out of focus: {worse:?}");
+    // Pixels a fiftieth smaller see a larger picture; it is made as large as the ideal one.
+    let larger = db(None, Some(changed(|l| l.sensor.pitch_um *= 0.98)));
+    assert!(larger.iter().zip(db(None, None)).all(|(a, b)| (a - b).abs() < 1.0), "{larger:?}");
+    let other = judge(None, Some(changed(|l| l.sensor.columns = 250))).expect_err("another size").to_string();
+    assert!(other.contains("240 x 160") && other.contains("250 x 160"), "{other}");
 }

@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
+use crate::psf::measured::knot;
 
 /// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
 /// than as noise that outshines the picture.
@@ -76,16 +77,9 @@ impl Shading {
     /// For a channel above 2.
     pub fn at(&self, channel: usize, radius_mm: f64) -> f64 {
         let values = &self.illumination[channel];
-        let above = self.radius_mm.partition_point(|&r| r <= radius_mm);
-        if above == 0 {
-            return values[0];
-        }
-        if above == self.radius_mm.len() {
-            return values[above - 1];
-        }
-        let (r0, r1) = (self.radius_mm[above - 1], self.radius_mm[above]);
-        let t = (radius_mm - r0) / (r1 - r0);
-        values[above - 1] + t * (values[above] - values[above - 1])
+        let (knot, share) = knot(&self.radius_mm, radius_mm);
+        let next = (knot + 1).min(values.len() - 1);
+        values[knot] + share * (values[next] - values[knot])
     }
 
     /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.

@@ -8,6 +8,7 @@ use ndarray::{Array2, Array3, ArrayView3, Zip};
 
 use crate::imaging::develop::demosaic::{demosaic, demosaic_vjp};
 use crate::imaging::develop::shading::DARKEST;
+use crate::imaging::plane::Region;
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::{Cfa, mosaic, mosaic_vjp};
 use crate::imaging::sensor::noise::Noise;
@@ -28,6 +29,13 @@ impl Electronics {
     /// Of `sensor`.
     pub fn of(sensor: &Sensor) -> Self {
         Self { cfa: sensor.cfa, noise: Noise::of(sensor), neutral: sensor.neutral_response }
+    }
+
+    /// As the first pixel of `region` sees them.
+    #[must_use]
+    pub fn at(&self, region: Region) -> Self {
+        let parity = |v: isize| usize::from(v.rem_euclid(2) == 1);
+        Self { cfa: self.cfa.shifted(parity(region.row), parity(region.col)), ..self.clone() }
     }
 }
 

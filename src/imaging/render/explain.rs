@@ -69,7 +69,7 @@ impl<'a> List<'a> {
     }
 
     fn of_the_lens(&mut self, lens: &Lens) {
-        let (render, table) = (&self.plan.renderer.plan, &self.plan.renderer.optics.table);
+        let (render, table) = (&self.plan.renderer.plan, self.plan.renderer.optics.table());
         let clipping: Vec<String> = table.clips.iter().map(|k| (k + 1).to_string()).collect();
         let apertures = lens.surfaces.iter().enumerate();
         let apertures = apertures.filter(|(k, s)| *k != lens.stop && s.semi_diameter.is_finite()).count();

@@ -224,7 +224,7 @@ impl Probing<'_> {
                 .collect();
             let kernels = flipped(self.optics, self.depth, &form, at);
             let coarse = self.values(&patch, *region, (&kernels, &light), (size, size));
-            let irradiance = self.colours.illumination.at(at.radius_mm);
+            let irradiance = self.colours.illumination().at(at.radius_mm);
             Probe { scene, region: *region, patch, kernels, coarse, mono, irradiance, scale }
         };
         stands.par_iter().map(of).collect()
@@ -268,7 +268,7 @@ impl Probing<'_> {
     /// Values of a probe by a quadrature.
     fn light_of(&self, probe: &Probe, rule: &Quadrature) -> Values {
         let nm = &self.colours.spec.quadrature.nm;
-        let axis = self.colours.illumination.at(0.0);
+        let axis = self.colours.illumination().at(0.0);
         let count = probe.region.rows * probe.region.cols;
         let mut out = vec![0.0f64; probe.coarse.len()];
         for (c, channel) in self.lit.iter().enumerate() {

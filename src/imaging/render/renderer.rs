@@ -26,6 +26,7 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, LensGradient};
 use crate::math::real::Real;
 use crate::psf::splat::phase_of_vjp;
+use crate::psf::table::Tolerance;
 use crate::psf::{KernelForm, Optics, OpticsBar, Place};
 
 /// A lens on a frame, ready for scenes.
@@ -75,6 +76,15 @@ impl Renderer {
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
         let (optics, table_error) = plan::optics(lens, frame, vergences, rule, (settings.degree, ILLUMINATIONS))?;
         let plan = RenderPlan::of(&optics, frame, settings, table_error)?;
+        Ok(Self::with(optics, plan))
+    }
+
+    /// Plans the whole of `frame` for optics that were measured, at their one distance.
+    ///
+    /// # Errors
+    /// A blur that is wider than any window.
+    pub fn measured(optics: Optics, frame: &Frame, settings: Settings) -> Result<Self> {
+        let plan = RenderPlan::of(&optics, frame, settings, Tolerance { landing_mm: 0.0, weight: 0.0 })?;
         Ok(Self::with(optics, plan))
     }
 
@@ -248,6 +258,9 @@ impl Renderer {
     }
 
     /// Pulls cotangents on image, truth and illumination of a recorded region back to the optics.
+    ///
+    /// # Panics
+    /// Of [`Self::measured`]: there is no lens to pull them back to.
     pub fn vjp<T: Real>(
         &self,
         scene: &Plane,

@@ -126,13 +126,13 @@ fn displacements_are_those_of_traced_rays() {
             let system = System::new(&lens, 540.0);
             let mut worst = 0.0f64;
             for at in [0.0, 0.31 * radius, 0.83 * radius] {
-                let rays = form.rays(&o.table, &o.maps[0], 1, at);
+                let rays = form.rays(o.table(), &o.maps[0], 1, at);
                 for (q, s) in form.points.points.iter().enumerate() {
                     // The raster's point that the ray shows, and that object's slope.
                     let d = [-rays.x[q], at - rays.y[q]];
                     let ratio = o.maps[0].ratio(d[0].hypot(d[1]));
                     let field = FieldPoint { slope: DVec2::new(d[0], d[1]) * ratio, vergence };
-                    let target = *s * o.table.pupil * system.stop_semi_diameter;
+                    let target = *s * o.table().pupil * system.stop_semi_diameter;
                     let mut hits = Vec::new();
                     let e = aim(&system, ParaxialPupil::new(&lens), field, target, None, &mut hits).expect("aims");
                     let hit = trace(&system, launch(field, e), system.image(), &mut hits).expect("lands");

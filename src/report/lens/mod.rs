@@ -319,7 +319,7 @@ impl LensReport {
         let radius = heights.iter().copied().fold(0.0, f64::max);
         let (vergence, quadrature) = (self.lens.object_vergence, Quadrature { nm, weight: vec![share] });
         let optics = Optics::even(&self.lens, radius.max(1e-3), vec![vergence], quadrature, ILLUMINATIONS)?;
-        let lost = optics.illumination.lost.iter().copied().fold(0.0, f64::max);
+        let lost = optics.illumination().lost.iter().copied().fold(0.0, f64::max);
         Ok((heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect(), lost))
     }
 
