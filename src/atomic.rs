@@ -7,6 +7,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
+use sha2::{Digest, Sha256};
 
 use crate::error::{Error, Result};
 
@@ -42,6 +43,11 @@ pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>> {
         return Err(Error::bad(path.display().to_string(), "size", found, format!("at most {most} bytes")));
     }
     Ok(bytes)
+}
+
+/// SHA-256 of `bytes` as 64 lower-case hexadecimal digits.
+pub fn sha256_hex(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// The text of a file of at most `most` bytes.

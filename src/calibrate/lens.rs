@@ -5,11 +5,9 @@
 
 use std::path::Path;
 
-use sha2::{Digest, Sha256};
-
 use super::file::MeasuredDistortion;
 use super::shading::MeasuredShading;
-use crate::atomic;
+use crate::atomic::{self, sha256_hex};
 use crate::error::{Error, Result};
 use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::shading::Shading;
@@ -57,10 +55,14 @@ impl MeasuredLens {
         let shading = folder.join(SHADING);
         let shading = if shading.exists() { Some(MeasuredShading::load(&shading)?) } else { None };
         let psf = MeasuredPsf::load(&folder.join(PSF))?;
-        let distortion = MeasuredDistortion::load(&folder.join(DISTORTION))?;
-        let lens = Self::new(psf, distortion, shading).map_err(|e| e.in_file(folder))?;
-        let stem = || folder.file_name().map_or_else(String::new, |n| n.to_string_lossy().into_owned());
-        Ok(if lens.name.is_empty() { Self { name: stem(), ..lens } } else { lens })
+        let mut distortion = MeasuredDistortion::load(&folder.join(DISTORTION))?;
+        if distortion.lens.is_empty() && distortion.camera.is_empty() {
+            // It is known by its folder from here on, wherever it is kept.
+            let whole = folder.canonicalize().map_err(|e| Error::reading(folder, e))?;
+            distortion.lens =
+                whole.file_name().map_or_else(|| "measured lens".into(), |n| n.to_string_lossy().into_owned());
+        }
+        Self::new(psf, distortion, shading).map_err(|e| e.in_file(folder))
     }
 
     /// From its parts.
@@ -82,13 +84,17 @@ impl MeasuredLens {
         if let Some(s) = shading.as_ref().filter(|s| [s.columns, s.rows] != size) {
             return differs(SHADING, format!("{:?} pixels", [s.columns, s.rows]), format!("{size:?}"));
         }
-        let mut hash = Sha256::new();
-        hash.update(psf.to_npz()?);
-        hash.update(distortion.text()?);
-        if let Some(shading) = &shading {
-            hash.update(shading.text()?);
+        // Of what is known, not of how a file is packed.
+        let mut known = distortion.text()?.into_bytes();
+        known.extend(shading.as_ref().map_or_else(|| Ok(String::new()), MeasuredShading::text)?.bytes());
+        let scalars = [psf.moves.reach_px, psf.moves.spacing_px].into_iter().chain(psf.radii_px.iter().copied());
+        known.extend(scalars.flat_map(f64::to_le_bytes));
+        for knot in 0..psf.radii_px.len() {
+            for channel in 0..psf.channels() {
+                known.extend(psf.weights(knot, channel).iter().flat_map(|w| w.to_le_bytes()));
+            }
         }
-        let sha256 = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        let sha256 = sha256_hex(&known);
         let name = match (distortion.lens.as_str(), distortion.camera.as_str()) {
             ("", camera) => camera.to_owned(),
             (lens, "") => lens.to_owned(),
@@ -107,7 +113,7 @@ impl MeasuredLens {
         self.shading.as_ref().map_or(Ok(()), |s| atomic::write_bytes(&folder.join(SHADING), s.text()?.as_bytes()))
     }
 
-    /// SHA-256 of its files, in hexadecimal.
+    /// SHA-256 of what its files say, in hexadecimal.
     pub fn sha256(&self) -> &str {
         &self.sha256
     }
@@ -125,12 +131,18 @@ impl MeasuredLens {
         self.distortion.distortion()
     }
 
-    /// The flat field for a kit: about the centre of distortion, 1 where none was measured.
+    /// The flat field for a kit: about the centre of distortion, 1 there, and 1 everywhere where none was measured.
     ///
     /// # Errors
     /// None where [`Self::new`] made it.
     pub fn shading(&self) -> Result<Shading> {
-        self.shading.as_ref().map_or_else(|| Ok(Shading::none()), MeasuredShading::shading)
+        let Some(measured) = &self.shading else { return Ok(Shading::none()) };
+        let mut shading = measured.shading()?;
+        for values in &mut shading.illumination {
+            let centre = values[0];
+            values.iter_mut().for_each(|v| *v /= centre);
+        }
+        Ok(shading)
     }
 
     /// Where on the sensor an object's slope is seen, for an object at infinity.
@@ -141,7 +153,17 @@ impl MeasuredLens {
         let (far, model) = (self.frame()?.max_radius_mm(), self.distortion());
         let radii: Vec<f64> = (0..=RADII).map(|i| far * f64::from(i) / f64::from(RADII)).collect();
         let slopes: Vec<f64> = radii.iter().map(|r| model.slope_from_sensor(*r)).collect();
-        SensorMap::through(&self.name, &radii, &slopes, 0.0, 0.0)
+        SensorMap::through(&self.name, &radii, &slopes, 0.0, 0.0).map_err(|e| match e {
+            // In the lens's own unit.
+            Error::BadInput { file, place, .. } => {
+                let place = place.replace(" mm on the sensor", " pixels from the centre");
+                let place = place.split(", object at").next().unwrap_or_default().to_owned();
+                let allowed =
+                    "a distortion that grows smoothly to the frame's corner: fewer --terms, or corners farther out";
+                Error::bad(file, place, "the picture folds", allowed)
+            }
+            other => other,
+        })
     }
 
     /// What image formation reads of it.
@@ -168,7 +190,8 @@ impl MeasuredLens {
                 let far = self.frame()?.max_radius_mm();
                 let off = |(i, c): (u32, usize)| {
                     let r = far * f64::from(i) / 256.0;
-                    (light.at(c, r + shift) / light.at(c, r) - 1.0).abs()
+                    let change = |at: f64| (light.at(c, at) / light.at(c, r) - 1.0).abs();
+                    change(r + shift).max(change((r - shift).abs()))
                 };
                 let most = (0..256).flat_map(|i| (0..3).map(move |c| (i, c))).map(off).fold(0.0, f64::max);
                 if most > SHIFTS {
@@ -176,6 +199,15 @@ impl MeasuredLens {
                         "illumination is taken about the centre of distortion, {shift:.0} pixels from its own: up to {:.0} % off",
                         100.0 * most
                     ));
+                }
+            }
+        }
+        if let Some(s) = &self.shading {
+            for (what, here, there) in
+                [("camera", &self.distortion.camera, &s.camera), ("lens", &self.distortion.lens, &s.lens)]
+            {
+                if !here.is_empty() && !there.is_empty() && here != there {
+                    notes.push(format!("{SHADING} is of {what} `{there}`, {DISTORTION} of `{here}`"));
                 }
             }
         }
@@ -245,10 +277,10 @@ mod tests {
     fn psf(size: [usize; 2], centre_px: [f64; 2], colours: usize) -> MeasuredPsf {
         let moves = Moves::within(4.0, 0.5).expect("valid");
         let kernel = |radius: f64, c: usize| {
-            let (along, across) = (0.9 + 0.012 * radius + 0.2 * c as f64, 0.9 + 0.004 * radius + 0.2 * c as f64);
+            let (along, across) = (0.9 + 0.004 * radius + 0.2 * c as f64, 0.9 + 0.001 * radius + 0.2 * c as f64);
             let mut w: Vec<f64> = moves
                 .iter()
-                .map(|([a, b], _)| (-((a - 0.01 * radius) / along).powi(2) - (b / across).powi(2)).exp())
+                .map(|([a, b], _)| (-((a - 0.003 * radius) / along).powi(2) - (b / across).powi(2)).exp())
                 .collect();
             let sum: f64 = moves.iter().zip(&w).map(|((_, n), w)| n * w).sum();
             w.iter_mut().for_each(|w| *w /= sum);

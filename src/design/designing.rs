@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use super::data::Textures;
-use super::folder::{MARKER, check, lock, made, sweep};
+use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
 use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
@@ -194,6 +194,7 @@ impl Designing {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             prescription::save(&prepared.start, &inside.join("lens-start.toml"))?;
             atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
+            atomic::write_bytes(&inside.join(SCENES), textures.sha256().as_bytes())?;
             let path = inside.join("lenses");
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
             save(&stage, (None, prepared.seen), inside)
@@ -217,6 +218,7 @@ impl Designing {
         let state = State::from_text(text, &file)?;
         let start = prescription::load(&folder.join("lens-start.toml"))?;
         let (sensor, textures, held_out) = (task.sensor()?, task.textures()?, task.held_out()?);
+        same_scenes(folder, &textures.sha256())?;
         let frame = frame_of(&start)?;
         let first = prescription::load(&folder.join(FIRST))?;
         let mut problem = task.problem(&start, state.seen, MARKER)?;

@@ -9,6 +9,9 @@ use crate::error::{Error, Result};
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";
 
+/// SHA-256 of the list of what it is trained on, in hexadecimal.
+pub(super) const SCENES: &str = "scenes.sha256";
+
 /// Whether a run may be put at `folder`: nothing stands there, or with `replace` another run in which nobody works.
 ///
 /// # Errors
@@ -43,6 +46,48 @@ pub(super) fn lock(folder: &Path) -> Result<File> {
             Err(Error::bad(folder.display().to_string(), "lock", "another process works here", allowed))
         }
         Err(TryLockError::Error(e)) => Err(Error::writing(&path, e)),
+    }
+}
+
+/// What the run in `folder` is trained on, by [`SCENES`]; none of a version before.
+///
+/// # Errors
+/// A file that cannot be read or holds no hash.
+pub(super) fn scenes_of(folder: &Path) -> Result<Option<String>> {
+    let path = folder.join(SCENES);
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = atomic::read_text(&path, 1 << 10)?;
+    let hash = text.trim();
+    if hash.len() != 64 || !hash.bytes().all(|b| b.is_ascii_hexdigit()) {
+        let found = format!("{} characters", hash.len());
+        return Err(Error::bad(
+            path.display().to_string(),
+            "hash",
+            found,
+            "64 hexadecimal digits, as the run wrote them",
+        ));
+    }
+    Ok(Some(hash.to_owned()))
+}
+
+/// Refuses to go on with a run on other pictures than it began with.
+///
+/// # Errors
+/// As [`scenes_of`]; other pictures.
+pub(super) fn same_scenes(folder: &Path, now: &str) -> Result<()> {
+    match scenes_of(folder)? {
+        Some(then) if then != now => {
+            let allowed = "the pictures that it began with: a run is what it was trained on; a new run for others";
+            Err(Error::bad(
+                folder.display().to_string(),
+                SCENES,
+                "the names of the task's pictures have changed",
+                allowed,
+            ))
+        }
+        _ => Ok(()),
     }
 }
 

@@ -1,6 +1,6 @@
 //! What stands before the sensor of a training: a lens of a prescription, or one that was measured on its camera.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::calibrate::lens::MeasuredLens;
 use crate::error::{Error, Result};
@@ -38,13 +38,18 @@ impl From<Lens> for Subject {
 }
 
 impl Subject {
+    /// The folder of the measured lens that a run's folder has in place of a prescription.
+    pub fn measured_in(folder: &Path) -> Option<PathBuf> {
+        let inside = folder.join(MEASURED);
+        (MeasuredLens::is_at(&inside) && !folder.join(LENS).exists()).then_some(inside)
+    }
+
     /// That of a run's folder.
     ///
     /// # Errors
     /// A folder without one, or with files that are wrong.
     pub fn of_run(folder: &Path) -> Result<Self> {
-        let measured = folder.join(MEASURED);
-        if MeasuredLens::is_at(&measured) && !folder.join(LENS).exists() {
+        if let Some(measured) = Self::measured_in(folder) {
             return Ok(Self::Measured(Box::new(MeasuredLens::load(&measured)?)));
         }
         Ok(prescription::load(&folder.join(LENS))?.into())
@@ -81,16 +86,19 @@ impl Subject {
         }
     }
 
-    /// The lens, where there is a prescription; `what` needs it, and `file` named it.
+    /// The lens, where there is a prescription; `what` needs it.
     ///
     /// # Errors
     /// A measured one.
-    pub fn lens(&self, what: &str, file: &str) -> Result<&Lens> {
+    pub fn lens(&self, what: &str) -> Result<&Lens> {
         match self {
             Self::Lens(lens) => Ok(lens),
-            Self::Measured(_) => {
-                Err(Error::bad(file, what, "a measured lens", "a lens with a prescription: there are no rays to trace"))
-            }
+            Self::Measured(_) => Err(Error::bad(
+                self.name(),
+                what,
+                "a measured lens",
+                "a lens with a prescription: there are no rays to trace",
+            )),
         }
     }
 
@@ -126,7 +134,8 @@ impl Subject {
                     let allowed = "inf: kernels were measured at one distance, which counts as infinity";
                     return Err(Error::bad(lens.name.clone(), "object distance", found, allowed));
                 }
-                Renderer::measured(lens.optics()?, &lens.frame()?, settings)
+                let optics = lens.optics()?;
+                Renderer::measured(optics, &lens.frame()?, settings).map_err(|e| e.in_file(Path::new(&lens.name)))
             }
         }
     }

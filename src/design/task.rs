@@ -380,8 +380,7 @@ impl Task {
     /// # Errors
     /// As [`Task::load`]; a folder without a lens.
     pub fn of_run(folder: &Path) -> Result<Self> {
-        let measured = folder.join("lens");
-        let lens = if MeasuredLens::is_at(&measured) { measured } else { folder.join("lens.toml") };
+        let lens = Subject::measured_in(folder).unwrap_or_else(|| folder.join("lens.toml"));
         if !lens.exists() {
             let allowed =
                 "a run of `isoplanat design` or `train`, which has a lens.toml or the folder of a measured lens";
@@ -422,14 +421,16 @@ impl Task {
         if !MeasuredLens::is_at(folder) {
             return Ok(self.lens(glasses)?.into());
         }
-        if self.sensor.is_some() || self.asphere_power > 0 {
-            let found = "sensor or asphere_power";
-            return Err(Error::bad(
-                &self.lens,
-                "task",
-                found,
-                "neither: a measured lens has its pictures' raster and no surfaces",
-            ));
+        let beside = [
+            ("sensor", self.sensor.map(|s| format!("{} x {} pixels", s.columns, s.rows))),
+            ("asphere_power", (self.asphere_power > 0).then(|| self.asphere_power.to_string())),
+        ];
+        if let Some((key, Some(found))) = beside.into_iter().find(|(_, found)| found.is_some()) {
+            let allowed = format!(
+                "nothing beside {}, which was measured: it has its pictures' raster and no surfaces",
+                self.lens
+            );
+            return Err(Error::bad(MARKER, key, found, allowed));
         }
         Ok(Subject::Measured(Box::new(MeasuredLens::load(folder)?)))
     }

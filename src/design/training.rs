@@ -15,7 +15,7 @@ use std::time::Instant;
 use ndarray::{Array3, Array4, Axis, s};
 
 use super::data::Textures;
-use super::folder::{MARKER, check, lock, made, sweep};
+use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, scenes_of, sweep};
 use super::log::{Entry, HEADER, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
@@ -127,6 +127,7 @@ impl Training {
         let locked = made(folder, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             subject.save(inside)?;
+            atomic::write_bytes(&inside.join(SCENES), parts.textures.sha256().as_bytes())?;
             if let Some(filters) = parts.guide.filters() {
                 atomic::write_bytes(&inside.join(guide::FILE), &filters.to_npz()?)?;
             }
@@ -154,7 +155,9 @@ impl Training {
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let state = State::from_facts(&facts, &path)?;
         let kept = guide_of(folder, trainer.generator(), &subject.frame()?)?;
-        let parts = Parts::new(&task, &subject, task.textures()?, Some(kept))?;
+        let textures = task.textures()?;
+        same_scenes(folder, &textures.sha256())?;
+        let parts = Parts::new(&task, &subject, textures, Some(kept))?;
         Self::assemble(folder, locked, task, trainer, parts, state)
     }
 
@@ -485,6 +488,15 @@ pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result
         None
     };
     Guide::from_parts(inputs, frame, filters).map_err(|e| e.in_file(&path))
+}
+
+/// What a run was trained on, as a model's card says it, without looking at the pictures again; of a run of a version before, of the task's pictures as they
+/// are now.
+///
+/// # Errors
+/// As [`scenes_of`]; pictures that are looked for and are not there.
+pub fn trained_on(folder: &Path, task: &Task) -> Result<String> {
+    scenes_of(folder)?.map_or_else(|| Ok(task.textures()?.sha256()), Ok)
 }
 
 /// The network a task begins with.

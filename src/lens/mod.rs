@@ -38,6 +38,7 @@ pub mod shape;
 pub(crate) mod test_lenses;
 pub mod variables;
 
+use crate::atomic::sha256_hex;
 use crate::error::{Error, Result};
 
 pub use freeform::{Xy, Zernike};
@@ -261,8 +262,6 @@ impl Prescription {
 
     /// SHA-256 of the canonical TOML form: names this lens in kits and run folders.
     pub fn sha256(&self) -> String {
-        use sha2::{Digest, Sha256};
-        let digest = Sha256::digest(prescription::to_toml(self).as_bytes());
-        digest.iter().map(|b| format!("{b:02x}")).collect()
+        sha256_hex(prescription::to_toml(self).as_bytes())
     }
 }

@@ -6,9 +6,9 @@
 use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 use super::blocks::Blocks;
+pub use crate::atomic::sha256_hex;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::imaging::sensor::Sensor;
@@ -239,11 +239,6 @@ pub const fn receptive_radius_px(blocks: Blocks, scales: usize) -> usize {
 /// What a card says of the sensor its network was trained for ([`ModelCard::calibration_sha256`]).
 pub fn sensor_sha256(sensor: &Sensor) -> String {
     sha256_hex(toml::to_string(sensor).unwrap_or_default().as_bytes())
-}
-
-/// SHA-256 of `bytes` as 64 lower-case hexadecimal digits.
-pub fn sha256_hex(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
 fn text(metadata: &BTreeMap<String, String>, key: &str) -> Result<String> {

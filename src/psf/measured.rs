@@ -214,10 +214,15 @@ impl Falloff {
 
     /// Of every colour at a radius.
     pub fn at(&self, radius_px: f64) -> Vec<f64> {
-        let (knot, share) = knot(&self.radii_px, radius_px);
-        let next = (knot + 1).min(self.radii_px.len() - 1);
-        self.light.iter().map(|v| (1.0 - share) * v[knot] + share * v[next]).collect()
+        self.light.iter().map(|v| linear(&self.radii_px, v, radius_px)).collect()
     }
+}
+
+/// `values` at `radii`, linear between them and held beyond the last.
+pub fn linear(radii: &[f64], values: &[f64], radius: f64) -> f64 {
+    let (knot, share) = knot(radii, radius);
+    let next = (knot + 1).min(values.len() - 1);
+    values[knot] + share * (values[next] - values[knot])
 }
 
 /// The knot at or below a radius and how far the way to the next is, from 0 to 1; held beyond the last.

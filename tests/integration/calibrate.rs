@@ -352,7 +352,7 @@ mod program {
 }
 
 #[cfg(all(feature = "calibrate", feature = "deploy"))]
-mod kernels {
+pub(crate) mod kernels {
     use super::*;
     use crate::support::Workplace;
     use isoplanat::imaging::files::{Encoding, write_picture};
@@ -364,7 +364,7 @@ mod kernels {
     use isoplanat::psf::{Optics, Place, Quadrature};
     use rayon::prelude::*;
 
-    const SIZE: [usize; 2] = [640, 432];
+    pub(crate) const SIZE: [usize; 2] = [640, 432];
     /// Texels of the board's picture along a pixel: their own blur is a variance of 0.007 square pixels.
     const FINE: usize = 6;
 
@@ -396,10 +396,8 @@ mod kernels {
         light
     }
 
-    /// RAW captures of a board by rays, as of a real lens: kernels come back as they are traced, their place along the meridian aside. Mean
-    /// and largest distance, L2, of the kernel's own, at five radii and three colours.
-    fn recovered(name: &str, pitch_mm: f64, options: &str) -> [f64; 2] {
-        let place = Workplace::new();
+    /// RAW captures of a board by rays, as of a real lens, and what `calibrate --psf` with `options` makes of them: `d.toml`, `psf.npz`, `psf.png`.
+    pub(crate) fn photographed(place: &Workplace, name: &str, pitch_mm: f64, options: &str) {
         let mut names = Vec::new();
         for (k, [y, x, z]) in
             [[0.35, -0.1, 0.1], [-0.3, 0.25, -0.3], [0.1, 0.35, 0.5], [-0.2, -0.35, 0.8]].iter().enumerate()
@@ -416,6 +414,13 @@ mod kernels {
         let ran = place.run(&format!("calibrate {} {files} {options}", names.join(" ")));
         eprintln!("{name}\n{}{}", ran.out, ran.err);
         assert_eq!(ran.code, 0);
+    }
+
+    /// Kernels of a lens that was photographed: they come back as they are traced, their place along the meridian aside. Mean
+    /// and largest distance, L2, of the kernel's own, at five radii and three colours.
+    fn recovered(name: &str, pitch_mm: f64, options: &str) -> [f64; 2] {
+        let place = Workplace::new();
+        photographed(&place, name, pitch_mm, options);
         if let Some(keep) = std::env::var_os("ISOPLANAT_KEEP") {
             let to = std::path::Path::new(&keep).join(format!("{name}.png"));
             std::fs::copy(place.path("psf.png"), to).expect("copies");

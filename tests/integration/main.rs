@@ -22,7 +22,7 @@ mod guided;
 mod layering;
 mod lens_files;
 mod library;
-#[cfg(all(feature = "train", feature = "deploy"))]
+#[cfg(all(feature = "train", feature = "deploy", feature = "calibrate"))]
 mod measured_lens;
 mod memory;
 mod one_way;

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 use isoplanat::deploy::kit::{FILE, LensEntry, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::deploy::valid::Valid;
+use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
-use isoplanat::design::training::guide_of;
+use isoplanat::design::training::{guide_of, trained_on};
 use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
@@ -72,7 +73,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let bytes = BASE + 8 * weights + if args.f16 { features } else { 0 };
     crate::memory::limit().allow("the kit", bytes, "a smaller network, or weights as f32")?;
     let name = format!("kit for {}", lens.name);
-    let mut card = kit::card(&name, &lens, &network, &sensor, task.textures()?.sha256());
+    let mut card = kit::card(&name, &lens, &network, &sensor, trained_on(&args.run, &task)?);
     let tile = args.tile.map_or_else(|| tile_px(&card, &frame), Ok)?;
     let mut model = onnx::encode(&network, &card)?;
     let cost = if args.f16 {
@@ -96,13 +97,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             "memory_bytes": bytes, "f16": cost });
         return Ok(writeln!(out, "{figures}")?);
     }
+    let (of, unit) = match subject {
+        Subject::Lens(_) => ("the chief rays", "mm"),
+        Subject::Measured(_) => ("the board's corners, rms,", "pixels"),
+    };
     writeln!(
         out,
-        "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of the chief rays out to {:.3} mm (the \
-         frame's corner: {:.3} mm); memory: at most {}",
+        "{}: model for lens {}; its distortion's polynomial is within {residual:.2} pixel of {of} out to {seen_mm:.3} {unit} (the \
+         frame's corner: {:.3} {unit}); memory: at most {}",
         args.output.display(),
         &lens.sha256[..12],
-        seen_mm,
         frame.max_radius_mm(),
         words(bytes)
     )?;

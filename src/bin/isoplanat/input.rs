@@ -55,11 +55,10 @@ pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) ->
 /// Says what is doubtful about the lens of a task, and refuses one made for other light than its sensor's.
 #[cfg(feature = "train")]
 pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
-    if let Subject::Measured(_) = subject(&task.lens)? {
-        return Ok(());
+    match subject(&task.lens)? {
+        Subject::Lens(read) => in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens),
+        Subject::Measured(_) => Ok(()),
     }
-    let read = lens(&task.lens)?;
-    in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens)
 }
 
 /// A lens by its name or file, or a measured one by its folder; stderr is told what is doubtful about it.
@@ -79,11 +78,8 @@ pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
 /// What stands before the sensor of a run.
 #[cfg(feature = "train")]
 pub(crate) fn of_run(folder: &Path) -> Result<Subject> {
-    match Subject::of_run(folder)? {
-        // Read once more for what there is to say about it.
-        Subject::Lens(_) => Ok(lens(&folder.join("lens.toml").display().to_string())?.into()),
-        measured @ Subject::Measured(_) => Ok(measured),
-    }
+    let at = Subject::measured_in(folder).unwrap_or_else(|| folder.join("lens.toml"));
+    subject(&at.display().to_string())
 }
 
 /// The same error with the argument that named the lens in place of the lens's own name.

@@ -1,5 +1,7 @@
 //! What makes the captures that a network is judged by: its own lens or another, by the fast renderer or by rays from the sensor.
 
+use std::borrow::Cow;
+
 use ndarray::{Array2, Array3};
 
 use super::Settings;
@@ -16,7 +18,8 @@ use crate::imaging::sensor::cfa::mosaic_vjp;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::psf::SensorMap;
+use crate::psf::Place;
+use crate::psf::measured::knot;
 
 /// A way to captures.
 pub(super) struct Camera {
@@ -40,8 +43,8 @@ struct Other {
     name: String,
     frame: Frame,
     renderer: Renderer,
-    /// What slopes of a scene before the subject are multiplied by before this one, for pictures of one size.
-    scale: f64,
+    /// How its slopes follow from the subject's, for pictures of one size in one place.
+    aligned: Aligned,
 }
 
 impl Camera {
@@ -53,11 +56,11 @@ impl Camera {
         let density = SpectralDensity::new(sensor);
         let taken = settings.through.as_ref().unwrap_or(subject);
         let rays = match settings.rays {
-            Some(rays) => Some((taken.lens("captures by rays", taken.name())?.clone(), rays)),
+            Some(rays) => Some((taken.lens("captures by rays")?.clone(), rays)),
             None => None,
         };
         let other = settings.through.as_ref();
-        let other = other.map(|other| Other::of(other, renderer, &density, settings)).transpose()?;
+        let other = other.map(|other| Other::of(other, subject, renderer, &density, settings)).transpose()?;
         Ok(Self { density, rays, other })
     }
 
@@ -70,15 +73,16 @@ impl Camera {
     pub(super) fn describe(&self, subject: &Subject) -> String {
         self.other.as_ref().map_or_else(
             || subject.name().to_owned(),
-            |o| format!("{}, captured through {} (slopes x {:.5})", subject.name(), o.name, o.scale),
+            |o| format!("{}, captured through {} (slopes x {:.5})", subject.name(), o.name, o.aligned.scale),
         )
     }
 
     /// The image of a patch where it does not come from `renderer`, whose lens the ideal picture is of.
     pub(super) fn image(&self, renderer: &Renderer, electronics: &Electronics, patch: &Patch) -> Result<Option<Image>> {
-        let (frame, scene) = match &self.other {
-            None => (&renderer.plan.frame, patch.scene.clone()),
-            Some(other) => (&other.frame, other.before(renderer, &patch.scene)?),
+        let (frame, scene) = match (&self.rays, &self.other) {
+            (None, None) => return Ok(None),
+            (_, None) => (&renderer.plan.frame, Cow::Borrowed(&patch.scene)),
+            (_, Some(other)) => (&other.frame, Cow::Owned(other.before(&patch.scene))),
         };
         if let Some((lens, samples)) = &self.rays {
             let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
@@ -95,46 +99,162 @@ impl Camera {
 }
 
 impl Other {
-    fn of(subject: &Subject, renderer: &Renderer, density: &SpectralDensity, settings: &Settings) -> Result<Self> {
-        let (frame, own) = (subject.frame()?, &renderer.plan.frame);
+    /// `other` in place of `subject`, which `renderer` holds: before the same scene, or where the subject's distance is not known before its own.
+    fn of(
+        other: &Subject,
+        subject: &Subject,
+        renderer: &Renderer,
+        density: &SpectralDensity,
+        settings: &Settings,
+    ) -> Result<Self> {
+        let (frame, own) = (other.frame()?, &renderer.plan.frame);
         let refused =
-            |place: &str, found: String, allowed: String| Err(Error::bad(subject.name(), place, found, allowed));
+            |place: &str, found: String, allowed: String| Err(Error::bad(other.name(), place, found, allowed));
         if [own.columns, own.rows] != [frame.columns, frame.rows] {
             let allowed = format!("{} x {} pixels, as the network's own lens", own.columns, own.rows);
             return refused("sensor", format!("{} x {}", frame.columns, frame.rows), allowed);
         }
-        if settings.depths_mm.len() > 1 {
-            let found = format!("{} distances", settings.depths_mm.len());
-            return refused("depths_mm", found, "one: the other lens stands before its own object".into());
-        }
-        let other = subject.renderer(density, &[subject.vergence()], settings.fineness)?;
-        let scale = scale([&renderer.optics.maps[0], &other.optics.maps[0]], [own, &frame]);
-        Ok(Self { name: subject.name().to_owned(), frame, renderer: other, scale })
+        let [distance] = renderer.plan.depths.as_slice() else {
+            let found = format!("{} distances", renderer.plan.depths.len());
+            return refused("depths_mm", found, "one".into());
+        };
+        let vergence = match subject {
+            Subject::Lens(_) => distance.vergence,
+            Subject::Measured(_) => other.vergence(),
+        };
+        let renderer_of_other = other.renderer(density, &[vergence], settings.fineness)?;
+        let aligned = Aligned::of([renderer, &renderer_of_other]);
+        Ok(Self { name: other.name().to_owned(), frame, renderer: renderer_of_other, aligned })
     }
 
-    /// A scene before the lens of `renderer` as it stands before this one: so large, and turned so that what the other lens shows where this one's axis
-    /// meets the frame is on the axis.
-    fn before(&self, renderer: &Renderer, scene: &Plane) -> Result<Plane> {
-        let depth = renderer.plan.depth(scene.vergence)?;
-        let at = renderer.plan.frame.mm_from_pixel(self.frame.axis_px);
-        let ratio = renderer.optics.maps[depth].ratio(at[0].hypot(at[1]));
-        let axis_texel = scene.texel_from_slope(at.map(|v| v * ratio));
-        let (texels_per_slope, vergence) = (scene.texels_per_slope / self.scale, self.renderer.plan.depths[0].vergence);
-        Ok(Plane { axis_texel, texels_per_slope, vergence, ..scene.clone() })
+    /// A scene before the subject as it stands before this lens.
+    fn before(&self, scene: &Plane) -> Plane {
+        let Aligned { scale, shift } = self.aligned;
+        // The subject's slope that this lens sees on its axis.
+        let axis_texel = scene.texel_from_slope(shift.map(|t| -t / scale));
+        let vergence = self.renderer.plan.depths[0].vergence;
+        Plane { axis_texel, texels_per_slope: scene.texels_per_slope / scale, vergence, ..scene.clone() }
     }
 }
 
-/// The factor between the slopes that two maps show at the same pixels, by least squares over the frame's area, in pixels: focal length, centre and the
-/// direction in which a camera looked say where a picture is, not what it looks like.
-fn scale(maps: [&SensorMap; 2], frames: [&Frame; 2]) -> f64 {
-    let far = frames[0].max_radius_mm() / frames[0].pitch_mm;
-    let [mut both, mut square] = [0.0; 2];
-    for i in 1..=256 {
-        let radius = far * f64::from(i) / 256.0;
-        let [a, b] = [0, 1].map(|k| maps[k].slope(radius * frames[k].pitch_mm));
-        let weight = radius / (maps[1].derivative(radius * frames[1].pitch_mm)).powi(2);
-        both += weight * a * b;
-        square += weight * a * a;
+/// Radii that a lens is looked at for an alignment.
+const RADII: usize = 24;
+/// Points of the frame along each axis that pictures are aligned by.
+const POINTS: u32 = 17;
+/// Points of the stop that the middle of a pixel's light is taken from.
+const DENSE: usize = 400;
+
+/// Slopes of one lens from those of another: `scale · u + shift`, `[right, up]`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Aligned {
+    scale: f64,
+    shift: [f64; 2],
+}
+
+/// The slopes that two lenses show at one pixel, `[right, up]`.
+struct Point {
+    from: [f64; 2],
+    to: [f64; 2],
+    weight: f64,
+}
+
+impl Aligned {
+    /// Between what two lenses show at the same pixels, by least squares over the frame, in pixels: focal length, centre and the direction in which a
+    /// camera looked say where a picture is, not what it looks like. A pixel shows the slope that the middle of its light comes from: that is what can
+    /// be seen of a lens, its chief rays cannot.
+    fn of(renderers: [&Renderer; 2]) -> Self {
+        let [own, other] = renderers.map(Shown::of);
+        let frame = &renderers[0].plan.frame;
+        let mut points = Vec::new();
+        for k in 0..POINTS * POINTS {
+            let share = [k % POINTS, k / POINTS].map(|i| (f64::from(i) + 0.5) / f64::from(POINTS));
+            let pixel = [share[0] * frame.columns as f64, share[1] * frame.rows as f64];
+            let [(from, _), (to, per_slope)] = [own.at(pixel), other.at(pixel)];
+            points.push(Point { from, to, weight: per_slope * per_slope });
+        }
+        let total: f64 = points.iter().map(|p| p.weight).sum();
+        let mean = |of: &dyn Fn(&Point) -> f64| points.iter().map(|p| p.weight * of(p)).sum::<f64>() / total;
+        let [a, b] = [[0, 1].map(|k| mean(&|p| p.from[k])), [0, 1].map(|k| mean(&|p| p.to[k]))];
+        let [mut both, mut square] = [0.0; 2];
+        for Point { from, to, weight } in &points {
+            for k in 0..2 {
+                both += weight * (from[k] - a[k]) * (to[k] - b[k]);
+                square += weight * (from[k] - a[k]).powi(2);
+            }
+        }
+        let scale = both / square;
+        Self { scale, shift: [0, 1].map(|k| b[k] - scale * a[k]) }
     }
-    both / square
+}
+
+/// What the pixels of a frame show through a lens.
+struct Shown<'a> {
+    frame: &'a Frame,
+    /// Radii, pixels, growing from above 0.
+    radii_px: Vec<f64>,
+    /// At each of them the slope that the middle of the light comes from over the radius, 1/pixel, and pixels a slope.
+    seen: Vec<[f64; 2]>,
+}
+
+impl<'a> Shown<'a> {
+    fn of(renderer: &'a Renderer) -> Self {
+        let (optics, plan) = (&renderer.optics, &renderer.plan);
+        let (frame, d) = (&plan.frame, &plan.depths[0]);
+        let (far, size) = (frame.max_radius_mm(), d.size());
+        let form = optics.form(DENSE, size, 1, d.raster.pitch_mm);
+        let radii: Vec<f64> = (1..=RADII).map(|i| far * i as f64 / RADII as f64).collect();
+        let places: Vec<Place> = radii.iter().map(|r| Place { radius_mm: *r, outward: [1.0, 0.0] }).collect();
+        let seen = optics.kernels_each(&form, 0, &places, |i, kernel, _| {
+            let columns = kernel.iter().enumerate().map(|(k, v)| ((k % size) as f64 - (size / 2) as f64, v));
+            let [sum, along] = columns.fold([0.0; 2], |[sum, along], (x, v)| [sum + v, along + x * v]);
+            let middle_mm = if sum > 0.0 { along / sum * d.raster.pitch_mm } else { 0.0 };
+            let at = (radii[i] - middle_mm).max(0.0);
+            let map = &optics.maps[0];
+            [map.slope(at) / radii[i] * frame.pitch_mm, 1.0 / (map.derivative(at) * frame.pitch_mm)]
+        });
+        Self { frame, radii_px: radii.iter().map(|r| r / frame.pitch_mm).collect(), seen }
+    }
+
+    /// Slope `[right, up]` that a pixel shows, and pixels a slope there.
+    fn at(&self, pixel: [f64; 2]) -> ([f64; 2], f64) {
+        let [right, up] = self.frame.mm_from_pixel(pixel).map(|v| v / self.frame.pitch_mm);
+        let (low, share) = knot(&self.radii_px, right.hypot(up));
+        let high = (low + 1).min(RADII - 1);
+        let [ratio, per_slope] = [0, 1].map(|k| (1.0 - share) * self.seen[low][k] + share * self.seen[high][k]);
+        ([right * ratio, up * ratio], per_slope)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::imaging::render::Settings as Fineness;
+    use crate::lens::builtin;
+
+    /// The same lens on a frame whose axis is elsewhere, and whose pixels are of another size: what it shows is the same picture, so large and so far
+    /// away as the frames say.
+    #[test]
+    fn frames_with_other_axes_are_aligned_by_what_their_pixels_show() {
+        let density = SpectralDensity::new(&Sensor::generic());
+        let renderer = |pitch_um: f64, axis_px: [f64; 2]| {
+            let lens = builtin::lens("double_gauss").and_then(|l| {
+                l.changed(|l| {
+                    (l.sensor.columns, l.sensor.rows, l.sensor.pitch_um, l.sensor.axis_px) =
+                        (320, 240, pitch_um, axis_px);
+                })
+            });
+            Subject::from(lens.expect("valid")).renderer(&density, &[0.0], Fineness::DESIGN).expect("plans")
+        };
+        let own = renderer(40.0, [160.0, 120.0]);
+        assert_eq!(Aligned::of([&own, &own]), Aligned { scale: 1.0, shift: [0.0; 2] });
+        let focal_mm = 1.0 / own.optics.maps[0].derivative(0.0);
+        for (pitch_um, axis) in [(40.0, [175.0, 112.0]), (44.0, [160.0, 120.0]), (36.0, [150.0, 126.0])] {
+            let Aligned { scale, shift } = Aligned::of([&own, &renderer(pitch_um, axis)]);
+            // Its own distortion moves what a shift of the axis cannot: 0.3 % over this frame.
+            assert!((scale * 40.0 / pitch_um - 1.0).abs() < 3e-3, "{pitch_um} {axis:?}: {scale}");
+            let pixels = [shift[0], -shift[1]].map(|t| -t * focal_mm * 1e3 / pitch_um);
+            let off = [0, 1].map(|k| (pixels[k] - (axis[k] - [160.0, 120.0][k])).abs());
+            assert!(off.iter().all(|v| *v < 0.15), "{pitch_um} {axis:?}: {pixels:?}");
+        }
+    }
 }

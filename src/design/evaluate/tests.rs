@@ -222,7 +222,7 @@ fn captures_through_another_lens_are_judged_by_the_ideal_picture_of_its_own() {
     }
     let Subject::Lens(lens) = &own else { unreachable!("a prescription") };
     let changed = |change: fn(&mut crate::lens::Prescription)| Subject::from(lens.changed(change).expect("a lens"));
-    let worse = db(None, Some(changed(|l| l.surfaces[3].thickness += 0.4)));
+    let worse = db(None, Some(changed(|l| l.surfaces.iter_mut().rev().take(1).for_each(|s| s.thickness += 2.0))));
     assert!(worse[0] < db(None, None)[0] - 0.5, "out of focus: {worse:?}");
     // Pixels a fiftieth smaller see a larger picture; it is made as large as the ideal one.
     let larger = db(None, Some(changed(|l| l.sensor.pitch_um *= 0.98)));

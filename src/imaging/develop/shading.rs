@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use crate::error::{Error, Result};
-use crate::psf::measured::knot;
+use crate::psf::measured::linear;
 
 /// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
 /// than as noise that outshines the picture.
@@ -76,10 +76,7 @@ impl Shading {
     /// # Panics
     /// For a channel above 2.
     pub fn at(&self, channel: usize, radius_mm: f64) -> f64 {
-        let values = &self.illumination[channel];
-        let (knot, share) = knot(&self.radius_mm, radius_mm);
-        let next = (knot + 1).min(values.len() - 1);
-        values[knot] + share * (values[next] - values[knot])
+        linear(&self.radius_mm, &self.illumination[channel], radius_mm)
     }
 
     /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
