@@ -325,7 +325,7 @@ mod tests {
         for colours in [3, 1] {
             let lens = lens(colours);
             let frame = lens.frame().expect("a frame");
-            let settings = Settings { samples: 4, node_error: 1e-3, outside: 1e-6, ..Settings::FINE };
+            let settings = Settings { samples: 8, node_error: 1e-3, outside: 1e-6, ..Settings::FINE };
             let renderer = Renderer::measured(lens.optics().expect("a map"), &frame, settings).expect("plans");
             let model = lens.distortion();
             for (col, row) in [(50, 31), (70, 20), (20, 50)] {
