@@ -5,7 +5,7 @@
 //! reconstruction are judged against the ideal picture, both as seen ([`metrics`]); colours as developed to sRGB. Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
 //!
-//! On demand captures come from the reference renderer ([`mod@reference`]) instead: rays from the sensor, one colour a pixel.
+//! On demand captures come from the reference renderer ([`crate::imaging::reference`]) instead: rays from the sensor, one colour a pixel.
 //!
 //! The network sees zeros beyond its input. So that a patch is restored as it would be within a whole picture, a margin of the
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before

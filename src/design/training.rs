@@ -494,7 +494,7 @@ pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result
 /// are now.
 ///
 /// # Errors
-/// As [`scenes_of`]; pictures that are looked for and are not there.
+/// A file that holds no hash; pictures that are looked for and are not there.
 pub fn trained_on(folder: &Path, task: &Task) -> Result<String> {
     scenes_of(folder)?.map_or_else(|| Ok(task.textures()?.sha256()), Ok)
 }
