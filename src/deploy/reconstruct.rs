@@ -237,7 +237,8 @@ impl Camera {
         assert_eq!(dn.dim(), (at.rows, at.cols), "values over the part");
         let Kit { sensor, frame, shading, .. } = &calibrated.kit;
         let flat_field = Some((frame, shading));
-        let developed = develop::network_input_at(dn, at, sensor.cfa, &Balance::from_sensor(sensor), flat_field);
+        let developed =
+            develop::network_input_at(dn.to_owned(), at, sensor.cfa, &Balance::from_sensor(sensor), flat_field);
         let (restored, _) = calibrated.restored(session, developed.view(), at, &|_, _| ())?;
         Ok([developed, restored])
     }
@@ -273,7 +274,7 @@ impl Camera {
                 if share > 0.0 {
                     glare::remove(&mut samples, cfa, &development.balance, share);
                 }
-                develop::network_input(samples.view(), cfa, &development.balance, development.flat_field)
+                develop::network_input(samples, cfa, &development.balance, development.flat_field)
             }
             RawPixels::Linear(mut samples) => {
                 if matches!(self.veil, Veil::Share(_) | Veil::Guess) {

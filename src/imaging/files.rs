@@ -10,7 +10,7 @@ use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
 use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageEncoder, ImageError, ImageReader, Rgb};
-use ndarray::{Array3, Axis};
+use ndarray::{Array3, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use tiff::TiffError;
 use tiff::encoder::{TiffEncoder, colortype};
@@ -183,21 +183,23 @@ fn interleaved<S: Sample>(image: &Array3<f32>, encoding: Encoding) -> Result<Ima
 where
     Rgb<S>: image::Pixel<Subpixel = S>,
 {
-    let (channels, rows, cols) = image.dim();
-    if !matches!(channels, 1 | 3) || rows == 0 || cols == 0 {
-        let found = format!("{channels} channels of {rows} × {cols}");
-        return Err(Error::bad("", "picture", found, "one or three channels and at least one pixel"));
-    }
-    let mut samples = vec![S::default(); 3 * rows * cols];
-    samples.par_chunks_mut(3 * cols).zip(image.axis_iter(Axis(1))).for_each(|(to, from)| {
+    let (width, height) = sides(image)?;
+    let samples = interleaved_rows(image.view(), encoding);
+    ImageBuffer::from_raw(width, height, samples).ok_or_else(|| Error::Internal("picture buffer size".into()))
+}
+
+/// Samples of rows of a picture as [`sides`] allows it.
+fn interleaved_rows<S: Sample>(rows: ArrayView3<'_, f32>, encoding: Encoding) -> Vec<S> {
+    let (channels, count, cols) = rows.dim();
+    let mut samples = vec![S::default(); 3 * count * cols];
+    samples.par_chunks_mut(3 * cols).zip(rows.axis_iter(Axis(1))).for_each(|(to, from)| {
         for (c, pixel) in to.chunks_exact_mut(3).enumerate() {
             for (k, s) in pixel.iter_mut().enumerate() {
                 *s = S::nearest(encoded(from[[k.min(channels - 1), c]], encoding));
             }
         }
     });
-    let (width, height) = sides(rows, cols)?;
-    ImageBuffer::from_raw(width, height, samples).ok_or_else(|| Error::Internal("picture buffer size".into()))
+    samples
 }
 
 fn encoded(v: f32, encoding: Encoding) -> f32 {
@@ -207,7 +209,13 @@ fn encoded(v: f32, encoding: Encoding) -> f32 {
     }
 }
 
-fn sides(rows: usize, cols: usize) -> Result<(u32, u32)> {
+/// Columns and rows of a picture that a file can hold.
+fn sides(image: &Array3<f32>) -> Result<(u32, u32)> {
+    let (channels, rows, cols) = image.dim();
+    if !matches!(channels, 1 | 3) || rows == 0 || cols == 0 {
+        let found = format!("{channels} channels of {rows} × {cols}");
+        return Err(Error::bad("", "picture", found, "one or three channels and at least one pixel"));
+    }
     let side = |n: usize| u32::try_from(n).ok();
     side(cols)
         .zip(side(rows))
@@ -266,23 +274,30 @@ pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
     write_png::<u8>(path, image, Encoding::Srgb, &Annotation::default())
 }
 
-/// Writes linear RGB as an uncompressed 16-bit TIFF.
+/// Writes linear RGB as an uncompressed 16-bit TIFF, strip by strip.
 fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()> {
-    let samples = interleaved::<u16>(image, encoding).map_err(|e| e.in_file(path))?;
+    let (width, height) = sides(image).map_err(|e| e.in_file(path))?;
     let profile = beside.profile(encoding)?;
     let write = |out: &mut std::io::BufWriter<std::fs::File>| {
         let mut file = TiffEncoder::new(out)?;
         let has_exif = !beside.exif.entries().is_empty();
         let directories =
             if has_exif { Some(beside.exif.write_directories(&mut file, beside.color_space(encoding))?) } else { None };
-        let mut picture = file.new_image::<colortype::RGB16>(samples.width(), samples.height())?;
+        let mut picture = file.new_image::<colortype::RGB16>(width, height)?;
         if let Some(profile) = &profile {
             picture.encoder().write_tag(Tag::IccProfile, Undefined(profile))?;
         }
         if let Some(directories) = directories {
             beside.exif.write_picture_entries(picture.encoder(), directories)?;
         }
-        picture.write_data(samples.as_raw())
+        let mut row = 0;
+        while row < height as usize {
+            let count = usize::try_from(picture.next_strip_sample_count())? / (3 * width as usize);
+            let rows = image.slice(s![.., row..row + count, ..]);
+            picture.write_strip(&interleaved_rows::<u16>(rows, encoding))?;
+            row += count;
+        }
+        picture.finish()
     };
     write_atomic(path, |out| {
         write(out).map_err(|e| match e {

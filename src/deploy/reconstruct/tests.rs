@@ -168,7 +168,7 @@ fn balanced_captures_have_libraws_colour() {
             balance.neutral = [1.0; 3];
         }
         let camera = match capture.pixels {
-            RawPixels::Mosaic { samples, cfa } => develop::network_input(samples.view(), cfa, &balance, None),
+            RawPixels::Mosaic { samples, cfa } => develop::network_input(samples.clone(), cfa, &balance, None),
             RawPixels::Linear(mut samples) => {
                 develop::balance_colours(&mut samples, &balance);
                 samples

@@ -16,7 +16,7 @@ use crate::math::real::Real;
 /// Half the kernels' width.
 const PAD: usize = 2;
 
-/// Rows of one parallel strip of the transpose; fixed, so that sums do not depend on the number of threads.
+/// Rows of one parallel strip; fixed, so that sums of the transpose do not depend on the number of threads.
 const STRIP: usize = 64;
 
 /// The measured sample itself.
@@ -115,31 +115,34 @@ pub fn demosaic<T: Real>(mosaic: ArrayView2<'_, T>, cfa: Cfa) -> Array3<T> {
     if rows == 0 || cols == 0 {
         return rgb;
     }
-    // Reflect the border.
-    let split = Split::padded(cols);
-    let mut padded = vec![T::zero(); (rows + 2 * PAD) * split.stride()];
-    padded.par_chunks_mut(split.stride()).enumerate().for_each(|(r, row)| {
-        let source = mosaic.row(reflected(r, rows));
-        for c in 0..cols + 2 * PAD {
-            row[split.index(c)] = source[reflected(c, cols)];
+    let (kernels, split) = (kernels::<T>(cfa), Split::padded(cols));
+    rgb.axis_chunks_iter_mut(Axis(1), STRIP).into_par_iter().enumerate().for_each(|(strip, mut rgb)| {
+        // The strip's rows and those around them, the border reflected.
+        let (first, count_of_rows) = (strip * STRIP, rgb.len_of(Axis(1)));
+        let mut padded = vec![T::zero(); (count_of_rows + 2 * PAD) * split.stride()];
+        for (r, row) in padded.chunks_mut(split.stride()).enumerate() {
+            let source = mosaic.row(reflected(first + r, rows));
+            for c in 0..cols + 2 * PAD {
+                row[split.index(c)] = source[reflected(c, cols)];
+            }
         }
-    });
-    // Sum the taps, row by row and one column parity at a time.
-    let kernels = kernels::<T>(cfa);
-    rgb.axis_iter_mut(Axis(1)).into_par_iter().enumerate().for_each(|(r, mut out)| {
+        // Sum the taps, row by row and one column parity at a time.
         let mut sums = vec![T::zero(); count(cols, 0)];
-        for parity in 0..2 {
-            let n = count(cols, parity);
-            for (taps, mut row) in kernels[(r & 1) * 2 + parity].iter().zip(out.axis_iter_mut(Axis(0))) {
-                sums[..n].fill(T::zero());
-                for tap in taps {
-                    let from = (r + tap.row) * split.stride() + split.index(parity + tap.col);
-                    for (sum, v) in sums[..n].iter_mut().zip(&padded[from..from + n]) {
-                        *sum += tap.weight * *v;
+        for (r, mut out) in rgb.axis_iter_mut(Axis(1)).enumerate() {
+            for parity in 0..2 {
+                let n = count(cols, parity);
+                let site = ((first + r) & 1) * 2 + parity;
+                for (taps, mut row) in kernels[site].iter().zip(out.axis_iter_mut(Axis(0))) {
+                    sums[..n].fill(T::zero());
+                    for tap in taps {
+                        let from = (r + tap.row) * split.stride() + split.index(parity + tap.col);
+                        for (sum, v) in sums[..n].iter_mut().zip(&padded[from..from + n]) {
+                            *sum += tap.weight * *v;
+                        }
                     }
+                    let row = row.as_slice_mut().expect("rows are contiguous");
+                    row[parity..].iter_mut().step_by(2).zip(&sums[..n]).for_each(|(v, sum)| *v = *sum);
                 }
-                let row = row.as_slice_mut().expect("rows are contiguous");
-                row[parity..].iter_mut().step_by(2).zip(&sums[..n]).for_each(|(v, sum)| *v = *sum);
             }
         }
     });

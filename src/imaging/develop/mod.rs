@@ -125,16 +125,16 @@ pub fn develop(
     development: &Development<'_>,
     network: impl FnOnce(Array3<f32>) -> Result<Array3<f32>>,
 ) -> Result<Developed> {
-    let camera = network(network_input(mosaic, cfa, &development.balance, development.flat_field))?;
+    let camera = network(network_input(mosaic.to_owned(), cfa, &development.balance, development.flat_field))?;
     Ok(finish(camera, development))
 }
 
-/// Steps 1 to 4: the network's input, balanced camera RGB `[3, row, col]`, from digital numbers `[row, col]`.
+/// Steps 1 to 4: the network's input, balanced camera RGB `[3, row, col]`, from digital numbers `[row, col]`, which are balanced in place.
 ///
 /// # Panics
 /// If the frame has not the mosaic's size.
 pub fn network_input(
-    mosaic: ArrayView2<'_, f32>,
+    mosaic: Array2<f32>,
     cfa: Cfa,
     balance: &Balance,
     flat_field: Option<(&Frame, &Shading)>,
@@ -148,30 +148,28 @@ pub fn network_input(
 
 /// [`network_input`] of a part of the frame; its first pixel is of the colour of the frame's.
 pub fn network_input_at(
-    mosaic: ArrayView2<'_, f32>,
+    mut mosaic: Array2<f32>,
     at: Region,
     cfa: Cfa,
     balance: &Balance,
     flat_field: Option<(&Frame, &Shading)>,
 ) -> Array3<f32> {
-    let mut samples = balanced(mosaic, cfa, balance);
+    balance_mosaic(&mut mosaic, cfa, balance);
     if let Some((frame, shading)) = flat_field {
-        divide_shading(&mut samples, at, cfa, frame, shading);
+        divide_shading(&mut mosaic, at, cfa, frame, shading);
     }
-    demosaic(samples.view(), cfa)
+    demosaic(mosaic.view(), cfa)
 }
 
-/// Steps 1 and 2 for a mosaic.
-pub fn balanced(mosaic: ArrayView2<'_, f32>, cfa: Cfa, balance: &Balance) -> Array2<f32> {
+/// Steps 1 and 2 for a mosaic, in place.
+fn balance_mosaic(mosaic: &mut Array2<f32>, cfa: Cfa, balance: &Balance) {
     let cell: [(f32, f32); 4] = std::array::from_fn(|i| balance.gain(i, cfa.channel(i / 2, i % 2)));
-    let mut out = Array2::zeros(mosaic.dim());
-    out.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
-        for (c, (v, dn)) in row.iter_mut().zip(mosaic.row(r)).enumerate() {
+    mosaic.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
+        for (c, v) in row.iter_mut().enumerate() {
             let (gain, black) = cell[(r & 1) * 2 + (c & 1)];
-            *v = (dn - black) * gain;
+            *v = (*v - black) * gain;
         }
     });
-    out
 }
 
 /// Steps 1 and 2 for a picture with three samples a pixel, `[3, row, col]`, in place.
@@ -298,7 +296,7 @@ mod tests {
             assert!((of(level, Tone::Cut) - cut).abs() < 1e-3, "{level}");
             assert!((of(level, Tone::Soft) - soft).abs() < 1e-3, "{level}: {} {soft}", of(level, Tone::Soft));
         }
-        let camera = network_input(flat(Cfa::RGGB, neutral).view(), Cfa::RGGB, &development(neutral).balance, None);
+        let camera = network_input(flat(Cfa::RGGB, neutral), Cfa::RGGB, &development(neutral).balance, None);
         let raw = unfinished(camera, &development(neutral)).image;
         for (plane, response) in raw.outer_iter().zip(neutral) {
             assert!(plane.iter().all(|v| (f64::from(*v) - 0.5 * response).abs() < 1e-5), "{response}");
@@ -327,11 +325,12 @@ mod tests {
         let cfa = Cfa::RGGB;
         let balance =
             Balance { black: [1.0, 2.0, 3.0, 4.0], white: [11.0, 22.0, 33.0, 44.0], neutral: [0.5, 1.0, 0.8] };
-        let mosaic = Array2::from_shape_fn((4, 4), |(r, c)| {
+        let mut mosaic = Array2::from_shape_fn((4, 4), |(r, c)| {
             let i = (r & 1) * 2 + (c & 1);
             balance.black[i] + 0.25 * (balance.white[i] - balance.black[i]) * balance.neutral[cfa.channel(r, c)] as f32
         });
-        assert!(balanced(mosaic.view(), cfa, &balance).iter().all(|v| (v - 0.25).abs() < 1e-6));
+        balance_mosaic(&mut mosaic, cfa, &balance);
+        assert!(mosaic.iter().all(|v| (v - 0.25).abs() < 1e-6));
     }
 
     #[test]
@@ -345,12 +344,12 @@ mod tests {
             (64.0 + 900.0 * 0.5 * fall) as f32
         });
         let balance = Balance { black: [64.0; 4], white: [964.0; 4], neutral: [1.0; 3] };
-        let input = network_input(mosaic.view(), cfa, &balance, Some((&frame, &shading)));
+        let input = network_input(mosaic.clone(), cfa, &balance, Some((&frame, &shading)));
         assert!(input.iter().all(|v| (v - 0.5).abs() < 1e-4));
         // A part of the frame is what it is in the whole.
         let at = Region { row: 4, col: 6, rows: 8, cols: 10 };
         let part = mosaic.slice(ndarray::s![4..12, 6..16]);
-        let part = network_input_at(part, at, cfa, &balance, Some((&frame, &shading)));
+        let part = network_input_at(part.to_owned(), at, cfa, &balance, Some((&frame, &shading)));
         assert!(part.iter().all(|v| (v - 0.5).abs() < 1e-4));
     }
 
