@@ -153,16 +153,11 @@ impl MeasuredLens {
         let (far, model) = (self.frame()?.max_radius_mm(), self.distortion());
         let radii: Vec<f64> = (0..=RADII).map(|i| far * f64::from(i) / f64::from(RADII)).collect();
         let slopes: Vec<f64> = radii.iter().map(|r| model.slope_from_sensor(*r)).collect();
-        SensorMap::through(&self.name, &radii, &slopes, 0.0, 0.0).map_err(|e| match e {
-            // In the lens's own unit.
-            Error::BadInput { file, place, .. } => {
-                let place = place.replace(" mm on the sensor", " pixels from the centre");
-                let place = place.split(", object at").next().unwrap_or_default().to_owned();
-                let allowed =
-                    "a distortion that grows smoothly to the frame's corner: fewer --terms, or corners farther out";
-                Error::bad(file, place, "the picture folds", allowed)
-            }
-            other => other,
+        SensorMap::through(&radii, &slopes, 0.0, 0.0).map_err(|radius_px| {
+            let place = format!("distortion at {radius_px:.3} pixels from the centre");
+            let allowed =
+                "a distortion that grows smoothly to the frame's corner: fewer --terms, or corners farther out";
+            Error::bad(self.name.clone(), place, "the picture folds", allowed)
         })
     }
 
@@ -181,35 +176,33 @@ impl MeasuredLens {
     /// # Errors
     /// As [`Self::map`].
     pub fn notes(&self) -> Result<Vec<String>> {
-        let mut notes = Vec::new();
-        match &self.shading {
-            None => notes.push(format!("no {SHADING}: light is taken not to fall off")),
-            Some(shading) => {
-                let [dx, dy] = [0, 1].map(|k| shading.centre_px[k] - self.distortion.centre_px[k]);
-                let (shift, light) = (dx.hypot(dy), shading.shading()?);
-                let far = self.frame()?.max_radius_mm();
-                let off = |(i, c): (u32, usize)| {
-                    let r = far * f64::from(i) / 256.0;
-                    let change = |at: f64| (light.at(c, at) / light.at(c, r) - 1.0).abs();
-                    change(r + shift).max(change((r - shift).abs()))
-                };
-                let most = (0..256).flat_map(|i| (0..3).map(move |c| (i, c))).map(off).fold(0.0, f64::max);
-                if most > SHIFTS {
-                    notes.push(format!(
-                        "illumination is taken about the centre of distortion, {shift:.0} pixels from its own: up to {:.0} % off",
-                        100.0 * most
-                    ));
-                }
+        let (mut notes, far) = (Vec::new(), self.frame()?.max_radius_mm());
+        if let Some(measured) = &self.shading {
+            let [dx, dy] = [0, 1].map(|k| measured.centre_px[k] - self.distortion.centre_px[k]);
+            let (shift, light) = (dx.hypot(dy), measured.shading()?);
+            let off = |(i, c): (u32, usize)| {
+                let r = far * f64::from(i) / 256.0;
+                let change = |at: f64| (light.at(c, at) / light.at(c, r) - 1.0).abs();
+                change(r + shift).max(change((r - shift).abs()))
+            };
+            let most = (0..256).flat_map(|i| (0..3).map(move |c| (i, c))).map(off).fold(0.0, f64::max);
+            if most > SHIFTS {
+                notes.push(format!(
+                    "illumination is taken about the centre of distortion, {shift:.0} pixels from its own: up to {:.0} % off",
+                    100.0 * most
+                ));
             }
-        }
-        if let Some(s) = &self.shading {
-            for (what, here, there) in
-                [("camera", &self.distortion.camera, &s.camera), ("lens", &self.distortion.lens, &s.lens)]
-            {
+            let names = [
+                ("camera", &self.distortion.camera, &measured.camera),
+                ("lens", &self.distortion.lens, &measured.lens),
+            ];
+            for (what, here, there) in names {
                 if !here.is_empty() && !there.is_empty() && here != there {
                     notes.push(format!("{SHADING} is of {what} `{there}`, {DISTORTION} of `{here}`"));
                 }
             }
+        } else {
+            notes.push(format!("no {SHADING}: light is taken not to fall off"));
         }
         let map = self.map()?;
         if map.residual_mm > MISSES {
@@ -219,7 +212,6 @@ impl MeasuredLens {
             ));
         }
         let seen = self.psf.radii_px[self.psf.radii_px.len() - 1];
-        let far = self.frame()?.max_radius_mm();
         if seen < 0.9 * far {
             notes.push(format!(
                 "kernels are known to {seen:.0} pixels from the centre, and held from there to the corner at {far:.0}"

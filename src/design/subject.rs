@@ -12,6 +12,7 @@ use crate::imaging::render::plan::{self, ILLUMINATIONS, quadrature};
 use crate::imaging::render::{Renderer, Settings, frame_of};
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::{Lens, prescription};
+use crate::psf::Optics;
 
 /// The lens in a run's folder.
 const LENS: &str = "lens.toml";
@@ -144,18 +145,34 @@ impl Subject {
     ///
     /// # Errors
     /// As [`Renderer::planned`]; a corner without light.
-    pub fn calibration(&self, density: &SpectralDensity) -> Result<(Distortion, Shading)> {
+    pub fn calibration(&self, density: &SpectralDensity) -> Result<Calibration> {
         match self {
             Self::Lens(lens) => {
                 let (rule, frame) = (quadrature(density, WAVELENGTHS, &[0, 1, 2]), frame_of(lens)?);
                 let fineness = (DEGREE, ILLUMINATIONS);
-                let optics = plan::optics(lens, &frame, &[lens.object_vergence], rule, fineness)?.0;
-                Ok((
-                    Distortion::of_map(&optics.maps[0], frame.max_radius_mm())?,
-                    Light::new(&optics, &frame).shading()?,
-                ))
+                Calibration::of_optics(&plan::optics(lens, &frame, &[lens.object_vergence], rule, fineness)?.0, &frame)
             }
-            Self::Measured(lens) => Ok((lens.distortion(), lens.shading()?)),
+            Self::Measured(lens) => Ok(Calibration { distortion: lens.distortion(), shading: lens.shading()? }),
         }
+    }
+}
+
+/// What a kit says of a lens: where things are seen, and how bright.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Calibration {
+    /// The paper's polynomial.
+    pub distortion: Distortion,
+    /// Flat field.
+    pub shading: Shading,
+}
+
+impl Calibration {
+    /// Of a lens that was traced over `frame`, at its first distance.
+    ///
+    /// # Errors
+    /// A distortion that is not monotonic next to the axis; a corner without light.
+    pub fn of_optics(optics: &Optics, frame: &Frame) -> Result<Self> {
+        let distortion = Distortion::of_map(&optics.maps[0], frame.max_radius_mm())?;
+        Ok(Self { distortion, shading: Light::new(optics, frame).shading()? })
     }
 }

@@ -22,6 +22,9 @@ use crate::imaging::develop::color::{linear_from_srgb, srgb_from_linear};
 use crate::imaging::develop::gamut::Gamut;
 use crate::imaging::exif::{Exif, Undefined};
 
+/// Endings of pictures that are read and written.
+pub const PICTURES: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
+
 /// JPEG quality of [`write_picture`].
 const JPEG_QUALITY: u8 = 95;
 

@@ -207,11 +207,6 @@ pub struct Falloff {
 }
 
 impl Falloff {
-    /// None.
-    pub fn none() -> Self {
-        Self { radii_px: vec![0.0], light: std::array::from_fn(|_| vec![1.0]) }
-    }
-
     /// Of every colour at a radius.
     pub fn at(&self, radius_px: f64) -> Vec<f64> {
         self.light.iter().map(|v| linear(&self.radii_px, v, radius_px)).collect()

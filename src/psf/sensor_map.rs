@@ -45,14 +45,15 @@ impl SensorMap {
     /// # Errors
     /// Object slopes that do not grow with the sensor radius: the picture folds.
     pub fn fit(lens: &Lens, table: &Table, vergence: f64) -> Result<Self> {
-        Self::through(&lens.name, &table.spec.radii_mm, &table.chief_slopes(vergence), table.horizon, vergence)
+        Self::through(&table.spec.radii_mm, &table.chief_slopes(vergence), table.horizon, vergence)
+            .map_err(|radius_mm| Self::folds(lens, radius_mm, vergence))
     }
 
-    /// Fits object slopes at sensor radii that grow from 0, mm; `horizon` is `1/R₉₀²` where slopes have a pole, else 0, and `name` is for errors.
+    /// Fits object slopes at sensor radii that grow from 0, mm; `horizon` is `1/R₉₀²` where slopes have a pole, else 0.
     ///
     /// # Errors
-    /// As [`Self::fit`].
-    pub fn through(name: &str, radii: &[f64], slopes: &[f64], horizon: f64, vergence: f64) -> Result<Self> {
+    /// The radius, mm, from which on slopes do not grow: the picture folds there.
+    pub fn through(radii: &[f64], slopes: &[f64], horizon: f64, vergence: f64) -> std::result::Result<Self, f64> {
         let radius_mm = radii[radii.len() - 1];
         let rows = operator(radii, horizon);
         let coefficients: Vec<f64> =
@@ -65,7 +66,7 @@ impl SensorMap {
             let radius = radius_mm * f64::from(i) / 256.0;
             let slope = map.inside_derivative(radius);
             if slope.is_nan() || slope <= 0.0 {
-                return Err(Self::folds(name, radius, vergence));
+                return Err(radius);
             }
         }
         let off = |(r, s): (&f64, &f64)| ((map.slope(*r) - s) / map.derivative(*r)).abs();
@@ -74,9 +75,9 @@ impl SensorMap {
     }
 
     /// What is said of a picture that folds at a radius.
-    pub(super) fn folds(name: &str, radius_mm: f64, vergence: f64) -> Error {
+    pub(super) fn folds(lens: &Lens, radius_mm: f64, vergence: f64) -> Error {
         Error::bad(
-            name,
+            lens.name.clone(),
             format!("distortion at {radius_mm:.3} mm on the sensor, object at vergence {vergence} /mm"),
             "the object's height does not grow with the image's there".to_owned(),
             "an image whose height grows over the whole field; narrow the frame or change the lens",

@@ -82,7 +82,7 @@ fn measured(lens: &Lens) -> MeasuredLens {
     let frame = frame_of(lens).expect("valid");
     let radii: Vec<f64> = (0..=32).map(|i| frame.max_radius_mm() * f64::from(i) / 32.0).collect();
     let slopes = chief_slopes(lens, 0.0, &radii).expect("light");
-    let map = SensorMap::through("landscape", &radii, &slopes, 0.0, 0.0).expect("grows");
+    let map = SensorMap::through(&radii, &slopes, 0.0, 0.0).expect("grows");
     let psf = exact(lens, &map, &frame, 6.0);
     let Distortion { max_slope: m, coefficients_mm: b, .. } =
         Distortion::of_map(&map, frame.max_radius_mm()).expect("monotonic");
@@ -280,7 +280,7 @@ fn gained(name: &str, pitch_mm: f64, options: &str, seed: u64) -> f64 {
     let distortion = MeasuredDistortion::load(&place.path("d.toml")).expect("reads").distortion();
     let radii: Vec<f64> = (0..=64).map(|i| frame.max_radius_mm() * f64::from(i) / 64.0).collect();
     let slopes: Vec<f64> = radii.iter().map(|r| scale * distortion.slope_from_sensor(r / pitch_mm)).collect();
-    let map = SensorMap::through(name, &radii, &slopes, 0.0, lens.object_vergence).expect("grows");
+    let map = SensorMap::through(&radii, &slopes, 0.0, lens.object_vergence).expect("grows");
     let npz = exact(&lens, &map, &frame, measured.moves.reach_px.max(12.0)).to_npz().expect("packs");
     place.write("exact/psf.npz", npz);
     let (whole, _) = judged("exact");

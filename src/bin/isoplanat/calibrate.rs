@@ -10,7 +10,7 @@ use glam::DVec2;
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart};
-use isoplanat::imaging::files::{Encoding, extension, write_bytes, write_picture};
+use isoplanat::imaging::files::{Encoding, PICTURES, extension, write_bytes, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -66,9 +66,6 @@ pub(crate) struct Args {
     #[arg(long)]
     force: bool,
 }
-
-/// Endings of pictures that are written.
-const PICTURES: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
 
 /// Where the centre of distortion is.
 #[derive(Clone, Copy, Debug, PartialEq)]

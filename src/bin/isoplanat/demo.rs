@@ -13,7 +13,7 @@ use isoplanat::design::designing::prepare;
 use isoplanat::design::memory;
 use isoplanat::design::run::{JointSettings, joint_stage, network};
 use isoplanat::design::scenery::Scenery;
-use isoplanat::design::subject::Subject;
+use isoplanat::design::subject::{Calibration, Subject};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Inputs;
@@ -162,7 +162,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
     let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
-    let calibration = kit::Calibration::read(&renderer.optics, &frame)?;
+    let calibration = Calibration::of_optics(&renderer.optics, &frame)?;
     let kit = kit::build(
         "isoplanat demo",
         &LensEntry { name: lens.name.clone(), sha256: lens.sha256() },

@@ -14,6 +14,7 @@ use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::scene::{SceneKind, generate};
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::Weights;
 use isoplanat::network::{Reconstructor, onnx};
@@ -84,7 +85,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     } else {
         None
     };
-    let calibration = kit::Calibration::of(&subject, &sensor)?;
+    let calibration = subject.calibration(&SpectralDensity::new(&sensor))?;
     let mut kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
     kit.glare = args.glare;
     kit.valid = valid;

@@ -2,39 +2,12 @@
 
 use isoplanat::Result;
 use isoplanat::deploy::kit::{Kit, LensEntry};
-use isoplanat::design::subject::Subject;
-use isoplanat::imaging::develop::distortion::Distortion;
-use isoplanat::imaging::develop::shading::Shading;
+use isoplanat::design::subject::Calibration;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
-use isoplanat::imaging::render::light::Light;
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::network::card::{ModelCard, sensor_sha256};
 use isoplanat::network::{Reconstructor, onnx};
-use isoplanat::psf::Optics;
-
-/// What a kit says of a lens: where things are seen, and how bright.
-pub(crate) struct Calibration {
-    /// The paper's polynomial.
-    pub(crate) distortion: Distortion,
-    /// Flat field.
-    pub(crate) shading: Shading,
-}
-
-impl Calibration {
-    /// Of `subject` on `sensor`.
-    pub(crate) fn of(subject: &Subject, sensor: &Sensor) -> Result<Self> {
-        let (distortion, shading) = subject.calibration(&SpectralDensity::new(sensor))?;
-        Ok(Self { distortion, shading })
-    }
-
-    /// From optics that were traced already, at their first distance.
-    pub(crate) fn read(optics: &Optics, frame: &Frame) -> Result<Self> {
-        let distortion = Distortion::of_map(&optics.maps[0], frame.max_radius_mm())?;
-        Ok(Self { distortion, shading: Light::new(optics, frame).shading()? })
-    }
-}
 
 /// What the file of `network`, trained for `lens`, says of itself.
 pub(crate) fn card(

@@ -154,11 +154,12 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
     use isoplanat::design::evaluate::measured;
     use isoplanat::design::task::Task;
     use isoplanat::design::training::guide_of;
+    use isoplanat::imaging::render::frame_of;
     use isoplanat::network::Reconstructor;
 
     let task = Task::load(&folder.join("task.toml"))?;
     let network = Reconstructor::load(&folder.join("network.safetensors"))?;
-    let guide = guide_of(folder, &network, &isoplanat::imaging::render::frame_of(lens)?)?;
+    let guide = guide_of(folder, &network, &frame_of(lens)?)?;
     let bar = Bar::new("slanted edges");
     let told = (&network, &guide);
     let found = measured(lens, told, &task.sensor()?, settings, &mut |share| bar.set(share, String::new()))

@@ -64,11 +64,6 @@ impl Camera {
         Ok(Self { density, rays, other })
     }
 
-    /// Rays through the lens that `renderer` holds.
-    pub(super) fn by_rays(lens: &Lens, sensor: &Sensor, samples: usize) -> Self {
-        Self { density: SpectralDensity::new(sensor), rays: Some((lens.clone(), samples)), other: None }
-    }
-
     /// What is judged, in words: the subject, and what else makes its captures.
     pub(super) fn describe(&self, subject: &Subject) -> String {
         self.other.as_ref().map_or_else(

@@ -39,7 +39,8 @@ pub fn measured(
         through: None,
     };
     let renderer = at_depths(&subject, sensor, &evaluated)?;
-    let (electronics, by_rays) = (Electronics::of(sensor), Camera::by_rays(lens, sensor, settings.rays));
+    let electronics = Electronics::of(sensor);
+    let by_rays = Camera::of(&subject, sensor, &renderer, &evaluated)?;
     let context = context_of(network);
     let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, context };
     let camera = |scene: &Plane, region: Region| -> Result<Seen> {

@@ -202,8 +202,8 @@ fn every_zone_shows_the_same_part_of_a_picture() {
     }
 }
 
-/// Through another lens the ideal picture stays: its own lens in the other's place changes nothing, nor does its frame's axis where pictures are aligned by
-/// the pixels; another lens, or a frame of another size, does or is refused.
+/// Through another lens the ideal picture stays: its own lens in the other's place changes nothing, nor much pixels of another size; a lens out of focus
+/// does, and a frame of another size is refused.
 #[test]
 fn captures_through_another_lens_are_judged_by_the_ideal_picture_of_its_own() {
     let (own, sensor) = (lens(), Sensor::generic());

@@ -23,7 +23,7 @@ impl Photos {
         for entry in std::fs::read_dir(folder).map_err(failed)? {
             let path = entry.map_err(failed)?.path();
             let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
-            let picture = matches!(files::extension(&path).as_str(), "png" | "jpg" | "jpeg" | "tif" | "tiff");
+            let picture = files::PICTURES.contains(&files::extension(&path).as_str());
             if picture && !hidden && path.is_file() {
                 paths.push(path);
             }

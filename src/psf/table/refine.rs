@@ -82,7 +82,7 @@ fn knots(
     };
     let points = StopPoints::new(degree, POINTS);
     if tracing.chief_slope(STEP * radius_mm, vergence).is_some_and(|slope| slope <= 0.0) {
-        return Err(SensorMap::folds(&tracing.lens.name, 0.0, vergence));
+        return Err(SensorMap::folds(tracing.lens, 0.0, vergence));
     }
     // Where light ends before the radius does, knots are spread up to there, and the last one stands in the dark.
     let (frame_mm, radius_mm) = (radius_mm, lit(tracing, &ends, vergence, radius_mm)?);
