@@ -21,6 +21,17 @@ pub(super) const TEXTURE: usize = 640;
 /// Largest side of a kept texture, pixels; larger photographs are cut to their middle.
 pub(super) const LARGEST: usize = 1024;
 
+/// How large a texture is seen.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Scale {
+    /// 1 to 1.35 texels a pixel on the axis, at random.
+    Random,
+    /// A texel a pixel at the region's middle.
+    ThereToPixel,
+    /// So many texels a unit of slope.
+    PerSlope(f64),
+}
+
 /// Textures in memory and what they are.
 #[derive(Clone, Debug)]
 pub struct Textures {
@@ -130,34 +141,32 @@ impl Textures {
 
     /// Patch `number` of a design, the same for the same number: at the `number`th of `places`, rendered `reach` pixels further than
     /// the network sees, a texel of the photograph to a pixel there.
-    pub fn numbered(
+    pub fn numbered(&self, draw: (u64, u64), places: &Places, frame: &Frame, map: &SensorMap, reach: usize) -> Patch {
+        self.numbered_as(draw, places, frame, map, (reach, Scale::ThereToPixel))
+    }
+
+    /// [`Self::numbered`] at a scale of its own: the same part of the same texture, whatever the map and the scale.
+    pub(super) fn numbered_as(
         &self,
         (seed, number): (u64, u64),
         places: &Places,
         frame: &Frame,
         map: &SensorMap,
-        reach: usize,
+        (reach, scale): (usize, Scale),
     ) -> Patch {
         let rng = &mut fastrand::Rng::with_seed(mixed(seed ^ 0x7061_7463, number));
         let part = places.at(seed, number);
         let seen = around(part, reach, frame);
-        Patch { part, ..self.placed(rng, frame, map, seen, Some(1.0)) }
+        Patch { part, ..self.placed(rng, frame, map, seen, scale) }
     }
 
     /// A random texture placed so that `region` shows a random part of it.
     pub fn place(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, region: Region) -> Patch {
-        self.placed(rng, frame, map, region, None)
+        self.placed(rng, frame, map, region, Scale::Random)
     }
 
-    /// [`Self::place`], with so many texels a pixel at the region's middle in place of a random number on the axis.
-    fn placed(
-        &self,
-        rng: &mut fastrand::Rng,
-        frame: &Frame,
-        map: &SensorMap,
-        region: Region,
-        texels: Option<f64>,
-    ) -> Patch {
+    /// [`Self::place`] at a scale.
+    fn placed(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, region: Region, scale: Scale) -> Patch {
         let mut texture = self.images[rng.usize(0..self.images.len())].view();
         if rng.bool() {
             texture.invert_axis(ndarray::Axis(1));
@@ -170,8 +179,14 @@ impl Textures {
         }
         let centre = region.offset(frame, region.rows / 2, region.cols / 2);
         let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let zoom = texels.unwrap_or_else(|| 1.0 + 0.35 * rng.f64());
-        let texels_per_slope = zoom / (map.ratio(if texels.is_some() { radius } else { 0.0 }) * frame.pitch_mm);
+        let (zoom, texels_per_slope) = match scale {
+            Scale::Random => {
+                let zoom = 1.0 + 0.35 * rng.f64();
+                (zoom, zoom / (map.ratio(0.0) * frame.pitch_mm))
+            }
+            Scale::ThereToPixel => (1.0, 1.0 / (map.ratio(radius) * frame.pitch_mm)),
+            Scale::PerSlope(texels) => (1.0, texels),
+        };
         let scale = map.ratio(radius) * frame.pitch_mm * texels_per_slope;
         // The part of the texture that the region and a margin need, cut out so that a patch stays small.
         let (_, rows, cols) = texture.dim();

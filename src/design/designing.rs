@@ -330,9 +330,10 @@ impl Designing {
     fn judge(&mut self) -> Result<()> {
         let entry = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?;
         let step = self.stage.steps();
-        let better = entry.output_psnr_db.is_finite() && self.best.is_none_or(|(db, _)| entry.output_psnr_db > db);
+        let score = self.stage.score(&entry);
+        let better = score.is_finite() && self.best.is_none_or(|(best, _)| score > best);
         if better {
-            self.best = Some((entry.output_psnr_db, step));
+            self.best = Some((score, step));
             checkpoint_of(&self.stage, (self.best, self.seen), &self.folder.join(BEST))?;
         }
         let lens = &self.stage.joint.lens;
@@ -380,7 +381,7 @@ impl Designing {
     fn settle(&mut self) -> Result<()> {
         let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.show() };
         let path = self.folder.join(BEST);
-        let last = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?.output_psnr_db;
+        let last = self.stage.score(&self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?);
         if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
             let (network, facts) = Reconstructor::load_with_facts(&path)?;
             let state = State::from_text(facts.get(STATE).map_or("", String::as_str), &path.display().to_string())?;

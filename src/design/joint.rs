@@ -55,9 +55,9 @@ pub struct Joint {
 pub struct Report {
     /// Mean L1 loss of the batch after the network.
     pub loss: f64,
-    /// PSNR of the network's input against the truth, linear light, dB.
+    /// PSNR of the network's input against the truth, linear light, dB; without a network, of sensor images, mean over the distances.
     pub input_psnr_db: f64,
-    /// PSNR of its output.
+    /// PSNR of its output; without a network, of the distance with the lowest.
     pub output_psnr_db: f64,
     /// What the lens did; `None` where it was held, or the loss was no number.
     pub lens: Option<Stepped>,
@@ -186,25 +186,27 @@ impl Joint {
             .collect();
         let mut bar = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| bar.add(b));
-        let gradient = renderer.lens_gradient(&self.lens, &bar);
-        let mut lens = None;
-        if s.loss.is_finite() {
-            self.noise.add(&self.steps.variables().gradient(&gradient));
-            let darkest = self.darkest(renderer);
-            let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
-            self.good = self.lens.clone();
-            match &stepped.lens {
-                Some(moved) => {
-                    self.lens = moved.clone();
-                    self.damping = (self.damping * 1.02).min(1.0);
-                }
-                None => self.take_back(),
-            }
-            lens = Some(stepped);
-        }
+        let lens = s.loss.is_finite().then(|| self.follow(renderer, &bar, lens_rate));
         let output_psnr_db = psnr(s.output.view());
         let loss = f64::from(s.loss);
         Ok(Report { loss, input_psnr_db, output_psnr_db, lens, network_seconds })
+    }
+
+    /// Moves the lens against the gradient that `bar` pulls back to it.
+    fn follow(&mut self, renderer: &Renderer, bar: &OpticsBar, lens_rate: f64) -> Stepped {
+        let gradient = renderer.lens_gradient(&self.lens, bar);
+        self.noise.add(&self.steps.variables().gradient(&gradient));
+        let darkest = self.darkest(renderer);
+        let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
+        self.good = self.lens.clone();
+        match &stepped.lens {
+            Some(moved) => {
+                self.lens = moved.clone();
+                self.damping = (self.damping * 1.02).min(1.0);
+            }
+            None => self.take_back(),
+        }
+        stepped
     }
 
     /// Rows that keep the illumination from falling below what is asked, of places that are near it.
@@ -240,6 +242,8 @@ impl Joint {
         self.steps.forget();
     }
 }
+
+pub(super) mod images;
 
 #[cfg(test)]
 mod tests;

@@ -4,9 +4,11 @@ use ndarray::{Array3, Axis, s};
 
 use super::chain::{Patch, forward};
 use super::data::Textures;
+use super::joint::images::{Seen, group, look, pictures};
 use super::joint::{l1_and_psnr, middle};
 use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
+use super::sensor_loss::SensorLoss;
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
@@ -28,6 +30,8 @@ pub(super) struct Camera<'a> {
     pub(super) electronics: &'a Electronics,
     pub(super) network: &'a Reconstructor,
     pub(super) guide: &'a Guide,
+    /// Where the lens is judged by its own images, the network left out.
+    pub(super) sensor_loss: Option<&'a SensorLoss>,
 }
 
 impl Camera<'_> {
@@ -41,21 +45,29 @@ impl Camera<'_> {
     }
 
     /// PSNR and loss behind the network over `count` patches of `side` pixels of `held_out`, the same ones each time, spread over the
-    /// field's height.
+    /// field's height; of a lens that is judged by its own images, those of so many patches in all.
     ///
     /// # Errors
     /// A network that fails.
     pub(super) fn judged(&self, held_out: &Textures, side: usize, count: usize) -> Result<Entry> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
+        if let Some(loss) = self.sensor_loss {
+            let scenes = (count / self.renderer.optics.maps.len()).max(1) as u64;
+            let one = |n| look(self.renderer, loss, &group(self.renderer, loss, held_out, (SEED, n), &places));
+            let seen = Seen::mean(&(0..scenes).map(one).collect::<Result<Vec<_>>>()?);
+            let (input_psnr_db, output_psnr_db) = (seen.mean_db, seen.lowest_db);
+            return Ok(Entry { loss: seen.loss, input_psnr_db, output_psnr_db, ..Entry::default() });
+        }
         mean(self, count, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
     }
 
-    /// Capture, reconstruction and truth of `count` of those patches, from the axis outwards.
+    /// Capture, reconstruction and truth of `count` of those patches, from the axis outwards; of a lens that is judged by its own images, those
+    /// at each distance and the ideal picture.
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn shown(&self, held_out: &Textures, side: usize, count: usize) -> Result<Vec<[Array3<f32>; 3]>> {
+    pub(super) fn shown(&self, held_out: &Textures, side: usize, count: usize) -> Result<Vec<Vec<Array3<f32>>>> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
         let mut numbers: Vec<(u64, f64)> = (0..count as u64)
@@ -66,9 +78,15 @@ impl Camera<'_> {
             })
             .collect();
         numbers.sort_by(|a, b| a.1.total_cmp(&b.1));
+        if let Some(loss) = self.sensor_loss {
+            let one = |(n, _): &(u64, f64)| {
+                pictures(self.renderer, loss, &group(self.renderer, loss, held_out, (SEED, *n), &places))
+            };
+            return numbers.iter().map(one).collect();
+        }
         let map = &self.renderer.optics.maps[0];
         let patch = |n: u64| held_out.numbered((SEED, n), &places, frame, map, self.guide.reach());
-        numbers.iter().map(|(n, _)| self.taken(&patch(*n))).collect()
+        numbers.iter().map(|(n, _)| Ok(self.taken(&patch(*n))?.to_vec())).collect()
     }
 }
 
@@ -103,7 +121,8 @@ pub fn validate(
     let (density, electronics) = (SpectralDensity::new(scenery.sensor), Electronics::of(scenery.sensor));
     let renderer = Renderer::planned(lens, &scenery.frame, &density, &[lens.object_vergence], settings)?;
     let places = Places::new(&scenery.frame, patch, Spread::Area);
-    let camera = Camera { renderer: &renderer, electronics: &electronics, network: told.0, guide: told.1 };
+    let (network, guide) = told;
+    let camera = Camera { renderer: &renderer, electronics: &electronics, network, guide, sensor_loss: None };
     mean(&camera, count, |number, map| {
         scenery.textures.numbered((scenery.seed, number), &places, &scenery.frame, map, told.1.reach())
     })

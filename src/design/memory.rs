@@ -47,8 +47,13 @@ pub fn of_design(task: &Task) -> Result<u64> {
     let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };
     // Rendered as far as the filters look.
     let seen = task.patch_px + if task.inputs.wiener { 2 * Filters::WIDEST } else { 0 };
-    let patches = product(&[task.batch.max(threads()), seen, seen, REGION]).max(judged);
-    let step = network.step_bytes(task.patch_px, task.batch);
+    // By its own images a scene is held at all its distances, one scene at a time, and no network works.
+    let (count, batch) = match &task.sensor_loss {
+        Some(_) => (task.depths_mm.len(), 0),
+        None => (task.batch, task.batch),
+    };
+    let patches = product(&[count.max(threads()), seen, seen, REGION]).max(judged);
+    let step = network.step_bytes(task.patch_px, batch);
     let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);
     Ok(sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.inputs)]))

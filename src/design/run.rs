@@ -7,12 +7,14 @@
 use std::time::Instant;
 
 use super::chain::Patch;
+use super::joint::images::group;
 use super::joint::{Joint, Report};
 use super::judge::{Camera, MARGIN, STEEPEST_DEG, corner_of};
 use super::lens_steps::{LensSteps, Stepped, Steps};
 use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
 use super::schedule::{Length, Schedule};
+use super::sensor_loss::SensorLoss;
 use super::state::State;
 use super::task::Task;
 use crate::error::Result;
@@ -50,6 +52,8 @@ pub struct JointSettings {
     pub spread: Spread,
     /// Least relative illumination that the lens's steps keep.
     pub least_illumination: Option<f64>,
+    /// A loss on the lens's own images in place of one behind the network, which then stays as it is.
+    pub sensor_loss: Option<SensorLoss>,
     /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
     pub settings: Option<Settings>,
 }
@@ -67,12 +71,14 @@ impl JointSettings {
             batch: task.batch,
             steps: task.lens_steps,
             lens_rate: if task.freeze_lens { 0.0 } else { rate },
-            lens_share: task.lens_share,
+            // Nothing but the lens moves.
+            lens_share: if task.sensor_loss.is_some() { [0.0, 1.0] } else { task.lens_share },
             network_rate: task.network_rate,
             epochs: task.epochs,
             vergences: task.depths_mm.iter().map(|d| d.recip()).collect(),
             spread: task.spread,
             least_illumination: task.least_illumination,
+            sensor_loss: task.sensor_loss.clone(),
             settings: None,
         })
     }
@@ -283,12 +289,26 @@ impl Stage {
         let [lens_rate, network_rate] = self.settings.rates(used);
         let lens_rate = self.settings.lens_rate * lens_rate;
         self.look_again(scenery, lens_rate > 0.0)?;
-        let patches = self.patches(scenery);
-        let network_rate = self.settings.network_rate * network_rate;
-        let report = self.joint.step(&self.renderer, &self.electronics, &patches, lens_rate, network_rate)?;
+        let mut groups = Vec::new();
+        let report = match &self.settings.sensor_loss {
+            Some(loss) => {
+                groups = self.groups(scenery, loss);
+                self.joint.step_by_images(&self.renderer, loss, &groups, lens_rate)?
+            }
+            None => {
+                let patches = self.patches(scenery);
+                let network_rate = self.settings.network_rate * network_rate;
+                self.joint.step(&self.renderer, &self.electronics, &patches, lens_rate, network_rate)?
+            }
+        };
         self.step += 1;
         if report.lens.as_ref().is_some_and(|l| l.lens.is_some()) {
             self.renderer = self.joint.renderer(&self.renderer.plan, false)?;
+            if let Some(loss) = &self.settings.sensor_loss
+                && self.joint.is_worse(&self.renderer, loss, &groups, report.loss)?
+            {
+                self.renderer = self.joint.renderer(&self.renderer.plan, false)?;
+            }
         }
         self.recent.push(report);
         self.pace.push(clock.elapsed().as_secs_f64());
@@ -387,6 +407,14 @@ impl Stage {
         (0..batch).map(numbered).collect()
     }
 
+    /// The scenes of a step, each at every distance.
+    fn groups(&self, scenery: &Scenery<'_>, loss: &SensorLoss) -> Vec<Vec<Patch>> {
+        let batch = self.settings.batch as u64;
+        let number = |g: u64| self.step as u64 * batch + g;
+        let drawn = |g| group(&self.renderer, loss, scenery.textures, (scenery.seed, number(g)), &self.places);
+        (0..batch).map(drawn).collect()
+    }
+
     fn average(&self) -> Entry {
         let mean =
             |f: &dyn Fn(&Report) -> f64| self.recent.iter().map(f).sum::<f64>() / self.recent.len().max(1) as f64;
@@ -445,7 +473,13 @@ impl Stage {
     /// What renders it, its electronics, the network and what that is told: all that a picture takes.
     pub(super) fn camera(&self) -> Camera<'_> {
         let (renderer, electronics) = (&self.renderer, &self.electronics);
-        Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide }
+        let sensor_loss = self.settings.sensor_loss.as_ref();
+        Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide, sensor_loss }
+    }
+
+    /// How good what was judged is, dB: the more the better.
+    pub(super) fn score(&self, judged: &Entry) -> f64 {
+        if self.settings.sensor_loss.is_some() { -20.0 * judged.loss.log10() } else { judged.output_psnr_db }
     }
 }
 

@@ -37,7 +37,7 @@ pub struct State {
     pub refreshing_seconds: f64,
     /// Steps of the schedule's first part and in all, once that is settled.
     pub settled: Option<[u64; 2]>,
-    /// The best judgement of held-out pictures so far, dB, and the step it was made at.
+    /// The best judgement of held-out pictures so far, dB ([`super::run::Stage`] says of what), and the step it was made at.
     pub best: Option<(f64, usize)>,
     /// Half field angle for which variables' scales and constraints were made, degrees, and the start's distortion there.
     pub seen: [f64; 2],

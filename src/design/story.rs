@@ -11,10 +11,11 @@ use super::scenery::Entry;
 use super::task::Task;
 use crate::error::{Error, Result};
 use crate::lens::{Lens, prescription};
-use crate::report::design::{DesignPage, Moment, Shown};
+use crate::report::design::{DesignPage, Moment, Shown, Words};
 use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
 use crate::report::lens_view::LensView;
+use crate::report::table::significant;
 
 /// Kernels in a row of the page, and held-out patches it shows.
 const FIELDS: usize = 7;
@@ -29,9 +30,10 @@ pub struct Judgement {
     pub seconds: f64,
     /// The lens, a file in the run's folder.
     pub lens: String,
-    /// PSNR before and after the network on pictures that are not trained on, dB.
+    /// PSNR before and after the network on pictures that are not trained on, dB; without a network, of sensor images, mean and lowest of the
+    /// distances.
     pub held_out_db: [f64; 2],
-    /// Their L1.
+    /// Their loss: L1, or without a network eq. 16.
     pub held_out_l1: f64,
     /// Whether it was the best so far.
     pub best: bool,
@@ -111,10 +113,11 @@ pub(super) fn page(
     #[expect(clippy::cast_precision_loss, reason = "step counts")]
     let over = |f: fn(&Entry) -> f64| log.iter().map(|e| [e.step as f64, f(e)]).collect::<Vec<_>>();
     let moving = |f: fn(&Entry) -> f64| over(f).into_iter().filter(|p| p[1] > 0.0).collect::<Vec<_>>();
+    let (words, notes) = words(task);
     let shown =
         stage.camera().shown(held_out, task.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| Shown {
             caption: format!("held-out patch {} from the axis outwards", k + 1),
-            pictures,
+            pictures: notes.iter().cloned().zip(pictures).collect(),
         });
     let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
     let mut facts = vec![
@@ -122,7 +125,7 @@ pub(super) fn page(
         fact(format!("{:.1} min", stage.seconds() / 60.0), "so far"),
     ];
     if let (Some(first), Some(last)) = (history.first(), history.last()) {
-        facts.push(fact(format!("{:.2} dB", last.held_out_db[1]), "held-out pictures behind the network"));
+        facts.push(fact(format!("{:.2} dB", last.held_out_db[1]), &words.judged[1]));
         facts.push(fact(format!("{:+.2} dB", last.held_out_db[1] - first.held_out_db[1]), "since the first judgement"));
     }
     if let Some(e) = log.last() {
@@ -142,13 +145,20 @@ pub(super) fn page(
     settings
         .push(pair("frame", format!("{} × {} pixels of {:.2} µm", frame.columns, frame.rows, 1e3 * frame.pitch_mm)));
     settings.push(pair("steps of the lens", format!("{:?}, taken back {}", task.lens_steps, stage.joint.rejected)));
-    settings.push(pair("patches", format!("{} of {} pixels a step", task.batch, task.patch_px)));
-    settings.push(pair("network", format!("{} channels at the finest of three scales", task.base_width)));
+    let each = task.sensor_loss.as_ref().map_or("", |_| ", each at every distance");
+    settings.push(pair("patches", format!("{} of {} pixels a step{each}", task.batch, task.patch_px)));
+    settings.push(match task.sensor_loss {
+        Some(_) => {
+            pair("network", "none: the lens is judged by its own images; `isoplanat train` makes one for it".into())
+        }
+        None => pair("network", format!("{} channels at the finest of three scales", task.base_width)),
+    });
     settings.push(pair("left out", left_out(stage)));
     let over_share = stage.used() >= 1.0;
     let page = DesignPage {
         title: lens.name.clone(),
         standing: if over_share { "Finished.".into() } else { format!("Under way: {:.0} %.", 100.0 * stage.used()) },
+        words,
         facts,
         lenses: [view(first), view(lens)],
         variables: names,
@@ -161,6 +171,26 @@ pub(super) fn page(
         settings,
     };
     page.to_html()
+}
+
+/// What figures and the pictures of a row are called.
+fn words(task: &Task) -> (Words, Vec<String>) {
+    if task.sensor_loss.is_none() {
+        let words = Words {
+            judged: ["held-out captures".into(), "behind the network".into()],
+            loss: "L1".into(),
+            shown: "Capture, reconstruction, truth.".into(),
+        };
+        return (words, ["capture", "reconstruction", "truth"].map(str::to_owned).to_vec());
+    }
+    let words = Words {
+        judged: ["held-out sensor images, mean of the distances".into(), "the lowest of them".into()],
+        loss: "loss on sensor images".into(),
+        shown: "Sensor images of one scene from each distance, without noise and network, and the ideal picture."
+            .into(),
+    };
+    let at = task.depths_mm.iter().map(|d| format!("from {} mm", significant(*d, 6)));
+    (words, at.chain(["ideal".to_owned()]).collect())
 }
 
 /// What the plan does not need.

@@ -9,6 +9,7 @@ use super::folder::MARKER;
 use super::lens_steps::Steps;
 use super::places::Spread;
 use super::schedule::Length;
+use super::sensor_loss::SensorLoss;
 use super::subject::Subject;
 use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
@@ -29,10 +30,13 @@ const BARREL: f64 = 0.08;
 const SLACK: f64 = 0.02;
 
 /// Shipped tasks: name, text.
-pub const SHIPPED: [(&str, &str); 3] = [
+pub const SHIPPED: [(&str, &str); 6] = [
     ("lfov-paper", include_str!("../../models/tasks/lfov-paper.toml")),
     ("lfov-30", include_str!("../../models/tasks/lfov-30.toml")),
     ("lfov-30-free", include_str!("../../models/tasks/lfov-30-free.toml")),
+    ("edof", include_str!("../../models/tasks/edof.toml")),
+    ("edof-free", include_str!("../../models/tasks/edof-free.toml")),
+    ("edof-joint", include_str!("../../models/tasks/edof-joint.toml")),
 ];
 
 /// The form of task files this program reads.
@@ -113,6 +117,9 @@ pub struct Task {
     /// Object distances, mm, taken in turn; left out: the lens's own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub depths_mm: Vec<f64>,
+    /// A loss on the lens's own images at those distances in place of one behind the network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sensor_loss: Option<SensorLoss>,
     /// How patches are spread over the field.
     #[serde(default)]
     pub spread: Spread,
@@ -224,6 +231,7 @@ impl Task {
             epochs: 0,
             least_illumination: None,
             depths_mm: Vec::new(),
+            sensor_loss: None,
             spread: Spread::default(),
             keep_first: 0,
             checks: default_checks(),
@@ -320,6 +328,19 @@ impl Task {
         if let Some(d) = self.depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
             return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");
         }
+        if let Some(loss) = &self.sensor_loss {
+            loss.check(&self.depths_mm, file)?;
+            if self.freeze_lens {
+                return bad("freeze_lens", "true".into(), "false beside sensor_loss: nothing but the lens moves");
+            }
+            if self.inputs != Inputs::BARE {
+                return bad(
+                    "inputs",
+                    "given".into(),
+                    "none beside sensor_loss, which has no network; train.inputs may be given",
+                );
+            }
+        }
         if self.keep_first > 0 && self.photos.is_none() {
             return bad("keep_first", self.keep_first.to_string(), "0 where no folder of photographs is named");
         }
@@ -330,6 +351,11 @@ impl Task {
             return bad("checkpoint_seconds", self.checkpoint_seconds.to_string(), "0 to 86400");
         }
         Ok(())
+    }
+
+    /// Distances that the final network is for, mm: the training's own, or else the design's; none: the lens's.
+    pub fn network_depths_mm(&self) -> &[f64] {
+        if self.train.depths_mm.is_empty() { &self.depths_mm } else { &self.train.depths_mm }
     }
 
     /// How long the joint stage is.

@@ -422,7 +422,7 @@ impl Parts {
             let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);
             return Err(Error::bad(MARKER, "train.region_px", found, format!("at most {largest}")));
         }
-        let vergences = match train.depths_mm.as_slice() {
+        let vergences = match task.network_depths_mm() {
             [] => vec![subject.vergence()],
             depths => depths.iter().map(|d| 1.0 / d).collect(),
         };

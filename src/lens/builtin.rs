@@ -4,13 +4,14 @@ use super::{Lens, prescription};
 use crate::error::{Error, Result};
 
 /// Name and TOML text of every shipped lens.
-pub const LENSES: [(&str, &str); 17] = [
+pub const LENSES: [(&str, &str); 18] = [
     ("two_element", include_str!("../../models/lenses/two_element.toml")),
     ("three_element", include_str!("../../models/lenses/three_element.toml")),
     ("cooke_triplet", include_str!("../../models/lenses/cooke_triplet.toml")),
     ("double_gauss", include_str!("../../models/lenses/double_gauss.toml")),
     ("al2550_a", include_str!("../../models/lenses/al2550_a.toml")),
     ("ac254_050_a", include_str!("../../models/lenses/ac254_050_a.toml")),
+    ("aca254_050_a_surrogate", include_str!("../../models/lenses/aca254_050_a_surrogate.toml")),
     ("phone", include_str!("../../models/lenses/phone.toml")),
     ("petzval", include_str!("../../models/lenses/petzval.toml")),
     ("telephoto", include_str!("../../models/lenses/telephoto.toml")),

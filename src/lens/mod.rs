@@ -32,6 +32,7 @@ pub mod paraxial;
 pub mod pose;
 pub mod prescription;
 mod sag;
+mod scale;
 pub mod seidel;
 pub mod shape;
 #[cfg(test)]

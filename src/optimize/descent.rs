@@ -123,7 +123,9 @@ impl Descent {
         let point = self.solver.point(x, numbers, traced);
         let h = metric(&self.solver.jacobian(&point, &slopes));
         let (mean, root) = remembered(memory, &g, &h)?;
-        let scale = root.max(f64::MIN_POSITIVE.sqrt()) / (rate_mm * memory.reach);
+        // Old gradients in the metric of now may be longer than any of them was: a step of the rate is as much as they ask for.
+        let signal = mean.dot(&solved(&h, &mean)?).max(0.0).sqrt() / root.max(f64::MIN_POSITIVE);
+        let scale = signal.max(1.0) * root.max(f64::MIN_POSITIVE.sqrt()) / (rate_mm * memory.reach);
         let mut kept = self.solver.rows(&point, Some(&slopes), &rims);
         kept.extend(more.iter().map(|l| Kept {
             of: usize::MAX,
@@ -155,7 +157,7 @@ impl Descent {
                 && let Some(lens) = self.stands(lens, &trial, violation)
             {
                 memory.reach = if halved == 0 { 1.0f64.min(1.2 * memory.reach) } else { 0.7 * memory.reach };
-                let signal = mean.dot(&solved(&h, &mean)?).max(0.0).sqrt() / root.max(f64::MIN_POSITIVE);
+                let signal = signal.min(1.0);
                 return Some(Move { lens, length_mm: length(&d), signal, violation, active });
             }
             d *= 0.5;
@@ -294,6 +296,26 @@ mod tests {
         eprintln!("{before} -> {after}; optimize: {}", best.rms_mm[1]);
         assert!(after < before - 0.6 * (before - best.rms_mm[1]), "{before} -> {after}, {}", best.rms_mm[1]);
         assert!(descent.violation(&lens).expect("arrives") < 1e-5);
+    }
+
+    /// Gradients that point along one direction, then ever more of another that rays feel less: no step is longer than its rate.
+    #[test]
+    fn no_step_is_longer_than_its_rate() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let mut problem = Problem::standard(&lens);
+        problem.merit.apertures = Apertures::Automatic;
+        problem.constraints.clear();
+        problem.bounds.fill([f64::NEG_INFINITY, f64::INFINITY]);
+        let mut descent = Descent::new(&problem).expect("rays pass");
+        let (mut lens, mut memory) = (lens, Memory::default());
+        for k in 0..12 {
+            let mut gradient = LensGradient::zeros(&lens);
+            gradient.surfaces[1].thickness = 10f64.powi(k);
+            gradient.surfaces[4].thickness = -100f64.powi(k - 6);
+            let moved = descent.step(&mut memory, &lens, &gradient, 1e-3, &[]).expect("a step");
+            assert!(moved.length_mm < 1.3e-3 && moved.signal <= 1.0, "step {k}: {} {}", moved.length_mm, moved.signal);
+            lens = moved.lens;
+        }
     }
 
     /// Gradients that say nothing leave the lens where it is; those that are no numbers, too, and the memory with it.

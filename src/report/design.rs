@@ -15,7 +15,7 @@ pub struct Moment {
     pub step: usize,
     /// Drawing (SVG).
     pub drawing: String,
-    /// Judgement of pictures that are not trained on: PSNR before and after the network, dB.
+    /// Judgement of pictures that are not trained on: the two PSNRs that [`Words::judged`] names, dB.
     pub held_out_db: [f64; 2],
     /// Value of every number that moves.
     pub values: Vec<f64>,
@@ -28,8 +28,19 @@ pub struct Moment {
 pub struct Shown {
     /// Where it stands and how good it is.
     pub caption: String,
-    /// Capture, reconstruction, truth, linear RGB `[3, row, col]`.
-    pub pictures: [Array3<f32>; 3],
+    /// What they are, and linear RGB `[3, row, col]`: capture, reconstruction, truth.
+    pub pictures: Vec<(String, Array3<f32>)>,
+}
+
+/// What the page calls the figures that a design is judged by.
+#[derive(Clone, Debug)]
+pub struct Words {
+    /// The two PSNRs of a judgement.
+    pub judged: [String; 2],
+    /// The loss.
+    pub loss: String,
+    /// The pictures of a row.
+    pub shown: String,
 }
 
 /// What the page shows.
@@ -39,6 +50,8 @@ pub struct DesignPage {
     pub title: String,
     /// Whether it is still under way, and since when.
     pub standing: String,
+    /// What figures are called.
+    pub words: Words,
     /// Figures on top.
     pub facts: Vec<Fact>,
     /// The lens it began with and the lens now; none where a lens loses the rays a picture of its kernels needs.
@@ -75,10 +88,8 @@ impl DesignPage {
             .moments
             .iter()
             .map(|m| {
-                let [before, after] = m.held_out_db;
-                let caption =
-                    format!("step {}: held-out pictures {before:.2} dB, {after:.2} dB behind the network", m.step);
-                (m.drawing.clone(), caption)
+                let ([a, b], [before, after]) = (m.held_out_db, &self.words.judged);
+                (m.drawing.clone(), format!("step {}: {before} {a:.2} dB, {after} {b:.2} dB", m.step))
             })
             .collect();
         page.stepped(&stepped, stepped.len(), "step");
@@ -87,16 +98,14 @@ impl DesignPage {
         lens_view::section(&mut page, &views.filter_map(|(when, v)| Some((when, v.as_ref()?))).collect::<Vec<_>>())?;
         if !self.shown.is_empty() {
             page.section("Pictures it does not train on");
-            page.paragraph("Capture, reconstruction, truth.");
+            page.paragraph(&self.words.shown);
             for shown in &self.shown {
-                let notes = ["capture", "reconstruction", "truth"];
                 let pictures: Vec<Picture<'_>> = shown
                     .pictures
                     .iter()
-                    .zip(notes)
-                    .map(|(image, note)| Picture {
+                    .map(|(note, image)| Picture {
                         image,
-                        caption: note.to_owned(),
+                        caption: note.clone(),
                         notes: vec![shown.caption.clone()],
                         pixelated: false,
                     })
@@ -134,14 +143,15 @@ impl DesignPage {
         };
         #[expect(clippy::cast_precision_loss, reason = "step counts")]
         let judged = |k: usize| self.moments.iter().map(|m| [m.step as f64, m.held_out_db[k]]).collect::<Vec<_>>();
+        let [before, after] = self.words.judged.clone();
         page.section("Over time");
         let drawings = [
-            plot("Loss of training patches", "L1", Scale::Log, vec![line("", &self.loss, Mark::Line)]),
+            plot("Loss of training patches", &self.words.loss, Scale::Log, vec![line("", &self.loss, Mark::Line)]),
             plot(
                 "Pictures it does not train on",
                 "PSNR, dB",
                 Scale::Linear,
-                vec![line("behind the network", &judged(1), Mark::Both), line("capture", &judged(0), Mark::Both)],
+                vec![line(&after, &judged(1), Mark::Both), line(&before, &judged(0), Mark::Both)],
             ),
             plot("How far a step moves rays", "rms, µm", Scale::Log, vec![line("", &self.moved_um, Mark::Line)]),
             plot("Agreement of gradients", "0 to 1", Scale::Linear, vec![line("", &self.signal, Mark::Line)]),
@@ -187,6 +197,7 @@ mod tests {
         let page = DesignPage {
             title: "a & b".into(),
             standing: "under way".into(),
+            words: Words { judged: ["capture".into(), "behind".into()], loss: "L1".into(), shown: "in turn".into() },
             facts: vec![Fact { value: "1".into(), label: "l".into() }],
             lenses: [None, None],
             variables: vec!["surface[0].conic".into()],
@@ -195,7 +206,10 @@ mod tests {
             moved_um: vec![[10.0, 1.0]],
             signal: vec![[10.0, 0.3]],
             active: vec!["track".into()],
-            shown: vec![Shown { caption: "c".into(), pictures: [image.clone(), image.clone(), image] }],
+            shown: vec![Shown {
+                caption: "c".into(),
+                pictures: vec![("n1".into(), image.clone()), ("n2".into(), image)],
+            }],
             settings: vec![["steps".into(), "rays".into()]],
         };
         let text = page.to_html().expect("a page");
@@ -203,7 +217,8 @@ mod tests {
             assert_eq!(text.matches(&format!("<title>s{step}</title>")).count(), 1);
         }
         assert!(text.contains("type=\"range\" min=\"0\" max=\"1\"") && text.contains("a &amp; b"));
-        assert!(text.contains("track") && text.contains("+3.2"));
+        assert!(text.contains("track") && text.contains("+3.2") && text.contains("n2"));
+        assert!(text.contains("step 10: capture 20.00 dB, behind 31.00 dB"));
         assert!(!text.contains("src=\"http") && !text.contains("href=\"http"));
         assert_eq!(text.matches("<script").count(), 1, "the page's own");
     }

@@ -3,14 +3,14 @@
 
 use std::fmt::Write;
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
 
 /// Mean over pictures and how well it is known.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Figure {
     /// Mean.
     pub mean: f64,
@@ -45,7 +45,7 @@ impl Figure {
 }
 
 /// How close one kind of picture is to the truth.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Closeness {
     /// PSNR as seen (sRGB-encoded, range 1), dB.
     pub psnr_db: Figure,
@@ -60,7 +60,7 @@ pub struct Closeness {
 }
 
 /// One zone of the field at one depth.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
     /// Distance of the scene, mm; infinite is null in JSON.
     pub depth_mm: f64,
@@ -85,7 +85,7 @@ pub struct Row {
 }
 
 /// What a run was judged on, and the outcome.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evaluation {
     /// Version of this form.
     pub schema: u32,

@@ -37,8 +37,15 @@ fn student(freedom: usize) -> f64 {
     TERMS.iter().rev().fold(0.0, |sum, term| sum / freedom as f64 + term)
 }
 
+impl Difference {
+    /// Half the width of the 95 % interval of a mean over so many pictures; NaN below three.
+    pub(super) fn half_width(figure: Figure, pictures: usize) -> f64 {
+        student(pictures.saturating_sub(1)) * figure.standard_error
+    }
+}
+
 fn interval(figure: Figure, pictures: usize) -> [f64; 2] {
-    let half = student(pictures.saturating_sub(1)) * figure.standard_error;
+    let half = Difference::half_width(figure, pictures);
     [figure.mean - half, figure.mean + half]
 }
 

@@ -130,32 +130,7 @@ pub(crate) fn meniscus_200() -> Lens {
 
 /// The lens made `scale` times as large.
 pub(crate) fn scaled(lens: &Lens, scale: f64) -> Lens {
-    unchecked(lens, |lens| enlarge(lens, scale))
-}
-
-fn enlarge(lens: &mut Prescription, scale: f64) {
-    for s in &mut lens.surfaces {
-        s.shape.curvature /= scale;
-        let (mut even, mut odd) = (1.0 / scale, 1.0 / (scale * scale));
-        for a in &mut s.shape.asphere {
-            *a *= even;
-            even /= scale * scale;
-        }
-        for a in &mut s.shape.odd {
-            *a *= odd;
-            odd /= scale * scale;
-        }
-        s.thickness *= scale;
-        s.semi_diameter *= scale;
-        if let Some(pose) = &mut s.pose {
-            pose.decentre.iter_mut().for_each(|d| *d *= scale);
-        }
-    }
-    lens.object_vergence /= scale;
-    match &mut lens.aperture {
-        Aperture::EntrancePupilDiameter(d) | Aperture::StopSemiDiameter(d) => *d *= scale,
-        Aperture::FNumber(_) => {}
-    }
+    unchecked(lens, |l| l.enlarge(scale))
 }
 
 /// Random tilts and decentres of every surface.

@@ -22,7 +22,7 @@ use crate::progress::Bar;
 /// Joint design of lens and network.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Task file (form in models/README.md), or a shipped task: lfov-paper, lfov-30, lfov-30-free; with --resume the run's own
+    /// Task file (form in models/README.md), or a shipped task: lfov-paper, lfov-30, lfov-30-free, edof, edof-free, edof-joint; with --resume the run's own
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: lens, network, log, history
@@ -106,6 +106,12 @@ fn driven(
     json: bool,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
+    let by_images = designing.task().sensor_loss.is_some();
+    if let Some(folder) = validate_on.filter(|_| by_images) {
+        let allowed =
+            "no --validate for a task with sensor_loss, which has no network; `isoplanat train`, then `evaluate`";
+        return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed).into());
+    }
     let held_out = validate_on.map(Textures::photos).transpose()?;
     let bytes = memory::of_design(designing.task())?;
     crate::memory::limit().allow("the design", bytes, INSTEAD)?;
@@ -115,20 +121,18 @@ fn driven(
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
-    let bar = Bar::new(if designing.task().freeze_lens { "network alone" } else { "lens and network" });
+    let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
+        (true, _) => "network alone",
+        (_, true) => "lens by its images",
+        _ => "lens and network",
+    });
     let mut last: Option<Entry> = None;
     let designed = designing.run(&mut |status| {
         let e = &status.entry;
         let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
         let held_out = status.judged.map_or(String::new(), |j| format!("  held out {:.2} dB", j.output_psnr_db));
         let active = status.active.first().map_or(String::new(), |a| format!("  held by {a}"));
-        bar.set(
-            status.share,
-            format!(
-                "step {}{of}  L1 {:.4}  {:.2} → {:.2} dB{held_out}{active}",
-                status.step, e.loss, e.input_psnr_db, e.output_psnr_db
-            ),
-        );
+        bar.set(status.share, format!("step {}{of}  {}{held_out}{active}", status.step, told(e, by_images, 4)));
         last = Some(e.clone());
         !asked()
     });
@@ -159,7 +163,7 @@ fn driven(
     }
     let mut tell = |name: &str, e: Option<&Entry>| -> std::io::Result<()> {
         let Some(e) = e else { return Ok(()) };
-        writeln!(out, "{name:11} L1 {:.5}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db)
+        writeln!(out, "{name:11} {}", told(e, by_images, 5))
     };
     tell("training", last.as_ref())?;
     tell("held out", designing.judged())?;
@@ -172,6 +176,15 @@ fn driven(
         writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;
     }
     Ok(())
+}
+
+/// An entry in words.
+fn told(e: &Entry, by_images: bool, digits: usize) -> String {
+    let [a, b] = [e.input_psnr_db, e.output_psnr_db];
+    if by_images {
+        return format!("loss {:.digits$}  {a:.2} dB, the lowest distance {b:.2} dB", e.loss);
+    }
+    format!("L1 {:.digits$}  {a:.2} → {b:.2} dB", e.loss)
 }
 
 const INSTEAD: &str = "a smaller patch_px, batch, base_width or folder";

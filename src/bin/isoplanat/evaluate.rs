@@ -36,43 +36,15 @@ const MARKER: &str = "sheets.txt";
 pub(crate) struct Args {
     /// Run folder: task.toml, lens.toml (or lens/, measured), network.safetensors.
     run: PathBuf,
-    /// Folder of photographs; built-in scenes where left out.
-    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
-    photos: Option<PathBuf>,
-    /// Kind of built-in scenes; color_chart judges colour.
-    #[arg(long, value_name = "KIND", default_value = "facades", value_parser = kind)]
-    scene: SceneKind,
-    /// Zones of equal width in image height, axis to corner.
-    #[arg(long, default_value_t = 5)]
-    fields: usize,
-    /// Zones of equal steps of half field angle in the object's space out to this, in place of image height out to the corner.
-    #[arg(long, value_name = "DEG")]
-    to_degrees: Option<f64>,
-    /// Half field angles to which means are taken beside the one over all zones, comma-separated.
-    #[arg(long, value_delimiter = ',', value_name = "DEG,…")]
-    means_degrees: Vec<f64>,
-    /// Distances of the scene, comma-separated (`inf` allowed); the lens's own where left out.
-    #[arg(long, value_delimiter = ',', value_name = "MM,…")]
-    depths_mm: Vec<f64>,
-    /// Side of a patch, pixels; a zone too narrow gets half of it.
-    #[arg(long, default_value_t = 256, value_name = "PX")]
-    patch: usize,
-    /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
-    #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
-    reference: Option<u32>,
+    #[command(flatten)]
+    protocol: Protocol,
     /// Lens file, shipped lens or folder of a measured lens that captures are made through, in place of the run's own lens, which still says what the
     /// ideal picture is and what light is divided out: how good a network is behind a lens that is not quite the one it was trained for.
     #[arg(long, value_name = "LENS")]
     through: Option<String>,
-    /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
-    #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
-    texels_per_pixel: f64,
     /// Another run, judged on the same pictures at the same places: differences picture by picture, with 95 % intervals.
     #[arg(long, value_name = "RUN")]
     against: Option<PathBuf>,
-    /// Seed of places and noise.
-    #[arg(long, default_value_t = 1)]
-    seed: u64,
     /// Rows to write as comma-separated values.
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
@@ -90,6 +62,100 @@ pub(crate) struct Args {
     force: bool,
 }
 
+/// On what and how a camera is judged.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct Protocol {
+    /// Folder of photographs; built-in scenes where left out.
+    #[arg(long, value_name = "DIR", conflicts_with = "scene")]
+    pub(crate) photos: Option<PathBuf>,
+    /// Kind of built-in scenes; color_chart judges colour.
+    #[arg(long, value_name = "KIND", default_value = "facades", value_parser = kind)]
+    scene: SceneKind,
+    /// Zones of equal width in image height, axis to corner.
+    #[arg(long, default_value_t = 5)]
+    fields: usize,
+    /// Zones of equal steps of half field angle in the object's space out to this, in place of image height out to the corner.
+    #[arg(long, value_name = "DEG")]
+    to_degrees: Option<f64>,
+    /// Half field angles to which means are taken beside the one over all zones, comma-separated.
+    #[arg(long, value_delimiter = ',', value_name = "DEG,…")]
+    means_degrees: Vec<f64>,
+    /// Distances of the scene, comma-separated (`inf` allowed); those that the run's task states, or else the lens's own, where left out.
+    #[arg(long, value_delimiter = ',', value_name = "MM,…")]
+    pub(crate) depths_mm: Vec<f64>,
+    /// Side of a patch, pixels; a zone too narrow gets half of it.
+    #[arg(long, default_value_t = 256, value_name = "PX")]
+    patch: usize,
+    /// Captures by rays from the sensor, so many a pixel, in place of the fast renderer: the judge of both.
+    #[arg(long, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
+    reference: Option<u32>,
+    /// Texels of a picture that a pixel sees at a patch's centre; 1: a pixel of the photograph is one of the sensor.
+    #[arg(long, default_value_t = TEXELS_PER_PIXEL, value_name = "N")]
+    texels_per_pixel: f64,
+    /// Seed of places and noise.
+    #[arg(long, default_value_t = 1)]
+    seed: u64,
+}
+
+impl Protocol {
+    /// The pictures, checked; stderr is told where they are built in.
+    pub(crate) fn pictures(&self) -> Result<Pictures> {
+        if !(0.1..=100.0).contains(&self.texels_per_pixel) {
+            let found = self.texels_per_pixel.to_string();
+            return Err(Error::bad("--texels-per-pixel", "value", found, "0.1 to 100"));
+        }
+        Ok(match &self.photos {
+            Some(folder) => Pictures::Photos(Photos::open(folder)?),
+            None => Pictures::BuiltIn(self.scene, SCENES),
+        })
+    }
+
+    /// How the run in `folder` is judged.
+    fn settings(&self, task: &Task, subject: &Subject) -> Settings {
+        let own = match task.network_depths_mm() {
+            [] => vec![1.0 / subject.vergence()],
+            depths => depths.to_vec(),
+        };
+        Settings {
+            fields: self.fields,
+            to_deg: self.to_degrees,
+            means_deg: self.means_degrees.clone(),
+            depths_mm: if self.depths_mm.is_empty() { own } else { self.depths_mm.clone() },
+            patch: self.patch,
+            seed: self.seed,
+            fineness: FINENESS,
+            rays: self.reference.map(|n| n as usize),
+            texels: self.texels_per_pixel,
+            through: None,
+        }
+    }
+
+    /// In words, by name and value.
+    pub(crate) fn described(&self) -> Vec<[String; 2]> {
+        let zones = self.to_degrees.map_or_else(
+            || format!("{} of equal width in image height", self.fields),
+            |d| format!("{} of equal steps of half field angle to {d} degrees", self.fields),
+        );
+        let captures = self
+            .reference
+            .map_or_else(|| "fast renderer, evaluation fineness".to_owned(), |n| format!("{n} rays a pixel"));
+        let pictures = self.photos.as_ref().map_or_else(
+            || format!("{SCENES} built-in {} scenes", self.scene.name()),
+            |p| format!("photographs of {}", p.file_name().unwrap_or_default().to_string_lossy()),
+        );
+        [
+            ("pictures judged", pictures),
+            ("zones", zones),
+            ("patch, pixels", self.patch.to_string()),
+            ("texels to a pixel", self.texels_per_pixel.to_string()),
+            ("captures", captures),
+            ("seed of the judgement", self.seed.to_string()),
+        ]
+        .map(|(a, b)| [a.to_owned(), b])
+        .to_vec()
+    }
+}
+
 /// A kind of built-in scene.
 fn kind(text: &str) -> std::result::Result<SceneKind, String> {
     let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
@@ -102,19 +168,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         atomic::check_folder(folder, MARKER, args.force)?;
     }
-    let pictures = match &args.photos {
-        Some(folder) => Pictures::Photos(Photos::open(folder)?),
-        None => Pictures::BuiltIn(args.scene, SCENES),
-    };
-    if !(0.1..=100.0).contains(&args.texels_per_pixel) {
-        let found = args.texels_per_pixel.to_string();
-        return Err(Error::bad("--texels-per-pixel", "value", found, "0.1 to 100").into());
-    }
-    let run = Judged::new(args, &args.run)?;
-    let other = args.against.as_ref().map(|folder| Judged::new(args, folder)).transpose()?;
-    if args.photos.is_none() {
-        let family = if args.scene == SceneKind::Facades { "street" } else { args.scene.name() };
-        let known = if TRAINING.contains(&args.scene) {
+    let pictures = args.protocol.pictures()?;
+    let judged = |folder: &Path| Judged::new(&args.protocol, args.through.as_deref(), folder);
+    let run = judged(&args.run)?;
+    let other = args.against.as_deref().map(judged).transpose()?;
+    if args.protocol.photos.is_none() {
+        let scene = args.protocol.scene;
+        let family = if scene == SceneKind::Facades { "street" } else { scene.name() };
+        let known = if TRAINING.contains(&scene) {
             "new draws of a family that training knows"
         } else {
             "a family that no training uses"
@@ -133,7 +194,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         output::put(&result.svg(), Some(path), out)?;
     }
     if let Some(folder) = &args.pictures {
-        save(folder, args.force, &sheets, &result, &run.settings, &pictures)?;
+        run.save(folder, args.force, &sheets, &result, &pictures)?;
     }
     if args.json {
         let mut json = result.json();
@@ -145,8 +206,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     writeln!(out, "{}, {} {}", result.lens, result.count, result.pictures)?;
     writeln!(out, "{}", result.table())?;
-    if let Some(smallest) = result.rows.iter().map(|r| r.patch_px).min().filter(|p| *p < args.patch) {
-        writeln!(out, "zones too narrow for patches of {} pixels have smaller ones, down to {smallest}", args.patch)?;
+    if let Some(smallest) = result.rows.iter().map(|r| r.patch_px).min().filter(|p| *p < args.protocol.patch) {
+        let patch = args.protocol.patch;
+        writeln!(out, "zones too narrow for patches of {patch} pixels have smaller ones, down to {smallest}")?;
     }
     if !result.empty_zones.is_empty() {
         let list: Vec<String> = result.empty_zones.iter().map(usize::to_string).collect();
@@ -160,7 +222,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 /// A run that is to be judged.
-struct Judged {
+pub(crate) struct Judged {
     folder: PathBuf,
     subject: Subject,
     network: Reconstructor,
@@ -170,29 +232,19 @@ struct Judged {
 }
 
 impl Judged {
-    /// The run in `folder`.
-    fn new(args: &Args, folder: &Path) -> Result<Self> {
+    /// The run in `folder`, by `protocol`, captures `through` another lens where one is named.
+    pub(crate) fn new(protocol: &Protocol, through: Option<&str>, folder: &Path) -> Result<Self> {
         let task = Task::load(&folder.join("task.toml"))?;
         let subject = crate::input::of_run(folder)?;
         let network = Reconstructor::load(&folder.join("network.safetensors"))?;
         let guide = guide_of(folder, &network, &subject.frame()?)?;
-        let own = vec![1.0 / subject.vergence()];
-        let settings = Settings {
-            fields: args.fields,
-            to_deg: args.to_degrees,
-            means_deg: args.means_degrees.clone(),
-            depths_mm: if args.depths_mm.is_empty() { own } else { args.depths_mm.clone() },
-            patch: args.patch,
-            seed: args.seed,
-            fineness: FINENESS,
-            rays: args.reference.map(|n| n as usize),
-            texels: args.texels_per_pixel,
-            through: args.through.as_deref().map(crate::input::subject).transpose()?,
-        };
+        let through = through.map(crate::input::subject).transpose()?;
+        let settings = Settings { through, ..protocol.settings(&task, &subject) };
         Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, subject, network, guide, settings })
     }
 
-    fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
+    /// Judges it; with `sheets`, pictures too.
+    pub(crate) fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
         let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, sheets)?;
         let instead = "a smaller --patch, smaller photographs, or no --pictures";
         crate::memory::limit().allow("the evaluation", bytes, instead)?;
@@ -212,37 +264,41 @@ impl Judged {
         }
         Ok(judged)
     }
-}
 
-/// Writes the folder of sheets.
-fn save(
-    folder: &Path,
-    force: bool,
-    sheets: &[Sheet],
-    result: &Evaluation,
-    settings: &Settings,
-    pictures: &Pictures,
-) -> Result<()> {
-    atomic::write_folder(folder, MARKER, force, |folder| {
-        let mut text = String::from("Columns: truth, capture, reconstruction. Rows:");
-        for index in 0..pictures.len().min(4) {
-            text += &format!(" {}", pictures.name(index));
-        }
-        text.push('\n');
-        for sheet in sheets {
-            let depth = settings.depths_mm.get(sheet.depth).copied().unwrap_or(f64::NAN);
-            let name = match settings.depths_mm.len() {
-                1 => format!("field-{}.png", sheet.zone),
-                _ => format!("depth-{}mm-field-{}.png", significant(depth, 6), sheet.zone),
-            };
-            write_png8(&folder.join(&name), &sheet.image)?;
-            let heights = result.rows.iter().find(|r| r.zone == sheet.zone).map_or([0.0; 2], |r| r.field);
-            text +=
-                &format!("{name}: image height {:.2} to {:.2}, {} mm\n", heights[0], heights[1], significant(depth, 6));
-        }
-        atomic::write_bytes(&folder.join(MARKER), text.as_bytes()).map_err(|e| match e {
-            Error::Io { reason, .. } => Error::writing(folder, reason),
-            other => other,
+    /// Writes a folder of sheets.
+    pub(crate) fn save(
+        &self,
+        folder: &Path,
+        force: bool,
+        sheets: &[Sheet],
+        result: &Evaluation,
+        pictures: &Pictures,
+    ) -> Result<()> {
+        atomic::write_folder(folder, MARKER, force, |folder| {
+            let mut text = String::from("Columns: truth, capture, reconstruction. Rows:");
+            for index in 0..pictures.len().min(4) {
+                text += &format!(" {}", pictures.name(index));
+            }
+            text.push('\n');
+            for sheet in sheets {
+                let depth = self.settings.depths_mm.get(sheet.depth).copied().unwrap_or(f64::NAN);
+                let name = match self.settings.depths_mm.len() {
+                    1 => format!("field-{}.png", sheet.zone),
+                    _ => format!("depth-{}mm-field-{}.png", significant(depth, 6), sheet.zone),
+                };
+                write_png8(&folder.join(&name), &sheet.image)?;
+                let heights = result.rows.iter().find(|r| r.zone == sheet.zone).map_or([0.0; 2], |r| r.field);
+                text += &format!(
+                    "{name}: image height {:.2} to {:.2}, {} mm\n",
+                    heights[0],
+                    heights[1],
+                    significant(depth, 6)
+                );
+            }
+            atomic::write_bytes(&folder.join(MARKER), text.as_bytes()).map_err(|e| match e {
+                Error::Io { reason, .. } => Error::writing(folder, reason),
+                other => other,
+            })
         })
-    })
+    }
 }

@@ -12,6 +12,8 @@ mod calibrate;
 mod calibrate_sensor;
 mod capture;
 mod check;
+#[cfg(feature = "train")]
+mod compare;
 mod convert;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod demo;
@@ -149,6 +151,12 @@ enum Command {
     /// PSNR and SSIM of a run by field and depth (needs the feature `train`)
     #[cfg(not(feature = "train"))]
     Evaluate(missing::Args),
+    /// A lens and others in its place, each with a network of its own
+    #[cfg(feature = "train")]
+    Compare(Box<compare::Args>),
+    /// A lens and others in its place, each with a network of its own (needs the feature `train`)
+    #[cfg(not(feature = "train"))]
+    Compare(missing::Args),
     /// ONNX model and calibration of a run, for the camera
     #[cfg(all(feature = "train", feature = "deploy"))]
     Export(export::Args),
@@ -191,12 +199,15 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Train(args) => train::run(&args, out),
         #[cfg(feature = "train")]
         Command::Evaluate(args) => evaluate::run(&args, out),
+        #[cfg(feature = "train")]
+        Command::Compare(args) => compare::run(&args, out),
         #[cfg(not(feature = "train"))]
         Command::Demo(_)
         | Command::Design(_)
         | Command::Sweep(_)
         | Command::Train(_)
         | Command::Evaluate(_)
+        | Command::Compare(_)
         | Command::Export(_) => missing::feature("train"),
         #[cfg(all(feature = "train", feature = "deploy"))]
         Command::Demo(args) => demo::run(&args, out),

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::design::memory;
 use isoplanat::design::task::Task;
-use isoplanat::design::training::Training;
+use isoplanat::design::training::{Status, Training};
 use isoplanat::network::Compute;
 use isoplanat::{Error, Result};
 
@@ -21,7 +21,7 @@ pub(crate) struct Args {
     #[arg(short, long)]
     output: PathBuf,
     /// Go on with the run in that folder.
-    #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial"])]
+    #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial", "depths_mm"])]
     resume: bool,
     /// Length in minutes, in place of the task's.
     #[arg(long, conflicts_with = "steps")]
@@ -35,6 +35,9 @@ pub(crate) struct Args {
     /// VGG-19 weights (safetensors) for the content loss.
     #[arg(long)]
     vgg: Option<PathBuf>,
+    /// Distances to train for, comma-separated (`inf` allowed), in place of the task's.
+    #[arg(long, value_delimiter = ',', value_name = "MM,…")]
+    depths_mm: Vec<f64>,
     /// Train against discriminators.
     #[arg(long)]
     adversarial: bool,
@@ -73,16 +76,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
-    let bar = Bar::new("training");
     let mut last = None;
-    let trained = training.run(&mut |status| {
-        let e = &status.entry;
-        let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
-        bar.set(status.share, format!("step {}{of}  loss {:.4}  {:.2} dB", status.step, e.content, e.psnr_db));
-        last = Some(*status);
-        !asked()
-    });
-    bar.done(format!("{} steps", training.step()));
+    let trained = to_the_end(&mut training, "training", &asked, &mut |status| last = Some(*status));
     if matches!(trained, Err(Error::Interrupted)) {
         let run = args.output.display();
         eprintln!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
@@ -112,6 +107,25 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// Trains to the end with a bar called `label`, or until somebody `asked` for one; `see` sees every step.
+pub(crate) fn to_the_end(
+    training: &mut Training,
+    label: &'static str,
+    asked: &dyn Fn() -> bool,
+    see: &mut dyn FnMut(&Status),
+) -> Result<()> {
+    let bar = Bar::new(label);
+    let trained = training.run(&mut |status| {
+        let e = &status.entry;
+        let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
+        bar.set(status.share, format!("step {}{of}  loss {:.4}  {:.2} dB", status.step, e.content, e.psnr_db));
+        see(status);
+        !asked()
+    });
+    bar.done(format!("{} steps", training.step()));
+    trained
+}
+
 /// The task with the command line's changes.
 fn task(args: &Args, path: &Path) -> Result<Task> {
     let mut task = if path.is_dir() { Task::of_run(path) } else { Task::load(path) }?;
@@ -123,6 +137,9 @@ fn task(args: &Args, path: &Path) -> Result<Task> {
     }
     if let Some(vgg) = &args.vgg {
         task.train.vgg = Some(vgg.clone());
+    }
+    if !args.depths_mm.is_empty() {
+        task.train.depths_mm.clone_from(&args.depths_mm);
     }
     task.train.adversarial |= args.adversarial;
     task.check(&path.display().to_string())?;

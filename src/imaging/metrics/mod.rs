@@ -13,7 +13,7 @@ pub mod ms_ssim;
 pub mod slanted_edge;
 pub mod wiener;
 
-use ndarray::{Array1, Array2, ArrayView2, ArrayView3, s};
+use ndarray::{Array1, Array2, Array3, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
@@ -99,15 +99,48 @@ pub fn ssim(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> Result<f64> {
 /// # Panics
 /// If the shapes differ.
 fn ssim_values(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>) -> Result<f64> {
-    let (channels, rows, cols) = a.dim();
+    require_window(a.dim())?;
     assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    let channels = a.dim().0;
+    let plane = |k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, false).0;
+    let planes: Vec<f64> = (0..channels).into_par_iter().map(plane).collect();
+    Ok(planes.iter().sum::<f64>() / channels as f64)
+}
+
+/// SSIM of the numbers themselves for a data range of 1, and its gradients in both pictures.
+///
+/// # Errors
+/// Pictures smaller than the window.
+///
+/// # Panics
+/// If the shapes differ.
+pub fn ssim_and_slopes(a: ArrayView3<'_, f64>, b: ArrayView3<'_, f64>) -> Result<(f64, [Array3<f64>; 2])> {
+    require_window(a.dim())?;
+    assert_eq!(a.dim(), b.dim(), "pictures of one shape");
+    let channels = a.dim().0;
+    let plane = |k| {
+        let (a, b) = (a.slice(s![k, .., ..]), b.slice(s![k, .., ..]));
+        let (value, of_a) = ssim_plane(a, b, Part::Whole, true);
+        // The measure is the same both ways round.
+        (value, [of_a, ssim_plane(b, a, Part::Whole, true).1])
+    };
+    let planes: Vec<_> = (0..channels).into_par_iter().map(plane).collect();
+    let mut slopes = [Array3::zeros(a.dim()), Array3::zeros(a.dim())];
+    for (k, (_, planes)) in planes.iter().enumerate() {
+        for (whole, plane) in slopes.iter_mut().zip(planes) {
+            let plane = plane.as_ref().map_or_else(|| Array2::zeros((a.dim().1, a.dim().2)), |p| p / channels as f64);
+            whole.slice_mut(s![k, .., ..]).assign(&plane);
+        }
+    }
+    Ok((planes.iter().map(|p| p.0).sum::<f64>() / channels as f64, slopes))
+}
+
+fn require_window((channels, rows, cols): (usize, usize, usize)) -> Result<()> {
     if rows < SSIM_WINDOW || cols < SSIM_WINDOW || channels == 0 {
         let found = format!("{channels} channels of {rows} × {cols}");
         return Err(Error::bad("", "picture for SSIM", found, "at least 11 × 11 pixels"));
     }
-    let plane = |k| ssim_plane(a.slice(s![k, .., ..]), b.slice(s![k, .., ..]), Part::Whole, false).0;
-    let planes: Vec<f64> = (0..channels).into_par_iter().map(plane).collect();
-    Ok(planes.iter().sum::<f64>() / channels as f64)
+    Ok(())
 }
 
 /// Which of SSIM's factors count.
@@ -204,7 +237,7 @@ fn windowed_vjp(bar: ArrayView2<'_, f64>) -> Array2<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ndarray::{Array3, Axis};
+    use ndarray::Axis;
 
     use crate::testing::{assert_abs, assert_rel, central_difference};
 

@@ -1,0 +1,453 @@
+//! Cameras beside each other: one lens and others in its place, each with its own network, judged alike. Table, curves over field and distance,
+//! pictures; as a page, CSV and JSON.
+
+use std::fmt::Write;
+
+use ndarray::Array3;
+use serde_json::{Value, json};
+
+use super::evaluation::{Evaluation, Figure, Row};
+use super::html::{Fact, Page, Picture};
+use super::paired::{Difference, against};
+use super::plot::{Mark, Plot, Series};
+use super::table::{Table, significant};
+use crate::error::Result;
+
+/// One camera.
+#[derive(Clone, Debug)]
+pub struct Entrant {
+    /// Its lens.
+    pub name: String,
+    /// Its network.
+    pub network: String,
+    /// How it came here: scale, focus, field; steps and rate of its network.
+    pub notes: Vec<String>,
+    /// Drawing of its lens (SVG); empty where there is none.
+    pub drawing: String,
+    /// How it was judged, or why it could not be.
+    pub outcome: std::result::Result<Evaluation, String>,
+    /// Truth, capture and reconstruction of some pictures side by side, with what they show.
+    pub sheets: Vec<(String, Array3<f32>)>,
+}
+
+/// All of them; margins are over the first.
+#[derive(Clone, Debug)]
+pub struct Comparison {
+    /// Heading.
+    pub title: String,
+    /// The cameras, the one that the others are compared with first.
+    pub entrants: Vec<Entrant>,
+    /// How, by name and value.
+    pub settings: Vec<[String; 2]>,
+}
+
+/// Figures of a camera over all distances.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Overall {
+    /// PSNR of the reconstruction at the distance where it is lowest, dB.
+    pub lowest_db: f64,
+    /// The difference to the highest, dB.
+    pub spread_db: f64,
+    /// Mean over distances: capture and reconstruction, dB; SSIM of the reconstruction.
+    pub mean: [f64; 3],
+}
+
+/// The mean over the whole field at each distance: the last of its rows for zone 0.
+fn means(evaluation: &Evaluation) -> Vec<&Row> {
+    let mut found: Vec<&Row> = Vec::new();
+    for row in evaluation.rows.iter().filter(|r| r.zone == 0) {
+        match found.last_mut() {
+            Some(last) if last.depth_mm == row.depth_mm => *last = row,
+            _ => found.push(row),
+        }
+    }
+    found
+}
+
+impl Overall {
+    /// Of a camera that was judged; `None` without rows.
+    #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
+    pub fn of(evaluation: &Evaluation) -> Option<Self> {
+        let rows = means(evaluation);
+        if rows.is_empty() {
+            return None;
+        }
+        let psnr = rows.iter().map(|r| r.reconstruction.psnr_db.mean);
+        let lowest_db = psnr.clone().fold(f64::INFINITY, f64::min);
+        let mean = |of: fn(&Row) -> f64| rows.iter().map(|r| of(r)).sum::<f64>() / rows.len() as f64;
+        Some(Self {
+            lowest_db,
+            spread_db: psnr.fold(f64::NEG_INFINITY, f64::max) - lowest_db,
+            mean: [
+                mean(|r| r.capture.psnr_db.mean),
+                mean(|r| r.reconstruction.psnr_db.mean),
+                mean(|r| r.reconstruction.ssim.mean),
+            ],
+        })
+    }
+}
+
+/// How much better the first camera is than another, at the distance where the first is least ahead.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Margin {
+    /// Mean over distances, dB.
+    pub mean_db: f64,
+    /// Half the width of its 95 % interval over pictures, dB, where they could be paired.
+    pub within_db: Option<f64>,
+    /// SSIM, mean over distances.
+    pub ssim: f64,
+    /// Lowest distance against lowest distance, dB.
+    pub lowest_db: f64,
+}
+
+impl Margin {
+    /// `None` where one of them has no rows.
+    pub fn of(first: &Evaluation, other: &Evaluation) -> Option<Self> {
+        let (a, b) = (Overall::of(first)?, Overall::of(other)?);
+        Some(Self {
+            mean_db: a.mean[1] - b.mean[1],
+            within_db: paired(first, other),
+            ssim: a.mean[2] - b.mean[2],
+            lowest_db: a.lowest_db - b.lowest_db,
+        })
+    }
+}
+
+/// Half the 95 % interval of the mean over distances of differences picture by picture.
+fn paired(first: &Evaluation, other: &Evaluation) -> Option<f64> {
+    let (a, b) = (means(first), means(other));
+    // Judged at the same places.
+    against(first, other).ok()?;
+    let pictures = a.iter().zip(&b).map(|(a, b)| a.each.len().min(b.each.len())).min()?;
+    #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
+    let over = a.len() as f64;
+    let one = |i: usize| a.iter().zip(&b).map(|(a, b)| a.each[i][0] - b.each[i][0]).sum::<f64>() / over;
+    let figure = Figure::of(&(0..pictures).map(one).collect::<Vec<_>>());
+    let half = Difference::half_width(figure, pictures);
+    half.is_finite().then_some(half)
+}
+
+impl Comparison {
+    fn first(&self) -> Option<&Evaluation> {
+        self.entrants.first()?.outcome.as_ref().ok()
+    }
+
+    fn several_distances(&self) -> bool {
+        self.entrants.iter().filter_map(|e| e.outcome.as_ref().ok()).any(|e| means(e).len() > 1)
+    }
+
+    /// The cameras as a table.
+    pub fn table(&self) -> Table {
+        let several = self.several_distances();
+        let mut head = vec!["lens", "network", "capture dB", "network dB", "SSIM"];
+        if several {
+            head.extend(["lowest dB", "spread dB"]);
+        }
+        head.extend(["first ahead, dB", "in SSIM"]);
+        if several {
+            head.push("lowest ahead, dB");
+        }
+        let columns = head.len();
+        let mut table = Table::new(head);
+        for (k, e) in self.entrants.iter().enumerate() {
+            let mut row = vec![e.name.clone(), e.network.clone()];
+            match e.outcome.as_ref().map(|o| (o, Overall::of(o))) {
+                Ok((own, Some(overall))) => {
+                    let [capture, network, ssim] = overall.mean;
+                    row.extend([format!("{capture:.2}"), format!("{network:.2}"), format!("{ssim:.3}")]);
+                    if several {
+                        row.extend([format!("{:.2}", overall.lowest_db), format!("{:.2}", overall.spread_db)]);
+                    }
+                    let margin = self.first().filter(|_| k > 0).and_then(|first| Margin::of(first, own));
+                    if let Some(m) = margin {
+                        let within = m.within_db.map_or(String::new(), |w| format!(" ± {w:.2}"));
+                        row.extend([format!("{:+.2}{within}", m.mean_db), format!("{:+.3}", m.ssim)]);
+                        if several {
+                            row.push(format!("{:+.2}", m.lowest_db));
+                        }
+                    }
+                }
+                Ok(_) => row.push("no patch was judged".into()),
+                Err(why) => row.push(format!("not judged: {why}")),
+            }
+            row.resize(columns, String::new());
+            table.row(row);
+        }
+        table
+    }
+
+    /// Every row of every camera, with its name before it.
+    pub fn csv(&self) -> String {
+        let mut out = String::new();
+        for e in &self.entrants {
+            let Ok(evaluation) = &e.outcome else { continue };
+            let csv = evaluation.csv();
+            let mut lines = csv.lines();
+            let heading = lines.next().unwrap_or("");
+            if out.is_empty() {
+                let _ = writeln!(out, "lens,network,{heading}");
+            }
+            let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
+            for line in lines {
+                let _ = writeln!(out, "{},{},{line}", quoted(&e.name), quoted(&e.network));
+            }
+        }
+        out
+    }
+
+    /// Everything, for machines.
+    pub fn json(&self) -> Value {
+        let first = self.first();
+        let rows: Vec<Value> = self
+            .entrants
+            .iter()
+            .enumerate()
+            .map(|(k, e)| {
+                let own = e.outcome.as_ref().ok();
+                let overall = own.and_then(Overall::of).map(|o| {
+                    json!({ "lowest_db": o.lowest_db, "spread_db": o.spread_db, "capture_db": o.mean[0], "network_db": o.mean[1], "ssim": o.mean[2] })
+                });
+                let margin = first.filter(|_| k > 0).zip(own).and_then(|(a, b)| Margin::of(a, b)).map(|m| {
+                    json!({ "mean_db": m.mean_db, "within_db": m.within_db, "ssim": m.ssim, "lowest_db": m.lowest_db })
+                });
+                json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": overall, "first_ahead": margin,
+                    "evaluation": own.map(Evaluation::json), "refused": e.outcome.as_ref().err() })
+            })
+            .collect();
+        let settings: serde_json::Map<String, Value> =
+            self.settings.iter().map(|[k, v]| (k.clone(), Value::from(v.as_str()))).collect();
+        json!({ "schema": 1, "title": self.title, "settings": settings, "rows": rows })
+    }
+
+    /// PSNR of reconstructions over the field, at distance `depth` of the judged ones, captures dashed.
+    fn over_field(&self, depth: usize) -> Option<Plot> {
+        let mut series = Vec::new();
+        let mut title = String::new();
+        for e in &self.entrants {
+            let Ok(evaluation) = &e.outcome else { continue };
+            let Some(depth_mm) = means(evaluation).get(depth).map(|r| r.depth_mm) else { continue };
+            title = format!("Over the field, from {} mm", significant(depth_mm, 5));
+            let points = |of: fn(&Row) -> f64| -> Vec<[f64; 2]> {
+                let zones = evaluation.rows.iter().filter(|r| r.depth_mm == depth_mm && r.zone > 0);
+                zones.map(|r| [0.5 * (r.angle_deg[0] + r.angle_deg[1]), of(r)]).collect()
+            };
+            series.push(Series {
+                name: e.label(),
+                points: points(|r| r.reconstruction.psnr_db.mean),
+                mark: Mark::Both,
+            });
+            series.push(Series { name: String::new(), points: points(|r| r.capture.psnr_db.mean), mark: Mark::Dashed });
+        }
+        let plot = Plot {
+            title,
+            x_label: "half field angle, degrees".into(),
+            y_label: "PSNR as seen, dB".into(),
+            series,
+            ..Plot::default()
+        };
+        (plot.series.iter().any(|s| s.points.len() > 1)).then_some(plot)
+    }
+
+    /// PSNR of reconstructions over the distance, captures dashed.
+    fn over_distance(&self) -> Option<Plot> {
+        let mut series = Vec::new();
+        for e in &self.entrants {
+            let Ok(evaluation) = &e.outcome else { continue };
+            let rows = means(evaluation);
+            let points = |of: fn(&Row) -> f64| -> Vec<[f64; 2]> {
+                // Evenly in what defocus goes by.
+                rows.iter().map(|r| [1e3 / r.depth_mm, of(r)]).collect()
+            };
+            series.push(Series {
+                name: e.label(),
+                points: points(|r| r.reconstruction.psnr_db.mean),
+                mark: Mark::Both,
+            });
+            series.push(Series { name: String::new(), points: points(|r| r.capture.psnr_db.mean), mark: Mark::Dashed });
+        }
+        let plot = Plot {
+            title: "Over the distance".into(),
+            x_label: "1/distance, 1/m".into(),
+            y_label: "PSNR as seen, dB".into(),
+            series,
+            ..Plot::default()
+        };
+        (plot.series.iter().any(|s| s.points.len() > 1)).then_some(plot)
+    }
+
+    /// The page.
+    ///
+    /// # Errors
+    /// Pictures that are none.
+    pub fn to_html(&self) -> Result<String> {
+        let judged = self.entrants.iter().filter(|e| e.outcome.is_ok()).count();
+        let line = format!("{} cameras, {judged} of them judged; each with a network of its own", self.entrants.len());
+        let mut page = Page::new(&self.title, &line);
+        let fact = |value: String, label: String| Fact { value, label };
+        let mut facts = Vec::new();
+        if let Some(first) = self.first() {
+            if let Some(o) = Overall::of(first) {
+                facts.push(fact(format!("{:.2} dB", o.mean[1]), "the first, behind its network".into()));
+                if self.several_distances() {
+                    facts.push(fact(format!("{:.2} dB", o.lowest_db), "at its lowest distance".into()));
+                    facts.push(fact(format!("{:.2} dB", o.spread_db), "from its lowest to its highest".into()));
+                }
+            }
+            for e in self.entrants.iter().skip(1) {
+                if let Some(m) = e.outcome.as_ref().ok().and_then(|own| Margin::of(first, own)) {
+                    facts.push(fact(format!("{:+.2} dB", m.mean_db), format!("over {}", e.label())));
+                }
+            }
+        }
+        page.facts(&facts);
+        page.section("Table").table(&self.table());
+        page.paragraph(
+            "PSNR and SSIM as seen (sRGB-encoded, range 1), against the ideal picture of each lens, over the judged field. The first is ahead by the mean \
+             over pictures and distances; ± is half the 95 % interval of differences picture by picture, where they were judged at the same places.",
+        );
+        let distances = self.entrants.iter().filter_map(|e| e.outcome.as_ref().ok()).map(|e| means(e).len()).max();
+        let plots: Vec<(String, String)> = (0..distances.unwrap_or(0))
+            .filter_map(|d| self.over_field(d))
+            .chain(self.over_distance())
+            .map(|p| (p.to_svg(), String::new()))
+            .collect();
+        if !plots.is_empty() {
+            page.section("Curves").paragraph("Behind the network; captures dashed.").drawings(&plots, 420);
+        }
+        page.section("Lenses");
+        let drawings: Vec<(String, String, Vec<String>)> = self
+            .entrants
+            .iter()
+            .filter(|e| !e.drawing.is_empty())
+            .map(|e| (e.drawing.clone(), e.label(), e.notes.clone()))
+            .collect();
+        page.noted_drawings(&drawings, 420);
+        if self.entrants.iter().any(|e| !e.sheets.is_empty()) {
+            page.section("Pictures").paragraph(
+                "Rows of truth, capture and reconstruction; the same parts of the same pictures at the same places.",
+            );
+            for e in self.entrants.iter().filter(|e| !e.sheets.is_empty()) {
+                page.heading(&e.label());
+                let pictures: Vec<Picture<'_>> = e
+                    .sheets
+                    .iter()
+                    .map(|(caption, image)| Picture {
+                        image,
+                        caption: caption.clone(),
+                        notes: Vec::new(),
+                        pixelated: false,
+                    })
+                    .collect();
+                page.pictures(&pictures, 420)?;
+            }
+        }
+        page.section("How");
+        let mut table = Table::new(["what", "value"]);
+        self.settings.iter().for_each(|[name, value]| {
+            table.row([name.as_str(), value.as_str()]);
+        });
+        page.table(&table);
+        Ok(page.finish_with_contents())
+    }
+}
+
+impl Entrant {
+    /// Lens and network.
+    pub fn label(&self) -> String {
+        if self.network.is_empty() { self.name.clone() } else { format!("{}, {}", self.name, self.network) }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::report::evaluation::Closeness;
+    use crate::testing::assert_abs;
+
+    /// Three pictures a row, `psnr` at each distance, differing by picture.
+    fn judged(psnr: [f64; 2]) -> Evaluation {
+        let row = |depth_mm: f64, zone: usize, db: f64| {
+            let figure = |mean: f64| Figure { mean, standard_error: 0.1 };
+            let close = |db: f64| Closeness {
+                psnr_db: figure(db),
+                ssim: figure(db / 50.0),
+                delta_e: figure(1.0),
+                colour_shift: figure(1.0),
+                best_gain_psnr_db: figure(db),
+            };
+            Row {
+                depth_mm,
+                zone,
+                field: [0.0, 1.0],
+                angle_deg: [0.0, 10.0 * zone as f64],
+                patches: 3,
+                patch_px: 64,
+                capture: close(db - 2.0),
+                reconstruction: close(db),
+                gain_db: figure(2.0),
+                each: vec![[db - 3.0, 0.5], [db, 0.5], [db + 3.0, 0.5]],
+            }
+        };
+        let of = |d: f64, db: f64| [row(d, 1, db + 1.0), row(d, 2, db - 1.0), row(d, 0, db + 9.0), row(d, 0, db)];
+        Evaluation::of_rows([of(500.0, psnr[0]), of(1500.0, psnr[1])].concat())
+    }
+
+    fn comparison() -> Comparison {
+        let entrant = |name: &str, outcome| Entrant {
+            name: name.into(),
+            network: "n".into(),
+            notes: vec!["scaled".into()],
+            drawing: format!("<svg><title>{name}</title></svg>"),
+            outcome,
+            sheets: vec![("field 1".into(), Array3::from_elem((3, 8, 8), 0.5))],
+        };
+        Comparison {
+            title: "a".into(),
+            entrants: vec![
+                entrant("first", Ok(judged([24.0, 26.0]))),
+                entrant("second", Ok(judged([20.0, 25.0]))),
+                entrant("third", Err("no light".into())),
+            ],
+            settings: vec![["seed".into(), "1".into()]],
+        }
+    }
+
+    /// Lowest distance, spread, margins: of the rows for the whole field, with the interval of equal differences 0.
+    #[test]
+    fn margins_are_those_of_the_whole_field() {
+        let c = comparison();
+        let (a, b) = (judged([24.0, 26.0]), judged([20.0, 25.0]));
+        let overall = Overall::of(&b).expect("has rows");
+        assert_eq!((overall.lowest_db, overall.spread_db), (20.0, 5.0));
+        assert_eq!(overall.mean, [20.5, 22.5, 22.5 / 50.0]);
+        let margin = Margin::of(&a, &b).expect("both judged");
+        assert_abs(margin.mean_db, 2.5, 1e-12, "mean of 4 and 1");
+        assert_abs(margin.lowest_db, 4.0, 1e-12, "24 less 20");
+        assert_abs(margin.within_db.expect("paired"), 0.0, 1e-9, "every picture differs alike");
+        let other = Evaluation { seed: 2, ..b };
+        assert_eq!(Margin::of(&a, &other).expect("both judged").within_db, None, "other places are not paired");
+        let text = c.table().to_string();
+        for part in ["+2.50", "+4.00", "20.00", "5.00", "not judged: no light"] {
+            assert!(text.contains(part), "{part}: {text}");
+        }
+        assert!(!text.contains("NaN"));
+    }
+
+    #[test]
+    fn page_csv_and_json_hold_every_camera() {
+        let c = comparison();
+        let html = c.to_html().expect("a page");
+        for part in ["first, n", "second, n", "third", "no light", "Over the distance", "from 1500 mm", "1/distance"] {
+            assert!(html.contains(part), "{part}");
+        }
+        assert!(!html.contains("NaN") && !html.contains("src=\"http"));
+        let csv = c.csv();
+        assert_eq!(csv.lines().count(), 1 + 2 * 8);
+        let columns = csv.lines().next().expect("a heading").split(',').count();
+        assert!(csv.lines().all(|l| l.split(',').count() == columns));
+        let json = c.json();
+        assert_eq!(json["rows"][1]["first_ahead"]["lowest_db"], json!(4.0));
+        assert_eq!(json["rows"][2]["refused"], json!("no light"));
+        assert!(json["rows"][0]["first_ahead"].is_null());
+    }
+}
