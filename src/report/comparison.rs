@@ -30,7 +30,7 @@ pub struct Entrant {
     pub sheets: Vec<(String, Array3<f32>)>,
 }
 
-/// All of them; margins are over the first.
+/// All of them; margins are the first lens's over others behind the same network.
 #[derive(Clone, Debug)]
 pub struct Comparison {
     /// Heading.
@@ -132,6 +132,18 @@ impl Comparison {
         self.entrants.first()?.outcome.as_ref().ok()
     }
 
+    /// How far the first lens is ahead of camera `k` behind the same network; `None` for the first lens itself and where one of them was not judged.
+    fn margin(&self, k: usize) -> Option<Margin> {
+        let of = self.entrants.iter().position(|e| e.network == self.entrants[k].network).filter(|first| *first < k)?;
+        Margin::of(self.entrants[of].outcome.as_ref().ok()?, self.entrants[k].outcome.as_ref().ok()?)
+    }
+
+    /// Why cameras were not judged, a line each.
+    pub fn refused(&self) -> Vec<String> {
+        let why = |e: &Entrant| e.outcome.as_ref().err().map(|why| format!("{} was not judged: {why}", e.label()));
+        self.entrants.iter().filter_map(why).collect()
+    }
+
     fn several_distances(&self) -> bool {
         self.entrants.iter().filter_map(|e| e.outcome.as_ref().ok()).any(|e| means(e).len() > 1)
     }
@@ -152,14 +164,13 @@ impl Comparison {
         for (k, e) in self.entrants.iter().enumerate() {
             let mut row = vec![e.name.clone(), e.network.clone()];
             match e.outcome.as_ref().map(|o| (o, Overall::of(o))) {
-                Ok((own, Some(overall))) => {
+                Ok((_, Some(overall))) => {
                     let [capture, network, ssim] = overall.mean;
                     row.extend([format!("{capture:.2}"), format!("{network:.2}"), format!("{ssim:.3}")]);
                     if several {
                         row.extend([format!("{:.2}", overall.lowest_db), format!("{:.2}", overall.spread_db)]);
                     }
-                    let margin = self.first().filter(|_| k > 0).and_then(|first| Margin::of(first, own));
-                    if let Some(m) = margin {
+                    if let Some(m) = self.margin(k) {
                         let within = m.within_db.map_or(String::new(), |w| format!(" ± {w:.2}"));
                         row.extend([format!("{:+.2}{within}", m.mean_db), format!("{:+.3}", m.ssim)]);
                         if several {
@@ -168,7 +179,7 @@ impl Comparison {
                     }
                 }
                 Ok(_) => row.push("no patch was judged".into()),
-                Err(why) => row.push(format!("not judged: {why}")),
+                Err(_) => row.push("not judged".into()),
             }
             row.resize(columns, String::new());
             table.row(row);
@@ -197,7 +208,6 @@ impl Comparison {
 
     /// Everything, for machines.
     pub fn json(&self) -> Value {
-        let first = self.first();
         let rows: Vec<Value> = self
             .entrants
             .iter()
@@ -207,7 +217,7 @@ impl Comparison {
                 let overall = own.and_then(Overall::of).map(|o| {
                     json!({ "lowest_db": o.lowest_db, "spread_db": o.spread_db, "capture_db": o.mean[0], "network_db": o.mean[1], "ssim": o.mean[2] })
                 });
-                let margin = first.filter(|_| k > 0).zip(own).and_then(|(a, b)| Margin::of(a, b)).map(|m| {
+                let margin = self.margin(k).map(|m| {
                     json!({ "mean_db": m.mean_db, "within_db": m.within_db, "ssim": m.ssim, "lowest_db": m.lowest_db })
                 });
                 json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": overall, "first_ahead": margin,
@@ -293,17 +303,20 @@ impl Comparison {
                     facts.push(fact(format!("{:.2} dB", o.spread_db), "from its lowest to its highest".into()));
                 }
             }
-            for e in self.entrants.iter().skip(1) {
-                if let Some(m) = e.outcome.as_ref().ok().and_then(|own| Margin::of(first, own)) {
+            for (k, e) in self.entrants.iter().enumerate() {
+                if let Some(m) = self.margin(k) {
                     facts.push(fact(format!("{:+.2} dB", m.mean_db), format!("over {}", e.label())));
                 }
             }
         }
         page.facts(&facts);
         page.section("Table").table(&self.table());
+        if !self.refused().is_empty() {
+            page.list(&self.refused());
+        }
         page.paragraph(
-            "PSNR and SSIM as seen (sRGB-encoded, range 1), against the ideal picture of each lens, over the judged field. The first is ahead by the mean \
-             over pictures and distances; ± is half the 95 % interval of differences picture by picture, where they were judged at the same places.",
+            "PSNR and SSIM as seen (sRGB-encoded, range 1), against the ideal picture of each lens, over the judged field. The first lens is ahead by the mean \
+             over pictures and distances, behind the same network; ± is half the 95 % interval of differences picture by picture, where they were judged at the same places.",
         );
         let distances = self.entrants.iter().filter_map(|e| e.outcome.as_ref().ok()).map(|e| means(e).len()).max();
         let plots: Vec<(String, String)> = (0..distances.unwrap_or(0))
@@ -427,10 +440,14 @@ mod tests {
         let other = Evaluation { seed: 2, ..b };
         assert_eq!(Margin::of(&a, &other).expect("both judged").within_db, None, "other places are not paired");
         let text = c.table().to_string();
-        for part in ["+2.50", "+4.00", "20.00", "5.00", "not judged: no light"] {
+        for part in ["+2.50", "+4.00", "20.00", "5.00", "not judged"] {
             assert!(text.contains(part), "{part}: {text}");
         }
         assert!(!text.contains("NaN"));
+        assert_eq!(c.refused(), ["third, n was not judged: no light"]);
+        let mut two = c;
+        two.entrants[1].network = "other".into();
+        assert_eq!(two.margin(1), None, "no first lens behind that network");
     }
 
     #[test]

@@ -10,6 +10,8 @@ mod circles;
 mod cli;
 mod commands;
 #[cfg(feature = "train")]
+mod comparing;
+#[cfg(feature = "train")]
 mod designing;
 mod diffraction;
 mod extremes;

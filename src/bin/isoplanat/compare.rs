@@ -155,6 +155,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{json}")?;
     } else {
         writeln!(out, "{}", comparison.table())?;
+        comparison.refused().iter().try_for_each(|line| writeln!(out, "{line}"))?;
         writeln!(out, "{}", args.output.join("comparison.html").display())?;
     }
     Ok(())
