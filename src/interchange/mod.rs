@@ -27,6 +27,8 @@ use crate::error::{Error, Result};
 use crate::lens::catalogue::{Glasses, decoded};
 use crate::lens::{Lens, builtin, prescription};
 
+pub use text::on_one_axis;
+
 /// Largest lens file that is read.
 const LARGEST: u64 = 16 << 20;
 

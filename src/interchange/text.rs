@@ -60,7 +60,7 @@ pub(super) fn plain(x: f64) -> String {
 }
 
 /// Refuses a lens with tilts, decentres or freeform terms, which `what` cannot say.
-pub(super) fn on_one_axis(lens: &Lens, what: &str) -> Result<()> {
+pub fn on_one_axis(lens: &Lens, what: &str) -> Result<()> {
     for (i, s) in lens.surfaces.iter().enumerate() {
         let freeform = !s.shape.is_symmetric();
         if freeform || s.pose.is_some_and(|p| !p.is_nominal()) {

@@ -52,6 +52,8 @@ pub struct Page {
 #[derive(Clone, Debug)]
 struct Section {
     title: Option<String>,
+    /// Whether it begins a printed page of its own.
+    sheet: bool,
     body: Markup,
 }
 
@@ -68,13 +70,19 @@ impl Page {
     /// A page with its heading and one line below it.
     pub fn new(title: &str, subtitle: &str) -> Self {
         let head = html! { header { h1 { (title) } p { (subtitle) } } };
-        let sections = vec![Section { title: None, body: PreEscaped(String::new()) }];
+        let sections = vec![Section { title: None, sheet: false, body: PreEscaped(String::new()) }];
         Self { title: title.to_owned(), head, sections }
     }
 
     /// Begins a section.
     pub fn section(&mut self, title: &str) -> &mut Self {
-        self.sections.push(Section { title: Some(title.to_owned()), body: PreEscaped(String::new()) });
+        self.sections.push(Section { title: Some(title.to_owned()), sheet: false, body: PreEscaped(String::new()) });
+        self
+    }
+
+    /// Begins a section that stands on a printed page of its own, in smaller type there.
+    pub fn sheet(&mut self, title: &str) -> &mut Self {
+        self.sections.push(Section { title: Some(title.to_owned()), sheet: true, body: PreEscaped(String::new()) });
         self
     }
 
@@ -112,6 +120,15 @@ impl Page {
     pub fn drawing_beside(&mut self, svg: &str, heading: &str, table: &Table) -> &mut Self {
         self.add(html! {
             div.columns { figure { (PreEscaped(svg)) } div { h3 { (heading) } (Self::tabled(table)) } }
+        })
+    }
+
+    /// Columns of tables, each below its heading; beside each other where there is room.
+    pub fn tables_beside(&mut self, columns: &[Vec<(String, Table)>]) -> &mut Self {
+        self.add(html! {
+            div.columns { @for column in columns { div {
+                @for (heading, table) in column { h3 { (heading) } (Self::tabled(table)) }
+            } } }
         })
     }
 
@@ -229,7 +246,7 @@ impl Page {
                     (self.head)
                     @if contents { nav { @for s in named() { a href={ "#" (s.name()) } { (s.title.as_deref().unwrap_or("")) } } } }
                     @for s in &self.sections {
-                        @if let Some(title) = &s.title { section id=(s.name()) { h2 { (title) } (s.body) } } @else { (s.body) }
+                        @if let Some(title) = &s.title { section.sheet[s.sheet] id=(s.name()) { h2 { (title) } (s.body) } } @else { (s.body) }
                     }
                     script { (PreEscaped(SCRIPT)) }
                 }

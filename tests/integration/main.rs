@@ -38,6 +38,7 @@ mod properties;
 mod random_lenses;
 mod renderers;
 mod report;
+mod sheets;
 mod skips;
 mod slanted_edge;
 mod stiff;

@@ -1,4 +1,4 @@
-//! Mutated prescriptions through `inspect`, `check`, `trace` and `psf`: an answer or one clear error; no panic, no number that is none,
+//! Mutated prescriptions through `inspect`, `check`, `trace`, `sheets` and `psf`: an answer or one clear error; no panic, no number that is none,
 //! at most ten seconds of processor time and two gibibytes of addresses each. What `inspect` refuses goes to one of the others only: all
 //! of them read a lens by the same function.
 //!
@@ -131,8 +131,12 @@ fn random_lenses_are_answered_or_refused() {
             let place = Workplace::new();
             place.write("lens.toml", &text).write("rays.json", RAYS);
             let mut answered = 0;
-            let more =
-                ["check lens.toml", "trace lens.toml --rays rays.json --gradient", "psf lens.toml -o k.npz --fields 3"];
+            let more = [
+                "check lens.toml",
+                "trace lens.toml --rays rays.json --gradient",
+                "psf lens.toml -o k.npz --fields 3",
+                "sheets lens.toml -o sheets --mount c",
+            ];
             let other = (seed % more.len() as u64) as usize;
             for (k, command) in std::iter::once("inspect lens.toml").chain(more).enumerate() {
                 if answered == 0 && k > 0 && k != other + 1 {
@@ -142,6 +146,10 @@ fn random_lenses_are_answered_or_refused() {
                 let ran = place.run_limited(command, 10, 2 << 20);
                 if let Some(fault) = fault(&ran) {
                     return (format!("seed {seed}: `{command}` {fault}: {}\n{}\n{text}", ran.code, ran.err), answered);
+                }
+                let page = std::fs::read_to_string(place.path("sheets/sheets.html")).unwrap_or_default();
+                if page.contains("NaN") || page.contains(">nan") {
+                    return (format!("seed {seed}: `{command}` prints NaN on its page\n{text}"), answered);
                 }
                 answered += usize::from(ran.code != 2);
             }

@@ -42,6 +42,7 @@ mod psf;
 mod render;
 mod report;
 mod scene;
+mod sheets;
 mod slanted_edge;
 #[cfg(feature = "train")]
 mod sweep;
@@ -85,6 +86,8 @@ enum Command {
     Check(check::Args),
     /// A lens file in another form: TOML, Zemax, CODE V
     Convert(convert::Args),
+    /// What a workshop gets: a printable sheet of each element, sag tables, the lens in three forms
+    Sheets(sheets::Args),
     /// A better lens by damped least squares with constraints, from where it stands or from anywhere
     Optimize(Box<optimize::Args>),
     /// Exact rays through every surface, as JSON
@@ -171,6 +174,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Lenses(args) => lenses::run(&args, out),
         Command::Check(args) => check::run(&args, out),
         Command::Convert(args) => convert::run(&args, out),
+        Command::Sheets(args) => sheets::run(&args, out),
         Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),
         Command::Psf(args) => psf::run(&args, out),

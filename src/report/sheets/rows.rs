@@ -1,0 +1,72 @@
+//! Files of numbers beside the page, to all digits: surfaces, and the sags of each face.
+
+use crate::analysis::fabrication::Fabrication;
+use crate::analysis::fabrication::face::Face;
+use crate::lens::Lens;
+use crate::report::table::Table;
+
+/// Rows of a file of sags.
+const ROWS: u32 = 201;
+/// Highest power that a lens file states.
+const POWERS: std::ops::RangeInclusive<usize> = 2..=20;
+
+/// One row a surface, those that are no face (a stop in air) with what they have.
+pub(super) fn surfaces(lens: &Lens, made: &Fabrication) -> String {
+    let own = [
+        "surface",
+        "element",
+        "radius_mm",
+        "curvature_per_mm",
+        "conic",
+        "thickness_mm",
+        "medium",
+        "index_primary",
+        "clear_diameter_mm",
+        "stop",
+        "edge_sag_mm",
+        "edge_slope_deg",
+        "steepest_slope_deg",
+        "best_fit_radius_mm",
+        "best_fit_departure_um",
+        "best_fit_slope_um_per_mm",
+    ];
+    let mut table =
+        Table::new(own.map(str::to_owned).into_iter().chain(POWERS.map(|p| format!("a{p}_mm{}", 1 - p.cast_signed()))));
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        let face = made.faces().find(|(_, f)| f.surface == i);
+        let of_face = |value: &dyn Fn(&Face) -> f64| face.map_or_else(String::new, |(_, f)| value(f).to_string());
+        let coefficient = |power: usize| {
+            let list = if power % 2 == 0 { &s.shape.asphere } else { &s.shape.odd };
+            list.get(power / 2 - 1).copied().unwrap_or(0.0)
+        };
+        let cells = [
+            i.to_string(),
+            face.map_or_else(String::new, |(e, _)| e.number.to_string()),
+            s.shape.curvature.recip().to_string(),
+            s.shape.curvature.to_string(),
+            s.shape.conic.to_string(),
+            s.thickness.to_string(),
+            s.medium.to_string(),
+            s.medium.index(lens.wavelengths.primary_nm).to_string(),
+            (2.0 * s.semi_diameter).to_string(),
+            (i == lens.stop).to_string(),
+            of_face(&|f| f.edge_sag_mm),
+            of_face(&|f| f.edge_slope_deg),
+            of_face(&|f| f.steepest_deg),
+            of_face(&|f| f.best_fit.curvature_per_mm.recip()),
+            of_face(&|f| f.best_fit.departure_um),
+            of_face(&|f| f.best_fit.slope_um_per_mm),
+        ];
+        table.row(cells.into_iter().chain(POWERS.map(|p| coefficient(p).to_string())));
+    }
+    table.csv()
+}
+
+/// Sags of a face from the axis to the clear rim.
+pub(super) fn sags(face: &Face) -> String {
+    let mut table = Table::new(["height_mm", "sag_mm", "slope", "slope_deg", "best_fit_departure_mm"]);
+    for r in face.sag_table(ROWS) {
+        table.row([r.height_mm, r.sag_mm, r.slope, r.slope.atan().to_degrees(), r.departure_mm].map(|x| x.to_string()));
+    }
+    table.csv()
+}
