@@ -246,7 +246,7 @@ impl Page {
                     (self.head)
                     @if contents { nav { @for s in named() { a href={ "#" (s.name()) } { (s.title.as_deref().unwrap_or("")) } } } }
                     @for s in &self.sections {
-                        @if let Some(title) = &s.title { section.sheet[s.sheet] id=(s.name()) { h2 { (title) } (s.body) } } @else { (s.body) }
+                        @if let Some(title) = &s.title { section id=(s.name()) class=[s.sheet.then_some("sheet")] { h2 { (title) } (s.body) } } @else { (s.body) }
                     }
                     script { (PreEscaped(SCRIPT)) }
                 }

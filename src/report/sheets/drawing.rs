@@ -9,8 +9,11 @@ use super::words::fixed;
 
 /// Largest size of the glass, px: along the axis, across it.
 const GLASS: [f64; 2] = [230.0, 230.0];
-/// Room for dimensions and names: left, top, right, bottom, px.
-const ROOM: [f64; 4] = [96.0, 62.0, 96.0, 74.0];
+/// Room for dimensions and names: left, top, right, px.
+const ROOM: [f64; 3] = [96.0, 62.0, 96.0];
+/// Lines of dimensions below the glass, at most, and their distance, px.
+const BELOW: usize = 3;
+const LINE: f64 = 20.0;
 const LETTERS: f64 = 13.0;
 /// Half the points of a face.
 const STEPS: i32 = 40;
@@ -21,7 +24,9 @@ const EXTENSION: &str = "stroke=\"currentColor\" stroke-width=\"1\" stroke-opaci
 /// Glass with flat rims, thickness on the axis and at the rim, mechanical diameter, clear diameters of the first and the last face.
 pub(super) fn element_svg(e: &Element) -> String {
     let scale = (GLASS[0] / e.length_mm).min(GLASS[1] / e.diameter_mm);
-    let [left, top, right, bottom] = ROOM;
+    let [left, top, right] = ROOM;
+    #[expect(clippy::cast_precision_loss, reason = "at most three")]
+    let bottom = 12.0 + LINE * e.glasses.len().min(BELOW) as f64;
     let width = (e.length_mm * scale + left + right).ceil();
     let view = View { e, scale, width };
     let mut svg = Svg::new(width, (e.diameter_mm * scale + top + bottom).ceil());
@@ -79,7 +84,7 @@ impl View<'_> {
         for (k, glass) in self.e.glasses.iter().enumerate() {
             let [a, b] = [vertices[k], vertices[k + 1]].map(|z| self.at(z, 0.0)[0]);
             #[expect(clippy::cast_precision_loss, reason = "one of three lines")]
-            let y = bottom + 16.0 + 20.0 * (k % 3) as f64;
+            let y = bottom + 16.0 + LINE * (k % BELOW) as f64;
             for x in [a, b] {
                 svg.line([x, axis], [x, y + 4.0], EXTENSION);
             }

@@ -36,7 +36,7 @@ pub(super) fn surfaces(lens: &Lens, made: &Fabrication) -> String {
         let face = made.faces().find(|(_, f)| f.surface == i);
         let of_face = |value: &dyn Fn(&Face) -> f64| face.map_or_else(String::new, |(_, f)| value(f).to_string());
         let coefficient = |power: usize| {
-            let list = if power % 2 == 0 { &s.shape.asphere } else { &s.shape.odd };
+            let list = if power.is_multiple_of(2) { &s.shape.asphere } else { &s.shape.odd };
             list.get(power / 2 - 1).copied().unwrap_or(0.0)
         };
         let cells = [

@@ -87,19 +87,16 @@ pub(super) fn glass(e: &Element, primary_nm: f64) -> Table {
 pub(super) fn body(e: &Element, tolerances: &Tolerances) -> Table {
     let t = tolerances.element(e.first());
     let mut table = Table::new(["body", "nominal", "tolerance"]);
-    let whence = if e.diameter_stated { "" } else { " (the largest clear one: not stated)" };
-    let diameter = format!("{}{whence}", significant(e.diameter_mm, 7));
-    table.row(["mechanical diameter ⌀, mm".to_owned(), diameter, tolerance(t.diameter_tolerance_mm, " mm")]);
+    // Nobody has stated it: what it is taken for stands beside it.
+    let label =
+        if e.diameter_stated { "mechanical diameter ⌀, mm" } else { "⌀, mm (not stated: the largest ⌀e)" };
+    table.row([label.to_owned(), significant(e.diameter_mm, 7), tolerance(t.diameter_tolerance_mm, " mm")]);
     let thickness: Vec<String> = e.glasses.iter().map(|g| significant(g.centre_thickness_mm, 8)).collect();
-    table.row([
-        "centre thickness, mm".to_owned(),
-        thickness.join(" + "),
-        tolerance(t.thickness_tolerance_mm, " mm").to_owned(),
-    ]);
+    table.row(["centre thickness, mm".to_owned(), thickness.join(" + "), tolerance(t.thickness_tolerance_mm, " mm")]);
     let chamfer = t.chamfer_mm.map_or_else(|| NOT_STATED.to_owned(), |c| format!("up to {} mm", significant(c, 4)));
     table.row(["protective chamfer".to_owned(), String::new(), chamfer]);
     table.row([
-        "smallest cylinder that holds it, mm".to_owned(),
+        "smallest cylinder around it, mm".to_owned(),
         format!("⌀ {} × {}", significant(e.diameter_mm, 6), significant(e.length_mm, 6)),
         String::new(),
     ]);
