@@ -57,6 +57,8 @@ pub struct Merit {
     pub reference: Reference,
     /// Which light counts.
     pub apertures: Apertures,
+    /// Whether whole pupils and all sides of the field are looked at even where the lens is symmetric: for deviations that are not.
+    pub whole: bool,
 }
 
 impl Default for Merit {
@@ -69,6 +71,7 @@ impl Default for Merit {
             quality: Quality::default(),
             reference: Reference::default(),
             apertures: Apertures::default(),
+            whole: false,
         }
     }
 }
@@ -152,7 +155,7 @@ pub(super) struct Colour {
 
 /// The object points of `merit` for `lens`, and the rays of every wavelength; `share` of aperture and field.
 pub(super) fn rays(merit: &Merit, lens: &Lens, share: f64) -> (Vec<Point>, Vec<Colour>) {
-    let symmetric = lens.is_symmetric();
+    let symmetric = lens.is_symmetric() && !merit.whole;
     let system = System::new(lens, lens.wavelengths.primary_nm);
     let own = [[lens.object_vergence, 1.0]];
     let depths = if merit.depths.is_empty() { &own[..] } else { &merit.depths };

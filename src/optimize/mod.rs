@@ -2,7 +2,7 @@
 //!
 //! [`Problem`] says what moves, what is held and what is judged; [`optimize`] returns the best lens that keeps its constraints, with
 //! the reason why it stopped, what moved and which bounds hold it back. [`search`] starts from many lenses, [`glass`] ends with real
-//! glasses.
+//! glasses; [`sensitivity`] says what deviations cost.
 //!
 //! **Rays** are aimed at the real stop and stay aimed as the lens moves; what that does to them is part of the derivatives
 //! (module `rays`). Paraxially launched rays would cost half as much, but fill another pupil than the lens has as soon as
@@ -45,6 +45,7 @@ mod rays;
 mod residuals;
 pub mod sampling;
 pub mod search;
+pub mod sensitivity;
 mod solver;
 pub mod spec;
 mod standard;

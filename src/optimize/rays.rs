@@ -99,7 +99,7 @@ impl Rays {
             colours,
             quality: merit.quality,
             reference: merit.reference,
-            symmetric: lens.is_symmetric(),
+            symmetric: lens.is_symmetric() && !merit.whole,
             variables: variables.clone(),
             work: Workspace::new(surfaces),
             columns,

@@ -30,7 +30,8 @@ fn every_command_has_help_json_and_force() {
         }
         // What prints rows of a table writes them as well.
         let analyses = ["mtf", "spot", "distortion", "report", "slanted-edge", "calibrate", "calibrate-sensor"];
-        let rows = ["inspect", "lenses", "check", "psf", "accuracy", "evaluate"].contains(&command.as_str())
+        let rows = ["inspect", "lenses", "check", "psf", "accuracy", "evaluate", "tolerance"]
+            .contains(&command.as_str())
             || analyses.contains(&command.as_str());
         assert_eq!(has(&help, "--csv"), rows, "{command} --csv");
         assert_eq!(place.run(&format!("{command} --frobnicate")).code, 2, "{command}");

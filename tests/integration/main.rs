@@ -44,6 +44,7 @@ mod slanted_edge;
 mod stiff;
 mod support;
 mod throughput;
+mod tolerance;
 #[cfg(feature = "train")]
 mod training;
 mod view;

@@ -68,6 +68,18 @@ pub struct OfSurface {
     pub coating: Option<String>,
 }
 
+/// Of putting the elements together.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Assembly {
+    /// ± of each air space on the axis, mm.
+    pub air_mm: Option<f64>,
+    /// Largest shift of an element off the axis, mm.
+    pub decentre_mm: Option<f64>,
+    /// Largest tilt of an element about its first vertex, arc minutes.
+    pub tilt_arcmin: Option<f64>,
+}
+
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct File {
@@ -78,6 +90,8 @@ struct File {
     element: BTreeMap<String, OfElement>,
     #[serde(default)]
     surface: BTreeMap<String, OfSurface>,
+    #[serde(default)]
+    assembly: Assembly,
 }
 
 /// What a file states; by default nothing.
@@ -87,6 +101,8 @@ pub struct Tolerances {
     pub file: Option<String>,
     /// Wavelength of the fringes, nm.
     pub test_wavelength_nm: Option<f64>,
+    /// Of putting the elements together.
+    pub assembly: Assembly,
     element: BTreeMap<String, OfElement>,
     surface: BTreeMap<String, OfSurface>,
 }
@@ -118,6 +134,9 @@ impl Tolerances {
             s.check(file, &place)?;
             fringes = fringes.or_else(|| s.first_fringes().map(|k| format!("{place}.{k}")));
         }
+        let Assembly { air_mm, decentre_mm, tilt_arcmin } = parsed.assembly;
+        let of_all = [("air_mm", air_mm, 1e3), ("decentre_mm", decentre_mm, 1e3), ("tilt_arcmin", tilt_arcmin, 5400.0)];
+        numbers(file, "assembly", &of_all)?;
         if let (Some(key), None) = (fringes, parsed.test_wavelength_nm) {
             let found = format!("missing, and {key} is stated in fringes");
             return Err(Error::bad(file, "test_wavelength_nm", found, "200 to 20000 nm, the wavelength of the test"));
@@ -125,6 +144,7 @@ impl Tolerances {
         Ok(Self {
             file: Some(file.to_owned()),
             test_wavelength_nm: parsed.test_wavelength_nm,
+            assembly: parsed.assembly,
             element: parsed.element,
             surface: parsed.surface,
         })
@@ -311,6 +331,7 @@ mod tests {
             ("[element.0]\nbubbles = \"many\"", "element.0.bubbles"),
             ("[element.0]\ninhomogeneity = \"9;1\"", "element.0.inhomogeneity"),
             ("[surface.0]\ncoating = \"\"", "surface.0.coating"),
+            ("[assembly]\ndecentre_mm = -0.1", "assembly.decentre_mm: -0.1"),
             ("[frobnicate]\n", "frobnicate"),
         ] {
             let error = Tolerances::parse(&format!("schema = 1\n{line}\n"), "t.toml").expect_err(line).to_string();

@@ -46,6 +46,7 @@ mod sheets;
 mod slanted_edge;
 #[cfg(feature = "train")]
 mod sweep;
+mod tolerance;
 mod trace;
 #[cfg(feature = "train")]
 mod train;
@@ -100,6 +101,8 @@ enum Command {
     Spot(analyses::Args),
     /// Distortion over the field
     Distortion(analyses::Args),
+    /// A lens as it will be built: what each tolerance costs, and lenses drawn within all of them
+    Tolerance(tolerance::Args),
     /// The page of a lens or a run in a browser, following its file
     View(view::Args),
     /// Spots, fans, curves over the field, PSFs and MTF of a lens on one page; of two side by side
@@ -181,6 +184,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Mtf(args) => analyses::run(analyses::Kind::Mtf, &args, out),
         Command::Spot(args) => analyses::run(analyses::Kind::Spot, &args, out),
         Command::Distortion(args) => analyses::run(analyses::Kind::Distortion, &args, out),
+        Command::Tolerance(args) => tolerance::run(&args, out),
         Command::View(args) => view::run(&args, out),
         Command::Report(args) => report::run(&args, out),
         Command::Render(args) => render::run(&args, out),

@@ -1,0 +1,391 @@
+//! A lens as it will be built: what each tolerance of a file costs in rms spot, and draws of whole lenses within all of them.
+//!
+//! Deviations are those of the file of `isoplanat sheets --tolerances` ([`super::fabrication::tolerances`]): radii, thicknesses, indices and Abbe numbers,
+//! tilts of surfaces, air spaces, shifts and tilts of elements. Scalars are drawn evenly between their bounds, shifts and tilts evenly over the disk. The
+//! sensor is moved to the least rms of each lens (it alone compensates). Spots count from their centroids, over all sides of the field and the whole stop,
+//! whose size is that of the nominal lens: boresight and distortion are no blur.
+//!
+//! Every draw is judged twice: by rays through the lens of its numbers, refocused, and by the nominal lens's Jacobian
+//! ([`crate::optimize::sensitivity`]), which costs next to nothing; their difference is told. Not drawn: irregularity and form, homogeneity, the mount.
+
+use std::f64::consts::TAU;
+use std::time::Instant;
+
+use serde::Serialize;
+
+use super::fabrication::Fabrication;
+use super::fabrication::tolerances::Tolerances;
+use crate::error::{Error, Result};
+use crate::lens::pose::{Element, Pose};
+use crate::lens::{Aperture, Kind, Lens, Parameter};
+use crate::optimize::sensitivity::Sensitivity;
+use crate::optimize::{Limits, Merit, Problem, optimize};
+
+/// One thing that may deviate.
+#[derive(Clone, Debug, Serialize)]
+pub struct Deviation {
+    /// What, as the file names it.
+    pub name: String,
+    /// The bound.
+    pub size: f64,
+    /// Its unit.
+    pub unit: &'static str,
+    /// Numbers and how far they move at the bound.
+    #[serde(skip)]
+    moves: Vec<(Parameter, f64)>,
+    /// The same at a right angle, where the deviation has a direction across the axis.
+    #[serde(skip)]
+    across: Vec<(Parameter, f64)>,
+}
+
+/// What one tolerance costs by itself.
+#[derive(Clone, Debug, Serialize)]
+pub struct Alone {
+    /// Which.
+    pub deviation: Deviation,
+    /// Rms at the upper and at the lower bound, refocused, mm; none where a ray does not arrive.
+    pub rms_mm: [Option<f64>; 2],
+    /// By the Jacobian, the larger of the two, mm.
+    pub model_mm: f64,
+}
+
+/// A lens of the draw.
+#[derive(Clone, Debug, Serialize)]
+pub struct Draw {
+    /// Refocused rms, mm; none where a ray does not arrive.
+    pub rms_mm: Option<f64>,
+    /// By the Jacobian, mm.
+    pub model_mm: f64,
+    /// How far the sensor moved, mm.
+    pub focus_mm: Option<f64>,
+}
+
+/// All of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct AsBuilt {
+    /// Of the nominal lens, refocused, mm.
+    pub nominal_mm: f64,
+    /// The costliest first.
+    pub alone: Vec<Alone>,
+    /// In the order of their numbers.
+    pub draws: Vec<Draw>,
+    /// What the file states and no draw knows, and other remarks.
+    pub notes: Vec<String>,
+    /// Seconds of the Jacobian with the costs by it, and of the rays of all draws.
+    pub seconds: [f64; 2],
+}
+
+/// How many lenses, from which seed.
+#[derive(Clone, Copy, Debug)]
+pub struct Settings {
+    /// Lenses drawn.
+    pub draws: usize,
+    /// Seed.
+    pub seed: u64,
+}
+
+const ARCMIN: f64 = std::f64::consts::PI / 180.0 / 60.0;
+
+/// The rays that lenses are judged by.
+fn merit() -> Merit {
+    Merit { whole: true, ..Merit::default() }
+}
+
+/// `lens` with a place for every pose that `tolerances` may move, its stop of a size of its own; and the deviations.
+fn ready(lens: &Lens, tolerances: &Tolerances) -> Result<(Lens, Vec<Deviation>, Vec<String>)> {
+    let made = Fabrication::new(lens, tolerances, None)?;
+    let mut notes = Vec::new();
+    let mut all: Vec<Deviation> = Vec::new();
+    let mut push =
+        |name: String, size: Option<f64>, unit, moves: Vec<(Parameter, f64)>, across: Vec<(Parameter, f64)>| {
+            if let Some(size) = size.filter(|_| !moves.is_empty()) {
+                all.push(Deviation { name, size, unit, moves, across });
+            }
+        };
+    let mut tilted = Vec::new();
+    let mut elements = Vec::new();
+    for (k, e) in made.elements.iter().enumerate() {
+        let (t, faces) = (tolerances.element(e.first()), e.faces.iter().map(|f| f.surface).collect::<Vec<_>>());
+        for g in &e.glasses {
+            let surface = faces[g.face];
+            let name = |what: &str| format!("surface {surface}, {what} of {}", g.name);
+            let thickness = t.thickness_tolerance_mm;
+            push(name("thickness"), thickness, "mm", moves(Kind::Thickness.at(surface), thickness), vec![]);
+            for (kind, size, unit, what) in
+                [(Kind::Index, t.n_d_tolerance, "", "n_d"), (Kind::Abbe, t.v_d_tolerance_percent, "%", "v_d")]
+            {
+                let p = kind.at(surface);
+                match (p.value(&**lens), size) {
+                    (Some(own), Some(s)) => {
+                        let by = if kind == Kind::Abbe { own * s / 100.0 } else { s };
+                        push(name(what), size, unit, vec![(p, by)], vec![]);
+                    }
+                    (None, Some(_)) => notes.push(format!(
+                        "{what} of {} is not drawn: the glass is stated by a catalogue's formula, not by n_d and v_d",
+                        g.name
+                    )),
+                    _ => {}
+                }
+            }
+        }
+        for face in &faces {
+            let (s, surface) = (tolerances.surface(*face), &lens.surfaces[*face]);
+            let c = surface.shape.curvature;
+            let p = Kind::Curvature.at(*face);
+            push(
+                format!("surface {face}, radius"),
+                s.radius_percent.filter(|_| c != 0.0),
+                "%",
+                moves(p, s.radius_percent.map(|v| c * v / 100.0)),
+                vec![],
+            );
+            // A fringe is half a wavelength of sag at the rim: c h²/2.
+            let fringe = tolerances.test_wavelength_nm.map(|nm| nm * 1e-6 / surface.semi_diameter.powi(2));
+            let by = s.radius_fringes.zip(fringe).map(|(n, f)| n * f);
+            push(format!("surface {face}, power"), s.radius_fringes, "fringes", moves(p, by), vec![]);
+            let turn = |entry| moves(Kind::Tilt.entry(*face, entry), s.centring_arcmin.map(|v| v * ARCMIN));
+            push(format!("surface {face}, tilt"), s.centring_arcmin, "arcmin", turn(0), turn(1));
+            if s.centring_arcmin.is_some() {
+                tilted.push(*face);
+            }
+            if s.irregularity_fringes.or(s.rotational_fringes).or(s.form_um).is_some() {
+                notes.push(format!("irregularity and form of surface {face} are not drawn"));
+            }
+        }
+        let a = tolerances.assembly;
+        let place = format!("element {}", e.number);
+        let shift = |entry| moves(Kind::ElementDecentre.entry(k, entry), a.decentre_mm);
+        push(format!("{place}, shift"), a.decentre_mm, "mm", shift(0), shift(1));
+        let turn = |entry| moves(Kind::ElementTilt.entry(k, entry), a.tilt_arcmin.map(|v| v * ARCMIN));
+        push(format!("{place}, tilt"), a.tilt_arcmin, "arcmin", turn(0), turn(1));
+        if let (Some(first), Some(last)) = (faces.first(), faces.last()) {
+            elements.push(Element { first: *first, last: *last, pose: Pose::default(), pivot: 0.0 });
+        }
+    }
+    // Air: every space but the last, which the sensor compensates.
+    let glass: Vec<usize> =
+        made.elements.iter().flat_map(|e| e.glasses.iter().map(|g| e.faces[g.face].surface)).collect();
+    for surface in (0..lens.surfaces.len() - 1).filter(|s| !glass.contains(s)) {
+        let size = tolerances.assembly.air_mm;
+        push(format!("surface {surface}, air behind it"), size, "mm", moves(Kind::Thickness.at(surface), size), vec![]);
+    }
+    if all.is_empty() {
+        let file = tolerances.file.clone().unwrap_or_default();
+        let allowed =
+            "a tolerance of a radius, thickness, index, Abbe number, tilt, air space or element: see models/README.md";
+        return Err(Error::bad(file, "tolerances", "none that a lens can be drawn with", allowed));
+    }
+    let stop = made.first_order.stop_semi_diameter;
+    let lens = lens.changed(|l| {
+        l.aperture = Aperture::StopSemiDiameter(stop);
+        l.elements = elements;
+        for face in tilted {
+            l.surfaces[face].pose = Some(Pose::default());
+        }
+    })?;
+    notes.dedup();
+    Ok((lens, all, notes))
+}
+
+fn moves(p: Parameter, by: Option<f64>) -> Vec<(Parameter, f64)> {
+    by.map(|by| vec![(p, by)]).unwrap_or_default()
+}
+
+/// `lens` where numbers are off by so much, refocused, with its rms and the sensor's way, mm.
+fn built(lens: &Lens, off: &[(Parameter, f64)]) -> Option<(Lens, f64, f64)> {
+    let moved = lens
+        .changed(|l| {
+            for (p, by) in off {
+                if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
+                    *number += by;
+                }
+            }
+        })
+        .ok()?;
+    let last = lens.surfaces.len() - 1;
+    let problem = Problem::new(&moved, vec![Kind::Thickness.at(last)], Vec::new(), merit());
+    let found = optimize(&problem, Limits::default(), &mut |_| true).ok().filter(|f| f.share >= 1.0)?;
+    let way = found.lens.surfaces[last].thickness - lens.surfaces[last].thickness;
+    Some((found.lens, found.rms_mm[1], way))
+}
+
+/// A deviation at a part of its bound, turned by an angle where it has a direction.
+fn at(d: &Deviation, part: f64, angle: f64) -> Vec<(Parameter, f64)> {
+    if d.across.is_empty() {
+        return d.moves.iter().map(|(p, by)| (*p, part * by)).collect();
+    }
+    let (s, c) = angle.sin_cos();
+    let along = d.moves.iter().map(|(p, by)| (*p, part * c * by));
+    along.chain(d.across.iter().map(|(p, by)| (*p, part * s * by))).collect()
+}
+
+impl AsBuilt {
+    /// Of `lens` within `tolerances`; `told` hears the share that is done, and ends the work by `false`.
+    ///
+    /// # Errors
+    /// A lens that is not on one axis, or through which rays do not pass; a file that states nothing that can be drawn; [`Error::Interrupted`].
+    pub fn new(
+        lens: &Lens,
+        tolerances: &Tolerances,
+        settings: Settings,
+        told: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<(Self, Vec<Lens>)> {
+        let (lens, deviations, notes) = ready(lens, tolerances)?;
+        let started = Instant::now();
+        let Some((lens, nominal_mm, _)) = built(&lens, &[]) else {
+            let allowed = "a lens whose stop all rays of its fields pass";
+            return Err(Error::bad(&lens.name, "rays", "some do not arrive", allowed));
+        };
+        let last = Kind::Thickness.at(lens.surfaces.len() - 1);
+        let mut parameters = vec![last];
+        for (p, _) in deviations.iter().flat_map(|d| d.moves.iter().chain(&d.across)) {
+            if !parameters.contains(p) {
+                parameters.push(*p);
+            }
+        }
+        let model = Sensitivity::new(&lens, &merit(), parameters)?.compensated(&[0]);
+        let by_model = |off: &[(Parameter, f64)]| {
+            let index = |p: &Parameter| model.parameters.iter().position(|q| q == p).unwrap_or(0);
+            model.rms(&off.iter().map(|(p, by)| (index(p), *by)).collect::<Vec<_>>())
+        };
+        let of_model: Vec<f64> =
+            deviations.iter().map(|d| by_model(&at(d, 1.0, 0.0)).max(by_model(&at(d, -1.0, 0.0)))).collect();
+        let first = started.elapsed().as_secs_f64();
+        #[expect(clippy::cast_precision_loss, reason = "counts")]
+        let all = (deviations.len() + settings.draws).max(1) as f64;
+        let mut done = 0.0;
+        let mut step = || {
+            done += 1.0;
+            if told(done / all) { Ok(()) } else { Err(Error::Interrupted) }
+        };
+        let mut alone = Vec::new();
+        for (d, model_mm) in deviations.iter().zip(of_model) {
+            let rms = |part| built(&lens, &at(d, part, 0.0)).map(|b| b.1);
+            alone.push(Alone { deviation: d.clone(), rms_mm: [rms(1.0), rms(-1.0)], model_mm });
+            step()?;
+        }
+        let worst = |a: &Alone| a.rms_mm.iter().map(|r| r.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
+        alone.sort_by(|a, b| worst(b).total_cmp(&worst(a)));
+        let started = Instant::now();
+        let (mut draws, mut lenses) = (Vec::new(), Vec::new());
+        for k in 0..settings.draws {
+            let rng = &mut fastrand::Rng::with_seed(settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ k as u64);
+            let mut off = Vec::new();
+            for d in &deviations {
+                let (part, angle) = if d.across.is_empty() {
+                    (2.0 * rng.f64() - 1.0, 0.0)
+                } else {
+                    (rng.f64().sqrt(), TAU * rng.f64())
+                };
+                off.extend(at(d, part, angle));
+            }
+            // A number that several deviations move moves by their sum in both judgements.
+            let found = built(&lens, &off);
+            draws.push(Draw {
+                rms_mm: found.as_ref().map(|f| f.1),
+                model_mm: by_model(&off),
+                focus_mm: found.as_ref().map(|f| f.2),
+            });
+            lenses.push(found.map_or_else(|| lens.clone(), |f| f.0));
+            step()?;
+        }
+        let seconds = [first, started.elapsed().as_secs_f64()];
+        Ok((Self { nominal_mm, alone, draws, notes, seconds }, lenses))
+    }
+
+    /// The rms that a share of the draws does not exceed, by rays, and by the Jacobian, mm; draws whose rays do not arrive count as endless.
+    pub fn quantile(&self, share: f64) -> [f64; 2] {
+        let sorted = |of: &dyn Fn(&Draw) -> f64| {
+            let mut all: Vec<f64> = self.draws.iter().map(of).collect();
+            all.sort_by(f64::total_cmp);
+            all
+        };
+        [sorted(&|d| d.rms_mm.unwrap_or(f64::INFINITY)), sorted(&|d| d.model_mm)].map(|all| {
+            #[expect(
+                clippy::cast_precision_loss,
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "a place in a list"
+            )]
+            let at = ((share * all.len() as f64).ceil() as usize).clamp(1, all.len().max(1)) - 1;
+            all.get(at).copied().unwrap_or(f64::NAN)
+        })
+    }
+
+    /// Draws whose rays do not arrive.
+    pub fn lost(&self) -> usize {
+        self.draws.iter().filter(|d| d.rms_mm.is_none()).count()
+    }
+
+    /// Share of the draws within `limit_mm`.
+    pub fn within(&self, limit_mm: f64) -> f64 {
+        let good = self.draws.iter().filter(|d| d.rms_mm.is_some_and(|r| r <= limit_mm)).count();
+        #[expect(clippy::cast_precision_loss, reason = "counts")]
+        let share = good as f64 / self.draws.len().max(1) as f64;
+        share
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::testing::{assert_abs, assert_rel};
+
+    const FILE: &str = "schema = 1\ntest_wavelength_nm = 632.8\n[element.all]\nthickness_tolerance_mm = 0.02\nn_d_tolerance = 2e-4\nv_d_tolerance_percent = 0.5\n\
+        [surface.all]\nradius_percent = 0.1\ncentring_arcmin = 1.0\n[assembly]\nair_mm = 0.02\ndecentre_mm = 0.01\ntilt_arcmin = 1.0\n";
+
+    fn of(name: &str, draws: usize, file: &str) -> AsBuilt {
+        let lens = builtin::lens(name).expect("shipped");
+        let tolerances = Tolerances::parse(file, "t.toml").expect("reads");
+        AsBuilt::new(&lens, &tolerances, Settings { draws, seed: 1 }, &mut |_| true).expect("passes light").0
+    }
+
+    /// Small tolerances: rays and Jacobian say the same of every deviation and of every draw, to 2 % of what it adds.
+    #[test]
+    fn rays_and_jacobian_agree_on_small_deviations() {
+        for name in ["two_element", "cooke_triplet"] {
+            let found = of(name, 12, FILE);
+            assert!(found.alone.len() > 10 && found.lost() == 0, "{name}: {}", found.alone.len());
+            for a in &found.alone {
+                let worst = a.rms_mm.iter().flatten().fold(0.0f64, |m, r| m.max(*r));
+                let within = 0.05 * (worst - found.nominal_mm).abs() + 2e-3 * found.nominal_mm;
+                assert_abs(a.model_mm, worst, within, &format!("{name}: {}", a.deviation.name));
+            }
+            for d in &found.draws {
+                let rms = d.rms_mm.expect("arrives");
+                assert_abs(d.model_mm, rms, 0.05 * (rms - found.nominal_mm).abs() + 5e-3 * found.nominal_mm, name);
+            }
+            let [q10, q90] = [0.1, 0.9].map(|s| found.quantile(s)[0]);
+            assert!(q10 <= q90 && found.within(q90) >= 0.9 && found.within(0.0) == 0.0);
+        }
+    }
+
+    /// A radius of a single tolerance against the same lens typed by hand; the same seed draws the same lenses, tolerances of nothing are refused, and
+    /// glasses that cannot be drawn are named.
+    #[test]
+    fn a_deviation_is_what_the_file_says() {
+        let file = "schema = 1\n[surface.1]\nradius_percent = 2.0\n";
+        let found = of("two_element", 3, file);
+        let lens = builtin::lens("two_element").expect("shipped");
+        let typed = lens.changed(|l| {
+            let stop = crate::lens::paraxial::stop_semi_diameter(l);
+            l.aperture = Aperture::StopSemiDiameter(stop);
+            l.surfaces[1].shape.curvature *= 1.02;
+        });
+        let (_, rms, _) = built(&typed.expect("a lens"), &[]).expect("passes light");
+        assert_rel(found.alone[0].rms_mm[0].expect("arrives"), rms, 1e-6, 0.0, "typed by hand");
+        let again = of("two_element", 3, file);
+        assert!(found.draws.iter().zip(&again.draws).all(|(a, b)| a.rms_mm == b.rms_mm && a.model_mm == b.model_mm));
+        let cooke =
+            of("cooke_triplet", 1, "schema = 1\n[element.all]\nn_d_tolerance = 1e-3\nthickness_tolerance_mm = 0.1\n");
+        assert!(cooke.notes.iter().any(|n| n.contains("catalogue")), "{:?}", cooke.notes);
+        let nothing = Tolerances::parse("schema = 1\n[element.all]\nchamfer_mm = 0.2\n", "t.toml").expect("reads");
+        let settings = Settings { draws: 1, seed: 1 };
+        let why = AsBuilt::new(&lens, &nothing, settings, &mut |_| true).expect_err("nothing to draw").to_string();
+        assert!(why.starts_with("t.toml: tolerances"), "{why}");
+        let some = Tolerances::parse(file, "t.toml").expect("reads");
+        let ended = AsBuilt::new(&lens, &some, settings, &mut |_| false);
+        assert!(matches!(ended, Err(Error::Interrupted)));
+    }
+}
