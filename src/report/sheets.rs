@@ -104,7 +104,7 @@ impl Sheets<'_> {
     fn facts(&self) -> Vec<Fact> {
         let (lens, f) = (self.lens, &self.made.first_order);
         let fact = |value: f64, unit: &str, label: &str| {
-            let value = value.is_finite().then(|| format!("{}{unit}", significant(value, 6)))?;
+            let value = value.is_finite().then(|| format!("{}{unit}", significant(value, 5)))?;
             Some(Fact { value, label: label.to_owned() })
         };
         let s = &lens.sensor;
