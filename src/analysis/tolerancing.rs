@@ -11,6 +11,7 @@
 use std::f64::consts::TAU;
 use std::time::Instant;
 
+use rayon::prelude::*;
 use serde::Serialize;
 
 use super::fabrication::Fabrication;
@@ -83,6 +84,9 @@ pub struct Settings {
     /// Seed.
     pub seed: u64,
 }
+
+/// Lenses between two looks at whether to go on; the result does not depend on it.
+const TOGETHER: usize = 16;
 
 const ARCMIN: f64 = std::f64::consts::PI / 180.0 / 60.0;
 
@@ -259,16 +263,19 @@ impl AsBuilt {
             if told(done / all) { Ok(()) } else { Err(Error::Interrupted) }
         };
         let mut alone = Vec::new();
-        for (d, model_mm) in deviations.iter().zip(of_model) {
-            let rms = |part| built(&lens, &at(d, part, 0.0)).map(|b| b.1);
-            alone.push(Alone { deviation: d.clone(), rms_mm: [rms(1.0), rms(-1.0)], model_mm });
-            step()?;
+        let both = |d: &Deviation| [1.0, -1.0].map(|part| built(&lens, &at(d, part, 0.0)).map(|b| b.1));
+        for (some, of_model) in deviations.chunks(TOGETHER).zip(of_model.chunks(TOGETHER)) {
+            let rms: Vec<_> = some.par_iter().map(both).collect();
+            for ((d, rms_mm), model_mm) in some.iter().zip(rms).zip(of_model) {
+                alone.push(Alone { deviation: d.clone(), rms_mm, model_mm: *model_mm });
+                step()?;
+            }
         }
         let worst = |a: &Alone| a.rms_mm.iter().map(|r| r.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
         alone.sort_by(|a, b| worst(b).total_cmp(&worst(a)));
         let started = Instant::now();
         let (mut draws, mut lenses) = (Vec::new(), Vec::new());
-        for k in 0..settings.draws {
+        let drawn = |k: usize| {
             let rng = &mut fastrand::Rng::with_seed(settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) ^ k as u64);
             let mut off = Vec::new();
             for d in &deviations {
@@ -280,14 +287,16 @@ impl AsBuilt {
                 off.extend(at(d, part, angle));
             }
             // A number that several deviations move moves by their sum in both judgements.
-            let found = built(&lens, &off);
-            draws.push(Draw {
-                rms_mm: found.as_ref().map(|f| f.1),
-                model_mm: by_model(&off),
-                focus_mm: found.as_ref().map(|f| f.2),
-            });
-            lenses.push(found.map_or_else(|| lens.clone(), |f| f.0));
-            step()?;
+            (by_model(&off), built(&lens, &off))
+        };
+        let numbers: Vec<usize> = (0..settings.draws).collect();
+        for some in numbers.chunks(TOGETHER) {
+            for (model_mm, found) in some.par_iter().map(|k| drawn(*k)).collect::<Vec<_>>() {
+                let (rms_mm, focus_mm) = (found.as_ref().map(|f| f.1), found.as_ref().map(|f| f.2));
+                draws.push(Draw { rms_mm, model_mm, focus_mm });
+                lenses.push(found.map_or_else(|| lens.clone(), |f| f.0));
+                step()?;
+            }
         }
         let seconds = [first, started.elapsed().as_secs_f64()];
         Ok((Self { nominal_mm, alone, draws, notes, seconds }, lenses))

@@ -58,6 +58,12 @@ fn a_lens_by_its_images_is_a_run_like_any_other() {
         all
     };
     assert_eq!(rows("evaluate net --fields 1 --patch 32 --json"), [700.0, 1000.0, 1500.0]);
+    #[cfg(feature = "deploy")]
+    {
+        place.run("export net -o kit").done();
+        let kit = text("kit/kit.toml");
+        assert!(kit.contains("distance_m") && kit.contains("0.7") && kit.contains("1.5"), "{kit}");
+    }
     place.run("train run -o near --depths-mm 700").done();
     assert_eq!(rows("evaluate near --fields 1 --patch 32 --json"), [700.0]);
     place.run("train run -o none --depths-mm 0").refused(&["depths_mm", "0"]);

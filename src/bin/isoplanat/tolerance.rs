@@ -35,7 +35,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Rms spot that a lens may have, µm: its yield is told
-    #[arg(long, value_name = "UM")]
+    #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     limit_um: Option<f64>,
     /// Folder for the drawn lenses, a file each (`isoplanat report`, and `evaluate --through` where they are symmetric)
     #[arg(long, value_name = "DIR")]
