@@ -349,6 +349,7 @@ impl Designing {
             lens: name,
             held_out_db: [entry.input_psnr_db, entry.output_psnr_db],
             held_out_l1: entry.loss,
+            score_db: Some(score),
             best: better,
             active: self.stage.active(),
             variables: numbers.collect(),

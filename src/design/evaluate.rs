@@ -281,6 +281,18 @@ pub fn evaluate(
     Ok((evaluation, sheets.collect()))
 }
 
+/// Refuses what [`evaluate`] would, before there is a network.
+///
+/// # Errors
+/// Settings out of range, a lens that cannot image its frame at a depth.
+pub fn judgeable(subject: &Subject, sensor: &Sensor, settings: &Settings) -> Result<()> {
+    let frame = subject.frame()?;
+    zones::check(&frame, settings)?;
+    let renderer = at_depths(subject, sensor, settings)?;
+    let bounds = zones::bounds(&renderer.optics.maps[0], &frame, settings)?;
+    zones::zones(&frame, &bounds, settings.patch).map(|_| ())
+}
+
 /// Pixels around a patch that `network` sees beside it.
 fn context_of(network: &Reconstructor) -> usize {
     network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP)

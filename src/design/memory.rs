@@ -52,7 +52,10 @@ pub fn of_design(task: &Task) -> Result<u64> {
         Some(_) => (task.depths_mm.len(), 0),
         None => (task.batch, task.batch),
     };
-    let patches = product(&[count.max(threads()), seen, seen, REGION]).max(judged);
+    // The textures of all of a step's patches are cut out beforehand.
+    let cut = seen + seen / 4 + 160;
+    let cuts = product(&[task.batch, task.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
+    let patches = product(&[count.max(threads()), seen, seen, REGION]).max(judged).saturating_add(cuts);
     let step = network.step_bytes(task.patch_px, batch);
     let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);

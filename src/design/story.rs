@@ -35,6 +35,9 @@ pub struct Judgement {
     pub held_out_db: [f64; 2],
     /// Their loss: L1, or without a network eq. 16.
     pub held_out_l1: f64,
+    /// What states are ranked by, dB: PSNR behind the network, or of a lens judged by its images −20 log₁₀ of their loss.
+    #[serde(default)]
+    pub score_db: Option<f64>,
     /// Whether it was the best so far.
     pub best: bool,
     /// What held the lens back.
@@ -47,6 +50,11 @@ pub struct Judgement {
 }
 
 impl Judgement {
+    /// What it is ranked by, dB.
+    pub fn score(&self) -> f64 {
+        self.score_db.unwrap_or(self.held_out_db[1])
+    }
+
     /// The judgements of a run's folder; none where there is no history yet.
     ///
     /// # Errors

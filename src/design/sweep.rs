@@ -78,8 +78,8 @@ pub fn ranked(folder: &Path) -> Result<Vec<Ranked>> {
             continue;
         }
         let history = Judgement::read(&path)?;
-        let finite = history.iter().filter(|j| j.held_out_db[1].is_finite());
-        let best = finite.max_by(|a, b| a.held_out_db[1].total_cmp(&b.held_out_db[1])).cloned();
+        let finite = history.iter().filter(|j| j.score().is_finite());
+        let best = finite.max_by(|a, b| a.score().total_cmp(&b.score())).cloned();
         if let (Some(best), Some(last)) = (best, history.last().cloned()) {
             let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
             found.push(Ranked { name, best, last });
@@ -89,7 +89,7 @@ pub fn ranked(folder: &Path) -> Result<Vec<Ranked>> {
         let allowed = "a folder of runs of `isoplanat sweep` that were judged once at least";
         return Err(Error::bad(folder.display().to_string(), "runs", "none", allowed));
     }
-    found.sort_by(|a, b| b.best.held_out_db[1].total_cmp(&a.best.held_out_db[1]).then_with(|| a.name.cmp(&b.name)));
+    found.sort_by(|a, b| b.best.score().total_cmp(&a.best.score()).then_with(|| a.name.cmp(&b.name)));
     Ok(found)
 }
 

@@ -65,6 +65,32 @@ mod tests {
             assert_rel(b.entrance_pupil_diameter, 2.5 * a.entrance_pupil_diameter, 1e-12, 0.0, name);
             assert_rel(b.paraxial_image_distance, 2.5 * a.paraxial_image_distance, 1e-11, 0.0, name);
             assert_rel(b.f_number, a.f_number, 1e-12, 0.0, name);
+        }
+    }
+
+    /// Every term that a form can have: sag·factor at radius·factor, off the meridian.
+    #[test]
+    fn every_term_grows() {
+        for lens in crate::lens::test_lenses::every_kind() {
+            let large = crate::lens::unchecked(&lens, |l| l.enlarge(2.5));
+            for (s, t) in lens.surfaces.iter().zip(&large.surfaces) {
+                let h = 0.5 * s.semi_diameter;
+                let sag = |s: &Surface, k: f64| s.shape.at(k * h, -0.6 * k * h).map_or(f64::NAN, |l| l.h);
+                assert_rel(sag(t, 2.5), 2.5 * sag(s, 1.0), 1e-11, 1e-14, &lens.name);
+                let [a, b] = [s, t].map(|s| s.pose.map_or([0.0; 2], |p| p.decentre));
+                assert_eq!(a.map(|d| 2.5 * d), b);
+            }
+            let [a, b] = [&lens, &large].map(|l| l.elements.iter().map(|e| e.pivot).sum::<f64>());
+            assert_rel(b, 2.5 * a, 1e-12, 1e-15, "pivots");
+        }
+    }
+
+    /// Shipped lenses keep their shapes.
+    #[test]
+    fn shapes_stay() {
+        for (name, _) in builtin::LENSES {
+            let lens = builtin::lens(name).expect("shipped");
+            let large = lens.changed(|l| l.enlarge(2.5)).expect("a lens");
             for (s, t) in lens.surfaces.iter().zip(&large.surfaces) {
                 let h = 0.7 * s.semi_diameter;
                 let sag = |s: &Surface, h: f64| s.shape.at(0.0, h).map_or(f64::NAN, |l| l.h);

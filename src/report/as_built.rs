@@ -60,7 +60,7 @@ impl AsBuiltReport<'_> {
     /// Rms that shares of the draws do not exceed.
     pub fn quantiles(&self) -> Table {
         let mut table = Table::new(["share of lenses", "rms µm, at most", "by Jacobian"]);
-        for share in SHARES {
+        for share in SHARES.into_iter().filter(|_| !self.figures.draws.is_empty()) {
             let [rays, model] = self.figures.quantile(share);
             table.row([format!("{:.0} %", 100.0 * share), um(rays), um(model)]);
         }
@@ -78,11 +78,11 @@ impl AsBuiltReport<'_> {
             significant(f.seconds[1], 3),
             significant(f.seconds[0], 3)
         )];
-        if let Some(limit) = self.limit_mm {
+        if let Some(limit) = self.limit_mm.filter(|_| !f.draws.is_empty()) {
             all.push(format!("within {} µm rms: {:.1} % of the draws", um(limit), 100.0 * f.within(limit)));
         }
         if f.lost() > 0 {
-            all.push(format!("{} draws in which a ray does not arrive", f.lost()));
+            all.push(format!("{} draws that are no lens, or in which a ray does not arrive", f.lost()));
         }
         all.extend(f.notes.iter().cloned());
         all
@@ -102,6 +102,7 @@ impl AsBuiltReport<'_> {
     pub fn json(&self) -> Value {
         let shares: Vec<Value> = SHARES
             .iter()
+            .filter(|_| !self.figures.draws.is_empty())
             .map(|s| {
                 let [rays, model] = self.figures.quantile(*s);
                 json!({ "share": s, "rms_mm": rays, "by_jacobian_mm": model })
@@ -118,17 +119,20 @@ impl AsBuiltReport<'_> {
         let f = self.figures;
         let mut page = Page::new(&self.lens.name, &format!("As it will be built, within {}", self.file));
         let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
-        let mut facts = vec![
-            fact(format!("{} µm", um(f.nominal_mm)), "rms of the nominal lens"),
-            fact(format!("{} µm", um(f.quantile(0.5)[0])), "half of the lenses at most"),
-            fact(format!("{} µm", um(f.quantile(0.9)[0])), "nine of ten at most"),
-        ];
-        if let Some(limit) = self.limit_mm {
+        let mut facts = vec![fact(format!("{} µm", um(f.nominal_mm)), "rms of the nominal lens")];
+        if !f.draws.is_empty() {
+            facts.push(fact(format!("{} µm", um(f.quantile(0.5)[0])), "half of the lenses at most"));
+            facts.push(fact(format!("{} µm", um(f.quantile(0.9)[0])), "nine of ten at most"));
+        }
+        if let Some(limit) = self.limit_mm.filter(|_| !f.draws.is_empty()) {
             facts.push(fact(format!("{:.1} %", 100.0 * f.within(limit)), &format!("within {} µm", um(limit))));
         }
         page.facts(&facts);
         page.drawings(&[(lens_svg(self.lens), String::new())], 420);
-        page.section("Lenses drawn").table(&self.quantiles()).drawings(&[(self.plot().to_svg(), String::new())], 420);
+        if !f.draws.is_empty() {
+            let yields = [(self.plot().to_svg(), String::new())];
+            page.section("Lenses drawn").table(&self.quantiles()).drawings(&yields, 420);
+        }
         page.section("Each tolerance by itself").paragraph(
             "Rms spot over all sides of the field from the centroid, the sensor refocused, at both bounds; the costliest first. By Jacobian: from the \
              derivatives of the nominal lens's rays alone.",
@@ -181,9 +185,9 @@ mod tests {
         let lens = builtin::lens("two_element").expect("shipped");
         let file = "schema = 1\n[surface.all]\nradius_percent = 0.5\n[assembly]\ndecentre_mm = 0.02\n";
         let tolerances = Tolerances::parse(file, "t.toml").expect("reads");
-        let settings = Settings { draws: 7, seed: 3 };
+        let settings = Settings { draws: 7, seed: 3, lenses: true };
         let (figures, lenses) = AsBuilt::new(&lens, &tolerances, settings, &mut |_| true).expect("passes light");
-        assert_eq!(lenses.len(), 7);
+        assert_eq!(lenses.iter().flatten().count(), 7);
         let report = AsBuiltReport { lens: &lens, file: "t.toml", seed: 3, limit_mm: Some(1.0), figures: &figures };
         assert_eq!(report.csv().lines().count(), 8);
         assert_eq!(report.table().rows.len(), 4 + 2, "four radii and two elements");
@@ -195,5 +199,11 @@ mod tests {
             assert!(html.contains(part), "{part}");
         }
         assert!(!html.contains("NaN") && report.remarks().iter().any(|r| r.contains("100.0 %")));
+        // Costs alone.
+        let alone = Settings { draws: 0, ..settings };
+        let (none, _) = AsBuilt::new(&lens, &tolerances, alone, &mut |_| true).expect("passes light");
+        let report = AsBuiltReport { figures: &none, ..report };
+        assert!(report.quantiles().rows.is_empty() && !report.to_html().contains("lost"));
+        assert!(!report.remarks().join(" ").contains("within"));
     }
 }

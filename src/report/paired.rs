@@ -61,9 +61,16 @@ pub fn against(run: &Evaluation, other: &Evaluation) -> Result<Vec<Difference>> 
     if (&run.pictures, run.count, run.seed) != (&other.pictures, other.count, other.seed) {
         return differ("pictures", run.pictures.clone(), other.pictures.clone());
     }
-    let places = |e: &Evaluation| e.rows.iter().map(|r| (r.zone, r.patch_px, r.patches)).collect::<Vec<_>>();
+    let places = |e: &Evaluation| {
+        e.rows.iter().map(|r| (r.depth_mm.to_bits(), r.zone, r.patch_px, r.patches)).collect::<Vec<_>>()
+    };
     if places(run) != places(other) {
-        return differ("zones", format!("{:?}", places(run)), format!("{:?}", places(other)));
+        let told = |e: &Evaluation| {
+            let all: Vec<String> =
+                e.rows.iter().map(|r| format!("{} mm zone {} of {} px", r.depth_mm, r.zone, r.patch_px)).collect();
+            all.join(", ")
+        };
+        return differ("distances and zones", told(run), told(other));
     }
     let pairs = run.rows.iter().zip(&other.rows);
     Ok(pairs
@@ -167,5 +174,8 @@ mod tests {
             assert!(against(&a, &other).is_err());
         }
         assert!(against(&a, &judged(vec![[20.0, 0.5]])).is_err());
+        let mut far = b.clone();
+        far.rows[0].depth_mm = 2000.0;
+        assert!(against(&a, &far).expect_err("another distance").to_string().contains("2000 mm"));
     }
 }

@@ -49,6 +49,10 @@ fn a_lens_by_its_images_is_a_run_like_any_other() {
     assert_ne!(text("run/lens.toml"), text("run/lens-first.toml"), "the lens moved");
     place.run("design --resume -o run").done();
     place.run("train run -o net").done();
+    // The design itself has no network.
+    for command in ["evaluate run", "export run -o kit-of-run"] {
+        place.run(command).refused(&["run", "sensor_loss", "isoplanat train"]);
+    }
     // The distances of the task, where nobody says more; one of them where somebody does.
     let rows = |command: &str| {
         let value = json(&place.run(command).done());
@@ -82,6 +86,11 @@ fn a_lens_by_its_images_is_a_run_like_any_other() {
     }
     place.run("design task.toml -o none --validate run").refused(&["--validate", "network"]);
     place.run("design --check edof --json").done();
+}
+
+/// The text of a shipped lens.
+fn lens_of(name: &str) -> &'static str {
+    isoplanat::lens::builtin::LENSES.iter().find(|(n, _)| *n == name).expect("shipped").1
 }
 
 /// Rows for everybody, one of them a lens that has no place; figures that are read again, and a folder that is asked for in the same words or not at all.
@@ -129,13 +138,23 @@ semi_diameter_mm = 10.0
         assert!((a / b - 1.0).abs() < 1e-9, "{key}: {a} {b}");
     }
     place.run(command).refused(&["cmp", "--force"]);
-    place.run(&format!("{command} --resume --seed 2")).refused(&["compare.json", "another"]);
+    place.run(&format!("{command} --resume --seed 2")).refused(&["compare.json", "another protocol"]);
     // What is lost is done again, the rest is read: the same figures.
     std::fs::remove_file(place.path("cmp/02-ac254_050_a/evaluation.toml")).expect("there");
     let again = json(&place.run(&format!("{command} --resume --json")).done());
     assert_eq!(again["rows"], first["rows"]);
     place.run("compare task.toml --against nolens -o other").refused(&["nolens"]);
     place.run("compare task.toml --rates 2 -o other").refused(&["--rates", "2"]);
+    // What nobody can be judged by is told before anybody is trained.
+    place.run("compare task.toml --fields 0 -o other").refused(&["zones", "0"]);
+    place.run("compare task.toml --depths-mm 0 -o other").refused(&["depth", "0"]);
+    // Another lens under the same name is another comparison; lenses of one name are told apart.
+    place.write("l.toml", lens_of("al2550_a"));
+    let twice = "compare task.toml --against l.toml,al2550_a --fields 1 --patch 32 -o twice";
+    let page = place.run(twice).done();
+    assert!(page.contains("(02-l)") && page.contains("(03-al2550_a)"), "{page}");
+    place.write("l.toml", lens_of("cooke_triplet"));
+    place.run(&format!("{twice} --resume")).refused(&["compare.json", "cameras"]);
     place.run("compare window.toml two_element -o other").refused(&["focal length"]);
     assert!(!place.path("other").exists());
     // Two networks a lens, and a rate of two for each.

@@ -8,13 +8,15 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::compare::{Place, Placed};
+use isoplanat::design::evaluate::judgeable;
 use isoplanat::design::memory;
+use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::guide::Inputs;
 use isoplanat::imaging::render::frame_of;
-use isoplanat::interchange;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
 use isoplanat::report::comparison::{Comparison, Entrant};
@@ -34,6 +36,8 @@ const STOCK: [&str; 5] = ["al2550_a", "ac254_050_a", "aca254_050_a_surrogate", "
 /// Part of the steps that a rate is tried for, and the last part of those by whose loss it is judged.
 const TRIED: f64 = 0.1;
 const LAST: f64 = 0.25;
+/// Least steps of a trial.
+const FEWEST: u64 = 20;
 
 /// One lens and others in its place: scaled to its focal length, stopped to its aperture, refocused for its distances, on its raster, each with a
 /// network of its own; table, curves over field and distance, pictures.
@@ -124,11 +128,21 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::input::of_task(&task)?;
     let cameras = cameras(args, &task, &first)?;
     let pictures = args.protocol.pictures()?;
-    let asked_for = asked_for(args, &task, &first, &cameras)?;
+    // What no camera could be judged by is told before any is trained.
+    let (subject, sensor) = (Subject::from(first.clone()), task.sensor()?);
+    let settings_of_first = args.protocol.settings(&task, &subject);
+    judgeable(&subject, &sensor, &settings_of_first).map_err(|e| e.in_file(&args.subject))?;
+    for camera in &cameras {
+        let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &settings_of_first, true)?;
+        crate::memory::limit().allow("the judgement", bytes, "a smaller --patch or smaller photographs")?;
+        let instead = "a smaller train.patch_px, batch or base_width";
+        crate::memory::limit().allow("the training", memory::of_training(&camera.task)?, instead)?;
+    }
+    let asked_for = asked_for(args, &task, &cameras)?;
     begin(args, &asked_for)?;
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
-    let mut entrants = Vec::new();
+    let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
         eprintln!("{} of {}: {}", k + 1, cameras.len(), camera.label());
         let outcome = camera.compared(args, &pictures, &asked);
@@ -136,8 +150,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             eprintln!("stopped; the same command with --resume goes on");
             return Err(Error::Interrupted.into());
         }
+        outcomes.push(outcome);
+    }
+    let nobody = outcomes.iter().all(Result::is_err);
+    let mut entrants = Vec::new();
+    for (camera, outcome) in cameras.iter().zip(outcomes) {
         entrants.push(camera.entrant(&args.output.join(&camera.folder), outcome)?);
     }
+    apart(&mut entrants, &cameras);
     if let Some(why) = entrants.first().and_then(|e| e.outcome.as_ref().err()) {
         eprintln!("warning: the first camera was not judged: {why}");
     }
@@ -158,7 +178,21 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         comparison.refused().iter().try_for_each(|line| writeln!(out, "{line}"))?;
         writeln!(out, "{}", args.output.join("comparison.html").display())?;
     }
+    if nobody {
+        out.flush()?;
+        return Err(Error::Stopped("no camera was judged".into()).into());
+    }
     Ok(())
+}
+
+/// Cameras of one name are told apart by what named them.
+fn apart(entrants: &mut [Entrant], cameras: &[Camera]) {
+    let labels: Vec<String> = entrants.iter().map(Entrant::label).collect();
+    for (k, camera) in cameras.iter().enumerate() {
+        if labels.iter().filter(|l| **l == labels[k]).count() > 1 {
+            entrants[k].name = format!("{} ({})", entrants[k].name, camera.folder);
+        }
+    }
 }
 
 /// The task, with the command line's changes.
@@ -197,13 +231,15 @@ fn task(args: &Args) -> Result<Task> {
 /// Everybody who takes part, the task's lens first, each with each network.
 fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
     let place = Place::of(first, if args.focus_all { task.network_depths_mm() } else { &[] })?;
+    let density = SpectralDensity::new(&task.sensor()?);
     let own = Placed { lens: first.clone(), scale: 1.0, shift_mm: 0.0, rms_mm: [f64::NAN; 2], field_deg: f64::NAN };
     let mut lenses = vec![(args.subject.display().to_string(), Ok(own))];
     let others = args.other.as_ref().map_or(&args.against[..], std::slice::from_ref);
     for named in others {
         // A name that is none is a slip; a lens that has no place here is an outcome.
-        let lens = interchange::lens_or_file(named, crate::glasses::all())?.lens;
-        lenses.push((named.clone(), place.put(&lens)));
+        let lens = crate::input::lens(named)?;
+        let seen = crate::input::in_band(&lens, &density, named);
+        lenses.push((named.clone(), seen.and_then(|()| place.put(&lens))));
     }
     let mut cameras = Vec::new();
     for (named, lens) in lenses {
@@ -230,11 +266,17 @@ fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
 }
 
 /// What decides the figures, as JSON.
-fn asked_for(args: &Args, task: &Task, first: &Lens, cameras: &[Camera]) -> Result<String> {
-    let task = Task { lens: first.sha256(), ..task.clone() };
+fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
+    let (textures, sensor) = (task.textures()?.sha256(), task.sensor()?);
+    // The lens is among the cameras, as its numbers are.
+    let task = Task { lens: "first".into(), ..task.clone() };
+    let camera = |c: &Camera| {
+        let lens = c.lens.as_ref().map_or_else(ToString::to_string, |p| p.lens.sha256());
+        [c.named.clone(), c.network.clone(), lens]
+    };
     let value = serde_json::json!({
         "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "protocol": format!("{:?}", args.protocol),
-        "cameras": cameras.iter().map(|c| [c.named.clone(), c.network.clone()]).collect::<Vec<_>>(),
+        "cameras": cameras.iter().map(camera).collect::<Vec<_>>(), "trained_on": textures, "sensor": format!("{sensor:?}"),
     });
     Ok(format!("{value}\n"))
 }
@@ -244,9 +286,15 @@ fn begin(args: &Args, asked_for: &str) -> Result<()> {
     let folder = &args.output;
     let path = folder.join(MARKER);
     if args.resume && path.is_file() {
-        if atomic::read_text(&path, 1 << 20)? != asked_for {
+        let then = atomic::read_text(&path, 1 << 20)?;
+        if then != asked_for {
+            let read = |text: &str| serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
+            let (then, now) = (read(&then), read(asked_for));
+            let differs = now.as_object().into_iter().flatten().filter(|(k, v)| then.get(k) != Some(v));
+            let keys: Vec<&str> = differs.map(|(k, _)| k.as_str()).collect();
+            let found = format!("another {} than asked for now", keys.join(", "));
             let allowed = "the task, lenses, networks and protocol that it began with; a new folder for others";
-            return Err(Error::bad(path.display().to_string(), "comparison", "another than asked for now", allowed));
+            return Err(Error::bad(path.display().to_string(), "comparison", found, allowed));
         }
         return Ok(());
     }
@@ -278,7 +326,6 @@ fn settings(args: &Args, task: &Task, first: &Lens) -> Vec<[String; 2]> {
         ),
         pair("training", format!("{length} each, seed {}", task.seed)),
         pair("learning rate", rates),
-        pair("network", format!("{} scales, width {}", train.scales, train.base_width.unwrap_or(32))),
     ];
     let focus = if args.focus_all { "all of the task's distances alike" } else { "the first lens's object distance" };
     all.push(pair("others focused for", focus.into()));
@@ -322,8 +369,6 @@ impl Camera {
         let mut training = if network.join("task.toml").is_file() {
             Training::resume(&network, Compute::default())?
         } else {
-            let instead = "a smaller train.patch_px, batch or base_width";
-            crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
             Training::create(task, &network, false, Compute::default(), crate::glasses::all())?
         };
         crate::train::to_the_end(&mut training, "training", asked, &mut |_| {})?;
@@ -354,6 +399,11 @@ impl Camera {
                 notes.push(format!("frame's corner {} mm from the axis", significant(corner, 4)));
             }
         }
+        let config = self.task.train.config()?;
+        let inputs = config.inputs.names();
+        let told =
+            if inputs.is_empty() { "the capture alone".to_owned() } else { inputs.join(", ") + " beside the capture" };
+        notes.push(format!("network of {} scales, width {}, sees {told}", config.scales, config.base_width));
         let run = folder.join("network").join("task.toml");
         if run.is_file() {
             notes.push(format!("learning rate {}", significant(Task::load(&run)?.train.rate, 3)));
@@ -372,7 +422,8 @@ impl Camera {
 
 /// The rate with the least mean loss over the last quarter of a tenth of the steps.
 fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool) -> Result<f64> {
-    let mut best = (f64::INFINITY, rates[0]);
+    let mut best = None::<(f64, f64)>;
+    let whole = task.train.schedule().total();
     for rate in rates {
         let mut short = task.clone();
         short.train.rate = *rate;
@@ -382,9 +433,12 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
             clippy::cast_precision_loss,
             reason = "a number of steps"
         )]
-        let tenth = |n: u64| ((n as f64 * TRIED) as u64).max(1);
-        short.train.steps = short.train.steps.map(tenth);
-        short.train.minutes = short.train.minutes.map(|m| TRIED * m);
+        let tenth = |n: u64| ((n as f64 * TRIED) as u64).max(FEWEST);
+        short.train.steps = whole.map(tenth);
+        short.train.minutes = short.train.minutes.filter(|_| whole.is_none()).map(|m| TRIED * m);
+        // No trial is all rise.
+        short.train.rise_steps =
+            short.train.steps.map_or(short.train.rise_steps, |n| short.train.rise_steps.min(n / 4));
         let run = folder.join("rate");
         let mut training = Training::create(short, &run, run.exists(), Compute::default(), crate::glasses::all())?;
         let mut losses = Vec::new();
@@ -410,13 +464,13 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
             significant(mean, 4),
             if lost { ", lost itself" } else { "" }
         );
-        if !lost && mean < best.0 {
-            best = (mean, *rate);
+        if !lost && best.is_none_or(|(least, _)| mean < least) {
+            best = Some((mean, *rate));
         }
     }
     let run = folder.join("rate");
     std::fs::remove_dir_all(&run).map_err(|e| Error::writing(&run, e))?;
-    Ok(best.1)
+    best.map(|(_, rate)| rate).ok_or_else(|| Error::Stopped("no rate of --rates kept the network".into()))
 }
 
 /// Up to four sheets of a camera: of every distance the zone on the axis, or of one distance zones from the axis outwards.

@@ -110,8 +110,8 @@ impl Protocol {
         })
     }
 
-    /// How the run in `folder` is judged.
-    fn settings(&self, task: &Task, subject: &Subject) -> Settings {
+    /// How a camera of `task` with `subject` is judged.
+    pub(crate) fn settings(&self, task: &Task, subject: &Subject) -> Settings {
         let own = match task.network_depths_mm() {
             [] => vec![1.0 / subject.vergence()],
             depths => depths.to_vec(),
@@ -235,6 +235,7 @@ impl Judged {
     /// The run in `folder`, by `protocol`, captures `through` another lens where one is named.
     pub(crate) fn new(protocol: &Protocol, through: Option<&str>, folder: &Path) -> Result<Self> {
         let task = Task::load(&folder.join("task.toml"))?;
+        crate::input::has_network(folder, &task)?;
         let subject = crate::input::of_run(folder)?;
         let network = Reconstructor::load(&folder.join("network.safetensors"))?;
         let guide = guide_of(folder, &network, &subject.frame()?)?;

@@ -62,7 +62,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut valid = Valid::default();
     args.valid.iter().try_for_each(|text| valid.put(text))?;
     let task = Task::load(&args.run.join("task.toml"))?;
-    if valid.distance_m.is_none() && !task.network_depths_mm().is_empty() {
+    crate::input::has_network(&args.run, &task)?;
+    if valid.distance_m.is_none() && task.network_depths_mm().len() > 1 {
         // A network of several distances says which.
         let ends = |pick: fn(f64, f64) -> f64, from| 1e-3 * task.network_depths_mm().iter().copied().fold(from, pick);
         valid.distance_m = Some([ends(f64::min, f64::INFINITY), ends(f64::max, 0.0)]);

@@ -82,6 +82,17 @@ pub(crate) fn of_run(folder: &Path) -> Result<Subject> {
     subject(&at.display().to_string())
 }
 
+/// Refuses a run whose network nobody trained: a design by sensor images has none in it.
+#[cfg(feature = "train")]
+pub(crate) fn has_network(folder: &Path, task: &isoplanat::design::task::Task) -> Result<()> {
+    if task.sensor_loss.is_some() && folder.join("lens-first.toml").is_file() {
+        let allowed = "a run with a trained network: `isoplanat train` with this folder makes one for its lens";
+        let found = "a design by sensor images (sensor_loss), which trains none";
+        return Err(Error::bad(folder.display().to_string(), "network", found, allowed));
+    }
+    Ok(())
+}
+
 /// The same error with the argument that named the lens in place of the lens's own name.
 pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
     match error {

@@ -158,6 +158,7 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
     use isoplanat::network::Reconstructor;
 
     let task = Task::load(&folder.join("task.toml"))?;
+    crate::input::has_network(folder, &task)?;
     let network = Reconstructor::load(&folder.join("network.safetensors"))?;
     let guide = guide_of(folder, &network, &frame_of(lens)?)?;
     let bar = Bar::new("slanted edges");

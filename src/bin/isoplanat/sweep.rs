@@ -75,18 +75,20 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let rows: Vec<_> = found
             .iter()
             .map(|r| {
-                serde_json::json!({ "run": r.name, "held_out_psnr_db": r.best.held_out_db[1], "step": r.best.step,
+                serde_json::json!({ "run": r.name, "score_db": r.best.score(), "held_out_psnr_db": r.best.held_out_db[1], "step": r.best.step,
                     "seconds": r.last.seconds, "steps": r.last.step })
             })
             .collect();
         writeln!(out, "{}", serde_json::json!({ "schema": 1, "runs": rows }))?;
         return Ok(());
     }
-    let mut table = Table::new(["rank", "run", "held out dB", "capture dB", "at step", "of", "minutes"]);
+    let mut table =
+        Table::new(["rank", "run", "ranked by, dB", "held out dB", "capture dB", "at step", "of", "minutes"]);
     for (k, r) in found.iter().enumerate() {
         table.row([
             (k + 1).to_string(),
             r.name.clone(),
+            format!("{:.2}", r.best.score()),
             format!("{:.2}", r.best.held_out_db[1]),
             format!("{:.2}", r.best.held_out_db[0]),
             r.best.step.to_string(),
@@ -108,7 +110,7 @@ fn page(folder: &Path, found: &[isoplanat::design::sweep::Ranked], table: &Table
     page.section("The best twelve");
     let mut drawings = Vec::new();
     for (k, r) in found.iter().take(12).enumerate() {
-        let notes = vec![format!("{:.2} dB behind the network at step {}", r.best.held_out_db[1], r.best.step)];
+        let notes = vec![format!("{:.2} dB at step {}", r.best.score(), r.best.step)];
         let lens = r.best.lens(&folder.join(&r.name))?;
         drawings.push((lens_svg(&lens), format!("{}. run {}", k + 1, r.name), notes));
     }

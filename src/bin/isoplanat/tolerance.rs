@@ -67,7 +67,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let tolerances = Tolerances::load(&args.tolerances)?;
     let asked = crate::interrupt::asked()?;
     let bar = Bar::new("lenses drawn");
-    let settings = Settings { draws: args.draws, seed: args.seed };
+    let settings = Settings { draws: args.draws, seed: args.seed, lenses: args.lenses.is_some() };
     let made = AsBuilt::new(&lens, &tolerances, settings, &mut |share| {
         bar.set(share, String::new());
         !asked()
@@ -85,8 +85,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     if let Some(folder) = &args.lenses {
         atomic::write_folder(folder, MARKER, args.force, |inside| -> Result<()> {
-            for (k, (lens, draw)) in lenses.iter().zip(&figures.draws).enumerate() {
-                if draw.rms_mm.is_some() {
+            for (k, lens) in lenses.iter().enumerate() {
+                if let Some(lens) = lens {
                     prescription::save(lens, &inside.join(format!("draw-{:06}.toml", k + 1)))?;
                 }
             }
@@ -97,7 +97,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Ok(writeln!(out, "{}", report.json())?);
     }
     writeln!(out, "{}", report.table())?;
-    writeln!(out, "{}", report.quantiles())?;
+    if args.draws > 0 {
+        writeln!(out, "{}", report.quantiles())?;
+    }
     report.remarks().iter().try_for_each(|line| writeln!(out, "{line}"))?;
     Ok(())
 }

@@ -10,6 +10,7 @@ use ndarray::{Array2, ArrayView2, Axis, Zip};
 use rayon::prelude::*;
 
 use crate::imaging::sensor::Sensor;
+pub use crate::math::mixed;
 use crate::math::real::Real;
 
 /// Independent draws of the standard normal law.
@@ -31,14 +32,6 @@ pub fn standard_normal<T: Real>(seed: u64, shape: (usize, usize)) -> Array2<T> {
         }
     });
     eps
-}
-
-/// A seed made of a seed and a counter (the output function of SplitMix64), so that neighbours share nothing.
-pub fn mixed(seed: u64, counter: u64) -> u64 {
-    let mut z = seed ^ counter.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
-    z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
-    z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
-    z ^ (z >> 31)
 }
 
 /// The noise of a sensor, on the normalised signal.
