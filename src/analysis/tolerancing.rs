@@ -422,7 +422,7 @@ mod tests {
         let settings = Settings { draws: 1, seed: 1, lenses: true };
         let why = AsBuilt::new(&lens, &nothing, settings, &mut |_| true).expect_err("nothing to draw").to_string();
         assert!(why.starts_with("t.toml: tolerances"), "{why}");
-        let some = Tolerances::parse(file, "t.toml").expect("reads");
+        let some = Tolerances::parse(FILE, "t.toml").expect("reads");
         let ended = AsBuilt::new(&lens, &some, settings, &mut |_| false);
         assert!(matches!(ended, Err(Error::Interrupted)));
     }
