@@ -22,7 +22,7 @@ use crate::lens::pose::{Element, Pose};
 use crate::lens::{Aperture, Kind, Lens, Parameter};
 use crate::math::mixed;
 use crate::optimize::sensitivity::Sensitivity;
-use crate::optimize::{Limits, Merit, Problem, optimize};
+use crate::optimize::{Limits, Merit, Problem, light_of, optimize};
 
 /// One thing that may deviate.
 #[derive(Clone, Debug, Serialize)]
@@ -46,7 +46,7 @@ pub struct Deviation {
 pub struct Alone {
     /// Which.
     pub deviation: Deviation,
-    /// Rms at the upper and at the lower bound, refocused, mm; none where it is no lens or a ray does not arrive.
+    /// Rms at the upper and at the lower bound, refocused, mm; none where it is no lens, a ray does not arrive or half of a field point's light is lost.
     pub rms_mm: [Option<f64>; 2],
     /// By the Jacobian, the larger of the two, mm.
     pub model_mm: f64,
@@ -55,7 +55,7 @@ pub struct Alone {
 /// A lens of the draw.
 #[derive(Clone, Debug, Serialize)]
 pub struct Draw {
-    /// Refocused rms, mm; none where it is no lens or a ray does not arrive.
+    /// Refocused rms, mm; none where it is no lens, a ray does not arrive or half of a field point's light is lost.
     pub rms_mm: Option<f64>,
     /// By the Jacobian, mm.
     pub model_mm: f64,
@@ -91,6 +91,9 @@ pub struct Settings {
 
 /// Lenses between two looks at whether to go on; the result does not depend on it.
 const TOGETHER: usize = 16;
+
+/// Least part of its light that a field point keeps in a lens that is judged.
+const DARK: f64 = 0.5;
 
 const ARCMIN: f64 = std::f64::consts::PI / 180.0 / 60.0;
 
@@ -207,8 +210,9 @@ fn moves(p: Parameter, by: Option<f64>) -> Vec<(Parameter, f64)> {
     by.map(|by| vec![(p, by)]).unwrap_or_default()
 }
 
-/// `lens` where numbers are off by so much, refocused, with its rms and the sensor's way, mm.
-fn built(lens: &Lens, off: &[(Parameter, f64)]) -> Option<(Lens, f64, f64)> {
+/// `lens` where numbers are off by so much, refocused, with its rms and the sensor's way, mm; none where a field point has less than a [`DARK`] part of its
+/// `light` left: the rms of what still gets through would be no measure.
+fn built(lens: &Lens, off: &[(Parameter, f64)], light: &[f64]) -> Option<(Lens, f64, f64)> {
     let moved = lens
         .changed(|l| {
             for (p, by) in off {
@@ -221,6 +225,10 @@ fn built(lens: &Lens, off: &[(Parameter, f64)]) -> Option<(Lens, f64, f64)> {
     let last = lens.surfaces.len() - 1;
     let problem = Problem::new(&moved, vec![Kind::Thickness.at(last)], Vec::new(), merit());
     let found = optimize(&problem, Limits::default(), &mut |_| true).ok().filter(|f| f.share >= 1.0)?;
+    let left = light_of(&found.lens, &merit()).ok()?;
+    if left.iter().zip(light).any(|(now, then)| *now < DARK * then) {
+        return None;
+    }
     let way = found.lens.surfaces[last].thickness - lens.surfaces[last].thickness;
     Some((found.lens, found.rms_mm[1], way))
 }
@@ -248,10 +256,11 @@ impl AsBuilt {
     ) -> Result<(Self, Vec<Option<Lens>>)> {
         let (lens, deviations, notes) = ready(lens, tolerances)?;
         let started = Instant::now();
-        let Some((lens, nominal_mm, _)) = built(&lens, &[]) else {
+        let Some((lens, nominal_mm, _)) = built(&lens, &[], &[]) else {
             let allowed = "a lens whose stop all rays of its fields pass";
             return Err(Error::bad(&lens.name, "rays", "some do not arrive", allowed));
         };
+        let light = light_of(&lens, &merit())?;
         let last = Kind::Thickness.at(lens.surfaces.len() - 1);
         let mut parameters = vec![last];
         for (p, _) in deviations.iter().flat_map(|d| d.moves.iter().chain(&d.across)) {
@@ -275,7 +284,7 @@ impl AsBuilt {
             if told(done / all) { Ok(()) } else { Err(Error::Interrupted) }
         };
         let mut alone = Vec::new();
-        let both = |d: &Deviation| [1.0, -1.0].map(|part| built(&lens, &at(d, part, 0.0)).map(|b| b.1));
+        let both = |d: &Deviation| [1.0, -1.0].map(|part| built(&lens, &at(d, part, 0.0), &light).map(|b| b.1));
         for (some, of_model) in deviations.chunks(TOGETHER).zip(of_model.chunks(TOGETHER)) {
             let rms: Vec<_> = some.par_iter().map(both).collect();
             for ((d, rms_mm), model_mm) in some.iter().zip(rms).zip(of_model) {
@@ -299,7 +308,7 @@ impl AsBuilt {
                 off.extend(at(d, part, angle));
             }
             // A number that several deviations move moves by their sum in both judgements.
-            (by_model(&off), built(&lens, &off))
+            (by_model(&off), built(&lens, &off, &light))
         };
         let numbers: Vec<usize> = (0..settings.draws).collect();
         for some in numbers.chunks(TOGETHER) {
@@ -333,7 +342,7 @@ impl AsBuilt {
         })
     }
 
-    /// Draws that are no lens or whose rays do not arrive.
+    /// Draws without a figure: no lens, a ray that does not arrive, half of a field point's light lost.
     pub fn lost(&self) -> usize {
         self.draws.iter().filter(|d| d.rms_mm.is_none()).count()
     }
@@ -396,7 +405,7 @@ mod tests {
             l.aperture = Aperture::StopSemiDiameter(stop);
             l.surfaces[1].shape.curvature *= 1.02;
         });
-        let (_, rms, _) = built(&typed.expect("a lens"), &[]).expect("passes light");
+        let (_, rms, _) = built(&typed.expect("a lens"), &[], &[]).expect("passes light");
         assert_rel(found.alone[0].rms_mm[0].expect("arrives"), rms, 1e-6, 0.0, "typed by hand");
         let again = drawn_of("two_element", 3, file);
         assert!(found.draws.iter().zip(&again.draws).all(|(a, b)| a.rms_mm == b.rms_mm && a.model_mm == b.model_mm));

@@ -82,7 +82,10 @@ impl AsBuiltReport<'_> {
             all.push(format!("within {} µm rms: {:.1} % of the draws", um(limit), 100.0 * f.within(limit)));
         }
         if f.lost() > 0 {
-            all.push(format!("{} draws that are no lens, or in which a ray does not arrive", f.lost()));
+            all.push(format!(
+                "{} draws that are no lens, in which a ray does not arrive, or half of a field point's light is lost",
+                f.lost()
+            ));
         }
         all.extend(f.notes.iter().cloned());
         all

@@ -66,14 +66,17 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let tolerances = Tolerances::load(&args.tolerances)?;
     let asked = crate::interrupt::asked()?;
-    let bar = Bar::new("lenses drawn");
+    // From the first lens on: what cannot be drawn is refused in one line.
+    let mut bar = None;
     let settings = Settings { draws: args.draws, seed: args.seed, lenses: args.lenses.is_some() };
     let made = AsBuilt::new(&lens, &tolerances, settings, &mut |share| {
-        bar.set(share, String::new());
+        bar.get_or_insert_with(|| Bar::new("lenses drawn")).set(share, String::new());
         !asked()
     });
     let (figures, lenses) = made.map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
-    bar.done(format!("{} draws", args.draws));
+    if let Some(bar) = bar {
+        bar.done(format!("{} draws", args.draws));
+    }
     let file = args.tolerances.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let limit_mm = args.limit_um.map(|um| 1e-3 * um);
     let report = AsBuiltReport { lens: &lens, file: &file, seed: args.seed, limit_mm, figures: &figures };
