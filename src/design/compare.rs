@@ -57,7 +57,7 @@ impl Place {
                 [] => vec![lens.object_vergence],
                 some => some.iter().map(|d| d.recip()).collect(),
             },
-            sensor: lens.sensor.clone(),
+            sensor: lens.sensor,
         })
     }
 
@@ -78,7 +78,7 @@ impl Place {
         numbers.enlarge(scale);
         numbers.aperture = Aperture::EntrancePupilDiameter(self.pupil_mm);
         numbers.object_vergence = self.vergence;
-        numbers.sensor = self.sensor.clone();
+        numbers.sensor = self.sensor;
         // The sensor at the paraxial image, so that there is something to begin with.
         let focus = paraxial::first_order(&numbers, primary).paraxial_image_distance;
         if !(focus.is_finite() && focus > 0.0) {
