@@ -35,6 +35,16 @@ pub fn steady_difference(difference: impl FnMut(f64) -> f64, steps: impl IntoIte
     sorted.min_by(|a, b| spread(a).total_cmp(&spread(b))).map_or(f64::NAN, |w| w[w.len() / 2])
 }
 
+/// A direction of unit length, half along `gradient` and half at random: a slope that single precision can resolve.
+pub fn leaning(gradient: &[f64], seed: u64) -> Vec<f64> {
+    let rng = &mut fastrand::Rng::with_seed(seed);
+    let length = |v: &[f64]| v.iter().map(|x| x * x).sum::<f64>().sqrt();
+    let norm = length(gradient);
+    let leant: Vec<f64> = gradient.iter().map(|v| v / norm + (rng.f64() - 0.5) * 0.8).collect();
+    let long = length(&leant);
+    leant.into_iter().map(|d| d / long).collect()
+}
+
 /// Uniform draw in `[a, b)`.
 pub fn between(rng: &mut fastrand::Rng, a: f64, b: f64) -> f64 {
     a + (b - a) * rng.f64()

@@ -22,7 +22,7 @@ use crate::lens::pose::{Element, Pose};
 use crate::lens::{Aperture, Kind, Lens, Parameter};
 use crate::math::mixed;
 use crate::optimize::sensitivity::Sensitivity;
-use crate::optimize::{Limits, Merit, Problem, light_of, optimize};
+use crate::optimize::{Merit, light_of, refocused};
 
 /// One thing that may deviate.
 #[derive(Clone, Debug, Serialize)]
@@ -223,8 +223,7 @@ fn built(lens: &Lens, off: &[(Parameter, f64)], light: &[f64]) -> Option<(Lens, 
         })
         .ok()?;
     let last = lens.surfaces.len() - 1;
-    let problem = Problem::new(&moved, vec![Kind::Thickness.at(last)], Vec::new(), merit());
-    let found = optimize(&problem, Limits::default(), &mut |_| true).ok().filter(|f| f.share >= 1.0)?;
+    let found = refocused(&moved, merit()).ok()?;
     let left = light_of(&found.lens, &merit()).ok()?;
     if left.iter().zip(light).any(|(now, then)| *now < DARK * then) {
         return None;

@@ -2,8 +2,8 @@
 //! between two cameras is their glass.
 
 use crate::error::{Error, Result};
-use crate::lens::{Aperture, Kind, Lens, Parameter, SensorRaster, paraxial};
-use crate::optimize::{Apertures, Limits, Merit, Problem, optimize};
+use crate::lens::{Aperture, Lens, SensorRaster, paraxial};
+use crate::optimize::{Apertures, Merit, refocused};
 use crate::trace::apertures::{Beam, open};
 use crate::trace::rims::overlapping_rims;
 
@@ -116,15 +116,8 @@ impl Place {
     /// `lens` with the sensor at the least rms spot over field and distances, and that before and after.
     fn focused(&self, lens: &Lens, field_deg: f64) -> Result<(Lens, [f64; 2])> {
         let lens = lens.changed(|l| l.max_field_deg = field_deg)?;
-        let last = lens.surfaces.len() - 1;
-        let moves = Parameter::all(&lens).filter(|p| p.kind == Kind::Thickness && p.of == last).collect();
         let depths = self.focus.iter().map(|v| [*v, 1.0]).collect();
-        let merit = Merit { depths, apertures: Apertures::Stated, ..Merit::default() };
-        let found = optimize(&Problem::new(&lens, moves, Vec::new(), merit), Limits::default(), &mut |_| true)?;
-        if found.share < 1.0 {
-            let reached = format!("{:.0} % of aperture and field", 100.0 * found.share);
-            return Err(Error::bad(&lens.name, "rays", reached, "a lens that light comes through"));
-        }
+        let found = refocused(&lens, Merit { depths, apertures: Apertures::Stated, ..Merit::default() })?;
         Ok((found.lens, found.rms_mm))
     }
 }

@@ -56,7 +56,7 @@ pub use merit::{Apertures, Merit, Quality, Reference};
 pub use problem::{Limits, Problem, Step, Stop};
 
 use crate::error::{Error, Result};
-use crate::lens::Lens;
+use crate::lens::{Kind, Lens};
 use solver::{Solved, Solver};
 
 /// Shares of aperture and field that are tried for a start whose rays fail.
@@ -125,6 +125,20 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
         return Err(Error::bad(problem.lens.name.as_str(), "start", "no step", "a lens that light passes"));
     };
     Ok(finish::outcome(problem, lens, solved, finish::Spent { iterations, rays, reached, first_rms, started }))
+}
+
+/// `lens` with its sensor where `merit` is least: nothing else moves.
+///
+/// # Errors
+/// As [`optimize`]; a lens through which not all rays of the merit come.
+pub fn refocused(lens: &Lens, merit: Merit) -> Result<Outcome> {
+    let sensor = Kind::Thickness.at(lens.surfaces.len() - 1);
+    let found = optimize(&Problem::new(lens, vec![sensor], Vec::new(), merit), Limits::default(), &mut |_| true)?;
+    if found.share < 1.0 {
+        let reached = format!("{:.0} % of aperture and field", 100.0 * found.share);
+        return Err(Error::bad(&lens.name, "rays", reached, "a lens that light comes through"));
+    }
+    Ok(found)
 }
 
 /// The rays of `merit` through `lens`.

@@ -114,12 +114,7 @@ impl DesignPage {
             }
         }
         self.numbers(&mut page);
-        page.section("How");
-        let mut table = Table::new(["what", "value"]);
-        self.settings.iter().for_each(|[name, value]| {
-            table.row([name.as_str(), value.as_str()]);
-        });
-        page.table(&table);
+        page.how(&self.settings);
         Ok(page.finish_with_contents())
     }
 

@@ -116,6 +116,15 @@ impl Page {
         self.add(Self::tabled(table))
     }
 
+    /// Names and values in a section called "How".
+    pub fn how(&mut self, settings: &[[String; 2]]) -> &mut Self {
+        let mut table = Table::new(["what", "value"]);
+        settings.iter().for_each(|[name, value]| {
+            table.row([name.as_str(), value.as_str()]);
+        });
+        self.section("How").table(&table)
+    }
+
     /// A drawing and a table below its heading, beside each other where there is room.
     pub fn drawing_beside(&mut self, svg: &str, heading: &str, table: &Table) -> &mut Self {
         self.add(html! {

@@ -111,8 +111,9 @@ impl Sheets<'_> {
         #[expect(clippy::cast_precision_loss, reason = "at most 65,536")]
         let [w, h] = [s.columns, s.rows].map(|n| significant(n as f64 * s.pitch_mm(), 4));
         let sensor = Fact {
-            value: format!("{w} × {h} mm"),
-            label: format!("sensor, {} × {} pixels of {} µm", s.columns, s.rows, s.pitch_um),
+            // A value stands on one line of a narrow box.
+            value: format!("{w} mm"),
+            label: format!("by {h} mm: sensor, {} × {} pixels of {} µm", s.columns, s.rows, s.pitch_um),
         };
         let last = self.made.air.last().map_or(f64::NAN, |a| a.axial_mm);
         let f_number = f

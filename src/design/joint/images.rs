@@ -240,13 +240,8 @@ mod tests {
         let variables = Variables::refracting(&lens);
         let gradient = variables.gradient(&first.lens_gradient(&lens, &bar));
         let x = variables.values(&lens);
-        let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
         for seed in 0..6 {
-            let rng = &mut fastrand::Rng::with_seed(40 + seed);
-            let mut dx: Vec<f64> = gradient.iter().map(|v| v / norm).collect();
-            dx.iter_mut().for_each(|d| *d += (rng.f64() - 0.5) * 0.8);
-            let length = dx.iter().map(|v| v * v).sum::<f64>().sqrt();
-            dx.iter_mut().for_each(|d| *d /= length);
+            let dx = crate::testing::leaning(&gradient, 40 + seed);
             let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
             let at = |t: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();

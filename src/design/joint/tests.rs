@@ -74,14 +74,8 @@ fn gradient_agrees(inputs: Inputs) {
     let g = renderer.lens_gradient(&lens, &bar);
     let vars = crate::lens::variables::Variables::refracting(&lens);
     let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
-    let norm = gradient.iter().map(|v| v * v).sum::<f64>().sqrt();
     for seed in 0..6 {
-        let rng = &mut fastrand::Rng::with_seed(40 + seed);
-        // Half along the gradient, half at random, unit length: a slope that f32 can resolve.
-        let mut dx: Vec<f64> = gradient.iter().map(|v| v / norm).collect();
-        dx.iter_mut().for_each(|d| *d += (rng.f64() - 0.5) * 0.8);
-        let length = dx.iter().map(|v| v * v).sum::<f64>().sqrt();
-        dx.iter_mut().for_each(|d| *d /= length);
+        let dx = crate::testing::leaning(&gradient, 40 + seed);
         let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
         let h = 2e-4;
         let mut at = |t: f64| {
