@@ -3,6 +3,7 @@
 use ndarray::s;
 
 use crate::deploy::kit::Kit;
+use crate::deploy::network_process::Apart;
 use crate::deploy::reconstruct::{Camera, Steps};
 use crate::deploy::session::Options;
 use crate::error::{Error, Result};
@@ -16,19 +17,19 @@ use crate::report::measured::{Measured, Seen, Settings, by_rays, close};
 const RAYS: u64 = 0x7261_7973;
 
 /// The loop of [`crate::report::measured`] with what the camera program makes of the captures: raw values with the sensor's noise, levels and steps, the
-/// kit's flat field and network. There is no veiling glare in these scenes, and none is taken off.
+/// kit's flat field and network, here or apart. There is no veiling glare in these scenes, and none is taken off.
 ///
 /// # Errors
 /// A model that the runtime refuses; as [`close`]. Whether the kit was made for this lens, [`Kit::require`] tells.
 pub fn measured(
     lens: &Lens,
     kit: &Kit,
-    options: &Options,
+    (options, apart): (&Options, Option<&Apart>),
     settings: Settings,
     progress: &mut dyn FnMut(f64),
 ) -> Result<Measured> {
     let (sensor, frame) = (&kit.sensor, &kit.frame);
-    let camera = Camera::with_kit(kit.clone(), Steps { network: true, undistort: false }, options)?;
+    let camera = Camera::opened(kit.clone(), Steps { network: true, undistort: false }, options, apart)?;
     let rays = by_rays(lens, sensor, frame, Settings { seed: mixed(settings.seed, RAYS), ..settings });
     let seen = |scene: &Plane, region: Region| -> Result<Seen> {
         let at = camera.around(region).ok_or_else(|| Error::Internal("a camera with a kit".into()))?;
@@ -43,6 +44,6 @@ pub fn measured(
         })
     };
     let found = close(lens, sensor, frame, settings, &seen, progress)?;
-    let runtime = camera.session().map_or_else(String::new, |s| s.runtime().name());
+    let runtime = camera.network().map_or_else(String::new, |s| s.runtime().name());
     Ok(Measured { by: format!("{}, {runtime}", kit.name), ..found })
 }

@@ -1,7 +1,9 @@
 //! The camera side: RAW in, picture out. No training code, no gradients.
 
+pub mod child;
 pub mod edges;
 pub mod kit;
+pub mod network_process;
 pub mod onnxruntime;
 mod opcodes;
 pub mod orientation;
@@ -13,3 +15,22 @@ pub mod session;
 mod test_model;
 pub mod tiles;
 pub mod valid;
+
+/// What a program does that was started by itself to decode a file or to run a network: all of it is done, and the program ends. `None` where it was
+/// started by somebody else. The first thing in `main`.
+pub fn serve_child() -> Option<std::io::Result<()>> {
+    let mut arguments = std::env::args_os().skip(1);
+    let first = arguments.next()?;
+    let serve: Box<dyn FnOnce() -> std::io::Result<()>> = match (arguments.next(), arguments.next()) {
+        (Some(path), None) if first == raw_process::COMMAND => {
+            Box::new(move || raw_process::serve(std::path::Path::new(&path), &mut std::io::stdout().lock()))
+        }
+        (None, None) if first == network_process::COMMAND => {
+            Box::new(|| network_process::serve(&mut std::io::stdin().lock(), &mut std::io::stdout()))
+        }
+        _ => return None,
+    };
+    // The parent tells of a panic.
+    std::panic::set_hook(Box::new(|_| {}));
+    Some(serve())
+}

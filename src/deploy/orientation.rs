@@ -1,7 +1,11 @@
 //! How a capture is turned to stand upright: the eight orientations of Exif tag 0x0112.
 
 use ndarray::Array3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+
+/// Rows of the upright picture that are filled together.
+const STRIP: usize = 16;
 
 /// Where the stored picture's first row and column belong; `1` is upright.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,17 +46,28 @@ impl Orientation {
             8 => (true, true, false),
             _ => return image,
         };
-        let mut view = image.view();
-        if transpose {
-            view.swap_axes(1, 2);
+        let (channels, rows, columns) = image.dim();
+        let mut samples = if image.is_standard_layout() {
+            image.into_raw_vec_and_offset().0
+        } else {
+            image.as_standard_layout().into_owned().into_raw_vec_and_offset().0
+        };
+        let (height, width) = if transpose { (columns, rows) } else { (rows, columns) };
+        // Plane by plane in place: three planes are large enough.
+        for plane in samples.chunks_exact_mut((rows * columns).max(1)) {
+            let stored = plane.to_vec();
+            plane.par_chunks_mut(STRIP * width.max(1)).enumerate().for_each(|(strip, lines)| {
+                let turned = |flip: bool, k: usize, n: usize| if flip { n - 1 - k } else { k };
+                for c in 0..width {
+                    let col = turned(flip_columns, c, width);
+                    for (k, line) in lines.chunks_exact_mut(width).enumerate() {
+                        let row = turned(flip_rows, strip * STRIP + k, height);
+                        line[c] = stored[if transpose { col * columns + row } else { row * columns + col }];
+                    }
+                }
+            });
         }
-        if flip_rows {
-            view.invert_axis(ndarray::Axis(1));
-        }
-        if flip_columns {
-            view.invert_axis(ndarray::Axis(2));
-        }
-        view.as_standard_layout().into_owned()
+        Array3::from_shape_vec((channels, height, width), samples).expect("as many samples as before")
     }
 }
 
@@ -80,6 +95,17 @@ mod tests {
             assert_eq!(upright.into_raw_vec_and_offset().0, expected, "{exif}");
         }
         assert_eq!(Orientation::from_exif(0), Orientation::UPRIGHT);
+        // A larger picture, whose strips are not whole: four quarter turns, and each mirroring twice, are the picture itself.
+        let picture = Array3::from_shape_fn((3, 37, 50), |(c, i, j)| (c * 10_000 + i * 100 + j) as f32);
+        let turned = |by: u16, image: Array3<f32>| Orientation::from_exif(by).apply(image);
+        let quarter = turned(6, picture.clone());
+        assert!(quarter.indexed_iter().all(|((c, i, j), v)| *v == picture[[c, 36 - j, i]]));
+        assert_eq!(turned(6, turned(6, turned(6, quarter.clone()))), picture);
+        assert_eq!(turned(8, quarter.clone()), picture);
+        assert_eq!(turned(6, quarter), turned(3, picture.clone()));
+        for mirror in [2, 4, 5, 7] {
+            assert_eq!(turned(mirror, turned(mirror, picture.clone())), picture, "{mirror}");
+        }
         assert_eq!(Orientation::from_exif(9), Orientation::UPRIGHT);
     }
 }

@@ -2,13 +2,10 @@
 //!
 //! The program starts itself again with [`COMMAND`] as its first argument; that child calls [`serve`], which writes one
 //! line of JSON and then the samples to its standard output. Whatever happens to the child (a panic, an abort, a
-//! refused allocation, no end), the parent turns it into one sentence. On Unix the limits of memory and processor time are the shell's
-//! `ulimit -v` and `-t`; where the system has no such limit (Windows, macOS) only the parent's time limit holds. On Linux a child dies with its parent.
+//! refused allocation, no end), the parent turns it into one sentence. How the limits are kept: [`super::child`].
 
-use std::ffi::OsString;
 use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
 use std::sync::mpsc;
 use std::time::Duration;
 
@@ -16,6 +13,7 @@ use ndarray::{Array2, Array3};
 use serde::{Deserialize, Serialize};
 
 use crate::atomic;
+use crate::deploy::child::{self, Limits, Start};
 use crate::deploy::orientation::Orientation;
 use crate::deploy::raw::{self, ALLOWED, RawCapture, RawPixels};
 use crate::error::{Error, Result};
@@ -25,24 +23,8 @@ use crate::imaging::sensor::cfa::Cfa;
 /// First argument that makes the program a decoder child; the path of the RAW file follows.
 pub const COMMAND: &str = "decode-raw-child";
 
-/// Threads of a child at most.
-const WORKERS: usize = 4;
-
-/// What a decoder child may use.
-#[derive(Clone, Copy, Debug)]
-pub struct Limits {
-    /// Address space, bytes.
-    pub memory_bytes: u64,
-    /// Time until it is stopped; its processor time is limited to so much on each of its threads, whoever waits for it.
-    pub time: Duration,
-}
-
-impl Default for Limits {
-    /// 2 GiB and two minutes.
-    fn default() -> Self {
-        Self { memory_bytes: 2 << 30, time: Duration::from_secs(120) }
-    }
-}
+/// What a decoder may use: 2 GiB and two minutes.
+pub const LIMITS: Limits = Limits { memory_bytes: 2 << 30, time: Duration::from_secs(120) };
 
 /// The line before the samples.
 #[derive(Serialize, Deserialize)]
@@ -57,7 +39,7 @@ struct Header {
     columns: usize,
     /// The mosaic's layout; absent for linear pictures.
     cfa: Option<Cfa>,
-    /// Samples as `u16` (all are whole numbers) or `f32`, little endian.
+    /// Samples as `u16` (all are whole numbers) or `f32`, in this machine's byte order.
     integer: bool,
     black: [f32; 4],
     white: [f32; 4],
@@ -76,9 +58,7 @@ struct Header {
 /// # Errors
 /// A reply that cannot be written. A refused file is a reply.
 pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
-    // A parent that is killed takes the child with it.
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL));
+    child::follow_parent();
     let capture = match raw::decode(path) {
         Ok(capture) => capture,
         Err(error) => {
@@ -113,13 +93,13 @@ pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
         notes: capture.notes,
     };
     write_line(out, &Reply::Capture(header))?;
+    if !integer {
+        out.write_all(bytemuck::cast_slice(&samples))?;
+        return out.flush();
+    }
     for chunk in samples.chunks(1 << 16) {
-        let bytes: Vec<u8> = if integer {
-            chunk.iter().flat_map(|&v| (v as u16).to_le_bytes()).collect()
-        } else {
-            chunk.iter().flat_map(|v| v.to_le_bytes()).collect()
-        };
-        out.write_all(&bytes)?;
+        let whole: Vec<u16> = chunk.iter().map(|v| *v as u16).collect();
+        out.write_all(bytemuck::cast_slice(&whole))?;
     }
     out.flush()
 }
@@ -140,7 +120,12 @@ pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture>
     std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
     let refused = |found: String, allowed: String| Error::bad(path.display().to_string(), "RAW", found, allowed);
     let failed = |found: String| refused(found, ALLOWED.into());
-    let mut child = spawn(program, path, limits)
+    let start = |path: std::path::PathBuf| {
+        let arguments = &[COMMAND.into(), path.into()];
+        Start { program, arguments, limits, once: true, listens: false, threads: Start::few_threads() }.spawn()
+    };
+    let mut child = std::path::absolute(path)
+        .and_then(start)
         .map_err(|e| Error::Internal(format!("the RAW decoder could not be started: {e}")))?;
     let mut pipe = child.stdout.take().ok_or_else(|| Error::Internal("the RAW decoder has no output".into()))?;
     let (sender, receiver) = mpsc::channel();
@@ -172,41 +157,6 @@ pub fn decode(program: &Path, path: &Path, limits: Limits) -> Result<RawCapture>
     }
 }
 
-/// Starts the child, on Unix through `sh` which sets the memory limit.
-fn spawn(program: &Path, path: &Path, limits: Limits) -> std::io::Result<Child> {
-    let arguments: [OsString; 2] = [COMMAND.into(), std::path::absolute(path)?.into()];
-    let start = |mut command: Command| {
-        // Ctrl-C in a terminal is the parent's affair.
-        #[cfg(unix)]
-        std::os::unix::process::CommandExt::process_group(&mut command, 0);
-        command
-            // Each allocator arena and each worker's stack reserves address space, which is what is limited.
-            .env("MALLOC_ARENA_MAX", "2")
-            .env(
-                "RAYON_NUM_THREADS",
-                std::thread::available_parallelism().map_or(1, |n| n.get().min(WORKERS)).to_string(),
-            )
-            .stdin(Stdio::null())
-            .stdout(Stdio::piped())
-            .stderr(Stdio::null())
-            .spawn()
-    };
-    if cfg!(unix) {
-        let mut command = Command::new("sh");
-        let script =
-            "ulimit -c 0 2>/dev/null; ulimit -v \"$1\" 2>/dev/null; ulimit -t \"$2\" 2>/dev/null; shift 2; exec \"$@\"";
-        let seconds = limits.time.as_secs().max(1) * WORKERS as u64;
-        command.args(["-c", script, "sh"]).arg((limits.memory_bytes >> 10).to_string()).arg(seconds.to_string());
-        command.arg(program).args(&arguments);
-        if let Ok(child) = start(command) {
-            return Ok(child);
-        }
-    }
-    let mut command = Command::new(program);
-    command.args(&arguments);
-    start(command)
-}
-
 /// The child's bytes; `None` if they are not a whole reply, `Some(Err)` with what the child found and what is allowed if
 /// it refused.
 fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String)>> {
@@ -222,9 +172,9 @@ fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String
         return None;
     }
     let samples: Vec<f32> = if header.integer {
-        body.chunks_exact(2).map(|b| f32::from(u16::from_le_bytes([b[0], b[1]]))).collect()
+        body.chunks_exact(2).map(|b| f32::from(u16::from_ne_bytes([b[0], b[1]]))).collect()
     } else {
-        body.chunks_exact(4).map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect()
+        body.chunks_exact(4).map(|b| f32::from_ne_bytes([b[0], b[1], b[2], b[3]])).collect()
     };
     let pixels = match header.cfa {
         Some(cfa) => {

@@ -6,13 +6,14 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
-use ndarray::{Array3, ArrayView2, ArrayView3, ArrayView4};
+use ndarray::{Array3, ArrayView2, ArrayView4};
 
 use crate::calibrate::file::MeasuredDistortion;
 use crate::calibrate::shading::MeasuredShading;
 use crate::deploy::kit::Kit;
+use crate::deploy::network_process::{Apart, Network};
 use crate::deploy::raw::{RawCapture, RawPixels};
-use crate::deploy::session::{Options, Session};
+use crate::deploy::session::Options;
 use crate::deploy::tiles;
 use crate::error::{Error, Result};
 use crate::imaging::develop::color::XYZ_FROM_SRGB;
@@ -95,7 +96,7 @@ struct Measured<T> {
 #[derive(Debug)]
 struct Calibrated {
     kit: Kit,
-    session: Option<Session>,
+    network: Option<Network>,
     undistort: bool,
 }
 
@@ -144,12 +145,23 @@ impl Camera {
     /// # Errors
     /// A model the runtime refuses, or a named runtime that cannot be used.
     pub fn with_kit(kit: Kit, steps: Steps, options: &Options) -> Result<Self> {
-        let session = if steps.network {
-            Some(Session::open(&kit.model_bytes, Path::new(&kit.model.file), options)?)
-        } else {
-            None
-        };
-        let calibrated = Some(Calibrated { kit, session, undistort: steps.undistort });
+        Self::opened(kit, steps, options, None)
+    }
+
+    /// [`Self::with_kit`], the network in a child process.
+    ///
+    /// # Errors
+    /// As [`Network::open`].
+    pub fn with_kit_apart(kit: Kit, steps: Steps, options: &Options, apart: &Apart) -> Result<Self> {
+        Self::opened(kit, steps, options, Some(apart))
+    }
+
+    pub(super) fn opened(mut kit: Kit, steps: Steps, options: &Options, apart: Option<&Apart>) -> Result<Self> {
+        // The model's bytes are the runtime's from here on.
+        let model = std::mem::take(&mut kit.model_bytes);
+        let open = || Network::open(&model, Path::new(&kit.model.file), options, apart);
+        let network = steps.network.then(open).transpose()?;
+        let calibrated = Some(Calibrated { kit, network, undistort: steps.undistort });
         Ok(Self { calibrated, ..Self::default() })
     }
 
@@ -203,9 +215,9 @@ impl Camera {
         }
     }
 
-    /// The network's session, if one is applied.
-    pub fn session(&self) -> Option<&Session> {
-        self.calibrated.as_ref().and_then(|c| c.session.as_ref())
+    /// The network, if one is applied.
+    pub fn network(&self) -> Option<&Network> {
+        self.calibrated.as_ref().and_then(|c| c.network.as_ref())
     }
 
     /// The part of the frame around `region` that the network sees of it: as far as a tile's overlap and its filters reach, from a multiple of
@@ -231,7 +243,7 @@ impl Camera {
     /// # Panics
     /// If `dn` has not the size of `at`.
     pub fn part(&self, dn: ArrayView2<'_, f32>, at: Region) -> Result<[Array3<f32>; 2]> {
-        let (Some(calibrated), Some(session)) = (&self.calibrated, self.session()) else {
+        let (Some(calibrated), Some(network)) = (&self.calibrated, self.network()) else {
             return Err(Error::Internal("a part is seen by a kit with its network".into()));
         };
         assert_eq!(dn.dim(), (at.rows, at.cols), "values over the part");
@@ -239,7 +251,7 @@ impl Camera {
         let flat_field = Some((frame, shading));
         let developed =
             develop::network_input_at(dn.to_owned(), at, sensor.cfa, &Balance::from_sensor(sensor), flat_field);
-        let (restored, _) = calibrated.restored(session, developed.view(), at, &|_, _| ())?;
+        let (restored, _) = calibrated.restored(network, developed.clone(), at, &|_, _| ())?;
         Ok([developed, restored])
     }
 
@@ -286,11 +298,12 @@ impl Camera {
         };
         let mut times = Times { input: started.elapsed(), ..Times::default() };
         let mut count = 0;
-        if let Some((calibrated, session)) = self.calibrated.as_ref().zip(self.session()) {
+        if let Some((calibrated, network)) = self.calibrated.as_ref().zip(self.network()) {
             let started = Instant::now();
+            network.ready()?;
             count = calibrated.kit.tiling()?.count(camera.dim().1, camera.dim().2);
             let whole = Region::whole(&calibrated.kit.frame);
-            (camera, times.runtime) = calibrated.restored(session, camera.view(), whole, progress)?;
+            (camera, times.runtime) = calibrated.restored(network, camera, whole, progress)?;
             times.network = started.elapsed();
         }
         let started = Instant::now();
@@ -326,20 +339,19 @@ impl Calibrated {
     /// What the network makes of `camera`, balanced camera RGB at `at` of the frame, and the time within the runtime.
     fn restored(
         &self,
-        session: &Session,
-        camera: ArrayView3<'_, f32>,
+        network: &Network,
+        camera: Array3<f32>,
         at: Region,
         progress: &(dyn Fn(usize, usize) + Sync),
     ) -> Result<(Array3<f32>, Duration)> {
         let inside = std::sync::Mutex::new(Duration::ZERO);
-        let network = |tile: ArrayView4<'_, f32>| {
-            let started = Instant::now();
-            let output = session.run(tile);
-            *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += started.elapsed();
-            output
+        let one = |tile: ArrayView4<'_, f32>| {
+            let (output, took) = network.run(tile)?;
+            *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += took;
+            Ok(output)
         };
-        let (tiling, parallel) = (self.kit.tiling()?, session.parallel_tiles());
-        let restored = tiles::run(camera, at, &self.kit.guide, tiling, parallel, &network, progress)?;
+        let (tiling, parallel) = (self.kit.tiling()?, network.parallel_tiles());
+        let restored = tiles::run(camera, at, &self.kit.guide, tiling, parallel, &one, progress)?;
         Ok((restored, inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner)))
     }
 

@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use ndarray::{Array4, ArrayView4};
+use serde::{Deserialize, Serialize};
 use tract_onnx::prelude::{
     Framework, InferenceModelExt, IntoRunnable, RunnableModel, Tensor, TypedFact, TypedOp, tvec,
 };
@@ -27,7 +28,7 @@ const MOST_NODES: usize = 20_000;
 const TRACT_SLOWDOWN: &str = "3 to 4";
 
 /// Which runtime to take.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Choice {
     /// ONNX Runtime where there is one, else tract.
     #[default]
@@ -50,7 +51,8 @@ pub struct Options {
 }
 
 impl Options {
-    fn thread_count(&self) -> usize {
+    /// How many threads those are.
+    pub fn thread_count(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             n => n,
@@ -59,7 +61,7 @@ impl Options {
 }
 
 /// The runtime a session uses.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Runtime {
     /// ONNX Runtime.
     OnnxRuntime {

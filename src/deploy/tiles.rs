@@ -5,10 +5,10 @@
 //! depends on within its tile; all tiles of a picture have one shape and start at multiples of the network's pooling step, so
 //! that its coarse rasters lie alike in all of them. A picture smaller than a tile is one smaller tile.
 
-use std::sync::Mutex;
+use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
 
-use ndarray::parallel::prelude::*;
 use ndarray::{Array3, Array4, ArrayView3, ArrayView4, s};
 
 use crate::error::{Error, Result};
@@ -88,6 +88,12 @@ impl Tiling {
         (n + 2 * self.border()).next_multiple_of(self.multiple)
     }
 
+    /// The picture's rows or columns, `n` in all, under `side` pixels from `start` on of the continued picture.
+    fn sources(self, start: usize, side: usize, n: usize) -> Vec<usize> {
+        let border = self.border().cast_signed();
+        (0..side).map(|k| mirrored((start + k).cast_signed() - border, n)).collect()
+    }
+
     /// The tiles along an axis of `n` pixels; what they keep covers the picture once.
     fn spans(self, n: usize) -> Vec<Span> {
         let (all, first) = (self.continued(n), self.border());
@@ -109,7 +115,8 @@ impl Tiling {
 }
 
 /// Runs `image` (`[3, row, col]`), which lies at `at` of the guide's frame, through `network`, which maps what `guide` shows of a tile,
-/// `[1, channel, rows, columns]` of [`Tiling::shape`], to `[1, 3, rows, columns]`.
+/// `[1, channel, rows, columns]` of [`Tiling::shape`], to `[1, 3, rows, columns]`. What is kept of a tile takes the picture's place as soon as no tile
+/// that is still to be cut reads it: beside the picture stand about a row of tiles, and those in work.
 ///
 /// A part of a frame that starts at multiples of the tiling's is what it is within the whole, further than the overlap and the guide's reach from
 /// those of its borders that are not the frame's.
@@ -119,7 +126,7 @@ impl Tiling {
 /// # Errors
 /// The network's first error, or an output of another shape, or of values that are no numbers.
 pub fn run(
-    image: ArrayView3<'_, f32>,
+    image: Array3<f32>,
     at: Region,
     guide: &Guide,
     tiling: Tiling,
@@ -128,42 +135,118 @@ pub fn run(
     progress: &(dyn Fn(usize, usize) + Sync),
 ) -> Result<Array3<f32>> {
     let (_, rows, columns) = image.dim();
-    let across = tiling.spans(columns);
-    let places: Vec<(Span, Span)> =
-        tiling.spans(rows).into_iter().flat_map(|r| across.iter().map(move |c| (r, *c))).collect();
-    let border = tiling.border();
-    let out = Mutex::new(Array3::zeros(image.raw_dim()));
-    let done = AtomicUsize::new(0);
-    let one = |&(row, column): &(Span, Span)| -> Result<()> {
-        let input = cut(image, at, guide, tiling, [row.start, column.start]);
+    let (down, across) = (tiling.spans(rows), tiling.spans(columns));
+    let (border, all, done) = (tiling.border(), down.len() * across.len(), AtomicUsize::new(0));
+    let one = |(row, column): (Span, Span), input: Array4<f32>| -> Result<Kept> {
         let output = network(input.view())?;
         let (_, _, height, width) = input.dim();
         if output.dim() != (1, 3, height, width) {
             let found = format!("an output of {:?} for an input of {:?}", output.dim(), input.dim());
             return Err(Error::bad("", "network", found, "three channels of the same shape"));
         }
+        let to = [row, column].map(|span| span.kept[0] - border);
         if let Some(bad) = output.iter().find(|v| !v.is_finite()) {
-            let found =
-                format!("{bad} in the tile at row {}, column {}", row.kept[0] - border, column.kept[0] - border);
+            let found = format!("{bad} in the tile at row {}, column {}", to[0], to[1]);
             return Err(Error::bad("", "network", found, "numbers"));
         }
         let within = |span: Span| span.kept[0] - span.start..span.kept[1] - span.start;
-        let target = |span: Span| span.kept[0] - border..span.kept[1] - border;
-        let kept = output.slice(s![0, .., within(row), within(column)]);
-        let mut out = out.lock().map_err(|_| Error::Internal("a tile's worker failed".into()))?;
-        out.slice_mut(s![.., target(row), target(column)]).assign(&kept);
-        drop(out);
-        progress(done.fetch_add(1, Ordering::Relaxed) + 1, places.len());
-        Ok(())
+        let part = output.slice(s![0, .., within(row), within(column)]).to_owned();
+        progress(done.fetch_add(1, Ordering::Relaxed) + 1, all);
+        Ok(Kept { to, part })
+    };
+    // Before which row nothing is read any more when the rows of tiles before this one are cut.
+    let mut needed = vec![rows; down.len() + 1];
+    for (k, span) in down.iter().enumerate().rev() {
+        let first = tiling.sources(span.start, tiling.shape(rows, columns)[0], rows).into_iter().min().unwrap_or(0);
+        needed[k] = needed[k + 1].min(first.saturating_sub(guide.reach()));
+    }
+    let places: Vec<(Span, Span)> = down.iter().flat_map(|r| across.iter().map(move |c| (*r, *c))).collect();
+    let picture = RwLock::new(image);
+    let way = Mutex::new(Way::default());
+    // Tiles are taken in order, by threads of their own: those that wait for a runtime do not keep anybody from cutting the next.
+    let work = || {
+        loop {
+            let k = {
+                let mut way = lock(&way);
+                let k = way.next;
+                if way.failed.is_some() || k == places.len() {
+                    return;
+                }
+                way.next += 1;
+                way.cutting.insert(k);
+                k
+            };
+            let (row, column) = places[k];
+            let input = {
+                let picture = picture.read().unwrap_or_else(PoisonError::into_inner);
+                cut(picture.view(), at, guide, tiling, [row.start, column.start])
+            };
+            let free = {
+                let mut way = lock(&way);
+                way.cutting.remove(&k);
+                let uncut = way.cutting.first().copied().unwrap_or(way.next);
+                way.free(needed[uncut / across.len()])
+            };
+            put(&picture, free);
+            let kept = one((row, column), input);
+            let mut way = lock(&way);
+            match kept {
+                Ok(kept) => way.waiting.push(kept),
+                Err(error) => way.failed = way.failed.take().or(Some(error)),
+            }
+        }
     };
     if parallel <= 1 {
-        places.iter().try_for_each(one)?;
+        work();
     } else {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(parallel).build();
-        let pool = pool.map_err(|e| Error::Internal(format!("threads for the tiles: {e}")))?;
-        pool.install(|| places.par_iter().with_max_len(1).try_for_each(one))?;
+        std::thread::scope(|scope| (0..parallel.min(places.len())).for_each(|_| drop(scope.spawn(work))));
     }
-    out.into_inner().map_err(|_| Error::Internal("a tile's worker failed".into()))
+    let way = way.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if let Some(error) = way.failed {
+        return Err(error);
+    }
+    put(&picture, way.waiting);
+    Ok(picture.into_inner().unwrap_or_else(PoisonError::into_inner))
+}
+
+/// Tiles on their way.
+#[derive(Default)]
+struct Way {
+    /// The next to be taken, and those that are being cut.
+    next: usize,
+    cutting: BTreeSet<usize>,
+    /// Done, and their place still read.
+    waiting: Vec<Kept>,
+    failed: Option<Error>,
+}
+
+impl Way {
+    /// What lies before `row` of what waits.
+    fn free(&mut self, row: usize) -> Vec<Kept> {
+        self.waiting.extract_if(.., |w| w.to[0] + w.part.dim().1 <= row).collect()
+    }
+}
+
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Writes parts into the picture.
+fn put(picture: &RwLock<Array3<f32>>, parts: Vec<Kept>) {
+    if parts.is_empty() {
+        return;
+    }
+    let mut picture = picture.write().unwrap_or_else(PoisonError::into_inner);
+    for Kept { to: [row, column], part } in parts {
+        let (_, height, width) = part.dim();
+        picture.slice_mut(s![.., row..row + height, column..column + width]).assign(&part);
+    }
+}
+
+/// What is kept of a tile, `[3, row, col]`, and where in the picture it belongs: first row and column.
+struct Kept {
+    to: [usize; 2],
+    part: Array3<f32>,
 }
 
 /// What the guide shows of the tile that starts at `row`, `column` of the continued picture. It is told of the pixels that the picture
@@ -177,11 +260,7 @@ fn cut(
 ) -> Array4<f32> {
     let (_, rows, columns) = image.dim();
     let [height, width] = tiling.shape(rows, columns);
-    let border = tiling.border().cast_signed();
-    let sources = |start: usize, side: usize, n: usize| -> Vec<usize> {
-        (0..side).map(|k| mirrored((start + k).cast_signed() - border, n)).collect()
-    };
-    let (across, down) = (sources(column, width, columns), sources(row, height, rows));
+    let (across, down) = (tiling.sources(column, width, columns), tiling.sources(row, height, rows));
     let span = |places: &[usize]| {
         let (first, last) = places.iter().fold((usize::MAX, 0), |(a, b), p| (a.min(*p), b.max(*p)));
         (first, last + 1 - first)
@@ -243,7 +322,7 @@ mod tests {
 
     /// The whole picture in one tile large enough for it.
     fn whole(image: &Array3<f32>, overlap: usize) -> Array3<f32> {
-        run(image.view(), all(image), &bare(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ())
+        run(image.clone(), all(image), &bare(), Tiling::new(256, overlap, 4).expect("valid"), 1, &network, &|_, _| ())
             .expect("runs")
     }
 
@@ -255,7 +334,7 @@ mod tests {
             for parallel in [1, 3] {
                 let tiling = Tiling::new(32, 4, 4).expect("valid");
                 let calls = AtomicUsize::new(0);
-                let tiled = run(image.view(), all(&image), &bare(), tiling, parallel, &network, &|_, all| {
+                let tiled = run(image.clone(), all(&image), &bare(), tiling, parallel, &network, &|_, all| {
                     calls.fetch_add(1, Ordering::Relaxed);
                     assert_eq!(all, tiling.count(rows, columns));
                 })
@@ -277,7 +356,7 @@ mod tests {
         let image = picture(100, 130);
         let through = |tile: usize| {
             let tiling = Tiling::new(tile, UNET_RADIUS, 4).expect("valid");
-            run(image.view(), all(&image), &bare(), tiling, session.parallel_tiles(), &network, &|_, _| ())
+            run(image.clone(), all(&image), &bare(), tiling, session.parallel_tiles(), &network, &|_, _| ())
                 .expect("runs")
         };
         let worst = (&through(96) - &through(192)).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
@@ -332,12 +411,12 @@ mod tests {
         let tiling = Tiling::new(16, 4, 4).expect("valid");
         for parallel in [1, 4] {
             let fails = |_: ArrayView4<'_, f32>| Err(Error::Internal("no".into()));
-            assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
+            assert!(run(image.clone(), all(&image), &bare(), tiling, parallel, &fails, &|_, _| ()).is_err());
             let shrinks = |_: ArrayView4<'_, f32>| Ok(Array4::zeros((1, 3, 8, 8)));
-            assert!(run(image.view(), all(&image), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
+            assert!(run(image.clone(), all(&image), &bare(), tiling, parallel, &shrinks, &|_, _| ()).is_err());
             let breaks = |tile: ArrayView4<'_, f32>| Ok(tile.mapv(|v| if v > 0.9 { f32::NAN } else { v }));
             let error =
-                run(image.view(), all(&image), &bare(), tiling, parallel, &breaks, &|_, _| ()).expect_err("NaN");
+                run(image.clone(), all(&image), &bare(), tiling, parallel, &breaks, &|_, _| ()).expect_err("NaN");
             assert!(error.to_string().contains("NaN in the tile at row"), "{error}");
         }
     }

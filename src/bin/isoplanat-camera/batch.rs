@@ -4,9 +4,9 @@ use std::path::Path;
 use std::time::Instant;
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use isoplanat::deploy::raw_process::{self, Limits};
+use isoplanat::deploy::network_process::Network;
+use isoplanat::deploy::raw_process::{self, LIMITS};
 use isoplanat::deploy::reconstruct::Camera;
-use isoplanat::deploy::session::Session;
 use isoplanat::{Error, Result};
 use serde_json::json;
 
@@ -68,7 +68,7 @@ impl<'a> Batch<'a> {
             self.show((k, n), capture, 0.0);
         }
         let started = Instant::now();
-        let raw = raw_process::decode(&program, capture, Limits::default())?;
+        let raw = raw_process::decode(&program, capture, LIMITS)?;
         let decode = started.elapsed();
         let (make, model) = (raw.make.clone(), raw.model.clone());
         let picture =
@@ -90,14 +90,14 @@ impl<'a> Batch<'a> {
             write: started.elapsed(),
             megapixels: (rows * columns) as f64 / 1e6,
             tiles: picture.tiles,
-            parallel: camera.session().map_or(1, Session::parallel_tiles),
+            workers: camera.network().map_or(1, Network::workers),
         };
         if !arguments.json {
             self.bar.suspend(|| {
                 say(&format!("{} -> {} ({columns} × {rows}, {make} {model})", capture.display(), out.display()));
                 if arguments.bench {
-                    if let Some(session) = camera.session() {
-                        say(&format!("runtime             {}", session.runtime()));
+                    if let Some(network) = camera.network() {
+                        say(&format!("runtime             {}", network.runtime()));
                     }
                     say(&figures.text());
                 }

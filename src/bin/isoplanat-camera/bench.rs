@@ -12,8 +12,8 @@ pub(crate) struct Figures {
     pub(crate) write: Duration,
     pub(crate) megapixels: f64,
     pub(crate) tiles: usize,
-    /// Tiles in work at a time.
-    pub(crate) parallel: usize,
+    /// Tiles that the runtime works on at a time.
+    pub(crate) workers: usize,
 }
 
 impl Figures {
@@ -68,6 +68,6 @@ impl Figures {
 
     /// Share of the network's time spent in the runtime itself.
     fn in_runtime(&self) -> f64 {
-        self.times.runtime.as_secs_f64() / (self.times.network.as_secs_f64() * self.parallel as f64)
+        self.times.runtime.as_secs_f64() / (self.times.network.as_secs_f64() * self.workers as f64)
     }
 }

@@ -2,11 +2,13 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use clap::{Parser, ValueEnum};
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::shading::MeasuredShading;
 use isoplanat::deploy::kit::Kit;
+use isoplanat::deploy::network_process::Apart;
 use isoplanat::deploy::reconstruct::{Camera, Steps, Target, Veil};
 use isoplanat::deploy::session::{Options, Runtime};
 use isoplanat::imaging::develop::gamut::Gamut;
@@ -18,6 +20,9 @@ use serde_json::json;
 use crate::batch::Batch;
 use crate::{output, show, watch};
 
+/// Limits of the network's process at most.
+const MOST_MIB: u64 = 1 << 24;
+const MOST_SECONDS: f64 = 86_400.0;
 /// Steps brighter or darker at most.
 const EXPOSURES: f64 = 10.0;
 
@@ -76,6 +81,12 @@ pub(crate) struct Arguments {
     /// Threads [default: one for each core].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     threads: usize,
+    /// Memory that the network's process may take, MiB of address space [default: 8192, and 1024 for each thread].
+    #[arg(long, value_name = "MIB", requires = "kit", value_parser = clap::value_parser!(u64).range(16..=MOST_MIB))]
+    network_memory: Option<u64>,
+    /// Time that it may take for a tile, and for opening the model.
+    #[arg(long, value_name = "SECONDS", requires = "kit", default_value_t = 600.0, value_parser = seconds)]
+    tile_seconds: f64,
     /// Print where the time goes.
     #[arg(long)]
     pub(crate) bench: bool,
@@ -150,6 +161,11 @@ fn exposure(text: &str) -> std::result::Result<f64, String> {
     number.ok_or_else(|| format!("steps from -{EXPOSURES} to {EXPOSURES}"))
 }
 
+fn seconds(text: &str) -> std::result::Result<f64, String> {
+    let number = text.parse().ok().filter(|v: &f64| *v > 0.0 && *v <= MOST_SECONDS);
+    number.ok_or_else(|| format!("seconds, above 0, at most {MOST_SECONDS}"))
+}
+
 fn veil(text: &str) -> std::result::Result<Veil, String> {
     let allowed = format!("a share of the light from 0 to {LARGEST}, guess or none");
     match text {
@@ -209,7 +225,7 @@ fn work(arguments: &Arguments) -> Result<u8> {
     }
     batch.finish();
     if arguments.json {
-        let runtime = camera.session().map(|s| s.runtime().to_string());
+        let runtime = camera.network().map(|n| n.runtime().to_string());
         say(&format!("{:#}", json!({ "schema": 1, "runtime": runtime, "pictures": results })));
     }
     Ok(code)
@@ -254,11 +270,19 @@ fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let steps = Steps { network: !arguments.no_network, undistort: !arguments.no_undistort };
     let options =
         Options { onnxruntime: arguments.onnxruntime.clone(), threads: arguments.threads, ..Options::default() };
-    let camera = Camera::with_kit(kit, steps, &options)?.without(arguments.glare.unwrap_or_default())?;
-    match camera.session() {
+    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+    let apart = Apart {
+        memory_bytes: arguments.network_memory.map(|mib| mib << 20),
+        time: Duration::from_secs_f64(arguments.tile_seconds),
+        hint: "; --network-memory and --tile-seconds set them",
+        ..Apart::of(program)
+    };
+    let camera = Camera::with_kit_apart(kit, steps, &options, &apart)?;
+    let camera = camera.without(arguments.glare.unwrap_or_default())?;
+    match camera.network() {
         None => eprintln!("isoplanat-camera: --no-network: no network is applied"),
-        Some(session) if matches!(session.runtime(), Runtime::Tract { .. }) => {
-            eprintln!("isoplanat-camera: the network runs in {}", session.runtime());
+        Some(network) if matches!(network.runtime(), Runtime::Tract { .. }) => {
+            eprintln!("isoplanat-camera: the network runs in {}", network.runtime());
         }
         Some(_) => {}
     }

@@ -6,8 +6,9 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::calibrate::shading::{self, MeasuredShading};
 use isoplanat::calibrate::transfer::{Frames, Transfer, transfer};
+use isoplanat::deploy::child::Limits;
 use isoplanat::deploy::raw::{RawCapture, RawPixels};
-use isoplanat::deploy::raw_process::{self, Limits};
+use isoplanat::deploy::raw_process::{self, LIMITS};
 use isoplanat::imaging::develop::{IDENTITY, srgb_from_camera};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::cfa::Cfa;
@@ -112,8 +113,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 fn read(args: &Args) -> Result<(Frames, Camera)> {
     let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
     let limit = crate::memory::limit();
-    let own = Limits::default();
-    let limits = Limits { memory_bytes: own.memory_bytes.min(limit.bytes), ..own };
+    let limits = Limits { memory_bytes: LIMITS.memory_bytes.min(limit.bytes), ..LIMITS };
     let count = args.darks.len() + args.flats.len();
     let bar = Bar::new("frames");
     let mut camera: Option<Camera> = None;

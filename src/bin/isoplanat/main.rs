@@ -226,25 +226,10 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     }
 }
 
-/// The other side of RAW decoding: this program started by itself as a decoder (`deploy::raw_process`).
-#[cfg(feature = "deploy")]
-fn decoder() -> Option<ExitCode> {
-    use isoplanat::deploy::raw_process;
-    let mut arguments = std::env::args_os().skip(1);
-    let (first, path) = (arguments.next()?, arguments.next()?);
-    if first != raw_process::COMMAND || arguments.next().is_some() {
-        return None;
-    }
-    // A panic of the decoder is told of by the parent.
-    std::panic::set_hook(Box::new(|_| {}));
-    let served = raw_process::serve(std::path::Path::new(&path), &mut std::io::stdout().lock());
-    Some(if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
 fn main() -> ExitCode {
     #[cfg(feature = "deploy")]
-    if let Some(code) = decoder() {
-        return code;
+    if let Some(served) = isoplanat::deploy::serve_child() {
+        return if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE };
     }
     let Cli { command, memory_gib, glass, glass_for } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());

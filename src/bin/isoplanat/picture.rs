@@ -94,12 +94,12 @@ fn mosaic_channels(mosaic: &ArcArray2<f64>, cfa: Cfa, range: Option<[f64; 2]>) -
 /// A RAW file, decoded in a child process; levels from the file: black 0, white 1.
 #[cfg(feature = "deploy")]
 fn raw(path: &Path) -> Result<Picture> {
+    use isoplanat::deploy::child::Limits;
     use isoplanat::deploy::raw::RawPixels;
-    use isoplanat::deploy::raw_process::{self, Limits};
+    use isoplanat::deploy::raw_process::{self, LIMITS};
 
     let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
-    let own = Limits::default();
-    let limits = Limits { memory_bytes: own.memory_bytes.min(crate::memory::limit().bytes), ..own };
+    let limits = Limits { memory_bytes: LIMITS.memory_bytes.min(crate::memory::limit().bytes), ..LIMITS };
     let raw = raw_process::decode(&program, path, limits)?;
     let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
     let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);

@@ -180,13 +180,21 @@ fn of_kit(
 ) -> isoplanat::Result<Measured> {
     use isoplanat::deploy::edges::measured;
     use isoplanat::deploy::kit::Kit;
+    use isoplanat::deploy::network_process::Apart;
     use isoplanat::deploy::session::Options;
 
     let kit = Kit::load(folder)?;
     kit.require(&crate::input::lens(file)?, Path::new(file))?;
     let options = Options { onnxruntime: onnxruntime.map(Path::to_owned), ..Options::default() };
+    // A kit may be anybody's.
+    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+    let apart = Apart {
+        memory_bytes: Some(crate::memory::limit().bytes),
+        hint: "; --memory-gib sets that of memory",
+        ..Apart::of(program)
+    };
     let bar = Bar::new("slanted edges");
-    let found = measured(lens, &kit, &options, settings, &mut |share| bar.set(share, String::new()))?;
+    let found = measured(lens, &kit, (&options, Some(&apart)), settings, &mut |share| bar.set(share, String::new()))?;
     bar.done(String::new());
     Ok(found)
 }

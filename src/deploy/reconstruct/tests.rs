@@ -4,7 +4,7 @@ use super::*;
 use crate::deploy::kit::tests::kit;
 use crate::deploy::orientation::Orientation;
 use crate::deploy::raw;
-use crate::deploy::session::Choice;
+use crate::deploy::session::{Choice, Session};
 use crate::testing::shared;
 use ndarray::Array2;
 
@@ -70,7 +70,7 @@ fn the_whole_path_equals_its_steps_in_order() {
     let network = |input: Array3<f32>| {
         let tiling = tiles::Tiling::new(256, 24, 4).expect("valid");
         tiles::run(
-            input.view(),
+            input,
             Region::whole(&kit.frame),
             &kit.guide,
             tiling,
@@ -118,7 +118,7 @@ fn steps_can_be_left_out() {
     let steps = Steps { network: false, undistort: false };
     let camera = Camera::with_kit(kit, steps, &tract()).expect("opens");
     let picture = camera.reconstruct(capture, Path::new("a.dng"), &|_, _| ()).expect("develops");
-    assert!(camera.session().is_none() && picture.tiles == 0 && picture.outside_fraction == 0.0);
+    assert!(camera.network().is_none() && picture.tiles == 0 && picture.outside_fraction == 0.0);
     assert!(picture.notes.iter().any(|n| n.contains("white balance")));
 }
 

@@ -223,10 +223,7 @@ pub fn finish(mut camera: Array3<f32>, development: &Development<'_>) -> Develop
 
 /// Step 6 alone: what undistortion had no source for.
 fn straighten(camera: &mut Array3<f32>, development: &Development<'_>) -> f64 {
-    let Some((frame, distortion)) = development.distortion else { return 0.0 };
-    let resampled = undistort(camera.view(), frame, distortion);
-    *camera = resampled.image;
-    resampled.outside_fraction
+    development.distortion.map_or(0.0, |(frame, distortion)| undistort(camera, frame, distortion))
 }
 
 /// Step 6, and the white balance of step 2 taken back: the camera's own linear RGB, 1 where it saturates, for programs that develop it further.

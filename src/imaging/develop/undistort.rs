@@ -5,29 +5,23 @@
 //! picture, so that it also filters, and corrected to reproduce ramps exactly. One map serves all channels;
 //! lateral colour is the network's business.
 
-use ndarray::parallel::prelude::*;
-use ndarray::{Array2, Array3, ArrayView3, Axis, Zip};
+use std::collections::VecDeque;
+
+use ndarray::{Array3, ArrayView1, s};
+use rayon::prelude::*;
 
 use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::frame::Frame;
 
-/// A resampled picture.
-#[derive(Clone, Debug)]
-pub struct Resampled {
-    /// `[channel, row, col]`; black where [`Resampled::inside`] is false.
-    pub image: Array3<f32>,
-    /// Whether the pixel's source lies within the source picture.
-    pub inside: Array2<bool>,
-    /// Fraction of the pixels without a source.
-    pub outside_fraction: f64,
-}
-
-/// Resamples a capture to the rectilinear frame. `image` is `[channel, row, col]` of the frame's size.
+/// Resamples a capture to the rectilinear frame, in place. `image` is `[channel, row, col]` of the frame's size; returns the fraction of the pixels
+/// that have no source within the capture and are black.
+///
+/// Beside the picture stand the rows that are done and still read: as many as the distortion moves any of them, and a block.
 ///
 /// # Panics
 /// If the image's size is not the frame's.
-pub fn undistort(image: ArrayView3<'_, f32>, frame: &Frame, distortion: &Distortion) -> Resampled {
-    resample(image, frame, |rho| captured_radius(distortion, rho))
+pub fn undistort(image: &mut Array3<f32>, frame: &Frame, distortion: &Distortion) -> f64 {
+    Map::new(frame, |rho| captured_radius(distortion, rho)).resample(image)
 }
 
 /// Radius on the sensor, mm, of what the rectilinear picture shows at `rho_mm`.
@@ -43,38 +37,95 @@ pub fn captured_radius(distortion: &Distortion, rho_mm: f64) -> f64 {
     }
 }
 
-/// Resamples by `source_radius(output radius)`, both mm from the axis.
-fn resample(image: ArrayView3<'_, f32>, frame: &Frame, source_radius: impl Fn(f64) -> f64 + Sync) -> Resampled {
-    let (channels, rows, columns) = image.dim();
-    assert_eq!((rows, columns), (frame.rows, frame.columns), "the picture has the frame's size");
-    let kernel = Lanczos::new();
-    let table = RadialTable::new(&source_radius, frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm);
-    let image = image.as_standard_layout();
-    let planes: Vec<&[f32]> =
-        image.as_slice().map(|all| all.chunks_exact(rows * columns).collect()).unwrap_or_default();
-    let mut out = Array3::<f32>::zeros((channels, rows, columns));
-    let mut inside = Array2::from_elem((rows, columns), true);
-    let by_row = out.axis_iter_mut(Axis(1)).into_par_iter().zip(inside.axis_iter_mut(Axis(0)).into_par_iter());
-    by_row.enumerate().for_each(|(i, (mut out, mut inside))| {
-        let (mut across, mut down) = (Taps::default(), Taps::default());
-        for j in 0..columns {
-            let (x, y) = (j as f64 + 0.5 - frame.axis_px[0], i as f64 + 0.5 - frame.axis_px[1]);
-            let (ratio, stretch) = table.at(x.hypot(y));
-            let (column, row) = (frame.axis_px[0] + ratio * x, frame.axis_px[1] + ratio * y);
-            let within = |v: f64, n: usize| v >= 0.0 && v <= n as f64;
-            if !(within(column, columns) && within(row, rows)) {
-                inside[j] = false;
-                continue;
-            }
-            across.set(&kernel, column - 0.5, stretch);
-            down.set(&kernel, row - 0.5, stretch);
-            for (c, plane) in planes.iter().enumerate() {
-                out[[c, j]] = weighted(plane, columns, &across, &down);
+/// Where each pixel of a picture comes from.
+struct Map<'a> {
+    frame: &'a Frame,
+    table: RadialTable,
+}
+
+impl<'a> Map<'a> {
+    /// By `source_radius(output radius)`, both mm from the axis.
+    fn new(frame: &'a Frame, source_radius: impl Fn(f64) -> f64 + Sync) -> Self {
+        Self { frame, table: RadialTable::new(&source_radius, frame.max_radius_mm() / frame.pitch_mm, frame.pitch_mm) }
+    }
+
+    /// Column and row, pixels, that the pixel `(i, j)` comes from, and how far apart its neighbours' are; `None` outside the picture.
+    fn source(&self, i: usize, j: usize) -> Option<([f64; 2], f64)> {
+        let frame = self.frame;
+        let (x, y) = (j as f64 + 0.5 - frame.axis_px[0], i as f64 + 0.5 - frame.axis_px[1]);
+        let (ratio, stretch) = self.table.at(x.hypot(y));
+        let (column, row) = (frame.axis_px[0] + ratio * x, frame.axis_px[1] + ratio * y);
+        let within = |v: f64, n: usize| v >= 0.0 && v <= n as f64;
+        (within(column, frame.columns) && within(row, frame.rows)).then_some(([column, row], stretch))
+    }
+
+    /// No row before this one is read for row `i`.
+    fn first_read(&self, i: usize) -> usize {
+        let frame = self.frame;
+        let y = i as f64 + 0.5 - frame.axis_px[1];
+        let farthest = frame.axis_px[0].abs().max((frame.columns as f64 - frame.axis_px[0]).abs());
+        let ([low, high], stretch) = self.table.range([y.abs(), y.hypot(farthest)]);
+        let row = frame.axis_px[1] + (low * y).min(high * y);
+        // The cubic between nodes, and what the quick path reads with no weight.
+        let first = row - 0.5 - 3.0 * stretch - 1.0;
+        (first.max(0.0) as usize).min(frame.rows.saturating_sub(FEW))
+    }
+
+    fn resample(&self, image: &mut Array3<f32>) -> f64 {
+        let (channels, rows, columns) = image.dim();
+        assert_eq!((rows, columns), (self.frame.rows, self.frame.columns), "the picture has the frame's size");
+        if !image.is_standard_layout() {
+            *image = image.as_standard_layout().into_owned();
+        }
+        let kernel = Lanczos::new();
+        // From which row on anything is still read when the rows before `i` are done.
+        let mut needed = vec![rows; rows + 1];
+        for i in (0..rows).rev() {
+            needed[i] = needed[i + 1].min(self.first_read(i));
+        }
+        let mut done: VecDeque<(usize, Row)> = VecDeque::new();
+        let mut outside = 0;
+        for from in (0..rows).step_by(BLOCK) {
+            let to = (from + BLOCK).min(rows);
+            let planes: Vec<&[f32]> =
+                image.as_slice().map(|all| all.chunks_exact(rows * columns).collect()).unwrap_or_default();
+            let block: Vec<Row> = (from..to).into_par_iter().map(|i| self.row(&planes, &kernel, i)).collect();
+            outside += block.iter().map(|row| row.outside).sum::<usize>();
+            done.extend((from..to).zip(block));
+            while let Some((i, row)) = done.pop_front_if(|(i, _)| *i < needed[to]) {
+                for (c, line) in row.samples.chunks_exact(columns.max(1)).enumerate() {
+                    image.slice_mut(s![c, i, ..]).assign(&ArrayView1::from(line));
+                }
             }
         }
-    });
-    let outside = Zip::from(&inside).fold(0_usize, |n, &ok| n + usize::from(!ok));
-    Resampled { image: out, inside, outside_fraction: outside as f64 / (rows * columns).max(1) as f64 }
+        debug_assert!(done.is_empty() || channels == 0, "every row is in its place");
+        outside as f64 / (rows * columns).max(1) as f64
+    }
+
+    /// The row `i` of the result.
+    fn row(&self, planes: &[&[f32]], kernel: &Lanczos, i: usize) -> Row {
+        let columns = self.frame.columns;
+        let mut row = Row { samples: vec![0.0; planes.len() * columns], outside: 0 };
+        let (mut across, mut down) = (Taps::default(), Taps::default());
+        for j in 0..columns {
+            let Some(([x, y], stretch)) = self.source(i, j) else {
+                row.outside += 1;
+                continue;
+            };
+            across.set(kernel, x - 0.5, stretch);
+            down.set(kernel, y - 0.5, stretch);
+            for (c, plane) in planes.iter().enumerate() {
+                row.samples[c * columns + j] = weighted(plane, columns, &across, &down);
+            }
+        }
+        row
+    }
+}
+
+/// One row of a result, its channels one after the other, and how many of its pixels have no source.
+struct Row {
+    samples: Vec<f32>,
+    outside: usize,
 }
 
 /// Sum of a plane's samples under the taps of both axes; the border is repeated.
@@ -124,6 +175,16 @@ impl RadialTable {
         Self { nodes }
     }
 
+    /// Least and largest ratio at radii from one to another, pixels, and the largest stretch there; by nodes, the ones around among them.
+    fn range(&self, radii_px: [f64; 2]) -> ([f64; 2], f64) {
+        let last = self.nodes.len() - 1;
+        let [from, to] = radii_px.map(|r| ((r * Self::PER_PIXEL) as usize).min(last));
+        let around = &self.nodes[from.saturating_sub(1)..=(to + 2).min(last)];
+        around.iter().fold(([f64::INFINITY, f64::NEG_INFINITY], 1.0), |([low, high], most), (ratio, stretch)| {
+            ([low.min(*ratio), high.max(*ratio)], stretch.max(most))
+        })
+    }
+
     /// The ratio by the cubic through four neighbours, the stretch linearly.
     fn at(&self, radius_px: f64) -> (f64, f64) {
         let last = self.nodes.len() - 1;
@@ -164,6 +225,9 @@ impl Lanczos {
         self.0[i] + (x - i as f64) as f32 * (self.0[i + 1] - self.0[i])
     }
 }
+
+/// Rows that are worked on at a time.
+const BLOCK: usize = 64;
 
 /// Taps that the quick path takes: as many as Lanczos-3 has unless it is stretched by more than a sixth.
 const FEW: usize = 8;
@@ -259,8 +323,11 @@ mod tests {
             let picture = smooth(&frame);
             // Undistorting enlarges the corners out of the frame, so go from the rectilinear side.
             let focal = distortion.sensor_from_slope_derivative(0.0);
-            let there = resample(picture.view(), &frame, |rho| focal * distortion.slope_from_sensor(rho));
-            let back = undistort(there.image.view(), &frame, &distortion);
+            let ideal = |rho: f64| focal * distortion.slope_from_sensor(rho);
+            let [there, back] = [Map::new(&frame, ideal), Map::new(&frame, |rho| captured_radius(&distortion, rho))];
+            let mut image = picture.clone();
+            there.resample(&mut image);
+            undistort(&mut image, &frame, &distortion);
             let mut worst = 0.0_f32;
             for c in 0..3 {
                 for i in 0..frame.rows {
@@ -271,16 +338,13 @@ mod tests {
                             && j >= margin
                             && i + margin < frame.rows
                             && j + margin < frame.columns
-                            && there
-                                .inside
-                                .slice(ndarray::s![i - margin..=i + margin, j - margin..=j + margin])
-                                .iter()
-                                .all(|v| *v)
-                            && back.inside[[i, j]];
+                            && (i - margin..=i + margin)
+                                .all(|i| (j - margin..=j + margin).all(|j| there.source(i, j).is_some()))
+                            && back.source(i, j).is_some();
                         if clear {
                             let near = frame.radius_mm(j as f64 + 0.5, i as f64 + 0.5) < 0.8 * frame.max_radius_mm();
                             if near {
-                                worst = worst.max((back.image[[c, i, j]] - picture[[c, i, j]]).abs());
+                                worst = worst.max((image[[c, i, j]] - picture[[c, i, j]]).abs());
                             }
                         }
                     }
@@ -300,11 +364,11 @@ mod tests {
         assert!((captured_radius(&distortion, ideal) - captured).abs() < 1e-12);
         // A blob at the captured place, up and to the right, is found at the ideal place.
         let at = frame.pixel_from_mm([captured * 0.6, captured * 0.8]);
-        let blob = Array3::from_shape_fn((1, 201, 201), |(_, i, j)| {
+        let mut out = Array3::from_shape_fn((1, 201, 201), |(_, i, j)| {
             let d2 = (j as f64 + 0.5 - at[0]).powi(2) + (i as f64 + 0.5 - at[1]).powi(2);
             (-d2 / 8.0).exp() as f32
         });
-        let out = undistort(blob.view(), &frame, &distortion).image;
+        undistort(&mut out, &frame, &distortion);
         let mass = f64::from(out.sum());
         let mean = |f: &dyn Fn(usize, usize) -> f64| {
             out.indexed_iter().map(|((_, i, j), &v)| f64::from(v) * f(i, j)).sum::<f64>() / mass
@@ -323,13 +387,50 @@ mod tests {
         let max_slope = 1.2 * frame.max_radius_mm() / 20.0;
         let pincushion =
             Distortion { max_slope, coefficients_mm: [20.0 * max_slope, 3.0 * max_slope, 0.0, 0.0], residual_mm: 0.0 };
-        let ones = Array3::from_elem((3, 60, 80), 1.0_f32);
-        let out = undistort(ones.view(), &frame, &pincushion);
-        assert!(!out.inside[[0, 0]] && out.image[[0, 0, 0]] == 0.0);
-        assert!(out.outside_fraction > 0.0 && out.outside_fraction < 0.5, "{}", out.outside_fraction);
-        for ((_, i, j), &v) in out.image.indexed_iter() {
-            if out.inside[[i, j]] {
+        let mut image = Array3::from_elem((3, 60, 80), 1.0_f32);
+        let fraction = undistort(&mut image, &frame, &pincushion);
+        let map = Map::new(&frame, |rho| captured_radius(&pincushion, rho));
+        assert!(map.source(0, 0).is_none() && image[[0, 0, 0]] == 0.0);
+        assert!(fraction > 0.0 && fraction < 0.5, "{fraction}");
+        for ((_, i, j), &v) in image.indexed_iter() {
+            if map.source(i, j).is_some() {
                 assert!((v - 1.0).abs() < 1e-6);
+            }
+        }
+    }
+
+    /// In place equals row by row from an untouched copy, to the bit: barrel and pincushion, the axis in the middle, at a corner and outside, frames lower
+    /// than a kernel and wider than a block.
+    #[test]
+    fn a_picture_in_place_is_the_one_beside_it() {
+        let rng = &mut fastrand::Rng::with_seed(9);
+        for (columns, rows) in [(150, 310), (64, 5), (7, 1), (1, 90), (40, 129)] {
+            for axis in [[0.5, 0.5], [0.0, 0.0], [1.0, 1.0], [0.3, -0.4], [0.6, 1.5]] {
+                let at = [axis[0] * columns as f64, axis[1] * rows as f64];
+                let frame = Frame::centred(columns, rows, 0.05).expect("valid").with_axis(at).expect("finite");
+                let max_slope = 1.2 * frame.max_radius_mm() / 20.0;
+                for bend in [-0.25, -0.02, 0.0, 0.04, 0.5] {
+                    let coefficients_mm = [20.0 * max_slope, 20.0 * bend * max_slope, 0.0, 0.0];
+                    let distortion = Distortion { max_slope, coefficients_mm, residual_mm: 0.0 };
+                    let picture = Array3::from_shape_simple_fn((2, rows, columns), || rng.f32());
+                    let map = Map::new(&frame, |rho| captured_radius(&distortion, rho));
+                    let (kernel, all) = (Lanczos::new(), picture.as_slice().expect("in order"));
+                    let planes: Vec<&[f32]> = all.chunks_exact(rows * columns).collect();
+                    let mut image = picture.clone();
+                    let outside = undistort(&mut image, &frame, &distortion);
+                    let mut count = 0;
+                    for i in 0..rows {
+                        let row = map.row(&planes, &kernel, i);
+                        count += row.outside;
+                        for (c, line) in row.samples.chunks_exact(columns).enumerate() {
+                            assert!(
+                                image.slice(s![c, i, ..]).iter().zip(line).all(|(a, b)| a.to_bits() == b.to_bits()),
+                                "{columns} × {rows}, axis {axis:?}, {bend}: row {i}"
+                            );
+                        }
+                    }
+                    assert!((outside - count as f64 / (rows * columns) as f64).abs() < 1e-12);
+                }
             }
         }
     }
@@ -363,8 +464,9 @@ mod tests {
         let frame = Frame::centred(64, 48, 0.05).expect("valid");
         let plain = Distortion { max_slope: 0.5, coefficients_mm: [10.0, 0.0, 0.0, 0.0], residual_mm: 0.0 };
         let picture = smooth(&frame);
-        let out = undistort(picture.view(), &frame, &plain);
-        let worst = (&out.image - &picture).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
-        assert!(worst < 1e-5 && out.outside_fraction == 0.0, "{worst}");
+        let mut image = picture.clone();
+        let outside = undistort(&mut image, &frame, &plain);
+        let worst = (&image - &picture).iter().fold(0.0_f32, |m, v| m.max(v.abs()));
+        assert!(worst < 1e-5 && outside == 0.0, "{worst}");
     }
 }

@@ -72,7 +72,7 @@ pub(crate) fn photograph(
     let bar = Bar::new(&format!("camera: {}", unseen.name));
     let mut camera = |network: bool| -> Result<Array3<f32>> {
         let camera = Camera::with_kit(kit.clone(), Steps { network, undistort: true }, options)?;
-        if let Some(session) = camera.session() {
+        if let Some(session) = camera.network() {
             *runtime = session.runtime().to_string();
         }
         #[expect(clippy::cast_precision_loss, reason = "tile counts")]
@@ -100,7 +100,7 @@ pub(crate) fn photograph(
         Tiling::new(settings.tile, radius.next_multiple_of(bare.config().multiple()), bare.config().multiple())?;
     let alone = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
         let run = |tile: ArrayView4<'_, f32>| bare.forward(tile);
-        tiles::run(input.view(), Region::whole(frame), &Guide::bare(frame), tiling, 1, &run, &|_, _| ())
+        tiles::run(input, Region::whole(frame), &Guide::bare(frame), tiling, 1, &run, &|_, _| ())
     })?
     .image;
     let psfs = local_psfs(renderer, settings.wiener_spacing)?;
