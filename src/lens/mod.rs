@@ -195,6 +195,20 @@ impl Lens {
         change(&mut numbers);
         Self::new(numbers, &self.name)
     }
+
+    /// This lens without tilts, decentres and freeform terms: the one that has its symmetry.
+    ///
+    /// # Errors
+    /// Numbers that are no lens then.
+    pub fn upright(&self) -> Result<Self> {
+        self.changed(|l| {
+            l.elements.clear();
+            for s in &mut l.surfaces {
+                s.pose = None;
+                (s.shape.zernike, s.shape.xy) = (None, None);
+            }
+        })
+    }
 }
 
 /// `lens` with other numbers that no check has seen: for tests of what work does with numbers that are no lens, and for nothing
@@ -257,7 +271,7 @@ impl Prescription {
             self.name.as_str(),
             "surfaces",
             "tilts, decentres or freeform terms",
-            format!("a rotationally symmetric lens for {work}; `trace`, `inspect` and `check` take any"),
+            format!("a rotationally symmetric lens for {work}; `trace`, `inspect`, `check` and `capture` take any"),
         ))
     }
 

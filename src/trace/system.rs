@@ -147,10 +147,10 @@ impl SystemGradient {
     /// Cotangents of a system from those of its [`System::reversed`], of which they are linear maps; without poses.
     ///
     /// # Panics
-    /// If a surface's pose has a cotangent: systems with tilts are not met from the sensor.
+    /// If a surface's pose has a cotangent: derivatives by tilts are not taken from the sensor.
     #[must_use]
     pub fn reversed(&self) -> Self {
-        assert!(self.motions.iter().all(|m| *m == Motion::ZERO), "no tilted surface is met from the sensor");
+        assert!(self.motions.iter().all(|m| *m == Motion::ZERO), "derivatives by tilts are not taken from the sensor");
         let flipped = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
         // The distance before a surface was the one behind it; the first has none.
         let mut distances = flipped(&self.distances);

@@ -68,6 +68,13 @@ impl Footprints {
         Self { per_mm: width.recip(), first, bins }
     }
 
+    /// The same ellipses, so many times as large.
+    #[must_use]
+    pub fn grown(mut self, by: f64) -> Self {
+        self.bins.iter_mut().for_each(|e| (e.across, e.along) = (by * e.across, by * e.along));
+        self
+    }
+
     /// The ellipse of a sensor point `radius` mm from the axis.
     #[inline]
     pub fn at(&self, radius: f64) -> Ellipse {

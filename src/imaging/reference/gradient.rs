@@ -75,7 +75,7 @@ impl Gradient {
 /// The result does not depend on the number of threads. Lenses may have any rotationally symmetric surfaces.
 ///
 /// # Errors
-/// As [`super::render`]; a mosaic; a cotangent of another shape or with a value that is not finite; no passes.
+/// As [`super::render`]; a lens without symmetry; a mosaic; a cotangent of another shape or with a value that is not finite; no passes.
 #[expect(clippy::too_many_arguments, reason = "the forward call's own arguments, a cotangent and a number of passes")]
 pub fn render_vjp(
     lens: &Lens,
@@ -98,6 +98,7 @@ pub fn render_vjp(
     if passes == 0 {
         return Err(Error::bad("", "passes", "0", "1 or more; 2 or more for an error"));
     }
+    lens.require_symmetry("a gradient by rays from the sensor")?;
     let prepared = Prepared::new(lens, scene, density, frame, region, settings)?;
     let systems = Systems::new(lens, &prepared.rear);
     let mut gradient = Gradient { mean: LensGradient::zeros(lens), parts: Vec::new(), rays: 0 };

@@ -3,13 +3,15 @@
 //! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, at the
 //! distance `Z`; `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture
 //! stops it. Position in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The
-//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9. Apertures are hard.
+//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9 (2e-4 for a lens without
+//! symmetry). Apertures are hard.
 //!
 //! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
 //! estimate is unbiased but for the grid of wavelengths ([`rear`], below 1e-5). Directions come from the whole rear
 //! aperture ([`Sampling::RearAperture`]) or from an ellipse that holds every ray a probe saw pass
 //! ([`Sampling::Bounded`], [`bounds`]); in that mode one more ray a pixel searches the rest of the rear aperture, so
-//! that a probe's mistake costs noise, not truth.
+//! that a probe's mistake costs noise, not truth. Tilts, decentres and freeform terms are traced as they are; the ellipses
+//! of such a lens are those of the same lens without them, a little larger.
 //! Not covered: diffraction, Fresnel losses, depth within a scene. Gradients: [`gradient`].
 
 pub mod bounds;
@@ -19,6 +21,7 @@ pub mod halves;
 mod pixels;
 pub mod rear;
 mod sampler;
+pub mod seen;
 mod stream;
 
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -43,6 +46,9 @@ use stream::{Pixel, View};
 /// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
 const GROUPS: usize = 2;
 
+/// How much larger the ellipses of a lens without symmetry are than those of its upright twin.
+const GROWN: f64 = 1.1;
+
 /// Largest radiance of a scene: its square is far inside f32, in which variances are stored.
 const LARGEST: f32 = 1e15;
 
@@ -62,6 +68,8 @@ pub enum Sampling {
     RearAperture,
     /// An ellipse around the rays that pass, by sensor radius: the same mean, less noise.
     Bounded,
+    /// The ellipses that a lens without symmetry has for [`Self::Bounded`], for any lens: where both are compared.
+    Wide,
 }
 
 /// How to render.
@@ -200,8 +208,14 @@ impl Prepared {
         // The whole frame's view, so that a part of a picture equals the same part of the whole.
         let rear = RearView::new(lens, density, radii_mm[1].max(frame.max_radius_mm()))?;
         let footprints = match settings.sampling {
-            Sampling::Bounded => Some(Footprints::probe(&rear, radii_mm)),
             Sampling::RearAperture => None,
+            Sampling::Bounded if lens.is_symmetric() => Some(Footprints::probe(&rear, radii_mm)),
+            // A lens that lets no light through when its surfaces stand upright has no ellipses.
+            Sampling::Bounded | Sampling::Wide => lens
+                .upright()
+                .and_then(|lens| RearView::without_white(&lens, density, rear.radius_mm))
+                .ok()
+                .map(|rear| Footprints::probe(&rear, radii_mm).grown(GROWN)),
         };
         Ok(Self { rear, footprints, radii_mm })
     }

@@ -1,6 +1,7 @@
 //! The reference renderer against closed forms and against rays from the object.
 
 mod stiff;
+mod tilted;
 
 use glam::DVec2;
 use ndarray::{Array3, s};
