@@ -20,7 +20,7 @@ use super::fabrication::tolerances::Tolerances;
 use crate::error::{Error, Result};
 use crate::lens::pose::{Element, Pose};
 use crate::lens::{Aperture, Kind, Lens, Parameter};
-use crate::math::mixed;
+use crate::math::{at_share, mixed};
 use crate::optimize::sensitivity::Sensitivity;
 use crate::optimize::{Merit, light_of, refocused};
 
@@ -243,7 +243,7 @@ fn at(d: &Deviation, part: f64, angle: f64) -> Vec<(Parameter, f64)> {
 }
 
 impl AsBuilt {
-    /// Of `lens` within `tolerances`, with the drawn lenses where they are wanted (none where there was no lens); `told` hears the share that is done, and ends the work by `false`.
+    /// Of `lens` within `tolerances`, with the drawn lenses where they are wanted (none where there was no lens), before them the lens itself, refocused as they are; `told` hears the share that is done, and ends the work by `false`.
     ///
     /// # Errors
     /// A lens that is not on one axis, or through which rays do not pass; a file that states nothing that can be drawn; [`Error::Interrupted`].
@@ -294,7 +294,8 @@ impl AsBuilt {
         let worst = |a: &Alone| a.rms_mm.iter().map(|r| r.unwrap_or(f64::INFINITY)).fold(0.0, f64::max);
         alone.sort_by(|a, b| worst(b).total_cmp(&worst(a)));
         let started = Instant::now();
-        let (mut draws, mut lenses) = (Vec::new(), Vec::new());
+        let mut draws = Vec::new();
+        let mut lenses: Vec<Option<Lens>> = settings.lenses.then(|| Some(lens.clone())).into_iter().collect();
         let drawn = |k: usize| {
             let rng = &mut fastrand::Rng::with_seed(mixed(mixed(settings.seed, 0x746f_6c65), k as u64));
             let mut off = Vec::new();
@@ -324,21 +325,8 @@ impl AsBuilt {
 
     /// The rms that a share of the draws does not exceed, by rays, and by the Jacobian, mm; draws that are no lens count as endless; NaN without draws.
     pub fn quantile(&self, share: f64) -> [f64; 2] {
-        let sorted = |of: &dyn Fn(&Draw) -> f64| {
-            let mut all: Vec<f64> = self.draws.iter().map(of).collect();
-            all.sort_by(f64::total_cmp);
-            all
-        };
-        [sorted(&|d| d.rms_mm.unwrap_or(f64::INFINITY)), sorted(&|d| d.model_mm)].map(|all| {
-            #[expect(
-                clippy::cast_precision_loss,
-                clippy::cast_possible_truncation,
-                clippy::cast_sign_loss,
-                reason = "a place in a list"
-            )]
-            let at = ((share * all.len() as f64).ceil() as usize).clamp(1, all.len().max(1)) - 1;
-            all.get(at).copied().unwrap_or(f64::NAN)
-        })
+        let of = |of: &dyn Fn(&Draw) -> f64| at_share(self.draws.iter().map(of).collect(), share);
+        [of(&|d| d.rms_mm.unwrap_or(f64::INFINITY)), of(&|d| d.model_mm)]
     }
 
     /// Draws without a figure: no lens, a ray that does not arrive, half of a field point's light lost.

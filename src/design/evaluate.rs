@@ -12,6 +12,7 @@
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
 mod camera;
+mod draws;
 mod edges;
 mod zones;
 
@@ -39,6 +40,7 @@ use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use camera::{Camera, Image};
 use zones::Zone;
 
+pub use draws::Built;
 pub use edges::measured;
 
 /// Most pixels around a patch that the network sees beside it.
@@ -165,120 +167,162 @@ pub struct Sheet {
 /// PSNR, SSIM, ΔE, colour shift and PSNR after the best gain of a picture.
 type Judged = [f64; 5];
 
+/// A network, told by its guide, behind a subject, on pictures: ready to be judged.
+pub struct Judge<'a> {
+    subject: &'a Subject,
+    told: (&'a Reconstructor, &'a Guide),
+    sensor: &'a Sensor,
+    pictures: &'a Pictures,
+    settings: &'a Settings,
+    frame: Frame,
+    renderer: Renderer,
+    bounds: Vec<f64>,
+    zones: Vec<Zone>,
+}
+
 /// Judges a network, told by its guide, behind `subject` on `sensor`. `progress` gets the share done; `sheets` asks for pictures of the first few.
 ///
 /// # Errors
 /// Settings out of range, a picture that cannot be read, a lens that cannot image its frame at a depth.
 pub fn evaluate(
     subject: &Subject,
-    (network, guide): (&Reconstructor, &Guide),
+    told: (&Reconstructor, &Guide),
     sensor: &Sensor,
     pictures: &Pictures,
     settings: &Settings,
     sheets: bool,
     progress: &mut dyn FnMut(f64),
 ) -> Result<(Evaluation, Vec<Sheet>)> {
-    let frame = subject.frame()?;
-    zones::check(&frame, settings)?;
-    let renderer = at_depths(subject, sensor, settings)?;
-    let camera = Camera::of(subject, sensor, &renderer, settings)?;
-    let maps = &renderer.optics.maps;
-    let bounds = zones::bounds(&maps[0], &frame, settings)?;
-    let zones = zones::zones(&frame, &bounds, settings.patch)?;
-    let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
-    let electronics = Electronics::of(sensor);
-    let context = context_of(network);
-    let development = Development {
-        balance: Balance::from_sensor(sensor),
-        flat_field: None,
-        distortion: None,
-        srgb_from_camera: sensor.srgb_from_camera,
-        rendering: Rendering::default(),
-    };
-    // By depth and zone, for each picture.
-    let mut figures = vec![vec![Vec::<[Judged; 2]>::new(); used.len()]; maps.len()];
-    let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
-    let all = (pictures.len() * maps.len() * used.len()).max(1);
-    let mut done = 0;
-    for index in 0..pictures.len() {
-        let picture = pictures.load(index)?;
-        for (k, (zone, places)) in used.iter().enumerate() {
-            let seed = mixed(mixed(settings.seed, index as u64), *zone as u64);
-            let (row, col) = places.starts[fastrand::Rng::with_seed(seed).usize(0..places.starts.len())];
-            let side = places.patch;
-            let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
-            for (d, map) in maps.iter().enumerate() {
-                let part = mixed(settings.seed, index as u64);
-                let noise_seed = mixed(seed, 1 + d as u64);
-                let (whole, texels) = (settings.patch, settings.texels);
-                let shot = Shot { region, whole, texels, context, part, noise_seed, camera: &camera };
-                let [truth, capture, restored] = shot.take(&renderer, map, &electronics, (network, guide), &picture)?;
-                let shown = finish(truth.clone(), &development).image;
-                let judged = |p: &Array3<f32>| -> Result<Judged> {
-                    let seen = finish(p.clone(), &development).image;
-                    Ok([
-                        metrics::psnr(p.view(), truth.view()),
-                        metrics::ssim(p.view(), truth.view())?,
-                        delta_e(seen.view(), shown.view()),
-                        colour_shift(seen.view(), shown.view()),
-                        metrics::psnr_at_best_gain(p.view(), truth.view()),
-                    ])
-                };
-                figures[d][k].push([judged(&capture)?, judged(&restored)?]);
-                if sheets && index < SHEET {
-                    strips[d][k].push(side_by_side(&[truth, capture, restored]));
+    let judge = Judge::new(subject, told, sensor, pictures, settings)?;
+    let camera = Camera::of(subject, sensor, &judge.renderer, settings)?;
+    judge.through(&camera, sheets, progress)
+}
+
+impl<'a> Judge<'a> {
+    /// Prepares a judgement by `settings`.
+    ///
+    /// # Errors
+    /// Settings out of range, a lens that cannot image its frame at a depth.
+    pub fn new(
+        subject: &'a Subject,
+        told: (&'a Reconstructor, &'a Guide),
+        sensor: &'a Sensor,
+        pictures: &'a Pictures,
+        settings: &'a Settings,
+    ) -> Result<Self> {
+        let frame = subject.frame()?;
+        zones::check(&frame, settings)?;
+        let renderer = at_depths(subject, sensor, settings)?;
+        let bounds = zones::bounds(&renderer.optics.maps[0], &frame, settings)?;
+        let zones = zones::zones(&frame, &bounds, settings.patch)?;
+        Ok(Self { subject, told, sensor, pictures, settings, frame, renderer, bounds, zones })
+    }
+
+    /// Judges captures by `camera`.
+    fn through(
+        &self,
+        camera: &Camera,
+        sheets: bool,
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<(Evaluation, Vec<Sheet>)> {
+        let Self { subject, told: (network, guide), sensor, pictures, settings, frame, renderer, bounds, zones } = self;
+        let maps = &renderer.optics.maps;
+        let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
+        let electronics = Electronics::of(sensor);
+        let context = context_of(network);
+        let development = Development {
+            balance: Balance::from_sensor(sensor),
+            flat_field: None,
+            distortion: None,
+            srgb_from_camera: sensor.srgb_from_camera,
+            rendering: Rendering::default(),
+        };
+        // By depth and zone, for each picture.
+        let mut figures = vec![vec![Vec::<[Judged; 2]>::new(); used.len()]; maps.len()];
+        let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
+        let all = (pictures.len() * maps.len() * used.len()).max(1);
+        let mut done = 0;
+        for index in 0..pictures.len() {
+            let picture = pictures.load(index)?;
+            for (k, (zone, places)) in used.iter().enumerate() {
+                let seed = mixed(mixed(settings.seed, index as u64), *zone as u64);
+                let (row, col) = places.starts[fastrand::Rng::with_seed(seed).usize(0..places.starts.len())];
+                let side = places.patch;
+                let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows: side, cols: side };
+                for (d, map) in maps.iter().enumerate() {
+                    let part = mixed(settings.seed, index as u64);
+                    let noise_seed = mixed(seed, 1 + d as u64);
+                    let (whole, texels) = (settings.patch, settings.texels);
+                    let shot = Shot { region, whole, texels, context, part, noise_seed, camera };
+                    let [truth, capture, restored] =
+                        shot.take(renderer, map, &electronics, (network, guide), &picture)?;
+                    let shown = finish(truth.clone(), &development).image;
+                    let judged = |p: &Array3<f32>| -> Result<Judged> {
+                        let seen = finish(p.clone(), &development).image;
+                        Ok([
+                            metrics::psnr(p.view(), truth.view()),
+                            metrics::ssim(p.view(), truth.view())?,
+                            delta_e(seen.view(), shown.view()),
+                            colour_shift(seen.view(), shown.view()),
+                            metrics::psnr_at_best_gain(p.view(), truth.view()),
+                        ])
+                    };
+                    figures[d][k].push([judged(&capture)?, judged(&restored)?]);
+                    if sheets && index < SHEET {
+                        strips[d][k].push(side_by_side(&[truth, capture, restored]));
+                    }
+                    done += 1;
+                    #[expect(clippy::cast_precision_loss, reason = "a share")]
+                    progress(done as f64 / all as f64);
                 }
-                done += 1;
-                #[expect(clippy::cast_precision_loss, reason = "a share")]
-                progress(done as f64 / all as f64);
             }
         }
-    }
-    let mut rows = Vec::new();
-    for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(&figures).zip(&renderer.optics.maps) {
-        let angle = |share: f64| zones::angle_deg(map, &frame, share);
-        for ((zone, places), values) in used.iter().zip(by_zone) {
-            let field = [bounds[*zone], bounds[zone + 1]];
-            let row = row(*depth_mm, zone + 1, field, places.patch, values);
-            rows.push(Row { angle_deg: field.map(angle), ..row });
+        let mut rows = Vec::new();
+        for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(&figures).zip(&renderer.optics.maps) {
+            let angle = |share: f64| zones::angle_deg(map, frame, share);
+            for ((zone, places), values) in used.iter().zip(by_zone) {
+                let field = [bounds[*zone], bounds[zone + 1]];
+                let row = row(*depth_mm, zone + 1, field, places.patch, values);
+                rows.push(Row { angle_deg: field.map(angle), ..row });
+            }
+            // One value a picture: its mean over the zones, so that the error is that of the pictures.
+            let end = bounds[settings.fields];
+            let partial =
+                settings.means_deg.iter().map(|to| (*to, zones::height_at(map, frame, *to).unwrap_or(end).min(end)));
+            for (to, height) in partial.chain([(angle(end), end)]) {
+                let shares: Vec<f64> =
+                    used.iter().map(|(z, _)| within([bounds[*z], bounds[z + 1]].map(angle), to)).collect();
+                let mean = |i: usize| {
+                    let of = |of: usize, f: usize| weighted(&column(by_zone, i, of, f), &shares);
+                    [0, 1].map(|o| std::array::from_fn(|f| of(o, f)))
+                };
+                let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
+                let reached = used.iter().zip(&shares).filter(|(_, share)| **share > 0.0);
+                let (patch, count) = reached.fold((settings.patch, 0), |(p, n), ((_, z), _)| (p.min(z.patch), n + 1));
+                rows.push(Row {
+                    patches: values.len() * count,
+                    angle_deg: [angle(0.0), to],
+                    ..row(*depth_mm, 0, [0.0, height], patch, &values)
+                });
+            }
         }
-        // One value a picture: its mean over the zones, so that the error is that of the pictures.
-        let end = bounds[settings.fields];
-        let partial =
-            settings.means_deg.iter().map(|to| (*to, zones::height_at(map, &frame, *to).unwrap_or(end).min(end)));
-        for (to, height) in partial.chain([(angle(end), end)]) {
-            let shares: Vec<f64> =
-                used.iter().map(|(z, _)| within([bounds[*z], bounds[z + 1]].map(angle), to)).collect();
-            let mean = |i: usize| {
-                let of = |of: usize, f: usize| weighted(&column(by_zone, i, of, f), &shares);
-                [0, 1].map(|o| std::array::from_fn(|f| of(o, f)))
-            };
-            let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
-            let reached = used.iter().zip(&shares).filter(|(_, share)| **share > 0.0);
-            let (patch, count) = reached.fold((settings.patch, 0), |(p, n), ((_, z), _)| (p.min(z.patch), n + 1));
-            rows.push(Row {
-                patches: values.len() * count,
-                angle_deg: [angle(0.0), to],
-                ..row(*depth_mm, 0, [0.0, height], patch, &values)
-            });
-        }
+        let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
+            let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
+            zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: stacked(strips) })
+        });
+        let evaluation = Evaluation {
+            schema: 1,
+            lens: camera.describe(subject),
+            pictures: pictures.describe(),
+            count: pictures.len(),
+            empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
+            frame: [frame.columns, frame.rows],
+            context_px: context,
+            seed: settings.seed,
+            rows,
+        };
+        Ok((evaluation, sheets.collect()))
     }
-    let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
-        let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
-        zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: stacked(strips) })
-    });
-    let evaluation = Evaluation {
-        schema: 1,
-        lens: camera.describe(subject),
-        pictures: pictures.describe(),
-        count: pictures.len(),
-        empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
-        frame: [frame.columns, frame.rows],
-        context_px: context,
-        seed: settings.seed,
-        rows,
-    };
-    Ok((evaluation, sheets.collect()))
 }
 
 /// Refuses what [`evaluate`] would, before there is a network.

@@ -146,7 +146,7 @@ fn displaced_and_freeform_surfaces_are_traced_and_not_imaged() {
     }
     assert!(place.run("inspect lens.toml").done().contains("displaced"));
     assert_eq!(place.run("check lens.toml").code, 0);
-    for command in ["psf lens.toml -o x.npz", "render lens.toml street -o x.png"] {
+    for command in ["psf lens.toml -o x.npz", "render lens.toml facades -o x.png"] {
         let ran = place.run(command);
         assert!(ran.code == 2 && ran.err.contains("rotationally symmetric"), "{command}: {}", ran.err);
     }

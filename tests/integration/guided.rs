@@ -11,6 +11,7 @@ use isoplanat::deploy::tiles::{self, Tiling};
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::develop::simulate::Electronics;
+use isoplanat::imaging::files::{Encoding, read_picture};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::{Guide, Inputs};
 use isoplanat::imaging::plane::{Region, mirrored};
@@ -104,7 +105,10 @@ fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
             assert_eq!(ModelCard::from_metadata(session.metadata()).expect("a card"), card);
             let run = |tile: ArrayView4<'_, f32>| session.run(tile);
             let tiling = Tiling::new(96, 24, 4).expect("valid");
-            let theirs = tiles::run(image.view(), whole, &guide, tiling, 2, &run, &|_, _| ()).expect("runs");
+            let theirs = tiles::run(image.clone(), whole, &guide, tiling, 2, &run, &|_, _| ()).expect("runs");
+            // One after the other tiles are written as early as can be: before others are filtered.
+            let in_turn = tiles::run(image.clone(), whole, &guide, tiling, 1, &run, &|_, _| ()).expect("runs");
+            assert_eq!(theirs, in_turn, "{choice:?}");
             let worst = (&theirs - &ours).iter().fold(0f32, |m, v| m.max(v.abs()));
             eprintln!("{:?}, {blocks:?}, {choice:?}, {} tiles: {worst:e}", inputs.names(), tiling.count(rows, cols));
             assert!(worst <= 2e-5, "{:?}, {blocks:?}, {choice:?}: {worst:e}", inputs.names());
@@ -246,10 +250,70 @@ fn a_told_network_goes_from_the_task_to_the_camera() {
         let worst = (other - &pictures[0]).iter().fold(0f32, |m, v| m.max(v.abs()));
         assert!(worst < 1e-4, "{worst}");
     }
+    the_program_runs_it_within_limits(&place, &pictures);
+    it_is_judged_behind_lenses_as_built(&place);
     // Without its filters the run is refused by name.
     std::fs::remove_file(place.path("told/filters.npz")).expect("removes");
     for command in ["evaluate told", "export told -o other", "train --resume -o told"] {
         place.run(command).refused(&["filters.npz"]);
     }
     assert_eq!(pictures[0].index_axis(Axis(0), 0).dim(), (64, 96));
+}
+
+/// The camera program, whose network runs in a child, writes one of `pictures`; a child without time or memory is one sentence and no picture.
+fn the_program_runs_it_within_limits(place: &Workplace, pictures: &[Array3<f32>]) {
+    let run = |arguments: &str| {
+        let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_isoplanat-camera"));
+        let ran = command.args(arguments.split_whitespace()).current_dir(place.path("")).output().expect("starts");
+        (ran.status.code(), String::from_utf8_lossy(&ran.stderr).into_owned())
+    };
+    let (code, err) = run("a.dng --kit kit --linear -o apart.tif");
+    assert_eq!(code, Some(0), "{err}");
+    let apart = read_picture(&place.path("apart.tif"), Encoding::Linear).expect("reads");
+    let off = |here: &Array3<f32>| (here - &apart).iter().fold(0f32, |m, v| m.max(v.abs()));
+    // 16 bits.
+    assert!(
+        pictures.iter().any(|here| off(here) <= 1.0 / 65_000.0),
+        "{:?}",
+        pictures.iter().map(off).collect::<Vec<_>>()
+    );
+    // (An address space without limit is the system's affair elsewhere.)
+    let memory = cfg!(target_os = "linux").then_some(("--network-memory 16", "more than 16 MiB"));
+    for (limit, said) in [("--tile-seconds 1e-7", "had not come to an end")].into_iter().chain(memory) {
+        let (code, err) = run(&format!("a.dng --kit kit {limit} -o none.tif"));
+        assert_eq!(code, Some(2), "{limit}: {err}");
+        let last = err.lines().last().unwrap_or_default();
+        assert!(last.contains("model.onnx: network") && last.contains(said), "{limit}: {err}");
+        assert!(!place.path("none.tif").exists(), "{limit}");
+    }
+    assert_eq!(run("a.dng --kit kit --tile-seconds 0 -o none.tif").0, Some(2));
+}
+
+/// Drawn lenses, tilts and all: photographed, and judged behind the run's network; a draw that was no lens counts.
+fn it_is_judged_behind_lenses_as_built(place: &Workplace) {
+    let tolerances = "schema = 1\n[surface.all]\ncentring_arcmin = 5.0\n[assembly]\ndecentre_mm = 0.1\n";
+    place.write("t.toml", tolerances);
+    place.run("tolerance told/lens.toml --tolerances t.toml --draws 3 --lenses drawn").done();
+    let text = place.run("evaluate told --drawn drawn --reference 4 --fields 1 --patch 32 --csv drawn.csv").done();
+    for part in ["the lens itself", "refocused as the draws are", "90 % of the draws reach", "3 draws in"] {
+        assert!(text.contains(part), "{part}: {text}");
+    }
+    assert_eq!(std::fs::read_to_string(place.path("drawn.csv")).expect("rows").lines().count(), 4);
+    std::fs::remove_file(place.path("drawn/draw-000002.toml")).expect("removes");
+    let json = place.run("evaluate told --drawn drawn --reference 4 --fields 1 --patch 32 --json").done();
+    let json: serde_json::Value = serde_json::from_str(&json).expect("JSON");
+    assert_eq!(json["draws"][1]["why"], "no lens was found there");
+    assert!(json["draws"][2]["shown"]["aligned"]["reconstruction_db"].is_f64(), "{json}");
+    let command = "evaluate told --drawn drawn --reference 4 --fields 1 --patch 32";
+    // (Beside the line that says that scenes are built in.)
+    for (more, said) in [("--depths-mm 500,1000", "drawn: drawn lenses: 2 distances"), ("--drawn none", "none")] {
+        let ran = match more {
+            "--drawn none" => place.run("evaluate told --drawn none --reference 4"),
+            _ => place.run(&format!("{command} {more}")),
+        };
+        assert!(ran.code == 2 && ran.err.contains(said), "{ran:?}");
+    }
+    assert_eq!(place.run("evaluate told --drawn drawn").code, 2);
+    place.run("capture drawn/draw-000001.toml facades:3 -o tilted.dng --samples 4").done();
+    place.run("render drawn/draw-000001.toml facades:3 -o tilted.png").refused(&["rotationally symmetric"]);
 }

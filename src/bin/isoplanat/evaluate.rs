@@ -3,7 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::design::evaluate::{FINENESS, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate};
+use isoplanat::design::evaluate::{Built, FINENESS, Judge, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate};
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
@@ -19,8 +19,8 @@ use isoplanat::report::paired;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
 
-use crate::output;
 use crate::progress::Bar;
+use crate::{output, tolerance};
 
 /// Built-in scenes without `--photos`.
 const SCENES: usize = 8;
@@ -45,6 +45,10 @@ pub(crate) struct Args {
     /// Another run, judged on the same pictures at the same places: differences picture by picture, with 95 % intervals.
     #[arg(long, value_name = "RUN")]
     against: Option<PathBuf>,
+    /// Folder of drawn lenses (`isoplanat tolerance --lenses`): PSNR of captures by rays through each of them, and behind the run's network, as they stand
+    /// and after centre and scale of their pictures were aligned. Needs --reference.
+    #[arg(long, value_name = "DIR", requires = "reference", conflicts_with_all = ["through", "against", "plot", "pictures"])]
+    drawn: Option<PathBuf>,
     /// Rows to write as comma-separated values.
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
@@ -182,6 +186,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         };
         eprintln!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
+    if let Some(folder) = &args.drawn {
+        return drawn(args, &run, &pictures, folder, out);
+    }
     let (result, sheets) = run.judge(&pictures, args.pictures.is_some())?;
     let differences = match &other {
         Some(other) => Some(paired::against(&result, &other.judge(&pictures, false)?.0)?),
@@ -221,6 +228,53 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
+/// The run's network behind the lenses of a folder that `isoplanat tolerance` wrote.
+fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
+    let list = folder.join(tolerance::MARKER);
+    let text = std::fs::read_to_string(&list).map_err(|e| Error::reading(&list, e))?;
+    let count = text.lines().count().saturating_sub(1);
+    if count == 0 {
+        let allowed = "a folder of lenses, as `isoplanat tolerance --lenses` writes it";
+        return Err(Error::bad(list.display().to_string(), "draws", "none", allowed).into());
+    }
+    // Draws that were no lens have no file.
+    let lens = |name: &str| -> Result<Option<isoplanat::lens::Lens>> {
+        let path = folder.join(name);
+        path.is_file().then(|| crate::input::lens(&path.display().to_string())).transpose()
+    };
+    let named = |k: usize| lens(&tolerance::draw(k)).map(|lens| (tolerance::draw(k), lens));
+    let built =
+        Built { refocused: lens(tolerance::REFOCUSED)?, draws: (1..=count).map(named).collect::<Result<Vec<_>>>()? };
+    run.allow(pictures, false)?;
+    let asked = crate::interrupt::asked()?;
+    let mut bar = None;
+    let told = (&run.network, &run.guide);
+    let judge =
+        Judge::new(&run.subject, told, &run.sensor, pictures, &run.settings).map_err(|e| e.in_file(&run.folder))?;
+    let draws = judge.draws(&built, &mut |share| {
+        bar.get_or_insert_with(|| Bar::new("drawn lenses")).set(share, String::new());
+        !asked()
+    });
+    let draws = draws.map_err(|e| e.in_file(folder))?;
+    if let Some(bar) = bar {
+        bar.done(String::new());
+    }
+    if let Some(path) = &args.csv {
+        output::put(&draws.csv(), Some(path), out)?;
+    }
+    if args.json {
+        writeln!(out, "{}", draws.json())?;
+    } else {
+        writeln!(out, "{}", draws.table())?;
+        for (name, why) in draws.lost() {
+            writeln!(out, "{name} shows nothing: {why}")?;
+        }
+        writeln!(out, "{}", draws.pace())?;
+    }
+    // What was judged until then has been told.
+    if draws.draws.len() < count { Err(Error::Interrupted.into()) } else { Ok(()) }
+}
+
 /// A run that is to be judged.
 pub(crate) struct Judged {
     folder: PathBuf,
@@ -244,11 +298,17 @@ impl Judged {
         Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, subject, network, guide, settings })
     }
 
-    /// Judges it; with `sheets`, pictures too.
-    pub(crate) fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
+    /// The bytes that judging it takes, allowed.
+    fn allow(&self, pictures: &Pictures, sheets: bool) -> Result<u64> {
         let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, sheets)?;
         let instead = "a smaller --patch, smaller photographs, or no --pictures";
         crate::memory::limit().allow("the evaluation", bytes, instead)?;
+        Ok(bytes)
+    }
+
+    /// Judges it; with `sheets`, pictures too.
+    pub(crate) fn judge(&self, pictures: &Pictures, sheets: bool) -> Result<(Evaluation, Vec<Sheet>)> {
+        let bytes = self.allow(pictures, sheets)?;
         let told = (&self.network, &self.guide);
         // From the first picture on: what cannot be judged is refused before.
         let mut bar = None;

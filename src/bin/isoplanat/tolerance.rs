@@ -13,7 +13,9 @@ use crate::output;
 use crate::progress::Bar;
 
 /// What makes a folder one of drawn lenses.
-const MARKER: &str = "draws.csv";
+pub(crate) const MARKER: &str = "draws.csv";
+/// The lens that was drawn around there, refocused as the draws are.
+pub(crate) const REFOCUSED: &str = "refocused.toml";
 /// Most lenses that are drawn.
 const MOST: usize = 1_000_000;
 
@@ -37,7 +39,7 @@ pub(crate) struct Args {
     /// Rms spot that a lens may have, µm: its yield is told
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     limit_um: Option<f64>,
-    /// Folder for the drawn lenses, a file each (`isoplanat report`, and `evaluate --through` where they are symmetric)
+    /// Folder for the drawn lenses, a file each, for `isoplanat evaluate --drawn` and others
     #[arg(long, value_name = "DIR")]
     lenses: Option<PathBuf>,
     /// Draws to write as comma-separated values
@@ -49,6 +51,11 @@ pub(crate) struct Args {
     /// Overwrite files, and a folder of lenses
     #[arg(long)]
     force: bool,
+}
+
+/// The file of draw `k`, counted from 1.
+pub(crate) fn draw(k: usize) -> String {
+    format!("draw-{k:06}.toml")
 }
 
 /// Runs the command.
@@ -88,9 +95,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     if let Some(folder) = &args.lenses {
         atomic::write_folder(folder, MARKER, args.force, |inside| -> Result<()> {
+            // The first is the lens itself, refocused.
             for (k, lens) in lenses.iter().enumerate() {
+                let name = if k == 0 { REFOCUSED.to_owned() } else { draw(k) };
                 if let Some(lens) = lens {
-                    prescription::save(lens, &inside.join(format!("draw-{:06}.toml", k + 1)))?;
+                    prescription::save(lens, &inside.join(name))?;
                 }
             }
             atomic::write_bytes(&inside.join(MARKER), report.csv().as_bytes())

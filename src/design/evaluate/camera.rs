@@ -12,7 +12,9 @@ use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::Plane;
 use crate::imaging::reference;
-use crate::imaging::render::{Channels, Renderer};
+use crate::imaging::reference::Sampling;
+use crate::imaging::reference::seen::seen;
+use crate::imaging::render::{Channels, Renderer, frame_of};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::mosaic_vjp;
 use crate::imaging::sensor::noise::mixed;
@@ -24,8 +26,8 @@ use crate::psf::measured::knot;
 /// A way to captures.
 pub(super) struct Camera {
     density: SpectralDensity,
-    /// Lens and rays a pixel, where rays make the image.
-    rays: Option<(Lens, usize)>,
+    /// Lens, rays a pixel and where they are drawn from, where rays make the image.
+    rays: Option<(Lens, usize, Sampling)>,
     /// The other lens, where there is one.
     other: Option<Other>,
 }
@@ -42,7 +44,9 @@ pub(super) struct Image {
 struct Other {
     name: String,
     frame: Frame,
-    renderer: Renderer,
+    vergence: f64,
+    /// `None`: its captures and its alignment are by rays.
+    renderer: Option<Renderer>,
     /// How its slopes follow from the subject's, for pictures of one size in one place.
     aligned: Aligned,
 }
@@ -56,11 +60,32 @@ impl Camera {
         let density = SpectralDensity::new(sensor);
         let taken = settings.through.as_ref().unwrap_or(subject);
         let rays = match settings.rays {
-            Some(rays) => Some((taken.lens("captures by rays")?.clone(), rays)),
+            Some(rays) => Some((taken.lens("captures by rays")?.clone(), rays, Sampling::Bounded)),
             None => None,
         };
         let other = settings.through.as_ref();
         let other = other.map(|other| Other::of(other, subject, renderer, &density, settings)).transpose()?;
+        Ok(Self { density, rays, other })
+    }
+
+    /// Of a lens as it was built in place of the subject `own`, which `renderer` holds at one distance; `None`: of `own` itself. By `rays` a pixel, drawn alike
+    /// for all lenses.
+    ///
+    /// # Errors
+    /// A lens on a frame of another size, or without light.
+    pub(super) fn built(
+        lens: Option<&Lens>,
+        own: &Lens,
+        sensor: &Sensor,
+        renderer: &Renderer,
+        rays: usize,
+    ) -> Result<Self> {
+        let density = SpectralDensity::new(sensor);
+        let other = match lens {
+            Some(lens) => Some(Other::by_rays(lens, own, frame_of(lens)?, &density, renderer)?),
+            None => None,
+        };
+        let rays = Some((lens.unwrap_or(own).clone(), rays, Sampling::Wide));
         Ok(Self { density, rays, other })
     }
 
@@ -72,6 +97,23 @@ impl Camera {
         )
     }
 
+    /// How many times as large the other lens shows slopes, and how far its picture is shifted, pixels `[right, down]`.
+    pub(super) fn moved(&self, renderer: &Renderer) -> (f64, [f64; 2]) {
+        let Some(Aligned { scale, shift: [right, up] }) = self.other.as_ref().map(|o| o.aligned) else {
+            return (1.0, [0.0; 2]);
+        };
+        let per_slope = 1.0 / (renderer.optics.maps[0].derivative(0.0) * renderer.plan.frame.pitch_mm);
+        (scale, [-right * per_slope / scale, up * per_slope / scale])
+    }
+
+    /// The same, its pictures where and as large as they are.
+    pub(super) fn unaligned(mut self) -> Self {
+        if let Some(other) = &mut self.other {
+            other.aligned = Aligned { scale: 1.0, shift: [0.0; 2] };
+        }
+        self
+    }
+
     /// The image of a patch where it does not come from `renderer`, whose lens the ideal picture is of.
     pub(super) fn image(&self, renderer: &Renderer, electronics: &Electronics, patch: &Patch) -> Result<Option<Image>> {
         let (frame, scene) = match (&self.rays, &self.other) {
@@ -79,14 +121,14 @@ impl Camera {
             (_, None) => (&renderer.plan.frame, Cow::Borrowed(&patch.scene)),
             (_, Some(other)) => (&other.frame, Cow::Owned(other.before(&patch.scene))),
         };
-        if let Some((lens, samples)) = &self.rays {
+        if let Some((lens, samples, sampling)) = &self.rays {
             let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
-            let how = reference::Settings { samples: *samples, seed, channels, sampling: reference::Sampling::Bounded };
+            let how = reference::Settings { samples: *samples, seed, channels, sampling: *sampling };
             let mosaic = reference::render(lens, &scene, &self.density, frame, patch.region, how, None)?.mosaic();
             let cfa = electronics.at(patch.region).cfa;
             return Ok(Some(Image { irradiance: mosaic_vjp(mosaic.view(), cfa), mosaic: Some(mosaic) }));
         }
-        let Some(renderer) = self.other.as_ref().map(|o| &o.renderer) else { return Ok(None) };
+        let Some(renderer) = self.other.as_ref().and_then(|o| o.renderer.as_ref()) else { return Ok(None) };
         let depth = renderer.plan.depth(scene.vergence)?;
         let (irradiance, _) = renderer.picture(&scene, depth, patch.region, &Channels::of(&scene), &|_| {});
         Ok(Some(Image { irradiance, mosaic: None }))
@@ -117,9 +159,29 @@ impl Other {
             Subject::Lens(_) => distance.vergence,
             Subject::Measured(_) => other.vergence(),
         };
+        if let Subject::Lens(lens) = other
+            && !lens.is_symmetric()
+        {
+            let (Subject::Lens(own), Some(_)) = (subject, settings.rays) else {
+                let found = "tilts, decentres or freeform terms".to_owned();
+                return refused(
+                    "surfaces",
+                    found,
+                    "captures by rays (--reference) behind a lens with a prescription".into(),
+                );
+            };
+            return Self::by_rays(lens, own, frame, density, renderer);
+        }
         let renderer_of_other = other.renderer(density, &[vergence], settings.fineness)?;
         let aligned = Aligned::of([renderer, &renderer_of_other]);
-        Ok(Self { name: other.name().to_owned(), frame, renderer: renderer_of_other, aligned })
+        Ok(Self { name: other.name().to_owned(), frame, vergence, renderer: Some(renderer_of_other), aligned })
+    }
+
+    /// `lens` with its `frame`, of the size of `own`'s, aligned with that by rays.
+    fn by_rays(lens: &Lens, own: &Lens, frame: Frame, density: &SpectralDensity, renderer: &Renderer) -> Result<Self> {
+        let aligned = Aligned::by_rays([own, lens], [&renderer.plan.frame, &frame], density, renderer)?;
+        let vergence = renderer.plan.depths[0].vergence;
+        Ok(Self { name: lens.name.clone(), frame, vergence, renderer: None, aligned })
     }
 
     /// A scene before the subject as it stands before this lens.
@@ -127,8 +189,8 @@ impl Other {
         let Aligned { scale, shift } = self.aligned;
         // The subject's slope that this lens sees on its axis.
         let axis_texel = scene.texel_from_slope(shift.map(|t| -t / scale));
-        let vergence = self.renderer.plan.depths[0].vergence;
-        Plane { axis_texel, texels_per_slope: scene.texels_per_slope / scale, vergence, ..scene.clone() }
+        let texels_per_slope = scene.texels_per_slope / scale;
+        Plane { axis_texel, texels_per_slope, vergence: self.vergence, ..scene.clone() }
     }
 }
 
@@ -136,6 +198,9 @@ impl Other {
 const RADII: usize = 24;
 /// Points of the frame along each axis that pictures are aligned by.
 const POINTS: u32 = 17;
+/// Rays of a point where rays say what it shows, and the fewest points that light must reach.
+const SEEN: usize = 128;
+const FEWEST: usize = 9;
 /// Points of the stop that the middle of a pixel's light is taken from.
 const DENSE: usize = 400;
 
@@ -167,11 +232,50 @@ impl Aligned {
             let [(from, _), (to, per_slope)] = [own.at(pixel), other.at(pixel)];
             points.push(Point { from, to, weight: per_slope * per_slope });
         }
+        Self::fitted(&points)
+    }
+
+    /// The same of two lenses on frames of one size, by rays through both: `renderer` holds the first.
+    ///
+    /// # Errors
+    /// As [`seen`]; a lens through which too little light reaches the frame.
+    fn by_rays(
+        lenses: [&Lens; 2],
+        frames: [&Frame; 2],
+        density: &SpectralDensity,
+        renderer: &Renderer,
+    ) -> Result<Self> {
+        let (frame, vergence) = (frames[0], renderer.plan.depths[0].vergence);
+        let place = |k: u32, n: usize| (2 * k as usize + 1) * n / (2 * POINTS as usize);
+        let pixels: Vec<[usize; 2]> =
+            (0..POINTS * POINTS).map(|k| [place(k / POINTS, frame.rows), place(k % POINTS, frame.columns)]).collect();
+        let (samples, channels) = (SEEN, reference::Channels::All);
+        let how = reference::Settings { samples, seed: 0, channels, sampling: Sampling::Wide };
+        let [from, to] = [0, 1].map(|k| seen(lenses[k], density, frames[k], vergence, &pixels, how));
+        let map = &renderer.optics.maps[0];
+        let points = pixels.iter().zip(from?).zip(to?).filter_map(|((pixel, from), to)| {
+            let per_slope = 1.0 / map.derivative(frame.radius_mm(pixel[1] as f64 + 0.5, pixel[0] as f64 + 0.5));
+            Some(Point { from: from?, to: to?, weight: per_slope * per_slope })
+        });
+        let points: Vec<Point> = points.collect();
+        if points.len() < FEWEST {
+            let found = format!("light at {} of {} places of the frame", points.len(), pixels.len());
+            return Err(Error::bad(
+                &lenses[1].name,
+                "surfaces",
+                found,
+                "a lens that can be aligned with the run's own",
+            ));
+        }
+        Ok(Self::fitted(&points))
+    }
+
+    fn fitted(points: &[Point]) -> Self {
         let total: f64 = points.iter().map(|p| p.weight).sum();
         let mean = |of: &dyn Fn(&Point) -> f64| points.iter().map(|p| p.weight * of(p)).sum::<f64>() / total;
         let [a, b] = [[0, 1].map(|k| mean(&|p| p.from[k])), [0, 1].map(|k| mean(&|p| p.to[k]))];
         let [mut both, mut square] = [0.0; 2];
-        for Point { from, to, weight } in &points {
+        for Point { from, to, weight } in points {
             for k in 0..2 {
                 both += weight * (from[k] - a[k]) * (to[k] - b[k]);
                 square += weight * (from[k] - a[k]).powi(2);
@@ -242,6 +346,7 @@ mod tests {
         };
         let own = renderer(40.0, [160.0, 120.0]);
         assert_eq!(Aligned::of([&own, &own]), Aligned { scale: 1.0, shift: [0.0; 2] });
+        let plain = builtin::lens("double_gauss").expect("shipped");
         let focal_mm = 1.0 / own.optics.maps[0].derivative(0.0);
         for (pitch_um, axis) in [(40.0, [175.0, 112.0]), (44.0, [160.0, 120.0]), (36.0, [150.0, 126.0])] {
             let Aligned { scale, shift } = Aligned::of([&own, &renderer(pitch_um, axis)]);
@@ -250,6 +355,14 @@ mod tests {
             let pixels = [shift[0], -shift[1]].map(|t| -t * focal_mm * 1e3 / pitch_um);
             let off = [0, 1].map(|k| (pixels[k] - (axis[k] - [160.0, 120.0][k])).abs());
             assert!(off.iter().all(|v| *v < 0.15), "{pitch_um} {axis:?}: {pixels:?}");
+            // The same by rays, which know the light of green alone.
+            let frames = [&own.plan.frame, &renderer(pitch_um, axis).plan.frame];
+            let by_rays = Aligned::by_rays([&plain, &plain], frames, &density, &own).expect("aligns");
+            let apart = [0, 1].map(|k| (by_rays.shift[k] - shift[k]).abs() * focal_mm * 1e3 / pitch_um);
+            assert!(
+                (by_rays.scale / scale - 1.0).abs() < 1e-3 && apart.iter().all(|v| *v < 0.1),
+                "{by_rays:?}: {apart:?}"
+            );
         }
     }
 }

@@ -4,7 +4,7 @@ use crate::design::task::{Task, TaskSensor};
 use crate::lens::catalogue::Glasses;
 use crate::network::UnetConfig;
 
-fn settings(fields: usize, patch: usize) -> Settings {
+pub(super) fn settings(fields: usize, patch: usize) -> Settings {
     Settings {
         fields,
         to_deg: None,
@@ -19,13 +19,13 @@ fn settings(fields: usize, patch: usize) -> Settings {
     }
 }
 
-fn lens() -> Subject {
+pub(super) fn lens() -> Subject {
     let sensor = Some(TaskSensor { columns: 240, rows: 160, pitch_um: 80.0, axis_px: Some([0.0, 0.0]) });
     Task { sensor, ..Task::demo() }.subject(Glasses::shipped()).expect("valid")
 }
 
 /// A network whose last layer is nought returns its input.
-fn identity(scales: usize) -> Reconstructor {
+pub(super) fn identity(scales: usize) -> Reconstructor {
     let mut net = Reconstructor::new(UnetConfig::bare(2, scales), 1).expect("valid");
     net.set_parameter("output.weight", &[0.0; 3 * 2 * 9]).expect("as many");
     net.set_parameter("output.bias", &[0.0; 3]).expect("as many");

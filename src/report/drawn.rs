@@ -1,0 +1,178 @@
+//! A run's network behind lenses as they were built: PSNR of each draw, before and after its pictures were aligned, as table, CSV and JSON.
+
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use super::table::{Table, significant};
+use crate::math::at_share;
+
+/// Shares of the draws that are told of.
+const SHARES: [f64; 3] = [0.1, 0.5, 0.9];
+
+/// PSNR of captures and of reconstructions, dB: means over pictures and zones.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Psnr {
+    /// Against the ideal picture of the run's own lens.
+    pub capture_db: f64,
+    /// Behind the network.
+    pub reconstruction_db: f64,
+}
+
+/// What a drawn lens shows.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Aspect {
+    /// As it stands: pictures that are shifted or of another size count as wrong.
+    pub as_it_stands: Psnr,
+    /// After centre and scale of its pictures were brought to those of the run's own lens, as a calibration does.
+    pub aligned: Psnr,
+    /// How many times as large it shows slopes.
+    pub scale: f64,
+    /// How far its picture is shifted, pixels `[right, down]`.
+    pub shift_px: [f64; 2],
+}
+
+/// A drawn lens.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Drawn {
+    /// Its file.
+    pub name: String,
+    /// What it shows.
+    pub shown: Option<Aspect>,
+    /// Why nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+}
+
+/// The run's own lens and those drawn.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Draws {
+    /// Captures through the run's own lens, at the same places, with as many rays, drawn alike, and the same noise. Each lens's light counts relative to what
+    /// it has on its axis.
+    pub nominal: Psnr,
+    /// The lens that was drawn around, refocused as the draws are, where the folder has it.
+    pub refocused: Option<Aspect>,
+    /// The drawn lenses.
+    pub draws: Vec<Drawn>,
+    /// Seconds of all draws.
+    pub seconds: f64,
+}
+
+/// What a figure of a draw is called, and the figure.
+type Column = (&'static str, fn(&Aspect) -> f64);
+const COLUMNS: [Column; 4] = [
+    ("capture as it stands", |j| j.as_it_stands.capture_db),
+    ("behind the network", |j| j.as_it_stands.reconstruction_db),
+    ("capture aligned", |j| j.aligned.capture_db),
+    ("aligned, behind the network", |j| j.aligned.reconstruction_db),
+];
+
+impl Draws {
+    /// The PSNR that a share of the draws does not reach, dB; draws without a figure reach nothing. NaN without draws.
+    pub fn quantile(&self, share: f64, of: impl Fn(&Aspect) -> f64) -> f64 {
+        let figure = |d: &Drawn| d.shown.as_ref().map(&of).filter(|db| !db.is_nan()).unwrap_or(f64::NEG_INFINITY);
+        at_share(self.draws.iter().map(figure).collect(), share)
+    }
+
+    /// Draws without a figure.
+    pub fn lost(&self) -> impl Iterator<Item = (&str, &str)> {
+        self.draws.iter().filter_map(|d| Some((d.name.as_str(), d.why.as_deref()?)))
+    }
+
+    /// The lens as it is, and what shares of the draws do not reach.
+    pub fn table(&self) -> Table {
+        let mut table = Table::new(std::iter::once("PSNR, dB").chain(COLUMNS.map(|c| c.0)));
+        let own = [self.nominal.capture_db, self.nominal.reconstruction_db].map(|v| format!("{v:.2}"));
+        table.row(["the lens itself".to_owned(), own[0].clone(), own[1].clone(), own[0].clone(), own[1].clone()]);
+        if let Some(refocused) = &self.refocused {
+            let cells = COLUMNS.map(|(_, of)| format!("{:.2}", of(refocused)));
+            table.row(std::iter::once("refocused as the draws are".to_owned()).chain(cells));
+        }
+        for share in SHARES {
+            let cell = |(_, of): Column| {
+                let db = self.quantile(share, of);
+                if db.is_finite() { format!("{db:.2}") } else { "lost".to_owned() }
+            };
+            let name = format!("{:.0} % of the draws reach", 100.0 * (1.0 - share));
+            table.row(std::iter::once(name).chain(COLUMNS.map(cell)));
+        }
+        table
+    }
+
+    /// A row a draw.
+    pub fn csv(&self) -> String {
+        let heading = [
+            "lens",
+            "capture_db",
+            "reconstruction_db",
+            "aligned_capture_db",
+            "aligned_reconstruction_db",
+            "scale",
+            "shift_right_px",
+            "shift_down_px",
+            "why_none",
+        ];
+        let mut table = Table::new(heading);
+        for d in &self.draws {
+            let cells = match &d.shown {
+                Some(j) => {
+                    let [right, down] = j.shift_px;
+                    let figures = COLUMNS.map(|(_, of)| of(j)).into_iter().chain([j.scale, right, down]);
+                    figures.map(|v| v.to_string()).chain([String::new()]).collect::<Vec<_>>()
+                }
+                None => [""; 7].into_iter().chain([d.why.as_deref().unwrap_or("")]).map(str::to_owned).collect(),
+            };
+            table.row(std::iter::once(d.name.clone()).chain(cells));
+        }
+        table.csv()
+    }
+
+    /// All of it.
+    pub fn json(&self) -> Value {
+        json!({ "schema": 1, "nominal": self.nominal, "refocused": self.refocused, "draws": self.draws, "seconds": self.seconds })
+    }
+
+    /// How long it took.
+    pub fn pace(&self) -> String {
+        #[expect(clippy::cast_precision_loss, reason = "a count")]
+        let each = self.seconds / self.draws.len().max(1) as f64;
+        format!("{} draws in {} s, {} s each", self.draws.len(), significant(self.seconds, 3), significant(each, 2))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_of_draws_are_counted_with_the_lost_ones() {
+        let psnr = |db: f64| Psnr { capture_db: db - 2.0, reconstruction_db: db };
+        let drawn = |k: u32| {
+            let judged = Aspect {
+                as_it_stands: psnr(10.0),
+                aligned: psnr(20.0 + f64::from(k)),
+                scale: 1.0,
+                shift_px: [0.5, 0.0],
+            };
+            Drawn {
+                name: format!("draw-{k}.toml"),
+                shown: (k > 0).then_some(judged),
+                why: (k == 0).then(|| "no light, none".into()),
+            }
+        };
+        let draws = Draws { nominal: psnr(31.0), refocused: None, draws: (0..10).map(drawn).collect(), seconds: 5.0 };
+        let of = |j: &Aspect| j.aligned.reconstruction_db;
+        assert_eq!(draws.quantile(0.1, of), f64::NEG_INFINITY);
+        assert_eq!([draws.quantile(0.2, of), draws.quantile(0.5, of), draws.quantile(1.0, of)], [21.0, 24.0, 29.0]);
+        let table = draws.table().to_string();
+        assert!(
+            table.contains("90 % of the draws reach") && table.contains("lost") && table.contains("31.00"),
+            "{table}"
+        );
+        let csv = draws.csv();
+        assert!(csv.lines().count() == 11 && csv.contains("\"no light, none\"") && csv.contains(",0.5,0,"), "{csv}");
+        assert_eq!(draws.lost().count(), 1);
+        assert_eq!(draws.json()["draws"][3]["shown"]["aligned"]["reconstruction_db"], 23.0);
+        let none = Draws { draws: Vec::new(), ..draws };
+        assert!(none.quantile(0.5, of).is_nan() && none.pace().contains("0 draws"));
+    }
+}
