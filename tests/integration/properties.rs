@@ -80,12 +80,16 @@ proptest! {
         prop_assert_eq!(&prescription::from_toml(&text, "lens.toml").expect("written by the program"), &lens);
     }
 
-    /// Light goes back the way it came, to 1e-9 of the first aperture.
+    /// Light that stays on the surfaces goes back the way it came, to 1e-9 of the first aperture.
     #[test]
     fn rays_go_back_the_way_they_came(lens in lens(), launch in launch()) {
         let system = System::new(&lens, lens.wavelengths.primary_nm);
         let Some(hits) = through(&system, ray(&lens, launch)) else { return Ok(()) };
         let (first, last) = (hits[0], hits[system.image()]);
+        // Surfaces go on to a tenth beyond their clear apertures; further out a ray may meet another root first on its way back.
+        if hits.iter().zip(&system.surfaces).any(|(h, s)| h.at.point.truncate().length() > s.domain) {
+            return Ok(());
+        }
         // Seen from the sensor z counts towards the object.
         let turned = |d: DVec3| DVec3::new(-d.x, -d.y, d.z);
         let back = Ray { origin: last.at.point, direction: turned(last.direction) };
