@@ -3,8 +3,8 @@
 //! A point `p` of the sensor collects `E = ∫ n'² L cos⁴θ′ / Z² dA` over the plane of the rear aperture's rim, at the
 //! distance `Z`; `L` is the scene's radiance where the ray through `p` and `dA` leaves the lens, 0 where an aperture
 //! stops it. Position in the pixel, point of `dA` and wavelength are sampled together; failed rays count as zero. The
-//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9 (2e-4 for a lens without
-//! symmetry). Apertures are hard.
+//! result is relative to a white scene's value on the axis, which [`rear`] integrates to 1e-9 (a lens without
+//! symmetry: 2e-5 to 4e-3). Apertures are hard.
 //!
 //! It shares lens and trace with the fast path, and neither PSF grid nor convolution: it is the judge of both. The
 //! estimate is unbiased but for the grid of wavelengths ([`rear`], below 1e-5). Directions come from the whole rear

@@ -5,7 +5,7 @@
 //! mean by more than 1e-5 of a blur's peak. On the axis of a rotationally symmetric
 //! lens `∫ n'² cos⁴θ / Z² dA = π n'² Σ (sin²θ_out − sin²θ_in)` over the intervals of angle that pass, whose ends are
 //! bisected; of a lens with tilts, decentres or freeform terms that is the mean over azimuths around the axis, at some of the wavelengths and
-//! between them on straight lines (2e-4 where apertures cut the beam, a test).
+//! between them on straight lines (2e-5 where no rim cuts the beam, 4e-3 with an element of the two-element lens 14 mm aside: a test).
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
