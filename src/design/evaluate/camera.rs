@@ -11,9 +11,8 @@ use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::Plane;
-use crate::imaging::reference;
-use crate::imaging::reference::Sampling;
 use crate::imaging::reference::seen::seen;
+use crate::imaging::reference::{self, Sampling, Tracer};
 use crate::imaging::render::{Channels, Renderer, frame_of};
 use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::cfa::mosaic_vjp;
@@ -25,9 +24,8 @@ use crate::psf::measured::knot;
 
 /// A way to captures.
 pub(super) struct Camera {
-    density: SpectralDensity,
-    /// Lens, rays a pixel and where they are drawn from, where rays make the image.
-    rays: Option<(Lens, usize, Sampling)>,
+    /// What makes the image of every patch where rays do.
+    tracer: Option<Tracer>,
     /// The other lens, where there is one.
     other: Option<Other>,
 }
@@ -59,13 +57,16 @@ impl Camera {
     pub(super) fn of(subject: &Subject, sensor: &Sensor, renderer: &Renderer, settings: &Settings) -> Result<Self> {
         let density = SpectralDensity::new(sensor);
         let taken = settings.through.as_ref().unwrap_or(subject);
-        let rays = match settings.rays {
-            Some(rays) => Some((taken.lens("captures by rays")?.clone(), rays, Sampling::Bounded)),
+        let tracer = match settings.rays {
+            Some(rays) => {
+                let lens = taken.lens("captures by rays")?;
+                Some(tracer(lens, &taken.frame()?, &density, sensor, rays, Sampling::Bounded)?)
+            }
             None => None,
         };
         let other = settings.through.as_ref();
         let other = other.map(|other| Other::of(other, subject, renderer, &density, settings)).transpose()?;
-        Ok(Self { density, rays, other })
+        Ok(Self { tracer, other })
     }
 
     /// Of a lens as it was built in place of the subject `own`, which `renderer` holds at one distance; `None`: of `own` itself. By `rays` a pixel, drawn alike
@@ -75,18 +76,16 @@ impl Camera {
     /// A lens on a frame of another size, or without light.
     pub(super) fn built(
         lens: Option<&Lens>,
-        own: &Lens,
-        sensor: &Sensor,
+        (own, own_seen): (&Lens, &[Seen]),
+        (sensor, density): (&Sensor, &SpectralDensity),
         renderer: &Renderer,
         rays: usize,
     ) -> Result<Self> {
-        let density = SpectralDensity::new(sensor);
-        let other = match lens {
-            Some(lens) => Some(Other::by_rays(lens, own, frame_of(lens)?, &density, renderer)?),
-            None => None,
-        };
-        let rays = Some((lens.unwrap_or(own).clone(), rays, Sampling::Wide));
-        Ok(Self { density, rays, other })
+        let taken = lens.unwrap_or(own);
+        let frame = frame_of(taken)?;
+        let tracer = Some(tracer(taken, &frame, density, sensor, rays, Sampling::Wide)?);
+        let other = lens.map(|lens| Other::by_rays(lens, frame, own_seen, density, renderer)).transpose()?;
+        Ok(Self { tracer, other })
     }
 
     /// What is judged, in words: the subject, and what else makes its captures.
@@ -106,7 +105,7 @@ impl Camera {
         (scale, [-right * per_slope / scale, up * per_slope / scale])
     }
 
-    /// The same, its pictures where and as large as they are.
+    /// From here on its pictures are where and as large as they are.
     pub(super) fn unaligned(mut self) -> Self {
         if let Some(other) = &mut self.other {
             other.aligned = Aligned { scale: 1.0, shift: [0.0; 2] };
@@ -116,15 +115,14 @@ impl Camera {
 
     /// The image of a patch where it does not come from `renderer`, whose lens the ideal picture is of.
     pub(super) fn image(&self, renderer: &Renderer, electronics: &Electronics, patch: &Patch) -> Result<Option<Image>> {
-        let (frame, scene) = match (&self.rays, &self.other) {
+        let (frame, scene) = match (&self.tracer, &self.other) {
             (None, None) => return Ok(None),
             (_, None) => (&renderer.plan.frame, Cow::Borrowed(&patch.scene)),
             (_, Some(other)) => (&other.frame, Cow::Owned(other.before(&patch.scene))),
         };
-        if let Some((lens, samples, sampling)) = &self.rays {
-            let (channels, seed) = (reference::Channels::Bayer(electronics.cfa), mixed(patch.noise_seed, 0x7261_7973));
-            let how = reference::Settings { samples: *samples, seed, channels, sampling: *sampling };
-            let mosaic = reference::render(lens, &scene, &self.density, frame, patch.region, how, None)?.mosaic();
+        if let Some(tracer) = &self.tracer {
+            let seed = mixed(patch.noise_seed, 0x7261_7973);
+            let mosaic = tracer.render(&scene, frame, patch.region, seed, None)?.mosaic();
             let cfa = electronics.at(patch.region).cfa;
             return Ok(Some(Image { irradiance: mosaic_vjp(mosaic.view(), cfa), mosaic: Some(mosaic) }));
         }
@@ -144,11 +142,11 @@ impl Other {
         density: &SpectralDensity,
         settings: &Settings,
     ) -> Result<Self> {
-        let (frame, own) = (other.frame()?, &renderer.plan.frame);
+        let (frame, own_frame) = (other.frame()?, &renderer.plan.frame);
         let refused =
             |place: &str, found: String, allowed: String| Err(Error::bad(other.name(), place, found, allowed));
-        if [own.columns, own.rows] != [frame.columns, frame.rows] {
-            let allowed = format!("{} x {} pixels, as the network's own lens", own.columns, own.rows);
+        if [own_frame.columns, own_frame.rows] != [frame.columns, frame.rows] {
+            let allowed = format!("{} x {} pixels, as the network's own lens", own_frame.columns, own_frame.rows);
             return refused("sensor", format!("{} x {}", frame.columns, frame.rows), allowed);
         }
         let [distance] = renderer.plan.depths.as_slice() else {
@@ -170,16 +168,22 @@ impl Other {
                     "captures by rays (--reference) behind a lens with a prescription".into(),
                 );
             };
-            return Self::by_rays(lens, own, frame, density, renderer);
+            return Self::by_rays(lens, frame, &seen_by(own, own_frame, density, renderer)?, density, renderer);
         }
         let renderer_of_other = other.renderer(density, &[vergence], settings.fineness)?;
         let aligned = Aligned::of([renderer, &renderer_of_other]);
         Ok(Self { name: other.name().to_owned(), frame, vergence, renderer: Some(renderer_of_other), aligned })
     }
 
-    /// `lens` with its `frame`, of the size of `own`'s, aligned with that by rays.
-    fn by_rays(lens: &Lens, own: &Lens, frame: Frame, density: &SpectralDensity, renderer: &Renderer) -> Result<Self> {
-        let aligned = Aligned::by_rays([own, lens], [&renderer.plan.frame, &frame], density, renderer)?;
+    /// `lens` with its `frame`, of the size of the subject's, aligned by rays with what the subject shows.
+    fn by_rays(
+        lens: &Lens,
+        frame: Frame,
+        own_seen: &[Seen],
+        density: &SpectralDensity,
+        renderer: &Renderer,
+    ) -> Result<Self> {
+        let aligned = Aligned::by_rays(own_seen, lens, &frame, density, renderer)?;
         let vergence = renderer.plan.depths[0].vergence;
         Ok(Self { name: lens.name.clone(), frame, vergence, renderer: None, aligned })
     }
@@ -235,37 +239,27 @@ impl Aligned {
         Self::fitted(&points)
     }
 
-    /// The same of two lenses on frames of one size, by rays through both: `renderer` holds the first.
+    /// The same of a lens that rays went through ([`seen_by`]), whom `renderer` holds, and another on a frame of its size.
     ///
     /// # Errors
-    /// As [`seen`]; a lens through which too little light reaches the frame.
+    /// As [`seen_by`]; a lens through which too little light reaches the frame.
     fn by_rays(
-        lenses: [&Lens; 2],
-        frames: [&Frame; 2],
+        own_seen: &[Seen],
+        lens: &Lens,
+        frame: &Frame,
         density: &SpectralDensity,
         renderer: &Renderer,
     ) -> Result<Self> {
-        let (frame, vergence) = (frames[0], renderer.plan.depths[0].vergence);
-        let place = |k: u32, n: usize| (2 * k as usize + 1) * n / (2 * POINTS as usize);
-        let pixels: Vec<[usize; 2]> =
-            (0..POINTS * POINTS).map(|k| [place(k / POINTS, frame.rows), place(k % POINTS, frame.columns)]).collect();
-        let (samples, channels) = (SEEN, reference::Channels::All);
-        let how = reference::Settings { samples, seed: 0, channels, sampling: Sampling::Wide };
-        let [from, to] = [0, 1].map(|k| seen(lenses[k], density, frames[k], vergence, &pixels, how));
-        let map = &renderer.optics.maps[0];
-        let points = pixels.iter().zip(from?).zip(to?).filter_map(|((pixel, from), to)| {
-            let per_slope = 1.0 / map.derivative(frame.radius_mm(pixel[1] as f64 + 0.5, pixel[0] as f64 + 0.5));
-            Some(Point { from: from?, to: to?, weight: per_slope * per_slope })
+        let (own_frame, map) = (&renderer.plan.frame, &renderer.optics.maps[0]);
+        let all_seen = seen_by(lens, frame, density, renderer)?;
+        let points = pixels(frame).zip(own_seen).zip(all_seen).filter_map(|(([row, col], from), to)| {
+            let per_slope = 1.0 / map.derivative(own_frame.radius_mm(col as f64 + 0.5, row as f64 + 0.5));
+            Some(Point { from: (*from)?, to: to?, weight: per_slope * per_slope })
         });
         let points: Vec<Point> = points.collect();
         if points.len() < FEWEST {
-            let found = format!("light at {} of {} places of the frame", points.len(), pixels.len());
-            return Err(Error::bad(
-                &lenses[1].name,
-                "surfaces",
-                found,
-                "a lens that can be aligned with the run's own",
-            ));
+            let found = format!("light at {} of {} places of the frame", points.len(), POINTS * POINTS);
+            return Err(Error::bad(&lens.name, "surfaces", found, "a lens that can be aligned with the run's own"));
         }
         Ok(Self::fitted(&points))
     }
@@ -284,6 +278,41 @@ impl Aligned {
         let scale = both / square;
         Self { scale, shift: [0, 1].map(|k| b[k] - scale * a[k]) }
     }
+}
+
+/// The slope `[right, up]` that a pixel shows, where light reaches it.
+pub(super) type Seen = Option<[f64; 2]>;
+
+/// Pixels `[row, column]` of a frame that lenses are aligned by.
+fn pixels(frame: &Frame) -> impl Iterator<Item = [usize; 2]> {
+    let place = |k: u32, n: usize| (2 * k as usize + 1) * n / (2 * POINTS as usize);
+    let [rows, columns] = [frame.rows, frame.columns];
+    (0..POINTS * POINTS).map(move |k| [place(k / POINTS, rows), place(k % POINTS, columns)])
+}
+
+/// What [`pixels`] of its frame show through a lens at the distance that `renderer` holds, by rays.
+///
+/// # Errors
+/// As [`seen`].
+pub(super) fn seen_by(lens: &Lens, frame: &Frame, density: &SpectralDensity, renderer: &Renderer) -> Result<Vec<Seen>> {
+    let pixels: Vec<[usize; 2]> = pixels(frame).collect();
+    let (samples, channels) = (SEEN, reference::Channels::All);
+    let how = reference::Settings { samples, seed: 0, channels, sampling: Sampling::Wide };
+    seen(lens, density, frame, renderer.plan.depths[0].vergence, &pixels, how)
+}
+
+/// Rays from `sensor`'s pixels through a lens on its frame, so many a pixel.
+fn tracer(
+    lens: &Lens,
+    frame: &Frame,
+    density: &SpectralDensity,
+    sensor: &Sensor,
+    samples: usize,
+    sampling: Sampling,
+) -> Result<Tracer> {
+    let channels = reference::Channels::Bayer(sensor.cfa);
+    let how = reference::Settings { samples, seed: 0, channels, sampling };
+    Tracer::new(lens, density, frame.max_radius_mm(), how)
 }
 
 /// What the pixels of a frame show through a lens.
@@ -356,8 +385,9 @@ mod tests {
             let off = [0, 1].map(|k| (pixels[k] - (axis[k] - [160.0, 120.0][k])).abs());
             assert!(off.iter().all(|v| *v < 0.15), "{pitch_um} {axis:?}: {pixels:?}");
             // The same by rays, which know the light of green alone.
-            let frames = [&own.plan.frame, &renderer(pitch_um, axis).plan.frame];
-            let by_rays = Aligned::by_rays([&plain, &plain], frames, &density, &own).expect("aligns");
+            let from = seen_by(&plain, &own.plan.frame, &density, &own).expect("seen");
+            let frame = &renderer(pitch_um, axis).plan.frame;
+            let by_rays = Aligned::by_rays(&from, &plain, frame, &density, &own).expect("aligns");
             let apart = [0, 1].map(|k| (by_rays.shift[k] - shift[k]).abs() * focal_mm * 1e3 / pitch_um);
             assert!(
                 (by_rays.scale / scale - 1.0).abs() < 1e-3 && apart.iter().all(|v| *v < 0.1),

@@ -3,9 +3,10 @@
 use std::time::Instant;
 
 use super::Judge;
-use super::camera::Camera;
+use super::camera::{Camera, seen_by};
 use crate::design::subject::Subject;
 use crate::error::{Error, Result};
+use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use crate::report::drawn::{Aspect, Drawn, Draws, Psnr};
 use crate::report::evaluation::Evaluation;
@@ -21,7 +22,7 @@ pub struct Built {
 
 impl Judge<'_> {
     /// PSNR behind each lens, by rays, of the pictures and places of this judgement: as it stands, and after its pictures were aligned. `told` hears the
-    /// share that is done, and ends the work by `false`: what was judged is the result.
+    /// share that is done, and after a draw ends the work by `false`: what was judged is the result.
     ///
     /// # Errors
     /// Settings without rays, or at several distances; the run of a measured lens; lenses on another frame. A drawn lens that shows nothing is told with the
@@ -52,8 +53,12 @@ impl Judge<'_> {
                 format!("{c} x {d} pixels, as the run's lens"),
             ));
         }
-        let through = |lens: Option<&Lens>| Camera::built(lens, own, self.sensor, &self.renderer, rays);
+        told(0.0);
         let started = Instant::now();
+        let density = SpectralDensity::new(self.sensor);
+        let own_seen = seen_by(own, &self.frame, &density, &self.renderer)?;
+        let through =
+            |lens: Option<&Lens>| Camera::built(lens, (own, &own_seen), (self.sensor, &density), &self.renderer, rays);
         let nominal = psnr(&self.through(&through(None)?, false, &mut |_| ())?.0)?;
         let shown = |lens: &Lens| -> Result<Aspect> {
             let camera = through(Some(lens))?;

@@ -19,7 +19,7 @@ use rayon::prelude::*;
 
 use super::rear::RearView;
 use super::stream::{Pixel, Sink, Stream, View, Waiting};
-use super::{Channels, GROUPS, Prepared, Settings};
+use super::{Channels, GROUPS, Settings, Tracer, check, reach_mm};
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
 use crate::imaging::plane::{Plane, Region};
@@ -99,12 +99,13 @@ pub fn render_vjp(
         return Err(Error::bad("", "passes", "0", "1 or more; 2 or more for an error"));
     }
     lens.require_symmetry("a gradient by rays from the sensor")?;
-    let prepared = Prepared::new(lens, scene, density, frame, region, settings)?;
-    let systems = Systems::new(lens, &prepared.rear);
+    check(scene, region)?;
+    let tracer = Tracer::new(lens, density, reach_mm(frame, region), settings)?;
+    let prepared = tracer.prepared(region.radii_mm(frame, 0.0));
+    let systems = Systems::new(lens, &tracer.rear);
     let mut gradient = Gradient { mean: LensGradient::zeros(lens), parts: Vec::new(), rays: 0 };
     for pass in 0..passes {
-        let settings = Settings { seed: mixed(settings.seed, pass as u64), ..settings };
-        let view = prepared.view(frame, settings);
+        let view = prepared.view(frame, mixed(settings.seed, pass as u64));
         let (part, rays) = one_pass(lens, scene, &systems, view, region, image_bar, passes);
         gradient.mean.add(&part);
         gradient.parts.push(part);

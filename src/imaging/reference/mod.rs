@@ -23,12 +23,11 @@ pub mod rear;
 mod sampler;
 pub mod seen;
 mod stream;
+mod tracer;
 
-use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use ndarray::{Array2, Array3, Axis};
-use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::imaging::frame::Frame;
@@ -37,17 +36,11 @@ use crate::imaging::sensor::cfa::Cfa;
 use crate::imaging::sensor::noise::mixed;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use bounds::Footprints;
-use draw::Texels;
-use pixels::{Row, Tally};
-use rear::RearView;
-use stream::{Pixel, View};
+
+pub use tracer::Tracer;
 
 /// Independent groups of rays a pixel: as few as show the noise, because larger groups are spread more evenly.
 const GROUPS: usize = 2;
-
-/// How much larger the ellipses of a lens without symmetry are than those of its upright twin.
-const GROWN: f64 = 1.1;
 
 /// Largest radiance of a scene: its square is far inside f32, in which variances are stored.
 const LARGEST: f32 = 1e15;
@@ -102,7 +95,7 @@ pub struct Rendered {
     pub outside: u64,
     /// Irradiance of white on the axis in the lens's units (sr, for a sensor in air): R, G, B.
     pub axis_irradiance: [f64; 3],
-    /// Wall time, preparation included.
+    /// Wall time; of [`render`] what is found out about the lens included.
     pub seconds: f64,
 }
 
@@ -119,16 +112,10 @@ impl Rendered {
     }
 }
 
-/// Renders `region` of `frame` as `lens` images `scene`, by rays from the sensor.
-///
-/// `progress` is told the share that is done, from any thread. The result does not depend on the number of threads, and
-/// a pixel of
-/// the frame does not depend on the region it is rendered in.
+/// Renders `region` of `frame` as `lens` images `scene`, by rays from the sensor: [`Tracer::render`] for one picture.
 ///
 /// # Errors
-/// Fewer than 2 samples; a scene without texels, with other than 1 or 3 channels, with a radiance that is not finite or
-/// beyond ±1e15 (the first is named) or a place that is not finite; a lens without room before its sensor; a region that
-/// no ray reaches.
+/// As [`Tracer::new`] and [`Tracer::render`].
 pub fn render(
     lens: &Lens,
     scene: &Plane,
@@ -139,90 +126,14 @@ pub fn render(
     progress: Option<&(dyn Fn(f64) + Sync)>,
 ) -> Result<Rendered> {
     let start = Instant::now();
-    let prepared = Prepared::new(lens, scene, density, frame, region, settings)?;
-    let texture = scene.texture.as_standard_layout();
-    let texels = Texels::new(scene, texture.as_slice().unwrap_or_default());
-    let view = prepared.view(frame, settings);
-    let planes = match settings.channels {
-        Channels::All => 3,
-        Channels::Bayer(_) => 1,
-    };
-    let mut mean = Array3::zeros((planes, region.rows, region.cols));
-    let mut variance = mean.clone();
-    let count = Count::default();
-    // One row a task; a pixel's stream depends on its place alone.
-    mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
-        |(i, (mut mean, mut variance))| {
-            let row = region.row + i.cast_signed();
-            let mut rays = Row::new(view, &texels);
-            let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
-            for (plane, j) in places() {
-                let col = region.col + j.cast_signed();
-                let channel = match settings.channels {
-                    Channels::All => plane,
-                    Channels::Bayer(cfa) => {
-                        cfa.channel(row.rem_euclid(2).cast_unsigned(), col.rem_euclid(2).cast_unsigned())
-                    }
-                };
-                rays.add(Pixel { row, col, channel });
-            }
-            for ((plane, j), (m, v)) in places().zip(rays.finish()) {
-                mean[[plane, j]] = m as f32;
-                variance[[plane, j]] = v as f32;
-            }
-            let done = count.add(&rays.tally());
-            if let Some(progress) = progress {
-                progress(done as f64 / region.rows as f64);
-            }
-        },
-    );
-    let [rays, passed, outside] = [&count.rays, &count.passed, &count.outside].map(|n| n.load(Ordering::Relaxed));
-    if passed == 0 {
-        let found =
-            format!("no rays reach the sensor: {rays} were started within {:.3} mm of the axis", prepared.radii_mm[1]);
-        return Err(Error::bad("", "rendered region", found, "a region inside the lens's image circle"));
-    }
-    let seconds = start.elapsed().as_secs_f64();
-    Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: prepared.rear.axis_irradiance, seconds })
+    check(scene, region)?;
+    let tracer = Tracer::new(lens, density, reach_mm(frame, region), settings)?;
+    tracer.drawn(scene, frame, region, settings.seed, progress, start)
 }
 
-/// What is found out about a lens before its first ray counts.
-struct Prepared {
-    rear: RearView,
-    footprints: Option<Footprints>,
-    /// Smallest and largest distance of the region from the axis.
-    radii_mm: [f64; 2],
-}
-
-impl Prepared {
-    fn new(
-        lens: &Lens,
-        scene: &Plane,
-        density: &SpectralDensity,
-        frame: &Frame,
-        region: Region,
-        settings: Settings,
-    ) -> Result<Self> {
-        check(scene, region, settings)?;
-        let radii_mm = region.radii_mm(frame, 0.0);
-        // The whole frame's view, so that a part of a picture equals the same part of the whole.
-        let rear = RearView::new(lens, density, radii_mm[1].max(frame.max_radius_mm()))?;
-        let footprints = match settings.sampling {
-            Sampling::RearAperture => None,
-            Sampling::Bounded if lens.is_symmetric() => Some(Footprints::probe(&rear, radii_mm)),
-            // A lens that lets no light through when its surfaces stand upright has no ellipses.
-            Sampling::Bounded | Sampling::Wide => lens
-                .upright()
-                .and_then(|lens| RearView::without_white(&lens, density, rear.radius_mm))
-                .ok()
-                .map(|rear| Footprints::probe(&rear, radii_mm).grown(GROWN)),
-        };
-        Ok(Self { rear, footprints, radii_mm })
-    }
-
-    fn view<'a>(&'a self, frame: &'a Frame, settings: Settings) -> View<'a> {
-        View { frame, rear: &self.rear, footprints: self.footprints.as_ref(), settings }
-    }
+/// Largest distance from the axis, mm, of the whole frame and of a region: a part of a picture equals the same part of the whole.
+fn reach_mm(frame: &Frame, region: Region) -> f64 {
+    region.radii_mm(frame, 0.0)[1].max(frame.max_radius_mm())
 }
 
 /// Two independent renderings with half the samples each, for [`halves`].
@@ -250,7 +161,7 @@ pub fn render_halves(
     Ok([half(0)?, half(1)?])
 }
 
-fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
+fn check(scene: &Plane, region: Region) -> Result<()> {
     let (channels, rows, cols) = scene.texture.dim();
     if !(channels == 1 || channels == 3) || rows == 0 || cols == 0 {
         let found = format!("{channels} channels of {rows} × {cols} texels");
@@ -272,29 +183,7 @@ fn check(scene: &Plane, region: Region, settings: Settings) -> Result<()> {
         let found = format!("{} × {} pixels", region.rows, region.cols);
         return Err(Error::bad("", "rendered region", found, "at least one pixel"));
     }
-    if settings.samples < 2 {
-        let allowed = "2 or more, so that the noise can be estimated";
-        return Err(Error::bad("", "samples per pixel", settings.samples.to_string(), allowed));
-    }
     Ok(())
-}
-
-/// The sum over rows; whole numbers, so that the order does not matter.
-#[derive(Default)]
-struct Count {
-    rows: AtomicU64,
-    rays: AtomicU64,
-    passed: AtomicU64,
-    outside: AtomicU64,
-}
-
-impl Count {
-    fn add(&self, tally: &Tally) -> u64 {
-        self.rays.fetch_add(tally.rays, Ordering::Relaxed);
-        self.passed.fetch_add(tally.passed, Ordering::Relaxed);
-        self.outside.fetch_add(tally.outside, Ordering::Relaxed);
-        self.rows.fetch_add(1, Ordering::Relaxed) + 1
-    }
 }
 
 #[cfg(test)]

@@ -1,16 +1,14 @@
 //! Where the light of pixels comes from: the mean object slope over all rays that reach each of them. What a lens shows at a place, whatever its blur, its
 //! tilts and decentres do to the chief ray.
 
-use ndarray::Array3;
 use rayon::prelude::*;
 
 use super::gradient::object_slope;
 use super::rear::RearView;
 use super::stream::{Pixel, Sink, Stream, Waiting};
-use super::{GROUPS, Prepared, Settings};
+use super::{GROUPS, Settings, Tracer};
 use crate::error::Result;
 use crate::imaging::frame::Frame;
-use crate::imaging::plane::{Plane, Region};
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 
@@ -21,7 +19,7 @@ const CHANNEL: usize = 1;
 /// where none arrives.
 ///
 /// # Errors
-/// As [`super::render`].
+/// Fewer than 2 samples; a lens without room before its sensor.
 pub fn seen(
     lens: &Lens,
     density: &SpectralDensity,
@@ -30,9 +28,10 @@ pub fn seen(
     pixels: &[[usize; 2]],
     settings: Settings,
 ) -> Result<Vec<Option<[f64; 2]>>> {
-    let scene = Plane { texture: Array3::ones((1, 1, 1)), texels_per_slope: 1.0, axis_texel: [0.5; 2], vergence };
-    let prepared = Prepared::new(lens, &scene, density, frame, Region::whole(frame), settings)?;
-    let view = prepared.view(frame, settings);
+    let radius_mm = frame.max_radius_mm();
+    let tracer = Tracer::without_white(lens, density, radius_mm, settings)?;
+    let prepared = tracer.prepared([0.0, radius_mm]);
+    let view = prepared.view(frame, settings.seed);
     let one = |[row, col]: &[usize; 2]| {
         let mut sums = Slopes { rear: view.rear, vergence, size: view.group_size() as f64, sums: [0.0; 3] };
         let mut stream = Stream::new(view);

@@ -21,14 +21,15 @@ fn picture(
     white: Option<[f64; 3]>,
 ) -> (Array3<f64>, [f64; 3], u64) {
     let density = SpectralDensity::new(&Sensor::generic());
-    let mut prepared = Prepared::new(lens, scene, &density, frame, region, settings).expect("prepares");
-    let own = prepared.rear.axis_irradiance;
-    prepared.rear.axis_irradiance = white.unwrap_or(own);
+    let mut tracer = Tracer::new(lens, &density, reach_mm(frame, region), settings).expect("a tracer");
+    let own = tracer.rear.axis_irradiance;
+    tracer.rear.axis_irradiance = white.unwrap_or(own);
+    let prepared = tracer.prepared(region.radii_mm(frame, 0.0));
     let texels = Texels::new(scene, scene.texture.as_slice().expect("standard"));
     let mut image = Array3::zeros((3, region.rows, region.cols));
     let mut passed = 0;
     for i in 0..region.rows {
-        let mut row = Row::new(prepared.view(frame, settings), &texels);
+        let mut row = Row::new(prepared.view(frame, settings.seed), &texels);
         let places: Vec<(usize, usize)> = (0..region.cols).flat_map(|j| (0..3).map(move |c| (c, j))).collect();
         for (channel, j) in &places {
             let (row_number, col) = (region.row + i.cast_signed(), region.col + j.cast_signed());

@@ -3,6 +3,7 @@
 use glam::{DVec2, DVec3};
 use ndarray::s;
 
+use super::super::rear::RearView;
 use super::*;
 use crate::lens::pose::{Element, Pose};
 use crate::lens::{Xy, Zernike};
@@ -122,4 +123,34 @@ fn rays_from_the_sensor_are_rays_from_the_object() {
         render(&lens.upright().expect("a lens"), &waves(1e-3), &density(), &frame, region, settings(256), None);
     let off = (&upright.expect("renders").mean - &bounded.mean).mapv(f32::abs).slice(s![1, .., ..]).mean();
     assert!(off.expect("pixels") > 0.02, "{off:?}");
+}
+
+/// One tracer for many pictures makes those that are made each for itself, and refuses places that it does not know.
+#[test]
+fn one_tracer_serves_many_pictures() {
+    let lens =
+        moved(&builtin::lens("two_element").expect("shipped"), Pose { decentre: [0.1, 0.0], tilt: [0.01, 0.0, 0.0] });
+    let frame = Frame::centred(60, 40, 0.1).expect("valid");
+    let scene = Plane {
+        texture: Array3::from_shape_fn((3, 60, 60), |(c, i, j)| ((i * (c + 1) + j) % 7) as f32 / 7.0),
+        texels_per_slope: 400.0,
+        axis_texel: [30.0; 2],
+        vergence: lens.object_vergence,
+    };
+    let settings = Settings { samples: 8, seed: 5, channels: Channels::All, sampling: Sampling::Bounded };
+    let tracer =
+        Tracer::new(&lens, &density(), frame.max_radius_mm(), Settings { seed: 99, ..settings }).expect("a tracer");
+    for (row, seed) in [(2, 5), (30, 6)] {
+        let region = Region { row, col: 10, rows: 4, cols: 7 };
+        let own =
+            render(&lens, &scene, &density(), &frame, region, Settings { seed, ..settings }, None).expect("renders");
+        let shared = tracer.render(&scene, &frame, region, seed, None).expect("renders");
+        assert_eq!((own.mean, own.variance, own.rays), (shared.mean, shared.variance, shared.rays));
+    }
+    let beyond = Region { row: 300, col: 10, rows: 2, cols: 2 };
+    let error = tracer.render(&scene, &frame, beyond, 1, None).expect_err("beyond").to_string();
+    assert!(error.contains("mm from it"), "{error}");
+    let one =
+        Tracer::new(&lens, &density(), 1.0, Settings { samples: 1, ..settings }).expect_err("one ray").to_string();
+    assert!(one.contains("2 or more"), "{one}");
 }
