@@ -16,9 +16,12 @@ mod test_model;
 pub mod tiles;
 pub mod valid;
 
-/// What a program does that was started by itself to decode a file or to run a network: all of it is done, and the program ends. `None` where it was
-/// started by somebody else. The first thing in `main`.
-pub fn serve_child() -> Option<std::io::Result<()>> {
+use std::process::ExitCode;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// What a program does that was started by itself to decode a file or to run a network: all of it is done, and the program ends with this code. `None` where
+/// it was started by somebody else. The first thing in `main`.
+pub fn serve_child() -> Option<ExitCode> {
     let mut arguments = std::env::args_os().skip(1);
     let first = arguments.next()?;
     let serve: Box<dyn FnOnce() -> std::io::Result<()>> = match (arguments.next(), arguments.next()) {
@@ -32,5 +35,10 @@ pub fn serve_child() -> Option<std::io::Result<()>> {
     };
     // The parent tells of a panic.
     std::panic::set_hook(Box::new(|_| {}));
-    Some(serve())
+    Some(if serve().is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// What `mutex` holds, also after a panic of who held it: what panics here (a runtime, a writer) leaves nothing half done that is asked again.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

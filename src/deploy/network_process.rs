@@ -9,13 +9,14 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::process::Child;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, mpsc};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use ndarray::{Array4, ArrayView4};
 use serde::{Deserialize, Serialize};
 
 use super::child::{self, Limits, Start};
+use super::lock;
 use super::session::{Choice, Options, Runtime, Session};
 use crate::error::{Error, Result};
 
@@ -165,10 +166,6 @@ impl Refused {
 
 /// A tile's result, and the time within the runtime.
 type Answer = std::result::Result<(Array4<f32>, Duration), Refused>;
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// The child's side: opens what it is told to on `input`, and answers its tiles on `out` until there are no more.
 ///

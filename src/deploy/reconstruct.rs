@@ -11,6 +11,7 @@ use ndarray::{Array3, ArrayView2, ArrayView4};
 use crate::calibrate::file::MeasuredDistortion;
 use crate::calibrate::shading::MeasuredShading;
 use crate::deploy::kit::Kit;
+use crate::deploy::lock;
 use crate::deploy::network_process::{Apart, Network};
 use crate::deploy::raw::{RawCapture, RawPixels};
 use crate::deploy::session::Options;
@@ -347,7 +348,7 @@ impl Calibrated {
         let inside = std::sync::Mutex::new(Duration::ZERO);
         let one = |tile: ArrayView4<'_, f32>| {
             let (output, took) = network.run(tile)?;
-            *inside.lock().unwrap_or_else(std::sync::PoisonError::into_inner) += took;
+            *lock(&inside) += took;
             Ok(output)
         };
         let (tiling, parallel) = (self.kit.tiling()?, network.parallel_tiles());

@@ -7,7 +7,7 @@
 use std::collections::{BTreeMap, HashMap};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 
 use ndarray::{Array4, ArrayView4};
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,7 @@ use tract_onnx::prelude::{
     Framework, InferenceModelExt, IntoRunnable, RunnableModel, Tensor, TypedFact, TypedOp, tvec,
 };
 
+use crate::deploy::lock;
 use crate::deploy::onnxruntime::{Candidate, candidates, version_of};
 use crate::error::{Error, Result};
 
@@ -213,11 +214,6 @@ impl Session {
 /// Bytes that are no ONNX model with one image in and one out.
 pub fn metadata(model: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
     Ok(metadata_of(&read_proto(model, file)?))
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    // A panic while it was held leaves nothing half done that matters: the session is only asked again.
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Runs what may panic inside a runtime; errors become their first line.

@@ -7,10 +7,11 @@
 
 use std::collections::BTreeSet;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError, RwLock};
+use std::sync::{Mutex, PoisonError, RwLock};
 
 use ndarray::{Array3, Array4, ArrayView3, ArrayView4, s};
 
+use super::lock;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Guide;
 use crate::imaging::plane::{Region, mirrored};
@@ -225,10 +226,6 @@ impl Way {
     fn free(&mut self, row: usize) -> Vec<Kept> {
         self.waiting.extract_if(.., |w| w.to[0] + w.part.dim().1 <= row).collect()
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Writes parts into the picture.

@@ -18,8 +18,8 @@ use isoplanat::deploy::serve_child;
 static PANIC: Mutex<String> = Mutex::new(String::new());
 
 fn main() -> ExitCode {
-    if let Some(served) = serve_child() {
-        return if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+    if let Some(code) = serve_child() {
+        return code;
     }
     std::panic::set_hook(Box::new(|info| {
         if let Ok(mut text) = PANIC.lock() {

@@ -228,8 +228,8 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
 
 fn main() -> ExitCode {
     #[cfg(feature = "deploy")]
-    if let Some(served) = isoplanat::deploy::serve_child() {
-        return if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE };
+    if let Some(code) = isoplanat::deploy::serve_child() {
+        return code;
     }
     let Cli { command, memory_gib, glass, glass_for } = Cli::parse();
     let mut out = BufWriter::new(std::io::stdout().lock());
