@@ -15,6 +15,8 @@ pub enum Quantity {
     FocalLength,
     /// Focal length over entrance-pupil diameter.
     FNumber,
+    /// Of the paraxial cone of light that the lens's own object distance sends to the image: `1 / (2 n'u')`. Of an object at infinity the f-number.
+    WorkingFNumber,
     /// First vertex to sensor, mm.
     Track,
     /// Last vertex to sensor, mm.
@@ -60,6 +62,7 @@ impl Quantity {
         match self {
             Self::FocalLength => "focal_length".into(),
             Self::FNumber => "f_number".into(),
+            Self::WorkingFNumber => "working_f_number".into(),
             Self::Track => "track".into(),
             Self::BackFocus => "back_focus".into(),
             Self::Centre(i) => format!("surface[{i}].centre"),
@@ -71,15 +74,20 @@ impl Quantity {
         }
     }
 
-    /// Whether the solver sees it as a function of the power, which a value of 0 has not.
+    /// Whether the solver sees it as a function of its inverse, which may be 0.
     pub(super) fn is_inverse(self) -> bool {
-        matches!(self, Self::FocalLength | Self::FNumber)
+        matches!(self, Self::FocalLength | Self::FNumber | Self::WorkingFNumber)
     }
 
     /// Its unit, for tables.
     pub fn unit(self) -> &'static str {
         match self {
-            Self::FNumber | Self::Slope(_) | Self::Reach(_) | Self::Distortion(_) | Self::GlassLine(_) => "",
+            Self::FNumber
+            | Self::WorkingFNumber
+            | Self::Slope(_)
+            | Self::Reach(_)
+            | Self::Distortion(_)
+            | Self::GlassLine(_) => "",
             _ => "mm",
         }
     }
@@ -97,24 +105,30 @@ pub(super) struct Held<'a> {
 }
 
 impl Held<'_> {
-    /// The value of `quantity` as the solver sees it near `bound`, and its derivatives: focal length and f-number as functions of the
-    /// power, which stay finite through an afocal lens and agree with them at the bound to first order.
+    /// The value of `quantity` as the solver sees it near `bound`, and its derivatives: focal length and f-numbers as functions of their
+    /// inverses, which stay finite through an afocal lens and agree with them at the bound to first order.
     pub(super) fn near(&self, quantity: Quantity, bound: f64) -> Value {
+        match self.inverse(quantity) {
+            Some(inverse) => inverse.map(bound + bound * (1.0 - inverse.value * bound), -bound * bound),
+            None => self.value(quantity),
+        }
+    }
+
+    /// One over a quantity that [is seen so](Quantity::is_inverse).
+    fn inverse(&self, quantity: Quantity) -> Option<Value> {
+        let FirstOrder { power, skew, pupil_diameter, pupil_position, .. } = &self.first;
         match quantity {
-            Quantity::FocalLength => {
-                let power = &self.first.power;
-                power.map(bound + bound * (1.0 - power.value * bound), -bound * bound)
+            Quantity::FocalLength => Some(power.clone()),
+            Quantity::FNumber => Some(power.times(pupil_diameter)),
+            Quantity::WorkingFNumber => {
+                // The ray from the axial object point to the pupil's rim has slope and height in the proportion of v and 1 at the first vertex.
+                let v = self.numbers.object_vergence;
+                let slope = power.plus(skew, -v);
+                let reach = pupil_position.map(1.0 + v * pupil_position.value, v);
+                let cone = pupil_diameter.times(&slope).times(&reach.map(reach.value.recip(), -reach.value.powi(-2)));
+                Some(cone.map(cone.value.abs(), cone.value.signum()))
             }
-            Quantity::FNumber => {
-                let (power, pupil) = (&self.first.power, &self.first.pupil_diameter);
-                let inverse = power.value * pupil.value;
-                let by = power.by.iter().zip(&pupil.by);
-                Value {
-                    value: bound + bound * (1.0 - inverse * bound),
-                    by: by.map(|(a, b)| -bound * bound * (a * pupil.value + b * power.value)).collect(),
-                }
-            }
-            _ => self.value(quantity),
+            _ => None,
         }
     }
 
@@ -129,17 +143,10 @@ impl Held<'_> {
         let n = self.variables.parameters.len();
         let surfaces = &self.numbers.surfaces;
         match quantity {
-            Quantity::FocalLength => {
-                let f = self.first.power.value.recip();
-                self.first.power.map(f, -f * f)
-            }
-            Quantity::FNumber => {
-                let inverse = self.first.power.value * self.first.pupil_diameter.value;
-                let f = inverse.recip();
-                let by = self.first.power.by.iter().zip(&self.first.pupil_diameter.by);
-                let slope =
-                    |(a, b): (&f64, &f64)| -f * f * (a * self.first.pupil_diameter.value + b * self.first.power.value);
-                Value { value: f, by: by.map(slope).collect() }
+            Quantity::FocalLength | Quantity::FNumber | Quantity::WorkingFNumber => {
+                let inverse = self.inverse(quantity).unwrap_or_else(|| Value::constant(0.0, n));
+                let f = inverse.value.recip();
+                inverse.map(f, -f * f)
             }
             Quantity::Track => self.thicknesses(0..surfaces.len()),
             Quantity::BackFocus => self.thicknesses(surfaces.len() - 1..surfaces.len()),

@@ -21,6 +21,16 @@ impl Value {
     pub(super) fn map(&self, value: f64, slope: f64) -> Self {
         Self { value, by: self.by.iter().map(|d| slope * d).collect() }
     }
+
+    pub(super) fn times(&self, other: &Self) -> Self {
+        let by = self.by.iter().zip(&other.by).map(|(a, b)| a * other.value + b * self.value);
+        Self { value: self.value * other.value, by: by.collect() }
+    }
+
+    pub(super) fn plus(&self, other: &Self, factor: f64) -> Self {
+        let by = self.by.iter().zip(&other.by).map(|(a, b)| a + factor * b);
+        Self { value: self.value + factor * other.value, by: by.collect() }
+    }
 }
 
 /// First-order data at the primary wavelength, mm.

@@ -115,7 +115,7 @@ pub struct Spec {
 }
 
 /// Names of constraints and targets; some stand for many.
-const GROUPS: &str = "focal_length, f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
+const GROUPS: &str = "focal_length, f_number, working_f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
                       surface[i].centre, surface[i].slope, surface[i].reach";
 
 impl Spec {
@@ -235,6 +235,7 @@ fn quantities(lens: &Lens, merit: &Merit, place: &str, name: &str, file: &str) -
     Ok(match name {
         "focal_length" => vec![Quantity::FocalLength],
         "f_number" => vec![Quantity::FNumber],
+        "working_f_number" => vec![Quantity::WorkingFNumber],
         "track" => vec![Quantity::Track],
         "back_focus" => vec![Quantity::BackFocus],
         "edge_glass" => places.take(count - 1).filter(glass).map(Quantity::Edge).collect(),

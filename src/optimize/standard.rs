@@ -6,7 +6,7 @@ use super::merit::Merit;
 use super::problem::Problem;
 use crate::error::{Error, Result};
 use crate::lens::variables::Variables;
-use crate::lens::{Kind, Lens, Parameter, paraxial};
+use crate::lens::{Aperture, Kind, Lens, Parameter, paraxial};
 
 /// Least thickness of glass on the axis and at the rim, of air at both, in focal lengths.
 const CENTRE: f64 = 0.02;
@@ -17,13 +17,15 @@ const THICKEST: f64 = 0.3;
 const GROWTH: f64 = 1.5;
 /// How much longer a lens may become.
 const LONGER: f64 = 1.2;
+/// How many times as large the working f-number may become.
+const DARKER: f64 = 1.05;
 /// Steepest surface (56°), and how far a conic may go towards its edge.
 const SLOPE: f64 = 1.5;
 const REACH: f64 = 0.9;
 
 impl Problem {
     /// Curvatures of refracting surfaces and all thicknesses within [`Self::bounds_of`]; the focal length held, the length to 1.2 of the
-    /// start's; glass and air kept open ([`Self::room`]); spots over the field.
+    /// start's; the cone of light kept ([`Self::light`]); glass and air kept open ([`Self::room`]); spots over the field.
     pub fn standard(lens: &Lens) -> Self {
         let n = lens.indices(lens.wavelengths.primary_nm);
         let chosen = |p: &Parameter| match p.kind {
@@ -37,6 +39,7 @@ impl Problem {
             let bounds = [f64::NEG_INFINITY, LONGER * lens.length()];
             constraints.push(Constraint { quantity: Quantity::Track, bounds });
         }
+        constraints.extend(Self::light(lens));
         constraints.extend(Self::room(lens));
         Self::new(lens, Parameter::all(lens).filter(chosen).collect(), constraints, Merit::default())
     }
@@ -53,6 +56,16 @@ impl Problem {
         let f = paraxial::first_order(lens, lens.wavelengths.primary_nm).effective_focal_length;
         let held = Constraint { quantity: Quantity::FocalLength, bounds: [f, f] };
         if f.is_finite() && f.abs() < 1e9 { vec![held] } else { Vec::new() }
+    }
+
+    /// The working f-number within 1.05 of the start's, where the aperture's own number does not hold it. The entrance pupil of a near object is free to move: left
+    /// alone it runs to infinity, where a pupil of the same diameter lets no light through, and spots vanish.
+    pub fn light(lens: &Lens) -> Vec<Constraint> {
+        let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
+        let free = lens.object_vergence != 0.0 || matches!(lens.aperture, Aperture::StopSemiDiameter(_));
+        let (quantity, most) = (Quantity::WorkingFNumber, DARKER * first.working_f_number.abs());
+        let held = Constraint { quantity, bounds: [f64::NEG_INFINITY, most] };
+        if free && most.is_finite() && most > 0.0 { vec![held] } else { Vec::new() }
     }
 
     /// Edges of glass and air, slopes and reaches of surfaces: the standard bounds, or the start's own value where that is beyond them.

@@ -87,6 +87,7 @@ fn gradients_of_constraints_agree_with_differences() {
         let mut all = vec![
             Quantity::FocalLength,
             Quantity::FNumber,
+            Quantity::WorkingFNumber,
             Quantity::Track,
             Quantity::BackFocus,
             Quantity::Distortion(1),
@@ -214,4 +215,31 @@ fn searched_lenses_pass_light_over_their_own_field() {
         let own = merit_of(&o.lens, &problem.merit).expect("rays of its own field pass");
         assert!(own <= 1.5 * o.rms_mm[1] + 1e-6, "{own} mm for {}", o.rms_mm[1]);
     }
+}
+
+/// A lens of a near object whose spots are judged from 0.5 to 1.5 m keeps its cone of light. With the entrance pupil left alone it runs to infinity, where a pupil of
+/// the same diameter lets no light through, and 127 µm become 0.1.
+#[test]
+fn light_is_not_given_away_for_spots() {
+    let lens = builtin::lens("three_element").expect("shipped");
+    let found = |range: Option<&str>| {
+        let range = range.map(|r| ("working_f_number".to_owned(), spec::Range::parse(r, "test").expect("a range")));
+        let spec = spec::Spec {
+            depths_mm: Some(vec![500.0, 700.0, 1000.0, 1500.0]),
+            constraints: range.into_iter().collect(),
+            ..spec::Spec::default()
+        };
+        let problem = spec.problem(&lens, "test").expect("a problem");
+        optimize(&problem, Limits::default(), &mut |_| true).expect("a lens")
+    };
+    let cone = |lens: &Lens| crate::lens::paraxial::first_order(lens, lens.wavelengths.primary_nm).working_f_number;
+    // What stands out of focus at one distance while another is sharp leaves no spots of micrometres.
+    for (range, most) in [(None, 1.05 * cone(&lens)), (Some("..4.3"), 4.3)] {
+        let kept = found(range);
+        assert!(cone(&kept.lens) <= most * 1.0001, "{} of {}", cone(&kept.lens), cone(&lens));
+        assert!(kept.rms_mm[1] > 0.02 && kept.rms_mm[1] <= kept.rms_mm[0], "{:?}", kept.rms_mm);
+    }
+    assert!(found(Some("..4.3")).rms_mm[1] < 0.06);
+    let free = found(Some(".."));
+    assert!(cone(&free.lens) > 100.0 && free.rms_mm[1] < 1e-3, "{} {:?}", cone(&free.lens), free.rms_mm);
 }
