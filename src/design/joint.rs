@@ -10,6 +10,7 @@ use ndarray::{Array3, ArrayView4, Axis, Ix3, SliceInfo, SliceInfoElem, s};
 use rayon::prelude::*;
 
 use super::chain::{Patch, PatchForward, forward, forward_vjp};
+use super::distances::Distances;
 use super::lens_steps::{LensSteps, Stepped};
 use super::noise::Noise;
 use crate::error::Result;
@@ -42,6 +43,8 @@ pub struct Joint {
     pub rejected: usize,
     /// Gradients of its numbers, since somebody cleared them.
     pub noise: Noise,
+    /// How much object distances count.
+    pub distances: Distances,
     /// Least illumination of any pixel relative to the axis that a step keeps; `None`: whatever comes.
     pub least_illumination: Option<f64>,
     /// The last lens that was rendered.
@@ -99,6 +102,7 @@ impl Joint {
             steps,
             rejected: 0,
             noise: Noise::default(),
+            distances: Distances::default(),
             least_illumination: None,
             damping: 1.0,
         }
@@ -122,9 +126,9 @@ impl Joint {
         }
     }
 
-    /// Makes the network's filters anew for the lens that `renderer` holds; a lens that has none keeps the old ones.
+    /// Makes what the network is told of its lens anew for the one that `renderer` holds; a lens that has none keeps the old filters.
     pub fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
-        if self.guide.filters().is_none() {
+        if self.guide.facts().is_none() {
             return;
         }
         let started = Instant::now();
@@ -162,16 +166,22 @@ impl Joint {
         let [input, target] = [&inputs, &truths].map(|all| ndarray::stack(Axis(0), all).expect("equal sizes"));
         let psnr = |a: ArrayView4<'_, f32>| l1_and_psnr(a.iter(), target.iter()).1;
         let input_psnr_db = psnr(input.slice(s![.., ..3, .., ..]));
+        let depths = patches.iter().map(|p| renderer.plan.depth(p.scene.vergence)).collect::<Result<Vec<usize>>>()?;
+        #[expect(clippy::cast_possible_truncation, reason = "weights of the order of one")]
+        let weights: Vec<f32> = depths.iter().map(|d| self.distances.weight(*d) as f32).collect();
+        let weights = weights.iter().any(|w| *w != 1.0).then_some(weights.as_slice());
         let clock = Instant::now();
         if lens_rate == 0.0 {
-            let s = self.network.step_network_only(input.view(), target.view(), network_rate)?;
+            let s = self.network.step_network_only(input.view(), target.view(), weights, network_rate)?;
             let loss = f64::from(s.loss);
             let network_seconds = clock.elapsed().as_secs_f64();
+            self.see(&depths, s.output.view(), target.view());
             let output_psnr_db = psnr(s.output.view());
             return Ok(Report { loss, input_psnr_db, output_psnr_db, lens: None, network_seconds });
         }
-        let s = self.network.step(input.view(), target.view(), network_rate, true)?;
+        let s = self.network.step(input.view(), target.view(), weights, network_rate, true)?;
         let network_seconds = clock.elapsed().as_secs_f64();
+        self.see(&depths, s.output.view(), target.view());
         // Back through imaging, patch by patch, and through the lens once.
         let bars: Vec<OpticsBar> = patches
             .par_iter()
@@ -190,6 +200,13 @@ impl Joint {
         let output_psnr_db = psnr(s.output.view());
         let loss = f64::from(s.loss);
         Ok(Report { loss, input_psnr_db, output_psnr_db, lens, network_seconds })
+    }
+
+    /// Takes in how good pictures at these distances were.
+    fn see(&mut self, depths: &[usize], output: ArrayView4<'_, f32>, target: ArrayView4<'_, f32>) {
+        for ((depth, output), target) in depths.iter().zip(output.outer_iter()).zip(target.outer_iter()) {
+            self.distances.see(*depth, l1_and_psnr(output.iter(), target.iter()).0);
+        }
     }
 
     /// Moves the lens against the gradient that `bar` pulls back to it.

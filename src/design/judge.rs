@@ -32,6 +32,8 @@ pub(super) struct Camera<'a> {
     pub(super) guide: &'a Guide,
     /// Where the lens is judged by its own images, the network left out.
     pub(super) sensor_loss: Option<&'a SensorLoss>,
+    /// Whether the distance with the lowest PSNR behind the network is what counts, in place of the mean.
+    pub(super) worst: bool,
 }
 
 impl Camera<'_> {
@@ -90,19 +92,27 @@ impl Camera<'_> {
     }
 }
 
-/// Mean L1 and PSNR before and after the network over `count` patches that `draw` makes for the object distances of `renderer` in turn.
+/// Mean L1 and PSNR before and after the network over `count` patches that `draw` makes for the object distances of `renderer` in turn; where
+/// the worst distance counts, the lowest of the distances' mean PSNR after it.
 fn mean(camera: &Camera<'_>, count: usize, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
     let mut sum = Entry::default();
     let maps = &camera.renderer.optics.maps;
+    let mut by_distance = vec![[0.0; 2]; maps.len()];
     for number in 0..count {
         let [capture, output, truth] = camera.taken(&draw(number as u64, &maps[number % maps.len()]))?;
         let (input, out) = (l1_and_psnr(capture.iter(), truth.iter()), l1_and_psnr(output.iter(), truth.iter()));
         sum.loss += out.0;
         sum.input_psnr_db += input.1;
         sum.output_psnr_db += out.1;
+        let [db, of] = &mut by_distance[number % maps.len()];
+        (*db, *of) = (*db + out.1, *of + 1.0);
     }
     let n = count.max(1) as f64;
     [&mut sum.loss, &mut sum.input_psnr_db, &mut sum.output_psnr_db].into_iter().for_each(|v| *v /= n);
+    if camera.worst {
+        let seen = by_distance.iter().filter(|[_, of]| *of > 0.0).map(|[db, of]| db / of);
+        sum.output_psnr_db = seen.reduce(f64::min).unwrap_or(sum.output_psnr_db);
+    }
     Ok(sum)
 }
 
@@ -122,7 +132,8 @@ pub fn validate(
     let renderer = Renderer::planned(lens, &scenery.frame, &density, &[lens.object_vergence], settings)?;
     let places = Places::new(&scenery.frame, patch, Spread::Area);
     let (network, guide) = told;
-    let camera = Camera { renderer: &renderer, electronics: &electronics, network, guide, sensor_loss: None };
+    let camera =
+        Camera { renderer: &renderer, electronics: &electronics, network, guide, sensor_loss: None, worst: false };
     mean(&camera, count, |number, map| {
         scenery.textures.numbered((scenery.seed, number), &places, &scenery.frame, map, told.1.reach())
     })

@@ -12,6 +12,7 @@ pub mod compare;
 pub mod constraint;
 pub mod data;
 pub mod designing;
+pub mod distances;
 pub mod evaluate;
 pub mod folder;
 pub mod joint;

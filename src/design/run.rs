@@ -7,6 +7,7 @@
 use std::time::Instant;
 
 use super::chain::Patch;
+use super::distances::Distances;
 use super::joint::images::group;
 use super::joint::{Joint, Report};
 use super::judge::{Camera, MARGIN, STEEPEST_DEG, corner_of};
@@ -48,6 +49,8 @@ pub struct JointSettings {
     pub epochs: usize,
     /// Object distances as vergences, 1/mm, taken in turn; empty: the lens's own.
     pub vergences: Vec<f64>,
+    /// Power of the mean over the distances' losses.
+    pub depth_power: f64,
     /// How patches are spread over the field.
     pub spread: Spread,
     /// Least relative illumination that the lens's steps keep.
@@ -76,6 +79,7 @@ impl JointSettings {
             network_rate: task.network_rate,
             epochs: task.epochs,
             vergences: task.depths_mm.iter().map(|d| d.recip()).collect(),
+            depth_power: task.depth_power,
             spread: task.spread,
             least_illumination: task.least_illumination,
             sensor_loss: task.sensor_loss.clone(),
@@ -170,6 +174,7 @@ impl Stage {
         let steps = if settings.lens_rate > 0.0 { settings.steps } else { Steps::Scaled };
         let mut joint = Joint::new(lens.clone(), network, guide, LensSteps::new(steps, problem)?);
         joint.least_illumination = settings.least_illumination;
+        joint.distances = Distances::new(settings.depth_power, vergences.len());
         let share = SETTLES.max(settings.lens_share[1] + AFTER_LENS).min(1.0 - AFTER_LENS);
         Ok(Self {
             places: Places::new(&scenery.frame, settings.patch, settings.spread),
@@ -202,7 +207,7 @@ impl Stage {
         let chosen = state.settings.unwrap_or(self.renderer.plan.settings);
         let first = Renderer::planned(&at, &scenery.frame, &self.density, &self.vergences, chosen)?;
         let plan = if at == seen { first.plan } else { Renderer::replanned(&seen, &first.plan)?.plan };
-        if self.joint.guide.filters().is_some() {
+        if self.joint.guide.facts().is_some() {
             let inputs = self.joint.guide.inputs();
             self.joint.guide = Guide::new(inputs, &Renderer::new(&told, &plan)?, &self.electronics)?;
         }
@@ -218,6 +223,9 @@ impl Stage {
         self.joint.refreshed = (state.refreshed, state.refreshing_seconds);
         self.joint.steps.remember(state.remembered.clone());
         self.joint.noise = state.noise.clone();
+        if let Some(distances) = &state.distances {
+            self.joint.distances = distances.clone();
+        }
         self.fineness = state.fineness.iter().map(|f| (f.step, f.chosen)).collect();
         (self.again, self.step, self.before) = (state.again, state.step, state.seconds);
         self.schedule.settled = state.settled;
@@ -235,6 +243,7 @@ impl Stage {
             (state.refreshed, state.refreshing_seconds) = self.joint.refreshed;
             state.remembered = self.joint.steps.remembered();
             state.noise = self.joint.noise.clone();
+            state.distances = Some(self.joint.distances.clone());
             state.fineness = self
                 .fineness
                 .iter()
@@ -448,7 +457,7 @@ impl Stage {
 
     /// Brings the network's filters up to the lens: when the stage is over.
     pub fn finish(&mut self) {
-        if self.joint.guide.filters().is_some()
+        if self.joint.guide.facts().is_some()
             && self.told != self.joint.lens
             && let Ok(renderer) = Renderer::replanned(&self.joint.lens, &self.renderer.plan)
         {
@@ -474,7 +483,8 @@ impl Stage {
     pub(super) fn camera(&self) -> Camera<'_> {
         let (renderer, electronics) = (&self.renderer, &self.electronics);
         let sensor_loss = self.settings.sensor_loss.as_ref();
-        Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide, sensor_loss }
+        let worst = self.settings.depth_power > 1.0;
+        Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide, sensor_loss, worst }
     }
 
     /// How good what was judged is, dB: the more the better.

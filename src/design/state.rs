@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::distances::Distances;
 use super::lens_steps::Remembered;
 use super::noise::Noise;
 use crate::error::{Error, Result};
@@ -47,6 +48,9 @@ pub struct State {
     pub remembered: Remembered,
     /// Gradients since the last judgement.
     pub noise: Noise,
+    /// Losses by object distance; files written before there were such weights have none.
+    #[serde(default)]
+    pub distances: Option<Distances>,
     /// The lens for which rays were chosen, the one for windows and nodes, the one that filters are of, the one that steps' object points
     /// are of, and the one now.
     lenses: [String; 5],
@@ -71,6 +75,7 @@ impl State {
             settings: None,
             remembered: Remembered::default(),
             noise: Noise::default(),
+            distances: None,
             lenses: lenses.map(|l| prescription::to_toml(l)),
             fineness: Vec::new(),
         };

@@ -153,6 +153,11 @@ pub(super) fn page(
     settings
         .push(pair("frame", format!("{} × {} pixels of {:.2} µm", frame.columns, frame.rows, 1e3 * frame.pitch_mm)));
     settings.push(pair("steps of the lens", format!("{:?}, taken back {}", task.lens_steps, stage.joint.rejected)));
+    if task.depth_power > 1.0 {
+        let said =
+            "losses of the distances, as running means; judged by the distance with the lowest PSNR behind the network";
+        settings.push(pair("distances", format!("power mean ({}) of the {said}", task.depth_power)));
+    }
     let each = task.sensor_loss.as_ref().map_or("", |_| ", each at every distance");
     settings.push(pair("patches", format!("{} of {} pixels a step{each}", task.batch, task.patch_px)));
     settings.push(match task.sensor_loss {

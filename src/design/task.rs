@@ -117,6 +117,9 @@ pub struct Task {
     /// Object distances, mm, taken in turn; left out: the lens's own.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub depths_mm: Vec<f64>,
+    /// Power of the mean over the distances' losses behind the network: 1 is their mean, more looks at the worst of them.
+    #[serde(default = "one", skip_serializing_if = "is_one")]
+    pub depth_power: f64,
     /// A loss on the lens's own images at those distances in place of one behind the network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_loss: Option<SensorLoss>,
@@ -169,6 +172,15 @@ fn default_seed() -> u64 {
 fn default_patch() -> usize {
     128
 }
+fn one() -> f64 {
+    1.0
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_one(value: &f64) -> bool {
+    *value == 1.0
+}
+
 fn default_batch() -> usize {
     2
 }
@@ -231,6 +243,7 @@ impl Task {
             epochs: 0,
             least_illumination: None,
             depths_mm: Vec::new(),
+            depth_power: 1.0,
             sensor_loss: None,
             spread: Spread::default(),
             keep_first: 0,
@@ -328,8 +341,17 @@ impl Task {
         if let Some(d) = self.depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
             return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");
         }
+        if !(1.0..=64.0).contains(&self.depth_power) {
+            return bad("depth_power", self.depth_power.to_string(), "1 to 64");
+        }
+        if self.depth_power > 1.0 && self.depths_mm.len() < 2 {
+            return bad("depth_power", self.depth_power.to_string(), "1 where depths_mm has fewer than two distances");
+        }
         if let Some(loss) = &self.sensor_loss {
             loss.check(&self.depths_mm, file)?;
+            if self.depth_power > 1.0 {
+                return bad("depth_power", self.depth_power.to_string(), "1 beside sensor_loss, which has weights");
+            }
             if self.freeze_lens {
                 return bad("freeze_lens", "true".into(), "false beside sensor_loss: nothing but the lens moves");
             }

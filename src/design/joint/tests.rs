@@ -1,6 +1,7 @@
 use super::*;
 use crate::design::data::Textures;
 use crate::design::designing::prepare;
+use crate::design::judge::Camera;
 use crate::design::lens_steps::{LensSteps, Steps};
 use crate::design::run::{JointSettings, Stage, joint_stage, network};
 use crate::design::scenery::Scenery;
@@ -30,7 +31,7 @@ fn the_lens_gradient_through_the_network_agrees_with_differences() {
     gradient_agrees(TOLD);
 }
 
-const TOLD: Inputs = Inputs { wiener: true, field: true };
+const TOLD: Inputs = Inputs::TOLD;
 
 fn gradient_agrees(inputs: Inputs) {
     let task = task();
@@ -51,7 +52,7 @@ fn gradient_agrees(inputs: Inputs) {
         let f = forward::<f32>(&renderer, &electronics, &p).expect("renders");
         let told = guide.over(f.developed.view(), p.region, p.part);
         let truth = f.truth.slice(middle(&p)).insert_axis(Axis(0));
-        net.step_network_only(told.view().insert_axis(Axis(0)), truth, 2e-3).expect("trains");
+        net.step_network_only(told.view().insert_axis(Axis(0)), truth, None, 2e-3).expect("trains");
     }
     let patch = draw();
     assert_eq!(patch.region == patch.part, inputs.is_bare());
@@ -62,7 +63,7 @@ fn gradient_agrees(inputs: Inputs) {
         let (told, record) = guide.over_recorded(f.developed.view(), patch.region, patch.part);
         let truth = f.truth.slice(middle(&patch)).to_owned();
         let (x, t) = (told.view().insert_axis(Axis(0)), truth.view().insert_axis(Axis(0)));
-        let s = net.step(x, t, 0.0, false).expect("runs");
+        let s = net.step(x, t, None, 0.0, false).expect("runs");
         let l1 = s.output.iter().zip(&truth).map(|(a, b)| f64::from((a - b).abs())).sum::<f64>();
         (l1 / s.output.len() as f64, f, record, s)
     };
@@ -208,11 +209,20 @@ fn a_stage_over_depths_sees_all_of_them() {
     let textures = Textures::built_in(3, 3, 400);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
     let vergences = task.depths_mm.iter().map(|d| d.recip()).collect();
-    let settings = JointSettings { vergences, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
+    let depth_power = 4.0;
+    let settings = JointSettings { vergences, depth_power, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
     let (stage, _) =
         joint_stage(&scenery, &problem, network(4, TOLD, 1).expect("valid"), settings, &mut |_, _| {}).expect("runs");
     assert_eq!(stage.renderer().plan.depths.len(), 3);
-    assert!(stage.camera().judged(&textures, 32, 6).expect("judged").output_psnr_db > 5.0);
+    // The power mean of their losses: those above it count more than once, the others less; judged by the worst of them.
+    let weights: Vec<f64> = (0..3).map(|d| stage.joint.distances.weight(d)).collect();
+    let (least, most) = weights.iter().fold((f64::INFINITY, 0.0f64), |(a, b), w| (a.min(*w), b.max(*w)));
+    assert!(least > 0.0 && least < 1.0 && most > 1.0, "{weights:?}");
+    assert_eq!(stage.state().distances.as_ref(), Some(&stage.joint.distances));
+    let worst = stage.camera().judged(&textures, 32, 6).expect("judged");
+    let mean = Camera { worst: false, ..stage.camera() }.judged(&textures, 32, 6).expect("judged");
+    assert!(worst.output_psnr_db > 5.0 && worst.output_psnr_db < mean.output_psnr_db, "{worst:?} {mean:?}");
+    assert_eq!((worst.loss, worst.input_psnr_db), (mean.loss, mean.input_psnr_db));
 }
 
 /// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.
