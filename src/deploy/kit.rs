@@ -3,7 +3,7 @@
 //! ```text
 //! KIT/kit.toml     schema = 4: names, hashes, tiles, sensor, frame, distortion, shading, what captures it is for
 //! KIT/model.onnx   the network, its card in the metadata
-//! KIT/filters.npz  Wiener filters, where the network sees the capture through them
+//! KIT/filters.npz  what the network is told of its lens, where that is anything: Wiener filters, point spread functions
 //! ```
 //! Kits of schema 1 (without filters) and 2 lack the hash of the calibration; 4 is written where a kit states what it is for, else 3.
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
@@ -22,7 +22,7 @@ use crate::imaging::develop::distortion::Distortion;
 use crate::imaging::develop::glare;
 use crate::imaging::develop::shading::Shading;
 use crate::imaging::frame::Frame;
-use crate::imaging::guide::{self, Filters, Guide};
+use crate::imaging::guide::{self, Facts, Guide};
 use crate::imaging::sensor::Sensor;
 use crate::lens::Lens;
 use crate::network::card::{DEMOSAIC, ModelCard, sensor_sha256, sha256_hex};
@@ -67,11 +67,11 @@ pub struct Kit {
     pub model_bytes: Vec<u8>,
     /// What the network is told beside the capture.
     pub guide: Guide,
-    /// The file of its filters, and the file's bytes.
+    /// The file of what the guide holds of the lens, and the file's bytes.
     pub filters: Option<(FilterEntry, Vec<u8>)>,
 }
 
-/// The Wiener filters of a kit.
+/// What a kit's network is told of its lens: Wiener filters, point spread functions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterEntry {
@@ -79,7 +79,7 @@ pub struct FilterEntry {
     pub file: String,
     /// SHA-256 (hex) of that file.
     pub sha256: String,
-    /// Object distances that they are for, mm, near to far: a scene at others is taken to lie there.
+    /// Object distances that it is for, mm, near to far: a scene at others is taken to lie there.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub depths_mm: Vec<f64>,
 }
@@ -160,7 +160,8 @@ pub fn tile_px(card: &ModelCard, frame: &Frame) -> Result<usize> {
     let mut tile = (4 * overlap).max(SMALLEST_TILE).next_multiple_of(card.multiple);
     let bytes = |tile: usize| -> Result<usize> {
         let [rows, columns] = Tiling::new(tile, overlap, card.multiple)?.shape(frame.rows, frame.columns);
-        Ok(rows * columns * card.base_width * MAPS * size_of::<f32>())
+        // Channels of the input are held to the end, and joined with others before the last convolution.
+        Ok(rows * columns * (card.base_width * MAPS + 2 * (card.inputs.channels() - 3)) * size_of::<f32>())
     };
     while tile >= 3 * overlap + card.multiple && tile > SMALLEST_TILE && bytes(tile)? > TILE_BYTES {
         tile -= card.multiple;
@@ -188,7 +189,7 @@ impl Kit {
         frame: Frame,
         distortion: Distortion,
         shading: Shading,
-        filters: Option<Filters>,
+        facts: Option<&Facts>,
     ) -> Result<Self> {
         let card = ModelCard::from_metadata(&session::metadata(&model, Path::new("model.onnx"))?)?;
         let entry = ModelEntry {
@@ -198,13 +199,13 @@ impl Kit {
             overlap_px: overlap_px(&card),
             multiple: card.multiple,
         };
-        let guide = guide(&card, &frame, filters.clone(), "kit")?;
-        let entry_of = |filters: Filters| -> Result<_> {
-            let bytes = filters.to_npz()?;
-            let (sha256, depths_mm) = (sha256_hex(&bytes), filters.depths_mm());
+        let guide = guide(&card, &frame, facts.cloned(), "kit")?;
+        let entry_of = |facts: &Facts| -> Result<_> {
+            let bytes = facts.to_npz()?;
+            let (sha256, depths_mm) = (sha256_hex(&bytes), facts.depths_mm());
             Ok((FilterEntry { file: guide::FILE.into(), sha256, depths_mm }, bytes))
         };
-        let filters = filters.map(entry_of).transpose()?;
+        let filters = facts.map(entry_of).transpose()?;
         let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
         let kit = Self {
             name: name.into(),
@@ -248,18 +249,18 @@ impl Kit {
         let filters = match file.filters {
             Some(entry) => {
                 let (place, bytes) = whole(folder, &path, "filters", &entry.file, &entry.sha256)?;
-                let filters = Filters::from_npz(&bytes, &place)?;
-                if entry.depths_mm != filters.depths_mm() {
-                    let (found, allowed) = (format!("{:?}", entry.depths_mm), format!("{:?}", filters.depths_mm()));
+                let facts = Facts::from_npz(&bytes, &place)?;
+                if entry.depths_mm != facts.depths_mm() {
+                    let (found, allowed) = (format!("{:?}", entry.depths_mm), format!("{:?}", facts.depths_mm()));
                     let allowed = format!("{allowed}, as {} says", entry.file);
                     return Err(Error::bad(path.display().to_string(), "filters.depths_mm", found, allowed));
                 }
-                Some((filters, (entry, bytes)))
+                Some((facts, (entry, bytes)))
             }
             None => None,
         };
-        let (filters, file_of) = filters.unzip();
-        let guide = guide(&card, &file.frame, filters, &path.display().to_string())?;
+        let (facts, file_of) = filters.unzip();
+        let guide = guide(&card, &file.frame, facts, &path.display().to_string())?;
         let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
         let kit = Self {
             name: file.name,
@@ -427,9 +428,9 @@ fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> R
     Ok((file, bytes))
 }
 
-/// What the network of `card` is told; filters that do not fit it are refused.
-fn guide(card: &ModelCard, frame: &Frame, filters: Option<Filters>, file: &str) -> Result<Guide> {
-    Guide::from_parts(card.inputs, frame, filters).map_err(|e| match e {
+/// What the network of `card` is told; what does not fit it is refused.
+fn guide(card: &ModelCard, frame: &Frame, facts: Option<Facts>, file: &str) -> Result<Guide> {
+    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| match e {
         Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
         other => other,
     })

@@ -463,8 +463,8 @@ fn checkpoint_of(stage: &Stage, (best, seen): (Option<(f64, usize)>, [f64; 2]), 
 fn save(stage: &Stage, facts: (Option<(f64, usize)>, [f64; 2]), folder: &Path) -> Result<()> {
     checkpoint_of(stage, facts, &folder.join(NETWORK))?;
     prescription::save(&stage.joint.lens, &folder.join("lens.toml"))?;
-    if let Some(filters) = stage.joint.guide.filters() {
-        atomic::write_bytes(&folder.join(guide::FILE), &filters.to_npz()?)?;
+    if let Some(facts) = stage.joint.guide.facts() {
+        atomic::write_bytes(&folder.join(guide::FILE), &facts.to_npz()?)?;
     }
     Ok(())
 }

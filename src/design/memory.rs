@@ -16,6 +16,9 @@ use crate::network::UnetConfig;
 /// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
 const REGION: usize = 700;
 
+/// Bytes a pixel that a bank of filters adds to a region on its way, for the way back: spectra of its nodes' filters and of the blocks.
+const RECORD: usize = 450;
+
 /// Bytes of a design's page while it is written: kernels of two lenses, pictures, text.
 const PAGE: u64 = 32 << 20;
 
@@ -27,9 +30,14 @@ fn textures(task: &Task) -> Result<u64> {
     })
 }
 
+/// Banks of Wiener filters.
+fn banks(inputs: Inputs) -> usize {
+    usize::from(inputs.wiener) + 2 * usize::from(inputs.levels)
+}
+
 /// Bytes of Wiener filters, from above: as stored, as computed with, and while they are made.
 fn guide(inputs: Inputs) -> u64 {
-    if inputs.wiener { 3 * Filters::LARGEST } else { 0 }
+    3 * Filters::LARGEST * banks(inputs) as u64
 }
 
 fn sum(parts: &[u64]) -> u64 {
@@ -46,7 +54,7 @@ pub fn of_design(task: &Task) -> Result<u64> {
     let side = task.patch_px.min(JUDGED.1);
     let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };
     // Rendered as far as the filters look.
-    let seen = task.patch_px + if task.inputs.wiener { 2 * Filters::WIDEST } else { 0 };
+    let seen = task.patch_px + if task.inputs.is_filtered() { 2 * Filters::WIDEST } else { 0 };
     // By its own images a scene is held at all its distances, one scene at a time, and no network works.
     let (count, batch) = match &task.sensor_loss {
         Some(_) => (task.depths_mm.len(), 0),
@@ -55,7 +63,8 @@ pub fn of_design(task: &Task) -> Result<u64> {
     // The textures of all of a step's patches are cut out beforehand.
     let cut = seen + seen / 4 + 160;
     let cuts = product(&[task.batch, task.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
-    let patches = product(&[count.max(threads()), seen, seen, REGION]).max(judged).saturating_add(cuts);
+    let each = REGION + RECORD * banks(task.inputs);
+    let patches = product(&[count.max(threads()), seen, seen, each]).max(judged).saturating_add(cuts);
     let step = network.step_bytes(task.patch_px, batch);
     let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);

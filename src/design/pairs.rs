@@ -277,7 +277,7 @@ impl Pairs {
 mod tests {
     use super::*;
     use crate::imaging::frame::Frame;
-    use crate::imaging::guide::{Filters, Inputs};
+    use crate::imaging::guide::{Facts, Filters, Inputs};
     use crate::imaging::sensor::Sensor;
     use crate::imaging::sensor::cfa::Cfa;
     use crate::imaging::sensor::noise::Noise;
@@ -335,7 +335,8 @@ mod tests {
         let scales = ndarray::Array2::from_elem((1, 3), 1.0 / 30_000.0);
         let grid = crate::imaging::render::node_grid::NodeGrid::single(0, 0);
         let filters = Filters::from_parts(grid, steps, scales).expect("valid");
-        let guide = Guide::from_parts(Inputs { wiener: true, field: true }, &frame, Some(filters)).expect("valid");
+        let guide = Guide::from_parts(Inputs::TOLD, &frame, Facts { filters: Some(filters), ..Facts::default() })
+            .expect("valid");
         let region = Region { row: 20, col: 32, rows: 40, cols: 48 };
         let value = |r: f32, c: f32| 0.1 + 0.004 * r + 0.006 * c;
         let ramp = Array3::from_shape_fn((3, 40, 48), |(_, r, c)| value(20.0 + r as f32, 32.0 + c as f32));

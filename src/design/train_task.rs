@@ -29,8 +29,8 @@ pub struct TrainTask {
     pub base_width: Option<usize>,
     /// Scales of the network.
     pub scales: usize,
-    /// What it sees beside the capture: any of `wiener` (the capture through the lens's own Wiener filters) and `field` (the place in
-    /// the field); none: the capture alone, as in the paper.
+    /// What it sees beside the capture: any of `wiener` (the capture through the lens's own Wiener filters), `levels` (the same for other noise), `field` (the place
+    /// in the field) and `psf` (what the point spread function there is like); none: the capture alone, as in the paper.
     #[serde(skip_serializing_if = "Inputs::is_bare")]
     pub inputs: Inputs,
     /// What its scales are made of: `paper`, `separable` or `gated`.

@@ -27,7 +27,7 @@ use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::files::write_png8;
 use crate::imaging::frame::Frame;
-use crate::imaging::guide::{self, Filters, Guide};
+use crate::imaging::guide::{self, Facts, Filters, Guide};
 use crate::imaging::metrics::psnr;
 use crate::imaging::plane::Region;
 use crate::imaging::sensor::noise::mixed;
@@ -128,8 +128,8 @@ impl Training {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             subject.save(inside)?;
             atomic::write_bytes(&inside.join(SCENES), parts.textures.sha256().as_bytes())?;
-            if let Some(filters) = parts.guide.filters() {
-                atomic::write_bytes(&inside.join(guide::FILE), &filters.to_npz()?)?;
+            if let Some(facts) = parts.guide.facts() {
+                atomic::write_bytes(&inside.join(guide::FILE), &facts.to_npz()?)?;
             }
             trainer.save(&inside.join(NETWORK), &state.facts())
         })?;
@@ -210,10 +210,10 @@ impl Training {
     /// What the network sees beside the capture, in words.
     fn told(&self) -> String {
         let names = self.guide.inputs().names();
-        let filters = self.guide.filters().map_or(String::new(), |f| {
-            let size = 2 * f.reach() + 1;
-            format!(" ({} Wiener filters of {size} × {size} pixels a colour)", f.grid.len())
-        });
+        let of_bank = |f: &Filters| format!("{} of {1} × {1} pixels", f.grid.len(), 2 * f.reach() + 1);
+        let banks: Vec<String> = self.guide.facts().iter().flat_map(|f| f.banks().map(of_bank)).collect();
+        let filters =
+            if banks.is_empty() { String::new() } else { format!(" (Wiener filters a colour: {})", banks.join(", ")) };
         if names.is_empty() {
             String::new()
         } else {
@@ -477,17 +477,17 @@ fn samples(
 /// What the network of a run's folder, trained for a lens on `frame`, is told beside the capture.
 ///
 /// # Errors
-/// A folder without the filters that the network needs, or with those of another frame.
+/// A folder without what the network needs, or with that of another frame.
 pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result<Guide> {
     let inputs = network.config().inputs;
     let path = folder.join(guide::FILE);
-    let filters = if inputs.wiener {
+    let facts = if inputs.knows_lens() {
         let bytes = fs::read(&path).map_err(|e| Error::reading(&path, e))?;
-        Some(Filters::from_npz(&bytes, &path)?)
+        Facts::from_npz(&bytes, &path)?
     } else {
-        None
+        Facts::default()
     };
-    Guide::from_parts(inputs, frame, filters).map_err(|e| e.in_file(&path))
+    Guide::from_parts(inputs, frame, facts).map_err(|e| e.in_file(&path))
 }
 
 /// What a run was trained on, as a model's card says it, without looking at the pictures again; of a run of a version before, of the task's pictures as they

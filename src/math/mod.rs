@@ -3,6 +3,7 @@
 pub mod fft;
 pub mod least_squares;
 pub mod memory;
+pub mod npz;
 pub mod real;
 pub mod simd;
 pub mod wide;

@@ -13,9 +13,9 @@ use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
 use crate::imaging::sensor::Sensor;
 
-/// The newest form of a card. Networks of the paper's blocks have an older one: the second, which says nothing of blocks, or,
-/// where they see the capture alone, the first, which says nothing of inputs either.
-pub const SCHEMA: u32 = 3;
+/// The newest form of a card, that of networks which see point spread functions or filters for other noise. Others have an older one: of other blocks than the
+/// paper's the third, else the second, which says nothing of blocks, or, where they see the capture alone, the first, which says nothing of inputs either.
+pub const SCHEMA: u32 = 4;
 
 /// The demosaicking kernel that training and camera share.
 pub const DEMOSAIC: &str = "malvar-he-cutler";
@@ -122,7 +122,9 @@ impl ModelCard {
 
     /// The first form that can say what the card says.
     fn oldest_schema(&self) -> u32 {
+        let second = Inputs { levels: false, psf: false, ..self.inputs };
         match (self.blocks.is_paper(), self.inputs.is_bare()) {
+            _ if self.inputs != second => 4,
             (false, _) => 3,
             (true, false) => 2,
             (true, true) => 1,
@@ -279,7 +281,7 @@ fn placed(error: Error, key: &str) -> Error {
     }
 }
 
-/// What the network is made of; only the third form of a card says so.
+/// What the network is made of; cards say so from the third form on.
 fn blocks(metadata: &BTreeMap<String, String>, schema: u32) -> Result<Blocks> {
     if schema < 3 {
         return Ok(Blocks::Paper);
@@ -322,7 +324,7 @@ mod tests {
 
     #[test]
     fn what_a_network_sees_stands_in_the_second_form() {
-        let inputs = Inputs { wiener: true, field: true };
+        let inputs = Inputs::TOLD;
         let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
         let mut metadata = card.to_metadata();
         assert_eq!((ModelCard::from_metadata(&metadata).expect("own card"), card.schema), (card.clone(), 2));
@@ -335,8 +337,19 @@ mod tests {
     }
 
     #[test]
+    fn point_spread_functions_and_levels_stand_in_the_fourth_form() {
+        for inputs in [Inputs { psf: true, ..Inputs::BARE }, Inputs { levels: true, ..Inputs::TOLD }] {
+            let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
+            assert_eq!(
+                (ModelCard::from_metadata(&card.to_metadata()).expect("own card"), card.schema),
+                (card.clone(), 4)
+            );
+        }
+    }
+
+    #[test]
     fn other_blocks_stand_in_the_third_form() {
-        for inputs in [Inputs::BARE, Inputs { wiener: true, field: false }] {
+        for inputs in [Inputs::BARE, Inputs { wiener: true, ..Inputs::BARE }] {
             let card = ModelCard::for_unet("x", 16, 3).made_of(Blocks::Gated).seeing(inputs);
             assert_eq!((card.schema, card.receptive_radius_px), (3, 14));
             let mut metadata = card.to_metadata();
@@ -356,7 +369,7 @@ mod tests {
     fn bad_metadata_is_refused_by_key() {
         let good = ModelCard::for_unet("x", 16, 3).to_metadata();
         for (key, value) in [
-            ("schema", "4"),
+            ("schema", "5"),
             ("channels", "4"),
             ("scales", "0"),
             ("multiple", "3"),

@@ -141,7 +141,7 @@ mod tests {
             // And every new part learns within a few steps.
             let start = full.parameters();
             for _ in 0..3 {
-                full.step_network_only(input.view(), input.mapv(|v| 0.5 * v).view(), 1e-3).expect("fits");
+                full.step_network_only(input.view(), input.mapv(|v| 0.5 * v).view(), None, 1e-3).expect("fits");
             }
             for (a, b) in start.iter().zip(full.parameters()) {
                 assert_ne!(a.values, b.values, "{} of {scales} scales, {blocks:?}, stays", a.name);
@@ -149,7 +149,7 @@ mod tests {
         }
         // A network that sees more than the capture starts with the same output, whatever else it sees.
         for (wiener, field) in [(true, true), (true, false), (false, true)] {
-            let inputs = Inputs { wiener, field };
+            let inputs = Inputs { wiener, field, ..Inputs::BARE };
             let told = trimmed.deepened(&UnetConfig { inputs, ..of(4, 4) }, 5, Compute::Cpu).expect("told");
             let more = Array4::from_shape_simple_fn((1, inputs.channels() - 3, 64, 128), || rng.f32());
             let all = ndarray::concatenate(ndarray::Axis(1), &[input.view(), more.view()]).expect("one size");

@@ -25,7 +25,8 @@ use ndarray::{Array3, Array4, ArrayView4, Axis, s};
 
 use crate::support::Workplace;
 
-const BOTH: Inputs = Inputs { wiener: true, field: true };
+const BOTH: Inputs = Inputs::TOLD;
+const ALL: Inputs = Inputs { levels: true, psf: true, ..BOTH };
 
 fn frame() -> Frame {
     Frame::centred(230, 150, 0.08).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid")
@@ -46,7 +47,7 @@ fn trained(inputs: Inputs, blocks: Blocks) -> Reconstructor {
     for _ in 0..12 {
         let x = Array4::from_shape_simple_fn((1, inputs.channels(), 32, 32), || rng.f32());
         let y = x.slice(s![.., ..3, .., ..]).mapv(|v| v * v) + 0.3 * &x.slice(s![.., -3.., .., ..]);
-        net.step_network_only(x.view(), y.view(), 1e-2).expect("trains");
+        net.step_network_only(x.view(), y.view(), None, 1e-2).expect("trains");
     }
     net
 }
@@ -78,10 +79,12 @@ fn open(model: &[u8], choice: Choice) -> Option<Session> {
 fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
     let cases = [
         (BOTH, Blocks::Paper),
-        (Inputs { wiener: true, field: false }, Blocks::Paper),
-        (Inputs { wiener: false, field: true }, Blocks::Paper),
+        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Paper),
+        (Inputs { field: true, ..Inputs::BARE }, Blocks::Paper),
+        (Inputs { psf: true, ..Inputs::BARE }, Blocks::Paper),
+        (ALL, Blocks::Paper),
         (BOTH, Blocks::Separable),
-        (Inputs { wiener: true, field: false }, Blocks::Gated),
+        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Gated),
     ];
     for (inputs, blocks) in cases {
         let (guide, net) = (guide(inputs), trained(inputs, blocks));
@@ -130,7 +133,7 @@ fn kit(inputs: Inputs, guide: &Guide, weights: Weights) -> isoplanat::Result<Kit
         frame(),
         Distortion { max_slope, coefficients_mm: [50.0 * max_slope, 0.0, 0.0, 0.0], residual_mm: 0.0 },
         Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]])?,
-        guide.filters().cloned(),
+        guide.facts(),
     )
 }
 
@@ -169,6 +172,12 @@ fn kits_carry_their_filters_and_refuse_others() {
     refused("Wiener filters");
     std::fs::write(folder.join("kit.toml"), toml.replacen("filters.npz", "../filters.npz", 1)).expect("writes");
     refused("kit's folder");
+    // All that a network can be told, and what point spread functions are like alone.
+    for (k, inputs) in [ALL, Inputs { psf: true, ..Inputs::BARE }].into_iter().enumerate() {
+        let (folder, told) = (place.path(&format!("kit{k}")), guide(inputs));
+        kit(inputs, &told, Weights::F32).expect("a kit").save(&folder, false).expect("saves");
+        assert_eq!(Kit::load(&folder).expect("loads").guide, told);
+    }
     // The distances that the filters are for stand in the kit, and are those of the file.
     assert!(toml.contains("depths_mm = [1000.0]"), "{toml}");
     std::fs::write(folder.join("kit.toml"), toml.replacen("depths_mm = [1000.0]", "depths_mm = [500.0]", 1))
@@ -188,7 +197,7 @@ fn a_told_network_is_designed_with_its_lens() {
     };
     place.write("design.toml", task("steps = 3\ninputs = [\"wiener\", \"field\"]\n"));
     let said = place.run("design design.toml -o run").done();
-    assert!(said.contains("Wiener filters made anew"), "{said}");
+    assert!(said.contains("told of the lens made anew"), "{said}");
     let json: serde_json::Value =
         serde_json::from_str(&place.run("evaluate run --json --reference 4 --fields 2 --patch 32").done())
             .expect("JSON");
@@ -201,7 +210,7 @@ fn a_told_network_is_designed_with_its_lens() {
     place.write("bare.toml", task(train));
     place.run("train bare.toml -o bare").refused(&["starting network", "wiener"]);
     place.write("wrong.toml", task("steps = 3\ninputs = [\"smell\"]\n"));
-    place.run("design wrong.toml -o none").refused(&["wrong.toml", "inputs", "wiener, field"]);
+    place.run("design wrong.toml -o none").refused(&["wrong.toml", "inputs", "wiener, levels, field, psf"]);
 }
 
 /// From a task to a picture: trained from a network that sees the capture alone, judged, exported, and used on a capture by both runtimes.
@@ -219,7 +228,7 @@ fn a_told_network_goes_from_the_task_to_the_camera() {
         .write("bare.toml", task("", ""))
         .write("told.toml", task("inputs = [\"wiener\", \"field\"]", "start = \"bare\"\n"));
     place.write("smell.toml", task("inputs = [\"smell\"]", ""));
-    place.run("train smell.toml -o none").refused(&["smell.toml", "inputs", "wiener, field"]);
+    place.run("train smell.toml -o none").refused(&["smell.toml", "inputs", "wiener, levels, field, psf"]);
     place.write("dense.toml", task("blocks = \"dense\"\n", ""));
     place.run("train dense.toml -o none").refused(&["dense.toml", "blocks", "dense", "paper, separable, gated"]);
     place.run("train bare.toml -o bare").done();

@@ -42,7 +42,7 @@ fn trained((blocks, base_width, scales): Size) -> Reconstructor {
     for _ in 0..10 {
         let x = Array4::from_shape_simple_fn((1, 3, 64, 64), || rng.f32());
         let y = x.mapv(|v| v * v);
-        net.step_network_only(x.view(), y.view(), 3e-3).expect("trains");
+        net.step_network_only(x.view(), y.view(), None, 3e-3).expect("trains");
     }
     net
 }

@@ -2,6 +2,7 @@
 
 use isoplanat::Result;
 use isoplanat::deploy::kit::Kit;
+use isoplanat::imaging::guide::Filters;
 use isoplanat::report::table::significant;
 use serde_json::json;
 
@@ -13,20 +14,25 @@ fn told(kit: &Kit) -> String {
     if names.is_empty() {
         return "sees the capture alone".into();
     }
-    let filters = kit.guide.filters().map_or(String::new(), |f| {
-        let size = 2 * f.reach() + 1;
-        let depths: Vec<String> = f.depths_mm().iter().map(|d| significant(*d, 6)).collect();
+    let facts = kit.guide.facts().map_or(String::new(), |facts| {
+        let depths: Vec<String> = facts.depths_mm().iter().map(|d| significant(*d, 6)).collect();
         let range = match depths.as_slice() {
             [] => "distances that the file does not state".into(),
             some => format!("objects at {} mm; others are taken to lie there", some.join(", ")),
         };
-        format!(
-            " ({} Wiener filters of {size} × {size} pixels a colour, for {range}; they ring by at most {:.2} of the range of a capture)",
-            f.grid.len(),
-            f.overshoot()
-        )
+        let of_bank = |f: &Filters, noise: &str| {
+            let size = 2 * f.reach() + 1;
+            format!(
+                "{} Wiener filters of {size} × {size} pixels a colour{noise}, which ring by at most {:.2} of the range of a capture; ",
+                f.grid.len(),
+                f.overshoot()
+            )
+        };
+        let own = facts.filters.iter().map(|f| of_bank(f, ""));
+        let levels = facts.levels.iter().flat_map(|l| l.iter().zip([" for a tenth of the noise", " for ten times the noise"]));
+        format!(" ({}for {range})", own.chain(levels.map(|(f, noise)| of_bank(f, noise))).collect::<String>())
     });
-    format!("sees {} beside the capture{filters}", names.join(", "))
+    format!("sees {} beside the capture{facts}", names.join(", "))
 }
 
 /// Prints a kit, as lines or as JSON.

@@ -104,7 +104,7 @@ impl Kind {
         match self {
             Self::Task => {}
             Self::Paper => (task.train.scales, task.train.inputs) = (3, Inputs::BARE),
-            Self::Told => task.train.inputs = Inputs { wiener: true, field: true },
+            Self::Told => task.train.inputs = Inputs::TOLD,
         }
         task
     }

@@ -170,7 +170,10 @@ fn driven(
     tell("validation", validated.as_ref())?;
     writeln!(out, "steps of the lens taken back: {}", joint.rejected)?;
     if let (count @ 1.., seconds) = joint.refreshed {
-        writeln!(out, "Wiener filters made anew {count} times as the lens moved, in {seconds:.1} s in all")?;
+        writeln!(
+            out,
+            "what the network is told of the lens made anew {count} times as it moved, in {seconds:.1} s in all"
+        )?;
     }
     for (step, chosen) in &designing.stage().fineness {
         writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;

@@ -48,7 +48,7 @@ pub(crate) fn around(
         frame.clone(),
         calibration.distortion.clone(),
         calibration.shading.clone(),
-        guide.filters().cloned(),
+        guide.facts(),
     )
 }
 

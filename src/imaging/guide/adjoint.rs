@@ -12,7 +12,7 @@ use crate::imaging::render::blur::{BlurRecord, KernelArray, Method, blur_recorde
 pub struct Record {
     at: Region,
     wanted: Region,
-    filtered: Option<BlurRecord<f32>>,
+    filtered: Vec<BlurRecord<f32>>,
 }
 
 impl Filters {
@@ -42,11 +42,9 @@ impl Filters {
 impl Guide {
     /// [`Guide::over`] and what its pull-back needs.
     pub fn over_recorded(&self, image: ArrayView3<'_, f32>, at: Region, wanted: Region) -> (Array3<f32>, Record) {
-        let Some(filters) = &self.filters else {
-            return (self.over(image, at, wanted), Record { at, wanted, filtered: None });
-        };
-        let (filtered, record) = filters.over_recorded(image, at, wanted);
-        (self.stacked(image, at, wanted, Some(filtered)), Record { at, wanted, filtered: Some(record) })
+        let (images, filtered): (Vec<Array3<f32>>, Vec<BlurRecord<f32>>) =
+            self.facts.banks().map(|f| f.over_recorded(image, at, wanted)).unzip();
+        (self.stacked(image, at, wanted, images.into_iter()), Record { at, wanted, filtered })
     }
 
     /// Pulls the cotangent of the channels, `[channel, row, col]` over what was wanted, back to the capture `[3, row, col]`.
@@ -55,8 +53,9 @@ impl Guide {
         let mut to = Array3::zeros((3, at.rows, at.cols));
         let (row, col) = Self::offset(at, wanted);
         to.slice_mut(s![.., row..row + wanted.rows, col..col + wanted.cols]).assign(&bar.slice(s![..3, .., ..]));
-        if let (Some(filters), Some(filtered)) = (&self.filters, &record.filtered) {
-            let source = blur_vjp(filtered, bar.slice(s![3..6, .., ..])).source;
+        for (k, (filters, filtered)) in self.facts.banks().zip(&record.filtered).enumerate() {
+            let first = 3 * (k + 1);
+            let source = blur_vjp(filtered, bar.slice(s![first..first + 3, .., ..])).source;
             filters.fold(source.index_axis(ndarray::Axis(1), 0), wanted, at, &mut to);
         }
         to

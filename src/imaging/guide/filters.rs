@@ -63,8 +63,6 @@ pub struct Filters {
     pub steps: Array4<i16>,
     /// What a step is worth, `[node, channel]`.
     pub scales: Array2<f32>,
-    /// The object distances that they are for, as vergence, 1/mm; empty where that is not known.
-    pub vergences: Vec<f64>,
     /// `[node, channel, 1, row, col]`.
     kernels: Array5<f32>,
 }
@@ -76,11 +74,11 @@ impl Filters {
     /// Half the rows and columns of the widest filter.
     pub const WIDEST: usize = HALVES[1];
 
-    /// The filters of the lens that `renderer` holds, over all its distances, for the noise of `electronics`.
+    /// The filters of the lens that `renderer` holds, over all its distances: a bank for each of `noise`, times the power of the noise of `electronics`.
     ///
     /// # Errors
     /// A lens whose filters would not fit into memory.
-    pub fn of(renderer: &Renderer, electronics: &Electronics) -> Result<Self> {
+    pub fn of(renderer: &Renderer, electronics: &Electronics, noise: &[f64]) -> Result<Vec<Self>> {
         let frame = &renderer.plan.frame;
         let whole = Region::whole(frame);
         let grid = NodeGrid::uniform(whole, frame.rows.max(frame.columns).div_ceil(SPACES));
@@ -96,8 +94,8 @@ impl Filters {
         }
         let n = good_size(size + 2 * reach + 1);
         let fft = RealFft2::<f64>::new(n, n);
-        let mut steps = Array4::zeros((grid.len(), COLOURS, size, size));
-        let mut scales = Array2::zeros((grid.len(), COLOURS));
+        let bank = || (Array4::zeros((grid.len(), COLOURS, size, size)), Array2::zeros((grid.len(), COLOURS)));
+        let mut banks: Vec<(Array4<i16>, Array2<f32>)> = noise.iter().map(|_| bank()).collect();
         for node in 0..grid.len() {
             let (row, col) = grid.pixel(node);
             let spot = Region { row: row.min(last(frame.rows)), col: col.min(last(frame.columns)), rows: 1, cols: 1 };
@@ -107,15 +105,17 @@ impl Filters {
                     .iter()
                     .map(|k| k.slice(s![node, channel.min(k.dim().1 - 1), .., ..]).mapv(f64::from))
                     .collect();
-                let nsr = nsr(electronics, channel, light[[channel, 0, 0]]);
-                let filter = wiener(&fft, n, &kernels, nsr, half);
-                let (rounded, scale) = rounded(filter.view());
-                steps.slice_mut(s![node, channel, .., ..]).assign(&rounded);
-                scales[[node, channel]] = scale;
+                let spectra = Spectra::of(&fft, n, &kernels);
+                for ((steps, scales), noise) in banks.iter_mut().zip(noise) {
+                    let nsr = nsr(electronics, channel, light[[channel, 0, 0]], *noise);
+                    let filter = spectra.wiener(&fft, nsr, half);
+                    let (rounded, scale) = rounded(filter.view());
+                    steps.slice_mut(s![node, channel, .., ..]).assign(&rounded);
+                    scales[[node, channel]] = scale;
+                }
             }
         }
-        let vergences = renderer.plan.depths.iter().map(|d| d.vergence).collect();
-        Ok(Self { vergences, ..Self::from_parts(grid, steps, scales)? })
+        banks.into_iter().map(|(steps, scales)| Self::from_parts(grid.clone(), steps, scales)).collect()
     }
 
     /// From what a file holds.
@@ -144,14 +144,7 @@ impl Filters {
                 return refuse(format!("a sum of {sum} at node {node}"), "filters that sum to 1");
             }
         }
-        Ok(Self { grid, steps, scales, vergences: Vec::new(), kernels })
-    }
-
-    /// The object distances that they are for, mm, near to far.
-    pub fn depths_mm(&self) -> Vec<f64> {
-        let mut depths: Vec<f64> = self.vergences.iter().map(|v| 1.0 / v).collect();
-        depths.sort_by(f64::total_cmp);
-        depths
+        Ok(Self { grid, steps, scales, kernels })
     }
 
     /// How far beyond the capture's darkest and lightest value the filtered one can lie at most, over the range between: a filter whose
@@ -204,57 +197,72 @@ fn last(n: usize) -> isize {
     n.saturating_sub(1).cast_signed()
 }
 
-/// Variance of the developed picture's noise over the scene's density at a quarter of a cycle a pixel.
-pub(super) fn nsr(electronics: &Electronics, channel: usize, light: f64) -> f64 {
+/// Variance of the developed picture's noise, `times` as much, over the scene's density at a quarter of a cycle a pixel.
+pub(super) fn nsr(electronics: &Electronics, channel: usize, light: f64, times: f64) -> f64 {
     let gain = (light * electronics.neutral[channel]).max(1e-6);
     let noise = &electronics.noise;
     let variance = (noise.shot * LEVEL * gain + noise.read * noise.read) / (gain * gain);
-    (variance / SIGNAL).clamp(NSR[0], NSR[1])
+    (times * variance / SIGNAL).clamp(NSR[0], NSR[1])
 }
 
-/// The filter of PSFs of one place, `[row, col]` of `2 half + 1`, sum 1.
-#[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-pub(super) fn wiener(fft: &RealFft2<f64>, n: usize, kernels: &[Array2<f64>], nsr: f64, half: usize) -> Array2<f64> {
-    let mut top = Array2::from_elem((n / 2 + 1, n), Complex::new(0.0, 0.0));
-    let mut power = Array2::<f64>::zeros((n / 2 + 1, n));
-    for kernel in kernels {
-        // The middle of the kernel onto the origin.
-        let reach = kernel.nrows() / 2;
-        let mut plane = Array2::zeros((n, n));
-        for ((i, j), v) in kernel.indexed_iter() {
-            plane[[(i + n - reach) % n, (j + n - reach) % n]] = *v;
+/// Of the PSFs of one place: sums over the object distances of their transforms' conjugates and of their powers.
+pub(super) struct Spectra {
+    n: usize,
+    count: usize,
+    top: Array2<Complex<f64>>,
+    power: Array2<f64>,
+}
+
+impl Spectra {
+    /// Of kernels no wider than `n`, for transforms of `n × n`.
+    pub(super) fn of(fft: &RealFft2<f64>, n: usize, kernels: &[Array2<f64>]) -> Self {
+        let mut top = Array2::from_elem((n / 2 + 1, n), Complex::new(0.0, 0.0));
+        let mut power = Array2::<f64>::zeros((n / 2 + 1, n));
+        for kernel in kernels {
+            // The middle of the kernel onto the origin.
+            let reach = kernel.nrows() / 2;
+            let mut plane = Array2::zeros((n, n));
+            for ((i, j), v) in kernel.indexed_iter() {
+                plane[[(i + n - reach) % n, (j + n - reach) % n]] = *v;
+            }
+            let spectrum = fft.forward(plane.view());
+            ndarray::Zip::from(&mut top).and(&mut power).and(&spectrum).for_each(|t, p, k| {
+                *t += k.conj();
+                *p += k.norm_sqr();
+            });
         }
-        let spectrum = fft.forward(plane.view());
-        ndarray::Zip::from(&mut top).and(&mut power).and(&spectrum).for_each(|t, p, k| {
-            *t += k.conj();
-            *p += k.norm_sqr();
+        Self { n, count: kernels.len(), top, power }
+    }
+
+    /// The filter for one share of noise, `[row, col]` of `2 half + 1`, sum 1.
+    #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+    pub(super) fn wiener(&self, fft: &RealFft2<f64>, nsr: f64, half: usize) -> Array2<f64> {
+        let (n, count, mut top) = (self.n, self.count as f64, self.top.clone());
+        for ((across, down), t) in top.indexed_iter_mut() {
+            let [x, y] = [across as f64 / n as f64, down.min(n - down) as f64 / n as f64];
+            let bottom = self.power[[across, down]] + count * nsr * 16.0 * (x * x + y * y);
+            *t = if bottom > 1e-12 { *t / bottom } else { Complex::new(0.0, 0.0) };
+        }
+        let plane = fft.inverse(top, 0, n);
+        let taper = |i: usize| {
+            let out = i.abs_diff(half) as f64 / (half + 1) as f64;
+            let t = ((out - (1.0 - TAPER)) / TAPER).clamp(0.0, 1.0);
+            0.5 + 0.5 * (std::f64::consts::PI * t).cos()
+        };
+        let size = 2 * half + 1;
+        let mut filter = Array2::from_shape_fn((size, size), |(i, j)| {
+            plane[[(i + n - half) % n, (j + n - half) % n]] * taper(i) * taper(j)
         });
+        let sum = filter.sum();
+        if sum.is_finite() && sum.abs() > 1e-3 {
+            filter /= sum;
+        } else {
+            // No light, nothing to undo.
+            filter.fill(0.0);
+            filter[[half, half]] = 1.0;
+        }
+        filter
     }
-    let count = kernels.len() as f64;
-    for ((across, down), t) in top.indexed_iter_mut() {
-        let [x, y] = [across as f64 / n as f64, down.min(n - down) as f64 / n as f64];
-        let bottom = power[[across, down]] + count * nsr * 16.0 * (x * x + y * y);
-        *t = if bottom > 1e-12 { *t / bottom } else { Complex::new(0.0, 0.0) };
-    }
-    let plane = fft.inverse(top, 0, n);
-    let taper = |i: usize| {
-        let out = i.abs_diff(half) as f64 / (half + 1) as f64;
-        let t = ((out - (1.0 - TAPER)) / TAPER).clamp(0.0, 1.0);
-        0.5 + 0.5 * (std::f64::consts::PI * t).cos()
-    };
-    let size = 2 * half + 1;
-    let mut filter = Array2::from_shape_fn((size, size), |(i, j)| {
-        plane[[(i + n - half) % n, (j + n - half) % n]] * taper(i) * taper(j)
-    });
-    let sum = filter.sum();
-    if sum.is_finite() && sum.abs() > 1e-3 {
-        filter /= sum;
-    } else {
-        // No light, nothing to undo.
-        filter.fill(0.0);
-        filter[[half, half]] = 1.0;
-    }
-    filter
 }
 
 /// Values as whole steps, the middle one so that they sum to one, and a step's worth.

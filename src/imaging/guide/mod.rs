@@ -1,21 +1,24 @@
-//! What a network is told beside the capture: the capture through the lens's own Wiener filters, and the place in the field.
+//! What a network is told beside the capture: the capture through the lens's own Wiener filters, the place in the field, and what the point spread function there
+//! is like.
 //!
 //! A [`Guide`] belongs to a trained network as its weights do: it is made when a training begins, stands in the run's folder and in the
 //! kit, and training, evaluation and camera stack its channels by the one function [`Guide::over`].
 
 mod adjoint;
-mod file;
+mod facts;
 mod filters;
 mod inputs;
+mod spread;
 #[cfg(test)]
 mod tests;
 
 use ndarray::{Array3, ArrayView3, s};
 
 pub use adjoint::Record;
-pub use file::FILE;
+pub use facts::{FILE, Facts};
 pub use filters::Filters;
 pub use inputs::Inputs;
+pub use spread::Spread;
 
 use crate::error::{Error, Result};
 use crate::imaging::develop::simulate::Electronics;
@@ -28,13 +31,13 @@ use crate::imaging::render::Renderer;
 pub struct Guide {
     inputs: Inputs,
     frame: Frame,
-    filters: Option<Filters>,
+    facts: Facts,
 }
 
 impl Guide {
     /// The capture alone.
     pub fn bare(frame: &Frame) -> Self {
-        Self { inputs: Inputs::BARE, frame: frame.clone(), filters: None }
+        Self { inputs: Inputs::BARE, frame: frame.clone(), facts: Facts::default() }
     }
 
     /// What `inputs` name, for the lens that `renderer` holds and the noise of `electronics`.
@@ -42,24 +45,31 @@ impl Guide {
     /// # Errors
     /// As [`Filters::of`].
     pub fn new(inputs: Inputs, renderer: &Renderer, electronics: &Electronics) -> Result<Self> {
-        let filters = if inputs.wiener { Some(Filters::of(renderer, electronics)?) } else { None };
-        Self::from_parts(inputs, &renderer.plan.frame, filters)
+        Self::from_parts(inputs, &renderer.plan.frame, Facts::of(inputs, renderer, electronics)?)
     }
 
     /// From its parts.
     ///
     /// # Errors
-    /// Filters where none are named or the other way round; filters of another frame.
-    pub fn from_parts(inputs: Inputs, frame: &Frame, filters: Option<Filters>) -> Result<Self> {
-        if inputs.wiener != filters.is_some() {
-            let found = if inputs.wiener { "no filters" } else { "filters" };
-            let allowed = format!("what inputs {:?} need", inputs.names());
-            return Err(Error::bad("", "Wiener filters", found, allowed));
+    /// Facts where none are named or the other way round; filters of another frame.
+    pub fn from_parts(inputs: Inputs, frame: &Frame, facts: Facts) -> Result<Self> {
+        for (what, needed, there) in [
+            ("Wiener filters", inputs.wiener, facts.filters.is_some()),
+            ("Wiener filters of other noise", inputs.levels, facts.levels.is_some()),
+            ("point spread functions", inputs.psf, facts.spread.is_some()),
+        ] {
+            if needed != there {
+                let found = if needed { "none" } else { "some" };
+                return Err(Error::bad("", what, found, format!("what inputs {:?} need", inputs.names())));
+            }
         }
-        if let Some(filters) = &filters {
+        for filters in facts.banks() {
             filters::check(filters, frame)?;
         }
-        Ok(Self { inputs, frame: frame.clone(), filters })
+        if let Some(spread) = &facts.spread {
+            spread.check(frame)?;
+        }
+        Ok(Self { inputs, frame: frame.clone(), facts })
     }
 
     /// The frame it belongs to.
@@ -72,21 +82,20 @@ impl Guide {
         self.inputs
     }
 
-    /// The filters, where there are any.
-    pub fn filters(&self) -> Option<&Filters> {
-        self.filters.as_ref()
+    /// What it holds of its lens, where that is anything.
+    pub fn facts(&self) -> Option<&Facts> {
+        Some(&self.facts).filter(|f| !f.is_empty())
     }
 
     /// Pixels beyond a region that its channels depend on.
     pub fn reach(&self) -> usize {
-        self.filters.as_ref().map_or(0, Filters::reach)
+        self.facts.banks().map(Filters::reach).max().unwrap_or(0)
     }
 
     /// The network's input over `wanted`, `[channel, row, col]`. The capture `image` `[3, row, col]` lies at `at` of the frame and
     /// covers `wanted`; it should reach [`Self::reach`] pixels further, or to the frame's edge, beyond which it is mirrored.
     pub fn over(&self, image: ArrayView3<'_, f32>, at: Region, wanted: Region) -> Array3<f32> {
-        let filtered = self.filters.as_ref().map(|f| f.over(image, at, wanted));
-        self.stacked(image, at, wanted, filtered)
+        self.stacked(image, at, wanted, self.facts.banks().map(|f| f.over(image, at, wanted)))
     }
 
     /// Row and column of `wanted`'s first pixel in `at`.
@@ -99,13 +108,13 @@ impl Guide {
         image: ArrayView3<'_, f32>,
         at: Region,
         wanted: Region,
-        filtered: Option<Array3<f32>>,
+        filtered: impl Iterator<Item = Array3<f32>>,
     ) -> Array3<f32> {
         let (row, col) = Self::offset(at, wanted);
         let mut out = Array3::zeros((self.inputs.channels(), wanted.rows, wanted.cols));
         out.slice_mut(s![..3, .., ..]).assign(&image.slice(s![.., row..row + wanted.rows, col..col + wanted.cols]));
         let mut next = 3;
-        if let Some(filtered) = filtered {
+        for filtered in filtered {
             out.slice_mut(s![next..next + 3, .., ..]).assign(&filtered);
             next += 3;
         }
@@ -120,6 +129,10 @@ impl Guide {
                     }
                 }
             }
+            next += 3;
+        }
+        if let Some(spread) = &self.facts.spread {
+            spread.write(&self.frame, wanted, out.slice_mut(s![next.., .., ..]));
         }
         out
     }
@@ -130,7 +143,7 @@ impl Guide {
         let swap = turns[2] && channels.dim().1 == channels.dim().2;
         let mut turned = turned(channels.view(), turns);
         if self.inputs.field {
-            let first = self.inputs.channels() - 3;
+            let first = turned.dim().0 - 3 - if self.inputs.psf { inputs::SPREAD } else { 0 };
             if turns[0] {
                 turned.slice_mut(s![first + 1, .., ..]).mapv_inplace(|v| -v);
             }
@@ -143,6 +156,10 @@ impl Guide {
                 turned.slice_mut(s![first, .., ..]).assign(&y);
                 turned.slice_mut(s![first + 1, .., ..]).assign(&x);
             }
+        }
+        if self.inputs.psf {
+            let first = turned.dim().0 - inputs::SPREAD;
+            Spread::turn(turned.slice_mut(s![first.., .., ..]), [turns[0], turns[1], swap]);
         }
         *channels = turned;
     }

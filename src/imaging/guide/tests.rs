@@ -11,13 +11,27 @@ use crate::imaging::sensor::noise::Noise;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::builtin;
 
-const BOTH: Inputs = Inputs { wiener: true, field: true };
+const BOTH: Inputs = Inputs::TOLD;
+const ALL: Inputs = Inputs { wiener: true, levels: true, field: true, psf: true };
+
+/// What `inputs` need, of no lens.
+fn facts(inputs: Inputs) -> Facts {
+    let bank = |wanted: bool, half: usize| wanted.then(|| random(half));
+    let levels = bank(inputs.levels, 5).zip(bank(inputs.levels, 4)).map(|(a, b)| Box::new([a, b]));
+    Facts { filters: bank(inputs.wiener, 6), levels, spread: inputs.psf.then(spread), vergences: Vec::new() }
+}
+
+/// Widths, elongation and light that change along the radius.
+fn spread() -> Spread {
+    let numbers = ndarray::arr2(&[[1.0, 1.1, 1.4, 0.0, 1.0], [2.0, 2.5, 3.0, 0.4, 0.8], [5.0, 6.0, 8.0, -0.6, 0.3]]);
+    Spread::from_parts(vec![0.0, 15.0, 50.0], numbers).expect("valid")
+}
 
 /// Filters of random steps on four nodes.
 fn random(half: usize) -> Filters {
     let rng = &mut fastrand::Rng::with_seed(5);
     let size = 2 * half + 1;
-    let mut steps = Array4::from_shape_simple_fn((4, 3, size, size), || rng.i16(-3000..3000));
+    let mut steps = Array4::from_shape_simple_fn((4, 3, size, size), || rng.i16(-1000..1000));
     let mut scales = Array2::zeros((4, 3));
     for node in 0..4 {
         for channel in 0..3 {
@@ -72,8 +86,14 @@ fn filters_are_the_plain_sum_on_tiles_or_not() {
 #[test]
 fn channels_pull_back_to_the_capture() {
     let frame = Frame::centred(60, 48, 0.01).expect("valid");
-    let told = |inputs: Inputs| Guide::from_parts(inputs, &frame, inputs.wiener.then(|| random(6))).expect("valid");
-    for guide in [told(BOTH), told(Inputs { wiener: false, field: true }), Guide::bare(&frame)] {
+    let told = |inputs: Inputs| Guide::from_parts(inputs, &frame, facts(inputs)).expect("valid");
+    for guide in [
+        told(BOTH),
+        told(ALL),
+        told(Inputs { levels: true, ..Inputs::BARE }),
+        told(Inputs { field: true, ..Inputs::BARE }),
+        Guide::bare(&frame),
+    ] {
         for (at, wanted) in [
             (Region { row: 8, col: 8, rows: 32, cols: 36 }, Region { row: 16, col: 20, rows: 12, cols: 16 }),
             (Region { row: 0, col: 0, rows: 48, cols: 60 }, Region { row: 0, col: 0, rows: 48, cols: 60 }),
@@ -105,24 +125,59 @@ fn white_stays_white_and_files_come_back() {
     let whole = Region { row: 0, col: 0, rows: 48, cols: 60 };
     let told = filters.over(white.view(), whole, whole);
     assert!(told.iter().all(|v| (v - 1.0).abs() < 1e-4));
-    let bytes = filters.to_npz().expect("writes");
     let path = std::path::Path::new("kit/filters.npz");
-    assert_eq!(Filters::from_npz(&bytes, path).expect("reads"), filters);
-    for broken in [&bytes[..bytes.len() / 2], b"".as_slice(), b"PK\x03\x04 no file"] {
-        let error = Filters::from_npz(broken, path).expect_err("broken");
-        assert!(error.exit_code() == 2 && error.to_string().contains("filters.npz"), "{error}");
+    let none = Facts::default().to_npz().expect("writes");
+    for inputs in [BOTH, ALL, Inputs { psf: true, ..Inputs::BARE }, Inputs { levels: true, ..Inputs::BARE }] {
+        let known = Facts { vergences: vec![0.001, 0.0], ..facts(inputs) };
+        assert_eq!(known.depths_mm(), [1000.0, f64::INFINITY]);
+        let bytes = known.to_npz().expect("writes");
+        assert_eq!(Facts::from_npz(&bytes, path).expect("reads"), known);
+        for broken in [&bytes[..bytes.len() / 2], b"".as_slice(), b"PK\x03\x04 no file", &none] {
+            let error = Facts::from_npz(broken, path).expect_err("broken");
+            assert!(error.exit_code() == 2 && error.to_string().contains("filters.npz"), "{error}");
+        }
     }
     let mut grey = filters.clone();
     grey.scales *= 0.5;
     let error = Filters::from_parts(grey.grid, grey.steps, grey.scales).expect_err("grey").to_string();
     assert!(error.contains("sum"), "{error}");
     let frame = Frame::centred(60, 48, 0.01).expect("valid");
-    assert!(
-        Guide::from_parts(BOTH, &frame, None).is_err()
-            && Guide::from_parts(Inputs::BARE, &frame, Some(filters)).is_err()
-    );
+    for (inputs, known, said) in [
+        (BOTH, Inputs::BARE, "Wiener filters"),
+        (Inputs::BARE, BOTH, "Wiener filters"),
+        (ALL, BOTH, "other noise"),
+        (Inputs { psf: true, ..BOTH }, BOTH, "point spread functions"),
+        (BOTH, Inputs { psf: true, ..BOTH }, "point spread functions"),
+    ] {
+        let error = Guide::from_parts(inputs, &frame, facts(known)).expect_err("another's").to_string();
+        assert!(error.contains(said), "{error}");
+    }
+    let wide = Frame::centred(120, 80, 0.01).expect("valid");
+    let psf = Inputs { psf: true, ..Inputs::BARE };
+    let error = Guide::from_parts(psf, &wide, facts(psf)).expect_err("a table that ends").to_string();
+    assert!(error.contains("known to 50.0 pixels"), "{error}");
+    let mut lonely = facts(ALL);
+    let noisy = lonely.levels.as_mut().expect("named");
+    let halves = [noisy[0].clone(), noisy[1].clone()];
+    let npz = lonely.to_npz().expect("writes");
+    assert_eq!(Facts::from_npz(&npz, path).expect("reads").levels.map(|l| *l), Some(halves));
+    // The name of one of the two levels' arrays is another's.
+    let mut renamed = npz.clone();
+    let (from, to) = (b"quiet_steps", b"quite_steps");
+    let places: Vec<usize> = (0..npz.len() - from.len()).filter(|i| npz[*i..].starts_with(from)).collect();
+    places.iter().for_each(|i| renamed[*i..i + to.len()].copy_from_slice(to));
+    let error = Facts::from_npz(&renamed, path).expect_err("one level").to_string();
+    assert!(error.contains("one of the two"), "{error}");
+    let rng = &mut fastrand::Rng::with_seed(9);
+    for _ in 0..300 {
+        let mut changed = npz.clone();
+        changed[rng.usize(0..npz.len())] = rng.u8(..);
+        if let Err(error) = Facts::from_npz(&changed, path) {
+            assert!(error.exit_code() == 2 && error.to_string().contains("filters.npz"), "{error}");
+        }
+    }
     let tiny = Frame::centred(12, 8, 0.01).expect("valid");
-    assert!(Guide::from_parts(BOTH, &tiny, Some(random(6))).expect_err("outside").to_string().contains("node at 40"));
+    assert!(Guide::from_parts(BOTH, &tiny, facts(BOTH)).expect_err("outside").to_string().contains("node at 40"));
 }
 
 /// A picture through a lens, by the filters made for it: several dB nearer to the truth, and nearer the less noise there is.
@@ -176,7 +231,8 @@ fn filters_of_a_lens_undo_its_blur() {
 #[test]
 fn turned_channels_are_those_of_the_mirrored_place() {
     let frame = Frame::centred(64, 64, 0.01).expect("valid");
-    let guide = Guide::from_parts(Inputs { wiener: false, field: true }, &frame, None).expect("valid");
+    let inputs = Inputs { field: true, psf: true, ..Inputs::BARE };
+    let guide = Guide::from_parts(inputs, &frame, facts(inputs)).expect("valid");
     let whole = Region { row: 0, col: 0, rows: 64, cols: 64 };
     let blank = Array3::zeros((3, 64, 64));
     let there = |row, col| guide.over(blank.view(), whole, Region { row, col, rows: 8, cols: 8 });
@@ -234,7 +290,8 @@ fn extremes_stay_within_the_stated_bound() {
         ("wider than a filter", &far, &fine, 1.0),
         ("no noise", &lens, &frame, 0.0),
     ] {
-        let filters = Filters::of(&renderer(lens, frame, Settings::TRAINING), &noisier(factor)).expect(what);
+        let banks = Filters::of(&renderer(lens, frame, Settings::TRAINING), &noisier(factor), &[1.0]).expect(what);
+        let filters = &banks[0];
         let bound = filters.overshoot();
         let white = filters.over(Array3::ones((3, 160, 240)).view(), whole, whole);
         assert!(white.iter().all(|v| (v - 1.0).abs() < 1e-3), "{what}: white stays white");
@@ -254,10 +311,10 @@ fn extremes_stay_within_the_stated_bound() {
 fn darkness_has_no_filter() {
     let fft = crate::math::fft::RealFft2::<f64>::new(64, 64);
     for nsr in [1e-6, 10.0] {
-        let filter = filters::wiener(&fft, 64, &[Array2::zeros((9, 9))], nsr, 12);
+        let filter = filters::Spectra::of(&fft, 64, &[Array2::zeros((9, 9))]).wiener(&fft, nsr, 12);
         assert_eq!((filter[[12, 12]], filter.iter().map(|v| v.abs()).sum::<f64>()), (1.0, 1.0));
     }
-    assert_eq!(filters::nsr(&Electronics::of(&Sensor::generic()), 1, 0.0), 10.0);
+    assert_eq!(filters::nsr(&Electronics::of(&Sensor::generic()), 1, 0.0, 1.0), 10.0);
 }
 
 #[test]
@@ -266,9 +323,93 @@ fn inputs_have_names() {
         (Inputs::BARE.channels(), BOTH.channels(), BOTH.base(), BOTH.names()),
         (3, 9, 3, vec!["wiener", "field"])
     );
+    assert_eq!((ALL.channels(), ALL.names()), (21, vec!["wiener", "levels", "field", "psf"]));
     assert_eq!(Inputs::of_names(["field", "wiener"]).expect("known"), BOTH);
     for wrong in [vec!["smell"], vec!["field", "field"]] {
         let error = Inputs::of_names(wrong.iter().copied()).expect_err("refused").to_string();
-        assert!(error.contains("wiener, field"), "{error}");
+        assert!(error.contains("wiener, levels, field, psf"), "{error}");
+    }
+}
+
+/// What a place's point spread function is like, against the moments of the whole kernel there by their definition; banks of other noise are the filters that
+/// such noise gives.
+#[test]
+fn spreads_are_the_moments_of_the_kernels() {
+    let lens = builtin::lens("two_element").expect("shipped");
+    let frame = Frame::centred(320, 240, 0.06).and_then(|f| f.with_axis([20.0, 30.0])).expect("valid");
+    let (renderer, electronics) = (renderer(&lens, &frame, Settings::TRAINING), Electronics::of(&Sensor::generic()));
+    let guide = Guide::new(ALL, &renderer, &electronics).expect("facts");
+    let grid = NodeGrid { row_knots: vec![30, 150, 239], col_knots: vec![20, 90, 319] };
+    let kernels: Array4<f64> = renderer.pixel_kernels(0, &grid);
+    let blank = Array3::zeros((3, 240, 320));
+    let whole = Region { row: 0, col: 0, rows: 240, cols: 320 };
+    let mut longest = 0.0f64;
+    for node in 0..grid.len() {
+        let (row, col) = grid.pixel(node);
+        let at = Region { row: row.min(239), col: col.min(319), rows: 1, cols: 1 };
+        let told = guide.over(blank.view(), whole, at);
+        let means = guide.facts().and_then(|f| f.spread.as_ref()).expect("named").means();
+        let shown: Vec<f64> = told.slice(s![15.., 0, 0]).iter().zip(means).map(|(v, m)| f64::from(v + m)).collect();
+        let moments = |channel: usize| {
+            let kernel = kernels.slice(s![node, channel, .., ..]);
+            let half = (kernel.nrows() / 2) as f64;
+            let mean = |of: &dyn Fn(f64, f64) -> f64| {
+                kernel.indexed_iter().map(|((i, j), v)| v * of(j as f64 - half, i as f64 - half)).sum::<f64>()
+                    / kernel.sum()
+            };
+            let [x, y] = [mean(&|x, _| x), mean(&|_, y| y)];
+            [mean(&|a, _| (a - x).powi(2)), mean(&|a, b| (a - x) * (b - y)), mean(&|_, b| (b - y).powi(2))]
+        };
+        let all = [0, 1, 2].map(moments);
+        for (channel, [xx, _, yy]) in all.iter().enumerate() {
+            let width = 0.25 * 64f64.powf(shown[channel]);
+            let expected = (0.5 * (xx + yy)).sqrt();
+            // Straight lines over 32 steps of the radius, and a turned kernel lies on its pixels otherwise.
+            assert!((width / expected - 1.0).abs() < 0.03, "node {node}, channel {channel}: {width} {expected}");
+        }
+        let sum = |k: usize| all.iter().map(|m| m[k]).sum::<f64>();
+        let [long, slant] = [(sum(0) - sum(2)) / (sum(0) + sum(2)), 2.0 * sum(1) / (sum(0) + sum(2))];
+        assert!(
+            (shown[3] - long).abs() < 0.05 && (shown[4] - slant).abs() < 0.05,
+            "node {node}: {shown:?} {long} {slant}"
+        );
+        assert!(told.slice(s![15.., 0, 0]).iter().all(|v| v.abs() < 0.7), "what differs: {told}");
+        longest = longest.max(long.hypot(slant));
+        let light = renderer.light.over::<f64>(&frame, at, &[0, 1, 2]).mean().expect("three");
+        assert!((shown[5] - light).abs() < 0.01, "node {node}: {} {light}", shown[5]);
+    }
+    assert!(longest > 0.2, "a lens whose spread has a direction somewhere: {longest}");
+    for (k, times) in [0.1f64, 10.0].into_iter().enumerate() {
+        let Noise { shot, read } = electronics.noise;
+        let noise = Noise { shot: times * shot, read: times.sqrt() * read };
+        let other = Electronics { noise, ..electronics.clone() };
+        let alone = Guide::new(Inputs { wiener: true, ..Inputs::BARE }, &renderer, &other).expect("facts");
+        let [levels, one] = [&guide, &alone].map(|g| g.facts().expect("some"));
+        let apart = &levels.levels.as_ref().expect("named")[k].steps - &one.filters.as_ref().expect("named").steps;
+        // The same but for the last digit of the noise.
+        assert!(apart.iter().all(|v| v.abs() <= 1), "{times} of the noise");
+    }
+}
+
+#[test]
+fn spreads_that_are_none_are_refused() {
+    let good = spread();
+    let with = |radii: &[f64], change: (usize, f64)| {
+        let mut numbers = good.numbers.clone();
+        numbers[[1, change.0]] = change.1;
+        Spread::from_parts(radii.to_vec(), numbers).map_err(|e| e.to_string())
+    };
+    assert!(with(&[0.0, 15.0, 50.0], (3, -1.0)).is_ok());
+    for (radii, change, said) in [
+        (&[0.0, 15.0][..], (0, 1.0), "numbers at 2"),
+        (&[1.0, 15.0, 50.0], (0, 1.0), "grow from 0"),
+        (&[0.0, 15.0, 15.0], (0, 1.0), "grow from 0"),
+        (&[0.0, 15.0, f64::INFINITY], (0, 1.0), "grow from 0"),
+        (&[0.0, 15.0, 50.0], (0, f64::NAN), "NaN at distance 1"),
+        (&[0.0, 15.0, 50.0], (3, 1.5), "elongation"),
+        (&[0.0, 15.0, 50.0], (4, -0.1), "light"),
+    ] {
+        let error = with(radii, change).expect_err("refused");
+        assert!(error.contains(said), "{error}");
     }
 }

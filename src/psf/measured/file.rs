@@ -10,6 +10,7 @@ use ndarray_npy::{NpzReader, NpzWriter, ReadableElement};
 use super::{MeasuredPsf, Moves};
 use crate::atomic;
 use crate::error::{Error, Result};
+use crate::math::npz;
 
 /// Bytes of a file at most.
 const MOST: u64 = 1 << 28;
@@ -51,6 +52,7 @@ impl MeasuredPsf {
     /// As [`Self::load`].
     pub fn from_npz(bytes: &[u8], path: &Path) -> Result<Self> {
         let bad = |place: &str, e: String| Error::bad(path.display().to_string(), place, e, ALLOWED);
+        npz::check(bytes).map_err(|(place, found)| bad(&place, found))?;
         let mut npz = NpzReader::new(Cursor::new(bytes)).map_err(|e| bad("file", e.to_string()))?;
         let mut one = Read { npz: &mut npz, path };
         let size: Vec<i64> = one.line("size")?;

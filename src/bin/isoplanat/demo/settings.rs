@@ -46,7 +46,7 @@ impl Settings {
         train.scales = 3;
         // Two networks of equal minutes: one sees the capture alone, one is told of its lens. Designed with a told network in the same
         // minutes the lens was worse (benches/results/guided.md).
-        train.inputs = Inputs { wiener: true, field: true };
+        train.inputs = Inputs::TOLD;
         (train.minutes, train.constant_epochs, train.decay_epochs) = (Some(142.0 / 60.0), 1.0, 2.0);
         (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
         (train.rate, train.loss) = (2e-3, "l1".into());
