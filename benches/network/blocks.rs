@@ -95,7 +95,7 @@ fn prepared(config: &UnetConfig, what: &str) -> Box<dyn FnMut() -> f64> {
         return Box::new(move || {
             pool.install(|| {
                 let start = Instant::now();
-                network.step_network_only(input.view(), target.view(), 1e-5).expect("fits");
+                network.step_network_only(input.view(), target.view(), None, 1e-5).expect("fits");
                 start.elapsed().as_secs_f64()
             })
         });

@@ -37,7 +37,7 @@ pub(crate) struct Run {
 impl Run {
     /// Forward, backward, Adam.
     pub(crate) fn step(&mut self) {
-        let step = self.model.step_network_only(self.input.view(), self.target.view(), 1e-4).expect("fits");
+        let step = self.model.step_network_only(self.input.view(), self.target.view(), None, 1e-4).expect("fits");
         assert!(step.updated);
     }
 

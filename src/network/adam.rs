@@ -21,9 +21,9 @@ pub(super) struct Adam {
     pub(super) steps: u64,
 }
 
-const BETA1: f64 = 0.9;
-const BETA2: f64 = 0.999;
-const EPSILON: f32 = 1e-8;
+pub(super) const BETA1: f64 = 0.9;
+pub(super) const BETA2: f64 = 0.999;
+pub(super) const EPSILON: f32 = 1e-8;
 
 impl Adam {
     /// No steps taken, for `n` parameters.
@@ -33,13 +33,7 @@ impl Adam {
 
     /// Starts a step with step size `learning_rate` on gradients to be scaled by `scale`: what each parameter then needs.
     pub(super) fn begin(&mut self, scale: f32, learning_rate: f64) -> Rates {
-        self.steps += 1;
-        let steps = i32::try_from(self.steps).unwrap_or(i32::MAX);
-        Rates {
-            scale,
-            rate: (learning_rate / (1.0 - BETA1.powi(steps))) as f32,
-            unbias: (1.0 / (1.0 - BETA2.powi(steps))) as f32,
-        }
+        Rates::of(&mut self.steps, scale, learning_rate)
     }
 
     /// Moves `parameters`, the first of which is number `first`, against `gradient`.
@@ -60,9 +54,22 @@ impl Adam {
 /// Numbers of one step that all parameters share.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rates {
-    scale: f32,
-    rate: f32,
-    unbias: f32,
+    pub(super) scale: f32,
+    pub(super) rate: f32,
+    pub(super) unbias: f32,
+}
+
+impl Rates {
+    /// Of the step after `steps`, which counts it.
+    pub(super) fn of(steps: &mut u64, scale: f32, learning_rate: f64) -> Self {
+        *steps += 1;
+        let steps = i32::try_from(*steps).unwrap_or(i32::MAX);
+        Self {
+            scale,
+            rate: (learning_rate / (1.0 - BETA1.powi(steps))) as f32,
+            unbias: (1.0 / (1.0 - BETA2.powi(steps))) as f32,
+        }
+    }
 }
 
 struct Chunk<'a> {

@@ -140,7 +140,7 @@ mod tests {
         for _ in 0..steps {
             let a = Array4::from_shape_simple_fn((1, 3, 8, 12), || rng.f32());
             let b = Array4::from_shape_simple_fn((1, 3, 8, 12), || rng.f32());
-            model.step_network_only(a.view(), b.view(), 1e-3).expect("fits");
+            model.step_network_only(a.view(), b.view(), None, 1e-3).expect("fits");
             rng = fastrand::Rng::with_seed(model.steps());
         }
     }

@@ -155,6 +155,7 @@ fn relativistic(real: Tensor<4>, made: Tensor<4>, sign: f64) -> Tensor<1> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::compute::Compute;
     use super::super::learner::Learner;
     use super::*;
     use crate::testing::assert_rel;
@@ -244,7 +245,8 @@ mod tests {
         };
         let (real, made) = (draw(0.8), draw(0.4));
         for sight in [Sight::Local, Sight::Global] {
-            let mut learner = Learner::new(Discriminator::new(&config, sight, 2, &device), device.clone());
+            let mut learner =
+                Learner::new(Discriminator::new(&config, sight, 2, &device), device.clone(), Compute::Cpu);
             let mut losses = Vec::new();
             for _ in 0..80 {
                 let scores = |x: &Tensor<4>| learner.module().forward(Way::Burn, x.clone());

@@ -1,11 +1,15 @@
 //! A burn module on its way: its parameters as one flat list, their gradient, Adam with clipping.
 //!
-//! Generator and discriminators learn alike; a checkpoint of either is the same list of names, shapes and numbers.
+//! On the CPU the optimiser works on plain vectors; on another device it stays there ([`DeviceAdam`]). Generator and discriminators learn alike; a checkpoint of either is the same list of names, shapes and numbers.
+
+use std::borrow::Cow;
 
 use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
 use super::adam::{Adam, norm};
+use super::compute::Compute;
+use super::device_adam::{self, DeviceAdam};
 use super::kernels;
 use crate::error::{Error, Result};
 
@@ -30,14 +34,49 @@ pub(super) struct Learner<M> {
     /// Taken out only while its parameters change.
     module: Option<M>,
     device: Device,
-    /// Its moments are in the order of [`Learner::parameters`].
-    adam: Adam,
+    optimiser: Optimiser,
+}
+
+/// Its moments are in the order of [`Learner::parameters`].
+#[derive(Debug)]
+enum Optimiser {
+    Host(Adam),
+    Device(DeviceAdam),
+}
+
+/// The gradient of every parameter, in their order, where the optimiser wants it.
+#[derive(Debug)]
+pub(super) enum Gradient {
+    Host(Vec<Vec<f32>>),
+    Device(Vec<Tensor<1>>),
+}
+
+impl Gradient {
+    /// In the host's memory.
+    pub(super) fn to_host(&self) -> Cow<'_, [Vec<f32>]> {
+        match self {
+            Self::Host(all) => Cow::Borrowed(all),
+            Self::Device(all) => all.iter().map(|g| values(g.clone())).collect(),
+        }
+    }
+
+    /// Its Euclidean length, by the optimiser's own sum.
+    pub(super) fn norm(&self) -> f64 {
+        match self {
+            Self::Host(all) => norm(all),
+            Self::Device(all) => device_adam::norm(all),
+        }
+    }
 }
 
 impl<M: Module> Learner<M> {
-    /// `module` on `device` (with autodiff), no step taken.
-    pub(super) fn new(module: M, device: Device) -> Self {
-        Self { adam: Adam::new(module.num_params()), module: Some(module), device }
+    /// `module` on `device` (with autodiff) of the kind `compute`, no step taken.
+    pub(super) fn new(module: M, device: Device, compute: Compute) -> Self {
+        let optimiser = match compute {
+            Compute::Cpu => Optimiser::Host(Adam::new(module.num_params())),
+            Compute::Cuda | Compute::Wgpu => Optimiser::Device(DeviceAdam::new(&module, &device.clone().inner())),
+        };
+        Self { optimiser, module: Some(module), device }
     }
 
     /// The module, its parameters tracked.
@@ -56,8 +95,19 @@ impl<M: Module> Learner<M> {
     }
 
     /// The optimiser's state.
-    pub(super) fn adam(&self) -> &Adam {
-        &self.adam
+    pub(super) fn adam(&self) -> Cow<'_, Adam> {
+        match &self.optimiser {
+            Optimiser::Host(adam) => Cow::Borrowed(adam),
+            Optimiser::Device(adam) => Cow::Owned(adam.to_host()),
+        }
+    }
+
+    /// Steps taken.
+    pub(super) fn steps(&self) -> u64 {
+        match &self.optimiser {
+            Optimiser::Host(adam) => adam.steps,
+            Optimiser::Device(adam) => adam.steps,
+        }
     }
 
     /// All parameters by name, in the module's order.
@@ -91,33 +141,75 @@ impl<M: Module> Learner<M> {
     /// # Panics
     /// Where the lengths are not those of the module.
     pub(super) fn restore(&mut self, weights: &[f32], adam: Option<Adam>) {
-        let n = self.adam.first.len();
-        let adam = adam.unwrap_or_else(|| Adam::new(n));
-        assert!([weights.len(), adam.first.len(), adam.second.len()] == [n; 3]);
-        self.adam = adam;
+        let n = self.module().num_params();
+        let lengths = |a: &Adam| [a.first.len(), a.second.len()];
+        assert!(weights.len() == n && adam.as_ref().is_none_or(|a| lengths(a) == [n; 2]));
+        let there = self.device.clone().inner();
+        self.optimiser = match (&self.optimiser, adam) {
+            (Optimiser::Host(_), adam) => Optimiser::Host(adam.unwrap_or_else(|| Adam::new(n))),
+            (Optimiser::Device(_), None) => Optimiser::Device(DeviceAdam::new(self.module(), &there)),
+            (Optimiser::Device(_), Some(adam)) => Optimiser::Device(DeviceAdam::with(&adam, self.module(), &there)),
+        };
         self.change(|first, now| now.copy_from_slice(&weights[first..first + now.len()]));
     }
 
     /// The gradient of every parameter in their order, taken out of `gradients`; zeros where none arrived.
-    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Vec<Vec<f32>> {
-        let mut collect = CollectGradient { gradients, found: Vec::new() };
-        self.module().visit(&mut collect);
-        collect.found
+    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Gradient {
+        let all = device_adam::gradient_of(self.module(), gradients);
+        match self.optimiser {
+            Optimiser::Device(_) => Gradient::Device(all),
+            Optimiser::Host(_) => Gradient::Host(all.into_iter().map(values).collect()),
+        }
+    }
+
+    /// What a first step of `learning_rate` makes of the weights with a gradient of whole numbers from -3 to 3, in their order: what an optimiser computes, whatever
+    /// the network.
+    pub(super) fn after(&self, learning_rate: f64) -> Vec<f32> {
+        let there = self.device.clone().inner();
+        #[expect(clippy::cast_precision_loss, reason = "whole numbers below 7")]
+        let known: Vec<f32> = (0..self.module().num_params()).map(|k| (k % 7) as f32 - 3.0).collect();
+        let parts = device_adam::cut(&known, self.module(), &there);
+        let (gradient, optimiser) = match self.optimiser {
+            Optimiser::Host(_) => {
+                let adam = Adam::new(self.module().num_params());
+                (Gradient::Host(parts.into_iter().map(values).collect()), Optimiser::Host(adam))
+            }
+            Optimiser::Device(_) => {
+                (Gradient::Device(parts), Optimiser::Device(DeviceAdam::new(self.module(), &there)))
+            }
+        };
+        let mut other = Self { module: self.module.clone(), device: self.device.clone(), optimiser };
+        other.update(true, gradient, learning_rate);
+        other.parameters().into_iter().flat_map(|p| p.values).collect()
     }
 
     /// Clipped Adam step; leaves everything as it was where the loss (`sound`) or the gradient is not finite. Returns the
     /// gradient's norm before clipping, and whether the weights moved.
-    pub(super) fn update(&mut self, sound: bool, gradient: Vec<Vec<f32>>, learning_rate: f64) -> (f64, bool) {
-        let norm = norm(&gradient);
+    ///
+    /// # Panics
+    /// A gradient of another learner.
+    pub(super) fn update(&mut self, sound: bool, gradient: Gradient, learning_rate: f64) -> (f64, bool) {
+        let norm = gradient.norm();
         let finite = sound && norm.is_finite();
-        if finite {
-            let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
-            let (rates, mut parts) = (self.adam.begin(scale, learning_rate), gradient.iter());
-            let mut adam = std::mem::replace(&mut self.adam, Adam::new(0));
-            self.change(|first, now| adam.step(rates, first, now, parts.next().expect("one a parameter")));
-            self.adam = adam;
+        let scale = if norm > CLIP_NORM { (CLIP_NORM / norm) as f32 } else { 1.0 };
+        match gradient {
+            Gradient::Host(gradient) => {
+                if finite {
+                    let mut optimiser = std::mem::replace(&mut self.optimiser, Optimiser::Host(Adam::new(0)));
+                    let Optimiser::Host(adam) = &mut optimiser else { unreachable!("the gradient is its own") };
+                    let (rates, mut parts) = (adam.begin(scale, learning_rate), gradient.iter());
+                    self.change(|first, now| adam.step(rates, first, now, parts.next().expect("one a parameter")));
+                    self.optimiser = optimiser;
+                }
+                gradient.into_iter().for_each(kernels::give);
+            }
+            Gradient::Device(gradient) if finite => {
+                let module = self.module.take().expect("put back after every change");
+                let Optimiser::Device(adam) = &mut self.optimiser else { unreachable!("the gradient is its own") };
+                self.module = Some(adam.step(module, gradient, scale, learning_rate));
+            }
+            Gradient::Device(_) => {}
         }
-        gradient.into_iter().for_each(kernels::give);
         (norm, finite)
     }
 
@@ -130,8 +222,8 @@ impl<M: Module> Learner<M> {
     }
 }
 
-fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_into_vec::<f32>().expect("parameters are f32 in the host's memory")
+pub(super) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_into_vec::<f32>().expect("numbers are f32")
 }
 
 /// All parameters by name, in the module's order.
@@ -164,21 +256,6 @@ fn collect<M: Module>(module: &M) -> Vec<Parameter> {
     collect.found
 }
 
-struct CollectGradient<'a> {
-    gradients: &'a mut Gradients,
-    found: Vec<Vec<f32>>,
-}
-
-impl ModuleVisitor for CollectGradient<'_> {
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        let tensor = param.val();
-        self.found.push(match tensor.grad_remove(self.gradients) {
-            Some(gradient) => values(gradient),
-            None => vec![0.0; tensor.dims().iter().product()],
-        });
-    }
-}
-
 /// Calls `change` for the parameters one after the other, in the order of [`collect`].
 struct Change<'a, F> {
     change: F,
@@ -196,5 +273,59 @@ impl<F: FnMut(usize, &mut [f32])> ModuleMapper for Change<'_, F> {
             self.first += now.len();
             Tensor::from_data(TensorData::new(now, shape), self.device).require_grad()
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::layers::Way;
+    use super::super::reconstructor::tensor;
+    use super::super::unet::{Unet, UnetConfig};
+    use super::*;
+
+    /// The optimiser that stays on its device takes the steps of the one on plain vectors, on burn's CPU device; both clip, both leave everything where it was
+    /// after a loss or a gradient that is no number, and the one goes on from the other's checkpoint.
+    #[test]
+    fn on_a_device_the_optimiser_takes_the_same_steps() {
+        let config = UnetConfig::bare(4, 3);
+        let device = Compute::Cpu.device().expect("a CPU").autodiff();
+        let fresh = |compute| Learner::new(Unet::new(&config, 3, &device), device.clone(), compute);
+        let picture = |seed: u64| {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            tensor(&ndarray::Array4::from_shape_simple_fn((1, 3, 16, 16), || rng.f32()).view(), &device)
+        };
+        let step = |learner: &mut Learner<Unet>, k: u64, factor: f32, sound: bool| {
+            let made = learner.module().forward(Way::Burn, config.inputs, picture(k));
+            let loss = (made - picture(100 + k)).abs().mean() * factor;
+            let gradient = learner.gradient(&mut loss.backward());
+            learner.update(sound, gradient, 3e-3)
+        };
+        let all =
+            |learner: &Learner<Unet>| -> Vec<f32> { learner.parameters().into_iter().flat_map(|p| p.values).collect() };
+        let apart = |a: &[f32], b: &[f32]| a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
+        let [mut host, mut there] = [Compute::Cpu, Compute::Wgpu].map(fresh);
+        assert!(matches!((&host.optimiser, &there.optimiser), (Optimiser::Host(_), Optimiser::Device(_))));
+        let start = all(&host);
+        for k in 0..12 {
+            // Every third gradient is clipped.
+            let factor = if k % 3 == 0 { 1e3 } else { 1.0 };
+            let [(a, moved), (b, also)] = [&mut host, &mut there].map(|l| step(l, k, factor, true));
+            assert!((a / b - 1.0).abs() < 1e-5 && moved && also, "{a} {b}");
+        }
+        assert!(apart(&all(&host), &start) > 1e-2 && apart(&all(&host), &all(&there)) < 1e-5);
+        assert_eq!((host.steps(), there.steps()), (12, 12));
+        let before = (all(&there), there.adam().into_owned());
+        for (factor, sound) in [(f32::NAN, true), (f32::INFINITY, true), (1.0, false)] {
+            assert!(!step(&mut there, 20, factor, sound).1);
+            assert_eq!((all(&there), there.adam().into_owned()), before);
+        }
+        let mut resumed = fresh(Compute::Wgpu);
+        resumed.restore(&all(&there), Some(there.adam().into_owned()));
+        for k in 30..33 {
+            for learner in [&mut resumed, &mut there] {
+                step(learner, k, 1.0, true);
+            }
+        }
+        assert_eq!(all(&resumed), all(&there));
     }
 }

@@ -4,7 +4,7 @@
 //! demosaicked. burn's types stay inside this module: the design loop and the tests speak `ndarray`.
 //!
 //! Reading order: [`card`] (the contract with the camera), `unet` (the model), `block` (what it is made of), `layers` (their operations), `learner`
-//! (weights and Adam), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
+//! (weights and Adam; `device_adam` off the CPU), `reconstructor` (forward, the design's step), `content`, `perceptual` and `critic` (losses),
 //! `trainer` (the final training's step), its `device_check` (whether a GPU computes the same; `in_blocks`, the way round where not),
 //! `average`, `checkpoint`, `onnx` (export). The fast convolutions are in `kernels`.
 
@@ -27,6 +27,8 @@ mod content;
 pub mod critic;
 #[cfg(feature = "train")]
 mod deepen;
+#[cfg(feature = "train")]
+mod device_adam;
 #[cfg(feature = "train")]
 mod display;
 #[cfg(feature = "train")]

@@ -8,13 +8,13 @@ use std::path::Path;
 
 use burn::module::Module;
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
-use ndarray::{Array4, ArrayView4};
+use ndarray::{Array4, ArrayView4, s};
 
 use super::average;
 use super::checkpoint::{self, Checkpoint, Section};
 use super::compute::Compute;
 use super::layers::Way;
-use super::learner::{Learner, Parameter};
+use super::learner::{Gradient, Learner, Parameter};
 use super::tiles;
 use super::unet::{Unet, UnetConfig};
 use crate::error::{Error, Result};
@@ -77,7 +77,7 @@ impl Reconstructor {
     pub fn on(compute: Compute, config: UnetConfig, seed: u64) -> Result<Self> {
         config.validate()?;
         let device = compute.device()?.autodiff();
-        let learner = Learner::new(Unet::new(&config, seed, &device), device);
+        let learner = Learner::new(Unet::new(&config, seed, &device), device, compute);
         Ok(Self { config, learner, compute, way: compute.way() })
     }
 
@@ -88,7 +88,7 @@ impl Reconstructor {
 
     /// Training steps taken.
     pub fn steps(&self) -> u64 {
-        self.learner.adam().steps
+        self.learner.steps()
     }
 
     /// All parameters by name, in a fixed order.
@@ -133,7 +133,8 @@ impl Reconstructor {
         Ok(output.slice(ndarray::s![.., .., ..rows, ..columns]).to_owned())
     }
 
-    /// Loss, output and cotangents for one batch; with `update`, one Adam step of size `learning_rate` after it.
+    /// Loss, output and cotangents for one batch; with `update`, one Adam step of size `learning_rate` after it. With `weights` gradients and cotangents are
+    /// those of a loss in which each picture of the batch counts so many times; the loss that is told is the plain one.
     ///
     /// # Shapes
     /// `input`: `[batch, channel, row, col]`, `target`: `[batch, 3, row, col]`, rows and columns multiples of [`UnetConfig::multiple`].
@@ -141,17 +142,21 @@ impl Reconstructor {
         &mut self,
         input: ArrayView4<f32>,
         target: ArrayView4<f32>,
+        weights: Option<&[f32]>,
         learning_rate: f64,
         update: bool,
     ) -> Result<Step> {
-        let Backward { loss, output, input_bar, gradient } = self.backward(&input, &target, true, update)?;
+        let Backward { loss, output, input_bar, gradient } = self.backward(&input, &target, weights, [true, update])?;
         let input_bar = input_bar.ok_or_else(|| Error::Internal("no gradient reached the network's input".into()))?;
-        let scale = -1.0 / output.len() as f32;
         let mut target_bar = Array4::zeros(output.raw_dim());
-        ndarray::Zip::from(&mut target_bar).and(&output).and(&target).for_each(|bar, &output, &target| {
-            let difference = output - target;
-            *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
-        });
+        for (i, mut bar) in target_bar.outer_iter_mut().enumerate() {
+            let scale = -weights.map_or(1.0, |w| w[i]) / output.len() as f32;
+            let [output, target] = [output.view(), target].map(|all| all.slice_move(s![i, .., .., ..]));
+            ndarray::Zip::from(&mut bar).and(&output).and(&target).for_each(|bar, &output, &target| {
+                let difference = output - target;
+                *bar = if difference == 0.0 { 0.0 } else { scale * difference.signum() };
+            });
+        }
         let (gradient_norm, updated) = match gradient {
             Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
             None => (0.0, false),
@@ -164,9 +169,10 @@ impl Reconstructor {
         &mut self,
         input: ArrayView4<f32>,
         target: ArrayView4<f32>,
+        weights: Option<&[f32]>,
         learning_rate: f64,
     ) -> Result<NetworkStep> {
-        let Backward { loss, output, gradient, .. } = self.backward(&input, &target, false, true)?;
+        let Backward { loss, output, gradient, .. } = self.backward(&input, &target, weights, [false, true])?;
         let (gradient_norm, updated) = match gradient {
             Some(gradient) => self.learner.update(loss.is_finite(), gradient, learning_rate),
             None => (0.0, false),
@@ -200,7 +206,7 @@ impl Reconstructor {
     pub(super) fn save_with(&self, path: &Path, more: &[Section<'_>], facts: &BTreeMap<String, String>) -> Result<()> {
         let parameters = self.parameters();
         let adam = self.learner.adam();
-        let mut sections = vec![Section { prefix: "", parameters: &parameters, steps: adam.steps, adam: Some(adam) }];
+        let mut sections = vec![Section { prefix: "", parameters: &parameters, steps: adam.steps, adam: Some(&adam) }];
         sections.extend(more.iter().map(|s| Section { ..*s }));
         checkpoint::save(path, &self.config, &sections, facts)
     }
@@ -222,7 +228,7 @@ impl Reconstructor {
     /// Where there are not as many as the network has.
     pub(super) fn with_weights(&self, weights: Vec<f32>) -> Self {
         let device = self.learner.device().clone();
-        let learner = Learner::new(Unet::new(&self.config, 0, &device), device);
+        let learner = Learner::new(Unet::new(&self.config, 0, &device), device, self.compute);
         let mut other = Self { config: self.config.clone(), learner, compute: self.compute, way: self.way };
         other.restart(weights);
         other
@@ -265,8 +271,13 @@ impl Reconstructor {
     }
 
     /// The gradient of every parameter in the order of [`Reconstructor::parameters`], taken out of `gradients`.
-    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Vec<Vec<f32>> {
+    pub(super) fn gradient(&self, gradients: &mut Gradients) -> Gradient {
         self.learner.gradient(gradients)
+    }
+
+    /// As [`Learner::after`].
+    pub(super) fn after(&self, learning_rate: f64) -> Vec<f32> {
+        self.learner.after(learning_rate)
     }
 
     /// The forward pass with a graph behind it.
@@ -303,28 +314,36 @@ impl Reconstructor {
         Ok(())
     }
 
-    /// Forward and backward; the gradients asked for only.
+    /// Forward and backward; the gradients asked for only, of the mean absolute difference with `weights` of the batch's pictures.
     fn backward(
         &self,
         input: &ArrayView4<f32>,
         target: &ArrayView4<f32>,
-        with_input: bool,
-        with_weights: bool,
+        weights: Option<&[f32]>,
+        [with_input, with_parameters]: [bool; 2],
     ) -> Result<Backward> {
         self.check_pair(input, target)?;
         let input = tensor(input, self.learner.device());
         let input = if with_input { input.require_grad() } else { input };
-        let frozen = (!with_weights).then(|| self.learner.frozen());
+        let frozen = (!with_parameters).then(|| self.learner.frozen());
         let network = frozen.as_ref().unwrap_or_else(|| self.learner.module());
 
         let output = network.forward(self.way, self.config.inputs, input.clone());
         let difference = output.clone() - tensor(target, self.learner.device());
-        let mut gradients = difference.abs().mean().backward();
+        let difference = match weights {
+            Some(weights) => {
+                let weights = ArrayView4::from_shape((weights.len(), 1, 1, 1), weights);
+                difference.abs()
+                    * tensor(&weights.map_err(|e| Error::Internal(format!("weights: {e}")))?, self.learner.device())
+            }
+            None => difference.abs(),
+        };
+        let mut gradients = difference.mean().backward();
 
         let output = array(output.inner())?;
         let sum: f64 = output.iter().zip(target.iter()).map(|(a, b)| f64::from((a - b).abs())).sum();
         let input_bar = if with_input { input.grad_remove(&mut gradients).map(array).transpose()? } else { None };
-        let gradient = with_weights.then(|| self.learner.gradient(&mut gradients));
+        let gradient = with_parameters.then(|| self.learner.gradient(&mut gradients));
         Ok(Backward { loss: (sum / output.len() as f64) as f32, output, input_bar, gradient })
     }
 
@@ -350,7 +369,7 @@ struct Backward {
     output: Array4<f32>,
     input_bar: Option<Array4<f32>>,
     /// By parameter, in the order of [`Reconstructor::parameters`].
-    gradient: Option<Vec<Vec<f32>>>,
+    gradient: Option<Gradient>,
 }
 
 pub(super) fn tensor(view: &ArrayView4<f32>, device: &Device) -> Tensor<4> {
@@ -449,7 +468,7 @@ mod tests {
     fn cotangents_of(config: UnetConfig) {
         let mut model = awake(config, 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
-        let step = model.step(input.view(), target.view(), 0.0, false).expect("fits");
+        let step = model.step(input.view(), target.view(), None, 0.0, false).expect("fits");
         assert!(!step.updated);
         // Along a direction, summed in f64. PReLU and pooling have kinks, so the step is small.
         let direction = picture((1, 3, 32, 24), 6).mapv(|v| v - 0.5);
@@ -471,6 +490,30 @@ mod tests {
         assert_rel(dot(&step.target_bar), slope(false), 5e-3, 1e-3, "target");
     }
 
+    /// A batch in which pictures count 2 and 0.5 times: gradients and cotangents are the sums of those of the pictures alone.
+    #[test]
+    fn weighed_pictures_count_so_many_times() {
+        let model = Reconstructor::new(UnetConfig::bare(4, 2), 3).expect("valid");
+        let (input, target) = (picture((2, 3, 16, 12), 1), picture((2, 3, 16, 12), 2));
+        let weights = [2.0f32, 0.5];
+        let whole = model.backward(&input.view(), &target.view(), Some(&weights), [true; 2]).expect("fits");
+        let gradient = whole.gradient.as_ref().expect("asked for").to_host().concat();
+        let mut sum = vec![0.0f32; gradient.len()];
+        for (i, weight) in weights.iter().enumerate() {
+            let [x, t] = [&input, &target].map(|all| all.slice(s![i..=i, .., .., ..]));
+            let one = model.backward(&x, &t, None, [true; 2]).expect("fits");
+            let bar = one.input_bar.expect("asked for") * (0.5 * weight);
+            let off = &bar - &whole.input_bar.as_ref().expect("asked for").slice(s![i..=i, .., .., ..]);
+            assert!(off.iter().all(|v| v.abs() < 1e-7), "picture {i}");
+            let parts = one.gradient.expect("asked for").to_host().concat();
+            sum.iter_mut().zip(parts).for_each(|(s, g)| *s += 0.5 * weight * g);
+        }
+        let size = gradient.iter().fold(0f32, |m, v| m.max(v.abs()));
+        assert!(sum.iter().zip(&gradient).all(|(a, b)| (a - b).abs() < 1e-5 * size));
+        let plain = model.backward(&input.view(), &target.view(), None, [false, true]).expect("fits");
+        assert_eq!(plain.loss, whole.loss, "the loss that is told is the plain one");
+    }
+
     #[test]
     fn weight_gradients_match_central_differences() {
         kinds().for_each(|config| weight_gradients_of(&config));
@@ -480,10 +523,11 @@ mod tests {
         let model = awake(config.clone(), 3);
         let (input, target) = (picture((1, 3, 32, 24), 4), far_target());
         let gradient = model
-            .backward(&input.view(), &target.view(), false, true)
+            .backward(&input.view(), &target.view(), None, [false, true])
             .expect("fits")
             .gradient
             .expect("asked for")
+            .to_host()
             .concat();
         let mut offset = 0;
         let rng = &mut fastrand::Rng::with_seed(8);
@@ -514,14 +558,14 @@ mod tests {
             let (input, target) = (picture((1, 3, 16, 16), 4), picture((1, 3, 16, 16), 5).mapv(|v| 0.5 * v));
             let mut a = Reconstructor::new(config.clone(), 3).expect("valid");
             let mut b = Reconstructor::new(config.clone(), 3).expect("valid");
-            let first = a.step(input.view(), target.view(), 3e-3, true).expect("fits");
+            let first = a.step(input.view(), target.view(), None, 3e-3, true).expect("fits");
             assert!(first.updated && first.gradient_norm > 0.0);
-            b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+            b.step_network_only(input.view(), target.view(), None, 3e-3).expect("fits");
             assert_eq!(a.parameters(), b.parameters());
             for _ in 0..60 {
-                b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+                b.step_network_only(input.view(), target.view(), None, 3e-3).expect("fits");
             }
-            let last = b.step_network_only(input.view(), target.view(), 3e-3).expect("fits");
+            let last = b.step_network_only(input.view(), target.view(), None, 3e-3).expect("fits");
             eprintln!("{:?}: {} {}", config.blocks, first.loss, last.loss);
             assert!(last.loss < 0.8 * first.loss, "{:?}: {} {}", config.blocks, first.loss, last.loss);
         }
@@ -533,7 +577,7 @@ mod tests {
         let before = model.parameters();
         let (mut input, target) = (picture((1, 3, 8, 8), 4), picture((1, 3, 8, 8), 5));
         input[[0, 1, 2, 3]] = f32::NAN;
-        let step = model.step(input.view(), target.view(), 1e-3, true).expect("fits");
+        let step = model.step(input.view(), target.view(), None, 1e-3, true).expect("fits");
         assert!(!step.updated);
         assert_eq!((model.parameters(), model.steps()), (before, 0));
     }
@@ -545,7 +589,7 @@ mod tests {
             assert!(model.forward(picture(shape, 1).view()).is_err(), "{shape:?}");
         }
         let (a, b) = (picture((1, 3, 8, 8), 1), picture((1, 3, 8, 12), 1));
-        assert!(model.step(a.view(), b.view(), 1e-3, true).is_err());
+        assert!(model.step(a.view(), b.view(), None, 1e-3, true).is_err());
     }
 
     #[test]
@@ -605,7 +649,7 @@ mod tests {
             let (input, target) = (picture(shape, 4), picture(shape, 5));
             let mut model = awake(UnetConfig { blocks, ..UnetConfig::bare(base_width, scales) }, 3);
             model.way = Way::Burn;
-            let expected = model.backward(&input.view(), &target.view(), true, true).expect("fits");
+            let expected = model.backward(&input.view(), &target.view(), None, [true; 2]).expect("fits");
             let close = |a: &[f32], b: &[f32], what: &str| {
                 let scale = b.iter().fold(0f32, |m, v| m.max(v.abs()));
                 let worst = a.iter().zip(b).fold(0f32, |m, (a, b)| m.max((a - b).abs()));
@@ -613,7 +657,7 @@ mod tests {
             };
             for &level in &levels {
                 model.way = level.into();
-                let found = model.backward(&input.view(), &target.view(), true, true).expect("fits");
+                let found = model.backward(&input.view(), &target.view(), None, [true; 2]).expect("fits");
                 close(
                     found.output.as_slice().expect("contiguous"),
                     expected.output.as_slice().expect("contiguous"),
@@ -622,7 +666,7 @@ mod tests {
                 let bars = [&found, &expected]
                     .map(|b| b.input_bar.as_ref().expect("asked for").as_slice().expect("contiguous"));
                 close(bars[0], bars[1], "input");
-                let weights = [&found, &expected].map(|b| b.gradient.as_ref().expect("asked for").concat());
+                let weights = [&found, &expected].map(|b| b.gradient.as_ref().expect("asked for").to_host().concat());
                 close(&weights[0], &weights[1], "weights");
             }
         }
@@ -646,8 +690,10 @@ mod tests {
                 eprintln!("{base_width} {name}: median {:.4} s, least {:.4} s", seconds[6], seconds[0]);
             };
             time("forward", &mut |m| drop(m.forward(input.view()).expect("fits")));
-            time("network step", &mut |m| drop(m.step_network_only(input.view(), target.view(), 1e-4).expect("fits")));
-            time("joint step", &mut |m| drop(m.step(input.view(), target.view(), 1e-4, true).expect("fits")));
+            time("network step", &mut |m| {
+                drop(m.step_network_only(input.view(), target.view(), None, 1e-4).expect("fits"))
+            });
+            time("joint step", &mut |m| drop(m.step(input.view(), target.view(), None, 1e-4, true).expect("fits")));
         }
     }
 }

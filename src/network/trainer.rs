@@ -18,7 +18,7 @@ use super::content::Content;
 use super::critic::{CriticConfig, Discriminator, Sight, critic_loss, generator_loss};
 use super::display::encode;
 use super::layers::Way;
-use super::learner::Learner;
+use super::learner::{Gradient, Learner};
 use super::perceptual::Vgg;
 use super::reconstructor::{Reconstructor, array, tensor};
 use crate::error::{Error, Result};
@@ -112,7 +112,7 @@ impl Trainer {
             config.validate()?;
             for (i, (prefix, sight)) in [("global.", Sight::Global), ("local.", Sight::Local)].into_iter().enumerate() {
                 let module = Discriminator::new(config, sight, seed.wrapping_add(1 + i as u64), &device);
-                critics.push((prefix, Learner::new(module, device.clone())));
+                critics.push((prefix, Learner::new(module, device.clone(), generator.compute())));
             }
         }
         let average = objective.average.map(|decay| Average::new(decay, &generator.parameters()));
@@ -197,15 +197,10 @@ impl Trainer {
     /// Writes generator, discriminators, optimisers and `facts` to `path`, whole or not at all; refuses numbers that are not
     /// finite. [`Reconstructor::load`] reads the generator of the file.
     pub fn save(&self, path: &Path, facts: &BTreeMap<String, String>) -> Result<()> {
-        let parameters: Vec<_> = self.critics.iter().map(|(_, l)| l.parameters()).collect();
-        let critics = self.critics.iter().zip(&parameters);
+        let known: Vec<_> = self.critics.iter().map(|(prefix, l)| (*prefix, l.parameters(), l.adam())).collect();
+        let critics = known.iter();
         let mut sections: Vec<Section<'_>> = critics
-            .map(|((prefix, l), parameters)| Section {
-                prefix,
-                parameters,
-                steps: l.adam().steps,
-                adam: Some(l.adam()),
-            })
+            .map(|(prefix, parameters, adam)| Section { prefix, parameters, steps: adam.steps, adam: Some(adam) })
             .collect();
         let averaged = self.average.as_ref().map(|a| (a.steps, a.parameters(&self.generator.parameters())));
         sections.extend(averaged.iter().map(|(steps, parameters)| Section {
@@ -244,7 +239,7 @@ impl Trainer {
 
 impl Pass {
     /// A discriminator's own loss and its gradient; the generator stays out of it.
-    fn judged(&self, way: Way, learner: &Learner<Discriminator>) -> Result<(f64, Vec<Vec<f32>>)> {
+    fn judged(&self, way: Way, learner: &Learner<Discriminator>) -> Result<(f64, Gradient)> {
         let (critic, seen) = (learner.module(), self.shown.clone().detach());
         let loss = critic_loss(critic.forward(way, self.truth.clone()), critic.forward(way, seen));
         let value = value(&loss)?;

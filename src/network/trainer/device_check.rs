@@ -1,4 +1,4 @@
-//! Whether a device computes what the CPU computes: a training step's loss, output and gradients on both, part by part.
+//! Whether a device computes what the CPU computes: a training step's loss, output and gradients and a step of the optimiser on both, part by part.
 //!
 //! Backends of GPUs have been wrong in the gradients of weights alone (burn 0.22.1 on wgpu), which no loss shows at once: a
 //! training there would learn something else, slowly. The oracle is burn's plain code on the CPU.
@@ -9,7 +9,7 @@ use super::{Content, Objective, Trainer};
 use crate::error::{Error, Result};
 use crate::network::compute::Compute;
 use crate::network::layers::Way;
-use crate::network::learner::Parameter;
+use crate::network::learner::{Gradient, Parameter};
 use crate::network::reconstructor::{Reconstructor, array};
 
 /// Most that a part may be off, of its own size. Rounding moves pixels over the kinks of PReLU and max-pooling: between our own
@@ -19,6 +19,9 @@ const LIMIT: f64 = 5e-2;
 
 /// Gradients of parameters smaller than this share of all parameters' are rounding, and are measured by it.
 const LEAST: f64 = 1e-3;
+
+/// A step of the optimiser that weights cannot hide.
+const STEP: f64 = 0.5;
 
 impl Trainer {
     /// Checks a device that is not the CPU before anything is trained on it: a step on a batch of `batch` patches of `side` pixels
@@ -94,13 +97,15 @@ impl Trainer {
         for (prefix, learner) in &self.critics {
             let (loss, gradient) = pass.judged(self.generator.way(), learner)?;
             parts.push(Part::new(format!("{prefix}loss"), vec![loss as f32]));
-            parts.extend(Part::gradients(prefix, &learner.parameters(), gradient));
+            parts.extend(Part::gradients(prefix, &learner.parameters(), &gradient));
+            parts.push(Part::new(format!("{prefix}weights after a step"), learner.after(STEP)));
         }
         let loss = self.generator_loss(&pass)?;
         parts.push(Part::new("loss", vec![(loss.content + loss.adversarial) as f32]));
         let gradient = self.generator.gradient(&mut loss.surrogate.backward());
         parts.push(Part::new("output", array(pass.made.inner())?.into_raw_vec_and_offset().0));
-        parts.extend(Part::gradients("", &self.generator.parameters(), gradient));
+        parts.extend(Part::gradients("", &self.generator.parameters(), &gradient));
+        parts.push(Part::new("weights after a step", self.generator.after(STEP)));
         Ok(parts)
     }
 }
@@ -122,14 +127,17 @@ impl Part {
     }
 
     /// The gradients of a module's parameters.
-    fn gradients(prefix: &str, parameters: &[Parameter], gradients: Vec<Vec<f32>>) -> Vec<Self> {
+    fn gradients(prefix: &str, parameters: &[Parameter], gradient: &Gradient) -> Vec<Self> {
+        let gradients = gradient.to_host().into_owned();
+        // As the optimiser sums it to clip it.
+        let norm = Self::new(format!("norm of {prefix}gradient"), vec![gradient.norm() as f32]);
         let all = gradients.iter().map(|g| length(g).powi(2)).sum::<f64>().sqrt();
         let part = |(p, values): (&Parameter, _)| Self {
             name: format!("gradient of {prefix}{}", p.name),
             values,
             least: LEAST * all,
         };
-        parameters.iter().zip(gradients).map(part).collect()
+        parameters.iter().zip(gradients).map(part).chain([norm]).collect()
     }
 }
 
@@ -262,7 +270,7 @@ mod tests {
     fn gradients_that_are_only_rounding_are_measured_by_all() {
         let parameter = |name: &str| Parameter { name: name.into(), shape: vec![1], values: vec![0.0] };
         let parameters = [parameter("weight"), parameter("bias")];
-        let of = |bias: f32| Part::gradients("local.", &parameters, vec![vec![1.0], vec![bias]]);
+        let of = |bias: f32| Part::gradients("local.", &parameters, &Gradient::Host(vec![vec![1.0], vec![bias]]));
         let off = Deviation::worst(&of(0.0), &of(1e-6));
         assert!(off.passes() && off.name == "gradient of local.bias", "{off:?}");
         assert!(!Deviation::worst(&of(0.0), &of(1e-3)).passes());
