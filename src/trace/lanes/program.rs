@@ -34,7 +34,7 @@ pub(super) enum Kind {
     Conic,
     /// A conic with even terms.
     Even,
-    /// Everything else: ray by ray.
+    /// Everything else: ray by ray, or [in its own frame](Step::own).
     General,
 }
 
@@ -59,6 +59,8 @@ pub(super) struct Step {
     /// Its number in a failure.
     pub(super) index: usize,
     pub(super) kind: Kind,
+    /// A surface that is tilted or decentred and would go through lanes if it were not: the same in its own frame.
+    pub(super) own: Option<Box<Step>>,
     /// `c`, `c/2`.
     pub(super) c: f64,
     pub(super) half_c: f64,
@@ -145,9 +147,9 @@ impl Program {
         self.level
     }
 
-    /// Surfaces that every ray meets through lanes; the others are met ray by ray.
+    /// Surfaces that every ray meets through lanes (tilted and decentred ones where no record is asked for); the others are met ray by ray.
     pub fn in_lanes(&self) -> usize {
-        self.steps.iter().filter(|s| s.kind != Kind::General).count()
+        self.steps.iter().filter(|s| s.kind != Kind::General || s.own.is_some()).count()
     }
 }
 
@@ -168,10 +170,14 @@ impl Step {
         let limit_sq = if clip_sq > f64::MAX { f64::MAX } else { clip_sq };
         let v = (1.0 + shape.conic) * shape.curvature;
         let [u, s] = start_conic(shape, surface.semi_diameter.min(surface.domain));
+        let own = surface.motion.map(|_| TraceSurface { motion: None, distance: 0.0, ..surface.clone() });
+        let own = own.filter(|own| Kind::of(own) != Kind::General);
+        let own = own.map(|own| Box::new(Self::new(&own, index, Kind::of(&own), ratios.clone(), clip)));
         Self {
             surface: surface.clone(),
             index,
             kind,
+            own,
             c: shape.curvature,
             half_c: 0.5 * shape.curvature,
             v,
