@@ -71,5 +71,5 @@ fn shipped_kits_are_whole_and_for_their_lens() {
         names.push(path.file_name().expect("named").to_string_lossy().into_owned());
     }
     names.sort();
-    assert_eq!(names, ["lfov-30", "lfov-30-free"]);
+    assert_eq!(names, ["lfov-30", "lfov-30-free", "lfov-paper"]);
 }
