@@ -23,6 +23,14 @@ impl Distances {
         Self { power, losses: vec![0.0; count] }
     }
 
+    /// Goes on with the losses of `other`, where they are of as many distances.
+    pub fn go_on(&mut self, other: &Self) {
+        let sound = other.losses.len() == self.losses.len() && other.losses.iter().all(|l| l.is_finite() && *l >= 0.0);
+        if sound {
+            self.losses.clone_from(&other.losses);
+        }
+    }
+
     /// How often a picture at a distance counts; 1 for all until each has been seen.
     pub fn weight(&self, distance: usize) -> f64 {
         let all = &self.losses;
@@ -88,6 +96,13 @@ mod tests {
             steady.see(0, bad);
         }
         assert_eq!(all(&steady), [1.0; 3]);
+        let mut resumed = Distances::new(4.0, 3);
+        for other in [Distances::new(4.0, 2), Distances { power: 4.0, losses: vec![f64::NAN; 3] }] {
+            resumed.go_on(&other);
+            assert_eq!(resumed, Distances::new(4.0, 3));
+        }
+        resumed.go_on(&steady);
+        assert_eq!(resumed, steady);
         steady.see(0, 0.2);
         assert!(steady.weight(0) > 1.1 && steady.weight(1) < 1.0);
     }

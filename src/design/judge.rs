@@ -93,25 +93,26 @@ impl Camera<'_> {
 }
 
 /// Mean L1 and PSNR before and after the network over `count` patches that `draw` makes for the object distances of `renderer` in turn; where
-/// the worst distance counts, the lowest of the distances' mean PSNR after it.
+/// the worst distance counts, PSNR of the one with the lowest after it.
 fn mean(camera: &Camera<'_>, count: usize, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
     let mut sum = Entry::default();
     let maps = &camera.renderer.optics.maps;
-    let mut by_distance = vec![[0.0; 2]; maps.len()];
+    let mut by_distance = vec![[0.0; 3]; maps.len()];
     for number in 0..count {
         let [capture, output, truth] = camera.taken(&draw(number as u64, &maps[number % maps.len()]))?;
         let (input, out) = (l1_and_psnr(capture.iter(), truth.iter()), l1_and_psnr(output.iter(), truth.iter()));
         sum.loss += out.0;
         sum.input_psnr_db += input.1;
         sum.output_psnr_db += out.1;
-        let [db, of] = &mut by_distance[number % maps.len()];
-        (*db, *of) = (*db + out.1, *of + 1.0);
+        let sums = by_distance[number % maps.len()].iter_mut();
+        sums.zip([out.1, input.1, 1.0]).for_each(|(sum, v)| *sum += v);
     }
     let n = count.max(1) as f64;
     [&mut sum.loss, &mut sum.input_psnr_db, &mut sum.output_psnr_db].into_iter().for_each(|v| *v /= n);
     if camera.worst {
-        let seen = by_distance.iter().filter(|[_, of]| *of > 0.0).map(|[db, of]| db / of);
-        sum.output_psnr_db = seen.reduce(f64::min).unwrap_or(sum.output_psnr_db);
+        let seen = by_distance.iter().filter(|[.., of]| *of > 0.0).map(|[out, input, of]| [out / of, input / of]);
+        let worst = seen.min_by(|a, b| a[0].total_cmp(&b[0]));
+        [sum.output_psnr_db, sum.input_psnr_db] = worst.unwrap_or([sum.output_psnr_db, sum.input_psnr_db]);
     }
     Ok(sum)
 }

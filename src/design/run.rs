@@ -224,7 +224,7 @@ impl Stage {
         self.joint.steps.remember(state.remembered.clone());
         self.joint.noise = state.noise.clone();
         if let Some(distances) = &state.distances {
-            self.joint.distances = distances.clone();
+            self.joint.distances.go_on(distances);
         }
         self.fineness = state.fineness.iter().map(|f| (f.step, f.chosen)).collect();
         (self.again, self.step, self.before) = (state.again, state.step, state.seconds);

@@ -347,6 +347,12 @@ impl Task {
         if self.depth_power > 1.0 && self.depths_mm.len() < 2 {
             return bad("depth_power", self.depth_power.to_string(), "1 where depths_mm has fewer than two distances");
         }
+        let twice = |d: &&f64| self.depths_mm.iter().filter(|other| other == d).count() > 1;
+        if self.depth_power > 1.0
+            && let Some(d) = self.depths_mm.iter().find(twice)
+        {
+            return bad("depths_mm", format!("{d} twice"), "each distance once beside depth_power");
+        }
         if let Some(loss) = &self.sensor_loss {
             loss.check(&self.depths_mm, file)?;
             if self.depth_power > 1.0 {

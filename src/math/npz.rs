@@ -4,10 +4,11 @@ use std::io::{Cursor, Read};
 
 use zip::{CompressionMethod, ZipArchive};
 
-/// Bytes of an array's header at most.
-const HEADER: usize = 1 << 16;
+/// Bytes of an array's header at most; NumPy's own take 128.
+const HEADER: usize = 1 << 10;
 
-/// Refuses an archive whose arrays promise more numbers than it has bytes, or that is compressed (this program's are not): the place, and what stands there.
+/// Refuses an archive whose arrays promise more numbers than they have bytes, whose headers are not those that NumPy and this program write, or that is compressed
+/// (this program's are not): the place, and what stands there.
 ///
 /// # Errors
 /// As said; an archive that cannot be read.
@@ -21,11 +22,14 @@ pub fn check(bytes: &[u8]) -> Result<(), (String, String)> {
         if entry.compression() != CompressionMethod::Stored {
             return Err(failed("a compressed array".into()));
         }
+        let size = entry.size().min(entry.compressed_size()).min(bytes.len() as u64);
         let header = header(&mut entry).map_err(|e| failed(e.to_string()))?;
-        let shape = shape(&header).ok_or_else(|| failed(format!("no array's header: {header}")))?;
-        let numbers = shape.iter().try_fold(1usize, |n, side| n.checked_mul(*side));
-        if numbers.is_none_or(|n| n > bytes.len()) {
-            return Err(failed(format!("{shape:?} numbers in a file of {} bytes", bytes.len())));
+        let shape = shape(&header).ok_or_else(|| failed(format!("no array's header: {}", header.escape_debug())))?;
+        // A side of 0 does not let others be endless.
+        let mut sides = shape.iter().filter(|side| **side > 0);
+        let numbers = sides.try_fold(1u64, |n, side| n.checked_mul(*side as u64));
+        if numbers.is_none_or(|n| n > size.max(1)) {
+            return Err(failed(format!("{shape:?} numbers in {size} bytes")));
         }
     }
     Ok(())
@@ -38,19 +42,27 @@ fn header(entry: &mut impl Read) -> std::io::Result<String> {
     let mut length = [0; 4];
     let wide = start[6] > 1;
     entry.read_exact(&mut length[..if wide { 4 } else { 2 }])?;
-    let length = (u32::from_le_bytes(length) as usize).min(HEADER);
+    let length = u32::from_le_bytes(length) as usize;
+    if length > HEADER {
+        return Err(std::io::Error::other(format!("an array's header of {length} bytes")));
+    }
     let mut text = vec![0; length];
     entry.read_exact(&mut text)?;
     Ok(String::from_utf8_lossy(&text).into_owned())
 }
 
-/// The sides in `'shape': (3, 4), `.
+/// The sides in `{'descr': '<f8', 'fortran_order': False, 'shape': (3, 4), }`, and nothing else beside it.
 fn shape(header: &str) -> Option<Vec<usize>> {
-    let (_, rest) = header.split_once("'shape'")?;
-    let (_, rest) = rest.split_once('(')?;
-    let (inside, _) = rest.split_once(')')?;
+    let rest = header.trim_end().strip_prefix("{'descr': '")?;
+    let (descr, rest) = rest.split_once("', 'fortran_order': ")?;
+    let (order, rest) = rest.split_once(", 'shape': (")?;
+    let (inside, end) = rest.split_once(')')?;
+    let plain = descr.chars().all(|c| c.is_ascii_alphanumeric() || "<>|=".contains(c));
+    if !plain || !matches!(order, "False" | "True") || !matches!(end, ", }" | "}" | ",}") {
+        return None;
+    }
     let sides = inside.split(',').map(str::trim).filter(|s| !s.is_empty());
-    sides.map(|s| s.trim_end_matches('L').parse().ok()).collect()
+    sides.map(|s| s.parse().ok()).collect()
 }
 
 #[cfg(test)]
@@ -70,14 +82,27 @@ mod tests {
         npz.add_array("none", &Array1::<f32>::zeros(0)).expect("writes");
         let bytes = npz.finish().expect("writes").into_inner();
         assert_eq!(check(&bytes), Ok(()));
-        let text = "'shape': (70,)";
-        let at = bytes.windows(text.len()).position(|w| w == text.as_bytes()).expect("a header");
-        // The padding behind it has room for more digits.
-        let mut huge = bytes.clone();
-        let more = b"'shape': (35184372088832,), }";
-        huge[at..at + more.len()].copy_from_slice(more);
-        let (place, found) = check(&huge).expect_err("huge");
-        assert!(place == "line" && found.contains("35184372088832"), "{place}: {found}");
+        // Other headers of the same length in place of the line's, whose padding has room for them.
+        let start = bytes.windows(16).position(|w| w == b"{'descr': '<i8',").expect("a header");
+        let with = |header: &str| {
+            let mut changed = bytes.clone();
+            changed[start..start + header.len()].copy_from_slice(header.as_bytes());
+            check(&changed)
+        };
+        let kept = "{'descr': '<i8', 'fortran_order': False, 'shape': (70,), }                      ";
+        assert_eq!(with(kept), Ok(()));
+        for header in [
+            "{'descr': '<i8', 'fortran_order': False, 'shape': (35184372088832,), }",
+            "{'descr': '<i8', 'fortran_order': False, 'shape': (0, 1099511627776, 1099511627776), }",
+            "{'shape': (1,), 'descr': '<i8', 'fortran_order': False, 'shape': (1099511627776,), }",
+            "{'descr': '<i8', 'fortran_order': False, 'shape': (1,), 'shape': (1099511627776,), }",
+            "{'descr': [[[[[[[[[[[[[[[[[[[[[['<i8']]]]]]]]]]]]]]]]]]]]]], 'shape': (1,), }",
+        ] {
+            assert_eq!(with(header).expect_err(header).0, "line", "{header}");
+        }
+        let mut long = bytes.clone();
+        long[start - 2..start].copy_from_slice(&[0xff, 0xff]);
+        assert!(check(&long).expect_err("a long header").1.contains("65535"));
         let rng = &mut fastrand::Rng::with_seed(4);
         for _ in 0..2000 {
             let mut changed = bytes.clone();

@@ -162,25 +162,26 @@ impl<M: Module> Learner<M> {
         }
     }
 
-    /// What a first step of `learning_rate` makes of the weights with a gradient of whole numbers from -3 to 3, in their order: what an optimiser computes, whatever
-    /// the network.
-    pub(super) fn after(&self, learning_rate: f64) -> Vec<f32> {
-        let there = self.device.clone().inner();
-        #[expect(clippy::cast_precision_loss, reason = "whole numbers below 7")]
-        let known: Vec<f32> = (0..self.module().num_params()).map(|k| (k % 7) as f32 - 3.0).collect();
-        let parts = device_adam::cut(&known, self.module(), &there);
-        let (gradient, optimiser) = match self.optimiser {
-            Optimiser::Host(_) => {
-                let adam = Adam::new(self.module().num_params());
-                (Gradient::Host(parts.into_iter().map(values).collect()), Optimiser::Host(adam))
-            }
-            Optimiser::Device(_) => {
-                (Gradient::Device(parts), Optimiser::Device(DeviceAdam::new(self.module(), &there)))
-            }
+    /// What two steps of `learning_rate` of a fresh optimiser make of the parameters, the first with a gradient of whole numbers from -3 to 3 in their order, the
+    /// second with a thousandth of whole numbers from -2 to 2: what it computes, clipping included, whatever the network.
+    pub(super) fn after(&self, learning_rate: f64) -> Vec<Parameter> {
+        let (there, count) = (self.device.clone().inner(), self.module().num_params());
+        let optimiser = match self.optimiser {
+            Optimiser::Host(_) => Optimiser::Host(Adam::new(count)),
+            Optimiser::Device(_) => Optimiser::Device(DeviceAdam::new(self.module(), &there)),
         };
         let mut other = Self { module: self.module.clone(), device: self.device.clone(), optimiser };
-        other.update(true, gradient, learning_rate);
-        other.parameters().into_iter().flat_map(|p| p.values).collect()
+        for (period, size) in [(7, 1.0), (5, 1e-3)] {
+            #[expect(clippy::cast_precision_loss, reason = "small whole numbers")]
+            let known: Vec<f32> = (0..count).map(|k| size * ((k % period) as f32 - (period / 2) as f32)).collect();
+            let parts = device_adam::cut(&known, other.module(), &there);
+            let gradient = match other.optimiser {
+                Optimiser::Host(_) => Gradient::Host(parts.into_iter().map(values).collect()),
+                Optimiser::Device(_) => Gradient::Device(parts),
+            };
+            other.update(true, gradient, learning_rate);
+        }
+        other.parameters()
     }
 
     /// Clipped Adam step; leaves everything as it was where the loss (`sound`) or the gradient is not finite. Returns the

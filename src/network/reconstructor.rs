@@ -276,7 +276,7 @@ impl Reconstructor {
     }
 
     /// As [`Learner::after`].
-    pub(super) fn after(&self, learning_rate: f64) -> Vec<f32> {
+    pub(super) fn after(&self, learning_rate: f64) -> Vec<Parameter> {
         self.learner.after(learning_rate)
     }
 
@@ -323,6 +323,10 @@ impl Reconstructor {
         [with_input, with_parameters]: [bool; 2],
     ) -> Result<Backward> {
         self.check_pair(input, target)?;
+        if let Some(w) = weights.filter(|w| w.len() != input.dim().0) {
+            let allowed = format!("{}, one a picture", input.dim().0);
+            return Err(Error::bad("", "weights of pictures", w.len().to_string(), allowed));
+        }
         let input = tensor(input, self.learner.device());
         let input = if with_input { input.require_grad() } else { input };
         let frozen = (!with_parameters).then(|| self.learner.frozen());
@@ -512,6 +516,8 @@ mod tests {
         assert!(sum.iter().zip(&gradient).all(|(a, b)| (a - b).abs() < 1e-5 * size));
         let plain = model.backward(&input.view(), &target.view(), None, [false, true]).expect("fits");
         assert_eq!(plain.loss, whole.loss, "the loss that is told is the plain one");
+        let error = model.backward(&input.view(), &target.view(), Some(&[1.0]), [true; 2]).err().expect("too few");
+        assert!(error.to_string().contains("one a picture"), "{error}");
     }
 
     #[test]

@@ -15,8 +15,8 @@ pub enum Quantity {
     FocalLength,
     /// Focal length over entrance-pupil diameter.
     FNumber,
-    /// Of the paraxial cone of light that the lens's own object distance sends to the image: `1 / (2 n'u')`. Of an object at infinity the f-number.
-    WorkingFNumber,
+    /// Of the paraxial cone of light from the axial object point at this vergence, 1/mm: `1 / (2 n'u')`. Of an object at infinity the f-number.
+    WorkingFNumber(f64),
     /// First vertex to sensor, mm.
     Track,
     /// Last vertex to sensor, mm.
@@ -62,7 +62,7 @@ impl Quantity {
         match self {
             Self::FocalLength => "focal_length".into(),
             Self::FNumber => "f_number".into(),
-            Self::WorkingFNumber => "working_f_number".into(),
+            Self::WorkingFNumber(_) => "working_f_number".into(),
             Self::Track => "track".into(),
             Self::BackFocus => "back_focus".into(),
             Self::Centre(i) => format!("surface[{i}].centre"),
@@ -76,14 +76,14 @@ impl Quantity {
 
     /// Whether the solver sees it as a function of its inverse, which may be 0.
     pub(super) fn is_inverse(self) -> bool {
-        matches!(self, Self::FocalLength | Self::FNumber | Self::WorkingFNumber)
+        matches!(self, Self::FocalLength | Self::FNumber | Self::WorkingFNumber(_))
     }
 
     /// Its unit, for tables.
     pub fn unit(self) -> &'static str {
         match self {
             Self::FNumber
-            | Self::WorkingFNumber
+            | Self::WorkingFNumber(_)
             | Self::Slope(_)
             | Self::Reach(_)
             | Self::Distortion(_)
@@ -120,9 +120,8 @@ impl Held<'_> {
         match quantity {
             Quantity::FocalLength => Some(power.clone()),
             Quantity::FNumber => Some(power.times(pupil_diameter)),
-            Quantity::WorkingFNumber => {
+            Quantity::WorkingFNumber(v) => {
                 // The ray from the axial object point to the pupil's rim has slope and height in the proportion of v and 1 at the first vertex.
-                let v = self.numbers.object_vergence;
                 let slope = power.plus(skew, -v);
                 let reach = pupil_position.map(1.0 + v * pupil_position.value, v);
                 let cone = pupil_diameter.times(&slope).times(&reach.map(reach.value.recip(), -reach.value.powi(-2)));
@@ -143,7 +142,7 @@ impl Held<'_> {
         let n = self.variables.parameters.len();
         let surfaces = &self.numbers.surfaces;
         match quantity {
-            Quantity::FocalLength | Quantity::FNumber | Quantity::WorkingFNumber => {
+            Quantity::FocalLength | Quantity::FNumber | Quantity::WorkingFNumber(_) => {
                 let inverse = self.inverse(quantity).unwrap_or_else(|| Value::constant(0.0, n));
                 let f = inverse.value.recip();
                 inverse.map(f, -f * f)

@@ -157,6 +157,13 @@ impl Spec {
         }
         let mut constraints = problem.constraints.clone();
         let merit = self.merit(file)?;
+        // The cone of light is that of the nearest distance; whoever says what focal length or f-number should be, says what light there is.
+        constraints.retain(|c| !matches!(c.quantity, Quantity::WorkingFNumber(_)));
+        let says = |name: &str| self.constraints.contains_key(name) || self.targets.contains_key(name);
+        if !["focal_length", "f_number", "working_f_number"].into_iter().any(says) {
+            let nearest = merit.depths.iter().map(|d| d[0]).reduce(f64::max);
+            constraints.extend(Problem::light(lens, nearest.unwrap_or(lens.object_vergence)));
+        }
         let mut targets = Vec::new();
         for (name, Wanted { value, weight }) in &self.targets {
             for quantity in quantities(lens, &merit, "target", name, file)? {
@@ -235,7 +242,7 @@ fn quantities(lens: &Lens, merit: &Merit, place: &str, name: &str, file: &str) -
     Ok(match name {
         "focal_length" => vec![Quantity::FocalLength],
         "f_number" => vec![Quantity::FNumber],
-        "working_f_number" => vec![Quantity::WorkingFNumber],
+        "working_f_number" => vec![Quantity::WorkingFNumber(lens.object_vergence)],
         "track" => vec![Quantity::Track],
         "back_focus" => vec![Quantity::BackFocus],
         "edge_glass" => places.take(count - 1).filter(glass).map(Quantity::Edge).collect(),

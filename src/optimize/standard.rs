@@ -39,7 +39,7 @@ impl Problem {
             let bounds = [f64::NEG_INFINITY, LONGER * lens.length()];
             constraints.push(Constraint { quantity: Quantity::Track, bounds });
         }
-        constraints.extend(Self::light(lens));
+        constraints.extend(Self::light(lens, lens.object_vergence));
         constraints.extend(Self::room(lens));
         Self::new(lens, Parameter::all(lens).filter(chosen).collect(), constraints, Merit::default())
     }
@@ -58,12 +58,15 @@ impl Problem {
         if f.is_finite() && f.abs() < 1e9 { vec![held] } else { Vec::new() }
     }
 
-    /// The working f-number within 1.05 of the start's, where the aperture's own number does not hold it. The entrance pupil of a near object is free to move: left
-    /// alone it runs to infinity, where a pupil of the same diameter lets no light through, and spots vanish.
-    pub fn light(lens: &Lens) -> Vec<Constraint> {
-        let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
-        let free = lens.object_vergence != 0.0 || matches!(lens.aperture, Aperture::StopSemiDiameter(_));
-        let (quantity, most) = (Quantity::WorkingFNumber, DARKER * first.working_f_number.abs());
+    /// The working f-number of objects at `vergence` within 1.05 of the start's, where the aperture's own number does not hold it. The entrance pupil of a near
+    /// object is free to move: left alone it runs to infinity, where a pupil of the same diameter lets no light through, and spots vanish.
+    pub fn light(lens: &Lens, vergence: f64) -> Vec<Constraint> {
+        let free = vergence != 0.0 || matches!(lens.aperture, Aperture::StopSemiDiameter(_));
+        let quantity = Quantity::WorkingFNumber(vergence);
+        let variables = Variables::new(lens, Vec::new());
+        let first = FirstOrder::new(lens, &variables);
+        let most =
+            DARKER * Held { numbers: lens, variables: &variables, first, rims: &[], rays: None }.value(quantity).value;
         let held = Constraint { quantity, bounds: [f64::NEG_INFINITY, most] };
         if free && most.is_finite() && most > 0.0 { vec![held] } else { Vec::new() }
     }
@@ -144,6 +147,9 @@ impl Problem {
             if a.is_nan() || b.is_nan() || a > b || a == f64::INFINITY || b == f64::NEG_INFINITY {
                 let allowed = "a smallest value not above the largest";
                 return Err(Error::bad(file, name, format!("{a} to {b}"), allowed));
+            }
+            if matches!(c.quantity, Quantity::WorkingFNumber(_)) && b <= 0.0 {
+                return Err(Error::bad(file, name, b.to_string(), "a largest value above 0"));
             }
             if c.quantity.is_inverse() && (a == 0.0 || b == 0.0) {
                 return Err(Error::bad(file, name, "0", "bounds other than 0"));

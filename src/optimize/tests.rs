@@ -87,7 +87,8 @@ fn gradients_of_constraints_agree_with_differences() {
         let mut all = vec![
             Quantity::FocalLength,
             Quantity::FNumber,
-            Quantity::WorkingFNumber,
+            Quantity::WorkingFNumber(lens.object_vergence),
+            Quantity::WorkingFNumber(1.0 / 300.0),
             Quantity::Track,
             Quantity::BackFocus,
             Quantity::Distortion(1),
@@ -242,4 +243,40 @@ fn light_is_not_given_away_for_spots() {
     assert!(found(Some("..4.3")).rms_mm[1] < 0.06);
     let free = found(Some(".."));
     assert!(cone(&free.lens) > 100.0 && free.rms_mm[1] < 1e-3, "{} {:?}", cone(&free.lens), free.rms_mm);
+}
+
+/// Whoever says what focal length or f-number should be is not contradicted; a lens of a far object that is judged near keeps its cone of light there.
+#[test]
+fn light_is_held_where_nobody_says_what_it_should_be() {
+    let held = |lens: &str, spec: &spec::Spec| {
+        let problem = spec.problem(&builtin::lens(lens).expect("shipped"), "test").expect("a problem");
+        let of = |c: &constraint::Constraint| match c.quantity {
+            Quantity::WorkingFNumber(v) => Some((v, c.bounds[1])),
+            _ => None,
+        };
+        problem.constraints.iter().filter_map(of).collect::<Vec<_>>()
+    };
+    let plain = spec::Spec::default();
+    assert!(
+        matches!(held("two_element", &plain)[..], [(v, most)] if v == 1e-3 && (most / 4.208 / 1.05 - 1.0).abs() < 1e-3)
+    );
+    assert_eq!(held("cooke_triplet", &plain), []);
+    let near = spec::Spec { depths_mm: Some(vec![f64::INFINITY, 400.0, 900.0]), ..plain.clone() };
+    assert!(matches!(held("cooke_triplet", &near)[..], [(v, _)] if v == 1.0 / 400.0));
+    for name in ["focal_length", "f_number"] {
+        let spec = spec::Spec {
+            constraints: [(name.to_owned(), spec::Range::parse("1..90", "test").expect("a range"))].into(),
+            ..plain.clone()
+        };
+        assert_eq!(held("two_element", &spec), [], "{name}");
+    }
+    let target = spec::Wanted { value: 5.0, weight: 0.1 };
+    let spec = spec::Spec { targets: [("working_f_number".to_owned(), target)].into(), ..plain.clone() };
+    assert_eq!(held("two_element", &spec), []);
+    let none = spec::Spec {
+        constraints: [("working_f_number".to_owned(), spec::Range::parse("..-3", "test").expect("a range"))].into(),
+        ..plain
+    };
+    let error = none.problem(&builtin::lens("two_element").expect("shipped"), "test").expect_err("dark").to_string();
+    assert!(error.contains("working_f_number") && error.contains("above 0"), "{error}");
 }

@@ -35,7 +35,7 @@ pub(crate) struct Args {
     /// Bounds of variables: `surface[*].thickness=1..8`
     #[arg(long, value_name = "PATTERN=RANGE")]
     bound: Vec<String>,
-    /// What is held or bounded: `focal_length=50`, `track=..60`, `back_focus=35..`, `distortion=-0.02..0.02`, `edge_glass=1..`,
+    /// What is held or bounded: `focal_length=50`, `track=..60`, `back_focus=35..`, `working_f_number=..4.5`, `distortion=-0.02..0.02`, `edge_glass=1..`,
     /// `edge_air=0.1..`, `slope=-1..1`, `surface[2].edge=1..`; `..` takes a standard one away
     #[arg(long, value_name = "NAME=RANGE")]
     constraint: Vec<String>,

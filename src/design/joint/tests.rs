@@ -222,7 +222,7 @@ fn a_stage_over_depths_sees_all_of_them() {
     let worst = stage.camera().judged(&textures, 32, 6).expect("judged");
     let mean = Camera { worst: false, ..stage.camera() }.judged(&textures, 32, 6).expect("judged");
     assert!(worst.output_psnr_db > 5.0 && worst.output_psnr_db < mean.output_psnr_db, "{worst:?} {mean:?}");
-    assert_eq!((worst.loss, worst.input_psnr_db), (mean.loss, mean.input_psnr_db));
+    assert!(worst.loss == mean.loss && worst.input_psnr_db != mean.input_psnr_db);
 }
 
 /// A black scene without noise says nothing about the lens: it stays as it is, and everything stays finite.

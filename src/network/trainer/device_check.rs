@@ -98,14 +98,14 @@ impl Trainer {
             let (loss, gradient) = pass.judged(self.generator.way(), learner)?;
             parts.push(Part::new(format!("{prefix}loss"), vec![loss as f32]));
             parts.extend(Part::gradients(prefix, &learner.parameters(), &gradient));
-            parts.push(Part::new(format!("{prefix}weights after a step"), learner.after(STEP)));
+            parts.extend(Part::moved(prefix, learner.after(STEP)));
         }
         let loss = self.generator_loss(&pass)?;
         parts.push(Part::new("loss", vec![(loss.content + loss.adversarial) as f32]));
         let gradient = self.generator.gradient(&mut loss.surrogate.backward());
         parts.push(Part::new("output", array(pass.made.inner())?.into_raw_vec_and_offset().0));
         parts.extend(Part::gradients("", &self.generator.parameters(), &gradient));
-        parts.push(Part::new("weights after a step", self.generator.after(STEP)));
+        parts.extend(Part::moved("", self.generator.after(STEP)));
         Ok(parts)
     }
 }
@@ -124,6 +124,11 @@ impl Part {
     /// Numbers that are measured by their own size.
     fn new(name: impl Into<String>, values: Vec<f32>) -> Self {
         Self { name: name.into(), values, least: 0.0 }
+    }
+
+    /// Parameters that an optimiser has moved.
+    fn moved(prefix: &str, parameters: Vec<Parameter>) -> impl Iterator<Item = Self> {
+        parameters.into_iter().map(move |p| Self::new(format!("{prefix}{} after two steps of Adam", p.name), p.values))
     }
 
     /// The gradients of a module's parameters.

@@ -147,9 +147,14 @@ impl Program {
         self.level
     }
 
-    /// Surfaces that every ray meets through lanes (tilted and decentred ones where no record is asked for); the others are met ray by ray.
+    /// Surfaces that every ray meets through lanes, with the record that derivatives need; the others are met ray by ray.
     pub fn in_lanes(&self) -> usize {
-        self.steps.iter().filter(|s| s.kind != Kind::General || s.own.is_some()).count()
+        self.steps.iter().filter(|s| s.kind != Kind::General).count()
+    }
+
+    /// Tilted and decentred surfaces that go through lanes in their own frame where no record is asked for.
+    pub fn in_own_frames(&self) -> usize {
+        self.steps.iter().filter(|s| s.own.is_some()).count()
     }
 }
 

@@ -168,6 +168,11 @@ fn every_level_agrees_with_the_plain_trace() {
         let mut all = systems(rng);
         all.extend(varied(4..5, rng));
         for (name, system) in all {
+            if name.contains(" 4") {
+                let own = Program::new(&system, Options::default()).in_own_frames();
+                assert_eq!(own, system.surfaces.iter().filter(|s| s.motion.is_some()).count(), "{name}");
+                assert!(own > 2, "{name}");
+            }
             for (clip, path) in [(true, false), (false, true)] {
                 let given = rays(&system, 3 * TILE + 5, rng);
                 let options = Options { clip, path, level: Some(level) };
