@@ -6,7 +6,6 @@ use burn::module::{Module, ModuleMapper, ModuleVisitor, Param};
 use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
 use super::adam::{Adam, BETA1, BETA2, EPSILON, Rates};
-use super::learner::values;
 
 /// Moments of every parameter, flat, in the module's order.
 #[derive(Debug)]
@@ -88,6 +87,11 @@ pub(super) fn norm(gradient: &[Tensor<1>]) -> f64 {
         return 0.0;
     }
     values(Tensor::cat(squares, 0).sum()).iter().map(|v| f64::from(*v)).sum::<f64>().sqrt()
+}
+
+/// The numbers of a tensor, in the host's memory.
+pub(super) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
+    tensor.into_data().try_into_vec::<f32>().expect("numbers are f32")
 }
 
 struct Collect<'a> {

@@ -9,7 +9,7 @@ use burn::tensor::{Device, Gradients, Tensor, TensorData};
 
 use super::adam::{Adam, norm};
 use super::compute::Compute;
-use super::device_adam::{self, DeviceAdam};
+use super::device_adam::{self, DeviceAdam, values};
 use super::kernels;
 use crate::error::{Error, Result};
 
@@ -221,10 +221,6 @@ impl<M: Module> Learner<M> {
         let module = self.module.take().expect("put back after every change");
         self.module = Some(module.map(&mut Change { change, first: 0, device: &self.device }));
     }
-}
-
-pub(super) fn values<const D: usize>(tensor: Tensor<D>) -> Vec<f32> {
-    tensor.into_data().try_into_vec::<f32>().expect("numbers are f32")
 }
 
 /// All parameters by name, in the module's order.
