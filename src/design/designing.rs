@@ -28,7 +28,7 @@ use crate::imaging::guide;
 use crate::imaging::render::frame_of;
 use crate::imaging::sensor::Sensor;
 use crate::lens::{Lens, prescription};
-use crate::network::Reconstructor;
+use crate::network::{Compute, Reconstructor};
 use crate::optimize::search::{Plan, Progress, search};
 use crate::optimize::{Limits, Outcome, Problem, optimize};
 
@@ -157,6 +157,8 @@ pub struct Designing {
     held_out: Textures,
     sensor: Sensor,
     stage: Stage,
+    /// How the network's device was found to compute, in words; nothing of the CPU.
+    device: Option<String>,
     log: Log,
     history: Log,
     judged: Option<Entry>,
@@ -172,16 +174,17 @@ impl Designing {
     /// A new design in `folder`, which must not be there, or with `replace` may be another run.
     ///
     /// # Errors
-    /// A task that cannot be designed; nothing is written then.
+    /// A task that cannot be designed, a device that computes something else than the CPU; nothing is written then.
     pub fn create(
         task: Task,
         prepared: &Prepared,
-        network: Reconstructor,
+        mut network: Reconstructor,
         textures: Textures,
         folder: &Path,
         replace: bool,
     ) -> Result<Self> {
         check(folder, replace)?;
+        let device = network.check_device(task.batch, task.patch_px)?;
         let held_out = task.held_out()?;
         // As a resumed design reads it.
         let text = prescription::to_toml(&prepared.problem.lens);
@@ -199,18 +202,20 @@ impl Designing {
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
             save(&stage, (None, prepared.seen), inside)
         })?;
+        let stage = (stage, device);
         Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.seen))
     }
 
     /// Goes on in a folder that [`Designing::create`] made.
     ///
     /// # Errors
-    /// A folder that is none, or in which another process works.
-    pub fn resume(folder: &Path) -> Result<Self> {
+    /// A folder that is none, or in which another process works; a device that computes something else than the CPU.
+    pub fn resume(folder: &Path, compute: Compute) -> Result<Self> {
         let task = Task::load(&folder.join(MARKER))?;
         let locked = lock(folder)?;
         let path = folder.join(NETWORK);
-        let (network, facts) = Reconstructor::load_with_facts(&path)?;
+        let (mut network, facts) = Reconstructor::load_with_facts(&path, compute)?;
+        let device = network.check_device(task.batch, task.patch_px)?;
         let file = path.display().to_string();
         let Some(text) = facts.get(STATE) else {
             return Err(Error::bad(file, STATE, "missing", "a checkpoint of `isoplanat design`"));
@@ -226,6 +231,7 @@ impl Designing {
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame, seed: task.seed };
         let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         stage.restore(&scenery, &state)?;
+        let stage = (stage, device);
         Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (state.best, state.seen))
     }
 
@@ -234,7 +240,7 @@ impl Designing {
         lock: File,
         task: Task,
         (textures, held_out, sensor): (Textures, Textures, Sensor),
-        stage: Stage,
+        (stage, device): (Stage, Option<String>),
         (best, seen): (Option<(f64, usize)>, [f64; 2]),
     ) -> Result<Self> {
         sweep(folder)?;
@@ -250,6 +256,7 @@ impl Designing {
             held_out,
             sensor,
             stage,
+            device,
             log,
             history,
             judged,
@@ -263,6 +270,11 @@ impl Designing {
     /// What it was asked for.
     pub fn task(&self) -> &Task {
         &self.task
+    }
+
+    /// How the network's device was found to compute, in words; nothing of the CPU.
+    pub fn device(&self) -> Option<&str> {
+        self.device.as_deref()
     }
 
     /// Lens and network as they are.
@@ -384,7 +396,8 @@ impl Designing {
         let path = self.folder.join(BEST);
         let last = self.stage.score(&self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?);
         if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
-            let (network, facts) = Reconstructor::load_with_facts(&path)?;
+            // What is left, a judgement and the page, the CPU does.
+            let (network, facts) = Reconstructor::load_with_facts(&path, Compute::Cpu)?;
             let state = State::from_text(facts.get(STATE).map_or("", String::as_str), &path.display().to_string())?;
             self.stage.joint.network = network;
             let frame = self.stage.renderer().plan.frame.clone();

@@ -25,7 +25,7 @@ use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
 use crate::imaging::render::{Renderer, Settings};
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
-use crate::network::{Reconstructor, UnetConfig};
+use crate::network::{Compute, Reconstructor, UnetConfig};
 use crate::optimize::Problem;
 
 /// Settings of the joint stage.
@@ -517,6 +517,9 @@ pub fn joint_stage(
 }
 
 /// A fresh network that sees `inputs` beside the capture.
-pub fn network(base_width: usize, inputs: Inputs, seed: u64) -> Result<Reconstructor> {
-    Reconstructor::new(UnetConfig { inputs, ..UnetConfig::bare(base_width, 3) }, seed)
+///
+/// # Errors
+/// A size that is no network, or a device that this build or machine has not.
+pub fn network(base_width: usize, inputs: Inputs, seed: u64, compute: Compute) -> Result<Reconstructor> {
+    Reconstructor::on(compute, UnetConfig { inputs, ..UnetConfig::bare(base_width, 3) }, seed)
 }

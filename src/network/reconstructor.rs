@@ -193,13 +193,13 @@ impl Reconstructor {
         self.save_with(path, &[], facts)
     }
 
-    /// Reads what [`Self::save_with_facts`] wrote.
+    /// Reads what [`Self::save_with_facts`] wrote, for a device.
     ///
     /// # Errors
-    /// As [`Self::load`].
-    pub fn load_with_facts(path: &Path) -> Result<(Self, BTreeMap<String, String>)> {
+    /// As [`Self::load`] and [`Self::on`].
+    pub fn load_with_facts(path: &Path, compute: Compute) -> Result<(Self, BTreeMap<String, String>)> {
         let file = Checkpoint::read(path)?;
-        Ok((Self::from_checkpoint(&file, Compute::Cpu)?, file.facts().clone()))
+        Ok((Self::from_checkpoint(&file, compute)?, file.facts().clone()))
     }
 
     /// [`Reconstructor::save`] with other learners and facts beside it.
@@ -256,7 +256,7 @@ impl Reconstructor {
     }
 
     /// The kind of device it computes on.
-    pub(super) fn compute(&self) -> Compute {
+    pub fn compute(&self) -> Compute {
         self.compute
     }
 

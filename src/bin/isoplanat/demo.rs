@@ -21,7 +21,7 @@ use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::math::memory::{product, threads};
-use isoplanat::network::{Reconstructor, UnetConfig};
+use isoplanat::network::{Compute, Reconstructor, UnetConfig};
 use isoplanat::report::demo::{DemoReport, LossCurve};
 use isoplanat::report::lens_view::LensView;
 use isoplanat::{Result, atomic};
@@ -126,7 +126,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Lens and network together.
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
-    let fresh = network(task.base_width, task.inputs, task.seed)?;
+    let fresh = network(task.base_width, task.inputs, task.seed, Compute::Cpu)?;
     let prepared = prepare(task, &start, "demo", &mut |_, _| {})?;
     let (stage, history) =
         joint_stage(&scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {

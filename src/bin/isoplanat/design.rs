@@ -14,6 +14,7 @@ use isoplanat::design::scenery::{Entry, Scenery};
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::Lens;
+use isoplanat::network::Compute;
 use isoplanat::optimize::merit_of;
 use isoplanat::{Error, Result};
 
@@ -43,6 +44,9 @@ pub(crate) struct Args {
     /// Seed of every draw, in place of the task's
     #[arg(long)]
     seed: Option<u64>,
+    /// Where the network computes: cpu, or cuda or wgpu in a build with that feature; checked against the CPU first. The optics stay on the CPU
+    #[arg(long, default_value = "cpu")]
+    device: Compute,
     /// Say what would be done, and how long a step takes here; nothing is written
     #[arg(long)]
     check: bool,
@@ -64,11 +68,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let validate = args.validate.as_deref();
-    let Some(path) = &args.task else { return driven(Designing::resume(folder)?, folder, validate, args.json, out) };
+    let Some(path) = &args.task else {
+        return driven(Designing::resume(folder, args.device)?, folder, validate, args.json, out);
+    };
     folder::check(folder, args.force)?;
     let task = ready(args, path)?;
     let lens = task.lens(crate::glasses::all())?;
-    driven(begun(task, &lens, &path.display().to_string(), folder, args.force)?, folder, validate, args.json, out)
+    let begun = begun(task, &lens, &path.display().to_string(), folder, (args.force, args.device))?;
+    driven(begun, folder, validate, args.json, out)
 }
 
 /// Designs `lens` by `task` (of `file`) in `folder`.
@@ -82,18 +89,18 @@ pub(crate) fn designed(
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
     folder::check(folder, force)?;
-    driven(begun(task, lens, file, folder, force)?, folder, None, json, out)
+    driven(begun(task, lens, file, folder, (force, Compute::Cpu))?, folder, None, json, out)
 }
 
 /// Goes on in `folder`.
 pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    driven(Designing::resume(folder)?, folder, None, json, out)
+    driven(Designing::resume(folder, Compute::Cpu)?, folder, None, json, out)
 }
 
-fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, force: bool) -> Result<Designing> {
+fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, (force, device): (bool, Compute)) -> Result<Designing> {
     allowed(&task, file)?;
     let prepared = prepared(&task, lens, file)?;
-    let start = network(task.base_width, task.inputs, task.seed)?;
+    let start = network(task.base_width, task.inputs, task.seed, device)?;
     let textures = task.textures()?;
     Designing::create(task, &prepared, start, textures, folder, force)
 }
@@ -119,6 +126,7 @@ fn driven(
     if designing.stage().steps() > 0 {
         eprintln!("resumed at step {}", designing.stage().steps());
     }
+    designing.device().iter().for_each(|line| eprintln!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
     let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
@@ -246,7 +254,11 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let textures = task.textures()?;
     let sensor = task.sensor()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
-    let fresh = || network(task.base_width, task.inputs, task.seed);
+    let (batch, side) = (task.batch, task.patch_px);
+    let fresh = || {
+        let mut network = network(task.base_width, task.inputs, task.seed, args.device)?;
+        network.check_device(batch, side).map(|_| network)
+    };
     let pace = pace(&scenery, problem, &fresh, &settings)?;
     let spots = merit_of(&problem.lens, &problem.merit).ok();
     if args.json {

@@ -203,6 +203,7 @@ mod tests {
     use crate::imaging::sensor::spectrum::SpectralDensity;
     use crate::lens::variables::Variables;
     use crate::lens::{Lens, builtin};
+    use crate::network::Compute;
 
     const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
     const DEPTHS: [f64; 3] = [700.0, 1000.0, 1500.0];
@@ -291,7 +292,7 @@ mod tests {
         let run = |steps: u64| {
             let length = crate::design::schedule::Length::Steps(steps);
             let settings = JointSettings { length, ..settings.clone() };
-            let net = network(4, Inputs::BARE, 1).expect("valid");
+            let net = network(4, Inputs::BARE, 1, Compute::Cpu).expect("valid");
             joint_stage(&scenery, &problem, net, settings, &mut |_, _| {}).expect("runs").0
         };
         let (first, last, again) = (run(1), run(40), run(40));

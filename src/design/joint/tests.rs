@@ -13,6 +13,7 @@ use crate::imaging::sensor::Sensor;
 use crate::imaging::sensor::noise::Noise;
 use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::catalogue::Glasses;
+use crate::network::Compute;
 
 const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 
@@ -42,7 +43,7 @@ fn gradient_agrees(inputs: Inputs) {
     let renderer = Renderer::planned(&lens, &frame, &SpectralDensity::new(&sensor), &[v], SETTINGS).expect("plans");
     let electronics = Electronics::of(&sensor);
     let guide = Guide::new(inputs, &renderer, &electronics).expect("filters");
-    let mut net = network(8, inputs, 5).expect("valid");
+    let mut net = network(8, inputs, 5, Compute::Cpu).expect("valid");
     let mut rng = fastrand::Rng::with_seed(2);
     let map = &renderer.optics.maps[0];
     let mut draw = || textures.draw_within(&mut rng, &frame, map, 64, guide.reach());
@@ -107,7 +108,7 @@ fn a_joint_stage_repeats_to_the_bit() {
         let settings = JointSettings { steps, lens_rate: rate, lens_share: [0.2, 0.9], ..settings(10, 32) };
         for inputs in [Inputs::BARE, TOLD] {
             let run = || {
-                let net = network(4, inputs, 1).expect("valid");
+                let net = network(4, inputs, 1, Compute::Cpu).expect("valid");
                 joint_stage(&scenery, &prepared.problem, net, settings.clone(), &mut |_, _| {}).expect("runs").0
             };
             let (a, b) = (run(), run());
@@ -134,7 +135,7 @@ fn a_stage_goes_on_from_its_state() {
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let settings = JointSettings { steps, lens_share: [0.1, 0.9], ..settings(60, 32) };
         let fresh = || {
-            let net = network(4, inputs, 1).expect("valid");
+            let net = network(4, inputs, 1, Compute::Cpu).expect("valid");
             Stage::new(&scenery, &problem, net, settings.clone()).expect("starts")
         };
         let mut whole = fresh();
@@ -190,7 +191,7 @@ fn a_patch_may_be_larger_than_the_frame() {
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
     let settings = JointSettings { settings: Some(SETTINGS), lens_share: [0.0, 1.0], ..settings(1, 192) };
     for inputs in [Inputs::BARE, TOLD] {
-        let net = network(4, inputs, 1).expect("valid");
+        let net = network(4, inputs, 1, Compute::Cpu).expect("valid");
         let (_, history) =
             joint_stage(&scenery, &problem, net, settings.clone(), &mut |_, e| assert!(e.loss.is_finite()))
                 .expect("runs");
@@ -212,7 +213,8 @@ fn a_stage_over_depths_sees_all_of_them() {
     let depth_power = 4.0;
     let settings = JointSettings { vergences, depth_power, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
     let (stage, _) =
-        joint_stage(&scenery, &problem, network(4, TOLD, 1).expect("valid"), settings, &mut |_, _| {}).expect("runs");
+        joint_stage(&scenery, &problem, network(4, TOLD, 1, Compute::Cpu).expect("valid"), settings, &mut |_, _| {})
+            .expect("runs");
     assert_eq!(stage.renderer().plan.depths.len(), 3);
     // The power mean of their losses: those above it count more than once, the others less; judged by the worst of them.
     let weights: Vec<f64> = (0..3).map(|d| stage.joint.distances.weight(d)).collect();
@@ -242,7 +244,7 @@ fn a_scene_without_light_leaves_the_lens_alone() {
     let textures = Textures::built_in(3, 1, 400);
     let mut patch = textures.draw(&mut fastrand::Rng::with_seed(2), &frame, &renderer.optics.maps[0], 32);
     patch.scene.texture.fill(0.0);
-    let net = network(4, Inputs::BARE, 1).expect("valid");
+    let net = network(4, Inputs::BARE, 1, Compute::Cpu).expect("valid");
     let steps = LensSteps::new(Steps::Rays, &problem).expect("rays pass");
     let mut joint = Joint::new(lens.clone(), net, Guide::bare(&frame), steps);
     for _ in 0..3 {

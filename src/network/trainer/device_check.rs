@@ -5,7 +5,7 @@
 
 use ndarray::{Array4, ArrayView4};
 
-use super::{Content, Objective, Trainer};
+use super::{Content, ContentKind, Objective, Trainer};
 use crate::error::{Error, Result};
 use crate::network::compute::Compute;
 use crate::network::layers::Way;
@@ -107,6 +107,49 @@ impl Trainer {
         parts.extend(Part::gradients("", &self.generator.parameters(), &gradient));
         parts.extend(Part::moved("", self.generator.after(STEP)));
         Ok(parts)
+    }
+}
+
+impl Reconstructor {
+    /// As [`Trainer::check_device`], for joint design: a step by the mean absolute difference, and the gradient that goes back to the input. How the
+    /// device was found to compute, in words; nothing of the CPU.
+    ///
+    /// # Errors
+    /// As [`Trainer::check_device`].
+    pub fn check_device(&mut self, batch: usize, side: usize) -> Result<Option<String>> {
+        let compute = self.compute();
+        if compute == Compute::Cpu { Ok(None) } else { self.judge_device(compute.name(), batch, side).map(Some) }
+    }
+
+    fn judge_device(&mut self, name: &str, batch: usize, side: usize) -> Result<String> {
+        let objective = Objective { content: ContentKind::L1, critics: None, average: None };
+        let weights: Vec<f32> = self.parameters().into_iter().flat_map(|p| p.values).collect();
+        let twin = |compute: Compute, way: Way| -> Result<Self> {
+            let mut twin = Self::on(compute, self.config().clone(), 0)?;
+            twin.restart(weights.clone());
+            twin.set_way(way);
+            Ok(twin)
+        };
+        let mut trainer = Trainer::new(twin(self.compute(), self.way())?, &objective, 0)?;
+        trainer.judge_device(name, &objective, batch, side)?;
+        self.set_way(trainer.generator.way());
+        let channels = self.config().inputs.channels();
+        let (input, target) = (pictures((batch, channels, side, side), 1), pictures((batch, 3, side, side), 2));
+        let mut oracle = twin(Compute::Cpu, Way::Burn)?;
+        let back = |network: &mut Self| -> Result<Vec<Part>> {
+            let step = network.step(input.view(), target.view(), None, 0.0, false)?;
+            Ok(vec![Part::new("gradient of the input", step.input_bar.into_raw_vec_and_offset().0)])
+        };
+        let off = Deviation::worst(&back(&mut oracle)?, &back(self)?);
+        if !off.passes() {
+            let found = format!("{name}: {} off by {:.1e} of its size", off.name, off.relative);
+            let allowed = format!(
+                "at most {LIMIT} on a batch of {batch} x {channels} x {side} x {side}; use cpu, or another driver"
+            );
+            return Err(Error::bad("isoplanat", "device", found, allowed));
+        }
+        let told = trainer.device().unwrap_or_default();
+        Ok(format!("{told}; {} off by {:.1e} of its size", off.name, off.relative))
     }
 }
 
@@ -255,6 +298,30 @@ mod tests {
             assert!(own.device().is_none());
             own.judge_device("cpu", &objective, 1, side).expect("our kernels");
         }
+    }
+
+    /// The same for a network that joint design asks for the gradient at its input.
+    #[test]
+    fn a_network_whose_device_is_wrong_is_refused() {
+        let fresh = || Reconstructor::new(UnetConfig::bare(4, 3), 7).expect("valid");
+        let with = |right_to: usize| {
+            let mut network = fresh();
+            network.set_way(Way::Faulty { blocks: false, right_to });
+            let judged = network.judge_device("test", 1, 136);
+            (network, judged)
+        };
+        let said = with(usize::MAX).1.expect("a right device");
+        assert!(said.contains("agrees") && said.contains("gradient of the input off by"), "{said}");
+        let (mut network, judged) = with(130 * 130);
+        assert!(judged.expect("right in blocks").contains("in blocks"));
+        let (input, target) = (pictures((1, 3, 136, 136), 1), pictures((1, 3, 136, 136), 2));
+        let [a, b] = [&mut network, &mut fresh()].map(|n| {
+            let step = n.step(input.view(), target.view(), None, 1e-3, true).expect("fits");
+            (step.gradient_norm, length(step.input_bar.as_slice().expect("whole")))
+        });
+        assert!((a.0 / b.0 - 1.0).abs() < 1e-3 && (a.1 / b.1 - 1.0).abs() < 1e-3, "{a:?} {b:?}");
+        assert!(with(0).1.expect_err("refused").to_string().contains("weight off by"));
+        assert!(fresh().check_device(1, 136).expect("the CPU").is_none());
     }
 
     #[test]
