@@ -9,37 +9,20 @@
 //! Every draw is judged twice: by rays through the lens of its numbers, refocused, and by the nominal lens's Jacobian
 //! ([`crate::optimize::sensitivity`]), which costs next to nothing; their difference is told. Not drawn: irregularity and form, homogeneity, the mount.
 
-use std::f64::consts::TAU;
 use std::time::Instant;
 
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::deviations::{Deviation, deviations, drawn};
 use super::fabrication::Fabrication;
 use super::fabrication::tolerances::Tolerances;
+use super::scatter::Scatter;
 use crate::error::{Error, Result};
-use crate::lens::pose::{Element, Pose};
-use crate::lens::{Aperture, Kind, Lens, Parameter};
-use crate::math::{at_share, mixed};
+use crate::lens::{Kind, Lens, Parameter};
+use crate::math::at_share;
 use crate::optimize::sensitivity::Sensitivity;
 use crate::optimize::{Merit, light_of, refocused};
-
-/// One thing that may deviate.
-#[derive(Clone, Debug, Serialize)]
-pub struct Deviation {
-    /// What, as the file names it.
-    pub name: String,
-    /// The bound.
-    pub size: f64,
-    /// Its unit.
-    pub unit: &'static str,
-    /// Numbers and how far they move at the bound.
-    #[serde(skip)]
-    moves: Vec<(Parameter, f64)>,
-    /// The same at a right angle, where the deviation has a direction across the axis.
-    #[serde(skip)]
-    across: Vec<(Parameter, f64)>,
-}
 
 /// What one tolerance costs by itself.
 #[derive(Clone, Debug, Serialize)]
@@ -72,6 +55,8 @@ pub struct AsBuilt {
     pub alone: Vec<Alone>,
     /// In the order of their numbers.
     pub draws: Vec<Draw>,
+    /// What polish and imperfections scatter, where the file states them.
+    pub scatter: Option<Scatter>,
     /// What the file states and no draw knows, and other remarks.
     pub notes: Vec<String>,
     /// Seconds of the Jacobian with the costs by it, and of the rays of all draws.
@@ -95,119 +80,9 @@ const TOGETHER: usize = 16;
 /// Least part of its light that a field point keeps in a lens that is judged.
 const DARK: f64 = 0.5;
 
-const ARCMIN: f64 = std::f64::consts::PI / 180.0 / 60.0;
-
 /// The rays that lenses are judged by.
 fn merit() -> Merit {
     Merit { whole: true, ..Merit::default() }
-}
-
-/// `lens` with a place for every pose that `tolerances` may move, its stop of a size of its own; and the deviations.
-fn ready(lens: &Lens, tolerances: &Tolerances) -> Result<(Lens, Vec<Deviation>, Vec<String>)> {
-    let made = Fabrication::new(lens, tolerances, None)?;
-    let mut notes = Vec::new();
-    let mut all: Vec<Deviation> = Vec::new();
-    let mut push =
-        |name: String, size: Option<f64>, unit, moves: Vec<(Parameter, f64)>, across: Vec<(Parameter, f64)>| {
-            if let Some(size) = size.filter(|_| !moves.is_empty()) {
-                all.push(Deviation { name, size, unit, moves, across });
-            }
-        };
-    let mut tilted = Vec::new();
-    let mut elements = Vec::new();
-    for (k, e) in made.elements.iter().enumerate() {
-        let (t, faces) = (tolerances.element(e.first()), e.faces.iter().map(|f| f.surface).collect::<Vec<_>>());
-        for g in &e.glasses {
-            let surface = faces[g.face];
-            // A plane within the glass, such as its stop, divides the medium and no more.
-            let parts = surface..faces[g.face + 1];
-            let name = |what: &str| format!("surface {surface}, {what} of {}", g.name);
-            let thickness = t.thickness_tolerance_mm;
-            push(name("thickness"), thickness, "mm", moves(Kind::Thickness.at(surface), thickness), vec![]);
-            for (kind, size, unit, what) in
-                [(Kind::Index, t.n_d_tolerance, "", "n_d"), (Kind::Abbe, t.v_d_tolerance_percent, "%", "v_d")]
-            {
-                let p = kind.at(surface);
-                match (p.value(&**lens), size) {
-                    (Some(own), Some(s)) => {
-                        let by = if kind == Kind::Abbe { own * s / 100.0 } else { s };
-                        push(name(what), size, unit, parts.clone().map(|s| (kind.at(s), by)).collect(), vec![]);
-                    }
-                    (None, Some(_)) => notes.push(format!(
-                        "{what} of {} is not drawn: the glass is stated by a catalogue's formula, not by n_d and v_d",
-                        g.name
-                    )),
-                    _ => {}
-                }
-            }
-        }
-        for f in &e.faces {
-            let face = &f.surface;
-            let s = tolerances.surface(*face);
-            let c = lens.surfaces[*face].shape.curvature;
-            let p = Kind::Curvature.at(*face);
-            push(
-                format!("surface {face}, radius"),
-                s.radius_percent.filter(|_| c != 0.0),
-                "%",
-                moves(p, s.radius_percent.map(|v| c * v / 100.0)),
-                vec![],
-            );
-            // A fringe is half a wavelength of sag at the rim of the clear aperture.
-            let fringe = tolerances.test_wavelength_nm.map(|nm| 0.5e-6 * nm / f.edge_sag_by_curvature());
-            let by = s.radius_fringes.zip(fringe).map(|(n, f)| n * f);
-            push(format!("surface {face}, power"), s.radius_fringes, "fringes", moves(p, by), vec![]);
-            let turn = |entry| moves(Kind::Tilt.entry(*face, entry), s.centring_arcmin.map(|v| v * ARCMIN));
-            push(format!("surface {face}, tilt"), s.centring_arcmin, "arcmin", turn(0), turn(1));
-            if s.centring_arcmin.is_some() {
-                tilted.push(*face);
-            }
-            if s.irregularity_fringes.or(s.rotational_fringes).or(s.form_um).is_some() {
-                notes.push(format!("irregularity and form of surface {face} are not drawn"));
-            }
-        }
-        let a = tolerances.assembly;
-        let place = format!("element {}", e.number);
-        let shift = |entry| moves(Kind::ElementDecentre.entry(k, entry), a.decentre_mm);
-        push(format!("{place}, shift"), a.decentre_mm, "mm", shift(0), shift(1));
-        let turn = |entry| moves(Kind::ElementTilt.entry(k, entry), a.tilt_arcmin.map(|v| v * ARCMIN));
-        push(format!("{place}, tilt"), a.tilt_arcmin, "arcmin", turn(0), turn(1));
-        if let (Some(first), Some(last)) = (faces.first(), faces.last()) {
-            elements.push(Element { first: *first, last: *last, pose: Pose::default(), pivot: 0.0 });
-        }
-    }
-    // Air: every space but the last, which the sensor compensates.
-    for air in made.air.iter().filter(|a| a.behind.is_some()) {
-        // A stop within it stays at its distance from what is behind it.
-        let (surface, size) = (air.before, tolerances.assembly.air_mm);
-        push(format!("surface {surface}, air behind it"), size, "mm", moves(Kind::Thickness.at(surface), size), vec![]);
-    }
-    if all.is_empty() {
-        let file = tolerances.file.clone().unwrap_or_default();
-        notes.dedup();
-        let found = format!(
-            "none that this lens can be drawn with{}{}",
-            if notes.is_empty() { "" } else { ": " },
-            notes.join(", ")
-        );
-        let allowed =
-            "a tolerance of a radius, thickness, index, Abbe number, tilt, air space or element: see models/README.md";
-        return Err(Error::bad(file, "tolerances", found, allowed));
-    }
-    let stop = made.first_order.stop_semi_diameter;
-    let lens = lens.changed(|l| {
-        l.aperture = Aperture::StopSemiDiameter(stop);
-        l.elements = elements;
-        for face in tilted {
-            l.surfaces[face].pose = Some(Pose::default());
-        }
-    })?;
-    notes.dedup();
-    Ok((lens, all, notes))
-}
-
-fn moves(p: Parameter, by: Option<f64>) -> Vec<(Parameter, f64)> {
-    by.map(|by| vec![(p, by)]).unwrap_or_default()
 }
 
 /// `lens` where numbers are off by so much, refocused, with its rms and the sensor's way, mm; none where a field point has less than a [`DARK`] part of its
@@ -232,16 +107,6 @@ fn built(lens: &Lens, off: &[(Parameter, f64)], light: &[f64]) -> Option<(Lens, 
     Some((found.lens, found.rms_mm[1], way))
 }
 
-/// A deviation at a part of its bound, turned by an angle where it has a direction.
-fn at(d: &Deviation, part: f64, angle: f64) -> Vec<(Parameter, f64)> {
-    if d.across.is_empty() {
-        return d.moves.iter().map(|(p, by)| (*p, part * by)).collect();
-    }
-    let (s, c) = angle.sin_cos();
-    let along = d.moves.iter().map(|(p, by)| (*p, part * c * by));
-    along.chain(d.across.iter().map(|(p, by)| (*p, part * s * by))).collect()
-}
-
 impl AsBuilt {
     /// Of `lens` within `tolerances`, with the drawn lenses where they are wanted (none where there was no lens), before them the lens itself, refocused as they are; `told` hears the share that is done, and ends the work by `false`.
     ///
@@ -253,7 +118,8 @@ impl AsBuilt {
         settings: Settings,
         told: &mut dyn FnMut(f64) -> bool,
     ) -> Result<(Self, Vec<Option<Lens>>)> {
-        let (lens, deviations, notes) = ready(lens, tolerances)?;
+        let scatter = Scatter::new(lens, &Fabrication::new(lens, tolerances, None)?, tolerances);
+        let (lens, deviations, notes) = deviations(lens, tolerances)?;
         let started = Instant::now();
         let Some((lens, nominal_mm, _)) = built(&lens, &[], &[]) else {
             let allowed = "a lens whose stop all rays of its fields pass";
@@ -273,7 +139,7 @@ impl AsBuilt {
             model.rms(&off.iter().map(|(p, by)| (index(p), *by)).collect::<Vec<_>>())
         };
         let of_model: Vec<f64> =
-            deviations.iter().map(|d| by_model(&at(d, 1.0, 0.0)).max(by_model(&at(d, -1.0, 0.0)))).collect();
+            deviations.iter().map(|d| by_model(&d.at(1.0, 0.0)).max(by_model(&d.at(-1.0, 0.0)))).collect();
         let first = started.elapsed().as_secs_f64();
         #[expect(clippy::cast_precision_loss, reason = "counts")]
         let all = (deviations.len() + settings.draws).max(1) as f64;
@@ -283,7 +149,7 @@ impl AsBuilt {
             if told(done / all) { Ok(()) } else { Err(Error::Interrupted) }
         };
         let mut alone = Vec::new();
-        let both = |d: &Deviation| [1.0, -1.0].map(|part| built(&lens, &at(d, part, 0.0), &light).map(|b| b.1));
+        let both = |d: &Deviation| [1.0, -1.0].map(|part| built(&lens, &d.at(part, 0.0), &light).map(|b| b.1));
         for (some, of_model) in deviations.chunks(TOGETHER).zip(of_model.chunks(TOGETHER)) {
             let rms: Vec<_> = some.par_iter().map(both).collect();
             for ((d, rms_mm), model_mm) in some.iter().zip(rms).zip(of_model) {
@@ -296,23 +162,14 @@ impl AsBuilt {
         let started = Instant::now();
         let mut draws = Vec::new();
         let mut lenses: Vec<Option<Lens>> = settings.lenses.then(|| Some(lens.clone())).into_iter().collect();
-        let drawn = |k: usize| {
-            let rng = &mut fastrand::Rng::with_seed(mixed(mixed(settings.seed, 0x746f_6c65), k as u64));
-            let mut off = Vec::new();
-            for d in &deviations {
-                let (part, angle) = if d.across.is_empty() {
-                    (2.0 * rng.f64() - 1.0, 0.0)
-                } else {
-                    (rng.f64().sqrt(), TAU * rng.f64())
-                };
-                off.extend(at(d, part, angle));
-            }
+        let of_draw = |k: usize| {
+            let off = drawn(&deviations, settings.seed, k as u64);
             // A number that several deviations move moves by their sum in both judgements.
             (by_model(&off), built(&lens, &off, &light))
         };
         let numbers: Vec<usize> = (0..settings.draws).collect();
         for some in numbers.chunks(TOGETHER) {
-            for (model_mm, found) in some.par_iter().map(|k| drawn(*k)).collect::<Vec<_>>() {
+            for (model_mm, found) in some.par_iter().map(|k| of_draw(*k)).collect::<Vec<_>>() {
                 let (rms_mm, focus_mm) = (found.as_ref().map(|f| f.1), found.as_ref().map(|f| f.2));
                 draws.push(Draw { rms_mm, model_mm, focus_mm });
                 lenses.extend(settings.lenses.then(|| found.map(|f| f.0)));
@@ -320,7 +177,7 @@ impl AsBuilt {
             }
         }
         let seconds = [first, started.elapsed().as_secs_f64()];
-        Ok((Self { nominal_mm, alone, draws, notes, seconds }, lenses))
+        Ok((Self { nominal_mm, alone, draws, scatter, notes, seconds }, lenses))
     }
 
     /// The rms that a share of the draws does not exceed, by rays, and by the Jacobian, mm; draws that are no lens count as endless; NaN without draws.
@@ -346,7 +203,7 @@ impl AsBuilt {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use crate::lens::{Aperture, builtin};
     use crate::testing::{assert_abs, assert_rel};
 
     const FILE: &str = "schema = 1\ntest_wavelength_nm = 632.8\n[element.all]\nthickness_tolerance_mm = 0.02\nn_d_tolerance = 2e-4\nv_d_tolerance_percent = 0.5\n\
@@ -400,7 +257,7 @@ mod tests {
         let hologon = builtin::lens("hologon").expect("shipped");
         let file = "schema = 1\ntest_wavelength_nm = 632.8\n[surface.5]\nradius_fringes = 3\n[element.all]\nn_d_tolerance = 1e-3\n[assembly]\nair_mm = 0.01\n";
         let t = Tolerances::parse(file, "t.toml").expect("reads");
-        let (_, all, _) = ready(&hologon, &t).expect("made");
+        let (_, all, _) = deviations(&hologon, &t).expect("made");
         let of = |name: &str| all.iter().filter(|d| d.name.contains(name)).collect::<Vec<_>>();
         let (c, h) = (hologon.surfaces[5].shape.curvature, hologon.surfaces[5].semi_diameter);
         let sag = |c: f64| c * h * h / (1.0 + (1.0 - c * c * h * h).sqrt());

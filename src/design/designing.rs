@@ -38,8 +38,6 @@ const STATE: &str = "design.state";
 const BEST: &str = "best.safetensors";
 /// The lens as the stage begins with it.
 const FIRST: &str = "lens-first.toml";
-/// Patches of a judgement.
-const JUDGED: usize = 24;
 /// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
 const WORSE_DB: f64 = 0.1;
 /// Steps in a row without a finite loss after which the design stops.
@@ -340,7 +338,7 @@ impl Designing {
 
     /// Looks at pictures that it does not train on; the state is kept if it is the best so far.
     fn judge(&mut self) -> Result<()> {
-        let entry = self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?;
+        let entry = self.stage.judged(&self.held_out, self.task.patch_px)?;
         let step = self.stage.steps();
         let score = self.stage.score(&entry);
         let better = score.is_finite() && self.best.is_none_or(|(best, _)| score > best);
@@ -394,7 +392,7 @@ impl Designing {
     fn settle(&mut self) -> Result<()> {
         let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.show() };
         let path = self.folder.join(BEST);
-        let last = self.stage.score(&self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?);
+        let last = self.stage.score(&self.stage.judged(&self.held_out, self.task.patch_px)?);
         if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
             // What is left, a judgement and the page, the CPU does.
             let (network, facts) = Reconstructor::load_with_facts(&path, Compute::Cpu)?;
@@ -408,7 +406,7 @@ impl Designing {
             self.stage.over(&spent);
             save(&self.stage, (self.best, self.seen), &self.folder)?;
             // What is told of the result is the result's.
-            self.judged = Some(self.stage.camera().judged(&self.held_out, self.task.patch_px, JUDGED)?);
+            self.judged = Some(self.stage.judged(&self.held_out, self.task.patch_px)?);
         }
         self.show()
     }

@@ -139,17 +139,18 @@ impl Joint {
         self.refreshed.1 += started.elapsed().as_secs_f64();
     }
 
-    /// One step on `patches` (equal parts) through `renderer`, which holds the lens now. `lens_rate` 0 holds the lens.
+    /// One step on `patches` (equal parts) through `renderer`, which holds the lens now, or one `as_built`: whose numbers are the lens's and something that
+    /// does not depend on them. A rate of 0 of the lens holds it.
     ///
     /// # Errors
     /// A patch at a distance that the renderer was not made for; a network that fails.
     pub fn step(
         &mut self,
         renderer: &Renderer,
+        as_built: Option<&Lens>,
         electronics: &Electronics,
         patches: &[Patch],
-        lens_rate: f64,
-        network_rate: f64,
+        [lens_rate, network_rate]: [f64; 2],
     ) -> Result<Report> {
         let done = patches
             .par_iter()
@@ -196,7 +197,7 @@ impl Joint {
             .collect();
         let mut bar = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| bar.add(b));
-        let lens = s.loss.is_finite().then(|| self.follow(renderer, &bar, lens_rate));
+        let lens = s.loss.is_finite().then(|| self.follow(renderer, as_built, &bar, lens_rate));
         let output_psnr_db = psnr(s.output.view());
         let loss = f64::from(s.loss);
         Ok(Report { loss, input_psnr_db, output_psnr_db, lens, network_seconds })
@@ -209,11 +210,12 @@ impl Joint {
         }
     }
 
-    /// Moves the lens against the gradient that `bar` pulls back to it.
-    fn follow(&mut self, renderer: &Renderer, bar: &OpticsBar, lens_rate: f64) -> Stepped {
-        let gradient = renderer.lens_gradient(&self.lens, bar);
+    /// Moves the lens against the gradient that `bar` pulls back to it, or to one `as_built`, which `renderer` holds.
+    fn follow(&mut self, renderer: &Renderer, as_built: Option<&Lens>, bar: &OpticsBar, lens_rate: f64) -> Stepped {
+        let through = as_built.unwrap_or(&self.lens);
+        let gradient = renderer.lens_gradient(through, bar);
         self.noise.add(&self.steps.variables().gradient(&gradient));
-        let darkest = self.darkest(renderer);
+        let darkest = self.darkest(renderer, through);
         let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
         self.good = self.lens.clone();
         match &stepped.lens {
@@ -227,7 +229,7 @@ impl Joint {
     }
 
     /// Rows that keep the illumination from falling below what is asked, of places that are near it.
-    fn darkest(&self, renderer: &Renderer) -> Vec<Linear> {
+    fn darkest(&self, renderer: &Renderer, through: &Lens) -> Vec<Linear> {
         let Some(least) = self.least_illumination else { return Vec::new() };
         let optics = &renderer.optics;
         let (radius, channels) = (renderer.plan.frame.max_radius_mm(), optics.channels());
@@ -241,7 +243,7 @@ impl Joint {
             if value < least + NEAR {
                 let mut bar = OpticsBar::zeros(optics);
                 optics.relative_illumination_vjp(std::iter::once((at, share.as_slice())), &mut bar);
-                let a = variables.gradient(&renderer.lens_gradient(&self.lens, &bar));
+                let a = variables.gradient(&renderer.lens_gradient(through, &bar));
                 // No more than a tenth of what is missing at a time: rows are linear, illumination is not.
                 let b = if value < least { 0.1 * (least - value) } else { least - value };
                 if a.iter().all(|v| v.is_finite()) {

@@ -1,5 +1,7 @@
 //! What a design is judged by on its way: pictures that it does not train on, and how far the frame's corner sees.
 
+use std::ops::Range;
+
 use ndarray::{Array3, Axis, s};
 
 use super::chain::{Patch, forward};
@@ -46,22 +48,22 @@ impl Camera<'_> {
         Ok([capture, output.index_axis(Axis(0), 0).to_owned(), f.truth.slice(middle(p)).to_owned()])
     }
 
-    /// PSNR and loss behind the network over `count` patches of `side` pixels of `held_out`, the same ones each time, spread over the
+    /// PSNR and loss behind the network over patches of `side` pixels of `held_out` by number, the same ones each time, spread over the
     /// field's height; of a lens that is judged by its own images, those of so many patches in all.
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn judged(&self, held_out: &Textures, side: usize, count: usize) -> Result<Entry> {
+    pub(super) fn judged(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Entry> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
         if let Some(loss) = self.sensor_loss {
-            let scenes = (count / self.renderer.optics.maps.len()).max(1) as u64;
+            let scenes = ((numbers.end - numbers.start) / self.renderer.optics.maps.len() as u64).max(1);
             let one = |n| look(self.renderer, loss, &group(self.renderer, loss, held_out, (SEED, n), &places));
             let seen = Seen::mean(&(0..scenes).map(one).collect::<Result<Vec<_>>>()?);
             let (input_psnr_db, output_psnr_db) = (seen.mean_db, seen.lowest_db);
             return Ok(Entry { loss: seen.loss, input_psnr_db, output_psnr_db, ..Entry::default() });
         }
-        mean(self, count, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
+        mean(self, numbers, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
     }
 
     /// Capture, reconstruction and truth of `count` of those patches, from the axis outwards; of a lens that is judged by its own images, those
@@ -92,22 +94,23 @@ impl Camera<'_> {
     }
 }
 
-/// Mean L1 and PSNR before and after the network over `count` patches that `draw` makes for the object distances of `renderer` in turn; where
+/// Mean L1 and PSNR before and after the network over the patches that `draw` makes for the object distances of `renderer` in turn; where
 /// the worst distance counts, PSNR of the one with the lowest after it.
-fn mean(camera: &Camera<'_>, count: usize, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
+fn mean(camera: &Camera<'_>, numbers: Range<u64>, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
     let mut sum = Entry::default();
     let maps = &camera.renderer.optics.maps;
     let mut by_distance = vec![[0.0; 3]; maps.len()];
-    for number in 0..count {
-        let [capture, output, truth] = camera.taken(&draw(number as u64, &maps[number % maps.len()]))?;
+    let n = (numbers.end - numbers.start).max(1) as f64;
+    for number in numbers {
+        let depth = (number % maps.len() as u64) as usize;
+        let [capture, output, truth] = camera.taken(&draw(number, &maps[depth]))?;
         let (input, out) = (l1_and_psnr(capture.iter(), truth.iter()), l1_and_psnr(output.iter(), truth.iter()));
         sum.loss += out.0;
         sum.input_psnr_db += input.1;
         sum.output_psnr_db += out.1;
-        let sums = by_distance[number % maps.len()].iter_mut();
+        let sums = by_distance[depth].iter_mut();
         sums.zip([out.1, input.1, 1.0]).for_each(|(sum, v)| *sum += v);
     }
-    let n = count.max(1) as f64;
     [&mut sum.loss, &mut sum.input_psnr_db, &mut sum.output_psnr_db].into_iter().for_each(|v| *v /= n);
     if camera.worst {
         let seen = by_distance.iter().filter(|[.., of]| *of > 0.0).map(|[out, input, of]| [out / of, input / of]);
@@ -135,7 +138,7 @@ pub fn validate(
     let (network, guide) = told;
     let camera =
         Camera { renderer: &renderer, electronics: &electronics, network, guide, sensor_loss: None, worst: false };
-    mean(&camera, count, |number, map| {
+    mean(&camera, 0..count as u64, |number, map| {
         scenery.textures.numbered((scenery.seed, number), &places, &scenery.frame, map, told.1.reach())
     })
 }

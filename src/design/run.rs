@@ -6,7 +6,9 @@
 
 use std::time::Instant;
 
+use super::as_built::AsBuilt;
 use super::chain::Patch;
+use super::data::Textures;
 use super::distances::Distances;
 use super::joint::images::group;
 use super::joint::{Joint, Report};
@@ -18,6 +20,7 @@ use super::schedule::{Length, Schedule};
 use super::sensor_loss::SensorLoss;
 use super::state::State;
 use super::task::Task;
+use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::error::Result;
 use crate::imaging::develop::simulate::Electronics;
 use crate::imaging::guide::{Guide, Inputs};
@@ -57,6 +60,8 @@ pub struct JointSettings {
     pub least_illumination: Option<f64>,
     /// A loss on the lens's own images in place of one behind the network, which then stays as it is.
     pub sensor_loss: Option<SensorLoss>,
+    /// What lenses may be off by through which pictures are taken.
+    pub tolerances: Option<Tolerances>,
     /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
     pub settings: Option<Settings>,
 }
@@ -83,6 +88,7 @@ impl JointSettings {
             spread: task.spread,
             least_illumination: task.least_illumination,
             sensor_loss: task.sensor_loss.clone(),
+            tolerances: task.stated_tolerances()?,
             settings: None,
         })
     }
@@ -111,6 +117,10 @@ fn rise_and_fall(used: f64) -> f64 {
 /// Average over this many steps in a history.
 pub(super) const SMOOTH: usize = 10;
 
+/// Patches of a judgement; drawn lenses that they are taken through, and the number of the first, far from those of the steps.
+const PICTURES: u64 = 24;
+const BUILT: u64 = 6;
+const UNSEEN: u64 = 1 << 40;
 /// Steps between plans.
 const REPLAN: usize = 25;
 /// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
@@ -137,6 +147,9 @@ pub struct Stage {
     /// The lens whose filters the network is told, and the one that object points of the lens's steps are of.
     told: Lens,
     looked_at: Lens,
+    /// Lenses within tolerances, and how many of those that were drawn could not be rendered since this process began.
+    as_built: Option<AsBuilt>,
+    lost: usize,
     /// Lens and network.
     pub joint: Joint,
     /// How finely it was rendered: settings with their gradient's error, and the step from which on they were used.
@@ -175,6 +188,8 @@ impl Stage {
         let mut joint = Joint::new(lens.clone(), network, guide, LensSteps::new(steps, problem)?);
         joint.least_illumination = settings.least_illumination;
         joint.distances = Distances::new(settings.depth_power, vergences.len());
+        let around = |t| AsBuilt::new(t, &problem.merit, lens, scenery.seed);
+        let as_built = settings.tolerances.as_ref().map(around).transpose()?;
         let share = SETTLES.max(settings.lens_share[1] + AFTER_LENS).min(1.0 - AFTER_LENS);
         Ok(Self {
             places: Places::new(&scenery.frame, settings.patch, settings.spread),
@@ -187,6 +202,8 @@ impl Stage {
             electronics,
             renderer,
             vergences,
+            as_built,
+            lost: 0,
             joint,
             fineness: Vec::new(),
             again: 0,
@@ -216,6 +233,9 @@ impl Stage {
             self.joint.steps.look_at(&looked_at)?;
         }
         (self.planned, self.told, self.looked_at) = ([at, seen], told, looked_at);
+        if let (Some(built), Some(around)) = (&mut self.as_built, state.around()?) {
+            built.follow(&around);
+        }
         self.joint.good = lens.clone();
         self.joint.lens = lens;
         self.joint.damping = state.damping;
@@ -244,6 +264,7 @@ impl Stage {
             state.remembered = self.joint.steps.remembered();
             state.noise = self.joint.noise.clone();
             state.distances = Some(self.joint.distances.clone());
+            state.keep_around(self.as_built.as_ref().map(|b| &b.around));
             state.fineness = self
                 .fineness
                 .iter()
@@ -257,6 +278,11 @@ impl Stage {
     /// Steps done.
     pub fn steps(&self) -> usize {
         self.step
+    }
+
+    /// Drawn lenses that showed nothing, since this process began: the lens itself stood in for them.
+    pub fn lost(&self) -> usize {
+        self.lost
     }
 
     /// Steps in all, where that is known.
@@ -305,9 +331,12 @@ impl Stage {
                 self.joint.step_by_images(&self.renderer, loss, &groups, lens_rate)?
             }
             None => {
-                let patches = self.patches(scenery);
-                let network_rate = self.settings.network_rate * network_rate;
-                self.joint.step(&self.renderer, &self.electronics, &patches, lens_rate, network_rate)?
+                let built = self.built(self.step as u64);
+                self.lost += usize::from(self.as_built.is_some() && built.is_none());
+                let (lens, renderer) = built.as_ref().map_or((None, &self.renderer), |(l, r)| (Some(l), r));
+                let patches = self.patches(scenery, renderer);
+                let rates = [lens_rate, self.settings.network_rate * network_rate];
+                self.joint.step(renderer, lens, &self.electronics, &patches, rates)?
             }
         };
         self.step += 1;
@@ -339,6 +368,9 @@ impl Stage {
             }
             self.refresh();
             self.follow_the_corner();
+            if let Some(built) = &mut self.as_built {
+                built.follow(&self.joint.lens);
+            }
         }
         if self.step != self.again {
             return Ok(());
@@ -402,15 +434,22 @@ impl Stage {
         cheapest(&Patches { lens: &self.joint.lens, frame: &scenery.frame, density: &self.density, parts })
     }
 
-    /// The patches of a step.
-    fn patches(&self, scenery: &Scenery<'_>) -> Vec<Patch> {
+    /// The lens as draw `number` builds it, rendered as the lens itself is; none where nothing is drawn, or no light comes through.
+    fn built(&self, number: u64) -> Option<(Lens, Renderer)> {
+        let lens = self.as_built.as_ref()?.lens(&self.joint.lens, number)?;
+        let renderer = Renderer::new(&lens, &self.renderer.plan).ok()?;
+        Some((lens, renderer))
+    }
+
+    /// The patches of a step, through what `renderer` holds.
+    fn patches(&self, scenery: &Scenery<'_>, renderer: &Renderer) -> Vec<Patch> {
         let reach = self.joint.guide.reach();
         let batch = self.settings.batch as u64;
         let numbered = |i: u64| {
             let number = self.step as u64 * batch + i;
             // Depths take turns that places do not.
             let depth = ((number / batch + number) % self.vergences.len() as u64) as usize;
-            let map = &self.renderer.optics.maps[depth];
+            let map = &renderer.optics.maps[depth];
             scenery.textures.numbered((scenery.seed, number), &self.places, &scenery.frame, map, reach)
         };
         (0..batch).map(numbered).collect()
@@ -485,6 +524,28 @@ impl Stage {
         let sensor_loss = self.settings.sensor_loss.as_ref();
         let worst = self.settings.depth_power > 1.0;
         Camera { renderer, electronics, network: &self.joint.network, guide: &self.joint.guide, sensor_loss, worst }
+    }
+
+    /// PSNR and loss on [`PICTURES`] patches of `side` pixels of pictures that are not trained on; where pictures are taken through drawn lenses, through
+    /// [`BUILT`] others of them.
+    ///
+    /// # Errors
+    /// A network that fails.
+    pub(super) fn judged(&self, held_out: &Textures, side: usize) -> Result<Entry> {
+        let mut all = Vec::new();
+        if self.as_built.is_some() {
+            for k in 0..BUILT {
+                // A lens that shows nothing is judged as the lens itself: that it is lost is told by itself.
+                let built = self.built(UNSEEN + k).map(|(_, renderer)| renderer);
+                let camera = Camera { renderer: built.as_ref().unwrap_or(&self.renderer), ..self.camera() };
+                all.push(camera.judged(held_out, side, k * PICTURES / BUILT..(k + 1) * PICTURES / BUILT)?);
+            }
+        } else {
+            all.push(self.camera().judged(held_out, side, 0..PICTURES)?);
+        }
+        let mean = |of: fn(&Entry) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
+        let (loss, input_psnr_db) = (mean(|e| e.loss), mean(|e| e.input_psnr_db));
+        Ok(Entry { loss, input_psnr_db, output_psnr_db: mean(|e| e.output_psnr_db), ..Entry::default() })
     }
 
     /// How good what was judged is, dB: the more the better.

@@ -51,6 +51,9 @@ pub struct State {
     /// Losses by object distance; files written before there were such weights have none.
     #[serde(default)]
     pub distances: Option<Distances>,
+    /// The lens that drawn ones are around, where pictures are taken through those.
+    #[serde(default)]
+    around: Option<String>,
     /// The lens for which rays were chosen, the one for windows and nodes, the one that filters are of, the one that steps' object points
     /// are of, and the one now.
     lenses: [String; 5],
@@ -76,11 +79,22 @@ impl State {
             remembered: Remembered::default(),
             noise: Noise::default(),
             distances: None,
+            around: None,
             lenses: lenses.map(|l| prescription::to_toml(l)),
             fineness: Vec::new(),
         };
         fill(&mut state);
         state
+    }
+
+    /// The lens that drawn ones are around.
+    pub(super) fn around(&self) -> Result<Option<Lens>> {
+        self.around.as_ref().map(|text| prescription::from_toml(text, "checkpoint")).transpose()
+    }
+
+    /// Keeps the lens that drawn ones are around.
+    pub(super) fn keep_around(&mut self, lens: Option<&Lens>) {
+        self.around = lens.map(|l| prescription::to_toml(l));
     }
 
     /// Its lenses.

@@ -10,9 +10,11 @@ use super::lens_steps::Steps;
 use super::places::Spread;
 use super::schedule::Length;
 use super::sensor_loss::SensorLoss;
+use super::stated::Stated;
 use super::subject::Subject;
 use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
+use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::calibrate::lens::MeasuredLens;
 use crate::error::{Error, Result};
 use crate::imaging::guide::Inputs;
@@ -123,6 +125,9 @@ pub struct Task {
     /// A loss on the lens's own images at those distances in place of one behind the network.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sensor_loss: Option<SensorLoss>,
+    /// What lenses may be off by through which the design's pictures are taken: a file as for `isoplanat tolerance`, or its keys.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tolerances: Option<Stated>,
     /// How patches are spread over the field.
     #[serde(default)]
     pub spread: Spread,
@@ -245,6 +250,7 @@ impl Task {
             depths_mm: Vec::new(),
             depth_power: 1.0,
             sensor_loss: None,
+            tolerances: None,
             spread: Spread::default(),
             keep_first: 0,
             checks: default_checks(),
@@ -277,6 +283,9 @@ impl Task {
         let folder = path.parent().unwrap_or(Path::new("."));
         for p in [&mut task.photos, &mut task.calibration].into_iter().flatten() {
             *p = folder.join(&*p);
+        }
+        if let Some(Stated::File(path)) = &task.tolerances {
+            task.tolerances = Some(Stated::read(&folder.join(path))?);
         }
         task.train.resolve(folder);
         let beside = folder.join(&task.lens);
@@ -358,6 +367,9 @@ impl Task {
             if self.depth_power > 1.0 {
                 return bad("depth_power", self.depth_power.to_string(), "1 beside sensor_loss, which has weights");
             }
+            if self.tolerances.is_some() {
+                return bad("tolerances", "given".into(), "none beside sensor_loss, whose images are the lens's own");
+            }
             if self.freeze_lens {
                 return bad("freeze_lens", "true".into(), "false beside sensor_loss: nothing but the lens moves");
             }
@@ -369,6 +381,7 @@ impl Task {
                 );
             }
         }
+        self.stated_tolerances().map_err(|e| e.in_file(Path::new(file)))?;
         if self.keep_first > 0 && self.photos.is_none() {
             return bad("keep_first", self.keep_first.to_string(), "0 where no folder of photographs is named");
         }
@@ -379,6 +392,14 @@ impl Task {
             return bad("checkpoint_seconds", self.checkpoint_seconds.to_string(), "0 to 86400");
         }
         Ok(())
+    }
+
+    /// What lenses may be off by through which the design's pictures are taken.
+    ///
+    /// # Errors
+    /// Keys that are none, values that are not allowed; a file that was not read.
+    pub fn stated_tolerances(&self) -> Result<Option<Tolerances>> {
+        self.tolerances.as_ref().map(Stated::tolerances).transpose()
     }
 
     /// Distances that the final network is for, mm: the training's own, or else the design's; none: the lens's.

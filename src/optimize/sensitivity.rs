@@ -66,6 +66,14 @@ impl Sensitivity {
         out
     }
 
+    /// How far number `by` moves, in its own unit, to the least rms where others deviate, counted from where it stands at its own least rms without them.
+    pub fn taken_up(&self, by: usize, moved: &[(usize, f64)]) -> f64 {
+        let own = &self.columns[by];
+        let along = |k: usize| self.columns[k].iter().zip(own).map(|(a, b)| a * b).sum::<f64>();
+        let square = along(by);
+        if square > 0.0 { -moved.iter().map(|(k, d)| d * along(*k)).sum::<f64>() / square } else { 0.0 }
+    }
+
     /// The rms, mm, where numbers deviate: index of the number and by how much, in its own unit.
     pub fn rms(&self, moved: &[(usize, f64)]) -> f64 {
         let mut r = self.residuals.clone();
@@ -144,6 +152,14 @@ mod tests {
         let focused = s.compensated(&[0]);
         assert_rel(focused.rms(&[(0, 0.3)]), focused.rms(&[]), 1e-9, 0.0, "the compensator's own deviation");
         assert!(focused.rms(&[]) <= s.rms(&[]) && focused.rms(&[(1, 0.05)]) < s.rms(&[(1, 0.05)]));
+        let back = s.taken_up(0, &[(1, 0.05)]);
+        assert_rel(
+            s.rms(&[(0, back), (1, 0.05)]).powi(2) - focused.rms(&[(1, 0.05)]).powi(2),
+            s.rms(&[]).powi(2) - focused.rms(&[]).powi(2),
+            1e-6,
+            0.0,
+            "refocused",
+        );
         let moved = lens.changed(|l| l.surfaces[1].thickness += 0.01).expect("a lens");
         let traced = norm(&residuals_of(&moved, &merit).expect("traces"));
         assert_rel(s.rms(&[(1, 0.01)]), traced, 1e-3, 0.0, "the model");

@@ -8,6 +8,7 @@ use super::drawing::lens_svg;
 use super::html::{Fact, Page};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
+use crate::analysis::scatter::OfFace;
 use crate::analysis::tolerancing::{Alone, AsBuilt};
 use crate::lens::Lens;
 
@@ -87,6 +88,25 @@ impl AsBuiltReport<'_> {
                 f.lost()
             ));
         }
+        if let Some(s) = &f.scatter {
+            let percent = |share: f64| format!("{} %", significant(100.0 * share, 3));
+            let whole: Vec<String> = s
+                .share
+                .iter()
+                .zip(&s.wavelengths_nm)
+                .map(|(s, nm)| format!("{} at {} nm", percent(*s), significant(*nm, 4)))
+                .collect();
+            let of = |face: &OfFace| {
+                let rough = face.roughness.iter().flatten().fold(0.0f64, |m, s| m.max(*s));
+                format!("surface {} {}", face.surface, percent(rough + face.imperfections.unwrap_or(0.0)))
+            };
+            let faces: Vec<String> = s.faces.iter().map(of).collect();
+            all.push(format!(
+                "roughness and imperfections scatter at most {} (at most {}): haze for `isoplanat capture --glare`; the draws do not know it",
+                whole.join(", "),
+                faces.join(", ")
+            ));
+        }
         all.extend(f.notes.iter().cloned());
         all
     }
@@ -114,7 +134,7 @@ impl AsBuiltReport<'_> {
         json!({ "schema": 1, "lens": self.lens.name, "lens_sha256": self.lens.sha256(), "tolerances": self.file, "seed": self.seed,
             "nominal_mm": self.figures.nominal_mm, "quantiles": shares, "lost": self.figures.lost(),
             "limit_mm": self.limit_mm, "within_limit": self.limit_mm.map(|l| self.figures.within(l)),
-            "alone": self.figures.alone, "draws": self.figures.draws, "notes": self.figures.notes, "seconds": self.figures.seconds })
+            "alone": self.figures.alone, "draws": self.figures.draws, "scatter": self.figures.scatter, "notes": self.figures.notes, "seconds": self.figures.seconds })
     }
 
     /// The page.

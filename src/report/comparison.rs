@@ -1,6 +1,8 @@
 //! Cameras beside each other: one lens and others in its place, each with its own network, judged alike. Table, curves over field and distance,
 //! pictures; as a page, CSV and JSON.
 
+mod edges;
+
 use std::fmt::Write;
 
 use ndarray::Array3;
@@ -12,6 +14,8 @@ use super::paired::{Difference, against};
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
 use crate::error::Result;
+
+pub use edges::EdgesAt;
 
 /// One camera.
 #[derive(Clone, Debug)]
@@ -26,6 +30,8 @@ pub struct Entrant {
     pub drawing: String,
     /// How it was judged, or why it could not be.
     pub outcome: std::result::Result<Evaluation, String>,
+    /// Slanted edges before and after its network, at each distance; empty where they were not asked for.
+    pub edges: Vec<EdgesAt>,
     /// Truth, capture and reconstruction of some pictures side by side, with what they show.
     pub sheets: Vec<(String, Array3<f32>)>,
 }
@@ -221,7 +227,7 @@ impl Comparison {
                     json!({ "mean_db": m.mean_db, "within_db": m.within_db, "ssim": m.ssim, "lowest_db": m.lowest_db })
                 });
                 json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": overall, "first_ahead": margin,
-                    "evaluation": own.map(Evaluation::json), "refused": e.outcome.as_ref().err() })
+                    "edges": edges::json(&e.edges), "evaluation": own.map(Evaluation::json), "refused": e.outcome.as_ref().err() })
             })
             .collect();
         let settings: serde_json::Map<String, Value> =
@@ -285,6 +291,27 @@ impl Comparison {
         (plot.series.iter().any(|s| s.points.len() > 1)).then_some(plot)
     }
 
+    /// Slanted edges before and after the network, as a table; nothing where none were asked for.
+    pub fn edges(&self) -> Option<Table> {
+        self.entrants.iter().any(|e| !e.edges.is_empty()).then(|| edges::table(&self.entrants))
+    }
+
+    fn add_edges(&self, page: &mut Page) {
+        let Some(table) = self.edges() else { return };
+        page.section("MTF before and after reconstruction").paragraph(
+            "Slanted edges in captures by rays, green pixels, mean of the two directions: on the axis, and where the field ends. Captures dashed. A curve that rises again behind its lowest \
+             point shows contrast of a turned sign, or a network that draws what it expects. A network may sharpen edges more than fine texture.",
+        );
+        page.table(&table);
+        let plots: Vec<(String, String)> =
+            edges::plots(&self.entrants).iter().map(|p| (p.to_svg(), String::new())).collect();
+        page.drawings(&plots, 420);
+        let missing = edges::missing(&self.entrants);
+        if !missing.is_empty() {
+            page.list(&missing);
+        }
+    }
+
     /// The page.
     ///
     /// # Errors
@@ -327,6 +354,7 @@ impl Comparison {
         if !plots.is_empty() {
             page.section("Curves").paragraph("Behind the network; captures dashed.").drawings(&plots, 420);
         }
+        self.add_edges(&mut page);
         page.section("Lenses");
         let drawings: Vec<(String, String, Vec<String>)> = self
             .entrants
@@ -407,6 +435,7 @@ mod tests {
             notes: vec!["scaled".into()],
             drawing: format!("<svg><title>{name}</title></svg>"),
             outcome,
+            edges: edges_of(name),
             sheets: vec![("field 1".into(), Array3::from_elem((3, 8, 8), 0.5))],
         };
         Comparison {
@@ -418,6 +447,23 @@ mod tests {
             ],
             settings: vec![["seed".into(), "1".into()]],
         }
+    }
+
+    /// Curves on the axis and at the end, of two distances.
+    fn edges_of(name: &str) -> Vec<EdgesAt> {
+        let curves = |height_mm: f64, low: f64| crate::report::measured::Curves {
+            height_mm,
+            tangential: true,
+            design: vec![[0.0, 1.0], [0.5, low]],
+            capture: vec![[0.0, 1.0], [0.25, low], [0.5, low / 2.0]],
+            reconstruction: vec![[0.0, 1.0], [0.25, low + 0.3], [0.5, low]],
+        };
+        let at = |depth_mm: f64| EdgesAt {
+            depth_mm,
+            missing: vec!["no edge in the corner".into()],
+            curves: vec![curves(0.0, 0.4), curves(5.0, 0.2)],
+        };
+        if name == "third" { Vec::new() } else { vec![at(500.0), at(1500.0)] }
     }
 
     /// Lowest distance, spread, margins: of the rows for the whole field, with the interval of equal differences 0.
@@ -449,7 +495,18 @@ mod tests {
     fn page_csv_and_json_hold_every_camera() {
         let c = comparison();
         let html = c.to_html().expect("a page");
-        for part in ["first, n", "second, n", "third", "no light", "Over the distance", "from 1500 mm", "1/distance"] {
+        for part in [
+            "MTF before and after",
+            "On the axis, from 500 mm",
+            "no edge in the corner",
+            "first, n",
+            "second, n",
+            "third",
+            "no light",
+            "Over the distance",
+            "from 1500 mm",
+            "1/distance",
+        ] {
             assert!(html.contains(part), "{part}");
         }
         assert!(!html.contains("NaN") && !html.contains("src=\"http"));
@@ -461,5 +518,13 @@ mod tests {
         assert_eq!(json["rows"][1]["first_ahead"]["lowest_db"], json!(4.0));
         assert_eq!(json["rows"][2]["refused"], json!("no light"));
         assert!(json["rows"][0]["first_ahead"].is_null());
+        assert_eq!(json["rows"][1]["edges"][1]["curves"][0]["reconstruction"][1], json!([0.25, 0.7]));
+        let edges = c.edges().expect("asked for").to_string();
+        assert_eq!(
+            edges.lines().filter(|l| l.starts_with("first, n")).count(),
+            4,
+            "two places at two distances: {edges}"
+        );
+        assert!(edges.contains("0.70") && edges.contains("0.50"), "{edges}");
     }
 }

@@ -14,6 +14,7 @@
 //! Neither way knows diffraction. They share the lens and the trace, and nothing else: rays from the object through an aimed stop on one side, rays from the sensor
 //! through a random aperture on the other.
 
+mod curves;
 mod edge;
 mod target;
 
@@ -34,6 +35,7 @@ use crate::imaging::sensor::spectrum::SpectralDensity;
 use crate::lens::Lens;
 use target::{Light, SIDE, Target};
 
+pub use curves::Curves;
 pub use edge::{Camera, Edge, Seen, curve};
 pub use target::TILT_DEG;
 

@@ -279,14 +279,16 @@ fn numbers(file: &str, place: &str, all: &[(&str, Option<f64>, f64)]) -> Result<
     })
 }
 
+/// Number and grade (mm) of imperfections `N×A`; none where the text is none.
+pub(in crate::analysis) fn parts(text: &str) -> Option<(f64, f64)> {
+    let (n, a) = text.split_once(['×', 'x'])?;
+    let a = a.trim().parse::<f64>().ok().filter(|a| *a > 0.0 && *a <= 1e3)?;
+    Some((f64::from(n.trim().parse::<u32>().ok()?), a))
+}
+
 /// Refuses what is no number and grade of imperfections, `N×A`.
 fn grade(file: &str, place: &str, text: Option<&str>) -> Result<()> {
-    let is_grade = |s: &str| {
-        s.split_once(['×', 'x']).is_some_and(|(n, a)| {
-            n.trim().parse::<u32>().is_ok() && a.trim().parse::<f64>().is_ok_and(|a| a > 0.0 && a <= 1e3)
-        })
-    };
-    refuse_unless(file, place, text, is_grade, "a number and a grade in mm, such as \"5×0.16\"")
+    refuse_unless(file, place, text, |s| parts(s).is_some(), "a number and a grade in mm, such as \"5×0.16\"")
 }
 
 fn refuse_unless(file: &str, place: &str, text: Option<&str>, ok: impl Fn(&str) -> bool, allowed: &str) -> Result<()> {

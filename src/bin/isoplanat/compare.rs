@@ -19,9 +19,10 @@ use isoplanat::imaging::render::frame_of;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
-use isoplanat::report::comparison::{Comparison, Entrant};
+use isoplanat::report::comparison::{Comparison, EdgesAt, Entrant};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::evaluation::Evaluation;
+use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
 
@@ -31,6 +32,8 @@ use crate::evaluate::{Judged, Protocol};
 const MARKER: &str = "compare.json";
 /// A camera's figures.
 const FIGURES: &str = "evaluation.toml";
+/// Its slanted edges.
+const EDGES: &str = "edges.toml";
 /// Who is compared where nobody says.
 const STOCK: [&str; 5] = ["al2550_a", "ac254_050_a", "aca254_050_a_surrogate", "cooke_triplet", "double_gauss"];
 /// Part of the steps that a rate is tried for, and the last part of those by whose loss it is judged.
@@ -73,6 +76,12 @@ pub(crate) struct Args {
     /// the task's where left out
     #[arg(long, value_delimiter = ',', value_name = "RATE,…")]
     rates: Vec<f64>,
+    /// MTF before and after each network too, by slanted edges at so many places from the axis to the end of the field, 0 to 6, at every distance
+    #[arg(long, default_value_t = 0, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=6))]
+    edges: u8,
+    /// Rays a pixel of their captures
+    #[arg(long, default_value_t = 256, value_name = "RAYS", value_parser = clap::value_parser!(u32).range(2..=65536))]
+    edge_rays: u32,
     #[command(flatten)]
     protocol: Protocol,
     /// Go on with the comparison in that folder, asked for in the same words
@@ -110,6 +119,12 @@ impl Kind {
     }
 }
 
+/// The file of slanted edges.
+#[derive(serde::Serialize, serde::Deserialize)]
+struct Edges {
+    distance: Vec<EdgesAt>,
+}
+
 /// A lens that takes part.
 struct Camera {
     /// Its folder's name.
@@ -145,7 +160,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
         eprintln!("{} of {}: {}", k + 1, cameras.len(), camera.label());
-        let outcome = camera.compared(args, &pictures, &asked);
+        let outcome = camera.compared(args, &pictures, &asked).and_then(|e| Ok((e, camera.edges(args)?)));
         if let Err(Error::Interrupted) = outcome {
             eprintln!("stopped; the same command with --resume goes on");
             return Err(Error::Interrupted.into());
@@ -175,6 +190,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{json}")?;
     } else {
         writeln!(out, "{}", comparison.table())?;
+        if let Some(edges) = comparison.edges() {
+            writeln!(out, "{edges}")?;
+        }
         comparison.refused().iter().try_for_each(|line| writeln!(out, "{line}"))?;
         writeln!(out, "{}", args.output.join("comparison.html").display())?;
     }
@@ -275,7 +293,7 @@ fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
         [c.named.clone(), c.network.clone(), lens]
     };
     let value = serde_json::json!({
-        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "protocol": format!("{:?}", args.protocol),
+        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "edges": [args.edges.into(), args.edge_rays], "protocol": format!("{:?}", args.protocol),
         "cameras": cameras.iter().map(camera).collect::<Vec<_>>(), "trained_on": textures, "sensor": format!("{sensor:?}"),
     });
     Ok(format!("{value}\n"))
@@ -381,8 +399,31 @@ impl Camera {
         Ok(result)
     }
 
+    /// Measures its slanted edges where they are asked for, or reads what was found before.
+    fn edges(&self, args: &Args) -> Result<Vec<EdgesAt>> {
+        if args.edges == 0 {
+            return Ok(Vec::new());
+        }
+        let folder = args.output.join(&self.folder);
+        let path = folder.join(EDGES);
+        if path.is_file() {
+            let text = atomic::read_text(&path, 64 << 20)?;
+            let file = path.display().to_string();
+            let read: Edges = toml::from_str(&text)
+                .map_err(|e| Error::toml(&file, &text, &e, "curves, as `isoplanat compare` writes them"))?;
+            return Ok(read.distance);
+        }
+        let judged = Judged::new(&args.protocol, None, &folder.join("network"))?;
+        let settings =
+            EdgeSettings { places: args.edges.into(), rays: args.edge_rays as usize, ..EdgeSettings::default() };
+        let edges = Edges { distance: judged.edges(settings)? };
+        let text = toml::to_string(&edges).map_err(|e| Error::Internal(format!("curves: {e}")))?;
+        atomic::write_bytes(&path, text.as_bytes())?;
+        Ok(edges.distance)
+    }
+
     /// For the page.
-    fn entrant(&self, folder: &Path, outcome: Result<Evaluation>) -> Result<Entrant> {
+    fn entrant(&self, folder: &Path, outcome: Result<(Evaluation, Vec<EdgesAt>)>) -> Result<Entrant> {
         let mut notes = Vec::new();
         let (mut name, mut drawing) = (self.named.clone(), String::new());
         if let Ok(placed) = &self.lens {
@@ -409,14 +450,11 @@ impl Camera {
             notes.push(format!("learning rate {}", significant(Task::load(&run)?.train.rate, 3)));
         }
         let sheets = if outcome.is_ok() { sheets(&folder.join("sheets"))? } else { Vec::new() };
-        Ok(Entrant {
-            name,
-            network: self.network.clone(),
-            notes,
-            drawing,
-            outcome: outcome.map_err(|e| e.to_string()),
-            sheets,
-        })
+        let (outcome, edges) = match outcome {
+            Ok((evaluation, edges)) => (Ok(evaluation), edges),
+            Err(why) => (Err(why.to_string()), Vec::new()),
+        };
+        Ok(Entrant { name, network: self.network.clone(), notes, drawing, outcome, edges, sheets })
     }
 }
 

@@ -11,6 +11,7 @@ use isoplanat::design::memory;
 use isoplanat::design::pace::pace;
 use isoplanat::design::run::{JointSettings, network};
 use isoplanat::design::scenery::{Entry, Scenery};
+use isoplanat::design::stated::Stated;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::Lens;
@@ -30,7 +31,7 @@ pub(crate) struct Args {
     #[arg(short, long, required_unless_present = "check")]
     output: Option<PathBuf>,
     /// Go on with the run in that folder
-    #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed"])]
+    #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed", "tolerance_aware"])]
     resume: bool,
     /// Length in minutes, in place of the task's
     #[arg(long, conflicts_with = "steps")]
@@ -47,6 +48,9 @@ pub(crate) struct Args {
     /// Where the network computes: cpu, or cuda or wgpu in a build with that feature; checked against the CPU first. The optics stay on the CPU
     #[arg(long, default_value = "cpu")]
     device: Compute,
+    /// Take pictures through lenses that are off by draws of this file of tolerances (as for `isoplanat tolerance`), in place of the task's
+    #[arg(long, value_name = "FILE")]
+    tolerance_aware: Option<PathBuf>,
     /// Say what would be done, and how long a step takes here; nothing is written
     #[arg(long)]
     check: bool,
@@ -177,6 +181,13 @@ fn driven(
     tell("held out", designing.judged())?;
     tell("validation", validated.as_ref())?;
     writeln!(out, "steps of the lens taken back: {}", joint.rejected)?;
+    if designing.task().tolerances.is_some() {
+        writeln!(
+            out,
+            "pictures through lenses as built; of those that were drawn {} showed nothing, and the lens itself stood in for them",
+            designing.stage().lost()
+        )?;
+    }
     if let (count @ 1.., seconds) = joint.refreshed {
         writeln!(
             out,
@@ -208,6 +219,9 @@ fn ready(args: &Args, path: &Path) -> Result<Task> {
     }
     task.photos = args.photos.clone().or(task.photos);
     task.seed = args.seed.unwrap_or(task.seed);
+    if let Some(path) = &args.tolerance_aware {
+        task.tolerances = Some(Stated::read(path)?);
+    }
     task.check(&path.display().to_string())?;
     Ok(task)
 }

@@ -3,7 +3,9 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::design::evaluate::{Built, FINENESS, Judge, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate};
+use isoplanat::design::evaluate::{
+    Built, FINENESS, Judge, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate, measured,
+};
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
@@ -14,7 +16,9 @@ use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::{SceneKind, TRAINING};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::network::Reconstructor;
+use isoplanat::report::comparison::EdgesAt;
 use isoplanat::report::evaluation::Evaluation;
+use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::paired;
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
@@ -324,6 +328,34 @@ impl Judged {
             bar.done(String::new());
         }
         Ok(judged)
+    }
+
+    /// Slanted edges in captures by rays and behind the network, at each distance; nothing of a measured lens, which has no rays.
+    pub(crate) fn edges(&self, settings: EdgeSettings) -> Result<Vec<EdgesAt>> {
+        let Subject::Lens(lens) = &self.subject else { return Ok(Vec::new()) };
+        let bar = Bar::new("slanted edges");
+        #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
+        let count = self.settings.depths_mm.len().max(1) as f64;
+        let mut all = Vec::new();
+        for depth_mm in &self.settings.depths_mm {
+            #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
+            let before = all.len() as f64;
+            let there = lens.changed(|l| l.object_vergence = depth_mm.recip())?;
+            let told = (&self.network, &self.guide);
+            let found = measured(&there, told, &self.sensor, settings, &mut |share| {
+                bar.set((before + share) / count, String::new());
+            });
+            all.push(match found {
+                Ok(found) => EdgesAt { depth_mm: *depth_mm, missing: found.missing(), curves: found.curves() },
+                // A distance at which nothing can be measured is an outcome.
+                Err(e @ Error::BadInput { .. }) => {
+                    EdgesAt { depth_mm: *depth_mm, missing: vec![e.words()], curves: Vec::new() }
+                }
+                Err(e) => return Err(e),
+            });
+        }
+        bar.done(String::new());
+        Ok(all)
     }
 
     /// Writes a folder of sheets.

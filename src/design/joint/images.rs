@@ -179,7 +179,7 @@ impl Joint {
         }
         let seen = Seen::mean(&all);
         let moves = lens_rate > 0.0 && seen.loss.is_finite();
-        let lens = moves.then(|| self.follow(renderer, &bar, lens_rate));
+        let lens = moves.then(|| self.follow(renderer, None, &bar, lens_rate));
         Ok(Report {
             loss: seen.loss,
             input_psnr_db: seen.mean_db,
@@ -299,7 +299,7 @@ mod tests {
         let weights = |s: &crate::design::run::Stage| s.joint.network.parameters()[0].values.clone();
         assert_eq!(weights(&first), weights(&last), "the network stays");
         assert_eq!(last.joint.lens, again.joint.lens, "to the bit");
-        let judged = |s: &crate::design::run::Stage| s.camera().judged(&held_out, 64, 12).expect("judged");
+        let judged = |s: &crate::design::run::Stage| s.camera().judged(&held_out, 64, 0..12).expect("judged");
         let (before, after) = (judged(&first), judged(&last));
         eprintln!("{before:?} {after:?}");
         assert!(after.loss < 0.99 * before.loss, "{} -> {}", before.loss, after.loss);

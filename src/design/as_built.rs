@@ -1,0 +1,129 @@
+//! Lenses as they may be built around the one under design: `isoplanat design --tolerance-aware`.
+//!
+//! A step's pictures are taken through a lens that is off the one under design by a draw of a file of tolerances, refocused by its Jacobian. The draw adds to
+//! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Only what leaves a lens round is drawn: the design's pictures are those of
+//! round lenses, and `isoplanat tolerance` and `evaluate --drawn` judge with tilts and shifts too.
+
+use crate::analysis::deviations::{Deviation, deviations, drawn};
+use crate::analysis::fabrication::tolerances::Tolerances;
+use crate::error::{Error, Result};
+use crate::lens::{Kind, Lens, Parameter};
+use crate::optimize::Merit;
+use crate::optimize::sensitivity::Sensitivity;
+
+/// Draws of lenses around one.
+#[derive(Clone, Debug)]
+pub(super) struct AsBuilt {
+    tolerances: Tolerances,
+    merit: Merit,
+    seed: u64,
+    /// The lens that deviations and focus are of.
+    pub(super) around: Lens,
+    deviations: Vec<Deviation>,
+    /// The sensor's place, then all that deviates.
+    model: Sensitivity,
+}
+
+impl AsBuilt {
+    /// Around `lens`, whose focus `merit` judges.
+    ///
+    /// # Errors
+    /// Tolerances that leave nothing to draw but tilts and shifts, or that are not this lens's; rays that fail.
+    pub(super) fn new(tolerances: &Tolerances, merit: &Merit, lens: &Lens, seed: u64) -> Result<Self> {
+        let (_, mut all, _) = deviations(lens, tolerances)?;
+        all.retain(Deviation::is_round);
+        if all.is_empty() {
+            let file = tolerances.file.clone().unwrap_or_default();
+            let allowed = "a tolerance of a radius, thickness, index, Abbe number or air space: a design's pictures are those of lenses without tilts";
+            return Err(Error::bad(file, "tolerances", "tilts and shifts alone", allowed));
+        }
+        let mut parameters = vec![Kind::Thickness.at(lens.surfaces.len() - 1)];
+        for p in all.iter().flat_map(Deviation::parameters) {
+            if !parameters.contains(&p) {
+                parameters.push(p);
+            }
+        }
+        let model = Sensitivity::new(lens, merit, parameters)?;
+        let (tolerances, merit) = (tolerances.clone(), merit.clone());
+        Ok(Self { tolerances, merit, seed, around: lens.clone(), deviations: all, model })
+    }
+
+    /// The same around a lens that the design has moved to; one that cannot be looked at leaves it as it was.
+    pub(super) fn follow(&mut self, lens: &Lens) {
+        if let Ok(there) = Self::new(&self.tolerances, &self.merit, lens, self.seed) {
+            *self = there;
+        }
+    }
+
+    /// Numbers of draw `number`, and how far they are off, the sensor's place refocused.
+    fn off(&self, number: u64) -> Vec<(Parameter, f64)> {
+        let mut off = drawn(&self.deviations, self.seed, number);
+        let index = |p: &Parameter| self.model.parameters.iter().position(|q| q == p).unwrap_or(0);
+        let moved: Vec<(usize, f64)> = off.iter().map(|(p, by)| (index(p), *by)).collect();
+        off.push((self.model.parameters[0], self.model.taken_up(0, &moved)));
+        off
+    }
+
+    /// `lens` as draw `number` builds it; none where that is no lens.
+    pub(super) fn lens(&self, lens: &Lens, number: u64) -> Option<Lens> {
+        let off = self.off(number);
+        let built = lens.changed(|l| {
+            for (p, by) in &off {
+                if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
+                    *number += by;
+                }
+            }
+        });
+        built.ok()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use crate::optimize::refocused;
+    use crate::testing::assert_abs;
+
+    const FILE: &str = "schema = 1\n[element.all]\nthickness_tolerance_mm = 0.05\nn_d_tolerance = 5e-4\n[surface.all]\nradius_percent = 0.2\ncentring_arcmin = 3.0\n\
+        [assembly]\nair_mm = 0.05\ndecentre_mm = 0.05\n";
+
+    /// A drawn lens is off by no more than is allowed, is in focus as its rays say, and is the same for the same number; tilts are left out, and alone refused.
+    #[test]
+    fn drawn_lenses_are_within_their_tolerances_and_in_focus() {
+        for name in ["two_element", "three_element"] {
+            let lens = builtin::lens(name).expect("shipped");
+            let last = lens.surfaces.len() - 1;
+            let merit = Merit::default();
+            // The focus counts from the nominal lens's own.
+            let lens = refocused(&lens, merit.clone()).expect("focuses").lens;
+            let tolerances = Tolerances::parse(FILE, "t.toml").expect("reads");
+            let built = AsBuilt::new(&tolerances, &merit, &lens, 3).expect("draws");
+            let mut moved = 0.0f64;
+            for number in 0..8 {
+                let drawn = built.lens(&lens, number).expect("a lens");
+                assert_eq!(Some(&drawn), built.lens(&lens, number).as_ref(), "the same number");
+                for (k, (a, b)) in drawn.surfaces.iter().zip(&lens.surfaces).enumerate() {
+                    assert!(a.pose.is_none(), "no tilts");
+                    let c = b.shape.curvature;
+                    assert!((a.shape.curvature - c).abs() <= 2.001e-3 * c.abs(), "{name} {k}");
+                    assert!(k == last || (a.thickness - b.thickness).abs() <= 0.0501, "{name} {k}");
+                }
+                let way = drawn.surfaces[last].thickness - lens.surfaces[last].thickness;
+                let traced = refocused(&drawn, merit.clone()).expect("focuses").lens.surfaces[last].thickness;
+                assert_abs(way, way + traced - drawn.surfaces[last].thickness, 0.02 + 0.05 * way.abs(), name);
+                moved = moved.max(way.abs());
+            }
+            assert!(moved > 0.05, "the focus moves: {moved}");
+            // Around another lens they are that lens's.
+            let longer = lens.changed(|l| l.surfaces[last].thickness += 0.1).expect("a lens");
+            let mut there = built.clone();
+            there.follow(&longer);
+            assert_eq!(there.around, longer);
+        }
+        let lens = builtin::lens("two_element").expect("shipped");
+        let tilts = Tolerances::parse("schema = 1\n[surface.all]\ncentring_arcmin = 3.0\n", "t.toml").expect("reads");
+        let why = AsBuilt::new(&tilts, &Merit::default(), &lens, 1).expect_err("nothing round").to_string();
+        assert!(why.starts_with("t.toml: tolerances: tilts and shifts alone"), "{why}");
+    }
+}

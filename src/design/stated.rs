@@ -1,0 +1,51 @@
+//! Tolerances in a task: the name of a file, or the file's own keys, so that a run's folder needs no other file.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::analysis::fabrication::tolerances::Tolerances;
+use crate::atomic;
+use crate::error::{Error, Result};
+
+/// Largest file that is read.
+const LARGEST: u64 = 1 << 20;
+/// What errors of keys in a task name.
+const PLACE: &str = "tolerances";
+
+/// A file, or its keys.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Stated {
+    /// A file, as for `isoplanat tolerance`.
+    File(PathBuf),
+    /// Its keys.
+    Keys(toml::Table),
+}
+
+impl Stated {
+    /// The keys of the file at `path`.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is none.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = atomic::read_text(path, LARGEST)?;
+        let file = path.display().to_string();
+        Tolerances::parse(&text, &file)?;
+        toml::from_str(&text).map(Self::Keys).map_err(|e| Error::toml(&file, &text, &e, "the keys of models/README.md"))
+    }
+
+    /// What they say.
+    ///
+    /// # Errors
+    /// Keys that are none, values that are not allowed; a file that was not read.
+    pub fn tolerances(&self) -> Result<Tolerances> {
+        match self {
+            Self::File(path) => Tolerances::load(path),
+            Self::Keys(keys) => {
+                let text = toml::to_string(keys).map_err(|e| Error::Internal(format!("tolerances: {e}")))?;
+                Tolerances::parse(&text, PLACE)
+            }
+        }
+    }
+}
