@@ -143,6 +143,34 @@ semi_diameter_mm = 10.0
     std::fs::remove_file(place.path("cmp/02-ac254_050_a/evaluation.toml")).expect("there");
     let again = json(&place.run(&format!("{command} --resume --json")).done());
     assert_eq!(again["rows"], first["rows"]);
+    // Slanted edges: curves at every distance, or the reason why there are none; another comparison than the one without them.
+    place.run(&format!("{command} --resume --edges 1")).refused(&["compare.json", "another edges"]);
+    let wide = TASK.replace("columns = 48, rows = 48, pitch_um = 32.0", "columns = 160, rows = 160, pitch_um = 10.0");
+    place.write("wide.toml", wide);
+    let edges = "compare wide.toml --against ac254_050_a --fields 1 --patch 32 --edges 1 --edge-rays 32 -o edges";
+    let told = place.run(edges).done();
+    assert!(told.contains("capture at 1/4 cy/px"), "{told}");
+    let found = json(&place.run(&format!("{edges} --resume --json")).done());
+    let mut measured = 0;
+    for row in found["rows"].as_array().expect("rows") {
+        let all = row["edges"].as_array().expect("distances");
+        assert_eq!(
+            all.iter().map(|e| e["depth_mm"].as_f64()).collect::<Vec<_>>(),
+            [Some(700.0), Some(1000.0), Some(1500.0)]
+        );
+        for at in all {
+            let curves = at["curves"].as_array().expect("curves");
+            let whole = |c: &&Value| {
+                ["capture", "reconstruction"].iter().all(|k| c[*k].as_array().is_some_and(|p| p.len() > 8))
+            };
+            let full = curves.iter().filter(whole).count();
+            assert!(full == 2 || at["missing"].as_array().is_some_and(|m| !m.is_empty()), "{at}");
+            measured += full;
+        }
+    }
+    assert!(measured >= 4, "{measured}");
+    let page = std::fs::read_to_string(place.path("edges/comparison.html")).expect("a page");
+    assert!(page.contains("MTF before and after") && !page.contains("NaN"));
     place.run("compare task.toml --against nolens -o other").refused(&["nolens"]);
     place.run("compare task.toml --rates 2 -o other").refused(&["--rates", "2"]);
     // What nobody can be judged by is told before anybody is trained.

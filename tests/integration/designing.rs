@@ -172,6 +172,44 @@ fn a_task_is_checked_before_it_runs() {
     assert_eq!(place.files(), ["bad.toml", "task.toml"]);
 }
 
+/// Pictures through lenses as they may be built: the task of the run holds the tolerances itself, it goes on from where it was left to the same bits, and
+/// tolerances that are none are refused.
+#[test]
+fn a_design_across_lenses_as_built() {
+    let place = Workplace::new();
+    let task = TASK.replace("steps = 90", "steps = 12");
+    place.write("task.toml", &task);
+    place.write(
+        "t.toml",
+        "schema = 1\n[surface.all]\nradius_percent = 0.5\ncentring_arcmin = 3.0\n[assembly]\nair_mm = 0.05\n",
+    );
+    let said = place.run("design task.toml --tolerance-aware t.toml -o run").done();
+    assert!(said.contains("lenses as built") && said.contains(" 0 showed nothing"), "{said}");
+    place.run("design task.toml -o plain").done();
+    let lens = |run: &str| std::fs::read_to_string(place.path(run).join("lens.toml")).expect("a lens");
+    assert_ne!(lens("run"), lens("plain"));
+    std::fs::remove_file(place.path("t.toml")).expect("there");
+    let kept = std::fs::read_to_string(place.path("run/task.toml")).expect("a task");
+    assert!(kept.contains("radius_percent = 0.5"), "{kept}");
+    place.write("again.toml", &kept);
+    place.run("design again.toml -o again").done();
+    assert_eq!(lens("again"), lens("run"));
+    place.run("design --resume -o run").done();
+    place.run("design task.toml --tolerance-aware t.toml -o none").refused(&["t.toml"]);
+    place.write("t.toml", "schema = 1\n[assembly]\ndecentre_mm = 0.05\n");
+    place.run("design task.toml --tolerance-aware t.toml -o none").refused(&["tolerances", "tilts and shifts alone"]);
+    for (text, said) in [
+        ("tolerances = \"none.toml\"\n", "none.toml"),
+        ("[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius = 0.5\n", "radius"),
+        ("[tolerances]\nschema = 1\n[tolerances.surface.9]\nradius_percent = 0.5\n", "surface.9"),
+        ("tolerances = 3\n", "tolerances"),
+    ] {
+        place.write("bad.toml", format!("{task}{text}"));
+        place.run("design bad.toml -o none").refused(&[said]);
+    }
+    assert!(!place.path("none").exists());
+}
+
 /// Starts that are no good, and rates far too large: a run folder with a lens that stands, or the reason and no folder.
 #[test]
 fn bad_starts_and_wild_rates_end_with_a_lens_or_a_reason() {

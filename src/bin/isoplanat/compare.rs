@@ -293,7 +293,7 @@ fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
         [c.named.clone(), c.network.clone(), lens]
     };
     let value = serde_json::json!({
-        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "edges": [args.edges.into(), args.edge_rays], "protocol": format!("{:?}", args.protocol),
+        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "edges": [u32::from(args.edges), args.edge_rays], "protocol": format!("{:?}", args.protocol),
         "cameras": cameras.iter().map(camera).collect::<Vec<_>>(), "trained_on": textures, "sensor": format!("{sensor:?}"),
     });
     Ok(format!("{value}\n"))

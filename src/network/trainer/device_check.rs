@@ -124,8 +124,9 @@ impl Reconstructor {
     fn judge_device(&mut self, name: &str, batch: usize, side: usize) -> Result<String> {
         let objective = Objective { content: ContentKind::L1, critics: None, average: None };
         let weights: Vec<f32> = self.parameters().into_iter().flat_map(|p| p.values).collect();
+        let config = self.config().clone();
         let twin = |compute: Compute, way: Way| -> Result<Self> {
-            let mut twin = Self::on(compute, self.config().clone(), 0)?;
+            let mut twin = Self::on(compute, config.clone(), 0)?;
             twin.restart(weights.clone());
             twin.set_way(way);
             Ok(twin)
@@ -133,7 +134,7 @@ impl Reconstructor {
         let mut trainer = Trainer::new(twin(self.compute(), self.way())?, &objective, 0)?;
         trainer.judge_device(name, &objective, batch, side)?;
         self.set_way(trainer.generator.way());
-        let channels = self.config().inputs.channels();
+        let channels = config.inputs.channels();
         let (input, target) = (pictures((batch, channels, side, side), 1), pictures((batch, 3, side, side), 2));
         let mut oracle = twin(Compute::Cpu, Way::Burn)?;
         let back = |network: &mut Self| -> Result<Vec<Part>> {
