@@ -11,6 +11,21 @@ use crate::lens::{Kind, Lens, Parameter};
 use crate::optimize::Merit;
 use crate::optimize::sensitivity::Sensitivity;
 
+/// What may deviate in `lens` and leaves it round.
+///
+/// # Errors
+/// Tolerances that leave nothing to draw but tilts and shifts, or that are not this lens's.
+pub(super) fn round(tolerances: &Tolerances, lens: &Lens) -> Result<Vec<Deviation>> {
+    let (_, mut all, _) = deviations(lens, tolerances)?;
+    all.retain(Deviation::is_round);
+    if all.is_empty() {
+        let file = tolerances.file.clone().unwrap_or_default();
+        let allowed = "a tolerance of a radius, thickness, index, Abbe number or air space: a design's pictures are those of lenses without tilts";
+        return Err(Error::bad(file, "tolerances", "tilts and shifts alone", allowed));
+    }
+    Ok(all)
+}
+
 /// Draws of lenses around one.
 #[derive(Clone, Debug)]
 pub(super) struct AsBuilt {
@@ -28,15 +43,9 @@ impl AsBuilt {
     /// Around `lens`, whose focus `merit` judges.
     ///
     /// # Errors
-    /// Tolerances that leave nothing to draw but tilts and shifts, or that are not this lens's; rays that fail.
+    /// As [`round`]; rays that fail.
     pub(super) fn new(tolerances: &Tolerances, merit: &Merit, lens: &Lens, seed: u64) -> Result<Self> {
-        let (_, mut all, _) = deviations(lens, tolerances)?;
-        all.retain(Deviation::is_round);
-        if all.is_empty() {
-            let file = tolerances.file.clone().unwrap_or_default();
-            let allowed = "a tolerance of a radius, thickness, index, Abbe number or air space: a design's pictures are those of lenses without tilts";
-            return Err(Error::bad(file, "tolerances", "tilts and shifts alone", allowed));
-        }
+        let all = round(tolerances, lens)?;
         let mut parameters = vec![Kind::Thickness.at(lens.surfaces.len() - 1)];
         for p in all.iter().flat_map(Deviation::parameters) {
             if !parameters.contains(&p) {

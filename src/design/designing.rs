@@ -10,6 +10,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use super::as_built;
 use super::data::Textures;
 use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
 use super::judge::{MARGIN, corner_seen};
@@ -83,6 +84,9 @@ pub struct Prepared {
 /// # Errors
 /// Names and numbers that the lens does not allow; a lens whose rays do not pass.
 pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f64)) -> Result<Prepared> {
+    if let Some(tolerances) = task.stated_tolerances()? {
+        as_built::round(&tolerances, lens)?;
+    }
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
     let [corner, distortion] = corner_seen(lens, &frame, &sensor)?;
     // Light that reaches the corner; where none does, what the lens states.

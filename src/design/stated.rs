@@ -15,7 +15,7 @@ const PLACE: &str = "tolerances";
 
 /// A file, or its keys.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "tolerances: the name of a file, or a table of its keys")]
 pub enum Stated {
     /// A file, as for `isoplanat tolerance`.
     File(PathBuf),

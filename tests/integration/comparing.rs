@@ -88,6 +88,13 @@ fn a_lens_by_its_images_is_a_run_like_any_other() {
     place.run("design --check edof --json").done();
 }
 
+/// A page without its pictures, whose base64 may spell anything.
+fn told_of(page: &str) -> String {
+    let mut parts = page.split("base64,");
+    let first = parts.next().unwrap_or_default().to_owned();
+    parts.fold(first, |text, part| text + part.split_once('"').map_or("", |p| p.1))
+}
+
 /// The text of a shipped lens.
 fn lens_of(name: &str) -> &'static str {
     isoplanat::lens::builtin::LENSES.iter().find(|(n, _)| *n == name).expect("shipped").1
@@ -129,7 +136,7 @@ semi_diameter_mm = 10.0
     assert!(rows[1]["first_ahead"]["within_db"].as_f64().is_some(), "judged at the same places");
     assert!(rows[2]["refused"].as_str().is_some_and(|t| t.contains("focal length")), "{}", rows[2]);
     let page = std::fs::read_to_string(place.path("cmp/comparison.html")).expect("a page");
-    assert!(page.contains("not judged") && page.contains("Over the distance") && !page.contains("NaN"));
+    assert!(page.contains("not judged") && page.contains("Over the distance") && !told_of(&page).contains("NaN"));
     // Of the task's focal length and aperture.
     let inspect = |lens: &str| json(&place.run(&format!("inspect {lens} --json")).done());
     let (own, other) = (inspect("three_element"), inspect("cmp/02-ac254_050_a/lens.toml"));
@@ -170,7 +177,7 @@ semi_diameter_mm = 10.0
     }
     assert!(measured >= 4, "{measured}");
     let page = std::fs::read_to_string(place.path("edges/comparison.html")).expect("a page");
-    assert!(page.contains("MTF before and after") && !page.contains("NaN"));
+    assert!(page.contains("MTF before and after") && !told_of(&page).contains("NaN"));
     place.run("compare task.toml --against nolens -o other").refused(&["nolens"]);
     place.run("compare task.toml --rates 2 -o other").refused(&["--rates", "2"]);
     // What nobody can be judged by is told before anybody is trained.
