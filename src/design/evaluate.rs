@@ -14,6 +14,7 @@
 mod camera;
 mod draws;
 mod edges;
+mod retrain;
 mod zones;
 
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
@@ -42,6 +43,7 @@ use zones::Zone;
 
 pub use draws::Built;
 pub use edges::measured;
+pub use retrain::Retrain;
 
 /// Most pixels around a patch that the network sees beside it.
 pub const CONTEXT: usize = 64;
@@ -225,7 +227,18 @@ impl<'a> Judge<'a> {
         sheets: bool,
         progress: &mut dyn FnMut(f64),
     ) -> Result<(Evaluation, Vec<Sheet>)> {
-        let Self { subject, told: (network, guide), sensor, pictures, settings, frame, renderer, bounds, zones } = self;
+        self.behind(self.told.0, camera, sheets, progress)
+    }
+
+    /// The same behind another `network`, told alike.
+    fn behind(
+        &self,
+        network: &Reconstructor,
+        camera: &Camera,
+        sheets: bool,
+        progress: &mut dyn FnMut(f64),
+    ) -> Result<(Evaluation, Vec<Sheet>)> {
+        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, bounds, zones } = self;
         let maps = &renderer.optics.maps;
         let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
         let electronics = Electronics::of(sensor);

@@ -234,6 +234,12 @@ impl Reconstructor {
         other
     }
 
+    /// The same network with an optimiser that has not begun.
+    #[must_use]
+    pub fn again(&self) -> Self {
+        self.with_weights(self.parameters().into_iter().flat_map(|p| p.values).collect())
+    }
+
     /// The size of the network in a file.
     ///
     /// # Errors

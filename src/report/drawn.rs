@@ -25,6 +25,9 @@ pub struct Aspect {
     pub as_it_stands: Psnr,
     /// After centre and scale of its pictures were brought to those of the run's own lens, as a calibration does.
     pub aligned: Psnr,
+    /// Aligned, behind a network that was trained on for this lens.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub retrained: Option<Psnr>,
     /// How many times as large it shows slopes.
     pub scale: f64,
     /// How far its picture is shifted, pixels `[right, down]`.
@@ -59,11 +62,12 @@ pub struct Draws {
 
 /// What a figure of a draw is called, and the figure.
 type Column = (&'static str, fn(&Aspect) -> f64);
-const COLUMNS: [Column; 4] = [
+const COLUMNS: [Column; 5] = [
     ("capture as it stands", |j| j.as_it_stands.capture_db),
     ("behind the network", |j| j.as_it_stands.reconstruction_db),
     ("capture aligned", |j| j.aligned.capture_db),
     ("aligned, behind the network", |j| j.aligned.reconstruction_db),
+    ("behind one trained on for it", |j| j.retrained.map_or(f64::NAN, |r| r.reconstruction_db)),
 ];
 
 impl Draws {
@@ -78,22 +82,33 @@ impl Draws {
         self.draws.iter().filter_map(|d| Some((d.name.as_str(), d.why.as_deref()?)))
     }
 
+    /// Columns that have figures.
+    fn columns(&self) -> &'static [Column] {
+        let retrained = |a: &Aspect| a.retrained.is_some();
+        let any = self.draws.iter().filter_map(|d| d.shown.as_ref()).chain(&self.refocused).any(retrained);
+        if any { &COLUMNS } else { &COLUMNS[..4] }
+    }
+
     /// The lens as it is, and what shares of the draws do not reach.
     pub fn table(&self) -> Table {
-        let mut table = Table::new(std::iter::once("PSNR, dB").chain(COLUMNS.map(|c| c.0)));
+        let columns = self.columns();
+        let mut table = Table::new(std::iter::once("PSNR, dB").chain(columns.iter().map(|c| c.0)));
         let own = [self.nominal.capture_db, self.nominal.reconstruction_db].map(|v| format!("{v:.2}"));
-        table.row(["the lens itself".to_owned(), own[0].clone(), own[1].clone(), own[0].clone(), own[1].clone()]);
+        let mut row =
+            vec!["the lens itself".to_owned(), own[0].clone(), own[1].clone(), own[0].clone(), own[1].clone()];
+        row.resize(1 + columns.len(), "–".to_owned());
+        table.row(row);
         if let Some(refocused) = &self.refocused {
-            let cells = COLUMNS.map(|(_, of)| format!("{:.2}", of(refocused)));
+            let cells = columns.iter().map(|(_, of)| format!("{:.2}", of(refocused)));
             table.row(std::iter::once("refocused as the draws are".to_owned()).chain(cells));
         }
         for share in SHARES {
-            let cell = |(_, of): Column| {
+            let cell = |(_, of): &Column| {
                 let db = self.quantile(share, of);
                 if db.is_finite() { format!("{db:.2}") } else { "lost".to_owned() }
             };
             let name = format!("{:.0} % of the draws reach", 100.0 * (1.0 - share));
-            table.row(std::iter::once(name).chain(COLUMNS.map(cell)));
+            table.row(std::iter::once(name).chain(columns.iter().map(cell)));
         }
         table
     }
@@ -109,6 +124,7 @@ impl Draws {
             "scale",
             "shift_right_px",
             "shift_down_px",
+            "own_network_db",
             "why_none",
         ];
         let mut table = Table::new(heading);
@@ -116,10 +132,11 @@ impl Draws {
             let cells = match &d.shown {
                 Some(j) => {
                     let [right, down] = j.shift_px;
-                    let figures = COLUMNS.map(|(_, of)| of(j)).into_iter().chain([j.scale, right, down]);
-                    figures.map(|v| v.to_string()).chain([String::new()]).collect::<Vec<_>>()
+                    let figures = COLUMNS[..4].iter().map(|(_, of)| of(j)).chain([j.scale, right, down]);
+                    let own = j.retrained.map_or(String::new(), |r| r.reconstruction_db.to_string());
+                    figures.map(|v| v.to_string()).chain([own, String::new()]).collect::<Vec<_>>()
                 }
-                None => [""; 7].into_iter().chain([d.why.as_deref().unwrap_or("")]).map(str::to_owned).collect(),
+                None => [""; 8].into_iter().chain([d.why.as_deref().unwrap_or("")]).map(str::to_owned).collect(),
             };
             table.row(std::iter::once(d.name.clone()).chain(cells));
         }
@@ -150,6 +167,7 @@ mod tests {
             let judged = Aspect {
                 as_it_stands: psnr(10.0),
                 aligned: psnr(20.0 + f64::from(k)),
+                retrained: None,
                 scale: 1.0,
                 shift_px: [0.5, 0.0],
             };
@@ -169,9 +187,13 @@ mod tests {
             "{table}"
         );
         let csv = draws.csv();
-        assert!(csv.lines().count() == 11 && csv.contains("\"no light, none\"") && csv.contains(",0.5,0,"), "{csv}");
+        assert!(csv.lines().count() == 11 && csv.contains("\"no light, none\"") && csv.contains(",0.5,0,,"), "{csv}");
         assert_eq!(draws.lost().count(), 1);
         assert_eq!(draws.json()["draws"][3]["shown"]["aligned"]["reconstruction_db"], 23.0);
+        let mut own = draws.clone();
+        own.draws[3].shown.as_mut().expect("shown").retrained = Some(psnr(26.5));
+        assert!(own.table().to_string().contains("trained on for it") && !table.contains("trained on for it"));
+        assert!(own.csv().contains(",0.5,0,26.5,"), "{}", own.csv());
         let none = Draws { draws: Vec::new(), ..draws };
         assert!(none.quantile(0.5, of).is_nan() && none.pace().contains("0 draws"));
     }

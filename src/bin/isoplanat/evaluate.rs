@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::evaluate::{
-    Built, FINENESS, Judge, Pictures, Settings, Sheet, TEXELS_PER_PIXEL, evaluate, measured,
+    Built, FINENESS, Judge, Pictures, Retrain, Settings, Sheet, TEXELS_PER_PIXEL, evaluate, measured,
 };
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
@@ -53,6 +53,10 @@ pub(crate) struct Args {
     /// and after centre and scale of their pictures were aligned. Needs --reference.
     #[arg(long, value_name = "DIR", requires = "reference", conflicts_with_all = ["through", "against", "plot", "pictures"])]
     drawn: Option<PathBuf>,
+    /// Trains a copy of the network on for each drawn lens, so many steps on 48 captures by rays through it of the run's own pictures, and judges that too:
+    /// what a camera that is calibrated by itself reaches.
+    #[arg(long, value_name = "STEPS", requires = "drawn", value_parser = clap::value_parser!(u64).range(1..=100_000))]
+    retrain: Option<u64>,
     /// Rows to write as comma-separated values.
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
@@ -255,7 +259,9 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
     let told = (&run.network, &run.guide);
     let judge =
         Judge::new(&run.subject, told, &run.sensor, pictures, &run.settings).map_err(|e| e.in_file(&run.folder))?;
-    let draws = judge.draws(&built, &mut |share| {
+    let textures = args.retrain.map(|_| Task::load(&run.folder.join("task.toml"))?.textures()).transpose()?;
+    let retrain = textures.as_ref().zip(args.retrain).map(|(textures, steps)| Retrain::new(textures, steps));
+    let draws = judge.draws(&built, retrain.as_ref(), &mut |share| {
         bar.get_or_insert_with(|| Bar::new("drawn lenses")).set(share, String::new());
         !asked()
     });

@@ -2,8 +2,8 @@
 
 use std::time::Instant;
 
-use super::Judge;
 use super::camera::{Camera, seen_by};
+use super::{Judge, Retrain};
 use crate::design::subject::Subject;
 use crate::error::{Error, Result};
 use crate::imaging::sensor::spectrum::SpectralDensity;
@@ -21,13 +21,19 @@ pub struct Built {
 }
 
 impl Judge<'_> {
-    /// PSNR behind each lens, by rays, of the pictures and places of this judgement: as it stands, and after its pictures were aligned. `told` hears the
-    /// share that is done, and after a draw ends the work by `false`: what was judged is the result.
+    /// PSNR behind each lens, by rays, of the pictures and places of this judgement: as it stands, and after its pictures were aligned; then too behind a
+    /// network that was trained on for that lens, where somebody says how to `retrain`. `told` hears the share that is done, and after a draw ends the work by
+    /// `false`: what was judged is the result.
     ///
     /// # Errors
     /// Settings without rays, or at several distances; the run of a measured lens; lenses on another frame. A drawn lens that shows nothing is told with the
     /// reason.
-    pub fn draws(&self, built: &Built, told: &mut dyn FnMut(f64) -> bool) -> Result<Draws> {
+    pub fn draws(
+        &self,
+        built: &Built,
+        retrain: Option<&Retrain<'_>>,
+        told: &mut dyn FnMut(f64) -> bool,
+    ) -> Result<Draws> {
         let Some(rays) = self.settings.rays else {
             let allowed = "captures by rays from the sensor: --reference N";
             return Err(Error::bad("", "drawn lenses", "captures by the fast renderer", allowed));
@@ -64,8 +70,15 @@ impl Judge<'_> {
             let camera = through(Some(lens))?;
             let (scale, shift_px) = camera.moved(&self.renderer);
             let aligned = psnr(&self.through(&camera, false, &mut |_| ())?.0)?;
+            let retrained = match retrain {
+                Some(how) => {
+                    let own = self.retrained(&camera, how)?;
+                    Some(psnr(&self.behind(&own, &camera, false, &mut |_| ())?.0)?)
+                }
+                None => None,
+            };
             let as_it_stands = psnr(&self.through(&camera.unaligned(), false, &mut |_| ())?.0)?;
-            Ok(Aspect { as_it_stands, aligned, scale, shift_px })
+            Ok(Aspect { as_it_stands, aligned, retrained, scale, shift_px })
         };
         let refocused = built.refocused.as_ref().map(shown).transpose()?;
         let mut draws = Vec::new();
@@ -96,9 +109,10 @@ fn psnr(evaluation: &Evaluation) -> Result<Psnr> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Settings;
     use super::super::tests::{identity, lens, settings};
+    use super::super::{Retrain, Settings};
     use super::*;
+    use crate::design::data::Textures;
     use crate::design::evaluate::Pictures;
     use crate::imaging::guide::Guide;
     use crate::imaging::scene::SceneKind;
@@ -131,7 +145,7 @@ mod tests {
         let pictures = Pictures::BuiltIn(SceneKind::Facades, 2);
         let with = Settings { rays: Some(32), ..settings(2, 32) };
         let judge = Judge::new(&own, (&net, &bare), &sensor, &pictures, &with).expect("judges");
-        let found = judge.draws(&built, &mut |_| true).expect("draws");
+        let found = judge.draws(&built, None, &mut |_| true).expect("draws");
         let [itself, aside, tilted, dark, lost] = &found.draws[..] else { panic!("five draws") };
         let of = |d: &Drawn| d.shown.unwrap_or_else(|| panic!("{}: {:?}", d.name, d.why));
         let same = of(itself);
@@ -149,18 +163,29 @@ mod tests {
         let why = dark.why.as_ref().expect("no light");
         assert!(why.contains("rays") || why.contains("light"), "{why}");
         assert_eq!(lost.why.as_deref(), Some("no lens was found there"));
-        let first = judge.draws(&built, &mut |_| false).expect("draws");
+        let first = judge.draws(&built, None, &mut |_| false).expect("draws");
         assert_eq!(first.draws, found.draws[..1]);
         for (wrong, said) in [
             (settings(2, 32), "--reference"),
             (Settings { depths_mm: vec![500.0, 1000.0], ..with.clone() }, "--depths-mm"),
         ] {
             let judge = Judge::new(&own, (&net, &bare), &sensor, &pictures, &wrong).expect("judges");
-            assert!(judge.draws(&built, &mut |_| true).expect_err(said).to_string().contains(said));
+            assert!(judge.draws(&built, None, &mut |_| true).expect_err(said).to_string().contains(said));
+        }
+        // Trained on for each: the tilted lens is the one that gains by it, on what it is trained on.
+        let textures = Textures::built_in(900_000, 2, 400);
+        let how = Retrain { captures: 6, side: 32, steps: 60, rate: 2e-3, ..Retrain::new(&textures, 60) };
+        let each = judge.draws(&built, Some(&how), &mut |_| true).expect("draws");
+        for (a, b) in each.draws.iter().zip(&found.draws) {
+            let (Some(a), Some(b)) = (&a.shown, &b.shown) else { continue };
+            assert_eq!((a.aligned, a.as_it_stands), (b.aligned, b.as_it_stands), "the others are what they were");
+            let retrained = a.retrained.expect("trained on");
+            assert_eq!(retrained.capture_db, a.aligned.capture_db);
+            assert!(retrained.reconstruction_db > a.aligned.reconstruction_db + 0.1, "{a:?}");
         }
         let larger = plain.changed(|l| l.sensor.columns = 250).expect("a lens");
         let other = Built { refocused: None, draws: vec![("large.toml".to_owned(), Some(larger))] };
-        let error = judge.draws(&other, &mut |_| true).expect_err("another frame").to_string();
+        let error = judge.draws(&other, None, &mut |_| true).expect_err("another frame").to_string();
         assert!(error.contains("large.toml") && error.contains("240 x 160"), "{error}");
         let through = Settings { through: built.draws[2].1.clone().map(Into::into), ..settings(2, 32) };
         let refused = super::super::evaluate(&own, (&net, &bare), &sensor, &pictures, &through, false, &mut |_| ());
