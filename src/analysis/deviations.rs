@@ -66,6 +66,20 @@ pub fn drawn(deviations: &[Deviation], seed: u64, number: u64) -> Vec<(Parameter
     off
 }
 
+/// `lens` with numbers off by so much.
+///
+/// # Errors
+/// Numbers that are no lens.
+pub fn off_by(lens: &Lens, off: &[(Parameter, f64)]) -> Result<Lens> {
+    lens.changed(|l| {
+        for (p, by) in off {
+            if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
+                *number += by;
+            }
+        }
+    })
+}
+
 /// `lens` with a place for every pose that `tolerances` may move, its stop of a size of its own; and the deviations.
 ///
 /// # Errors

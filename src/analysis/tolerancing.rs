@@ -14,7 +14,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::deviations::{Deviation, deviations, drawn};
+use super::deviations::{Deviation, deviations, drawn, off_by};
 use super::fabrication::Fabrication;
 use super::fabrication::tolerances::Tolerances;
 use super::scatter::Scatter;
@@ -88,15 +88,7 @@ fn merit() -> Merit {
 /// `lens` where numbers are off by so much, refocused, with its rms and the sensor's way, mm; none where a field point has less than a [`DARK`] part of its
 /// `light` left: the rms of what still gets through would be no measure.
 fn built(lens: &Lens, off: &[(Parameter, f64)], light: &[f64]) -> Option<(Lens, f64, f64)> {
-    let moved = lens
-        .changed(|l| {
-            for (p, by) in off {
-                if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
-                    *number += by;
-                }
-            }
-        })
-        .ok()?;
+    let moved = off_by(lens, off).ok()?;
     let last = lens.surfaces.len() - 1;
     let found = refocused(&moved, merit()).ok()?;
     let left = light_of(&found.lens, &merit()).ok()?;

@@ -4,7 +4,7 @@
 //! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Only what leaves a lens round is drawn: the design's pictures are those of
 //! round lenses, and `isoplanat tolerance` and `evaluate --drawn` judge with tilts and shifts too.
 
-use crate::analysis::deviations::{Deviation, deviations, drawn};
+use crate::analysis::deviations::{Deviation, deviations, drawn, off_by};
 use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::error::{Error, Result};
 use crate::lens::{Kind, Lens, Parameter};
@@ -75,15 +75,7 @@ impl AsBuilt {
 
     /// `lens` as draw `number` builds it; none where that is no lens.
     pub(super) fn lens(&self, lens: &Lens, number: u64) -> Option<Lens> {
-        let off = self.off(number);
-        let built = lens.changed(|l| {
-            for (p, by) in &off {
-                if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
-                    *number += by;
-                }
-            }
-        });
-        built.ok()
+        off_by(lens, &self.off(number)).ok()
     }
 }
 
