@@ -1,21 +1,27 @@
 //! Lenses as they may be built around the one under design: `isoplanat design --tolerance-aware`.
 //!
 //! A step's pictures are taken through a lens that is off the one under design by a draw of a file of tolerances, refocused by its Jacobian. The draw adds to
-//! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Only what leaves a lens round is drawn: the design's pictures are those of
+//! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Its aperture is what the lens states, a pupil as large as the lens's own. Only what leaves a lens round is drawn: the design's pictures are those of
 //! round lenses, and `isoplanat tolerance` and `evaluate --drawn` judge with tilts and shifts too.
 
 use crate::analysis::deviations::{Deviation, deviations, drawn, off_by};
 use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::error::{Error, Result};
+use crate::imaging::render::Renderer;
 use crate::lens::{Kind, Lens, Parameter};
+use crate::math::mixed;
 use crate::optimize::Merit;
 use crate::optimize::sensitivity::Sensitivity;
+
+/// Drawn lenses that a judgement's pictures are taken through, and the number of the first, far from those of the steps.
+pub(super) const BUILT: u64 = 6;
+pub(super) const UNSEEN: u64 = 1 << 40;
 
 /// What may deviate in `lens` and leaves it round.
 ///
 /// # Errors
 /// Tolerances that leave nothing to draw but tilts and shifts, or that are not this lens's.
-pub(super) fn round(tolerances: &Tolerances, lens: &Lens) -> Result<Vec<Deviation>> {
+pub fn round(tolerances: &Tolerances, lens: &Lens) -> Result<Vec<Deviation>> {
     let (_, mut all, _) = deviations(lens, tolerances)?;
     all.retain(Deviation::is_round);
     if all.is_empty() {
@@ -66,7 +72,8 @@ impl AsBuilt {
 
     /// Numbers of draw `number`, and how far they are off, the sensor's place refocused.
     fn off(&self, number: u64) -> Vec<(Parameter, f64)> {
-        let mut off = drawn(&self.deviations, self.seed, number);
+        // Others than `isoplanat tolerance` draws from the same seed.
+        let mut off = drawn(&self.deviations, mixed(self.seed, 0x6465_7369), number);
         let index = |p: &Parameter| self.model.parameters.iter().position(|q| q == p).unwrap_or(0);
         let moved: Vec<(usize, f64)> = off.iter().map(|(p, by)| (index(p), *by)).collect();
         off.push((self.model.parameters[0], self.model.taken_up(0, &moved)));
@@ -76,6 +83,25 @@ impl AsBuilt {
     /// `lens` as draw `number` builds it; none where that is no lens.
     pub(super) fn lens(&self, lens: &Lens, number: u64) -> Option<Lens> {
         off_by(lens, &self.off(number)).ok()
+    }
+}
+
+/// `lens` rendered with the plan that holds the widest kernels of its own and of lenses drawn around it, and the lens that plan is of: a drawn lens's blur
+/// is not to fall outside windows that are made for `lens`.
+pub(super) fn widest(
+    lens: &Lens,
+    as_built: Option<&AsBuilt>,
+    planned: impl Fn(&Lens) -> Result<Renderer>,
+) -> Result<(Lens, Renderer)> {
+    let own = planned(lens)?;
+    let reach = |r: &Renderer| r.plan.depths.iter().map(|d| d.reach_px()).sum::<usize>();
+    let drawn = |k| as_built?.lens(lens, UNSEEN + BUILT + k);
+    let others = (0..BUILT).filter_map(drawn).filter_map(|l| planned(&l).ok().map(|r| (l, r)));
+    // Of equal ones the lens's own.
+    let wider = others.filter(|(_, r)| reach(r) > reach(&own)).max_by_key(|(_, r)| reach(r));
+    match wider {
+        Some((at, other)) => Ok((at, Renderer::new(lens, &other.plan)?)),
+        None => Ok((lens.clone(), own)),
     }
 }
 

@@ -85,7 +85,7 @@ pub struct Prepared {
 /// Names and numbers that the lens does not allow; a lens whose rays do not pass.
 pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f64)) -> Result<Prepared> {
     if let Some(tolerances) = task.stated_tolerances()? {
-        as_built::round(&tolerances, lens)?;
+        as_built::round(&tolerances, lens).map_err(|e| e.in_file(Path::new(file)))?;
     }
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
     let [corner, distortion] = corner_seen(lens, &frame, &sensor)?;
@@ -151,6 +151,11 @@ fn improved(
     Ok(Prepared { start: lens.clone(), problem, warm, taken, seen })
 }
 
+/// How the device of a network was found to compute the steps of `task`; of a network that takes none there is nothing to find.
+fn checked(network: &mut Reconstructor, task: &Task) -> Result<Option<String>> {
+    if task.sensor_loss.is_some() { Ok(None) } else { network.check_device(task.batch, task.patch_px) }
+}
+
 /// A design under way.
 pub struct Designing {
     folder: PathBuf,
@@ -186,7 +191,7 @@ impl Designing {
         replace: bool,
     ) -> Result<Self> {
         check(folder, replace)?;
-        let device = network.check_device(task.batch, task.patch_px)?;
+        let device = checked(&mut network, &task)?;
         let held_out = task.held_out()?;
         // As a resumed design reads it.
         let text = prescription::to_toml(&prepared.problem.lens);
@@ -217,7 +222,7 @@ impl Designing {
         let locked = lock(folder)?;
         let path = folder.join(NETWORK);
         let (mut network, facts) = Reconstructor::load_with_facts(&path, compute)?;
-        let device = network.check_device(task.batch, task.patch_px)?;
+        let device = checked(&mut network, &task)?;
         let file = path.display().to_string();
         let Some(text) = facts.get(STATE) else {
             return Err(Error::bad(file, STATE, "missing", "a checkpoint of `isoplanat design`"));
@@ -396,7 +401,8 @@ impl Designing {
     fn settle(&mut self) -> Result<()> {
         let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.show() };
         let path = self.folder.join(BEST);
-        let last = self.stage.score(&self.stage.judged(&self.held_out, self.task.patch_px)?);
+        let last = self.stage.judged(&self.held_out, self.task.patch_px)?;
+        let last = self.stage.score(&last);
         if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
             // What is left, a judgement and the page, the CPU does.
             let (network, facts) = Reconstructor::load_with_facts(&path, Compute::Cpu)?;

@@ -139,19 +139,21 @@ impl Joint {
         self.refreshed.1 += started.elapsed().as_secs_f64();
     }
 
-    /// One step on `patches` (equal parts) through `renderer`, which holds the lens now, or one `as_built`: whose numbers are the lens's and something that
-    /// does not depend on them. A rate of 0 of the lens holds it.
+    /// One step on `patches` (equal parts) through `renderer`, which holds the lens now, or through one `as_built` and its renderer: whose numbers are the lens's
+    /// and something that does not depend on them. A rate of 0 of the lens holds it.
     ///
     /// # Errors
     /// A patch at a distance that the renderer was not made for; a network that fails.
     pub fn step(
         &mut self,
         renderer: &Renderer,
-        as_built: Option<&Lens>,
+        as_built: Option<(&Lens, &Renderer)>,
         electronics: &Electronics,
         patches: &[Patch],
         [lens_rate, network_rate]: [f64; 2],
     ) -> Result<Report> {
+        let own = renderer;
+        let renderer = as_built.map_or(own, |(_, renderer)| renderer);
         let done = patches
             .par_iter()
             .map(|patch| forward::<f32>(renderer, electronics, patch))
@@ -197,7 +199,7 @@ impl Joint {
             .collect();
         let mut bar = OpticsBar::zeros(&renderer.optics);
         bars.iter().for_each(|b| bar.add(b));
-        let lens = s.loss.is_finite().then(|| self.follow(renderer, as_built, &bar, lens_rate));
+        let lens = s.loss.is_finite().then(|| self.follow(own, as_built, &bar, lens_rate));
         let output_psnr_db = psnr(s.output.view());
         let loss = f64::from(s.loss);
         Ok(Report { loss, input_psnr_db, output_psnr_db, lens, network_seconds })
@@ -210,12 +212,18 @@ impl Joint {
         }
     }
 
-    /// Moves the lens against the gradient that `bar` pulls back to it, or to one `as_built`, which `renderer` holds.
-    fn follow(&mut self, renderer: &Renderer, as_built: Option<&Lens>, bar: &OpticsBar, lens_rate: f64) -> Stepped {
-        let through = as_built.unwrap_or(&self.lens);
-        let gradient = renderer.lens_gradient(through, bar);
+    /// Moves the lens against the gradient that `bar` pulls back to it, or to one `as_built`; `renderer` holds the lens itself.
+    fn follow(
+        &mut self,
+        renderer: &Renderer,
+        as_built: Option<(&Lens, &Renderer)>,
+        bar: &OpticsBar,
+        lens_rate: f64,
+    ) -> Stepped {
+        let (lens, through) = as_built.unwrap_or((&self.lens, renderer));
+        let gradient = through.lens_gradient(lens, bar);
         self.noise.add(&self.steps.variables().gradient(&gradient));
-        let darkest = self.darkest(renderer, through);
+        let darkest = self.darkest(renderer);
         let stepped = self.steps.step(&self.lens, gradient, lens_rate * self.damping, &darkest);
         self.good = self.lens.clone();
         match &stepped.lens {
@@ -229,7 +237,7 @@ impl Joint {
     }
 
     /// Rows that keep the illumination from falling below what is asked, of places that are near it.
-    fn darkest(&self, renderer: &Renderer, through: &Lens) -> Vec<Linear> {
+    fn darkest(&self, renderer: &Renderer) -> Vec<Linear> {
         let Some(least) = self.least_illumination else { return Vec::new() };
         let optics = &renderer.optics;
         let (radius, channels) = (renderer.plan.frame.max_radius_mm(), optics.channels());
@@ -243,7 +251,7 @@ impl Joint {
             if value < least + NEAR {
                 let mut bar = OpticsBar::zeros(optics);
                 optics.relative_illumination_vjp(std::iter::once((at, share.as_slice())), &mut bar);
-                let a = variables.gradient(&renderer.lens_gradient(through, &bar));
+                let a = variables.gradient(&renderer.lens_gradient(&self.lens, &bar));
                 // No more than a tenth of what is missing at a time: rows are linear, illumination is not.
                 let b = if value < least { 0.1 * (least - value) } else { least - value };
                 if a.iter().all(|v| v.is_finite()) {

@@ -54,16 +54,25 @@ impl Camera<'_> {
     /// # Errors
     /// A network that fails.
     pub(super) fn judged(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Entry> {
+        let Some(loss) = self.sensor_loss else {
+            return Ok(self.sums(held_out, side, numbers)?.entry(self.worst));
+        };
+        let places = Places::new(&self.renderer.plan.frame, side, Spread::Height);
+        let scenes = ((numbers.end - numbers.start) / self.renderer.optics.maps.len() as u64).max(1);
+        let one = |n| look(self.renderer, loss, &group(self.renderer, loss, held_out, (SEED, n), &places));
+        let seen = Seen::mean(&(0..scenes).map(one).collect::<Result<Vec<_>>>()?);
+        let (input_psnr_db, output_psnr_db) = (seen.mean_db, seen.lowest_db);
+        Ok(Entry { loss: seen.loss, input_psnr_db, output_psnr_db, ..Entry::default() })
+    }
+
+    /// What [`Camera::judged`] takes the mean of, behind a network.
+    ///
+    /// # Errors
+    /// A network that fails.
+    pub(super) fn sums(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Sums> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
-        if let Some(loss) = self.sensor_loss {
-            let scenes = ((numbers.end - numbers.start) / self.renderer.optics.maps.len() as u64).max(1);
-            let one = |n| look(self.renderer, loss, &group(self.renderer, loss, held_out, (SEED, n), &places));
-            let seen = Seen::mean(&(0..scenes).map(one).collect::<Result<Vec<_>>>()?);
-            let (input_psnr_db, output_psnr_db) = (seen.mean_db, seen.lowest_db);
-            return Ok(Entry { loss: seen.loss, input_psnr_db, output_psnr_db, ..Entry::default() });
-        }
-        mean(self, numbers, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
+        sums(self, numbers, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
     }
 
     /// Capture, reconstruction and truth of `count` of those patches, from the axis outwards; of a lens that is judged by its own images, those
@@ -94,30 +103,61 @@ impl Camera<'_> {
     }
 }
 
-/// Mean L1 and PSNR before and after the network over the patches that `draw` makes for the object distances of `renderer` in turn; where
-/// the worst distance counts, PSNR of the one with the lowest after it.
-fn mean(camera: &Camera<'_>, numbers: Range<u64>, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Entry> {
-    let mut sum = Entry::default();
+/// L1, PSNR before and after the network, added up over patches; by distance PSNR after and before it, and how many they were.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Sums {
+    all: [f64; 3],
+    by_distance: Vec<[f64; 3]>,
+}
+
+impl Sums {
+    /// One more patch at a distance of so many.
+    fn push(&mut self, (depth, depths): (usize, usize), [loss, input, output]: [f64; 3]) {
+        self.by_distance.resize(depths.max(self.by_distance.len()), [0.0; 3]);
+        self.all.iter_mut().zip([loss, input, output]).for_each(|(sum, v)| *sum += v);
+        self.by_distance[depth].iter_mut().zip([output, input, 1.0]).for_each(|(sum, v)| *sum += v);
+    }
+
+    /// Others to these.
+    pub(super) fn add(&mut self, other: &Self) {
+        self.by_distance.resize(other.by_distance.len().max(self.by_distance.len()), [0.0; 3]);
+        self.all.iter_mut().zip(other.all).for_each(|(sum, v)| *sum += v);
+        for (sums, others) in self.by_distance.iter_mut().zip(&other.by_distance) {
+            sums.iter_mut().zip(others).for_each(|(sum, v)| *sum += v);
+        }
+    }
+
+    /// Patches of a lens that shows nothing, as numbered: all of the range is wrong.
+    pub(super) fn nothing(numbers: Range<u64>, depths: usize) -> Self {
+        let mut sums = Self::default();
+        numbers.for_each(|number| sums.push(((number % depths as u64) as usize, depths), [1.0, 0.0, 0.0]));
+        sums
+    }
+
+    /// Their means; where the worst distance counts, PSNR of the one with the lowest after the network.
+    pub(super) fn entry(&self, worst: bool) -> Entry {
+        let n = self.by_distance.iter().map(|[.., of]| of).sum::<f64>().max(1.0);
+        let [loss, input_psnr_db, output_psnr_db] = self.all.map(|v| v / n);
+        let mean = Entry { loss, input_psnr_db, output_psnr_db, ..Entry::default() };
+        let seen = self.by_distance.iter().filter(|[.., of]| *of > 0.0).map(|[out, input, of]| [out / of, input / of]);
+        match seen.min_by(|a, b| a[0].total_cmp(&b[0])) {
+            Some([output_psnr_db, input_psnr_db]) if worst => Entry { input_psnr_db, output_psnr_db, ..mean },
+            _ => mean,
+        }
+    }
+}
+
+/// L1 and PSNR before and after the network of the patches that `draw` makes for the object distances of `renderer` in turn.
+fn sums(camera: &Camera<'_>, numbers: Range<u64>, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Sums> {
+    let mut sums = Sums::default();
     let maps = &camera.renderer.optics.maps;
-    let mut by_distance = vec![[0.0; 3]; maps.len()];
-    let n = (numbers.end - numbers.start).max(1) as f64;
     for number in numbers {
         let depth = (number % maps.len() as u64) as usize;
         let [capture, output, truth] = camera.taken(&draw(number, &maps[depth]))?;
         let (input, out) = (l1_and_psnr(capture.iter(), truth.iter()), l1_and_psnr(output.iter(), truth.iter()));
-        sum.loss += out.0;
-        sum.input_psnr_db += input.1;
-        sum.output_psnr_db += out.1;
-        let sums = by_distance[depth].iter_mut();
-        sums.zip([out.1, input.1, 1.0]).for_each(|(sum, v)| *sum += v);
+        sums.push((depth, maps.len()), [out.0, input.1, out.1]);
     }
-    [&mut sum.loss, &mut sum.input_psnr_db, &mut sum.output_psnr_db].into_iter().for_each(|v| *v /= n);
-    if camera.worst {
-        let seen = by_distance.iter().filter(|[.., of]| *of > 0.0).map(|[out, input, of]| [out / of, input / of]);
-        let worst = seen.min_by(|a, b| a[0].total_cmp(&b[0]));
-        [sum.output_psnr_db, sum.input_psnr_db] = worst.unwrap_or([sum.output_psnr_db, sum.input_psnr_db]);
-    }
-    Ok(sum)
+    Ok(sums)
 }
 
 /// Mean L1 and PSNR after the network over patches of held-out photographs, finely rendered.
@@ -138,9 +178,10 @@ pub fn validate(
     let (network, guide) = told;
     let camera =
         Camera { renderer: &renderer, electronics: &electronics, network, guide, sensor_loss: None, worst: false };
-    mean(&camera, 0..count as u64, |number, map| {
+    let draw = |number: u64, map: &SensorMap| {
         scenery.textures.numbered((scenery.seed, number), &places, &scenery.frame, map, told.1.reach())
-    })
+    };
+    Ok(sums(&camera, 0..count as u64, draw)?.entry(false))
 }
 
 /// How much farther than the frame's corner object points reach, and where they end, degrees.

@@ -89,6 +89,17 @@ pub fn of_training(task: &Task) -> Result<u64> {
     Ok(sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]))
 }
 
+/// Bytes that networks trained on for drawn lenses take beside a judgement: the pictures of `task`, captures and a step by `how` many of which side.
+///
+/// # Errors
+/// A folder of photographs that cannot be listed.
+pub fn of_retraining(network: &UnetConfig, task: &Task, [captures, side, batch]: [usize; 3]) -> Result<u64> {
+    let side = side.next_multiple_of(network.multiple());
+    let pairs = product(&[captures, side, side, network.inputs.channels() + 3, size_of::<f32>()]);
+    let all = [textures(task)?, pairs, product(&[side, side, REGION]), network.step_bytes(side, batch)];
+    Ok(all.iter().fold(0, |a, b| a.saturating_add(*b)))
+}
+
 /// Bytes of `isoplanat evaluate`; with `sheets`, of the pictures it shows too.
 ///
 /// # Errors

@@ -6,13 +6,13 @@
 
 use std::time::Instant;
 
-use super::as_built::AsBuilt;
+use super::as_built::{AsBuilt, BUILT, UNSEEN, widest};
 use super::chain::Patch;
 use super::data::Textures;
 use super::distances::Distances;
 use super::joint::images::group;
 use super::joint::{Joint, Report};
-use super::judge::{Camera, MARGIN, STEEPEST_DEG, corner_of};
+use super::judge::{Camera, MARGIN, STEEPEST_DEG, Sums, corner_of};
 use super::lens_steps::{LensSteps, Stepped, Steps};
 use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
@@ -117,10 +117,8 @@ fn rise_and_fall(used: f64) -> f64 {
 /// Average over this many steps in a history.
 pub(super) const SMOOTH: usize = 10;
 
-/// Patches of a judgement; drawn lenses that they are taken through, and the number of the first, far from those of the steps.
+/// Patches of a judgement.
 const PICTURES: u64 = 24;
-const BUILT: u64 = 6;
-const UNSEEN: u64 = 1 << 40;
 /// Steps between plans.
 const REPLAN: usize = 25;
 /// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
@@ -147,7 +145,7 @@ pub struct Stage {
     /// The lens whose filters the network is told, and the one that object points of the lens's steps are of.
     told: Lens,
     looked_at: Lens,
-    /// Lenses within tolerances, and how many of those that were drawn could not be rendered since this process began.
+    /// Lenses within tolerances, and how many of those that were drawn could not be rendered.
     as_built: Option<AsBuilt>,
     lost: usize,
     /// Lens and network.
@@ -181,20 +179,21 @@ impl Stage {
         let own = [lens.object_vergence];
         let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
         let first = settings.settings.unwrap_or(Settings::DESIGN);
-        let renderer = Renderer::planned(lens, &scenery.frame, &density, &vergences, first)?;
+        let around = |t| AsBuilt::new(t, &problem.merit, lens, scenery.seed);
+        let as_built = settings.tolerances.as_ref().map(around).transpose()?;
+        let planned = |l: &Lens| Renderer::planned(l, &scenery.frame, &density, &vergences, first);
+        let (at, renderer) = widest(lens, as_built.as_ref(), planned)?;
         let guide = Guide::new(network.config().inputs, &renderer, &electronics)?;
         // A lens that is held needs no rays of its own.
         let steps = if settings.lens_rate > 0.0 { settings.steps } else { Steps::Scaled };
         let mut joint = Joint::new(lens.clone(), network, guide, LensSteps::new(steps, problem)?);
         joint.least_illumination = settings.least_illumination;
         joint.distances = Distances::new(settings.depth_power, vergences.len());
-        let around = |t| AsBuilt::new(t, &problem.merit, lens, scenery.seed);
-        let as_built = settings.tolerances.as_ref().map(around).transpose()?;
         let share = SETTLES.max(settings.lens_share[1] + AFTER_LENS).min(1.0 - AFTER_LENS);
         Ok(Self {
             places: Places::new(&scenery.frame, settings.patch, settings.spread),
             schedule: Schedule { rate: 1.0, rise: 0, share, length: settings.length, settled: None },
-            planned: [lens.clone(), lens.clone()],
+            planned: [at.clone(), at],
             told: lens.clone(),
             looked_at: lens.clone(),
             settings,
@@ -246,6 +245,7 @@ impl Stage {
         if let Some(distances) = &state.distances {
             self.joint.distances.go_on(distances);
         }
+        self.lost = state.lost;
         self.fineness = state.fineness.iter().map(|f| (f.step, f.chosen)).collect();
         (self.again, self.step, self.before) = (state.again, state.step, state.seconds);
         self.schedule.settled = state.settled;
@@ -271,6 +271,7 @@ impl Stage {
                 .map(|(step, chosen)| super::state::Fineness { step: *step, chosen: *chosen })
                 .collect();
             (state.again, state.step, state.seconds) = (self.again, self.step, self.seconds());
+            state.lost = self.lost;
             state.settled = self.schedule.settled;
         })
     }
@@ -280,7 +281,7 @@ impl Stage {
         self.step
     }
 
-    /// Drawn lenses that showed nothing, since this process began: the lens itself stood in for them.
+    /// Drawn lenses that showed nothing: in a step the lens itself stood in for them, in a judgement they counted as wrong.
     pub fn lost(&self) -> usize {
         self.lost
     }
@@ -333,10 +334,10 @@ impl Stage {
             None => {
                 let built = self.built(self.step as u64);
                 self.lost += usize::from(self.as_built.is_some() && built.is_none());
-                let (lens, renderer) = built.as_ref().map_or((None, &self.renderer), |(l, r)| (Some(l), r));
-                let patches = self.patches(scenery, renderer);
+                let built = built.as_ref().map(|(lens, renderer)| (lens, renderer));
+                let patches = self.patches(scenery, built.map_or(&self.renderer, |(_, renderer)| renderer));
                 let rates = [lens_rate, self.settings.network_rate * network_rate];
-                self.joint.step(renderer, lens, &self.electronics, &patches, rates)?
+                self.joint.step(&self.renderer, built, &self.electronics, &patches, rates)?
             }
         };
         self.step += 1;
@@ -361,16 +362,14 @@ impl Stage {
     /// Windows, nodes, settings and filters follow the lens.
     fn look_again(&mut self, scenery: &Scenery<'_>, moves: bool) -> Result<()> {
         // The lens moved since.
-        if self.step > 0 && self.step.is_multiple_of(REPLAN) && self.planned[1] != self.joint.lens {
-            if let Ok(renderer) = Renderer::replanned(&self.joint.lens, &self.renderer.plan) {
-                self.renderer = renderer;
-                self.planned[1] = self.joint.lens.clone();
-            }
-            self.refresh();
-            self.follow_the_corner();
+        let since = self.as_built.as_ref().map_or(&self.planned[1], |built| &built.around);
+        if self.step > 0 && self.step.is_multiple_of(REPLAN) && *since != self.joint.lens {
             if let Some(built) = &mut self.as_built {
                 built.follow(&self.joint.lens);
             }
+            self.replan();
+            self.refresh();
+            self.follow_the_corner();
         }
         if self.step != self.again {
             return Ok(());
@@ -382,11 +381,12 @@ impl Stage {
         }
         if let Ok(chosen) = self.choose(scenery) {
             if chosen.settings != self.renderer.plan.settings {
-                let (frame, lens) = (&scenery.frame, &self.joint.lens);
-                match Renderer::planned(lens, frame, &self.density, &self.vergences, chosen.settings) {
-                    Ok(renderer) => {
+                let (frame, density) = (&scenery.frame, &self.density);
+                let planned = |l: &Lens| Renderer::planned(l, frame, density, &self.vergences, chosen.settings);
+                match widest(&self.joint.lens, self.as_built.as_ref(), planned) {
+                    Ok((at, renderer)) => {
                         self.renderer = renderer;
-                        self.planned = [lens.clone(), lens.clone()];
+                        self.planned = [at.clone(), at];
                         self.refresh();
                     }
                     Err(_) => return Ok(()),
@@ -395,6 +395,17 @@ impl Stage {
             self.fineness.push((self.step, chosen));
         }
         Ok(())
+    }
+
+    /// Windows and nodes for the lens now; one that has none keeps the old ones.
+    fn replan(&mut self) {
+        let plan = &self.renderer.plan;
+        if let Ok((at, renderer)) =
+            widest(&self.joint.lens, self.as_built.as_ref(), |lens| Renderer::replanned(lens, plan))
+        {
+            self.renderer = renderer;
+            self.planned[1] = at;
+        }
     }
 
     /// Object points reach as far as the frame's corner sees, which moves with the distortion.
@@ -496,12 +507,8 @@ impl Stage {
 
     /// Brings the network's filters up to the lens: when the stage is over.
     pub fn finish(&mut self) {
-        if self.joint.guide.facts().is_some()
-            && self.told != self.joint.lens
-            && let Ok(renderer) = Renderer::replanned(&self.joint.lens, &self.renderer.plan)
-        {
-            self.renderer = renderer;
-            self.planned[1] = self.joint.lens.clone();
+        if self.joint.guide.facts().is_some() && self.told != self.joint.lens {
+            self.replan();
             self.refresh();
         }
     }
@@ -531,21 +538,24 @@ impl Stage {
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn judged(&self, held_out: &Textures, side: usize) -> Result<Entry> {
-        let mut all = Vec::new();
-        if self.as_built.is_some() {
-            for k in 0..BUILT {
-                // A lens that shows nothing is judged as the lens itself: that it is lost is told by itself.
-                let built = self.built(UNSEEN + k).map(|(_, renderer)| renderer);
-                let camera = Camera { renderer: built.as_ref().unwrap_or(&self.renderer), ..self.camera() };
-                all.push(camera.judged(held_out, side, k * PICTURES / BUILT..(k + 1) * PICTURES / BUILT)?);
-            }
-        } else {
-            all.push(self.camera().judged(held_out, side, 0..PICTURES)?);
+    pub(super) fn judged(&mut self, held_out: &Textures, side: usize) -> Result<Entry> {
+        if self.as_built.is_none() {
+            return self.camera().judged(held_out, side, 0..PICTURES);
         }
-        let mean = |of: fn(&Entry) -> f64| all.iter().map(of).sum::<f64>() / all.len() as f64;
-        let (loss, input_psnr_db) = (mean(|e| e.loss), mean(|e| e.input_psnr_db));
-        Ok(Entry { loss, input_psnr_db, output_psnr_db: mean(|e| e.output_psnr_db), ..Entry::default() })
+        let mut all = Sums::default();
+        for k in 0..BUILT {
+            let numbers = k * PICTURES / BUILT..(k + 1) * PICTURES / BUILT;
+            match self.built(UNSEEN + k) {
+                Some((_, renderer)) => {
+                    all.add(&Camera { renderer: &renderer, ..self.camera() }.sums(held_out, side, numbers)?);
+                }
+                None => {
+                    self.lost += 1;
+                    all.add(&Sums::nothing(numbers, self.vergences.len()));
+                }
+            }
+        }
+        Ok(all.entry(self.settings.depth_power > 1.0))
     }
 
     /// How good what was judged is, dB: the more the better.

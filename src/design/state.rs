@@ -57,6 +57,9 @@ pub struct State {
     /// The lens for which rays were chosen, the one for windows and nodes, the one that filters are of, the one that steps' object points
     /// are of, and the one now.
     lenses: [String; 5],
+    /// Drawn lenses that showed nothing.
+    #[serde(default)]
+    pub lost: usize,
     /// How finely it was rendered.
     pub fineness: Vec<Fineness>,
 }
@@ -81,6 +84,7 @@ impl State {
             distances: None,
             around: None,
             lenses: lenses.map(|l| prescription::to_toml(l)),
+            lost: 0,
             fineness: Vec::new(),
         };
         fill(&mut state);

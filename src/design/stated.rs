@@ -10,7 +10,7 @@ use crate::error::{Error, Result};
 
 /// Largest file that is read.
 const LARGEST: u64 = 1 << 20;
-/// What errors of keys in a task name.
+/// The key of a task that they stand under.
 const PLACE: &str = "tolerances";
 
 /// A file, or its keys.
@@ -21,6 +21,17 @@ pub enum Stated {
     File(PathBuf),
     /// Its keys.
     Keys(toml::Table),
+}
+
+/// An error of keys that stand in a task, which names the file; lines are those of no file.
+fn within(error: Error) -> Error {
+    match error {
+        Error::BadInput { file, place, found, allowed } if file.is_empty() => {
+            let place = if place.starts_with("line ") { PLACE.to_owned() } else { format!("{PLACE}.{place}") };
+            Error::BadInput { file, place, found, allowed }
+        }
+        other => other,
+    }
 }
 
 impl Stated {
@@ -44,7 +55,7 @@ impl Stated {
             Self::File(path) => Tolerances::load(path),
             Self::Keys(keys) => {
                 let text = toml::to_string(keys).map_err(|e| Error::Internal(format!("tolerances: {e}")))?;
-                Tolerances::parse(&text, PLACE)
+                Tolerances::parse(&text, "").map_err(within)
             }
         }
     }

@@ -102,7 +102,7 @@ impl AsBuiltReport<'_> {
             };
             let faces: Vec<String> = s.faces.iter().map(of).collect();
             all.push(format!(
-                "roughness and imperfections scatter at most {} (at most {}): haze for `isoplanat capture --glare`; the draws do not know it",
+                "roughness and imperfections scatter about {} (at the worst of these {}): haze for `isoplanat capture --glare`; the draws do not know it",
                 whole.join(", "),
                 faces.join(", ")
             ));
@@ -206,7 +206,8 @@ mod tests {
     #[test]
     fn table_csv_json_and_page_say_the_same() {
         let lens = builtin::lens("two_element").expect("shipped");
-        let file = "schema = 1\n[surface.all]\nradius_percent = 0.5\n[assembly]\ndecentre_mm = 0.02\n";
+        let file =
+            "schema = 1\n[surface.all]\nradius_percent = 0.5\nroughness_nm = 4\n[assembly]\ndecentre_mm = 0.02\n";
         let tolerances = Tolerances::parse(file, "t.toml").expect("reads");
         let settings = Settings { draws: 7, seed: 3, lenses: true };
         let (figures, lenses) = AsBuilt::new(&lens, &tolerances, settings, &mut |_| true).expect("passes light");
@@ -217,6 +218,9 @@ mod tests {
         let json = report.json();
         assert_eq!(json["draws"].as_array().map(Vec::len), Some(7));
         assert_eq!(json["within_limit"], json!(1.0));
+        let share = json["scatter"]["share"][0].as_f64().expect("a share");
+        assert!((1e-4..1e-2).contains(&share), "{share}");
+        assert!(report.remarks().iter().any(|r| r.contains("scatter about") && r.contains("surface 0")));
         let html = report.to_html();
         for part in ["Yield", "element 2, shift", "surface 0, radius", "100.0 %", "by Jacobian"] {
             assert!(html.contains(part), "{part}");

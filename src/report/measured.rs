@@ -37,7 +37,7 @@ use target::{Light, SIDE, Target};
 
 pub use curves::Curves;
 pub use edge::{Camera, Edge, Seen, curve};
-pub use target::TILT_DEG;
+pub use target::{LARGEST, TILT_DEG};
 
 /// Names of the two directions.
 const NAMES: [&str; 2] = ["T", "S"];

@@ -197,11 +197,20 @@ fn a_design_across_lenses_as_built() {
     place.run("design --resume -o run").done();
     place.run("design task.toml --tolerance-aware t.toml -o none").refused(&["t.toml"]);
     place.write("t.toml", "schema = 1\n[assembly]\ndecentre_mm = 0.05\n");
-    place.run("design task.toml --tolerance-aware t.toml -o none").refused(&["tolerances", "tilts and shifts alone"]);
+    place
+        .run("design task.toml --tolerance-aware t.toml -o none")
+        .refused(&["t.toml: tolerances: tilts and shifts alone"]);
     for (text, said) in [
         ("tolerances = \"none.toml\"\n", "none.toml"),
-        ("[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius = 0.5\n", "radius"),
-        ("[tolerances]\nschema = 1\n[tolerances.surface.9]\nradius_percent = 0.5\n", "surface.9"),
+        (
+            "[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius = 0.5\n",
+            "bad.toml: tolerances: unknown field `radius`",
+        ),
+        (
+            "[tolerances]\nschema = 1\n[tolerances.surface.all]\nradius_percent = -1\n",
+            "bad.toml: tolerances.surface.all.radius_percent: -1",
+        ),
+        ("[tolerances]\nschema = 1\n[tolerances.surface.9]\nradius_percent = 0.5\n", "bad.toml: surface.9"),
         ("tolerances = 3\n", "tolerances"),
     ] {
         place.write("bad.toml", format!("{task}{text}"));

@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::compare::{Place, Placed};
-use isoplanat::design::evaluate::judgeable;
+use isoplanat::design::evaluate::{Settings, judgeable};
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
@@ -22,7 +22,7 @@ use isoplanat::network::Compute;
 use isoplanat::report::comparison::{Comparison, EdgesAt, Entrant};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::evaluation::Evaluation;
-use isoplanat::report::measured::Settings as EdgeSettings;
+use isoplanat::report::measured::{LARGEST, Settings as EdgeSettings};
 use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
 
@@ -150,6 +150,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for camera in &cameras {
         let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &settings_of_first, true)?;
         crate::memory::limit().allow("the judgement", bytes, "a smaller --patch or smaller photographs")?;
+        if args.edges > 0 {
+            // Patches of edges are of the size that their blur asks for.
+            let edges = Settings { patch: LARGEST, ..settings_of_first.clone() };
+            let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &edges, false)?;
+            crate::memory::limit().allow("the slanted edges", bytes, "no --edges, or a smaller network")?;
+        }
         let instead = "a smaller train.patch_px, batch or base_width";
         crate::memory::limit().allow("the training", memory::of_training(&camera.task)?, instead)?;
     }
@@ -160,7 +166,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
         eprintln!("{} of {}: {}", k + 1, cameras.len(), camera.label());
-        let outcome = camera.compared(args, &pictures, &asked).and_then(|e| Ok((e, camera.edges(args)?)));
+        let outcome =
+            camera.compared(args, &pictures, &asked).and_then(|found| Ok((found, camera.edges(args, &asked)?)));
         if let Err(Error::Interrupted) = outcome {
             eprintln!("stopped; the same command with --resume goes on");
             return Err(Error::Interrupted.into());
@@ -292,10 +299,13 @@ fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
         let lens = c.lens.as_ref().map_or_else(ToString::to_string, |p| p.lens.sha256());
         [c.named.clone(), c.network.clone(), lens]
     };
-    let value = serde_json::json!({
-        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "edges": [u32::from(args.edges), args.edge_rays], "protocol": format!("{:?}", args.protocol),
+    let mut value = serde_json::json!({
+        "schema": 1, "task": task.to_toml()?, "rates": args.rates, "focus_all": args.focus_all, "protocol": format!("{:?}", args.protocol),
         "cameras": cameras.iter().map(camera).collect::<Vec<_>>(), "trained_on": textures, "sensor": format!("{sensor:?}"),
     });
+    if args.edges > 0 {
+        value["edges"] = serde_json::json!([u32::from(args.edges), args.edge_rays]);
+    }
     Ok(format!("{value}\n"))
 }
 
@@ -399,11 +409,22 @@ impl Camera {
         Ok(result)
     }
 
-    /// Measures its slanted edges where they are asked for, or reads what was found before.
-    fn edges(&self, args: &Args) -> Result<Vec<EdgesAt>> {
+    /// Its slanted edges where they are asked for, or why there are none.
+    fn edges(&self, args: &Args, asked: &dyn Fn() -> bool) -> Result<Vec<EdgesAt>> {
         if args.edges == 0 {
             return Ok(Vec::new());
         }
+        match self.edges_found(args, asked) {
+            Err(why) if !matches!(why, Error::Interrupted) => {
+                let distance = self.lens.as_ref().map_or(f64::INFINITY, |p| 1.0 / p.lens.object_vergence);
+                Ok(vec![EdgesAt { depth_mm: distance, missing: vec![why.to_string()], curves: Vec::new() }])
+            }
+            other => other,
+        }
+    }
+
+    /// Measures its slanted edges, or reads what was found before.
+    fn edges_found(&self, args: &Args, asked: &dyn Fn() -> bool) -> Result<Vec<EdgesAt>> {
         let folder = args.output.join(&self.folder);
         let path = folder.join(EDGES);
         if path.is_file() {
@@ -416,7 +437,7 @@ impl Camera {
         let judged = Judged::new(&args.protocol, None, &folder.join("network"))?;
         let settings =
             EdgeSettings { places: args.edges.into(), rays: args.edge_rays as usize, ..EdgeSettings::default() };
-        let edges = Edges { distance: judged.edges(settings)? };
+        let edges = Edges { distance: judged.edges(settings, asked)? };
         let text = toml::to_string(&edges).map_err(|e| Error::Internal(format!("curves: {e}")))?;
         atomic::write_bytes(&path, text.as_bytes())?;
         Ok(edges.distance)

@@ -3,6 +3,8 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::analysis::fabrication::tolerances::Tolerances;
+use isoplanat::design::as_built::round;
 use isoplanat::design::data::Textures;
 use isoplanat::design::designing::{Designing, Prepared, prepare};
 use isoplanat::design::folder;
@@ -72,12 +74,19 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let validate = args.validate.as_deref();
+    // Before a device is tried on the task's own shapes; a folder that is no run says so itself.
+    if args.resume
+        && let Ok(task) = Task::load(&folder.join("task.toml"))
+    {
+        crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
+    }
     let Some(path) = &args.task else {
         return driven(Designing::resume(folder, args.device)?, folder, validate, args.json, out);
     };
     folder::check(folder, args.force)?;
     let task = ready(args, path)?;
     let lens = task.lens(crate::glasses::all())?;
+    drawable(args, &lens)?;
     let begun = begun(task, &lens, &path.display().to_string(), folder, (args.force, args.device))?;
     driven(begun, folder, validate, args.json, out)
 }
@@ -168,7 +177,7 @@ fn driven(
     if json {
         let value = serde_json::json!({ "schema": 1, "steps": designing.stage().steps(), "seconds": designing.stage().seconds(),
             "last": last, "held_out": designing.judged(), "validation": validated,
-            "rejected": joint.rejected, "fineness": designing.stage().fineness, "filters_made": joint.refreshed.0,
+            "rejected": joint.rejected, "drawn_without_light": designing.stage().lost(), "fineness": designing.stage().fineness, "filters_made": joint.refreshed.0,
             "filters_seconds": joint.refreshed.1 });
         writeln!(out, "{value}")?;
         return Ok(());
@@ -184,7 +193,7 @@ fn driven(
     if designing.task().tolerances.is_some() {
         writeln!(
             out,
-            "pictures through lenses as built; of those that were drawn {} showed nothing, and the lens itself stood in for them",
+            "pictures through lenses as built; of those that were drawn {} showed nothing",
             designing.stage().lost()
         )?;
     }
@@ -226,6 +235,11 @@ fn ready(args: &Args, path: &Path) -> Result<Task> {
     Ok(task)
 }
 
+/// Refuses tolerances of the command line that are not the lens's, by their file's name.
+fn drawable(args: &Args, lens: &Lens) -> Result<()> {
+    args.tolerance_aware.as_ref().map_or(Ok(()), |path| round(&Tolerances::load(path)?, lens).map(|_| ()))
+}
+
 /// Refuses a task (of `file`) that has no joint stage, or none that this machine has the memory for.
 fn allowed(task: &Task, file: &str) -> Result<()> {
     crate::input::of_task(task)?;
@@ -263,6 +277,7 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let task = ready(args, path)?;
     allowed(&task, &path.display().to_string())?;
     let lens = task.lens(crate::glasses::all())?;
+    drawable(args, &lens)?;
     let prepared = prepared(&task, &lens, &path.display().to_string())?;
     let (problem, settings) = (&prepared.problem, JointSettings::of(&task)?);
     let textures = task.textures()?;

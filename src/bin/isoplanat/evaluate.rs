@@ -253,13 +253,22 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
     let named = |k: usize| lens(&tolerance::draw(k)).map(|lens| (tolerance::draw(k), lens));
     let built =
         Built { refocused: lens(tolerance::REFOCUSED)?, draws: (1..=count).map(named).collect::<Result<Vec<_>>>()? };
-    run.allow(pictures, false)?;
+    let bytes = run.allow(pictures, false)?;
+    let task = Task::load(&run.folder.join("task.toml"))?;
+    if args.retrain.is_some() {
+        let more = memory::of_retraining(run.network.config(), &task, Retrain::SIZE)?;
+        crate::memory::limit().allow(
+            "the training",
+            bytes.saturating_add(more),
+            "no --retrain, or a smaller network",
+        )?;
+    }
     let asked = crate::interrupt::asked()?;
     let mut bar = None;
     let told = (&run.network, &run.guide);
     let judge =
         Judge::new(&run.subject, told, &run.sensor, pictures, &run.settings).map_err(|e| e.in_file(&run.folder))?;
-    let textures = args.retrain.map(|_| Task::load(&run.folder.join("task.toml"))?.textures()).transpose()?;
+    let textures = args.retrain.map(|_| task.textures()).transpose()?;
     let retrain = textures.as_ref().zip(args.retrain).map(|(textures, steps)| Retrain::new(textures, steps));
     let draws = judge.draws(&built, retrain.as_ref(), &mut |share| {
         bar.get_or_insert_with(|| Bar::new("drawn lenses")).set(share, String::new());
@@ -337,7 +346,7 @@ impl Judged {
     }
 
     /// Slanted edges in captures by rays and behind the network, at each distance; nothing of a measured lens, which has no rays.
-    pub(crate) fn edges(&self, settings: EdgeSettings) -> Result<Vec<EdgesAt>> {
+    pub(crate) fn edges(&self, settings: EdgeSettings, asked: &dyn Fn() -> bool) -> Result<Vec<EdgesAt>> {
         let Subject::Lens(lens) = &self.subject else { return Ok(Vec::new()) };
         let bar = Bar::new("slanted edges");
         #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
@@ -351,6 +360,9 @@ impl Judged {
             let found = measured(&there, told, &self.sensor, settings, &mut |share| {
                 bar.set((before + share) / count, String::new());
             });
+            if asked() {
+                return Err(Error::Interrupted);
+            }
             all.push(match found {
                 Ok(found) => EdgesAt { depth_mm: *depth_mm, missing: found.missing(), curves: found.curves() },
                 // A distance at which nothing can be measured is an outcome.

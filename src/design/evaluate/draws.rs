@@ -66,13 +66,13 @@ impl Judge<'_> {
         let through =
             |lens: Option<&Lens>| Camera::built(lens, (own, &own_seen), (self.sensor, &density), &self.renderer, rays);
         let nominal = psnr(&self.through(&through(None)?, false, &mut |_| ())?.0)?;
-        let shown = |lens: &Lens| -> Result<Aspect> {
+        let shown = |lens: &Lens, goes_on: &mut dyn FnMut() -> bool| -> Result<Aspect> {
             let camera = through(Some(lens))?;
             let (scale, shift_px) = camera.moved(&self.renderer);
             let aligned = psnr(&self.through(&camera, false, &mut |_| ())?.0)?;
             let retrained = match retrain {
                 Some(how) => {
-                    let own = self.retrained(&camera, how)?;
+                    let own = self.retrained(&camera, how, goes_on)?;
                     Some(psnr(&self.behind(&own, &camera, false, &mut |_| ())?.0)?)
                 }
                 None => None,
@@ -80,20 +80,22 @@ impl Judge<'_> {
             let as_it_stands = psnr(&self.through(&camera.unaligned(), false, &mut |_| ())?.0)?;
             Ok(Aspect { as_it_stands, aligned, retrained, scale, shift_px })
         };
-        let refocused = built.refocused.as_ref().map(shown).transpose()?;
+        let refocused = built.refocused.as_ref().map(|lens| shown(lens, &mut || told(0.0))).transpose()?;
+        #[expect(clippy::cast_precision_loss, reason = "a share")]
+        let share = |done: usize| done as f64 / built.draws.len() as f64;
         let mut draws = Vec::new();
         for (k, (name, lens)) in built.draws.iter().enumerate() {
             let found = match lens {
                 None => Err("no lens was found there".to_owned()),
-                Some(lens) => match shown(lens) {
+                Some(lens) => match shown(lens, &mut || told(share(k))) {
                     Ok(aspect) => Ok(aspect),
+                    Err(Error::Interrupted) => break,
                     Err(e @ Error::BadInput { .. }) => Err(e.words()),
                     Err(e) => return Err(e),
                 },
             };
             draws.push(Drawn { name: name.clone(), shown: found.as_ref().ok().copied(), why: found.err() });
-            #[expect(clippy::cast_precision_loss, reason = "a share")]
-            if !told((k + 1) as f64 / built.draws.len() as f64) {
+            if !told(share(k + 1)) {
                 break;
             }
         }

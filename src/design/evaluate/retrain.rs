@@ -1,4 +1,6 @@
 //! A network trained on for a lens as it was built: for what a camera can be calibrated to one by one, beside what holds for all of them.
+//!
+//! It is trained on captures by rays with one draw of noise each: with many more steps than captures it learns that noise too.
 
 use ndarray::{Array3, Axis};
 
@@ -20,7 +22,7 @@ pub struct Retrain<'a> {
     pub textures: &'a Textures,
     /// Captures by rays, the same ones before every lens.
     pub captures: u64,
-    /// Their side, pixels.
+    /// Their side, pixels; less where the frame is smaller.
     pub side: usize,
     /// Steps of the network, the rate falling to zero by half a cosine.
     pub steps: u64,
@@ -31,9 +33,13 @@ pub struct Retrain<'a> {
 }
 
 impl<'a> Retrain<'a> {
-    /// 48 captures of 128 pixels, four a step, 5e-4.
+    /// Captures, their side, how many a step takes.
+    pub const SIZE: [usize; 3] = [48, 128, 4];
+
+    /// [`Retrain::SIZE`], 5e-4.
     pub fn new(textures: &'a Textures, steps: u64) -> Self {
-        Self { textures, captures: 48, side: 128, steps, batch: 4, rate: 5e-4 }
+        let [captures, side, batch] = Self::SIZE;
+        Self { textures, captures: captures as u64, side, steps, batch, rate: 5e-4 }
     }
 }
 
@@ -44,11 +50,24 @@ impl Judge<'_> {
     /// The network of this judgement trained on for what `camera` captures at the one distance.
     ///
     /// # Errors
-    /// A lens without light, a network that fails.
-    pub(super) fn retrained(&self, camera: &Camera, how: &Retrain<'_>) -> Result<Reconstructor> {
+    /// A lens without light, a frame smaller than the network's scales, a network that fails; [`Error::Interrupted`] where `goes_on` says no.
+    pub(super) fn retrained(
+        &self,
+        camera: &Camera,
+        how: &Retrain<'_>,
+        goes_on: &mut dyn FnMut() -> bool,
+    ) -> Result<Reconstructor> {
         let (network, guide) = self.told;
         let electronics = Electronics::of(self.sensor);
-        let side = how.side.next_multiple_of(network.config().multiple().max(STEP));
+        let multiple = network.config().multiple().max(STEP);
+        let room = self.frame.rows.min(self.frame.columns) / multiple * multiple;
+        let side = how.side.next_multiple_of(multiple).min(room);
+        if side == 0 {
+            let found = format!("{} x {} pixels", self.frame.columns, self.frame.rows);
+            let allowed =
+                format!("a frame of {multiple} x {multiple} pixels or more, which the network can be trained on");
+            return Err(Error::bad(self.subject.name(), "sensor", found, allowed));
+        }
         let (places, map) = (Places::new(&self.frame, side, Spread::Area), &self.renderer.optics.maps[0]);
         let seed = mixed(self.settings.seed, 0x7265_7472);
         let pair = |number: u64| -> Result<Pair> {
@@ -60,7 +79,13 @@ impl Judge<'_> {
             let told = guide.over(done.developed.view(), patch.region, patch.part);
             Ok([told, done.truth.slice(middle(&patch)).to_owned()])
         };
-        let pairs = (0..how.captures.max(1)).map(pair).collect::<Result<Vec<Pair>>>()?;
+        let mut pairs = Vec::new();
+        for number in 0..how.captures.max(1) {
+            pairs.push(pair(number)?);
+            if !goes_on() {
+                return Err(Error::Interrupted);
+            }
+        }
         let mut own = network.again();
         let rng = &mut fastrand::Rng::with_seed(seed);
         for step in 0..how.steps {
@@ -73,6 +98,9 @@ impl Judge<'_> {
             let used = step as f64 / how.steps as f64;
             let rate = how.rate * 0.5 * (1.0 + (std::f64::consts::PI * used).cos());
             own.step_network_only(input.view(), target.view(), None, rate)?;
+            if !goes_on() {
+                return Err(Error::Interrupted);
+            }
         }
         Ok(own)
     }

@@ -52,10 +52,7 @@ impl Trainer {
         let blocks = off(self)?;
         if !blocks.passes() {
             let found = format!("{name}: {}, in blocks {}", says(&whole), says(&blocks));
-            let allowed = format!(
-                "at most {LIMIT} on a batch of {batch} x {channels} x {side} x {side}; use cpu, or another driver"
-            );
-            return Err(Error::bad("isoplanat", "device", found, allowed));
+            return Err(refused(found, [batch, channels, side]));
         }
         self.checked = Some(format!(
             "device: {name}, convolutions in blocks, since whole ones are wrong ({}); so a step agrees with the CPU's ({})",
@@ -144,14 +141,18 @@ impl Reconstructor {
         let off = Deviation::worst(&back(&mut oracle)?, &back(self)?);
         if !off.passes() {
             let found = format!("{name}: {} off by {:.1e} of its size", off.name, off.relative);
-            let allowed = format!(
-                "at most {LIMIT} on a batch of {batch} x {channels} x {side} x {side}; use cpu, or another driver"
-            );
-            return Err(Error::bad("isoplanat", "device", found, allowed));
+            return Err(refused(found, [batch, channels, side]));
         }
         let told = trainer.device().unwrap_or_default();
         Ok(format!("{told}; {} off by {:.1e} of its size", off.name, off.relative))
     }
+}
+
+/// A device that computes something else on a batch of so many pictures of so many channels and such a side.
+fn refused(found: String, [batch, channels, side]: [usize; 3]) -> Error {
+    let allowed =
+        format!("at most {LIMIT} on a batch of {batch} x {channels} x {side} x {side}; use cpu, or another driver");
+    Error::bad("isoplanat", "device", found, allowed)
 }
 
 /// One of the things that are compared.

@@ -11,6 +11,8 @@ use crate::report::table::{Table, significant};
 /// Frequencies of the table, cycles a pixel.
 const QUARTER: f64 = 0.25;
 const HALF: f64 = 0.5;
+/// Where curves are drawn, fortieths of [`HALF`].
+const FREQUENCIES: std::ops::RangeInclusive<u8> = 0..=40;
 
 /// Edges of one camera at one distance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -96,7 +98,7 @@ pub(super) fn table(entrants: &[Entrant]) -> Table {
     table
 }
 
-/// Curves on the axis at each distance; modulation at a quarter of a cycle a pixel over the field at each; captures dashed.
+/// Curves of the place nearest the axis at each distance, the mean of the two directions; modulation at a quarter of a cycle a pixel over the field at each; captures dashed.
 pub(super) fn plots(entrants: &[Entrant]) -> Vec<Plot> {
     let count = entrants.iter().map(|e| e.edges.len()).max().unwrap_or(0);
     let mut plots = Vec::new();
@@ -109,9 +111,14 @@ pub(super) fn plots(entrants: &[Entrant]) -> Vec<Plot> {
         let from = format!("from {} mm", significant(depth_mm, 5));
         let (mut on_axis, mut over_field) = (Vec::new(), Vec::new());
         for (e, edges) in there() {
-            if let Some(first) = edges.curves.first() {
-                on_axis.extend(both(e.label(), first.reconstruction.clone(), first.capture.clone(), Mark::Line));
-            }
+            let [nearest, _] = edges.ends();
+            let curve = |of: &dyn Fn(&Curves) -> Vec<[f64; 2]>| -> Vec<[f64; 2]> {
+                let all: Vec<Vec<[f64; 2]>> = nearest.iter().map(|c| of(c)).collect();
+                let there = FREQUENCIES.map(|k| HALF * f64::from(k) / 40.0);
+                there.filter_map(|f| Some([f, mean(all.iter().map(|points| at(points, f)))?])).collect()
+            };
+            let (after, before) = (curve(&|c| c.reconstruction.clone()), curve(&|c| c.capture.clone()));
+            on_axis.extend(both(e.label(), after, before, Mark::Line));
             let mut heights: Vec<f64> = edges.curves.iter().map(|c| c.height_mm).collect();
             heights.dedup();
             let over = |of: &dyn Fn(&Curves) -> Option<f64>| -> Vec<[f64; 2]> {
@@ -128,7 +135,7 @@ pub(super) fn plots(entrants: &[Entrant]) -> Vec<Plot> {
             series,
             ..Plot::default()
         };
-        plots.push(plot(format!("On the axis, {from}"), "cycles a pixel", on_axis));
+        plots.push(plot(format!("Nearest the axis, {from}"), "cycles a pixel", on_axis));
         let title = format!("At 1/4 cycle a pixel, {from}");
         plots.push(plot(title, "distance from the axis on the sensor, mm", over_field));
     }

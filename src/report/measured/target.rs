@@ -25,7 +25,9 @@ const TEXELS: [usize; 3] = [2, 8, 512];
 /// Radiance of the dark and the bright side; white is 1.
 const LEVELS: [f32; 2] = [0.1, 0.7];
 /// Side of a patch: at least so many pixels, so many times the spot's rms radius more, at most so many.
-pub(super) const SIDE: [usize; 2] = [48, 256];
+pub(super) const SIDE: [usize; 2] = [48, LARGEST];
+/// The larger of them.
+pub const LARGEST: usize = 256;
 const SPOTS: f64 = 12.0;
 /// Rows and columns of a patch start at multiples of this: a mosaic's cell, and what a network halves.
 const STEP: usize = 4;
