@@ -299,7 +299,7 @@ impl Comparison {
     fn add_edges(&self, page: &mut Page) {
         let Some(table) = self.edges() else { return };
         page.section("MTF before and after reconstruction").paragraph(
-            "Slanted edges in captures by rays, green pixels, mean of the two directions: at the place nearest the axis, and where the field ends. Captures dashed. A curve that rises again behind its lowest \
+            "Slanted edges in captures by rays, green pixels, mean of the two directions: at the place nearest the axis, and where the field ends; capture → network, and in the plots captures dashed. A curve that rises again behind its lowest \
              point shows contrast of a turned sign, or a network that draws what it expects. A network may sharpen edges more than fine texture.",
         );
         page.table(&table);

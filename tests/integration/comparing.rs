@@ -156,7 +156,7 @@ semi_diameter_mm = 10.0
     place.write("wide.toml", wide);
     let edges = "compare wide.toml --against ac254_050_a --fields 1 --patch 32 --edges 1 --edge-rays 32 -o edges";
     let told = place.run(edges).done();
-    assert!(told.contains("capture at 1/4 cy/px"), "{told}");
+    assert!(told.contains("MTF at 1/4 cy/px"), "{told}");
     let found = json(&place.run(&format!("{edges} --resume --json")).done());
     let mut measured = 0;
     for row in found["rows"].as_array().expect("rows") {

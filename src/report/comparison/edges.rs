@@ -61,36 +61,28 @@ impl EdgesAt {
     }
 }
 
-/// Modulation on the axis and farthest out at each distance, the mean of the two directions.
+/// Modulation of capture and reconstruction next to the axis and farthest out at each distance, the mean of the two directions.
 pub(super) fn table(entrants: &[Entrant]) -> Table {
-    let mut table = Table::new([
-        "lens",
-        "distance, mm",
-        "height, mm",
-        "capture at 1/4 cy/px",
-        "network",
-        "capture at 1/2 cy/px",
-        "network",
-        "capture rises again by",
-        "network",
-    ]);
+    let mut table =
+        Table::new(["lens", "distance, mm", "height, mm", "MTF at 1/4 cy/px", "at 1/2 cy/px", "rises again by"]);
     let words = |v: Option<f64>| v.map_or("–".to_owned(), |v| format!("{v:.2}"));
     for e in entrants {
         for edges in &e.edges {
             let [axis, end] = edges.ends();
             let one = axis.first().map(|c| c.height_mm) == end.first().map(|c| c.height_mm);
             for some in [Some(axis), (!one).then_some(end)].into_iter().flatten().filter(|s| !s.is_empty()) {
-                let over = |of: &dyn Fn(&Curves) -> Option<f64>| words(mean(some.iter().map(|c| of(c))));
+                let over = |of: &dyn Fn(&[[f64; 2]]) -> Option<f64>| {
+                    let [before, after] =
+                        [mean(some.iter().map(|c| of(&c.capture))), mean(some.iter().map(|c| of(&c.reconstruction)))];
+                    format!("{} → {}", words(before), words(after))
+                };
                 table.row([
                     e.label(),
                     significant(edges.depth_mm, 5),
                     significant(some[0].height_mm, 4),
-                    over(&|c| at(&c.capture, QUARTER)),
-                    over(&|c| at(&c.reconstruction, QUARTER)),
-                    over(&|c| at(&c.capture, HALF)),
-                    over(&|c| at(&c.reconstruction, HALF)),
-                    over(&|c| again(&c.capture)),
-                    over(&|c| again(&c.reconstruction)),
+                    over(&|c| at(c, QUARTER)),
+                    over(&|c| at(c, HALF)),
+                    over(&again),
                 ]);
             }
         }
