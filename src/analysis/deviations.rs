@@ -39,7 +39,7 @@ impl Deviation {
     }
 
     /// The numbers that move.
-    pub fn parameters(&self) -> impl Iterator<Item = Parameter> {
+    fn parameters(&self) -> impl Iterator<Item = Parameter> {
         self.moves.iter().chain(&self.across).map(|(p, _)| *p)
     }
 
@@ -52,6 +52,17 @@ impl Deviation {
         let along = self.moves.iter().map(|(p, by)| (*p, part * c * by));
         along.chain(self.across.iter().map(|(p, by)| (*p, part * s * by))).collect()
     }
+}
+
+/// `first`, then every number that some of `deviations` move, once.
+pub fn parameters(first: Parameter, deviations: &[Deviation]) -> Vec<Parameter> {
+    let mut all = vec![first];
+    for p in deviations.iter().flat_map(Deviation::parameters) {
+        if !all.contains(&p) {
+            all.push(p);
+        }
+    }
+    all
 }
 
 /// Draw `number` of `deviations` from `seed`: numbers and how far they are off; one that several move stands there several times.

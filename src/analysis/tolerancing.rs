@@ -14,7 +14,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 use serde::Serialize;
 
-use super::deviations::{Deviation, deviations, drawn, off_by};
+use super::deviations::{Deviation, deviations, drawn, off_by, parameters};
 use super::fabrication::Fabrication;
 use super::fabrication::tolerances::Tolerances;
 use super::scatter::Scatter;
@@ -119,17 +119,8 @@ impl AsBuilt {
         };
         let light = light_of(&lens, &merit())?;
         let last = Kind::Thickness.at(lens.surfaces.len() - 1);
-        let mut parameters = vec![last];
-        for (p, _) in deviations.iter().flat_map(|d| d.moves.iter().chain(&d.across)) {
-            if !parameters.contains(p) {
-                parameters.push(*p);
-            }
-        }
-        let model = Sensitivity::new(&lens, &merit(), parameters)?.compensated(&[0]);
-        let by_model = |off: &[(Parameter, f64)]| {
-            let index = |p: &Parameter| model.parameters.iter().position(|q| q == p).unwrap_or(0);
-            model.rms(&off.iter().map(|(p, by)| (index(p), *by)).collect::<Vec<_>>())
-        };
+        let model = Sensitivity::new(&lens, &merit(), parameters(last, &deviations))?.compensated(&[0]);
+        let by_model = |off: &[(Parameter, f64)]| model.rms(&model.indexed(off));
         let of_model: Vec<f64> =
             deviations.iter().map(|d| by_model(&d.at(1.0, 0.0)).max(by_model(&d.at(-1.0, 0.0)))).collect();
         let first = started.elapsed().as_secs_f64();

@@ -4,7 +4,7 @@
 //! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Its aperture is what the lens states, a pupil as large as the lens's own. Only what leaves a lens round is drawn: the design's pictures are those of
 //! round lenses, and `isoplanat tolerance` and `evaluate --drawn` judge with tilts and shifts too.
 
-use crate::analysis::deviations::{Deviation, deviations, drawn, off_by};
+use crate::analysis::deviations::{Deviation, deviations, drawn, off_by, parameters};
 use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::error::{Error, Result};
 use crate::imaging::render::Renderer;
@@ -52,13 +52,8 @@ impl AsBuilt {
     /// As [`round`]; rays that fail.
     pub(super) fn new(tolerances: &Tolerances, merit: &Merit, lens: &Lens, seed: u64) -> Result<Self> {
         let all = round(tolerances, lens)?;
-        let mut parameters = vec![Kind::Thickness.at(lens.surfaces.len() - 1)];
-        for p in all.iter().flat_map(Deviation::parameters) {
-            if !parameters.contains(&p) {
-                parameters.push(p);
-            }
-        }
-        let model = Sensitivity::new(lens, merit, parameters)?;
+        let sensor = Kind::Thickness.at(lens.surfaces.len() - 1);
+        let model = Sensitivity::new(lens, merit, parameters(sensor, &all))?;
         let (tolerances, merit) = (tolerances.clone(), merit.clone());
         Ok(Self { tolerances, merit, seed, around: lens.clone(), deviations: all, model })
     }
@@ -74,9 +69,7 @@ impl AsBuilt {
     fn off(&self, number: u64) -> Vec<(Parameter, f64)> {
         // Others than `isoplanat tolerance` draws from the same seed.
         let mut off = drawn(&self.deviations, mixed(self.seed, 0x6465_7369), number);
-        let index = |p: &Parameter| self.model.parameters.iter().position(|q| q == p).unwrap_or(0);
-        let moved: Vec<(usize, f64)> = off.iter().map(|(p, by)| (index(p), *by)).collect();
-        off.push((self.model.parameters[0], self.model.taken_up(0, &moved)));
+        off.push((self.model.parameters[0], self.model.taken_up(0, &self.model.indexed(&off))));
         off
     }
 

@@ -66,6 +66,12 @@ impl Sensitivity {
         out
     }
 
+    /// Numbers and how far they are off, by their place in [`Sensitivity::parameters`].
+    pub fn indexed(&self, off: &[(Parameter, f64)]) -> Vec<(usize, f64)> {
+        let index = |p: &Parameter| self.parameters.iter().position(|q| q == p).unwrap_or(0);
+        off.iter().map(|(p, by)| (index(p), *by)).collect()
+    }
+
     /// How far number `by` moves, in its own unit, to the least rms where others deviate, counted from where it stands at its own least rms without them.
     pub fn taken_up(&self, by: usize, moved: &[(usize, f64)]) -> f64 {
         let own = &self.columns[by];

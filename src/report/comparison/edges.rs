@@ -1,7 +1,6 @@
 //! MTF before and after reconstruction of the cameras of a comparison, by slanted edges ([`crate::report::measured`]).
 
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::Entrant;
 use crate::report::measured::Curves;
@@ -146,11 +145,6 @@ pub(super) fn missing(entrants: &[Entrant]) -> Vec<String> {
             .collect()
     };
     entrants.iter().flat_map(of).collect()
-}
-
-/// The curves of one camera, for machines.
-pub(super) fn json(edges: &[EdgesAt]) -> Value {
-    json!(edges)
 }
 
 #[cfg(test)]
