@@ -1,6 +1,6 @@
 //! `isoplanat design`: a joint stage in a folder that can be killed and resumed at any point.
 //!
-//! The folder holds the task (paths in full), the lens as the task names it (`lens-start.toml`) and as the stage begins with it
+//! The folder holds the task (paths in full), the stages that came before it, the lens as the task names it or the last of those found it (`lens-start.toml`) and as the stage begins with it
 //! (`lens-first.toml`), `network.safetensors` (the last checkpoint: network, its optimiser, and the [`State`] of the stage with the lens; also
 //! readable as a plain network), `lens.toml` (the lens of that checkpoint), `best.safetensors` (the same of the best judgement so far),
 //! `log.csv`, the history: a line of `history.jsonl` and a lens in `lenses/` for each judgement, and `report.html`, written anew at each.
@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::as_built;
+use super::as_built::{self, Sturdiest};
 use super::data::Textures;
 use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
 use super::judge::{MARGIN, corner_seen};
@@ -18,6 +18,7 @@ use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, Scenery};
+use super::stages;
 use super::state::State;
 use super::story::{Judgement, page};
 use super::task::Task;
@@ -31,7 +32,7 @@ use crate::imaging::sensor::Sensor;
 use crate::lens::{Lens, prescription};
 use crate::network::{Compute, Reconstructor};
 use crate::optimize::search::{Plan, Progress, search};
-use crate::optimize::{Limits, Outcome, Problem, optimize};
+use crate::optimize::{Limits, Outcome, Problem, optimize, refocused};
 
 /// The fact of a checkpoint that holds the stage's state.
 const STATE: &str = "design.state";
@@ -67,7 +68,7 @@ pub struct Status<'a> {
 /// What a task asks for, made ready: the first lens, and what moves and is held.
 #[derive(Clone, Debug)]
 pub struct Prepared {
-    /// The lens as the task names it.
+    /// The lens as the task names it, its sensor moved where the task asks for that.
     pub start: Lens,
     /// What the joint stage works on; its lens is the one it begins with.
     pub problem: Problem,
@@ -75,6 +76,8 @@ pub struct Prepared {
     pub warm: Option<Outcome>,
     /// … and whether that lens is the one: not where no light reaches the frame's corner through it.
     pub taken: bool,
+    /// Which lens of a search that was, where the task states tolerances: the first one otherwise.
+    pub sturdy: Option<Sturdiest>,
     /// Half field angle for which the problem was made, degrees, and the distortion that the task's lens has there.
     pub seen: [f64; 2],
 }
@@ -88,7 +91,13 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
         as_built::round(&tolerances, lens).map_err(|e| e.in_file(Path::new(file)))?;
     }
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
-    let [corner, distortion] = corner_seen(lens, &frame, &sensor)?;
+    let mut seen = corner_seen(lens, &frame, &sensor)?;
+    let focused = task.focus_all.then(|| focused(task, lens, seen, file)).transpose()?;
+    if let Some(lens) = &focused {
+        seen = corner_seen(lens, &frame, &sensor)?;
+    }
+    let lens = focused.as_ref().unwrap_or(lens);
+    let [corner, distortion] = seen;
     // Light that reaches the corner; where none does, what the lens states.
     let stated = lens.max_field_deg;
     match improved(task, lens, [corner, distortion], (&frame, &sensor), file, tell) {
@@ -97,6 +106,13 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
         }
         other => other,
     }
+}
+
+/// `lens` with its sensor at the least spots over the field and all distances.
+fn focused(task: &Task, lens: &Lens, seen: [f64; 2], file: &str) -> Result<Lens> {
+    let field_deg = lens.max_field_deg;
+    let problem = task.problem(lens, seen, file)?;
+    refocused(&problem.lens, problem.merit)?.lens.changed(|l| l.max_field_deg = field_deg)
 }
 
 /// [`prepare`] for a field.
@@ -112,6 +128,8 @@ fn improved(
     let mut field_deg = seen[0];
     let mut warm = None;
     let mut taken = false;
+    let mut sturdy = None;
+    let tolerances = task.stated_tolerances()?;
     if task.warm_start && !task.freeze_lens {
         let mut from = problem.clone();
         // What the frame's corner sees moves with the distortion. A lens is a start where light reaches its own corner.
@@ -122,7 +140,9 @@ fn improved(
                     tell(p.share, p.rms);
                     true
                 };
-                search(&from, &plan, &mut told)?.into_iter().next()
+                let found = search(&from, &plan, &mut told)?;
+                sturdy = tolerances.as_ref().and_then(|t| as_built::sturdiest(&found, t, &from.merit, task.seed));
+                found.into_iter().nth(sturdy.map_or(0, |s| s.rank))
             } else {
                 None
             };
@@ -148,7 +168,7 @@ fn improved(
         // Its rays pass, or the reason is told now.
         LensSteps::new(task.lens_steps, &problem)?;
     }
-    Ok(Prepared { start: lens.clone(), problem, warm, taken, seen })
+    Ok(Prepared { start: lens.clone(), problem, warm, taken, seen, sturdy })
 }
 
 /// How the device of a network was found to compute the steps of `task`; of a network that takes none there is nothing to find.
@@ -207,6 +227,9 @@ impl Designing {
             atomic::write_bytes(&inside.join(SCENES), textures.sha256().as_bytes())?;
             let path = inside.join("lenses");
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
+            if !task.stages.is_empty() {
+                stages::carry(folder, inside)?;
+            }
             save(&stage, (None, prepared.seen), inside)
         })?;
         let stage = (stage, device);

@@ -44,11 +44,15 @@ fn sum(parts: &[u64]) -> u64 {
     parts.iter().fold(BASE, |a, b| a.saturating_add(*b))
 }
 
-/// Bytes of `isoplanat design`.
+/// Bytes of `isoplanat design`: of the largest of its stages.
 ///
 /// # Errors
-/// A folder of photographs that cannot be listed.
+/// A folder of photographs that cannot be listed; a stage that is none.
 pub fn of_design(task: &Task) -> Result<u64> {
+    task.parts("")?.iter().try_fold(0, |most, part| Ok(of_part(part)?.max(most)))
+}
+
+fn of_part(task: &Task) -> Result<u64> {
     let network = UnetConfig { base_width: task.base_width, inputs: task.inputs, ..UnetConfig::default() };
     // Patches of a step, or those that settings are chosen with, which are rendered more finely.
     let side = task.patch_px.min(JUDGED.1);

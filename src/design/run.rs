@@ -62,6 +62,8 @@ pub struct JointSettings {
     pub sensor_loss: Option<SensorLoss>,
     /// What lenses may be off by through which pictures are taken.
     pub tolerances: Option<Tolerances>,
+    /// Of how many draws the one with the largest spots is taken.
+    pub worst_of: usize,
     /// How finely it is rendered; `None`: as finely as the lens gradient needs ([`cheapest`]).
     pub settings: Option<Settings>,
 }
@@ -89,6 +91,7 @@ impl JointSettings {
             least_illumination: task.least_illumination,
             sensor_loss: task.sensor_loss.clone(),
             tolerances: task.stated_tolerances()?,
+            worst_of: task.worst_of,
             settings: None,
         })
     }
@@ -179,7 +182,7 @@ impl Stage {
         let own = [lens.object_vergence];
         let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
         let first = settings.settings.unwrap_or(Settings::DESIGN);
-        let around = |t| AsBuilt::new(t, &problem.merit, lens, scenery.seed);
+        let around = |t| AsBuilt::new(t, &problem.merit, lens, (scenery.seed, settings.worst_of));
         let as_built = settings.tolerances.as_ref().map(around).transpose()?;
         let planned = |l: &Lens| Renderer::planned(l, &scenery.frame, &density, &vergences, first);
         let (at, renderer) = widest(lens, as_built.as_ref(), planned)?;

@@ -16,7 +16,7 @@ use crate::optimize::spec::glasses;
 /// # Errors
 /// A draw that is no lens; a glass that is not known.
 pub fn varied(task: &Task, index: u64, known: &Glasses, file: &str) -> Result<(Task, Lens)> {
-    let lens = task.lens(known)?;
+    let lens = task.first(file)?.lens(known)?;
     let mut task = task.clone();
     if index == 0 {
         return Ok((task, lens));

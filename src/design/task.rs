@@ -31,6 +31,9 @@ use crate::trace::rims::overlapping_rims;
 const BARREL: f64 = 0.08;
 const SLACK: f64 = 0.02;
 
+/// Most draws of which the worst one is taken.
+const MOST_DRAWS: usize = 64;
+
 /// Shipped tasks: name, text.
 pub const SHIPPED: [(&str, &str); 6] = [
     ("lfov-paper", include_str!("../../models/tasks/lfov-paper.toml")),
@@ -92,6 +95,9 @@ pub struct Task {
     /// them.
     #[serde(default)]
     pub asphere_power: usize,
+    /// Whether the sensor first moves to the least spots over the field and all distances.
+    #[serde(default, skip_serializing_if = "is_false")]
+    pub focus_all: bool,
     /// Starts of a global search by spots, where the lens is first improved by those; 0: from the lens alone.
     #[serde(default)]
     pub search: usize,
@@ -128,6 +134,9 @@ pub struct Task {
     /// What lenses may be off by through which the design's pictures are taken: a file as for `isoplanat tolerance`, or its keys.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tolerances: Option<Stated>,
+    /// Of how many of those draws the one with the largest spots is taken.
+    #[serde(default = "once", skip_serializing_if = "is_once")]
+    pub worst_of: usize,
     /// How patches are spread over the field.
     #[serde(default)]
     pub spread: Spread,
@@ -146,6 +155,9 @@ pub struct Task {
     /// Train the network alone.
     #[serde(default)]
     pub freeze_lens: bool,
+    /// Designs that come before this one, each from the lens of the one before: what is different in them ([`super::stages`]).
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub stages: Vec<toml::Table>,
     /// What differs between the designs of a sweep (`isoplanat sweep`).
     #[serde(default, skip_serializing_if = "no_sweep")]
     pub sweep: SweepTask,
@@ -184,6 +196,20 @@ fn one() -> f64 {
 #[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
 fn is_one(value: &f64) -> bool {
     *value == 1.0
+}
+
+fn once() -> usize {
+    1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_once(value: &usize) -> bool {
+    *value == 1
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks for a reference")]
+fn is_false(value: &bool) -> bool {
+    !value
 }
 
 fn default_batch() -> usize {
@@ -239,6 +265,7 @@ impl Task {
             inputs: Inputs::BARE,
             optics: Spec::default(),
             asphere_power: 0,
+            focus_all: false,
             search: 0,
             warm_start: true,
             lens_steps: Steps::default(),
@@ -251,12 +278,14 @@ impl Task {
             depth_power: 1.0,
             sensor_loss: None,
             tolerances: None,
+            worst_of: 1,
             spread: Spread::default(),
             keep_first: 0,
             checks: default_checks(),
             checkpoint_seconds: default_checkpoint_seconds(),
             network_rate: default_network_rate(),
             freeze_lens: false,
+            stages: Vec::new(),
             sweep: SweepTask::default(),
             train: TrainTask::default(),
         }
@@ -382,6 +411,11 @@ impl Task {
             }
         }
         self.stated_tolerances().map_err(|e| e.in_file(Path::new(file)))?;
+        let most = if self.tolerances.is_some() { MOST_DRAWS } else { 1 };
+        if !(1..=most).contains(&self.worst_of) {
+            return bad("worst_of", self.worst_of.to_string(), "1 to 64 beside tolerances, 1 without");
+        }
+        self.parts(file)?;
         if self.keep_first > 0 && self.photos.is_none() {
             return bad("keep_first", self.keep_first.to_string(), "0 where no folder of photographs is named");
         }

@@ -94,6 +94,77 @@ fn a_killed_design_ends_with_the_same_bits() {
     place.run("design task.toml -o killed").refused(&["killed", "--force"]);
 }
 
+/// A design in stages: each from the lens of the one before, killed at random and resumed to the same bits; what a stage may not say is refused by its name.
+#[test]
+fn stages_follow_each_other_through_kills() {
+    let place = Workplace::new();
+    let staged = format!(
+        "{}depths_mm = [800.0, 1000.0]\nfocus_all = true\nwarm_start = false\ndepth_power = 4.0\n[[stages]]\nsteps = 40\ndepth_power = 1.0\n[[stages]]\nsteps = 30\nlens_rate_um = 1.0\ninputs = [\"field\"]\n",
+        TASK.replace("steps = 90", "steps = 50")
+    );
+    place.write("task.toml", staged.clone());
+    let told = place.run("design task.toml -o whole --json").done();
+    assert_eq!(told.out.lines().count(), 1, "JSON is of the result alone: {}", told.out);
+    assert_eq!(serde_json::from_str::<serde_json::Value>(&told.out).expect("JSON")["steps"], 50);
+    for k in 1..=3 {
+        assert!(told.err.contains(&format!("stage {k} of 3")), "{}", told.err);
+    }
+    let read = |path: &str| std::fs::read_to_string(place.path(path)).unwrap_or_else(|e| panic!("{path}: {e}"));
+    let sensor = |path: &str| read(path).lines().filter(|l| l.starts_with("thickness")).last().expect("a thickness").to_owned();
+    // Each begins with what the one before found; the first with the sensor moved, and every one moves the lens.
+    assert_ne!(sensor("whole/stages/1/lens-start.toml"), {
+        place.run("convert two_element -o two.toml").done();
+        sensor("two.toml")
+    });
+    let surfaces = |path: &str| read(path)[read(path).find("[[surface]]").expect("surfaces")..].to_owned();
+    for (before, after) in [("whole/stages/1", "whole/stages/2"), ("whole/stages/2", "whole")] {
+        assert_eq!(surfaces(&format!("{before}/lens.toml")), surfaces(&format!("{after}/lens-start.toml")));
+        assert_ne!(surfaces(&format!("{after}/lens-start.toml")), surfaces(&format!("{after}/lens.toml")));
+    }
+    let rng = &mut fastrand::Rng::with_seed(8);
+    let mut kills = 0;
+    for _ in 0..40 {
+        let arguments: &[&str] = if place.path("killed/task.toml").is_file() { &["--resume"] } else { &["task.toml"] };
+        let mut command = Command::new(env!("CARGO_BIN_EXE_isoplanat"));
+        command.arg("design").args(arguments).args(["-o", "killed"]).current_dir(place.path("."));
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        std::thread::sleep(Duration::from_millis(rng.u64(200..700)));
+        if child.try_wait().expect("waits").is_some() {
+            break;
+        }
+        child.kill().expect("killed");
+        child.wait().expect("reaped");
+        kills += 1;
+    }
+    assert!(kills >= 2, "only {kills} kills met a design under way");
+    place.run("design --resume -o killed").done();
+    let network = |run: &str| tensors(&place.path(run).join("network.safetensors"));
+    for part in ["stages/1", "stages/2", "."] {
+        assert_eq!(network(&format!("killed/{part}")), network(&format!("whole/{part}")), "{part}");
+    }
+    // Other commands take the folder as any design's; a fresh design in its place has no stages of the old one.
+    place.run("evaluate whole --fields 2 --patch 32").done();
+    place.write("plain.toml", TASK.replace("steps = 90", "steps = 3"));
+    place.run("design plain.toml -o whole --force").done();
+    assert!(!place.path("whole/stages").exists());
+    let looked = place.run("design task.toml --check --json --steps 7").done();
+    let looked: serde_json::Value = serde_json::from_str(&looked.out).expect("JSON");
+    assert_eq!(looked["stages"].as_array().map(Vec::len), Some(3));
+    for (was, is, said) in [
+        ("lens_rate_um = 1.0", "lens = \"heliar\"", "stages[1]"),
+        ("lens_rate_um = 1.0", "lens_rate_um = -1.0", "stages[1].lens_rate_um"),
+        ("lens_rate_um = 1.0", "minutes = 3.0", "stages[1].steps, minutes"),
+        ("steps = 40", "steps = \"many\"", "stages[0]"),
+        ("warm_start = false\n", "warm_start = false\nworst_of = 3\n", "worst_of"),
+    ] {
+        let bad = staged.replacen(was, is, 1);
+        assert_ne!(bad, staged);
+        place.write("bad.toml", bad);
+        place.run("design bad.toml -o none").refused(&["bad.toml", said]);
+    }
+    assert!(!place.path("none").exists());
+}
+
 /// A disk that is full in the middle of a design ends it with the file's name; the last checkpoint stands, and the design goes on from it to
 /// the same bits.
 #[test]

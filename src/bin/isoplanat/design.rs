@@ -13,6 +13,7 @@ use isoplanat::design::memory;
 use isoplanat::design::pace::pace;
 use isoplanat::design::run::{JointSettings, network};
 use isoplanat::design::scenery::{Entry, Scenery};
+use isoplanat::design::stages;
 use isoplanat::design::stated::Stated;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
@@ -33,12 +34,12 @@ pub(crate) struct Args {
     #[arg(short, long, required_unless_present = "check")]
     output: Option<PathBuf>,
     /// Go on with the run in that folder
-    #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed", "tolerance_aware"])]
+    #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed", "tolerance_aware", "worst_of"])]
     resume: bool,
-    /// Length in minutes, in place of the task's
+    /// Length in minutes, in place of the task's; of each of its stages
     #[arg(long, conflicts_with = "steps")]
     minutes: Option<f64>,
-    /// Length in steps, in place of the task's
+    /// Length in steps, in place of the task's; of each of its stages
     #[arg(long)]
     steps: Option<usize>,
     /// Folder of photographs to train on, in place of the task's
@@ -53,6 +54,9 @@ pub(crate) struct Args {
     /// Take pictures through lenses that are off by draws of this file of tolerances (as for `isoplanat tolerance`), in place of the task's
     #[arg(long, value_name = "FILE")]
     tolerance_aware: Option<PathBuf>,
+    /// Of so many of those draws take the one with the largest spots, in place of the task's
+    #[arg(long, value_name = "N")]
+    worst_of: Option<usize>,
     /// Say what would be done, and how long a step takes here; nothing is written
     #[arg(long)]
     check: bool,
@@ -73,22 +77,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return check(args, out);
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
-    let validate = args.validate.as_deref();
-    // Before a device is tried on the task's own shapes; a folder that is no run says so itself.
-    if args.resume
-        && let Ok(task) = Task::load(&folder.join("task.toml"))
-    {
-        crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
-    }
-    let Some(path) = &args.task else {
-        return driven(Designing::resume(folder, args.device)?, folder, validate, args.json, out);
-    };
+    let told = Told { folder, validate: args.validate.as_deref(), json: args.json };
+    let Some(path) = &args.task else { return go_on(folder, args.device, told, out) };
     folder::check(folder, args.force)?;
-    let task = ready(args, path)?;
-    let lens = task.lens(crate::glasses::all())?;
+    let (task, file) = (ready(args, path)?, path.display().to_string());
+    let lens = task.first(&file)?.lens(crate::glasses::all())?;
     drawable(args, &lens)?;
-    let begun = begun(task, &lens, &path.display().to_string(), folder, (args.force, args.device))?;
-    driven(begun, folder, validate, args.json, out)
+    start(task, &lens, &file, (args.force, args.device), told, out)
 }
 
 /// Designs `lens` by `task` (of `file`) in `folder`.
@@ -102,12 +97,103 @@ pub(crate) fn designed(
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
     folder::check(folder, force)?;
-    driven(begun(task, lens, file, folder, (force, Compute::Cpu))?, folder, None, json, out)
+    start(task, lens, file, (force, Compute::Cpu), Told { folder, validate: None, json }, out)
 }
 
 /// Goes on in `folder`.
 pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    driven(Designing::resume(folder, Compute::Cpu)?, folder, None, json, out)
+    go_on(folder, Compute::Cpu, Told { folder, validate: None, json }, out)
+}
+
+/// What is told, and of which folder.
+#[derive(Clone, Copy)]
+struct Told<'a> {
+    folder: &'a Path,
+    /// Photographs that the result is judged on too.
+    validate: Option<&'a Path>,
+    json: bool,
+}
+
+/// A design from its beginning.
+fn start(
+    task: Task,
+    lens: &Lens,
+    file: &str,
+    (force, device): (bool, Compute),
+    told: Told<'_>,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
+    if task.stages.is_empty() {
+        return driven(begun(task, lens, file, told.folder, (force, device))?, told, out);
+    }
+    // What a later stage would be refused for is said before the first begins.
+    task.parts(file)?.iter().try_for_each(|part| allowed(part, file))?;
+    by_images(&task, told.validate)?;
+    stages::make(&task, lens, told.folder, force)?;
+    go_on(told.folder, device, told, out)
+}
+
+/// A design from where its folder stands.
+fn go_on(folder: &Path, device: Compute, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let marker = folder.join(folder::MARKER);
+    let file = marker.display().to_string();
+    let reached = stages::reached(folder);
+    // A folder that is no run says so itself.
+    let staged = Task::load(&marker).ok().filter(|task| !task.stages.is_empty() && !reached.own);
+    let Some(task) = staged else {
+        // Before a device is tried on the task's own shapes.
+        if let Ok(task) = Task::load(&marker) {
+            crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
+        }
+        return driven(Designing::resume(folder, device)?, told, out);
+    };
+    let mut parts = task.parts(&file)?;
+    let count = parts.len();
+    let own = parts.pop();
+    let (mut lens, held) = stages::held(folder)?;
+    let mut found: Option<PathBuf> = None;
+    // The lens that the stage before found, with the terms that this one moves.
+    let next = |part: &mut Task, found: &Option<PathBuf>| -> Result<Option<Lens>> {
+        let Some(path) = found else { return Ok(None) };
+        part.lens = path.display().to_string();
+        part.lens(crate::glasses::all()).map(Some)
+    };
+    for (k, mut part) in parts.into_iter().enumerate() {
+        let inside = stages::folder_of(folder, k);
+        if k + 1 >= reached.begun {
+            eprintln!("stage {} of {count}", k + 1);
+            let designing = if k < reached.begun {
+                Designing::resume(&inside, device)?
+            } else {
+                lens = next(&mut part, &found)?.unwrap_or(lens);
+                begun(part, &lens, &file, &inside, (false, device))?
+            };
+            // JSON is of the result alone.
+            let quiet: &mut dyn Write = if told.json { &mut std::io::sink() } else { &mut *out };
+            driven(designing, Told { validate: None, ..told }, quiet)?;
+        }
+        found = Some(inside.join("lens.toml"));
+    }
+    eprintln!("stage {count} of {count}");
+    let Some(mut own) = own else { return Err(Error::Internal("a task without parts".into()).into()) };
+    lens = next(&mut own, &found)?.unwrap_or(lens);
+    let prepared = prepared(&own, &lens, &file)?;
+    let network = network(own.base_width, own.inputs, own.seed, device)?;
+    let textures = own.textures()?;
+    // The folder gives way to that of the finished stages.
+    drop(held);
+    driven(Designing::create(task, &prepared, network, textures, folder, true)?, told, out)
+}
+
+/// Refuses to judge a network that a task has none of.
+fn by_images(task: &Task, validate_on: Option<&Path>) -> Result<bool> {
+    let by_images = task.sensor_loss.is_some();
+    if let Some(folder) = validate_on.filter(|_| by_images) {
+        let allowed =
+            "no --validate for a task with sensor_loss, which has no network; `isoplanat train`, then `evaluate`";
+        return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed));
+    }
+    Ok(by_images)
 }
 
 fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, (force, device): (bool, Compute)) -> Result<Designing> {
@@ -119,19 +205,9 @@ fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, (force, device): (b
 }
 
 /// Runs a design to its end, and says how it went.
-fn driven(
-    mut designing: Designing,
-    folder: &Path,
-    validate_on: Option<&Path>,
-    json: bool,
-    out: &mut dyn Write,
-) -> anyhow::Result<()> {
-    let by_images = designing.task().sensor_loss.is_some();
-    if let Some(folder) = validate_on.filter(|_| by_images) {
-        let allowed =
-            "no --validate for a task with sensor_loss, which has no network; `isoplanat train`, then `evaluate`";
-        return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed).into());
-    }
+fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let Told { folder, validate: validate_on, json } = told;
+    let by_images = by_images(designing.task(), validate_on)?;
     let held_out = validate_on.map(Textures::photos).transpose()?;
     let bytes = memory::of_design(designing.task())?;
     crate::memory::limit().allow("the design", bytes, INSTEAD)?;
@@ -153,7 +229,7 @@ fn driven(
         let of = status.total.map_or(String::new(), |n| format!(" of {n}"));
         let held_out = status.judged.map_or(String::new(), |j| format!("  held out {:.2} dB", j.output_psnr_db));
         let active = status.active.first().map_or(String::new(), |a| format!("  held by {a}"));
-        bar.set(status.share, format!("step {}{of}  {}{held_out}{active}", status.step, told(e, by_images, 4)));
+        bar.set(status.share, format!("step {}{of}  {}{held_out}{active}", status.step, entry(e, by_images, 4)));
         last = Some(e.clone());
         !asked()
     });
@@ -184,7 +260,7 @@ fn driven(
     }
     let mut tell = |name: &str, e: Option<&Entry>| -> std::io::Result<()> {
         let Some(e) = e else { return Ok(()) };
-        writeln!(out, "{name:11} {}", told(e, by_images, 5))
+        writeln!(out, "{name:11} {}", entry(e, by_images, 5))
     };
     tell("training", last.as_ref())?;
     tell("held out", designing.judged())?;
@@ -210,7 +286,7 @@ fn driven(
 }
 
 /// An entry in words.
-fn told(e: &Entry, by_images: bool, digits: usize) -> String {
+fn entry(e: &Entry, by_images: bool, digits: usize) -> String {
     let [a, b] = [e.input_psnr_db, e.output_psnr_db];
     if by_images {
         return format!("loss {:.digits$}  {a:.2} dB, the lowest distance {b:.2} dB", e.loss);
@@ -225,12 +301,15 @@ fn ready(args: &Args, path: &Path) -> Result<Task> {
     let mut task = Task::load(path)?;
     if args.minutes.is_some() || args.steps.is_some() {
         (task.minutes, task.steps) = (args.minutes, args.steps);
+        // Of each of its stages.
+        task.stages.iter_mut().for_each(|stage| stage.retain(|key, _| key != "minutes" && key != "steps"));
     }
     task.photos = args.photos.clone().or(task.photos);
     task.seed = args.seed.unwrap_or(task.seed);
     if let Some(path) = &args.tolerance_aware {
         task.tolerances = Some(Stated::read(path)?);
     }
+    task.worst_of = args.worst_of.unwrap_or(task.worst_of);
     task.check(&path.display().to_string())?;
     Ok(task)
 }
@@ -257,6 +336,14 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     if let Some(bar) = bar {
         bar.done(String::new());
     }
+    if let Some(s) = &prepared.sturdy {
+        let [least, first] = s.spots_mm.map(|mm| 1e3 * mm);
+        eprintln!(
+            "spots first: of {} lenses that the search found number {}: nine in ten as built within {least:.1} µm rms, of number 1 within {first:.1} µm",
+            s.of,
+            s.rank + 1
+        );
+    }
     if prepared.warm.is_some() && !prepared.taken {
         eprintln!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
     } else if let Some(warm) = &prepared.warm {
@@ -271,15 +358,45 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     Ok(prepared)
 }
 
-/// What would be done.
+/// What would be done, in every stage; all of them with the lens that the first one begins with.
 fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(path) = &args.task else { return Err(Error::bad("TASK", "value", "missing", "a task file").into()) };
-    let task = ready(args, path)?;
-    allowed(&task, &path.display().to_string())?;
-    let lens = task.lens(crate::glasses::all())?;
+    let (task, file) = (ready(args, path)?, path.display().to_string());
+    let parts = task.parts(&file)?;
+    parts.iter().try_for_each(|part| allowed(part, &file))?;
+    let lens = parts[0].lens(crate::glasses::all())?;
     drawable(args, &lens)?;
-    let prepared = prepared(&task, &lens, &path.display().to_string())?;
-    let (problem, settings) = (&prepared.problem, JointSettings::of(&task)?);
+    if !args.json {
+        writeln!(out, "{file}: nothing was written")?;
+    }
+    let mut values = Vec::new();
+    for (k, part) in parts.iter().enumerate() {
+        if parts.len() > 1 && !args.json {
+            writeln!(out, "\nstage {} of {}, from the lens that the first one begins with", k + 1, parts.len())?;
+        }
+        let lens = if k == 0 { lens.clone() } else { part.lens(crate::glasses::all())? };
+        values.push(looked_at(part, &lens, &file, args, out)?);
+    }
+    if args.json {
+        let value = match values.as_slice() {
+            [one] => one.clone(),
+            all => serde_json::json!({ "schema": 1, "stages": all }),
+        };
+        writeln!(out, "{value}")?;
+    }
+    Ok(())
+}
+
+/// What would be done in one of them: in words, or as the value that is returned.
+fn looked_at(
+    task: &Task,
+    lens: &Lens,
+    file: &str,
+    args: &Args,
+    out: &mut dyn Write,
+) -> anyhow::Result<serde_json::Value> {
+    let prepared = prepared(task, lens, file)?;
+    let (problem, settings) = (&prepared.problem, JointSettings::of(task)?);
     let textures = task.textures()?;
     let sensor = task.sensor()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
@@ -300,10 +417,8 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
             "seconds_in_all": pace.all(&settings),
             "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg, "scenes": textures.len() });
-        writeln!(out, "{value}")?;
-        return Ok(());
+        return Ok(value);
     }
-    writeln!(out, "{}: nothing was written", path.display())?;
     writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg, textures.len())?;
     if let Some(rms) = spots {
         writeln!(out, "the stage begins with spots of {:.1} µm rms", 1e3 * rms)?;
@@ -326,5 +441,5 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         pace.held,
         pace.all(&settings) / 60.0
     )?;
-    Ok(())
+    Ok(serde_json::Value::Null)
 }

@@ -1,0 +1,168 @@
+//! A design in stages: several joint stages one after the other, each with a fresh network, from the lens that the one before found.
+//!
+//! A task's `[[stages]]` come before the design that the task itself states; each states what is different in it.
+
+use std::fs::{self, File};
+use std::path::{Path, PathBuf};
+
+use super::folder::{MARKER, check, lock, made};
+use super::task::Task;
+use super::train_task::NETWORK;
+use crate::atomic;
+use crate::error::{Error, Result};
+use crate::lens::{Lens, prescription};
+
+/// Folder of the stages in that of the design.
+const STAGES: &str = "stages";
+/// What a stage may state, the same keys as of the task.
+const KEYS: [&str; 19] = [
+    "asphere_power",
+    "base_width",
+    "batch",
+    "checks",
+    "depth_power",
+    "depths_mm",
+    "epochs",
+    "inputs",
+    "least_illumination",
+    "lens_rate",
+    "lens_rate_um",
+    "lens_share",
+    "lens_steps",
+    "minutes",
+    "network_rate",
+    "optics",
+    "patch_px",
+    "sensor_loss",
+    "steps",
+];
+/// The lens as the task names it.
+const START: &str = "lens-start.toml";
+/// Most stages.
+const MOST: usize = 16;
+
+impl Task {
+    /// The designs that it asks for, one after the other, the last one its own; none of them has stages. Their `lens` is the task's: from the second on it is to be what the one before found, and is taken
+    /// as it is. `file` names the task.
+    ///
+    /// # Errors
+    /// A stage with a key that it may not state, or a value that is not allowed.
+    pub fn parts(&self, file: &str) -> Result<Vec<Self>> {
+        if self.stages.len() > MOST {
+            return Err(Error::bad(file, STAGES, self.stages.len().to_string(), format!("at most {MOST}")));
+        }
+        let own = Self { stages: Vec::new(), ..self.clone() };
+        let mut parts = self.stages.iter().enumerate().map(|(k, keys)| own.with(keys, file, k)).collect::<Result<Vec<_>>>()?;
+        parts.push(own);
+        for later in parts.iter_mut().skip(1) {
+            (later.focus_all, later.warm_start, later.search) = (false, false, 0);
+        }
+        Ok(parts)
+    }
+
+    /// The first of them.
+    ///
+    /// # Errors
+    /// As [`Task::parts`].
+    pub fn first(&self, file: &str) -> Result<Self> {
+        Ok(self.parts(file)?.swap_remove(0))
+    }
+
+    /// It with what stage `number` states.
+    fn with(&self, keys: &toml::Table, file: &str, number: usize) -> Result<Self> {
+        let internal = |e: toml::ser::Error| Error::Internal(format!("task: {e}"));
+        let mut all = toml::Table::try_from(self).map_err(internal)?;
+        for (key, value) in keys {
+            if !KEYS.contains(&key.as_str()) {
+                let allowed = format!("one of {}", KEYS.join(", "));
+                return Err(Error::bad(file, format!("{STAGES}[{number}]"), key.as_str(), allowed));
+            }
+            // A length is one of the two.
+            match key.as_str() {
+                "steps" => drop(all.remove("minutes")),
+                "minutes" => drop(all.remove("steps")),
+                _ => {}
+            }
+            all.insert(key.clone(), value.clone());
+        }
+        if keys.contains_key("steps") && keys.contains_key("minutes") {
+            let place = format!("{STAGES}[{number}].steps, minutes");
+            return Err(Error::bad(file, place, "both", "one of steps and minutes"));
+        }
+        let stage: Self = all.try_into().map_err(|e: toml::de::Error| {
+            let allowed = "the values of models/README.md";
+            Error::bad(file, format!("{STAGES}[{number}]"), e.message().trim().replace('\n', " "), allowed)
+        })?;
+        stage.check(file).map_err(|e| match e {
+            Error::BadInput { file, place, found, allowed } => {
+                Error::BadInput { file, place: format!("{STAGES}[{number}].{place}"), found, allowed }
+            }
+            other => other,
+        })?;
+        Ok(stage)
+    }
+}
+
+/// The folder of stage `number`, from 0, of the design in `folder`.
+pub fn folder_of(folder: &Path, number: usize) -> PathBuf {
+    folder.join(STAGES).join((number + 1).to_string())
+}
+
+/// Where the design in `folder` stands: how many of its stages have begun, and whether its own design has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Reached {
+    /// Stages that have begun; all but the last of them are over.
+    pub begun: usize,
+    /// Its own design has begun: all of them are over.
+    pub own: bool,
+}
+
+/// What is there of the design in `folder`.
+pub fn reached(folder: &Path) -> Reached {
+    let begun = (0..MOST).take_while(|k| folder_of(folder, *k).join(NETWORK).is_file()).count();
+    Reached { begun, own: folder.join(NETWORK).is_file() }
+}
+
+/// Makes the folder of a design in stages, before the first of them: its task and its lens.
+///
+/// # Errors
+/// As [`check`]; what the disk says.
+pub fn make(task: &Task, lens: &Lens, folder: &Path, replace: bool) -> Result<()> {
+    check(folder, replace)?;
+    made(folder, replace, |inside| {
+        atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
+        let path = inside.join(STAGES);
+        fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
+        prescription::save(lens, &inside.join(START))
+    })?;
+    Ok(())
+}
+
+/// The lens of a folder that [`make`] made; its lock is held while what is returned lives: while stages are designed.
+///
+/// # Errors
+/// A folder in which another process works, or that holds no lens.
+pub fn held(folder: &Path) -> Result<(Lens, File)> {
+    let lock = lock(folder)?;
+    Ok((prescription::load(&folder.join(START))?, lock))
+}
+
+/// The stages of the design that `folder` holds, copied into the folder that takes its place.
+pub(super) fn carry(folder: &Path, inside: &Path) -> Result<()> {
+    fn copied(from: &Path, to: &Path) -> Result<()> {
+        fs::create_dir_all(to).map_err(|e| Error::writing(to, e))?;
+        for entry in fs::read_dir(from).map_err(|e| Error::reading(from, e))? {
+            let path = entry.map_err(|e| Error::reading(from, e))?.path();
+            let Some(name) = path.file_name() else { continue };
+            let there = to.join(name);
+            if path.is_dir() {
+                copied(&path, &there)?;
+            } else {
+                fs::copy(&path, &there).map_err(|e| Error::writing(&there, e))?;
+            }
+        }
+        Ok(())
+    }
+    let from = folder.join(STAGES);
+    if from.is_dir() { copied(&from, &inside.join(STAGES)) } else { Ok(()) }
+}
