@@ -150,7 +150,7 @@ pub(super) fn widest(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::tolerancing::{Settings, Tolerancing};
+    use crate::analysis::tolerancing::{self, Settings};
     use crate::lens::builtin;
     use crate::optimize::refocused;
     use crate::optimize::search::{Plan, search};
@@ -220,7 +220,7 @@ mod tests {
         let chosen = sturdiest(&found, &tolerances, &problem.merit, 1).expect("lenses");
         let settings = Settings { draws: 60, seed: 1, lenses: false };
         let by_draws = |o: &Outcome| {
-            let told = Tolerancing::new(&o.lens, &tolerances, settings, &mut |_| true);
+            let told = tolerancing::AsBuilt::new(&o.lens, &tolerances, settings, &mut |_| true);
             told.map_or(f64::INFINITY, |(t, _)| t.quantile(SHARE)[0])
         };
         let all: Vec<f64> = found.iter().map(|o| if o.share < 1.0 { f64::INFINITY } else { by_draws(o) }).collect();

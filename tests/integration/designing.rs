@@ -103,7 +103,8 @@ fn stages_follow_each_other_through_kills() {
         TASK.replace("steps = 90", "steps = 50")
     );
     place.write("task.toml", staged.clone());
-    let told = place.run("design task.toml -o whole --json").done();
+    let told = place.run("design task.toml -o whole --json");
+    assert_eq!(told.code, 0, "{told:?}");
     assert_eq!(told.out.lines().count(), 1, "JSON is of the result alone: {}", told.out);
     assert_eq!(serde_json::from_str::<serde_json::Value>(&told.out).expect("JSON")["steps"], 50);
     for k in 1..=3 {
@@ -148,7 +149,7 @@ fn stages_follow_each_other_through_kills() {
     place.run("design plain.toml -o whole --force").done();
     assert!(!place.path("whole/stages").exists());
     let looked = place.run("design task.toml --check --json --steps 7").done();
-    let looked: serde_json::Value = serde_json::from_str(&looked.out).expect("JSON");
+    let looked: serde_json::Value = serde_json::from_str(&looked).expect("JSON");
     assert_eq!(looked["stages"].as_array().map(Vec::len), Some(3));
     for (was, is, said) in [
         ("lens_rate_um = 1.0", "lens = \"heliar\"", "stages[1]"),
