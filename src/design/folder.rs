@@ -76,7 +76,7 @@ pub(super) fn scenes_of(folder: &Path) -> Result<Option<String>> {
 ///
 /// # Errors
 /// As [`scenes_of`]; other pictures.
-pub(super) fn same_scenes(folder: &Path, now: &str) -> Result<()> {
+pub fn same_scenes(folder: &Path, now: &str) -> Result<()> {
     match scenes_of(folder)? {
         Some(then) if then != now => {
             let allowed = "the pictures that it began with: a run is what it was trained on; a new run for others";

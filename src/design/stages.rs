@@ -52,7 +52,8 @@ impl Task {
             return Err(Error::bad(file, STAGES, self.stages.len().to_string(), format!("at most {MOST}")));
         }
         let own = Self { stages: Vec::new(), ..self.clone() };
-        let mut parts = self.stages.iter().enumerate().map(|(k, keys)| own.with(keys, file, k)).collect::<Result<Vec<_>>>()?;
+        let mut parts =
+            self.stages.iter().enumerate().map(|(k, keys)| own.with(keys, file, k)).collect::<Result<Vec<_>>>()?;
         parts.push(own);
         for later in parts.iter_mut().skip(1) {
             (later.focus_all, later.warm_start, later.search) = (false, false, 0);

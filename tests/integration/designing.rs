@@ -111,7 +111,8 @@ fn stages_follow_each_other_through_kills() {
         assert!(told.err.contains(&format!("stage {k} of 3")), "{}", told.err);
     }
     let read = |path: &str| std::fs::read_to_string(place.path(path)).unwrap_or_else(|e| panic!("{path}: {e}"));
-    let sensor = |path: &str| read(path).lines().filter(|l| l.starts_with("thickness")).last().expect("a thickness").to_owned();
+    let sensor =
+        |path: &str| read(path).lines().filter(|l| l.starts_with("thickness")).last().expect("a thickness").to_owned();
     // Each begins with what the one before found; the first with the sensor moved, and every one moves the lens.
     assert_ne!(sensor("whole/stages/1/lens-start.toml"), {
         place.run("convert two_element -o two.toml").done();
@@ -190,27 +191,33 @@ fn a_full_disk_loses_no_checkpoint() {
     assert_eq!(place.files(), ["full", "task.toml", "whole"]);
 }
 
-/// A folder is one design's: while that runs nobody goes on in it or writes over it.
+/// A folder is one design's: while that runs, or one of its stages, nobody goes on in it or writes over it.
 #[test]
 fn two_designs_do_not_share_a_folder() {
     let place = Workplace::new();
-    place.write("task.toml", TASK.replace("steps = 90", "steps = 100000"));
-    let mut command = place.command("design task.toml -o run");
-    let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
-    let end = Instant::now() + Duration::from_secs(60);
-    while !place.path("run/network.safetensors").exists() && Instant::now() < end {
-        std::thread::sleep(Duration::from_millis(5));
+    place.write("short.toml", TASK);
+    for (stages, checkpoint) in
+        [("", "run/network.safetensors"), ("[[stages]]\ndepth_power = 1.0\n", "run/stages/1/network.safetensors")]
+    {
+        place.write("task.toml", TASK.replace("steps = 90", "steps = 100000") + stages);
+        let mut command = place.command("design task.toml -o run --force");
+        let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
+        let end = Instant::now() + Duration::from_secs(60);
+        while !place.path(checkpoint).exists() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        let second = [place.run("design --resume -o run"), place.run("design short.toml -o run --force --steps 3")];
+        let alive = child.try_wait().expect("waits").is_none();
+        child.kill().expect("killed");
+        child.wait().expect("reaped");
+        assert!(alive, "the first one was still at work");
+        for ran in second {
+            ran.refused(&["run", "another process"]);
+        }
+        // It ended; now there is nobody.
+        place.run("design short.toml -o run --force --steps 3").done();
+        assert!(!place.path("run/stages").exists());
     }
-    let second = [place.run("design --resume -o run"), place.run("design task.toml -o run --force --steps 3")];
-    let alive = child.try_wait().expect("waits").is_none();
-    child.kill().expect("killed");
-    child.wait().expect("reaped");
-    assert!(alive, "the first one was still at work");
-    for ran in second {
-        ran.refused(&["run", "another process"]);
-    }
-    // It ended; now there is nobody.
-    place.run("design task.toml -o run --force --steps 3").done();
 }
 
 /// A design says beforehand what it would do, and writes nothing.
@@ -260,6 +267,11 @@ fn a_design_across_lenses_as_built() {
     place.run("design task.toml -o plain").done();
     let lens = |run: &str| std::fs::read_to_string(place.path(run).join("lens.toml")).expect("a lens");
     assert_ne!(lens("run"), lens("plain"));
+    // A network is trained on for a lens by the run's own pictures, or not at all.
+    place.run("tolerance run/lens.toml --tolerances t.toml --draws 2 --lenses drawn").done();
+    place.write("plain/scenes.sha256", "0".repeat(64));
+    let ran = place.run("evaluate plain --drawn drawn --retrain 2 --reference 4 --patch 32 --fields 1");
+    assert!(ran.code == 2 && ran.err.contains("scenes.sha256"), "{ran:?}");
     std::fs::remove_file(place.path("t.toml")).expect("there");
     let kept = std::fs::read_to_string(place.path("run/task.toml")).expect("a task");
     assert!(kept.contains("radius_percent = 0.5"), "{kept}");

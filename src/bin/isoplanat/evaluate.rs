@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 use isoplanat::design::evaluate::{
     Built, FINENESS, Judge, Pictures, Retrain, Settings, Sheet, TEXELS_PER_PIXEL, evaluate, measured,
 };
-use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::guide_of;
+use isoplanat::design::{folder, memory};
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::scene::photos::Photos;
@@ -269,6 +269,9 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
     let judge =
         Judge::new(&run.subject, told, &run.sensor, pictures, &run.settings).map_err(|e| e.in_file(&run.folder))?;
     let textures = args.retrain.map(|_| task.textures()).transpose()?;
+    if let Some(textures) = &textures {
+        folder::same_scenes(&run.folder, &textures.sha256())?;
+    }
     let retrain = textures.as_ref().zip(args.retrain).map(|(textures, steps)| Retrain::new(textures, steps));
     let draws = judge.draws(&built, retrain.as_ref(), &mut |share| {
         bar.get_or_insert_with(|| Bar::new("drawn lenses")).set(share, String::new());
