@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use super::as_built::{self, Sturdiest};
+use super::as_built::{self, BestBuilt};
 use super::data::Textures;
 use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
 use super::judge::{MARGIN, corner_seen};
@@ -18,7 +18,6 @@ use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, Scenery};
-use super::stages;
 use super::state::State;
 use super::story::{Judgement, page};
 use super::task::Task;
@@ -77,7 +76,7 @@ pub struct Prepared {
     /// … and whether that lens is the one: not where no light reaches the frame's corner through it.
     pub taken: bool,
     /// Which lens of a search that was, where the task states tolerances: the first one otherwise.
-    pub sturdy: Option<Sturdiest>,
+    pub best_built: Option<BestBuilt>,
     /// Half field angle for which the problem was made, degrees, and the distortion that the task's lens has there.
     pub seen: [f64; 2],
 }
@@ -92,20 +91,39 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
     }
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
     let mut seen = corner_seen(lens, &frame, &sensor)?;
-    let focused = task.focus_all.then(|| focused(task, lens, seen, file)).transpose()?;
+    // Light that reaches the corner; where none does, what the lens states.
+    let stated = lens.max_field_deg;
+    let within = |corner: f64| stated > 0.0 && stated < corner;
+    let focused = task.focus_all.then(|| match focused(task, lens, seen, file) {
+        Err(_) if within(seen[0]) => focused(task, lens, [stated, seen[1]], file),
+        other => other,
+    });
+    let focused = focused.transpose()?;
     if let Some(lens) = &focused {
         seen = corner_seen(lens, &frame, &sensor)?;
     }
     let lens = focused.as_ref().unwrap_or(lens);
     let [corner, distortion] = seen;
-    // Light that reaches the corner; where none does, what the lens states.
-    let stated = lens.max_field_deg;
     match improved(task, lens, [corner, distortion], (&frame, &sensor), file, tell) {
-        Err(_) if stated > 0.0 && stated < corner => {
-            improved(task, lens, [stated, distortion], (&frame, &sensor), file, tell)
-        }
+        Err(_) if within(corner) => improved(task, lens, [stated, distortion], (&frame, &sensor), file, tell),
         other => other,
     }
+}
+
+/// Makes a stage ready that comes after others: it begins with `found`, what it may move and what is held counts from `start`, as in the first of them. `file` names the task.
+///
+/// # Errors
+/// As [`prepare`].
+pub fn prepare_after(task: &Task, start: &Lens, found: &Lens, file: &str) -> Result<Prepared> {
+    let (sensor, frame) = (task.sensor()?, frame_of(start)?);
+    let (start, found) = (task.with_terms(start)?, task.with_terms(found)?);
+    let seen = [corner_seen(&found, &frame, &sensor)?[0], corner_seen(&start, &frame, &sensor)?[1]];
+    let mut problem = task.problem(&start, seen, file)?;
+    problem.lens = found.changed(|l| l.max_field_deg = seen[0])?;
+    if task.lens_steps == Steps::Rays {
+        LensSteps::new(task.lens_steps, &problem)?;
+    }
+    Ok(Prepared { start, problem, warm: None, taken: false, seen, best_built: None })
 }
 
 /// `lens` with its sensor at the least spots over the field and all distances.
@@ -128,7 +146,7 @@ fn improved(
     let mut field_deg = seen[0];
     let mut warm = None;
     let mut taken = false;
-    let mut sturdy = None;
+    let mut best_built = None;
     let tolerances = task.stated_tolerances()?;
     if task.warm_start && !task.freeze_lens {
         let mut from = problem.clone();
@@ -141,8 +159,8 @@ fn improved(
                     true
                 };
                 let found = search(&from, &plan, &mut told)?;
-                sturdy = tolerances.as_ref().and_then(|t| as_built::sturdiest(&found, t, &from.merit, task.seed));
-                found.into_iter().nth(sturdy.map_or(0, |s| s.rank))
+                best_built = tolerances.as_ref().and_then(|t| as_built::best_built(&found, t, &from.merit, task.seed));
+                found.into_iter().nth(best_built.map_or(0, |b| b.rank))
             } else {
                 None
             };
@@ -168,7 +186,7 @@ fn improved(
         // Its rays pass, or the reason is told now.
         LensSteps::new(task.lens_steps, &problem)?;
     }
-    Ok(Prepared { start: lens.clone(), problem, warm, taken, seen, sturdy })
+    Ok(Prepared { start: lens.clone(), problem, warm, taken, seen, best_built })
 }
 
 /// How the device of a network was found to compute the steps of `task`; of a network that takes none there is nothing to find.
@@ -205,12 +223,44 @@ impl Designing {
     pub fn create(
         task: Task,
         prepared: &Prepared,
-        mut network: Reconstructor,
+        network: Reconstructor,
         textures: Textures,
         folder: &Path,
         replace: bool,
     ) -> Result<Self> {
         check(folder, replace)?;
+        Self::begun(task, prepared, network, textures, folder, |task, fill| {
+            made(folder, replace, |inside| {
+                atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
+                fill(inside)
+            })
+        })
+    }
+
+    /// A task's own design in the folder that holds the task and the stages before it ([`super::stages::make`]), whose lock is `held`. Its checkpoint comes last: without one it has not begun.
+    ///
+    /// # Errors
+    /// As [`Designing::create`].
+    pub fn create_within(
+        task: Task,
+        prepared: &Prepared,
+        network: Reconstructor,
+        textures: Textures,
+        folder: &Path,
+        held: File,
+    ) -> Result<Self> {
+        Self::begun(task, prepared, network, textures, folder, |_, fill| fill(folder).map(|()| held))
+    }
+
+    /// A design in a folder that `make` puts what is told it into.
+    fn begun(
+        task: Task,
+        prepared: &Prepared,
+        mut network: Reconstructor,
+        textures: Textures,
+        folder: &Path,
+        make: impl FnOnce(&Task, &dyn Fn(&Path) -> Result<()>) -> Result<File>,
+    ) -> Result<Self> {
         let device = checked(&mut network, &task)?;
         let held_out = task.held_out()?;
         // As a resumed design reads it.
@@ -220,18 +270,15 @@ impl Designing {
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
-        let locked = made(folder, replace, |inside| {
-            atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
+        let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join("lens-start.toml"))?;
             atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
             atomic::write_bytes(&inside.join(SCENES), textures.sha256().as_bytes())?;
             let path = inside.join("lenses");
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
-            if !task.stages.is_empty() {
-                stages::carry(folder, inside)?;
-            }
             save(&stage, (None, prepared.seen), inside)
-        })?;
+        };
+        let locked = make(&task, &fill)?;
         let stage = (stage, device);
         Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (None, prepared.seen))
     }

@@ -42,14 +42,18 @@ const START: &str = "lens-start.toml";
 const MOST: usize = 16;
 
 impl Task {
-    /// The designs that it asks for, one after the other, the last one its own; none of them has stages. Their `lens` is the task's: from the second on it is to be what the one before found, and is taken
-    /// as it is. `file` names the task.
+    /// The designs that it asks for, one after the other, the last one its own; none of them has stages. From the second on the lens is taken as the one before found it, without focus, spots or search
+    /// first. `file` names the task.
     ///
     /// # Errors
     /// A stage with a key that it may not state, or a value that is not allowed.
     pub fn parts(&self, file: &str) -> Result<Vec<Self>> {
         if self.stages.len() > MOST {
             return Err(Error::bad(file, STAGES, self.stages.len().to_string(), format!("at most {MOST}")));
+        }
+        if self.freeze_lens && !self.stages.is_empty() {
+            let allowed = "false beside stages: what the next one takes on is the lens";
+            return Err(Error::bad(file, "freeze_lens", "true", allowed));
         }
         let own = Self { stages: Vec::new(), ..self.clone() };
         let mut parts =
@@ -124,7 +128,7 @@ pub fn reached(folder: &Path) -> Reached {
     Reached { begun, own: folder.join(NETWORK).is_file() }
 }
 
-/// Makes the folder of a design in stages, before the first of them: its task and its lens.
+/// Makes the folder of a design in stages, before the first of them: its task and its lens. Its own design comes into the same folder ([`super::designing::Designing::create_within`]).
 ///
 /// # Errors
 /// As [`check`]; what the disk says.
@@ -146,24 +150,4 @@ pub fn make(task: &Task, lens: &Lens, folder: &Path, replace: bool) -> Result<()
 pub fn held(folder: &Path) -> Result<(Lens, File)> {
     let lock = lock(folder)?;
     Ok((prescription::load(&folder.join(START))?, lock))
-}
-
-/// The stages of the design that `folder` holds, copied into the folder that takes its place.
-pub(super) fn carry(folder: &Path, inside: &Path) -> Result<()> {
-    fn copied(from: &Path, to: &Path) -> Result<()> {
-        fs::create_dir_all(to).map_err(|e| Error::writing(to, e))?;
-        for entry in fs::read_dir(from).map_err(|e| Error::reading(from, e))? {
-            let path = entry.map_err(|e| Error::reading(from, e))?.path();
-            let Some(name) = path.file_name() else { continue };
-            let there = to.join(name);
-            if path.is_dir() {
-                copied(&path, &there)?;
-            } else {
-                fs::copy(&path, &there).map_err(|e| Error::writing(&there, e))?;
-            }
-        }
-        Ok(())
-    }
-    let from = folder.join(STAGES);
-    if from.is_dir() { copied(&from, &inside.join(STAGES)) } else { Ok(()) }
 }

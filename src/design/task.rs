@@ -415,7 +415,6 @@ impl Task {
         if !(1..=most).contains(&self.worst_of) {
             return bad("worst_of", self.worst_of.to_string(), "1 to 64 beside tolerances, 1 without");
         }
-        self.parts(file)?;
         if self.keep_first > 0 && self.photos.is_none() {
             return bad("keep_first", self.keep_first.to_string(), "0 where no folder of photographs is named");
         }
@@ -425,7 +424,7 @@ impl Task {
         if !(0.0..=86_400.0).contains(&self.checkpoint_seconds) {
             return bad("checkpoint_seconds", self.checkpoint_seconds.to_string(), "0 to 86400");
         }
-        Ok(())
+        self.parts(file).map(|_| ())
     }
 
     /// What lenses may be off by through which the design's pictures are taken.
@@ -555,18 +554,23 @@ impl Task {
         }
         let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
         overlapping_rims(&lens, &self.lens)?;
-        let n = lens.indices(lens.wavelengths.primary_nm);
-        let lens = lens.changed(|l| {
-            for (_, s) in l.surfaces.iter_mut().enumerate().filter(|(i, _)| n[*i] != n[*i + 1]) {
-                let terms = (self.asphere_power / 2).max(s.shape.asphere.len());
-                s.shape.asphere.resize(terms, 0.0);
-            }
-        })?;
+        let lens = self.with_terms(&lens)?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
         let centre = [columns as f64 / 2.0, rows as f64 / 2.0];
         let raster = SensorRaster { columns, rows, pitch_um, axis_px: axis_px.unwrap_or(centre) };
         Lens::new(Prescription { sensor: raster, ..(*lens).clone() }, &self.lens)
+    }
+
+    /// `lens` with the asphere terms that may move.
+    pub(super) fn with_terms(&self, lens: &Lens) -> Result<Lens> {
+        let n = lens.indices(lens.wavelengths.primary_nm);
+        lens.changed(|l| {
+            for (_, s) in l.surfaces.iter_mut().enumerate().filter(|(i, _)| n[*i] != n[*i + 1]) {
+                let terms = (self.asphere_power / 2).max(s.shape.asphere.len());
+                s.shape.asphere.resize(terms, 0.0);
+            }
+        })
     }
 
     /// The sensor's calibration.

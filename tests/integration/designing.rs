@@ -120,25 +120,28 @@ fn stages_follow_each_other_through_kills() {
     });
     let surfaces = |path: &str| read(path)[read(path).find("[[surface]]").expect("surfaces")..].to_owned();
     for (before, after) in [("whole/stages/1", "whole/stages/2"), ("whole/stages/2", "whole")] {
-        assert_eq!(surfaces(&format!("{before}/lens.toml")), surfaces(&format!("{after}/lens-start.toml")));
-        assert_ne!(surfaces(&format!("{after}/lens-start.toml")), surfaces(&format!("{after}/lens.toml")));
+        assert_eq!(surfaces(&format!("{before}/lens.toml")), surfaces(&format!("{after}/lens-first.toml")));
+        assert_ne!(surfaces(&format!("{after}/lens-first.toml")), surfaces(&format!("{after}/lens.toml")));
+        // What is held counts from the first one's lens.
+        assert_eq!(read(&format!("{after}/lens-start.toml")), read("whole/stages/1/lens-start.toml"));
     }
+    // Killed in every stage, and once more at random, each time soon after its first checkpoint.
     let rng = &mut fastrand::Rng::with_seed(8);
-    let mut kills = 0;
-    for _ in 0..40 {
+    for checkpoint in ["stages/1", "stages/2", "stages/2", "."] {
         let arguments: &[&str] = if place.path("killed/task.toml").is_file() { &["--resume"] } else { &["task.toml"] };
         let mut command = Command::new(env!("CARGO_BIN_EXE_isoplanat"));
         command.arg("design").args(arguments).args(["-o", "killed"]).current_dir(place.path("."));
         let mut child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().expect("starts");
-        std::thread::sleep(Duration::from_millis(rng.u64(200..700)));
-        if child.try_wait().expect("waits").is_some() {
-            break;
+        let checkpoint = place.path("killed").join(checkpoint).join("network.safetensors");
+        let end = Instant::now() + Duration::from_secs(120);
+        while !checkpoint.exists() && Instant::now() < end {
+            std::thread::sleep(Duration::from_millis(1));
         }
+        std::thread::sleep(Duration::from_millis(rng.u64(0..40)));
+        assert!(child.try_wait().expect("waits").is_none(), "the design was still at work: {}", checkpoint.display());
         child.kill().expect("killed");
         child.wait().expect("reaped");
-        kills += 1;
     }
-    assert!(kills >= 2, "only {kills} kills met a design under way");
     place.run("design --resume -o killed").done();
     let network = |run: &str| tensors(&place.path(run).join("network.safetensors"));
     for part in ["stages/1", "stages/2", "."] {
@@ -149,6 +152,8 @@ fn stages_follow_each_other_through_kills() {
     place.write("plain.toml", TASK.replace("steps = 90", "steps = 3"));
     place.run("design plain.toml -o whole --force").done();
     assert!(!place.path("whole/stages").exists());
+    place.run("sweep task.toml --index 1 --of 2 -o runs").done();
+    assert!(place.path("runs/00001/stages/2/lens.toml").is_file() && place.path("runs/00001/lens.toml").is_file());
     let looked = place.run("design task.toml --check --json --steps 7").done();
     let looked: serde_json::Value = serde_json::from_str(&looked).expect("JSON");
     assert_eq!(looked["stages"].as_array().map(Vec::len), Some(3));
@@ -158,6 +163,9 @@ fn stages_follow_each_other_through_kills() {
         ("lens_rate_um = 1.0", "minutes = 3.0", "stages[1].steps, minutes"),
         ("steps = 40", "steps = \"many\"", "stages[0]"),
         ("warm_start = false\n", "warm_start = false\nworst_of = 3\n", "worst_of"),
+        ("warm_start = false\n", "warm_start = false\nfreeze_lens = true\n", "freeze_lens"),
+        ("lens_rate_um = 1.0", "optics = { vary = [\"surface[9].conic\"] }", "surface[9].conic"),
+        ("checks = 3", "checks = 5000", "bad.toml: checks"),
     ] {
         let bad = staged.replacen(was, is, 1);
         assert_ne!(bad, staged);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use isoplanat::analysis::fabrication::tolerances::Tolerances;
 use isoplanat::design::as_built::round;
 use isoplanat::design::data::Textures;
-use isoplanat::design::designing::{Designing, Prepared, prepare};
+use isoplanat::design::designing::{Designing, Prepared, prepare, prepare_after};
 use isoplanat::design::folder;
 use isoplanat::design::judge::validate;
 use isoplanat::design::memory;
@@ -17,7 +17,7 @@ use isoplanat::design::stages;
 use isoplanat::design::stated::Stated;
 use isoplanat::design::task::Task;
 use isoplanat::imaging::render::{Settings, frame_of};
-use isoplanat::lens::Lens;
+use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
 use isoplanat::optimize::merit_of;
 use isoplanat::{Error, Result};
@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let told = Told { folder, validate: args.validate.as_deref(), json: args.json };
-    let Some(path) = &args.task else { return go_on(folder, args.device, told, out) };
+    let Some(path) = &args.task else { return go_on(folder, None, args.device, told, out) };
     folder::check(folder, args.force)?;
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let lens = task.first(&file)?.lens(crate::glasses::all())?;
@@ -102,7 +102,7 @@ pub(crate) fn designed(
 
 /// Goes on in `folder`.
 pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    go_on(folder, Compute::Cpu, Told { folder, validate: None, json }, out)
+    go_on(folder, None, Compute::Cpu, Told { folder, validate: None, json }, out)
 }
 
 /// What is told, and of which folder.
@@ -123,66 +123,81 @@ fn start(
     told: Told<'_>,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
-    if task.stages.is_empty() {
-        return driven(begun(task, lens, file, told.folder, (force, device))?, told, out);
+    let parts = task.parts(file)?;
+    allowed(&parts[0], file)?;
+    let first = prepared(&parts[0], lens, file)?;
+    if parts.len() == 1 {
+        let network = network(task.base_width, task.inputs, task.seed, device)?;
+        let textures = task.textures()?;
+        return driven(Designing::create(task, &first, network, textures, told.folder, force)?, told, out);
     }
-    // What a later stage would be refused for is said before the first begins.
-    task.parts(file)?.iter().try_for_each(|part| allowed(part, file))?;
+    // What a later stage would be refused for is said before the first begins, and before anything is written.
+    for part in &parts[1..] {
+        possible(part, file)?;
+        prepare_after(part, &first.start, &first.problem.lens, file)?;
+        network(part.base_width, part.inputs, part.seed, Compute::Cpu)?;
+    }
     by_images(&task, told.validate)?;
+    told.validate.map(Textures::photos).transpose()?;
+    drop((task.textures()?, task.held_out()?));
+    network(parts[0].base_width, parts[0].inputs, parts[0].seed, device)?;
     stages::make(&task, lens, told.folder, force)?;
-    go_on(told.folder, device, told, out)
+    go_on(told.folder, Some(first), device, told, out)
 }
 
-/// A design from where its folder stands.
-fn go_on(folder: &Path, device: Compute, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+/// A design from where its folder stands; where its first stage has not begun, from what that was made ready as.
+fn go_on(
+    folder: &Path,
+    mut ready: Option<Prepared>,
+    device: Compute,
+    told: Told<'_>,
+    out: &mut dyn Write,
+) -> anyhow::Result<()> {
     let marker = folder.join(folder::MARKER);
     let file = marker.display().to_string();
     let reached = stages::reached(folder);
-    // A folder that is no run says so itself.
-    let staged = Task::load(&marker).ok().filter(|task| !task.stages.is_empty() && !reached.own);
-    let Some(task) = staged else {
-        // Before a device is tried on the task's own shapes.
-        if let Ok(task) = Task::load(&marker) {
-            crate::memory::limit().allow("the design", memory::of_design(&task)?, INSTEAD)?;
-        }
+    let task = Task::load(&marker).ok();
+    // Before a device is tried on the task's own shapes; a folder that is no run says so itself.
+    if let Some(task) = &task {
+        crate::memory::limit().allow("the design", memory::of_design(task)?, INSTEAD)?;
+    }
+    let Some(task) = task.filter(|task| !task.stages.is_empty() && !reached.own) else {
         return driven(Designing::resume(folder, device)?, told, out);
     };
-    let mut parts = task.parts(&file)?;
-    let count = parts.len();
-    let own = parts.pop();
-    let (mut lens, held) = stages::held(folder)?;
-    let mut found: Option<PathBuf> = None;
-    // The lens that the stage before found, with the terms that this one moves.
-    let next = |part: &mut Task, found: &Option<PathBuf>| -> Result<Option<Lens>> {
-        let Some(path) = found else { return Ok(None) };
-        part.lens = path.display().to_string();
-        part.lens(crate::glasses::all()).map(Some)
+    let parts = task.parts(&file)?;
+    let (lens, held) = stages::held(folder)?;
+    // The lens that the first stage counts from, and the one that the last of them found.
+    let before = |k: usize| -> Result<[Lens; 2]> {
+        let of = |k, name: &str| prescription::load(&stages::folder_of(folder, k).join(name));
+        Ok([of(0, "lens-start.toml")?, of(k - 1, "lens.toml")?])
     };
-    for (k, mut part) in parts.into_iter().enumerate() {
-        let inside = stages::folder_of(folder, k);
-        if k + 1 >= reached.begun {
-            eprintln!("stage {} of {count}", k + 1);
-            let designing = if k < reached.begun {
-                Designing::resume(&inside, device)?
-            } else {
-                lens = next(&mut part, &found)?.unwrap_or(lens);
-                begun(part, &lens, &file, &inside, (false, device))?
-            };
-            // JSON is of the result alone.
-            let quiet: &mut dyn Write = if told.json { &mut std::io::sink() } else { &mut *out };
-            driven(designing, Told { validate: None, ..told }, quiet)?;
+    let fresh = |part: &Task, prepared: Option<Prepared>, k: usize| -> Result<Prepared> {
+        if k == 0 {
+            return prepared.map_or_else(|| self::prepared(part, &lens, &file), Ok);
         }
-        found = Some(inside.join("lens.toml"));
+        let [first, found] = before(k)?;
+        prepare_after(part, &first, &found, &file)
+    };
+    let own = parts.len() - 1;
+    for (k, part) in parts[..own].iter().enumerate().filter(|(k, _)| k + 1 >= reached.begun) {
+        eprintln!("stage {} of {}", k + 1, parts.len());
+        let inside = stages::folder_of(folder, k);
+        let designing = if k < reached.begun {
+            Designing::resume(&inside, device)?
+        } else {
+            let prepared = fresh(part, ready.take(), k)?;
+            let network = network(part.base_width, part.inputs, part.seed, device)?;
+            Designing::create(part.clone(), &prepared, network, part.textures()?, &inside, false)?
+        };
+        // JSON is of the result alone.
+        let quiet: &mut dyn Write = if told.json { &mut std::io::sink() } else { &mut *out };
+        driven(designing, Told { validate: None, ..told }, quiet)?;
     }
-    eprintln!("stage {count} of {count}");
-    let Some(mut own) = own else { return Err(Error::Internal("a task without parts".into()).into()) };
-    lens = next(&mut own, &found)?.unwrap_or(lens);
-    let prepared = prepared(&own, &lens, &file)?;
-    let network = network(own.base_width, own.inputs, own.seed, device)?;
-    let textures = own.textures()?;
-    // The folder gives way to that of the finished stages.
-    drop(held);
-    driven(Designing::create(task, &prepared, network, textures, folder, true)?, told, out)
+    eprintln!("stage {} of {}", parts.len(), parts.len());
+    let prepared = fresh(&parts[own], None, own)?;
+    let network = network(task.base_width, task.inputs, task.seed, device)?;
+    let textures = task.textures()?;
+    driven(Designing::create_within(task, &prepared, network, textures, folder, held)?, told, out)
 }
 
 /// Refuses to judge a network that a task has none of.
@@ -194,14 +209,6 @@ fn by_images(task: &Task, validate_on: Option<&Path>) -> Result<bool> {
         return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed));
     }
     Ok(by_images)
-}
-
-fn begun(task: Task, lens: &Lens, file: &str, folder: &Path, (force, device): (bool, Compute)) -> Result<Designing> {
-    allowed(&task, file)?;
-    let prepared = prepared(&task, lens, file)?;
-    let start = network(task.base_width, task.inputs, task.seed, device)?;
-    let textures = task.textures()?;
-    Designing::create(task, &prepared, start, textures, folder, force)
 }
 
 /// Runs a design to its end, and says how it went.
@@ -322,6 +329,11 @@ fn drawable(args: &Args, lens: &Lens) -> Result<()> {
 /// Refuses a task (of `file`) that has no joint stage, or none that this machine has the memory for.
 fn allowed(task: &Task, file: &str) -> Result<()> {
     crate::input::of_task(task)?;
+    possible(task, file)
+}
+
+/// The same but for its lens.
+fn possible(task: &Task, file: &str) -> Result<()> {
     task.length().map_err(|e| e.in_file(Path::new(file)))?;
     crate::memory::limit().allow("the design", memory::of_design(task)?, INSTEAD)
 }
@@ -336,12 +348,12 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     if let Some(bar) = bar {
         bar.done(String::new());
     }
-    if let Some(s) = &prepared.sturdy {
-        let [least, first] = s.spots_mm.map(|mm| 1e3 * mm);
+    if let Some(best) = &prepared.best_built {
+        let [least, first] = best.spots_mm.map(|mm| 1e3 * mm);
         eprintln!(
-            "spots first: of {} lenses that the search found number {}: nine in ten as built within {least:.1} µm rms, of number 1 within {first:.1} µm",
-            s.of,
-            s.rank + 1
+            "spots first: of {} lenses that the search found number {} is the best as built: nine in ten within {least:.1} µm rms, of number 1 within {first:.1} µm",
+            best.of,
+            best.rank + 1
         );
     }
     if prepared.warm.is_some() && !prepared.taken {
@@ -363,19 +375,21 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(path) = &args.task else { return Err(Error::bad("TASK", "value", "missing", "a task file").into()) };
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let parts = task.parts(&file)?;
-    parts.iter().try_for_each(|part| allowed(part, &file))?;
+    allowed(&parts[0], &file)?;
+    parts.iter().try_for_each(|part| possible(part, &file))?;
     let lens = parts[0].lens(crate::glasses::all())?;
     drawable(args, &lens)?;
     if !args.json {
         writeln!(out, "{file}: nothing was written")?;
     }
+    let first = prepared(&parts[0], &lens, &file)?;
     let mut values = Vec::new();
     for (k, part) in parts.iter().enumerate() {
         if parts.len() > 1 && !args.json {
-            writeln!(out, "\nstage {} of {}, from the lens that the first one begins with", k + 1, parts.len())?;
+            writeln!(out, "\nstage {} of {}, with the lens that the first one begins with", k + 1, parts.len())?;
         }
-        let lens = if k == 0 { lens.clone() } else { part.lens(crate::glasses::all())? };
-        values.push(looked_at(part, &lens, &file, args, out)?);
+        let later = if k > 0 { Some(prepare_after(part, &first.start, &first.problem.lens, &file)?) } else { None };
+        values.push(looked_at(part, later.as_ref().unwrap_or(&first), args, out)?);
     }
     if args.json {
         let value = match values.as_slice() {
@@ -388,14 +402,7 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 /// What would be done in one of them: in words, or as the value that is returned.
-fn looked_at(
-    task: &Task,
-    lens: &Lens,
-    file: &str,
-    args: &Args,
-    out: &mut dyn Write,
-) -> anyhow::Result<serde_json::Value> {
-    let prepared = prepared(task, lens, file)?;
+fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write) -> anyhow::Result<serde_json::Value> {
     let (problem, settings) = (&prepared.problem, JointSettings::of(task)?);
     let textures = task.textures()?;
     let sensor = task.sensor()?;
