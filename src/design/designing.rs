@@ -19,7 +19,7 @@ use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, Scenery};
 use super::state::State;
-use super::story::{Judgement, page};
+use super::story::{Judgement, WORSE_DB, page};
 use super::task::Task;
 use super::train_task::NETWORK;
 use crate::atomic;
@@ -39,8 +39,6 @@ const STATE: &str = "design.state";
 const BEST: &str = "best.safetensors";
 /// The lens as the stage begins with it.
 const FIRST: &str = "lens-first.toml";
-/// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
-const WORSE_DB: f64 = 0.1;
 /// Steps in a row without a finite loss after which the design stops.
 const MOST_SKIPPED: usize = 20;
 

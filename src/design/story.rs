@@ -21,6 +21,9 @@ use crate::report::table::significant;
 const FIELDS: usize = 7;
 const SHOWN: usize = 4;
 
+/// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
+pub(super) const WORSE_DB: f64 = 0.1;
+
 /// A judgement, as `history.jsonl` holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Judgement {
@@ -53,6 +56,12 @@ impl Judgement {
     /// What it is ranked by, dB.
     pub fn score(&self) -> f64 {
         self.score_db.unwrap_or(self.held_out_db[1])
+    }
+
+    /// The one that the result of a finished design is of: the last, or the best where the last is worse by more than chance. None without judgements.
+    fn of_result(history: &[Self]) -> Option<&Self> {
+        let (last, best) = (history.last()?, history.iter().rfind(|j| j.best));
+        best.filter(|best| last.score().is_nan() || last.score() < best.score() - WORSE_DB).or(Some(last))
     }
 
     /// The judgements of a run's folder; none where there is no history yet.
@@ -132,10 +141,17 @@ pub(super) fn page(
         fact(stage.total().map_or(stage.steps().to_string(), |n| format!("{} of {n}", stage.steps())), "steps"),
         fact(format!("{:.1} min", stage.seconds() / 60.0), "so far"),
     ];
-    if let (Some(first), Some(last)) = (history.first(), history.last()) {
-        facts.push(fact(format!("{:.2} dB", last.held_out_db[1]), &words.judged[1]));
-        facts.push(fact(format!("{:+.2} dB", last.held_out_db[1] - first.held_out_db[1]), "since the first judgement"));
+    let over_share = stage.used() >= 1.0;
+    let told = if over_share { Judgement::of_result(history) } else { history.last() };
+    if let (Some(first), Some(told)) = (history.first(), told) {
+        facts.push(fact(format!("{:.2} dB", told.held_out_db[1]), &words.judged[1]));
+        facts.push(fact(format!("{:+.2} dB", told.held_out_db[1] - first.held_out_db[1]), "since the first judgement"));
     }
+    let standing = match told.filter(|j| over_share && Some(j.step) != history.last().map(|last| last.step)) {
+        Some(j) => format!("Finished. The result is the state of step {}: later ones were judged worse.", j.step),
+        None if over_share => "Finished.".into(),
+        None => format!("Under way: {:.0} %.", 100.0 * stage.used()),
+    };
     if let Some(e) = log.last() {
         facts.push(fact(format!("{:.2} s", e.step_seconds), "a step"));
         facts.push(fact(
@@ -167,10 +183,9 @@ pub(super) fn page(
         None => pair("network", format!("{} channels at the finest of three scales", task.base_width)),
     });
     settings.push(pair("left out", left_out(stage)));
-    let over_share = stage.used() >= 1.0;
     let page = DesignPage {
         title: lens.name.clone(),
-        standing: if over_share { "Finished.".into() } else { format!("Under way: {:.0} %.", 100.0 * stage.used()) },
+        standing,
         words,
         facts,
         lenses: [view(first), view(lens)],
@@ -220,4 +235,32 @@ fn left_out(stage: &Stage) -> String {
         depth.bin,
         plan.settings.outside
     )
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn history(scores: &[f64]) -> Vec<Judgement> {
+        let mut best = f64::NEG_INFINITY;
+        let of = |(k, score): (usize, &f64)| {
+            let better = *score > best;
+            best = best.max(*score);
+            let value = serde_json::json!({ "step": 10 * (k + 1), "seconds": 1.0, "lens": "l.toml", "held_out_db": [20.0, score],
+                "held_out_l1": 0.1, "score_db": score, "best": better, "active": [], "variables": {} });
+            serde_json::from_value(value).expect("a judgement")
+        };
+        scores.iter().enumerate().map(of).collect()
+    }
+
+    /// The page tells what the folder holds: the best state where the last one gave way to it, as at a design's end, and else the last.
+    #[test]
+    fn the_result_is_the_last_state_or_the_best_one() {
+        for (scores, step) in
+            [(&[20.0, 22.5, 22.0][..], 20), (&[20.0, 22.5, 22.45], 30), (&[20.0, 21.0], 20), (&[22.0, 20.0, 21.0], 10)]
+        {
+            assert_eq!(Judgement::of_result(&history(scores)).map(|j| j.step), Some(step), "{scores:?}");
+        }
+        assert!(Judgement::of_result(&[]).is_none());
+    }
 }
