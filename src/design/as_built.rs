@@ -225,7 +225,8 @@ mod tests {
         let mut all: Vec<f64> = found.iter().map(by_draws).collect();
         // The worst first: what is chosen is not what stands there.
         let worst = (0..all.len()).max_by(|a, b| all[*a].total_cmp(&all[*b])).expect("lenses");
-        (found.swap(0, worst), all.swap(0, worst));
+        found.swap(0, worst);
+        all.swap(0, worst);
         let chosen = best_built(&found, &tolerances, &problem.merit, 1).expect("lenses");
         let least = all.iter().copied().fold(f64::INFINITY, f64::min);
         assert!(all[0] > 1.1 * least, "lenses that differ as built: {all:?}");
