@@ -75,7 +75,7 @@ pub(super) fn scenes_of(folder: &Path) -> Result<Option<String>> {
 /// Refuses to go on with a run on other pictures than it began with.
 ///
 /// # Errors
-/// As [`scenes_of`]; other pictures.
+/// A file that cannot be read or holds no hash; other pictures.
 pub fn same_scenes(folder: &Path, now: &str) -> Result<()> {
     match scenes_of(folder)? {
         Some(then) if then != now => {
