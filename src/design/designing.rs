@@ -1,6 +1,6 @@
 //! `isoplanat design`: a joint stage in a folder that can be killed and resumed at any point.
 //!
-//! The folder holds the task (paths in full), the stages that came before it, the lens as the task names it or the last of those found it (`lens-start.toml`) and as the stage begins with it
+//! The folder holds the task (paths in full), the stages that came before it, the lens as the task names it (`lens-start.toml`) and as the design begins with it, by spots or from the last of those stages
 //! (`lens-first.toml`), `network.safetensors` (the last checkpoint: network, its optimiser, and the [`State`] of the stage with the lens; also
 //! readable as a plain network), `lens.toml` (the lens of that checkpoint), `best.safetensors` (the same of the best judgement so far),
 //! `log.csv`, the history: a line of `history.jsonl` and a lens in `lenses/` for each judgement, and `report.html`, written anew at each.

@@ -94,7 +94,7 @@ fn a_killed_design_ends_with_the_same_bits() {
     place.run("design task.toml -o killed").refused(&["killed", "--force"]);
 }
 
-/// A design in stages: each from the lens of the one before, killed at random and resumed to the same bits; what a stage may not say is refused by its name.
+/// A design in stages: each from the lens of the one before, killed in every stage and resumed to the same bits; what a stage may not say is refused by its name.
 #[test]
 fn stages_follow_each_other_through_kills() {
     let place = Workplace::new();
