@@ -12,7 +12,7 @@ use std::time::Instant;
 
 use super::as_built::{self, BestBuilt};
 use super::data::Textures;
-use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
+use super::folder::{MARKER, SCENES, START, check, lock, made, same_scenes, sweep};
 use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
@@ -269,7 +269,7 @@ impl Designing {
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
-            prescription::save(&prepared.start, &inside.join("lens-start.toml"))?;
+            prescription::save(&prepared.start, &inside.join(START))?;
             atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
             atomic::write_bytes(&inside.join(SCENES), textures.sha256().as_bytes())?;
             let path = inside.join("lenses");
@@ -296,7 +296,7 @@ impl Designing {
             return Err(Error::bad(file, STATE, "missing", "a checkpoint of `isoplanat design`"));
         };
         let state = State::from_text(text, &file)?;
-        let start = prescription::load(&folder.join("lens-start.toml"))?;
+        let start = prescription::load(&folder.join(START))?;
         let (sensor, textures, held_out) = (task.sensor()?, task.textures()?, task.held_out()?);
         same_scenes(folder, &textures.sha256())?;
         let frame = frame_of(&start)?;

@@ -9,6 +9,9 @@ use crate::error::{Error, Result};
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";
 
+/// The lens that what moves and is held counts from: as the task names it, its sensor moved where the task asks for that.
+pub const START: &str = "lens-start.toml";
+
 /// SHA-256 of the list of what it is trained on, in hexadecimal.
 pub(super) const SCENES: &str = "scenes.sha256";
 

@@ -5,7 +5,7 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use super::folder::{MARKER, check, lock, made};
+use super::folder::{MARKER, START, check, lock, made};
 use super::task::Task;
 use super::train_task::NETWORK;
 use crate::atomic;
@@ -36,8 +36,6 @@ const KEYS: [&str; 19] = [
     "sensor_loss",
     "steps",
 ];
-/// The lens as the task names it.
-const START: &str = "lens-start.toml";
 /// Most stages.
 const MOST: usize = 16;
 

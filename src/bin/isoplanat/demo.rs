@@ -149,7 +149,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         task.train.inputs = inputs;
         let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
         let mut training = Training::begin(task, &Subject::from(lens.clone()), network, textures.clone(), &run, false)?;
-        prescription::save(&start, &run.join("lens-start.toml"))?;
+        prescription::save(&start, &run.join(isoplanat::design::folder::START))?;
         report.loss.push(followed(&mut training, name)?);
         done(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)

@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let told = Told { folder, validate: args.validate.as_deref(), json: args.json };
-    let Some(path) = &args.task else { return go_on(folder, None, args.device, told, out) };
+    let Some(path) = &args.task else { return go_on(None, args.device, told, out) };
     folder::check(folder, args.force)?;
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let lens = task.first(&file)?.lens(crate::glasses::all())?;
@@ -102,7 +102,7 @@ pub(crate) fn designed(
 
 /// Goes on in `folder`.
 pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    go_on(folder, None, Compute::Cpu, Told { folder, validate: None, json }, out)
+    go_on(None, Compute::Cpu, Told { folder, validate: None, json }, out)
 }
 
 /// What is told, and of which folder.
@@ -142,17 +142,12 @@ fn start(
     drop((task.textures()?, task.held_out()?));
     network(parts[0].base_width, parts[0].inputs, parts[0].seed, device)?;
     stages::make(&task, lens, told.folder, force)?;
-    go_on(told.folder, Some(first), device, told, out)
+    go_on(Some(first), device, told, out)
 }
 
 /// A design from where its folder stands; where its first stage has not begun, from what that was made ready as.
-fn go_on(
-    folder: &Path,
-    mut ready: Option<Prepared>,
-    device: Compute,
-    told: Told<'_>,
-    out: &mut dyn Write,
-) -> anyhow::Result<()> {
+fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let folder = told.folder;
     let marker = folder.join(folder::MARKER);
     let file = marker.display().to_string();
     let reached = stages::reached(folder);
@@ -169,7 +164,7 @@ fn go_on(
     // The lens that the first stage counts from, and the one that the last of them found.
     let before = |k: usize| -> Result<[Lens; 2]> {
         let of = |k, name: &str| prescription::load(&stages::folder_of(folder, k).join(name));
-        Ok([of(0, "lens-start.toml")?, of(k - 1, "lens.toml")?])
+        Ok([of(0, folder::START)?, of(k - 1, "lens.toml")?])
     };
     let fresh = |part: &Task, prepared: Option<Prepared>, k: usize| -> Result<Prepared> {
         if k == 0 {
