@@ -4,14 +4,14 @@
 //! the lens's numbers, so a gradient at the drawn lens is one of the lens itself. Its aperture is what the lens states, a pupil as large as the lens's own. Only what leaves a lens round is drawn: the design's pictures are those of
 //! round lenses, and `isoplanat tolerance` and `evaluate --drawn` judge with tilts and shifts too.
 
-use crate::analysis::deviations::{Deviation, deviations, drawn, off_by, parameters};
-use crate::analysis::fabrication::tolerances::Tolerances;
-use crate::error::{Error, Result};
-use crate::imaging::render::Renderer;
-use crate::lens::{Kind, Lens, Parameter};
-use crate::math::{at_share, mixed};
-use crate::optimize::sensitivity::Sensitivity;
-use crate::optimize::{Merit, Outcome, residuals_of};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::{at_share, mixed};
+use isoplanat_imaging::render::Renderer;
+use isoplanat_optics::analysis::deviations::{Deviation, deviations, drawn, off_by, parameters};
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::lens::{Kind, Lens, Parameter};
+use isoplanat_optics::optimize::sensitivity::Sensitivity;
+use isoplanat_optics::optimize::{Merit, Outcome, residuals_of};
 
 /// Drawn lenses that a judgement's pictures are taken through, and the number of the first, far from those of the steps.
 pub(super) const BUILT: u64 = 6;
@@ -110,7 +110,7 @@ pub struct BestBuilt {
 }
 
 /// Of `found`, the best first, the lens whose spots are least where it is built within `tolerances`: those that nine in ten drawn lenses do not exceed, each refocused by its Jacobian, by
-/// rays: [`crate::analysis::tolerancing`] without tilts and shifts. None where no lens can be judged.
+/// rays: [`isoplanat_optics::analysis::tolerancing`] without tilts and shifts. None where no lens can be judged.
 pub(super) fn best_built(found: &[Outcome], tolerances: &Tolerances, merit: &Merit, seed: u64) -> Option<BestBuilt> {
     let spots = |lens: &Lens| -> Option<f64> {
         let built = AsBuilt::new(tolerances, merit, lens, (mixed(seed, 0x7261_6e6b), 1)).ok()?;
@@ -149,12 +149,12 @@ pub(super) fn widest(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::tolerancing::{self, Settings};
-    use crate::lens::builtin;
-    use crate::optimize::refocused;
-    use crate::optimize::search::{Plan, search};
-    use crate::optimize::spec::Spec;
-    use crate::testing::{assert_abs, assert_rel};
+    use isoplanat_base::testing::{assert_abs, assert_rel};
+    use isoplanat_optics::analysis::tolerancing::{self, Settings};
+    use isoplanat_optics::lens::builtin;
+    use isoplanat_optics::optimize::refocused;
+    use isoplanat_optics::optimize::search::{Plan, search};
+    use isoplanat_optics::optimize::spec::Spec;
 
     const FILE: &str = "schema = 1\n[element.all]\nthickness_tolerance_mm = 0.05\nn_d_tolerance = 5e-4\n[surface.all]\nradius_percent = 0.2\ncentring_arcmin = 3.0\n\
         [assembly]\nair_mm = 0.05\ndecentre_mm = 0.05\n";

@@ -6,13 +6,13 @@
 
 use ndarray::{Array3, ArrayView3};
 
-use crate::error::Result;
-use crate::imaging::develop::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
-use crate::imaging::plane::{Plane, Region};
-use crate::imaging::render::{Rendered, Renderer};
-use crate::imaging::sensor::noise::standard_normal;
-use crate::math::real::Real;
-use crate::psf::OpticsBar;
+use isoplanat_base::error::Result;
+use isoplanat_base::math::real::Real;
+use isoplanat_imaging::develop::simulate::{Electronics, SimulateRecord, simulate, simulate_vjp};
+use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::render::{Rendered, Renderer};
+use isoplanat_imaging::sensor::noise::standard_normal;
+use isoplanat_optics::psf::OpticsBar;
 
 /// One patch of one scene.
 #[derive(Clone, Debug)]
@@ -91,14 +91,14 @@ pub fn forward_vjp<T: Real>(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::frame::Frame;
-    use crate::imaging::render::Settings;
-    use crate::imaging::sensor::Sensor;
-    use crate::imaging::sensor::cfa::Cfa;
-    use crate::imaging::sensor::noise::Noise;
-    use crate::imaging::sensor::spectrum::SpectralDensity;
-    use crate::lens::{Kind, Lens, builtin, variables::Variables};
-    use crate::testing::{assert_rel, steady_difference};
+    use isoplanat_base::testing::{assert_rel, steady_difference};
+    use isoplanat_imaging::frame::Frame;
+    use isoplanat_imaging::render::Settings;
+    use isoplanat_imaging::sensor::Sensor;
+    use isoplanat_imaging::sensor::cfa::Cfa;
+    use isoplanat_imaging::sensor::noise::Noise;
+    use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+    use isoplanat_optics::lens::{Kind, Lens, builtin, variables::Variables};
 
     fn smooth_scene() -> Plane {
         // Band-limited, so that the loss is smooth on the scale of a difference step.

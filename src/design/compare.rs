@@ -1,11 +1,11 @@
 //! Other lenses in the place of a task's lens: of its focal length and aperture, on its raster, refocused for its distances, so that what differs
 //! between two cameras is their glass.
 
-use crate::error::{Error, Result};
-use crate::lens::{Aperture, Lens, SensorRaster, paraxial};
-use crate::optimize::{Apertures, Merit, refocused};
-use crate::trace::apertures::{Beam, open};
-use crate::trace::rims::overlapping_rims;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::lens::{Aperture, Lens, SensorRaster, paraxial};
+use isoplanat_optics::optimize::{Apertures, Merit, refocused};
+use isoplanat_optics::trace::apertures::{Beam, open};
+use isoplanat_optics::trace::rims::overlapping_rims;
 
 /// What every lens of a comparison is made to be.
 #[derive(Clone, Debug, PartialEq)]
@@ -125,8 +125,8 @@ impl Place {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
-    use crate::testing::{assert_abs, assert_rel};
+    use isoplanat_base::testing::{assert_abs, assert_rel};
+    use isoplanat_optics::lens::builtin;
 
     fn place() -> Place {
         let lens = builtin::lens("two_element").expect("shipped");
@@ -158,7 +158,7 @@ mod tests {
                 let last = placed.lens.surfaces.len() - 1;
                 let moved = placed.lens.changed(|l| l.surfaces[last].thickness += d).expect("a lens");
                 let merit = Merit { depths: vec![[1e-3, 1.0]], apertures: Apertures::Stated, ..Merit::default() };
-                crate::optimize::merit_of(&moved, &merit).expect("traces")
+                isoplanat_optics::optimize::merit_of(&moved, &merit).expect("traces")
             };
             assert!(at(0.1) > at(0.0) && at(-0.1) > at(0.0), "{name}: {} {} {}", at(-0.1), at(0.0), at(0.1));
         }

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::lens::{Lens, LensGradient, paraxial};
+use isoplanat_optics::lens::{Lens, LensGradient, paraxial};
 
 /// Bounds, mm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,8 +93,8 @@ impl Constraints {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::{builtin, variables::Variables};
-    use crate::testing::{assert_rel, central_difference};
+    use isoplanat_base::testing::{assert_rel, central_difference};
+    use isoplanat_optics::lens::{builtin, variables::Variables};
 
     #[test]
     fn penalty_gradient_agrees_with_differences() {

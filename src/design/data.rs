@@ -7,14 +7,14 @@ use rayon::prelude::*;
 
 use super::chain::Patch;
 use super::places::Places;
-use crate::error::{Error, Result};
-use crate::imaging::frame::Frame;
-use crate::imaging::plane::{Plane, Region};
-use crate::imaging::scene::photos::Photos;
-use crate::imaging::scene::{SceneKind, TRAINING, generate};
-use crate::imaging::sensor::noise::mixed;
-use crate::network::card::sha256_hex;
-use crate::psf::SensorMap;
+use isoplanat_base::atomic::sha256_hex;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::{SceneKind, TRAINING, generate};
+use isoplanat_imaging::sensor::noise::mixed;
+use isoplanat_optics::psf::SensorMap;
 
 /// Side of built-in textures, pixels.
 pub(super) const TEXTURE: usize = 640;

@@ -22,16 +22,16 @@ use super::state::State;
 use super::story::{Judgement, WORSE_DB, page};
 use super::task::Task;
 use super::train_task::NETWORK;
-use crate::atomic;
-use crate::error::{Error, Result};
-use crate::imaging::frame::Frame;
-use crate::imaging::guide;
-use crate::imaging::render::frame_of;
-use crate::imaging::sensor::Sensor;
-use crate::lens::{Lens, prescription};
-use crate::network::{Compute, Reconstructor};
-use crate::optimize::search::{Plan, Progress, search};
-use crate::optimize::{Limits, Outcome, Problem, optimize, refocused};
+use isoplanat_base::atomic;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::guide;
+use isoplanat_imaging::render::frame_of;
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_network::{Compute, Reconstructor};
+use isoplanat_optics::lens::{Lens, prescription};
+use isoplanat_optics::optimize::search::{Plan, Progress, search};
+use isoplanat_optics::optimize::{Limits, Outcome, Problem, optimize, refocused};
 
 /// The fact of a checkpoint that holds the stage's state.
 const STATE: &str = "design.state";

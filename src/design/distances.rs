@@ -58,7 +58,7 @@ impl Distances {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_rel, central_difference};
+    use isoplanat_base::testing::{assert_rel, central_difference};
 
     fn seen(power: f64, losses: &[f64]) -> Distances {
         let mut distances = Distances::new(power, losses.len());

@@ -5,7 +5,7 @@
 //! reconstruction are judged against the ideal picture, both as seen ([`metrics`]); colours as developed to sRGB. Every zone and depth shows the same part of
 //! a picture at the same scale, so that differences are the lens's.
 //!
-//! On demand captures come from the reference renderer ([`crate::imaging::reference`]) instead: rays from the sensor, one colour a pixel.
+//! On demand captures come from the reference renderer ([`isoplanat_imaging::reference`]) instead: rays from the sensor, one colour a pixel.
 //!
 //! The network sees zeros beyond its input. So that a patch is restored as it would be within a whole picture, a margin of the
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
@@ -21,24 +21,24 @@ use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
 use super::subject::Subject;
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::develop::{Balance, Development, Rendering, finish};
-use crate::imaging::frame::Frame;
-use crate::imaging::guide::Guide;
-use crate::imaging::metrics;
-use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
-use crate::imaging::plane::{Plane, Region, mirrored};
-use crate::imaging::render::{Renderer, Settings as Fineness};
-use crate::imaging::scene::photos::Photos;
-use crate::imaging::scene::{SceneKind, generate};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::mixed;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::network::Reconstructor;
-use crate::psf::SensorMap;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use camera::{Camera, Image};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::develop::{Balance, Development, Rendering, finish};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::metrics;
+use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
+use isoplanat_imaging::plane::{Plane, Region, mirrored};
+use isoplanat_imaging::render::{Renderer, Settings as Fineness};
+use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::{SceneKind, generate};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::noise::mixed;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_network::Reconstructor;
+use isoplanat_optics::psf::SensorMap;
 use zones::Zone;
 
 pub use draws::Built;

@@ -3,8 +3,8 @@
 use std::fs::{self, File, TryLockError};
 use std::path::Path;
 
-use crate::atomic;
-use crate::error::{Error, Result};
+use isoplanat_base::atomic;
+use isoplanat_base::error::{Error, Result};
 
 /// The file that makes a folder a run.
 pub const MARKER: &str = "task.toml";

@@ -13,15 +13,15 @@ use super::chain::{Patch, PatchForward, forward, forward_vjp};
 use super::distances::Distances;
 use super::lens_steps::{LensSteps, Stepped};
 use super::noise::Noise;
-use crate::error::Result;
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::guide::{Guide, Record};
-use crate::imaging::metrics::decibel;
-use crate::imaging::render::{RenderPlan, Renderer};
-use crate::lens::Lens;
-use crate::network::Reconstructor;
-use crate::optimize::descent::Linear;
-use crate::psf::OpticsBar;
+use isoplanat_base::error::Result;
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::guide::{Guide, Record};
+use isoplanat_imaging::metrics::decibel;
+use isoplanat_imaging::render::{RenderPlan, Renderer};
+use isoplanat_network::Reconstructor;
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::optimize::descent::Linear;
+use isoplanat_optics::psf::OpticsBar;
 
 /// Radii at which the illumination is looked at, and how near it has to be to its bound to hold a step.
 const DARK: u32 = 8;

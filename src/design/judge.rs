@@ -11,16 +11,16 @@ use super::joint::{l1_and_psnr, middle};
 use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
 use super::sensor_loss::SensorLoss;
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::frame::Frame;
-use crate::imaging::guide::Guide;
-use crate::imaging::render::{Renderer, Settings};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
-use crate::network::Reconstructor;
-use crate::psf::SensorMap;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::render::{Renderer, Settings};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_network::Reconstructor;
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::SensorMap;
 
 /// Seed of the places of held-out pictures.
 const SEED: u64 = 77;

@@ -4,12 +4,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::constraint::Constraints;
-use crate::error::Result;
-use crate::lens::variables::Variables;
-use crate::lens::{Lens, LensGradient};
-use crate::optimize::Problem;
-use crate::optimize::descent::{Descent, Linear, Memory};
-use crate::trace::rims::overlapping_rims;
+use isoplanat_base::error::Result;
+use isoplanat_optics::lens::variables::Variables;
+use isoplanat_optics::lens::{Lens, LensGradient};
+use isoplanat_optics::optimize::Problem;
+use isoplanat_optics::optimize::descent::{Descent, Linear, Memory};
+use isoplanat_optics::trace::rims::overlapping_rims;
 
 /// What a step of the lens is measured by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

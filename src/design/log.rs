@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
-use crate::atomic;
-use crate::error::Result;
-use crate::network::TrainStep;
+use isoplanat_base::atomic;
+use isoplanat_base::error::Result;
+use isoplanat_network::TrainStep;
 
 /// Averages over a few steps.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]

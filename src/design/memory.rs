@@ -7,11 +7,11 @@ use super::data::{LARGEST, TEXTURE};
 use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
 use super::run::JUDGED;
 use super::task::Task;
-use crate::error::Result;
-use crate::imaging::guide::{Filters, Inputs};
-use crate::imaging::scene::photos::Photos;
-use crate::math::memory::{BASE, product, threads};
-use crate::network::UnetConfig;
+use isoplanat_base::error::Result;
+use isoplanat_base::math::memory::{BASE, product, threads};
+use isoplanat_imaging::guide::{Filters, Inputs};
+use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_network::UnetConfig;
 
 /// Bytes a pixel of a region under way: scene, truth, illumination, image, their cotangents, spectra and kernels.
 const REGION: usize = 700;

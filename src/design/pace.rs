@@ -3,9 +3,9 @@
 use super::run::{JointSettings, Stage};
 use super::scenery::Scenery;
 use super::schedule::Length;
-use crate::error::Result;
-use crate::network::Reconstructor;
-use crate::optimize::Problem;
+use isoplanat_base::error::Result;
+use isoplanat_network::Reconstructor;
+use isoplanat_optics::optimize::Problem;
 
 /// Steps that are timed, behind as many that are not.
 const TIMED: u64 = 3;

@@ -12,16 +12,16 @@ use ndarray::{Array2, Array3, Array4, Axis, s};
 use super::chain::Patch;
 use super::data::Textures;
 use super::subject::Subject;
-use crate::atomic;
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::{Electronics, simulate};
-use crate::imaging::guide::Guide;
-use crate::imaging::plane::{Region, turned};
-use crate::imaging::render::{Channels, Renderer, Settings};
-use crate::imaging::sensor::haze::add_haze;
-use crate::imaging::sensor::noise::{mixed, standard_normal};
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::network::card::sha256_hex;
+use isoplanat_base::atomic;
+use isoplanat_base::atomic::sha256_hex;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::{Electronics, simulate};
+use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::plane::{Region, turned};
+use isoplanat_imaging::render::{Channels, Renderer, Settings};
+use isoplanat_imaging::sensor::haze::add_haze;
+use isoplanat_imaging::sensor::noise::{mixed, standard_normal};
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 
 /// The sensor's image of a region and its ideal picture, `[3, row, col]` each.
 #[derive(Clone, Debug, PartialEq)]
@@ -276,12 +276,12 @@ impl Pairs {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::frame::Frame;
-    use crate::imaging::guide::{Facts, Filters, Inputs};
-    use crate::imaging::sensor::Sensor;
-    use crate::imaging::sensor::cfa::Cfa;
-    use crate::imaging::sensor::noise::Noise;
-    use crate::lens::builtin;
+    use isoplanat_imaging::frame::Frame;
+    use isoplanat_imaging::guide::{Facts, Filters, Inputs};
+    use isoplanat_imaging::sensor::Sensor;
+    use isoplanat_imaging::sensor::cfa::Cfa;
+    use isoplanat_imaging::sensor::noise::Noise;
+    use isoplanat_optics::lens::builtin;
 
     fn electronics() -> Electronics {
         Electronics { cfa: Cfa::RGGB, noise: Noise { shot: 1e-4, read: 1e-3 }, neutral: [0.5, 1.0, 0.7] }
@@ -333,7 +333,7 @@ mod tests {
         let mut steps = ndarray::Array4::zeros((1, 3, 9, 9));
         steps.slice_mut(s![.., .., 4, 5]).fill(30_000i16);
         let scales = ndarray::Array2::from_elem((1, 3), 1.0 / 30_000.0);
-        let grid = crate::imaging::render::node_grid::NodeGrid::single(0, 0);
+        let grid = isoplanat_imaging::render::node_grid::NodeGrid::single(0, 0);
         let filters = Filters::from_parts(grid, steps, scales).expect("valid");
         let guide = Guide::from_parts(Inputs::TOLD, &frame, Facts { filters: Some(filters), ..Facts::default() })
             .expect("valid");

@@ -6,9 +6,9 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::imaging::frame::Frame;
-use crate::imaging::plane::Region;
-use crate::imaging::sensor::noise::mixed;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::plane::Region;
+use isoplanat_imaging::sensor::noise::mixed;
 
 /// How patches are spread over the field.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -20,16 +20,16 @@ use super::schedule::{Length, Schedule};
 use super::sensor_loss::SensorLoss;
 use super::state::State;
 use super::task::Task;
-use crate::analysis::fabrication::tolerances::Tolerances;
-use crate::error::Result;
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::guide::{Guide, Inputs};
-use crate::imaging::render::gradient_error::{Chosen, Patches, cheapest};
-use crate::imaging::render::{Renderer, Settings};
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
-use crate::network::{Compute, Reconstructor, UnetConfig};
-use crate::optimize::Problem;
+use isoplanat_base::error::Result;
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::guide::{Guide, Inputs};
+use isoplanat_imaging::render::gradient_error::{Chosen, Patches, cheapest};
+use isoplanat_imaging::render::{Renderer, Settings};
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_network::{Compute, Reconstructor, UnetConfig};
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::optimize::Problem;
 
 /// Settings of the joint stage.
 #[derive(Clone, Debug)]

@@ -1,8 +1,8 @@
 //! What a joint stage is trained on, and an entry of its history.
 
 use super::data::Textures;
-use crate::imaging::frame::Frame;
-use crate::imaging::sensor::Sensor;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::sensor::Sensor;
 
 /// What is trained on.
 #[derive(Clone, Debug)]

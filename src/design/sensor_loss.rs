@@ -7,8 +7,8 @@
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
-use crate::imaging::metrics::ssim_and_slopes;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::metrics::ssim_and_slopes;
 
 /// The loss, as a task states it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -123,7 +123,7 @@ impl SensorLoss {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::testing::{assert_abs, assert_rel, central_difference};
+    use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 
     fn loss() -> SensorLoss {
         SensorLoss { reference_mm: 1000.0, weights: vec![3.0, 0.3, 1.0], ssim: 3.0, texture_mm: Vec::new() }

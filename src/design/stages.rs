@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use super::folder::{MARKER, START, check, lock, made};
 use super::task::Task;
 use super::train_task::NETWORK;
-use crate::atomic;
-use crate::error::{Error, Result};
-use crate::lens::{Lens, prescription};
+use isoplanat_base::atomic;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::lens::{Lens, prescription};
 
 /// Folder of the stages in that of the design.
 const STAGES: &str = "stages";

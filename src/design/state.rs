@@ -5,10 +5,10 @@ use serde::{Deserialize, Serialize};
 use super::distances::Distances;
 use super::lens_steps::Remembered;
 use super::noise::Noise;
-use crate::error::{Error, Result};
-use crate::imaging::render::Settings;
-use crate::imaging::render::gradient_error::Chosen;
-use crate::lens::{Lens, prescription};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::render::Settings;
+use isoplanat_imaging::render::gradient_error::Chosen;
+use isoplanat_optics::lens::{Lens, prescription};
 
 /// How finely steps were rendered from one on.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -4,9 +4,9 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::analysis::fabrication::tolerances::Tolerances;
-use crate::atomic;
-use crate::error::{Error, Result};
+use isoplanat_base::atomic;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 
 /// Largest file that is read.
 const LARGEST: u64 = 1 << 20;

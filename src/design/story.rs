@@ -9,13 +9,13 @@ use super::data::Textures;
 use super::run::Stage;
 use super::scenery::Entry;
 use super::task::Task;
-use crate::error::{Error, Result};
-use crate::lens::{Lens, prescription};
 use crate::report::design::{DesignPage, Moment, Shown, Words};
 use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
 use crate::report::lens_view::LensView;
 use crate::report::table::significant;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::lens::{Lens, prescription};
 
 /// Kernels in a row of the page, and held-out patches it shows.
 const FIELDS: usize = 7;

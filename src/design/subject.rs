@@ -2,17 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::calibrate::lens::MeasuredLens;
-use crate::error::{Error, Result};
-use crate::imaging::develop::distortion::Distortion;
-use crate::imaging::develop::shading::Shading;
-use crate::imaging::frame::Frame;
-use crate::imaging::render::light::Light;
-use crate::imaging::render::plan::{self, ILLUMINATIONS, quadrature};
-use crate::imaging::render::{Renderer, Settings, frame_of};
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::{Lens, prescription};
-use crate::psf::Optics;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::calibrate::lens::MeasuredLens;
+use isoplanat_imaging::develop::distortion::Distortion;
+use isoplanat_imaging::develop::shading::Shading;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::render::light::Light;
+use isoplanat_imaging::render::plan::{self, ILLUMINATIONS, quadrature};
+use isoplanat_imaging::render::{Renderer, Settings, frame_of};
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::lens::{Lens, prescription};
+use isoplanat_optics::psf::Optics;
 
 /// The lens in a run's folder.
 const LENS: &str = "lens.toml";

@@ -5,11 +5,11 @@ use std::path::Path;
 use super::folder::MARKER;
 use super::story::Judgement;
 use super::task::Task;
-use crate::error::{Error, Result};
-use crate::imaging::sensor::noise::mixed;
-use crate::lens::catalogue::Glasses;
-use crate::lens::{Kind, Lens, Medium, Parameter};
-use crate::optimize::spec::glasses;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::sensor::noise::mixed;
+use isoplanat_optics::lens::catalogue::Glasses;
+use isoplanat_optics::lens::{Kind, Lens, Medium, Parameter};
+use isoplanat_optics::optimize::spec::glasses;
 
 /// Design `index` of `task`: its task, with a seed of its own, and its lens.
 ///
@@ -42,7 +42,7 @@ pub fn varied(task: &Task, index: u64, known: &Glasses, file: &str) -> Result<(T
     }
     let drawn = lens.changed(|l| {
         for (p, factor) in &factors {
-            if let Some(number) = p.kind.list_mut(l, p.of).get_mut(p.entry) {
+            if let Some(number) = p.value_mut(l) {
                 *number *= factor;
             }
         }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::error::{Error, Result};
+use isoplanat_base::error::{Error, Result};
 
 /// The `[sweep]` table of a task: what is drawn; number 0 is the task as it stands.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]

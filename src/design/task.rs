@@ -14,18 +14,18 @@ use super::stated::Stated;
 use super::subject::Subject;
 use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
-use crate::analysis::fabrication::tolerances::Tolerances;
-use crate::calibrate::lens::MeasuredLens;
-use crate::error::{Error, Result};
-use crate::imaging::guide::Inputs;
-use crate::imaging::sensor::Sensor;
-use crate::interchange;
-use crate::lens::catalogue::Glasses;
-use crate::lens::variables::Variables;
-use crate::lens::{Kind, Lens, Prescription, SensorRaster};
-use crate::optimize::spec::Spec;
-use crate::optimize::{Constraint, Problem, Quantity};
-use crate::trace::rims::overlapping_rims;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::calibrate::lens::MeasuredLens;
+use isoplanat_imaging::guide::Inputs;
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::interchange;
+use isoplanat_optics::lens::catalogue::Glasses;
+use isoplanat_optics::lens::variables::Variables;
+use isoplanat_optics::lens::{Kind, Lens, Prescription, SensorRaster};
+use isoplanat_optics::optimize::spec::Spec;
+use isoplanat_optics::optimize::{Constraint, Problem, Quantity};
+use isoplanat_optics::trace::rims::overlapping_rims;
 
 /// Largest distortion at the frame's corner, and how much more than its own a lens may get that has more.
 const BARREL: f64 = 0.08;
@@ -34,15 +34,7 @@ const SLACK: f64 = 0.02;
 /// Most draws of which the worst one is taken.
 const MOST_DRAWS: usize = 64;
 
-/// Shipped tasks: name, text.
-pub const SHIPPED: [(&str, &str); 6] = [
-    ("lfov-paper", include_str!("../../models/tasks/lfov-paper.toml")),
-    ("lfov-30", include_str!("../../models/tasks/lfov-30.toml")),
-    ("lfov-30-free", include_str!("../../models/tasks/lfov-30-free.toml")),
-    ("edof", include_str!("../../models/tasks/edof.toml")),
-    ("edof-free", include_str!("../../models/tasks/edof-free.toml")),
-    ("edof-joint", include_str!("../../models/tasks/edof-joint.toml")),
-];
+pub use isoplanat_models::TASKS as SHIPPED;
 
 /// The form of task files this program reads.
 pub const SCHEMA: u32 = 1;

@@ -6,11 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::pairs::Augmentation;
 use super::schedule::{Length, Schedule};
-use crate::error::{Error, Result};
-use crate::imaging::guide::Inputs;
-use crate::network::critic::CriticConfig;
-use crate::network::unet::FULL_SCALES;
-use crate::network::{Blocks, ContentKind, Objective, Reconstructor, UnetConfig};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_card::Blocks;
+use isoplanat_imaging::guide::Inputs;
+use isoplanat_network::critic::CriticConfig;
+use isoplanat_network::unet::FULL_SCALES;
+use isoplanat_network::{ContentKind, Objective, Reconstructor, UnetConfig};
 
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";

@@ -8,9 +8,9 @@ use super::drawing::lens_svg;
 use super::html::{Fact, Page};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
-use crate::analysis::scatter::OfFace;
-use crate::analysis::tolerancing::{Alone, AsBuilt};
-use crate::lens::Lens;
+use isoplanat_optics::analysis::scatter::OfFace;
+use isoplanat_optics::analysis::tolerancing::{Alone, AsBuilt};
+use isoplanat_optics::lens::Lens;
 
 /// Shares of the draws that are told of.
 const SHARES: [f64; 4] = [0.1, 0.5, 0.9, 0.98];
@@ -199,9 +199,9 @@ impl AsBuiltReport<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::fabrication::tolerances::Tolerances;
-    use crate::analysis::tolerancing::Settings;
-    use crate::lens::builtin;
+    use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+    use isoplanat_optics::analysis::tolerancing::Settings;
+    use isoplanat_optics::lens::builtin;
 
     #[test]
     fn table_csv_json_and_page_say_the_same() {

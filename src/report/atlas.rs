@@ -6,14 +6,14 @@
 use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
 
 use super::field::FieldLine;
-use crate::error::{Error, Result};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::spectrum::Spectrum;
-use crate::lens::Lens;
-use crate::math::memory::{BASE, Limit, product, threads};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::{BASE, Limit, product, threads};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::spectrum::Spectrum;
+use isoplanat_optics::lens::Lens;
 
-use crate::psf::table::Tolerance;
-use crate::psf::{Optics, OpticsSpec, Place, Quadrature};
+use isoplanat_optics::psf::table::Tolerance;
+use isoplanat_optics::psf::{Optics, OpticsSpec, Place, Quadrature};
 
 /// Wavelengths of a picture in colour.
 const COLOUR_NODES: usize = 7;
@@ -296,7 +296,7 @@ fn empty_margin(tiles: &Array4<f32>) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use isoplanat_optics::lens::builtin;
 
     fn request(size: Option<usize>) -> KernelRequest {
         KernelRequest {

@@ -13,7 +13,7 @@ use super::html::{Fact, Page, Picture};
 use super::paired::{Difference, against};
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
-use crate::error::Result;
+use isoplanat_base::error::Result;
 
 pub use edges::EdgesAt;
 
@@ -398,7 +398,7 @@ impl Entrant {
 mod tests {
     use super::*;
     use crate::report::evaluation::Closeness;
-    use crate::testing::assert_abs;
+    use isoplanat_base::testing::assert_abs;
 
     /// Three pictures a row, `psnr` at each distance, differing by picture.
     fn judged(psnr: [f64; 2]) -> Evaluation {

@@ -10,9 +10,9 @@ use super::html::{Fact, Page, Picture};
 use super::lens_view::{self, LensView};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
-use crate::error::{Error, Result};
-use crate::imaging::metrics::delta_e::{colour_shift, delta_e};
-use crate::imaging::metrics::{SSIM_WINDOW, psnr, ssim};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
+use isoplanat_imaging::metrics::{SSIM_WINDOW, psnr, ssim};
 
 /// Everything the page shows.
 #[derive(Clone, Debug, Default)]

@@ -6,7 +6,7 @@ use super::html::{Fact, Page, Picture};
 use super::lens_view::{self, LensView};
 use super::plot::{Mark, Plot, Scale, Series};
 use super::table::{Table, significant};
-use crate::error::Result;
+use isoplanat_base::error::Result;
 
 /// A lens on the way.
 #[derive(Clone, Debug)]

@@ -5,11 +5,11 @@ use glam::DVec2;
 use super::field::{FieldLine, slope_at};
 use super::svg::{Anchor, HUES, Svg, text_width};
 use super::table::significant;
-use crate::lens::Lens;
-use crate::trace::aim::{ParaxialPupil, aim};
-use crate::trace::launch::launch;
-use crate::trace::sequential::{first_vignetted, trace};
-use crate::trace::{FieldPoint, System};
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::trace::aim::{ParaxialPupil, aim};
+use isoplanat_optics::trace::launch::launch;
+use isoplanat_optics::trace::sequential::{first_vignetted, trace};
+use isoplanat_optics::trace::{FieldPoint, System};
 
 /// Shares of the field that are drawn.
 const FIELDS: [f64; 3] = [0.0, 0.7, 1.0];
@@ -243,7 +243,7 @@ fn fan(lens: &Lens, angle: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use isoplanat_optics::lens::builtin;
 
     /// `ISOPLANAT_KEEP_DRAWINGS=folder` keeps them for looking at. Every shipped lens: all elements, three fans whose chief ray passes, nothing that is not a number.
     #[test]

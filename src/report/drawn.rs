@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::table::{Table, significant};
-use crate::math::at_share;
+use isoplanat_base::math::at_share;
 
 /// Shares of the draws that are told of.
 const SHARES: [f64; 3] = [0.1, 0.5, 0.9];

@@ -1,8 +1,8 @@
 //! Places along the field, from the axis to the border of what the sensor sees.
 
-use crate::error::Result;
-use crate::lens::{Lens, paraxial};
-use crate::psf::table::{STEEPEST, chief_slopes};
+use isoplanat_base::error::Result;
+use isoplanat_optics::lens::{Lens, paraxial};
+use isoplanat_optics::psf::table::{STEEPEST, chief_slopes};
 
 /// Chief rays of a distortion curve.
 const SAMPLES: u32 = 16;
@@ -96,8 +96,8 @@ pub fn max_slope(lens: &Lens, vergence: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
-    use crate::testing::assert_abs;
+    use isoplanat_base::testing::assert_abs;
+    use isoplanat_optics::lens::builtin;
 
     #[test]
     fn places_run_from_the_axis_to_the_border_of_the_sensor_or_of_the_field() {

@@ -5,8 +5,8 @@ use std::fmt;
 use serde_json::{Value, json};
 
 use super::table::{Table, significant};
-use crate::lens::Lens;
-use crate::trace::health::{Health, Verdict};
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::trace::health::{Health, Verdict};
 
 /// What `isoplanat check` shows.
 #[derive(Clone, Debug)]
@@ -18,7 +18,7 @@ pub struct HealthReport<'a> {
 impl<'a> HealthReport<'a> {
     /// The check of `lens`.
     pub fn new(lens: &'a Lens) -> Self {
-        Self { lens, health: crate::trace::health::check(lens) }
+        Self { lens, health: isoplanat_optics::trace::health::check(lens) }
     }
 
     /// What was measured.

@@ -10,8 +10,8 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use ndarray::Array3;
 
 use super::table::Table;
-use crate::error::Result;
-use crate::imaging::files::{jpeg_bytes_srgb, png_bytes_srgb};
+use isoplanat_base::error::Result;
+use isoplanat_imaging::files::{jpeg_bytes_srgb, png_bytes_srgb};
 
 /// A picture with what stands below it.
 #[derive(Clone, Debug)]

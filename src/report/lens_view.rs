@@ -8,8 +8,8 @@ use super::html::{Page, Picture};
 use super::lens::{Options, SHIFTS, look, plots, spot_svg};
 use super::plot::Plot;
 use super::table::significant;
-use crate::error::Result;
-use crate::lens::{Lens, paraxial};
+use isoplanat_base::error::Result;
+use isoplanat_optics::lens::{Lens, paraxial};
 
 /// Rays of a spot and wavelength.
 const RAYS: usize = 400;
@@ -51,7 +51,7 @@ impl LensView {
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),
             rays: 8192,
-            memory: crate::math::memory::Limit::of_process(),
+            memory: isoplanat_base::math::memory::Limit::of_process(),
         };
         let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
         let options = Options {
@@ -63,7 +63,7 @@ impl LensView {
             whole: waves,
             colour: false,
             psf_depths_mm: Vec::new(),
-            memory: crate::math::memory::Limit::of_process(),
+            memory: isoplanat_base::math::memory::Limit::of_process(),
         };
         let (overview, _) = look(&lens.changed(|l| l.object_vergence = 1.0 / depth_mm)?, &options);
         let shown = if waves { WAVES } else { NO_WAVES };

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 use super::drawing::lens_svg_within;
 use super::html::Page;
 use super::table::{Table, significant};
-use crate::lens::paraxial::{FirstOrder, first_order};
-use crate::lens::{Lens, Medium};
+use isoplanat_optics::lens::paraxial::{FirstOrder, first_order};
+use isoplanat_optics::lens::{Lens, Medium};
 
 /// Largest size of a drawing on the page, px.
 const SIZE: [f64; 2] = [540.0, 330.0];
@@ -205,7 +205,7 @@ fn short(source: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use isoplanat_optics::lens::builtin;
 
     fn library() -> Library {
         Library::new(builtin::LENSES.map(|(name, _)| (name.to_owned(), builtin::lens(name).expect(name))))

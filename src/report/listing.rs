@@ -5,9 +5,9 @@ use std::fmt;
 use serde_json::{Value, json};
 
 use super::table::{Table, significant};
-use crate::lens::paraxial::{FirstOrder, first_order};
-use crate::lens::seidel::{self, Seidel};
-use crate::lens::{Aperture, Lens, Medium};
+use isoplanat_optics::lens::paraxial::{FirstOrder, first_order};
+use isoplanat_optics::lens::seidel::{self, Seidel};
+use isoplanat_optics::lens::{Aperture, Lens, Medium};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -244,7 +244,7 @@ fn sums_json(sums: Seidel) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use isoplanat_optics::lens::builtin;
 
     /// The design's figures of the two-element start appear in both forms.
     #[test]

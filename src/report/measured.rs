@@ -3,7 +3,7 @@
 //!
 //! At every place of the field two edges are photographed, one after the other: their normals lie [`TILT_DEG`] off the meridian (tangential MTF) and off
 //! its perpendicular (sagittal MTF). Green pixels of the mosaic, without noise and over the relative illumination, are measured by
-//! [`mod@crate::imaging::metrics::slanted_edge`]; a network sees the capture with the sensor's noise, and the green of what it makes is measured in the same way. The prediction is the modulus of the mean of `exp(−2πi f·p)` over
+//! [`mod@isoplanat_imaging::metrics::slanted_edge`]; a network sees the capture with the sensor's noise, and the green of what it makes is measured in the same way. The prediction is the modulus of the mean of `exp(−2πi f·p)` over
 //! rays along the measured normal, wavelengths by the green channel's density, times the MTF of a square pixel. The scene's own texels
 //! (areas of the step between which it runs evenly; 8 a pixel, down to 2 where a wide blur asks for large patches) are divided out of what is measured:
 //! half a cycle a pixel by 2 % with eight, by a quarter with two.
@@ -16,6 +16,8 @@
 
 mod curves;
 mod edge;
+#[cfg(feature = "deploy")]
+pub mod kit;
 mod target;
 
 use std::time::Instant;
@@ -25,14 +27,14 @@ use serde_json::{Value, json};
 use super::field::FieldLine;
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
-use crate::error::{Error, Result};
-use crate::imaging::frame::Frame;
-use crate::imaging::metrics::slanted_edge::EdgeMeasurement;
-use crate::imaging::plane::{Plane, Region};
-use crate::imaging::reference::{self, Channels, Sampling};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::metrics::slanted_edge::EdgeMeasurement;
+use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::reference::{self, Channels, Sampling};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::lens::Lens;
 use target::{Light, SIDE, Target};
 
 pub use curves::Curves;

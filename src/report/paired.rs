@@ -4,7 +4,7 @@ use serde::Serialize;
 
 use super::evaluation::{Evaluation, Figure};
 use super::table::{Table, significant};
-use crate::error::{Error, Result};
+use isoplanat_base::error::{Error, Result};
 
 /// How much better one run's reconstructions are than another's, in one zone at one depth or in a mean.
 #[derive(Clone, Debug, PartialEq, Serialize)]

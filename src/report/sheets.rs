@@ -11,10 +11,10 @@ use self::words::{NOT_STATED, fixed, number, superscript};
 use super::drawing::lens_svg_within;
 use super::html::{Fact, Page};
 use super::table::{Table, significant};
-use crate::analysis::fabrication::Fabrication;
-use crate::analysis::fabrication::element::Element;
-use crate::analysis::fabrication::tolerances::Tolerances;
-use crate::lens::Lens;
+use isoplanat_optics::analysis::fabrication::Fabrication;
+use isoplanat_optics::analysis::fabrication::element::Element;
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::lens::Lens;
 
 /// Largest size of the lens's drawing, px.
 const SIZE: [f64; 2] = [900.0, 400.0];
@@ -244,7 +244,7 @@ impl Sheets<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::builtin;
+    use isoplanat_optics::lens::builtin;
 
     /// Every shipped lens: a sheet an element, no number that is none, nothing invented.
     #[test]

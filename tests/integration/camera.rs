@@ -204,7 +204,7 @@ fn damaged_files_are_developed_or_refused() {
         .filter(|p| p.is_file())
         .map(|p| (p.file_name().expect("a name").to_string_lossy().into_owned(), std::fs::read(&p).expect("reads")))
         .collect();
-    let hash = |bytes: &[u8]| isoplanat::network::card::sha256_hex(bytes);
+    let hash = |bytes: &[u8]| isoplanat::atomic::sha256_hex(bytes);
     let faults: Vec<String> = (0..count)
         .into_par_iter()
         .filter_map(|seed: u64| {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::layering::{code, sources, spelled};
+use crate::layering::{code, own_sources, spelled};
 
 type Graph = BTreeMap<String, BTreeSet<String>>;
 
@@ -33,26 +33,33 @@ fn named(text: &str, at: &[&str]) -> Vec<Vec<String>> {
     found
 }
 
-/// Which file's module uses which; not what a file has of the modules around it, nor they of it.
+/// Which file's module uses which of its crate; not what a file has of the modules around it, nor they of it. Between crates there is no circle: cargo
+/// refuses it.
 fn graph() -> Graph {
-    let mut files = BTreeMap::new();
-    for (path, text) in sources("src") {
-        let name = path.trim_start_matches("src/").trim_end_matches(".rs").trim_end_matches("/mod");
+    let mut crates: BTreeMap<String, BTreeMap<Vec<String>, String>> = BTreeMap::new();
+    for (path, text) in own_sources() {
+        // `crates/optics/src/lens/mod.rs`, `src/report/mod.rs`; the program's commands are a crate of their own.
+        let (of, inside) = path.split_once("src/").expect("below a crate's `src`");
+        let (of, inside) =
+            inside.strip_prefix("commands/").map_or((of.to_owned(), inside), |i| (format!("{of}commands/"), i));
+        let name = inside.trim_end_matches(".rs").trim_end_matches("/mod");
         let parts: Vec<String> = name.split('/').map(str::to_owned).collect();
-        if parts[0] != "bin" && !parts.iter().any(|p| p.starts_with("test")) {
+        if !parts.iter().any(|p| p.starts_with("test")) {
             let text = code(&text);
             let end = text.find("#[cfg(test)]\nmod tests").unwrap_or(text.len());
-            files.insert(parts, text[..end].to_owned());
+            crates.entry(of).or_default().insert(parts, text[..end].to_owned());
         }
     }
     let mut graph = Graph::new();
-    for (at, text) in &files {
-        let base: Vec<&str> = at.iter().map(String::as_str).collect();
-        let uses = graph.entry(at.join("::")).or_default();
-        for path in named(text, &base) {
-            let known = (1..=path.len()).rev().find(|n| files.contains_key(&path[..*n])).map(|n| &path[..n]);
-            if let Some(other) = known.filter(|o| !o.starts_with(at) && !at.starts_with(o)) {
-                uses.insert(other.join("::"));
+    for (of, files) in &crates {
+        for (at, text) in files {
+            let base: Vec<&str> = at.iter().map(String::as_str).collect();
+            let uses = graph.entry(format!("{of}{}", at.join("::"))).or_default();
+            for path in named(text, &base) {
+                let known = (1..=path.len()).rev().find(|n| files.contains_key(&path[..*n])).map(|n| &path[..n]);
+                if let Some(other) = known.filter(|o| !o.starts_with(at) && !at.starts_with(o)) {
+                    uses.insert(format!("{of}{}", other.join("::")));
+                }
             }
         }
     }

@@ -3,6 +3,7 @@
 
 use std::path::Path;
 
+use isoplanat::atomic::sha256_hex;
 use isoplanat::deploy::kit::{Kit, LensEntry};
 use isoplanat::deploy::raw;
 use isoplanat::deploy::reconstruct::{Camera, Steps};
@@ -19,7 +20,7 @@ use isoplanat::imaging::render::{Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
-use isoplanat::network::card::{ModelCard, Weights, sha256_hex};
+use isoplanat::network::card::{ModelCard, Weights};
 use isoplanat::network::{Blocks, Reconstructor, UnetConfig, onnx};
 use ndarray::{Array3, Array4, ArrayView4, Axis, s};
 

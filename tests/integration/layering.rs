@@ -6,57 +6,41 @@ use std::process::Command;
 
 use crate::support::root;
 
-/// Modules in the order of the light; each uses only those before it.
-const ORDER: [&str; 17] = [
-    "error",
-    "atomic",
-    "units",
-    "testing",
-    "math",
-    "lens",
-    "trace",
-    "interchange",
-    "optimize",
-    "psf",
-    "analysis",
-    "imaging",
-    "calibrate",
-    "report",
-    "network",
-    "design",
-    "deploy",
+/// Modules of one crate in the order of the light; each uses only those before it. Between crates cargo holds the order.
+const ORDER: [(&str, &[&str]); 2] = [
+    ("crates/optics/src/", &["lens", "trace", "interchange", "optimize", "psf", "analysis"]),
+    ("src/", &["report", "design"]),
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 9] = [
-    (&["calib_targets_chessboard"], &["src/calibrate/chart.rs"]),
-    (&["burn", "onnx_rs"], &["src/network/", "src/design/"]),
-    (&["ort", "tract_onnx"], &["src/deploy/session"]),
-    (&["rawler"], &["src/deploy/raw"]),
-    (&["image"], &["src/imaging/files.rs"]),
+const CRATES: [(&[&str], &[&str]); 8] = [
+    (&["calib_targets_chessboard"], &["crates/imaging/src/calibrate/chart.rs"]),
+    (&["ort", "tract_onnx"], &["crates/camera/src/session"]),
+    (&["rawler"], &["crates/camera/src/raw"]),
+    (&["image"], &["crates/imaging/src/files.rs"]),
     (&["maud"], &["src/report/html.rs"]),
-    (&["tiny_http"], &["src/bin/isoplanat/view.rs"]),
-    (&["moxcms"], &["src/imaging/develop/gamut.rs"]),
-    (&["tiff"], &["src/imaging/files.rs", "src/imaging/exif.rs", "src/imaging/sensor/dng.rs"]),
+    (&["tiny_http"], &["src/commands/view.rs"]),
+    (&["moxcms"], &["crates/imaging/src/develop/gamut.rs"]),
+    (&["tiff"], &["crates/imaging/src/files.rs", "crates/imaging/src/exif.rs", "crates/imaging/src/sensor/dng.rs"]),
 ];
 
 /// Files over 600 lines, each with its reason.
-const LONG: [(&str, &str); 1] = [("src/network/reconstructor.rs", "400 lines of one type, the rest its tests")];
+const LONG: [(&str, &str); 1] = [("crates/network/src/reconstructor.rs", "400 lines of one type, the rest its tests")];
 
 /// Files that may hold unsafe code: vector instructions, columns of one output for several threads, a shared library.
 const UNSAFE: [&str; 6] = [
-    "src/math/simd/avx2.rs",
-    "src/math/simd/avx512.rs",
-    "src/math/simd/hint.rs",
-    "src/math/simd/mod.rs",
-    "src/network/kernels/panel.rs",
-    "src/deploy/onnxruntime.rs",
+    "crates/base/src/math/simd/avx2.rs",
+    "crates/base/src/math/simd/avx512.rs",
+    "crates/base/src/math/simd/hint.rs",
+    "crates/base/src/math/simd/mod.rs",
+    "crates/network/src/kernels/panel.rs",
+    "crates/camera/src/onnxruntime.rs",
 ];
 
 /// Methods called `vjp` whose test stands in `tests/`: their file, and the test.
 const TESTED_ELSEWHERE: [(&str, &str); 2] = [
-    ("src/imaging/render/renderer.rs", "fn a_rendered_region_pulls_back_to_the_lens()"),
-    ("src/psf/illumination.rs", "fn throughput_follows_clear_apertures()"),
+    ("crates/imaging/src/render/renderer.rs", "fn a_rendered_region_pulls_back_to_the_lens()"),
+    ("crates/optics/src/psf/illumination.rs", "fn throughput_follows_clear_apertures()"),
 ];
 
 /// Every source file: path from the root, text.
@@ -75,6 +59,13 @@ pub(crate) fn sources(folder: &str) -> BTreeMap<String, String> {
     let mut found = BTreeMap::new();
     walk(&root().join(folder), &mut found);
     found
+}
+
+/// The program's and its crates' own sources.
+pub(crate) fn own_sources() -> BTreeMap<String, String> {
+    let mut all = sources("src");
+    all.append(&mut sources("crates"));
+    all
 }
 
 /// Source without comments and without the contents of strings, line by line as it was.
@@ -184,32 +175,21 @@ fn the_reader_of_this_test_takes_paths_apart() {
 
 #[test]
 fn a_module_uses_only_modules_before_it() {
-    let rank = |module: &str| ORDER.iter().position(|m| *m == module);
     let mut wrong = Vec::new();
-    for (file, text) in sources("src") {
-        let inside = file.trim_start_matches("src/");
-        let module = inside.split(['/', '.']).next().unwrap_or_default();
-        let program = inside.starts_with("bin/");
-        let own = match (program, rank(module)) {
-            (true, _) => ORDER.len(),
-            (false, Some(own)) => own,
-            // The front page names them all.
-            (false, None) if file == "src/lib.rs" => continue,
-            (false, None) => {
-                panic!("{file}: module `{module}` has no place in the order {ORDER:?}")
-            }
-        };
-        for (used, item, line) in paths(&code(&text), if program { "isoplanat" } else { "crate" }) {
-            // Items re-exported at the root are those of `error`; anything else there is a module.
-            let Some(other) = rank(&used) else { continue };
-            if other > own {
-                wrong.push(format!("{file}:{line}: {module} uses {used}, which stands after it"));
-            }
-            let camera = module == "deploy" || inside.starts_with("bin/isoplanat-camera/");
-            if camera && (used == "design" || used == "network" && item != "card") {
-                wrong.push(format!("{file}:{line}: the camera side uses {used}::{item}; only network::card is for it"));
+    let all = own_sources();
+    for (folder, order) in ORDER {
+        let rank = |module: &str| order.iter().position(|m| *m == module);
+        for (file, text) in all.iter().filter(|(file, _)| file.starts_with(folder)) {
+            let module = file.trim_start_matches(folder).split(['/', '.']).next().unwrap_or_default();
+            let Some(own) = rank(module) else { continue };
+            for (used, _, line) in paths(&code(text), "crate") {
+                if rank(&used).is_some_and(|other| other > own) {
+                    wrong.push(format!("{file}:{line}: {module} uses {used}, which stands after it"));
+                }
             }
         }
+        let seen = order.iter().filter(|m| all.keys().any(|f| f.starts_with(&format!("{folder}{m}")))).count();
+        assert_eq!(seen, order.len(), "{folder} has the modules {order:?}");
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
@@ -218,7 +198,7 @@ fn a_module_uses_only_modules_before_it() {
 #[test]
 fn heavy_crates_are_named_only_in_their_places() {
     let mut wrong = Vec::new();
-    for (file, text) in sources("src") {
+    for (file, text) in own_sources() {
         // Tests may name the crate that judges.
         let code = code(&text);
         let code = code.split("#[cfg(test)]").next().unwrap_or_default();
@@ -242,7 +222,7 @@ fn heavy_crates_are_named_only_in_their_places() {
 fn every_adjoint_has_a_test_that_names_it() {
     let tests: String = sources("tests").into_values().map(|t| code(&t)).collect();
     let mut missing = Vec::new();
-    let sources = sources("src");
+    let sources = own_sources();
     for (file, text) in &sources {
         let code = code(text);
         let (body, own_tests) = code.split_once("#[cfg(test)]").unwrap_or((&code, ""));
@@ -275,13 +255,13 @@ fn only_tests_leave_the_check_of_a_lens_out() {
         let tests = file.ends_with("tests.rs") || file.contains("/tests/") || file.ends_with("test_lenses.rs");
         (!tests && body.contains("unchecked")).then_some(file)
     };
-    let found: Vec<String> = sources("src").into_iter().filter_map(named).collect();
-    assert_eq!(found, ["src/lens/mod.rs"], "the function itself and no other");
+    let found: Vec<String> = own_sources().into_iter().filter_map(named).collect();
+    assert_eq!(found, ["crates/optics/src/lens/mod.rs"], "the function itself and no other");
 }
 
 #[test]
 fn no_file_is_long_without_a_reason() {
-    let all = sources("src").into_iter().chain(sources("tests")).chain(sources("benches"));
+    let all = own_sources().into_iter().chain(sources("tests")).chain(sources("benches"));
     let long: Vec<String> = all
         .map(|(file, text)| (file, text.lines().count()))
         .filter(|(file, lines)| *lines > 600 && !LONG.iter().any(|(f, _)| f == file))
@@ -295,7 +275,7 @@ fn no_file_is_long_without_a_reason() {
 fn unsafe_code_is_little_and_in_its_places() {
     let mut blocks = 0;
     let mut wrong = Vec::new();
-    for (file, text) in sources("src") {
+    for (file, text) in own_sources() {
         let code = code(&text);
         let unsafe_here = |line: &str| line.split(|c: char| !c.is_alphanumeric() && c != '_').any(|w| w == "unsafe");
         if let Some(line) = code.lines().position(unsafe_here)

@@ -2,7 +2,7 @@
 
     python tests/peers/ssim_skimage.py [--write]
 
-Recomputes `tests/peers/ssim_skimage.json`, which a test of `imaging::metrics` holds this crate to, and compares; `--write`
+Recomputes `crates/imaging/src/metrics/ssim_skimage.json`, which a test of `imaging::metrics` holds this crate to, and compares; `--write`
 replaces it. Photographs are ../shared/data/photos/eval; the damage is integer arithmetic on their 8-bit values, so that any
 program can repeat it. Values are the 8-bit ones over 255, as seen, data range 1. Needs numpy, Pillow, scikit-image.
 Exit code 1 where a number differs by more than 1e-12.
@@ -19,7 +19,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 ROOT = Path(__file__).resolve().parents[2]
 PHOTOS = ROOT.parent / "shared/data/photos/eval"
-RECORD = Path(__file__).with_suffix(".json")
+RECORD = Path(__file__).parents[2] / "crates/imaging/src/metrics/ssim_skimage.json"
 TOLERANCE = 1e-12
 
 

@@ -7,20 +7,20 @@ use ndarray::{Array2, Array3};
 use super::Settings;
 use crate::design::chain::Patch;
 use crate::design::subject::Subject;
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::frame::Frame;
-use crate::imaging::plane::Plane;
-use crate::imaging::reference::seen::seen;
-use crate::imaging::reference::{self, Sampling, Tracer};
-use crate::imaging::render::{Channels, Renderer, frame_of};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::cfa::mosaic_vjp;
-use crate::imaging::sensor::noise::mixed;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
-use crate::psf::Place;
-use crate::psf::measured::knot;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::plane::Plane;
+use isoplanat_imaging::reference::seen::seen;
+use isoplanat_imaging::reference::{self, Sampling, Tracer};
+use isoplanat_imaging::render::{Channels, Renderer, frame_of};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::cfa::mosaic_vjp;
+use isoplanat_imaging::sensor::noise::mixed;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::Place;
+use isoplanat_optics::psf::measured::knot;
 
 /// A way to captures.
 pub(super) struct Camera {
@@ -356,8 +356,8 @@ impl<'a> Shown<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::imaging::render::Settings as Fineness;
-    use crate::lens::builtin;
+    use isoplanat_imaging::render::Settings as Fineness;
+    use isoplanat_optics::lens::builtin;
 
     /// The same lens on a frame whose axis is elsewhere, and whose pixels are of another size: what it shows is the same picture, so large and so far
     /// away as the frames say.

@@ -5,11 +5,11 @@ use std::time::Instant;
 use super::camera::{Camera, seen_by};
 use super::{Judge, Retrain};
 use crate::design::subject::Subject;
-use crate::error::{Error, Result};
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
 use crate::report::drawn::{Aspect, Drawn, Draws, Psnr};
 use crate::report::evaluation::Evaluation;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::lens::Lens;
 
 /// Lenses as they were built.
 #[derive(Clone, Debug)]
@@ -116,10 +116,10 @@ mod tests {
     use super::*;
     use crate::design::data::Textures;
     use crate::design::evaluate::Pictures;
-    use crate::imaging::guide::Guide;
-    use crate::imaging::scene::SceneKind;
-    use crate::imaging::sensor::Sensor;
-    use crate::lens::pose::{Element, Pose};
+    use isoplanat_imaging::guide::Guide;
+    use isoplanat_imaging::scene::SceneKind;
+    use isoplanat_imaging::sensor::Sensor;
+    use isoplanat_optics::lens::pose::{Element, Pose};
 
     /// A lens by itself changes nothing; one that stands 3 pixels aside shows the same picture there, and one whose second element is tilted is worse by what its
     /// blur does; one without light is told, and draws without rays are refused.

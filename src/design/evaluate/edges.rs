@@ -3,14 +3,14 @@
 use super::{Behind, Camera, at_depths, context_of};
 use crate::design::evaluate::{FINENESS, Settings as Evaluated, TEXELS_PER_PIXEL};
 use crate::design::subject::Subject;
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::guide::Guide;
-use crate::imaging::plane::{Plane, Region};
-use crate::imaging::sensor::Sensor;
-use crate::lens::Lens;
-use crate::network::Reconstructor;
 use crate::report::measured::{Measured, Seen, Settings, close};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_network::Reconstructor;
+use isoplanat_optics::lens::Lens;
 
 /// The loop of [`crate::report::measured`] with what `network`, told by its guide, makes of the captures; they carry the sensor's noise.
 ///

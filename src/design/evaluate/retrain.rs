@@ -10,10 +10,10 @@ use crate::design::chain::forward_of;
 use crate::design::data::Textures;
 use crate::design::joint::middle;
 use crate::design::places::{Places, Spread};
-use crate::error::{Error, Result};
-use crate::imaging::develop::simulate::Electronics;
-use crate::imaging::sensor::noise::mixed;
-use crate::network::Reconstructor;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::develop::simulate::Electronics;
+use isoplanat_imaging::sensor::noise::mixed;
+use isoplanat_network::Reconstructor;
 
 /// How a network is trained on for each lens.
 #[derive(Clone, Copy, Debug)]

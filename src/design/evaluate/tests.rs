@@ -1,8 +1,8 @@
 use super::zones::{angle_deg, bounds, check, height_at, places, zones};
 use super::*;
 use crate::design::task::{Task, TaskSensor};
-use crate::lens::catalogue::Glasses;
-use crate::network::UnetConfig;
+use isoplanat_network::UnetConfig;
+use isoplanat_optics::lens::catalogue::Glasses;
 
 pub(super) fn settings(fields: usize, patch: usize) -> Settings {
     Settings {
@@ -185,7 +185,7 @@ fn every_zone_shows_the_same_part_of_a_picture() {
         let region = Region { row, col, rows: side, cols: side };
         let scene = Shot { region, whole: 64, context, part, noise_seed: 1, camera: &camera, texels: TEXELS_PER_PIXEL }
             .scene(&frame, depth, &picture);
-        let truth = crate::imaging::render::source::warp::<f32>(&scene, depth, &frame, region, &[0, 1, 2]);
+        let truth = isoplanat_imaging::render::source::warp::<f32>(&scene, depth, &frame, region, &[0, 1, 2]);
         let from = side / 2 - 16;
         truth.slice(s![.., from..from + 32, from..from + 32]).to_owned()
     };
@@ -221,7 +221,8 @@ fn captures_through_another_lens_are_judged_by_the_ideal_picture_of_its_own() {
         assert_eq!(db(rays, None), db(rays, Some(own.clone())), "{rays:?}");
     }
     let Subject::Lens(lens) = &own else { unreachable!("a prescription") };
-    let changed = |change: fn(&mut crate::lens::Prescription)| Subject::from(lens.changed(change).expect("a lens"));
+    let changed =
+        |change: fn(&mut isoplanat_optics::lens::Prescription)| Subject::from(lens.changed(change).expect("a lens"));
     let worse = db(None, Some(changed(|l| l.surfaces.iter_mut().rev().take(1).for_each(|s| s.thickness += 2.0))));
     assert!(worse[0] < db(None, None)[0] - 0.5, "out of focus: {worse:?}");
     // Pixels a fiftieth smaller see a larger picture; it is made as large as the ideal one.

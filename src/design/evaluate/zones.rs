@@ -1,10 +1,10 @@
 //! Zones of the field, by image height or by field angle, and the places of their patches.
 
 use super::{STEP, Settings};
-use crate::error::{Error, Result};
-use crate::imaging::frame::Frame;
-use crate::imaging::metrics::SSIM_WINDOW;
-use crate::psf::SensorMap;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::metrics::SSIM_WINDOW;
+use isoplanat_optics::psf::SensorMap;
 
 /// About so many places are looked at in a frame.
 const PLACES: usize = 1 << 20;

@@ -8,10 +8,10 @@ use crate::design::chain::Patch;
 use crate::design::data::{Scale, Textures};
 use crate::design::places::Places;
 use crate::design::sensor_loss::SensorLoss;
-use crate::error::Result;
-use crate::imaging::metrics::decibel;
-use crate::imaging::render::{Rendered, Renderer};
-use crate::psf::OpticsBar;
+use isoplanat_base::error::Result;
+use isoplanat_imaging::metrics::decibel;
+use isoplanat_imaging::render::{Rendered, Renderer};
+use isoplanat_optics::psf::OpticsBar;
 
 /// What the images of one scene say.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -197,13 +197,13 @@ mod tests {
     use crate::design::run::{JointSettings, joint_stage, network};
     use crate::design::scenery::Scenery;
     use crate::design::task::Task;
-    use crate::imaging::guide::Inputs;
-    use crate::imaging::render::{Settings, frame_of};
-    use crate::imaging::sensor::Sensor;
-    use crate::imaging::sensor::spectrum::SpectralDensity;
-    use crate::lens::variables::Variables;
-    use crate::lens::{Lens, builtin};
-    use crate::network::Compute;
+    use isoplanat_imaging::guide::Inputs;
+    use isoplanat_imaging::render::{Settings, frame_of};
+    use isoplanat_imaging::sensor::Sensor;
+    use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+    use isoplanat_network::Compute;
+    use isoplanat_optics::lens::variables::Variables;
+    use isoplanat_optics::lens::{Lens, builtin};
 
     const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
     const DEPTHS: [f64; 3] = [700.0, 1000.0, 1500.0];
@@ -242,7 +242,7 @@ mod tests {
         let gradient = variables.gradient(&first.lens_gradient(&lens, &bar));
         let x = variables.values(&lens);
         for seed in 0..6 {
-            let dx = crate::testing::leaning(&gradient, 40 + seed);
+            let dx = isoplanat_base::testing::leaning(&gradient, 40 + seed);
             let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
             let at = |t: f64| {
                 let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();
@@ -251,7 +251,7 @@ mod tests {
             };
             let h = 2e-4;
             let numeric = (at(h) - at(-h)) / (2.0 * h);
-            crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("direction {seed}"));
+            isoplanat_base::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("direction {seed}"));
         }
     }
 

@@ -1,5 +1,4 @@
 use super::*;
-use crate::analysis::fabrication::tolerances::Tolerances;
 use crate::design::as_built::AsBuilt;
 use crate::design::data::Textures;
 use crate::design::designing::prepare;
@@ -10,14 +9,15 @@ use crate::design::scenery::Scenery;
 use crate::design::schedule::Length;
 use crate::design::stated::Stated;
 use crate::design::task::Task;
-use crate::imaging::guide::Inputs;
-use crate::imaging::render::{Settings, frame_of};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::noise::Noise;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::catalogue::Glasses;
-use crate::network::Compute;
-use crate::optimize::Merit;
+use isoplanat_imaging::guide::Inputs;
+use isoplanat_imaging::render::{Settings, frame_of};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::noise::Noise;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_network::Compute;
+use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
+use isoplanat_optics::lens::catalogue::Glasses;
+use isoplanat_optics::optimize::Merit;
 
 const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2, cells: 16, ..Settings::DESIGN };
 
@@ -74,7 +74,7 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
     let through = |lens: &Lens| built.as_ref().map_or_else(|| lens.clone(), |b| b.lens(lens, 3).expect("a lens"));
     let off = through(&lens).surfaces[0].shape.curvature / lens.surfaces[0].shape.curvature - 1.0;
     assert_eq!(off.abs() > 1e-3, tolerances.is_some(), "{off}");
-    let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, Record, crate::network::Step) {
+    let mut loss = |lens: &Lens| -> (f64, PatchForward<f32>, Record, isoplanat_network::Step) {
         let renderer = Renderer::new(&through(lens), &renderer.plan).expect("traces");
         let f = forward::<f32>(&renderer, &electronics, &patch).expect("renders");
         let (told, record) = guide.over_recorded(f.developed.view(), patch.region, patch.part);
@@ -92,10 +92,10 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
     let at = Renderer::new(&drawn, &renderer.plan).expect("traces");
     let bar = forward_vjp(&at, &electronics, &patch, &f, x_bar.view(), t_bar.view());
     let g = at.lens_gradient(&drawn, &bar);
-    let vars = crate::lens::variables::Variables::refracting(&lens);
+    let vars = isoplanat_optics::lens::variables::Variables::refracting(&lens);
     let (x, gradient) = (vars.values(&lens), vars.gradient(&g));
     for seed in 0..6 {
-        let dx = crate::testing::leaning(&gradient, 40 + seed);
+        let dx = isoplanat_base::testing::leaning(&gradient, 40 + seed);
         let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
         let h = 2e-4;
         let mut at = |t: f64| {
@@ -103,7 +103,13 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
             loss(&vars.lens(&lens, &moved).expect("a lens")).0
         };
         let numeric = (at(h) - at(-h)) / (2.0 * h);
-        crate::testing::assert_rel(pulled, numeric, 1e-2, 0.0, &format!("{:?}, direction {seed}", inputs.names()));
+        isoplanat_base::testing::assert_rel(
+            pulled,
+            numeric,
+            1e-2,
+            0.0,
+            &format!("{:?}, direction {seed}", inputs.names()),
+        );
     }
 }
 

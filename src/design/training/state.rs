@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::error::{Error, Result};
+use isoplanat_base::error::{Error, Result};
 
 /// Where a training stands, as a checkpoint keeps it.
 #[derive(Clone, Debug, Default, PartialEq)]

@@ -1,5 +1,5 @@
 use super::*;
-use crate::lens::builtin;
+use isoplanat_optics::lens::builtin;
 
 /// A picture of shapes, and the same blurred and with noise.
 fn scene(name: &str, seed: u64) -> SceneResult {

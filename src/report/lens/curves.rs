@@ -1,10 +1,10 @@
 //! The curves of a lens as plots: what the page draws and the JSON lists.
 
 use super::spots::key;
-use crate::analysis::fan::Fans;
-use crate::analysis::overview::{Field, Overview};
 use crate::report::plot::{Mark, Plot, Scale, Series};
 use crate::report::table::significant;
+use isoplanat_optics::analysis::fan::Fans;
+use isoplanat_optics::analysis::overview::{Field, Overview};
 
 /// Parts of the highest frequency at which the MTF is shown over field and focus.
 const PARTS: [f64; 3] = [0.25, 0.5, 1.0];
@@ -169,7 +169,7 @@ fn over_focus(o: &Overview) -> Plot {
 fn rms_focus(o: &Overview) -> Plot {
     let series = o.fields.iter().map(|f| {
         let rays = f.rays(&o.colours);
-        let rms = |z: f64| crate::analysis::spot::spot(&rays, z).map_or(f64::NAN, |s| 1e3 * s.rms);
+        let rms = |z: f64| isoplanat_optics::analysis::spot::spot(&rays, z).map_or(f64::NAN, |s| 1e3 * s.rms);
         Series { name: angle(f), points: o.shifts_mm.iter().map(|z| [1e3 * z, rms(*z)]).collect(), mark: Mark::Line }
     });
     Plot {
@@ -199,7 +199,7 @@ fn energy(o: &Overview) -> Plot {
 }
 
 fn curvature(o: &Overview) -> Plot {
-    let line = |name: &str, mark, value: &dyn Fn(&crate::analysis::curves::FieldRow) -> f64| Series {
+    let line = |name: &str, mark, value: &dyn Fn(&isoplanat_optics::analysis::curves::FieldRow) -> f64| Series {
         name: name.into(),
         points: o.curve.iter().map(|r| [r.angle_deg, value(r)]).collect(),
         mark,
@@ -217,7 +217,7 @@ fn curvature(o: &Overview) -> Plot {
 }
 
 fn distortion(o: &Overview) -> Plot {
-    let line = |name: &str, mark, value: &dyn Fn(&crate::analysis::curves::FieldRow) -> f64| Series {
+    let line = |name: &str, mark, value: &dyn Fn(&isoplanat_optics::analysis::curves::FieldRow) -> f64| Series {
         name: name.into(),
         points: o.curve.iter().map(|r| [r.angle_deg, value(r)]).collect(),
         mark,

@@ -1,8 +1,8 @@
 //! The picture of a square grid, as the lens shows it beside as a lens without distortion would.
 
-use crate::analysis::curves::FieldRow;
-use crate::lens::SensorRaster;
 use crate::report::svg::Svg;
+use isoplanat_optics::analysis::curves::FieldRow;
+use isoplanat_optics::lens::SensorRaster;
 
 const SIDE: f64 = 520.0;
 const MARGIN: f64 = 10.0;
@@ -66,8 +66,8 @@ pub(super) fn grid(sensor: &SensorRaster, curve: &[FieldRow]) -> Option<String> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analysis::curves::over_field;
-    use crate::lens::builtin;
+    use isoplanat_optics::analysis::curves::over_field;
+    use isoplanat_optics::lens::builtin;
 
     #[test]
     fn a_grid_needs_a_curve() {

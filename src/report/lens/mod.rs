@@ -23,14 +23,14 @@ use super::listing::Listing;
 use super::measured::Measured;
 use super::plot::Plot;
 use super::table::{Table, significant};
-use crate::analysis::diffraction::Mtf;
-use crate::analysis::overview::{Field, Overview, Settings};
-use crate::analysis::wavefront::{Figures, Map};
-use crate::analysis::zernike::Fit;
-use crate::error::Result;
-use crate::lens::Lens;
-use crate::math::memory::Limit;
-use crate::psf::{Optics, Quadrature};
+use isoplanat_base::error::Result;
+use isoplanat_base::math::memory::Limit;
+use isoplanat_optics::analysis::diffraction::Mtf;
+use isoplanat_optics::analysis::overview::{Field, Overview, Settings};
+use isoplanat_optics::analysis::wavefront::{Figures, Map};
+use isoplanat_optics::analysis::zernike::Fit;
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::{Optics, Quadrature};
 
 pub use page::html;
 
@@ -347,7 +347,7 @@ impl LensReport {
             let (depths, fields, rows, columns) = grey.dim();
             let grey = grey
                 .into_shape_with_order((depths * fields, 1, rows, columns))
-                .map_err(|e| crate::error::Error::Internal(e.to_string()))?;
+                .map_err(|e| isoplanat_base::error::Error::Internal(e.to_string()))?;
             (grey, set.outside.iter().copied().fold(0.0, f64::max))
         };
         let size = kernels.dim().2;

@@ -3,9 +3,6 @@
 use super::curves::{PATHS, RAYS, diffraction, frequency};
 use super::spots::{half_side, panels};
 use super::{Atlas, LensReport, bars, grid, spot_table, waves};
-use crate::error::Result;
-use crate::lens::paraxial::first_order;
-use crate::lens::seidel;
 use crate::report::atlas::{Style, picture};
 use crate::report::drawing::lens_svg_within;
 use crate::report::html::{Fact, Page, Picture};
@@ -13,6 +10,9 @@ use crate::report::listing::Listing;
 use crate::report::measured::TILT_DEG;
 use crate::report::plot::Plot;
 use crate::report::table::{Table, significant};
+use isoplanat_base::error::Result;
+use isoplanat_optics::lens::paraxial::first_order;
+use isoplanat_optics::lens::seidel;
 
 /// Decades of the logarithmic atlas.
 const DECADES: f32 = 4.0;

@@ -2,9 +2,9 @@
 
 use glam::DVec2;
 
-use crate::analysis::overview::Overview;
 use crate::report::svg::{Anchor, HUES, Svg, escape};
 use crate::report::table::significant;
+use isoplanat_optics::analysis::overview::Overview;
 
 /// Side of a panel, and room between panels and below them, px.
 const PANEL: f64 = 176.0;

@@ -2,9 +2,9 @@
 
 use ndarray::Array3;
 
-use crate::analysis::overview::Overview;
-use crate::analysis::wavefront::Map;
 use crate::report::table::{Table, significant};
+use isoplanat_optics::analysis::overview::Overview;
+use isoplanat_optics::analysis::wavefront::Map;
 
 /// Pixels of a point of the map.
 const ENLARGED: usize = 3;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Measured, curve};
-use crate::imaging::metrics::slanted_edge::EdgeMeasurement;
+use isoplanat_imaging::metrics::slanted_edge::EdgeMeasurement;
 
 /// The curves of one edge.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

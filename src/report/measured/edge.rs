@@ -3,9 +3,9 @@
 use glam::DVec2;
 use ndarray::{Array2, Array3};
 
-use crate::error::Result;
-use crate::imaging::metrics::slanted_edge::EdgeMeasurement;
-use crate::imaging::plane::{Plane, Region};
+use isoplanat_base::error::Result;
+use isoplanat_imaging::metrics::slanted_edge::EdgeMeasurement;
+use isoplanat_imaging::plane::{Plane, Region};
 
 /// What a camera makes of a region of the frame.
 #[derive(Clone, Debug)]

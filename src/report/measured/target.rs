@@ -4,19 +4,19 @@ use glam::{DVec2, DVec3};
 use ndarray::Array3;
 
 use super::edge::{Camera, Edge, sinc};
-use crate::analysis::beam::{Beam, Landing, stop_points};
-use crate::analysis::spot::{geometric_mtf, joined, spot};
-use crate::error::{Error, Result};
-use crate::imaging::frame::Frame;
-use crate::imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, Sites, measure};
-use crate::imaging::plane::{Plane, Region};
-use crate::imaging::sensor::Sensor;
-use crate::imaging::sensor::spectrum::SpectralDensity;
-use crate::lens::Lens;
-use crate::psf::table::chief_slopes;
-use crate::psf::{Optics, Quadrature};
 use crate::report::table::significant;
-use crate::trace::{ObjectPoint, System};
+use isoplanat_base::error::{Error, Result};
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, Sites, measure};
+use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
+use isoplanat_optics::analysis::beam::{Beam, Landing, stop_points};
+use isoplanat_optics::analysis::spot::{geometric_mtf, joined, spot};
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::table::chief_slopes;
+use isoplanat_optics::psf::{Optics, Quadrature};
+use isoplanat_optics::trace::{ObjectPoint, System};
 
 /// Angle between an edge's normal and the direction that it stands for, degrees.
 pub const TILT_DEG: f64 = 5.0;

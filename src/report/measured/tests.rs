@@ -1,6 +1,6 @@
 use super::*;
-use crate::imaging::render::frame_of;
-use crate::lens::builtin;
+use isoplanat_imaging::render::frame_of;
+use isoplanat_optics::lens::builtin;
 
 /// Rays from the object through the stop and rays from the sensor through the rear aperture see one MTF: within 0.02 everywhere up to half
 /// a cycle a pixel (what the captures' rays leave), within 0.006 at a tenth. On a frame whose diagonal is at 40° edges stay off the mosaic's.
@@ -13,8 +13,8 @@ fn what_an_edge_shows_is_what_rays_predict() {
         let mut lens = builtin::lens(name).expect("shipped");
         if let Some([columns, rows]) = frame {
             let axis_px = [0.5 * columns as f64, 0.5 * rows as f64];
-            let sensor = |l: &mut crate::lens::Prescription| {
-                l.sensor = crate::lens::SensorRaster { columns, rows, axis_px, ..l.sensor };
+            let sensor = |l: &mut isoplanat_optics::lens::Prescription| {
+                l.sensor = isoplanat_optics::lens::SensorRaster { columns, rows, axis_px, ..l.sensor };
             };
             lens = lens.changed(sensor).expect("a lens");
         }

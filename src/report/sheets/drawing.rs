@@ -1,9 +1,9 @@
 //! The cross-section of one element with its dimensions.
 
-use crate::analysis::fabrication::element::Element;
-use crate::analysis::fabrication::face::Face;
 use crate::report::svg::{Anchor, Svg};
 use crate::report::table::significant;
+use isoplanat_optics::analysis::fabrication::element::Element;
+use isoplanat_optics::analysis::fabrication::face::Face;
 
 use super::words::fixed;
 

@@ -1,9 +1,9 @@
 //! Files of numbers beside the page, to all digits: surfaces, and the sags of each face.
 
-use crate::analysis::fabrication::Fabrication;
-use crate::analysis::fabrication::face::Face;
-use crate::lens::Lens;
 use crate::report::table::Table;
+use isoplanat_optics::analysis::fabrication::Fabrication;
+use isoplanat_optics::analysis::fabrication::face::Face;
+use isoplanat_optics::lens::Lens;
 
 /// Rows of a file of sags.
 const ROWS: u32 = 201;

@@ -5,10 +5,10 @@ use std::collections::BTreeSet;
 use super::words::{
     NOT_STATED, fixed, form, form_indication, indication, number, radius, radius_tolerances, superscript, tolerance,
 };
-use crate::analysis::fabrication::element::{Edges, Element, Glass};
-use crate::analysis::fabrication::face::Face;
-use crate::analysis::fabrication::tolerances::{OfSurface, Tolerances};
 use crate::report::table::{Table, significant};
+use isoplanat_optics::analysis::fabrication::element::{Edges, Element, Glass};
+use isoplanat_optics::analysis::fabrication::face::Face;
+use isoplanat_optics::analysis::fabrication::tolerances::{OfSurface, Tolerances};
 
 /// Rows of a sag table on the page.
 const ROWS: u32 = 21;

@@ -1,8 +1,8 @@
 //! Numbers and names as sheets print them. What is not stated is a dash.
 
-use crate::analysis::fabrication::face::{Bend, Face};
-use crate::analysis::fabrication::tolerances::OfSurface;
 use crate::report::table::significant;
+use isoplanat_optics::analysis::fabrication::face::{Bend, Face};
+use isoplanat_optics::analysis::fabrication::tolerances::OfSurface;
 
 /// What stands where nothing is stated.
 pub(super) const NOT_STATED: &str = "–";
@@ -88,7 +88,7 @@ pub(super) fn superscript(n: i32) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::{Medium, Shape, Surface};
+    use isoplanat_optics::lens::{Medium, Shape, Surface};
 
     #[test]
     fn indications_have_dashes_where_nothing_is_stated() {

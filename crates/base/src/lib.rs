@@ -1,0 +1,13 @@
+//! What every floor of Isoplanat stands on: the one error type, files that appear whole, units, numerics without an optical word.
+//!
+//! Part of Isoplanat; its front door is the crate `isoplanat`.
+
+pub mod atomic;
+pub mod error;
+pub mod figures;
+pub mod math;
+#[doc(hidden)]
+pub mod testing;
+pub mod units;
+
+pub use error::{Error, Result};

@@ -1,0 +1,593 @@
+//! The kit folder: everything a camera needs to reconstruct the captures of one lens on one sensor.
+//!
+//! ```text
+//! KIT/kit.toml     schema = 4: names, hashes, tiles, sensor, frame, distortion, shading, what captures it is for
+//! KIT/model.onnx   the network, its card in the metadata
+//! KIT/filters.npz  what the network is told of its lens, where that is anything: Wiener filters, point spread functions
+//! ```
+//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration; 4 is written where a kit states what it is for, else 3.
+//! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
+//! was written with, a network trained for another lens.
+
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use crate::session;
+use crate::tiles::Tiling;
+use crate::valid::Valid;
+use isoplanat_base::atomic;
+use isoplanat_base::atomic::sha256_hex;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_card::{DEMOSAIC, ModelCard};
+use isoplanat_imaging::develop::distortion::Distortion;
+use isoplanat_imaging::develop::glare;
+use isoplanat_imaging::develop::shading::Shading;
+use isoplanat_imaging::frame::Frame;
+use isoplanat_imaging::guide::{self, Facts, Guide};
+use isoplanat_imaging::sensor::Sensor;
+use isoplanat_optics::lens::Lens;
+
+/// The newest form of `kit.toml`.
+pub const SCHEMA: u32 = 4;
+/// Form of a kit that does not state what it is for.
+const WITHOUT_RANGES: u32 = 3;
+/// Largest `kit.toml` and largest other part that are read, bytes.
+const LARGEST_TOML: u64 = 4 << 20;
+const LARGEST_PART: u64 = 1 << 30;
+
+/// The file that makes a folder a kit.
+pub const FILE: &str = "kit.toml";
+
+/// A kit.
+#[derive(Clone, Debug)]
+pub struct Kit {
+    /// Name of the kit, for people.
+    pub name: String,
+    /// The program and version that wrote it.
+    pub created_by: String,
+    /// The lens it is for.
+    pub lens: LensEntry,
+    /// The network and how to tile it.
+    pub model: ModelEntry,
+    /// The sensor: levels, layout, colour.
+    pub sensor: Sensor,
+    /// Size and axis of the captures.
+    pub frame: Frame,
+    /// Distortion to take out after the network.
+    pub distortion: Distortion,
+    /// Illumination to divide out before it.
+    pub shading: Shading,
+    /// Share of the light that the lens spreads over the frame as veiling glare, to be taken off first; `None`: nobody measured it.
+    pub glare: Option<f64>,
+    /// Captures that it is for.
+    pub valid: Valid,
+    /// What the network says of itself.
+    pub card: ModelCard,
+    /// The bytes of `model.onnx`.
+    pub model_bytes: Vec<u8>,
+    /// What the network is told beside the capture.
+    pub guide: Guide,
+    /// The file of what the guide holds of the lens, and the file's bytes.
+    pub filters: Option<(FilterEntry, Vec<u8>)>,
+}
+
+/// What a kit's network is told of its lens: Wiener filters, point spread functions.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FilterEntry {
+    /// Their file in the kit's folder.
+    pub file: String,
+    /// SHA-256 (hex) of that file.
+    pub sha256: String,
+    /// Object distances that it is for, mm, near to far: a scene at others is taken to lie there.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub depths_mm: Vec<f64>,
+}
+
+/// The lens a kit is for.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LensEntry {
+    /// Its name.
+    pub name: String,
+    /// SHA-256 (hex) of the lens file; equal to the one in the model's card.
+    pub sha256: String,
+}
+
+/// The network of a kit.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ModelEntry {
+    /// Its file in the kit's folder.
+    pub file: String,
+    /// SHA-256 (hex) of that file.
+    pub sha256: String,
+    /// Largest side of a tile, pixels.
+    pub tile_px: usize,
+    /// Pixels thrown away on each side of a tile; at least the network's receptive radius.
+    pub overlap_px: usize,
+    /// Height and width of a tile are multiples of this.
+    pub multiple: usize,
+}
+
+/// The form of `kit.toml`.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct KitFile {
+    schema: u32,
+    name: String,
+    created_by: String,
+    demosaic: String,
+    lens: LensEntry,
+    model: ModelEntry,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    calibration_sha256: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    glare: Option<f64>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    filters: Option<FilterEntry>,
+    #[serde(default, skip_serializing_if = "Valid::is_empty")]
+    valid: Valid,
+    frame: Frame,
+    distortion: DistortionTable,
+    shading: Shading,
+    sensor: Sensor,
+}
+
+/// [`Distortion`], unknown keys refused.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct DistortionTable {
+    max_slope: f64,
+    coefficients_mm: [f64; 4],
+    residual_mm: f64,
+}
+
+/// Smallest tile that is chosen, pixels.
+const SMALLEST_TILE: usize = 320;
+
+/// Memory that a tile's features should stay within, bytes.
+const TILE_BYTES: usize = 1 << 30;
+
+/// Feature maps of the finest scale that ONNX Runtime holds at a time, measured (6.1): a skip, what is lifted beside it, both
+/// side by side, a convolution's output, and the coarser scales.
+const MAPS: usize = 6;
+
+/// A side for the tiles of a network on pictures of `frame`: four overlaps, so that half a side is kept, but at least 320
+/// pixels; down to three overlaps where a tile's features would exceed a GiB.
+pub fn tile_px(card: &ModelCard, frame: &Frame) -> Result<usize> {
+    let overlap = overlap_px(card);
+    let mut tile = (4 * overlap).max(SMALLEST_TILE).next_multiple_of(card.multiple);
+    let bytes = |tile: usize| -> Result<usize> {
+        let [rows, columns] = Tiling::new(tile, overlap, card.multiple)?.shape(frame.rows, frame.columns);
+        // Channels of the input are held to the end, and joined with others before the last convolution.
+        Ok(rows * columns * (card.base_width * MAPS + 2 * (card.inputs.channels() - 3)) * size_of::<f32>())
+    };
+    while tile >= 3 * overlap + card.multiple && tile > SMALLEST_TILE && bytes(tile)? > TILE_BYTES {
+        tile -= card.multiple;
+    }
+    Ok(tile)
+}
+
+/// Pixels that tiles of the card's network throw away on each side.
+fn overlap_px(card: &ModelCard) -> usize {
+    card.receptive_radius_px.next_multiple_of(card.multiple)
+}
+
+impl Kit {
+    /// Puts a kit together from its parts; `model` is the ONNX file.
+    ///
+    /// # Errors
+    /// Parts that [`Kit::load`] would refuse.
+    #[allow(clippy::too_many_arguments, reason = "a kit has these parts; a builder would only rename them")]
+    pub fn new(
+        name: impl Into<String>,
+        lens: LensEntry,
+        model: Vec<u8>,
+        tile_px: usize,
+        sensor: Sensor,
+        frame: Frame,
+        distortion: Distortion,
+        shading: Shading,
+        facts: Option<&Facts>,
+    ) -> Result<Self> {
+        let card = ModelCard::from_metadata(&session::metadata(&model, Path::new("model.onnx"))?)?;
+        let entry = ModelEntry {
+            file: "model.onnx".into(),
+            sha256: sha256_hex(&model),
+            tile_px,
+            overlap_px: overlap_px(&card),
+            multiple: card.multiple,
+        };
+        let guide = guide(&card, &frame, facts.cloned(), "kit")?;
+        let entry_of = |facts: &Facts| -> Result<_> {
+            let bytes = facts.to_npz()?;
+            let (sha256, depths_mm) = (sha256_hex(&bytes), facts.depths_mm());
+            Ok((FilterEntry { file: guide::FILE.into(), sha256, depths_mm }, bytes))
+        };
+        let filters = facts.map(entry_of).transpose()?;
+        let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
+        let kit = Self {
+            name: name.into(),
+            created_by,
+            lens,
+            model: entry,
+            sensor,
+            frame,
+            distortion,
+            shading,
+            glare: None,
+            valid: Valid::default(),
+            card,
+            model_bytes: model,
+            guide,
+            filters,
+        };
+        kit.check("kit")?;
+        Ok(kit)
+    }
+
+    /// Loads and checks a kit folder.
+    ///
+    /// # Errors
+    /// One for each thing that can be wrong, naming file and place; see the module.
+    pub fn load(folder: &Path) -> Result<Self> {
+        let path = folder.join(FILE);
+        if !folder.is_dir() {
+            let found = if folder.exists() { "not a folder" } else { "there is no such folder" };
+            return Err(Error::bad(folder.display().to_string(), "kit", found, format!("a folder with {FILE}")));
+        }
+        let text = atomic::read_text(&path, LARGEST_TOML)?;
+        let file = parse(&text, &path.display().to_string())?;
+        let (model_path, model_bytes) = whole(folder, &path, "model", &file.model.file, &file.model.sha256)?;
+        let metadata = session::metadata(&model_bytes, &model_path)?;
+        let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(&model_path))?;
+        if file.demosaic != DEMOSAIC {
+            let allowed = format!("{DEMOSAIC}, which this version has");
+            return Err(Error::bad(path.display().to_string(), "demosaic", file.demosaic, allowed));
+        }
+        let filters = match file.filters {
+            Some(entry) => {
+                let (place, bytes) = whole(folder, &path, "filters", &entry.file, &entry.sha256)?;
+                let facts = Facts::from_npz(&bytes, &place)?;
+                if entry.depths_mm != facts.depths_mm() {
+                    let (found, allowed) = (format!("{:?}", entry.depths_mm), format!("{:?}", facts.depths_mm()));
+                    let allowed = format!("{allowed}, as {} says", entry.file);
+                    return Err(Error::bad(path.display().to_string(), "filters.depths_mm", found, allowed));
+                }
+                Some((facts, (entry, bytes)))
+            }
+            None => None,
+        };
+        let (facts, file_of) = filters.unzip();
+        let guide = guide(&card, &file.frame, facts, &path.display().to_string())?;
+        let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
+        let kit = Self {
+            name: file.name,
+            created_by: file.created_by,
+            lens: file.lens,
+            model: file.model,
+            sensor: file.sensor,
+            frame: file.frame,
+            distortion: Distortion { max_slope, coefficients_mm, residual_mm },
+            shading: file.shading,
+            glare: file.glare,
+            valid: file.valid,
+            card,
+            model_bytes,
+            guide,
+            filters: file_of,
+        };
+        kit.check(&path.display().to_string())?;
+        let (found, stated) = (kit.calibration_sha256()?, file.calibration_sha256);
+        if let Some(stated) = stated.filter(|s| *s != found) {
+            let allowed = format!(
+                "the calibration the kit was written with, {}; without this line a changed one is taken as it is",
+                short(&stated)
+            );
+            let file = path.display().to_string();
+            return Err(Error::bad(file, "calibration_sha256", format!("a calibration of {}", short(&found)), allowed));
+        }
+        Ok(kit)
+    }
+
+    /// Writes the kit as a folder, whole or not at all: into a new folder beside, which is then renamed.
+    ///
+    /// With `replace` an existing kit gives way; any other folder never does.
+    ///
+    /// # Errors
+    /// [`Error::Exists`], or a file that cannot be written.
+    pub fn save(&self, folder: &Path, replace: bool) -> Result<()> {
+        atomic::write_folder(folder, FILE, replace, |partial| self.write_into(partial))
+    }
+
+    fn write_into(&self, folder: &Path) -> Result<()> {
+        atomic::write_bytes(&folder.join(FILE), self.to_toml()?.as_bytes())?;
+        if let Some((entry, bytes)) = &self.filters {
+            atomic::write_bytes(&folder.join(&entry.file), bytes)?;
+        }
+        atomic::write_bytes(&folder.join(&self.model.file), &self.model_bytes)
+    }
+
+    /// The text of `kit.toml`.
+    ///
+    /// # Errors
+    /// Never for a checked kit.
+    pub fn to_toml(&self) -> Result<String> {
+        let Distortion { max_slope, coefficients_mm, residual_mm } = self.distortion;
+        let file = KitFile {
+            schema: if self.valid.is_empty() { WITHOUT_RANGES } else { SCHEMA },
+            name: self.name.clone(),
+            created_by: self.created_by.clone(),
+            demosaic: self.card.demosaic.clone(),
+            lens: self.lens.clone(),
+            model: self.model.clone(),
+            calibration_sha256: Some(self.calibration_sha256()?),
+            glare: self.glare,
+            filters: self.filters.as_ref().map(|(entry, _)| entry.clone()),
+            valid: self.valid,
+            frame: self.frame.clone(),
+            distortion: DistortionTable { max_slope, coefficients_mm, residual_mm },
+            shading: self.shading.clone(),
+            sensor: self.sensor.clone(),
+        };
+        toml::to_string(&file).map_err(|e| Error::Internal(format!("kit to TOML: {e}")))
+    }
+
+    /// Refuses a lens that is not the kit's; `file` names it.
+    ///
+    /// # Errors
+    /// Other numbers than those of the lens that the kit's network was trained for.
+    pub fn require(&self, lens: &Lens, file: &Path) -> Result<()> {
+        let own = lens.sha256();
+        if own == self.lens.sha256 {
+            return Ok(());
+        }
+        let allowed = format!("the kit's, {} ({})", short(&self.lens.sha256), self.lens.name);
+        Err(Error::bad(file.display().to_string(), "lens", format!("{} ({})", short(&own), lens.name), allowed))
+    }
+
+    /// SHA-256 (hex) of frame, distortion, illumination, glare, ranges and sensor as `kit.toml` states them.
+    fn calibration_sha256(&self) -> Result<String> {
+        #[derive(Serialize)]
+        struct Calibration<'a> {
+            glare: Option<f64>,
+            #[serde(skip_serializing_if = "Valid::is_empty")]
+            valid: Valid,
+            frame: &'a Frame,
+            distortion: &'a Distortion,
+            shading: &'a Shading,
+            sensor: &'a Sensor,
+        }
+        let Self { glare, valid, frame, distortion, shading, sensor, .. } = self;
+        let all = Calibration { glare: *glare, valid: *valid, frame, distortion, shading, sensor };
+        let text = toml::to_string(&all).map_err(|e| Error::Internal(format!("calibration to TOML: {e}")))?;
+        Ok(sha256_hex(text.as_bytes()))
+    }
+
+    /// How the network is tiled.
+    ///
+    /// # Errors
+    /// Sizes that contradict each other.
+    pub fn tiling(&self) -> Result<Tiling> {
+        Tiling::new(self.model.tile_px, self.model.overlap_px, self.model.multiple)
+    }
+
+    /// Refuses parts that contradict each other; `file` names them.
+    fn check(&self, file: &str) -> Result<()> {
+        let bad = |place: &str, found: String, allowed: String| Err(Error::bad(file, place, found, allowed));
+        self.sensor.check(file)?;
+        self.glare.map_or(Ok(0.0), glare::check).map_err(|e| e.in_file(Path::new(file)))?;
+        self.valid.check(file)?;
+        self.tiling().map_err(|e| e.in_file(Path::new(file)))?;
+        let (card, model) = (&self.card, &self.model);
+        if card.lens_sha256 != self.lens.sha256 {
+            let found = format!("{} ({})", short(&self.lens.sha256), self.lens.name);
+            let allowed =
+                format!("the lens the network was trained for, {} ({})", short(&card.lens_sha256), card.lens_name);
+            return bad("lens.sha256", found, allowed);
+        }
+        let sensor = self.sensor.sha256();
+        if !card.calibration_sha256.is_empty() && card.calibration_sha256 != sensor {
+            let allowed = format!("the sensor the network was trained for, {}", short(&card.calibration_sha256));
+            return bad("sensor", format!("{} ({})", short(&sensor), self.sensor.name), allowed);
+        }
+        if card.multiple != model.multiple {
+            return bad("model.multiple", model.multiple.to_string(), format!("{}, as the model says", card.multiple));
+        }
+        if model.overlap_px < card.receptive_radius_px {
+            let allowed = format!("at least the network's receptive radius, {}", card.receptive_radius_px);
+            return bad("model.overlap_px", model.overlap_px.to_string(), allowed);
+        }
+        let d = &self.distortion;
+        let finite = d.coefficients_mm.iter().chain([&d.max_slope, &d.residual_mm]).all(|v| v.is_finite());
+        if !(finite && d.max_slope > 0.0) {
+            return bad("distortion", format!("{d:?}"), "finite numbers and max_slope above 0".into());
+        }
+        let grows = |i: i32| d.sensor_from_slope_derivative(d.max_slope * f64::from(i) / 256.0) > 0.0;
+        if !(0..=256).all(grows) {
+            return bad("distortion", "image height stops growing".into(), "a model that grows up to max_slope".into());
+        }
+        Ok(())
+    }
+}
+
+/// A file of the kit, `name` in `folder`, whose bytes must have the hash; `path` names the kit, `place` the entry.
+fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> Result<(PathBuf, Vec<u8>)> {
+    if Path::new(name).file_name() != Some(name.as_ref()) {
+        let place = format!("{place}.file");
+        return Err(Error::bad(path.display().to_string(), place, name, "a file in the kit's folder"));
+    }
+    let file = folder.join(name);
+    let bytes = atomic::read_bounded(&file, LARGEST_PART)?;
+    let found = sha256_hex(&bytes);
+    if found != sha256 {
+        let allowed = format!("the file the kit was written with, {}", short(sha256));
+        return Err(Error::bad(file.display().to_string(), place, format!("SHA-256 {}", short(&found)), allowed));
+    }
+    Ok((file, bytes))
+}
+
+/// What the network of `card` is told; what does not fit it is refused.
+fn guide(card: &ModelCard, frame: &Frame, facts: Option<Facts>, file: &str) -> Result<Guide> {
+    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| match e {
+        Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
+        other => other,
+    })
+}
+
+/// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.
+fn parse(text: &str, file: &str) -> Result<KitFile> {
+    #[derive(Deserialize)]
+    struct Form {
+        schema: Option<u32>,
+    }
+    let syntax = |e: toml::de::Error| Error::toml(file, text, &e, "the keys `isoplanat export` writes");
+    let form: Form = toml::from_str(text).map_err(syntax)?;
+    match form.schema {
+        Some(1..=SCHEMA) => toml::from_str(text).map_err(syntax),
+        Some(newer) if newer > SCHEMA => {
+            let allowed = format!("up to {SCHEMA}, which this version reads; a newer isoplanat-camera reads this kit");
+            Err(Error::bad(file, "schema", newer.to_string(), allowed))
+        }
+        other => {
+            let found = other.map_or("missing".into(), |s| s.to_string());
+            Err(Error::bad(file, "schema", found, format!("schema = 1 to {SCHEMA}")))
+        }
+    }
+}
+
+/// The start of a hash, for people.
+fn short(hash: &str) -> String {
+    let start: String = hash.chars().take(12).collect();
+    if start.is_empty() { "none".into() } else { format!("{start}…") }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::test_model;
+
+    /// A kit whose network is the small U-Net of the tests.
+    pub(crate) fn kit(columns: usize, rows: usize) -> Kit {
+        let mut card = ModelCard::for_unet("test", 4, 3);
+        card.lens_name = "Cooke triplet".into();
+        card.lens_sha256 = sha256_hex(b"lens");
+        let metadata = card.to_metadata();
+        let entries: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
+        let frame = Frame::centred(columns, rows, 0.006).expect("valid");
+        let max_slope = 1.2 * frame.max_radius_mm() / 50.0;
+        Kit::new(
+            "test kit",
+            LensEntry { name: card.lens_name.clone(), sha256: card.lens_sha256.clone() },
+            test_model::unet(4, 3, &entries),
+            96,
+            Sensor::generic(),
+            frame,
+            Distortion {
+                max_slope,
+                coefficients_mm: [50.0 * max_slope, -2.0 * max_slope, 0.0, 0.0],
+                residual_mm: 1e-4,
+            },
+            Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]]).expect("valid"),
+            None,
+        )
+        .expect("valid")
+    }
+
+    #[test]
+    fn a_saved_kit_loads_again_and_is_not_overwritten() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let (folder, mut kit) = (dir.path().join("kit"), kit(64, 48));
+        kit.glare = Some(0.08);
+        kit.save(&folder, false).expect("saves");
+        let text = std::fs::read_to_string(folder.join(FILE)).expect("text");
+        std::fs::write(folder.join(FILE), text.replace("glare = 0.08", "glare = 0.8")).expect("writes");
+        let error = Kit::load(&folder).expect_err("too much").to_string();
+        assert!(error.contains("kit.toml") && error.contains("glare") && error.contains("0.8"), "{error}");
+        std::fs::write(folder.join(FILE), text).expect("writes");
+        let back = Kit::load(&folder).expect("loads");
+        assert_eq!(back.to_toml().expect("writes"), kit.to_toml().expect("writes"));
+        assert_eq!((back.card, back.model_bytes), (kit.card.clone(), kit.model_bytes.clone()));
+        assert!(matches!(kit.save(&folder, false), Err(Error::Exists(_))));
+        kit.save(&folder, true).expect("replaces");
+        let other = dir.path().join("other");
+        std::fs::create_dir(&other).expect("creates");
+        assert!(matches!(kit.save(&other, true), Err(Error::Exists(_))), "a folder that is no kit stays");
+        assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 2, "nothing half-written is left");
+    }
+
+    /// Every network a run can have gets tiles that keep something, on small frames and large ones, within memory.
+    #[test]
+    fn tiles_follow_the_network_and_the_frame() {
+        let tile = |width: usize, scales: usize, columns: usize, rows: usize| {
+            let card = ModelCard::for_unet("x", width, scales);
+            let frame = Frame::centred(columns, rows, 0.006).expect("valid");
+            let tile = tile_px(&card, &frame).expect("fits");
+            let tiling = Tiling::new(tile, overlap_px(&card), card.multiple).expect("keeps something");
+            assert!(tiling.efficiency() >= 0.1 && tile >= 3 * card.receptive_radius_px, "{width} {scales}: {tile}");
+            tile
+        };
+        assert_eq!((tile(16, 3, 6000, 4000), tile(32, 3, 960, 640)), (320, 320));
+        // Four times 448; a large frame of a wide network has to do with less.
+        assert_eq!((tile(32, 7, 4096, 512), tile(16, 7, 6000, 4000)), (1792, 1664));
+        assert_eq!(tile(32, 7, 6000, 4000), 1344);
+        for scales in 1..=7 {
+            tile(128, scales, 6000, 4000);
+            tile(1, scales, 1, 1);
+        }
+    }
+
+    #[test]
+    fn each_fault_has_its_own_error() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let good = kit(64, 48).to_toml().expect("writes");
+        let with = |from: &str, to: &str| {
+            assert!(good.contains(from), "{from}\n{good}");
+            good.replacen(from, to, 1)
+        };
+        let cases = [
+            ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
+            ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
+            ("newer schema", with("schema = 3", "schema = 5\nnews = 1"), "newer isoplanat-camera"),
+            ("no schema", with("schema = 3", ""), "schema"),
+            ("white level", with("white_level = 4095.0", "white_level = 4000.0"), "calibration_sha256"),
+            ("distortion", with("residual_mm = 0.0001", "residual_mm = 0.0002"), "calibration_sha256"),
+            ("lens", with(&sha256_hex(b"lens"), &sha256_hex(b"other")), "trained for"),
+            ("model elsewhere", with("file = \"model.onnx\"", "file = \"../model.onnx\""), "kit's folder"),
+            ("model missing", with("file = \"model.onnx\"", "file = \"none.onnx\""), "none.onnx"),
+            ("demosaic", with(DEMOSAIC, "ahd"), "demosaic"),
+            ("overlap", with("overlap_px = 24", "overlap_px = 8"), "receptive radius"),
+            ("multiple", with("multiple = 4", "multiple = 8"), "multiple"),
+            ("tile", with("tile_px = 96", "tile_px = 40"), "overlap_px"),
+            ("frame", with("columns = 64", "columns = 0"), "columns"),
+            ("sensor", with("bits = 12", "bits = 99"), "bits"),
+            ("no TOML", "= 3".into(), "line 1"),
+        ];
+        for (what, text, words) in cases {
+            let folder = dir.path().join("kit");
+            let _ = std::fs::remove_dir_all(&folder);
+            kit(64, 48).save(&folder, false).expect("saves");
+            std::fs::write(folder.join(FILE), text).expect("writes");
+            let error = Kit::load(&folder).expect_err(what);
+            assert_eq!(error.exit_code(), 2, "{what}");
+            let message = error.to_string();
+            assert!(message.contains(words) && message.contains("kit") && !message.contains('\n'), "{what}: {message}");
+        }
+    }
+
+    #[test]
+    fn a_changed_model_is_refused_by_its_hash() {
+        let dir = tempfile::tempdir().expect("temporary folder");
+        let folder = dir.path().join("kit");
+        kit(64, 48).save(&folder, false).expect("saves");
+        let model = folder.join("model.onnx");
+        let mut bytes = std::fs::read(&model).expect("reads");
+        *bytes.last_mut().expect("not empty") ^= 1;
+        std::fs::write(&model, bytes).expect("writes");
+        assert!(Kit::load(&folder).expect_err("changed").to_string().contains("SHA-256"));
+        assert_eq!(Kit::load(dir.path()).expect_err("no kit").exit_code(), 2);
+        assert_eq!(Kit::load(&dir.path().join("none")).expect_err("no folder").exit_code(), 2);
+    }
+}

@@ -1,0 +1,505 @@
+//! A network in a child process with a memory and a time limit, as [`super::raw_process`] decodes files: a model that asks for more memory than there is, or
+//! never ends, is one sentence and not the end of the program.
+//!
+//! The program starts itself again with [`COMMAND`]. The child is told what to open and the model's bytes on its standard input, answers with one
+//! line, and then answers tiles, as many at a time as its runtime takes. Numbers are in this machine's byte order.
+
+use std::collections::HashMap;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::path::{Path, PathBuf};
+use std::process::Child;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::time::{Duration, Instant};
+
+use ndarray::{Array4, ArrayView4};
+use serde::{Deserialize, Serialize};
+
+use super::child::{self, Limits, Start};
+use super::lock;
+use super::session::{Choice, Options, Runtime, Session};
+use isoplanat_base::error::{Error, Result};
+
+/// First argument that makes the program a child that runs a network.
+pub const COMMAND: &str = "run-network-child";
+
+/// Address space where nobody says more: so much, and so much more for each thread.
+const MEMORY: u64 = 8 << 30;
+const MEMORY_A_THREAD: u64 = 1 << 30;
+/// Time for a tile, and for opening a model.
+const TIME: Duration = Duration::from_secs(600);
+/// Samples of a tile that the child takes at most: 256 channels of the largest.
+const MOST_SAMPLES: u64 = 256 << 26;
+/// Bytes of what is said in words at most.
+const MOST_WORDS: u64 = 1 << 20;
+
+/// How a network is run apart.
+#[derive(Clone, Debug)]
+pub struct Apart {
+    /// The program that becomes the child.
+    pub program: PathBuf,
+    /// Most address space, bytes; `None`: 8 GiB and one more for each thread.
+    pub memory_bytes: Option<u64>,
+    /// Most time for a tile, and for opening a model.
+    pub time: Duration,
+    /// What a refusal says of how the limits are set.
+    pub hint: &'static str,
+}
+
+impl Apart {
+    /// As a child of `program`, within 8 GiB of address space and one more for each thread, ten minutes a tile.
+    pub fn of(program: PathBuf) -> Self {
+        Self { program, memory_bytes: None, time: TIME, hint: "" }
+    }
+}
+
+/// A network that runs: in this process, or apart.
+#[derive(Debug)]
+pub enum Network {
+    /// Here.
+    Here(Session),
+    /// In a child.
+    Apart(Process),
+}
+
+impl Network {
+    /// Opens a model here, or apart where that is asked for; `file` names it in messages. On Linux a child lives as long as the thread that opened it.
+    ///
+    /// # Errors
+    /// As [`Session::open`]; a child that could not be started, or broke off.
+    pub fn open(model: &[u8], file: &Path, options: &Options, apart: Option<&Apart>) -> Result<Self> {
+        match apart {
+            None => Session::open(model, file, options).map(Self::Here),
+            Some(apart) => Process::open(model, file, options, apart).map(Self::Apart),
+        }
+    }
+
+    /// Ready for the next capture: a child that broke off is started anew.
+    ///
+    /// # Errors
+    /// As [`Self::open`].
+    pub fn ready(&self) -> Result<()> {
+        match self {
+            Self::Here(_) => Ok(()),
+            Self::Apart(process) => process.ready(),
+        }
+    }
+
+    /// The runtime in use.
+    pub fn runtime(&self) -> &Runtime {
+        match self {
+            Self::Here(session) => session.runtime(),
+            Self::Apart(process) => &process.opened.runtime,
+        }
+    }
+
+    /// How many tiles the runtime works on at a time.
+    pub fn workers(&self) -> usize {
+        match self {
+            Self::Here(session) => session.parallel_tiles(),
+            Self::Apart(process) => process.opened.workers,
+        }
+    }
+
+    /// How many tiles to ask for at a time: one more where they have a way to go, so that the runtime need not wait for the next.
+    pub fn parallel_tiles(&self) -> usize {
+        match self {
+            Self::Here(session) => session.parallel_tiles(),
+            Self::Apart(process) => process.opened.workers + 1,
+        }
+    }
+
+    /// Runs one batch `[batch, channel, row, col]`; its result, and the time within the runtime.
+    ///
+    /// # Errors
+    /// As [`Session::run`]; a child that broke off or had not answered in time.
+    pub fn run(&self, tile: ArrayView4<'_, f32>) -> Result<(Array4<f32>, Duration)> {
+        let started = Instant::now();
+        match self {
+            Self::Here(session) => session.run(tile).map(|tile| (tile, started.elapsed())),
+            Self::Apart(process) => process.run(tile),
+        }
+    }
+}
+
+/// What a child is told first; the model's bytes follow.
+#[derive(Serialize, Deserialize)]
+struct Asked {
+    file: PathBuf,
+    model_bytes: u64,
+    onnxruntime: Option<PathBuf>,
+    threads: usize,
+    choice: Choice,
+}
+
+/// What it answers.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Opened {
+    runtime: Runtime,
+    workers: usize,
+}
+
+/// An error on its way.
+#[derive(Debug, Serialize, Deserialize)]
+struct Refused {
+    file: String,
+    place: String,
+    found: String,
+    allowed: String,
+}
+
+impl Refused {
+    fn of(error: Error) -> Self {
+        match error {
+            Error::BadInput { file, place, found, allowed } => Self { file, place, found, allowed },
+            other => {
+                let allowed = "a model that takes and returns an image".to_owned();
+                Self { file: "model.onnx".into(), place: "inference".into(), found: other.to_string(), allowed }
+            }
+        }
+    }
+
+    fn error(self) -> Error {
+        Error::bad(self.file, self.place, self.found, self.allowed)
+    }
+}
+
+/// A tile's result, and the time within the runtime.
+type Answer = std::result::Result<(Array4<f32>, Duration), Refused>;
+
+/// The child's side: opens what it is told to on `input`, and answers its tiles on `out` until there are no more.
+///
+/// # Errors
+/// An input that is none, an answer that cannot be written. A model that is refused is an answer.
+pub fn serve(input: &mut impl BufRead, out: &mut (impl Write + Send)) -> std::io::Result<()> {
+    child::follow_parent();
+    let mut line = String::new();
+    input.take(MOST_WORDS).read_line(&mut line)?;
+    let asked: Asked = serde_json::from_str(&line)?;
+    let mut model = Vec::new();
+    input.take(asked.model_bytes).read_to_end(&mut model)?;
+    let options = Options { onnxruntime: asked.onnxruntime, threads: asked.threads, choice: asked.choice };
+    let opened = Session::open(&model, &asked.file, &options);
+    drop(model);
+    let session = match opened {
+        Ok(session) => session,
+        Err(error) => {
+            let answer: std::result::Result<Opened, Refused> = Err(Refused::of(error));
+            return words(out, &answer);
+        }
+    };
+    let workers = session.parallel_tiles();
+    words(out, &Ok::<_, Refused>(Opened { runtime: session.runtime().clone(), workers }))?;
+    let out = Mutex::new(out);
+    let (sender, receiver) = mpsc::sync_channel::<(u64, Array4<f32>)>(1);
+    let receiver = Mutex::new(receiver);
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..workers)
+            .map(|_| {
+                scope.spawn(|| -> std::io::Result<()> {
+                    loop {
+                        let next = lock(&receiver).recv();
+                        let Ok((id, tile)) = next else { return Ok(()) };
+                        let started = Instant::now();
+                        let answer = session.run(tile.view()).map_err(Refused::of);
+                        let answer = answer.map(|tile| (tile, started.elapsed()));
+                        write_answer(&mut **lock(&out), id, &answer)?;
+                    }
+                })
+            })
+            .collect();
+        while let Some((id, tile)) = read_tile(input)? {
+            if sender.send((id, tile)).is_err() {
+                break;
+            }
+        }
+        drop(sender);
+        workers.into_iter().try_for_each(|w| w.join().unwrap_or_else(|_| Err(std::io::Error::other("a worker failed"))))
+    })
+}
+
+/// One line of JSON.
+fn words(out: &mut (impl Write + ?Sized), what: &impl Serialize) -> std::io::Result<()> {
+    serde_json::to_writer(&mut *out, what)?;
+    out.write_all(b"\n")?;
+    out.flush()
+}
+
+/// A tile: its number, its shape, its samples.
+fn write_tile(out: &mut (impl Write + ?Sized), id: u64, tile: ArrayView4<'_, f32>) -> std::io::Result<()> {
+    out.write_all(&id.to_ne_bytes())?;
+    for n in tile.shape() {
+        out.write_all(&(*n as u64).to_ne_bytes())?;
+    }
+    out.write_all(bytemuck::cast_slice(tile.as_standard_layout().as_slice().unwrap_or_default()))?;
+    out.flush()
+}
+
+fn number(input: &mut impl Read) -> std::io::Result<u64> {
+    let mut bytes = [0; 8];
+    input.read_exact(&mut bytes)?;
+    Ok(u64::from_ne_bytes(bytes))
+}
+
+/// The samples after a tile's number, `most` of them.
+fn read_samples(input: &mut impl Read, most: u64) -> std::io::Result<Array4<f32>> {
+    let bad = || std::io::Error::new(std::io::ErrorKind::InvalidData, "a tile that is none");
+    let mut shape = [0_usize; 4];
+    let mut count = 1_u64;
+    for n in &mut shape {
+        let side = number(input)?;
+        count = count.checked_mul(side).filter(|c| *c <= most).ok_or_else(bad)?;
+        *n = usize::try_from(side).map_err(|_| bad())?;
+    }
+    let samples = child::read_samples(input, usize::try_from(count).map_err(|_| bad())?)?;
+    Array4::from_shape_vec(shape, samples).map_err(|_| bad())
+}
+
+/// The next tile; `None` when there are no more.
+fn read_tile(input: &mut impl BufRead) -> std::io::Result<Option<(u64, Array4<f32>)>> {
+    if input.fill_buf()?.is_empty() {
+        return Ok(None);
+    }
+    let id = number(input)?;
+    Ok(Some((id, read_samples(input, MOST_SAMPLES)?)))
+}
+
+/// What became of a tile: a byte, nanoseconds, its number and samples, or its number and a line.
+fn write_answer(out: &mut (impl Write + ?Sized), id: u64, answer: &Answer) -> std::io::Result<()> {
+    match answer {
+        Ok((tile, took)) => {
+            out.write_all(&[1])?;
+            out.write_all(&u64::try_from(took.as_nanos()).unwrap_or(u64::MAX).to_ne_bytes())?;
+            write_tile(out, id, tile.view())
+        }
+        Err(refused) => {
+            out.write_all(&[0])?;
+            out.write_all(&id.to_ne_bytes())?;
+            words(out, refused)
+        }
+    }
+}
+
+/// The next answer, of as many samples as `most` says once it is there.
+fn read_answer(input: &mut impl BufRead, most: impl Fn() -> u64) -> std::io::Result<(u64, Answer)> {
+    let mut kind = [0];
+    input.read_exact(&mut kind)?;
+    if kind == [1] {
+        let took = Duration::from_nanos(number(input)?);
+        return Ok((number(input)?, Ok((read_samples(input, most())?, took))));
+    }
+    let id = number(input)?;
+    let mut line = String::new();
+    input.take(MOST_WORDS).read_line(&mut line)?;
+    Ok((id, Err(serde_json::from_str(&line)?)))
+}
+
+/// Who waits for which tile, when the child last answered, and why it is no more.
+#[derive(Default)]
+struct Desk {
+    waiting: HashMap<u64, mpsc::Sender<Answer>>,
+    last: Option<Instant>,
+    gone: Option<String>,
+}
+
+/// A child at work; it ends when this is dropped.
+struct Live {
+    child: Mutex<Child>,
+    /// Tiles on their way to the child: a child that does not read keeps nobody waiting for longer than the limit.
+    tiles: Mutex<mpsc::Sender<(u64, Array4<f32>)>>,
+    desk: Arc<Mutex<Desk>>,
+    /// Samples of the largest tile so far: no answer is larger.
+    largest: Arc<AtomicU64>,
+    opened: Opened,
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        let child = self.child.get_mut().unwrap_or_else(PoisonError::into_inner);
+        let _ = child.kill();
+        let _ = child.wait();
+    }
+}
+
+/// A network in a child, which is started anew for the next capture where it broke off.
+pub struct Process {
+    live: Mutex<Arc<Live>>,
+    model: Vec<u8>,
+    asked: Asked,
+    apart: Apart,
+    limits: Limits,
+    next: AtomicU64,
+    opened: Opened,
+}
+
+impl std::fmt::Debug for Process {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Process").field("runtime", &self.opened.runtime).field("limits", &self.limits).finish()
+    }
+}
+
+impl Process {
+    fn open(model: &[u8], file: &Path, options: &Options, apart: &Apart) -> Result<Self> {
+        let failed = |e: std::io::Error| Error::Internal(format!("the network's process: {e}"));
+        let asked = Asked {
+            file: file.to_owned(),
+            model_bytes: model.len() as u64,
+            onnxruntime: options.onnxruntime.as_deref().map(std::path::absolute).transpose().map_err(failed)?,
+            threads: options.thread_count(),
+            choice: options.choice,
+        };
+        let memory = MEMORY.saturating_add(MEMORY_A_THREAD.saturating_mul(asked.threads as u64));
+        let limits = Limits { memory_bytes: apart.memory_bytes.unwrap_or(memory), time: apart.time };
+        let live = Live::start(&asked, model, apart, limits)?;
+        Ok(Self {
+            opened: live.opened.clone(),
+            live: Mutex::new(Arc::new(live)),
+            model: model.to_vec(),
+            asked,
+            apart: apart.clone(),
+            limits,
+            next: AtomicU64::new(0),
+        })
+    }
+
+    /// Starts a child where the last one is gone.
+    fn ready(&self) -> Result<()> {
+        let mut live = lock(&self.live);
+        if lock(&live.desk).gone.is_some() {
+            *live = Arc::new(Live::start(&self.asked, &self.model, &self.apart, self.limits)?);
+        }
+        Ok(())
+    }
+
+    fn run(&self, tile: ArrayView4<'_, f32>) -> Result<(Array4<f32>, Duration)> {
+        let live = Arc::clone(&lock(&self.live));
+        let id = self.next.fetch_add(1, Ordering::Relaxed);
+        let (sender, receiver) = mpsc::channel();
+        live.largest.fetch_max(tile.len() as u64, Ordering::Relaxed);
+        {
+            let mut desk = lock(&live.desk);
+            if let Some(why) = &desk.gone {
+                return Err(refused(&self.asked, why, &self.apart));
+            }
+            desk.waiting.insert(id, sender);
+        }
+        // (Nobody hears of a tile that could not be sent: the child is gone then, and who waits is told.)
+        let _ = lock(&live.tiles).send((id, tile.to_owned()));
+        let answer = live.answer(&receiver, self.limits, "a tile");
+        answer.map_err(|why| refused(&self.asked, &why, &self.apart))?.map_err(Refused::error)
+    }
+}
+
+/// What is said of a child that gave no answer.
+fn refused(asked: &Asked, why: &str, apart: &Apart) -> Error {
+    let allowed = format!("a model that runs within the limits{}", apart.hint);
+    Error::bad(asked.file.display().to_string(), "network", why, allowed)
+}
+
+impl Live {
+    fn start(asked: &Asked, model: &[u8], apart: &Apart, limits: Limits) -> Result<Self> {
+        let failed = |e: std::io::Error| Error::Internal(format!("the network's process: {e}"));
+        let mut first = Vec::new();
+        words(&mut first, asked).map_err(failed)?;
+        first.extend_from_slice(model);
+        let start = Start {
+            program: &apart.program,
+            arguments: &[COMMAND.into()],
+            limits,
+            once: false,
+            listens: true,
+            threads: asked.threads,
+        };
+        let mut child = start.spawn().map_err(failed)?;
+        let (input, output) = (child.stdin.take(), child.stdout.take());
+        let (tiles, to_write) = mpsc::channel();
+        let (said, opened) = mpsc::channel();
+        let mut live = Self {
+            child: Mutex::new(child),
+            tiles: Mutex::new(tiles),
+            desk: Arc::default(),
+            largest: Arc::default(),
+            opened: Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 },
+        };
+        let (Some(input), Some(output)) = (input, output) else {
+            return Err(Error::Internal("the network's process has no pipes".into()));
+        };
+        std::thread::spawn(move || pass_on(input, first, &to_write));
+        let (desk, largest) = (Arc::clone(&live.desk), Arc::clone(&live.largest));
+        let gone = broke_off(limits);
+        std::thread::spawn(move || listen(BufReader::new(output), &said, &desk, &largest, gone));
+        let answer = live.answer(&opened, limits, "opening the model");
+        let opened = answer.map_err(|why| refused(asked, &why, apart))?.map_err(Refused::error)?;
+        live.opened = Opened { workers: opened.workers.clamp(1, asked.threads.max(1)), ..opened };
+        Ok(live)
+    }
+
+    /// Waits for an answer: as long as the limit from the last answer on, since a tile may stand behind another. Why there is none, which is the same for
+    /// all who wait; the child is ended then.
+    fn answer<T>(&self, receiver: &mpsc::Receiver<T>, limits: Limits, work: &str) -> std::result::Result<T, String> {
+        let started = Instant::now();
+        loop {
+            let from = lock(&self.desk).last.map_or(started, |last| last.max(started));
+            let why = match receiver.recv_timeout(limits.time.saturating_sub(from.elapsed())) {
+                Ok(answer) => return Ok(answer),
+                Err(mpsc::RecvTimeoutError::Timeout) => {
+                    if lock(&self.desk).last.is_some_and(|last| last > from) {
+                        continue;
+                    }
+                    format!("{work} had not come to an end after {} s", limits.time.as_secs_f64())
+                }
+                Err(mpsc::RecvTimeoutError::Disconnected) => broke_off(limits),
+            };
+            let mut desk = lock(&self.desk);
+            let why = desk.gone.get_or_insert(why).clone();
+            desk.waiting.clear();
+            drop(desk);
+            let _ = lock(&self.child).kill();
+            return Err(why);
+        }
+    }
+}
+
+fn broke_off(limits: Limits) -> String {
+    format!("the process that runs it broke off (more than {} MiB of memory, or stopped)", limits.memory_bytes >> 20)
+}
+
+/// Hands what comes first and then tiles to the child, until there are no more or it is gone.
+fn pass_on(mut input: impl Write, first: Vec<u8>, tiles: &mpsc::Receiver<(u64, Array4<f32>)>) {
+    let mut sent = input.write_all(&first);
+    drop(first);
+    while sent.is_ok()
+        && let Ok((id, tile)) = tiles.recv()
+    {
+        sent = write_tile(&mut input, id, tile.view());
+    }
+}
+
+/// Hands the child's answers to who waits for them. When there are no more nobody waits any longer.
+fn listen(
+    mut output: impl BufRead,
+    said: &mpsc::Sender<std::result::Result<Opened, Refused>>,
+    desk: &Mutex<Desk>,
+    largest: &AtomicU64,
+    gone: String,
+) {
+    let mut line = String::new();
+    if output.by_ref().take(MOST_WORDS).read_line(&mut line).is_ok()
+        && let Ok(answer) = serde_json::from_str(&line)
+    {
+        let _ = said.send(answer);
+        while let Ok((id, answer)) = read_answer(&mut output, || largest.load(Ordering::Relaxed)) {
+            let mut desk = lock(desk);
+            desk.last = Some(Instant::now());
+            if let Some(sender) = desk.waiting.remove(&id) {
+                let _ = sender.send(answer);
+            }
+        }
+    }
+    let mut desk = lock(desk);
+    desk.gone.get_or_insert(gone);
+    desk.waiting.clear();
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,123 @@
+//! Children that answer, refuse, fail and hang.
+
+use super::*;
+use crate::test_model;
+
+fn tile(columns: usize, seed: u64) -> Array4<f32> {
+    let rng = &mut fastrand::Rng::with_seed(seed);
+    Array4::from_shape_simple_fn((1, 3, 16, columns), || rng.f32())
+}
+
+fn asked(model: &[u8]) -> Vec<u8> {
+    let file = PathBuf::from("k/model.onnx");
+    let model_bytes = model.len() as u64;
+    let asked = Asked { file, model_bytes, onnxruntime: None, threads: 3, choice: Choice::Tract };
+    let mut bytes = Vec::new();
+    words(&mut bytes, &asked).expect("writes");
+    bytes.extend_from_slice(model);
+    bytes
+}
+
+/// The child's side, fed with everything at once: what it answers is what a session says, whatever the order, a tile that the model cannot take among
+/// them.
+#[test]
+fn a_child_answers_as_a_session_does() {
+    let model = test_model::unet(4, 9, &[]);
+    let mut input = asked(&model);
+    let tiles: Vec<Array4<f32>> = (0..7).map(|k| tile(16 + 4 * k, k as u64)).collect();
+    for (k, t) in tiles.iter().enumerate() {
+        write_tile(&mut input, k as u64, t.view()).expect("writes");
+    }
+    let wrong = Array4::<f32>::zeros((1, 5, 16, 16));
+    write_tile(&mut input, 7, wrong.view()).expect("writes");
+    let mut out = Vec::new();
+    serve(&mut &input[..], &mut out).expect("serves");
+    let mut out = &out[..];
+    let mut line = String::new();
+    out.read_line(&mut line).expect("a line");
+    let opened: std::result::Result<Opened, Refused> = serde_json::from_str(&line).expect("JSON");
+    assert_eq!(opened.expect("opens").workers, 3);
+    let options = Options { choice: Choice::Tract, threads: 1, ..Options::default() };
+    let session = Session::open(&model, Path::new("m"), &options).expect("opens");
+    let mut seen = Vec::new();
+    for _ in 0..8 {
+        let (id, answer) = read_answer(&mut out, || MOST_SAMPLES).expect("an answer");
+        seen.push(id);
+        match tiles.get(usize::try_from(id).expect("small")) {
+            Some(tile) => assert_eq!(answer.expect("runs").0, session.run(tile.view()).expect("runs")),
+            None => assert!(answer.expect_err("five channels").error().to_string().contains("inference")),
+        }
+    }
+    seen.sort_unstable();
+    assert_eq!(seen, (0..8).collect::<Vec<u64>>());
+    assert!(out.is_empty() && read_answer(&mut out, || MOST_SAMPLES).is_err());
+}
+
+#[test]
+fn a_model_that_is_none_is_an_answer() {
+    let mut out = Vec::new();
+    serve(&mut &asked(b"no model")[..], &mut out).expect("serves");
+    let opened: std::result::Result<Opened, Refused> = serde_json::from_slice(&out).expect("JSON");
+    let error = opened.expect_err("refused").error().to_string();
+    assert!(error.starts_with("k/model.onnx: model: cannot be read as ONNX"), "{error}");
+    // A shape that overflows, a tile that is cut short, no first line.
+    let mut cut = asked(&test_model::unet(4, 9, &[]));
+    write_tile(&mut cut, 0, tile(16, 1).view()).expect("writes");
+    cut.pop();
+    assert!(serve(&mut &cut[..], &mut Vec::new()).is_err() && serve(&mut &b"{}"[..], &mut Vec::new()).is_err());
+    let vast: Vec<u8> = [1_u64, u64::MAX, 2, 3, 4].iter().flat_map(|n| n.to_ne_bytes()).collect();
+    assert!(read_tile(&mut &vast[..]).is_err());
+}
+
+#[cfg(unix)]
+#[test]
+fn children_that_fail_hang_or_babble_become_one_sentence() {
+    use std::os::unix::fs::PermissionsExt;
+    let dir = tempfile::tempdir().expect("temporary folder");
+    let opened = r#"{"Ok":{"runtime":{"Tract":{"reason":""}},"workers":1}}"#;
+    let busy = "f=$0.times; echo >> \"$f\"; [ $(wc -l < \"$f\") -gt 1 ] && exec sleep 30;";
+    let scripts = [
+        ("dies", "kill -9 $$".to_owned(), "broke off"),
+        ("babbles", "echo hello".to_owned(), "broke off"),
+        ("hangs", "exec sleep 30".to_owned(), "opening the model had not come to an end after 0.5 s"),
+        ("opens and dies", format!("echo '{opened}'; sleep 0.1"), "broke off"),
+        ("opens and hangs", format!("echo '{opened}'; exec sleep 30"), "a tile had not come to an end after 0.5 s"),
+        ("opens and babbles", format!("echo '{opened}'; echo abcdefghijklmnopq; exec sleep 30"), "broke off"),
+        ("opens once", format!("{busy} echo '{opened}'; exec sleep 30"), "a tile had not come to an end after 0.5 s"),
+    ];
+    for (name, script, said) in scripts {
+        let program = dir.path().join(name);
+        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("writes");
+        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+        let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::of(program) };
+        let network = Network::open(&[0; 1 << 20], Path::new("m.onnx"), &Options::default(), Some(&apart));
+        // More than a pipe holds, to a child that does not read.
+        let large = Array4::<f32>::zeros((1, 3, 256, 256));
+        let error = match network {
+            Err(error) => error,
+            Ok(network) => {
+                let first = network.run(large.view()).expect_err("no answer").to_string();
+                // Whoever comes later hears the same, at once; for the next capture a child is started anew.
+                let clock = Instant::now();
+                assert_eq!(network.run(large.view()).expect_err("gone").to_string(), first, "{name}");
+                assert!(clock.elapsed() < Duration::from_millis(400), "{name}");
+                let again = network.ready().and_then(|()| network.run(large.view()).map(|_| ()));
+                let again = again.expect_err("no answer again").to_string();
+                let other = if name == "opens once" { "opening the model had not" } else { said };
+                assert!(again.contains(other), "{name}: {again}");
+                Error::bad("m.onnx", "network", first, "")
+            }
+        };
+        assert!(error.to_string().contains(said) && error.exit_code() == 2, "{name}: {error}");
+        assert!(error.to_string().contains("; --more"), "{name}: {error}");
+    }
+    // A child that is stopped while nobody asks it anything: the next tile is told at once.
+    let program = dir.path().join("idle");
+    std::fs::write(&program, format!("#!/bin/sh\necho '{opened}'\n")).expect("writes");
+    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    let network = Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::of(program)));
+    std::thread::sleep(Duration::from_millis(300));
+    let clock = Instant::now();
+    let error = network.expect("opens").run(Array4::zeros((1, 3, 4, 4)).view()).expect_err("gone");
+    assert!(error.to_string().contains("broke off") && clock.elapsed() < Duration::from_secs(5), "{error}");
+}

@@ -1,0 +1,138 @@
+//! Captures one after the other, one bar for all of them.
+
+use std::path::Path;
+use std::time::Instant;
+
+use crate::network_process::Network;
+use crate::raw_process::{self, LIMITS};
+use crate::reconstruct::Camera;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use isoplanat_base::error::{Error, Result};
+use serde_json::json;
+
+use crate::program::bench::Figures;
+use crate::program::output::{self, Pictures};
+use crate::program::say::{complain, say};
+
+/// Steps of the bar for one capture.
+const STEPS: u64 = 1000;
+
+/// What is said of every capture.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Told {
+    /// Results as JSON.
+    pub(crate) json: bool,
+    /// Where the time goes.
+    pub(crate) bench: bool,
+}
+
+/// A run over captures.
+pub(crate) struct Batch<'a> {
+    /// What is to be written.
+    pub(crate) pictures: &'a Pictures,
+    /// What is to be said.
+    pub(crate) told: Told,
+    camera: &'a Camera,
+    bar: ProgressBar,
+}
+
+impl<'a> Batch<'a> {
+    pub(crate) fn new(pictures: &'a Pictures, told: Told, camera: &'a Camera) -> Self {
+        Self { pictures, told, camera, bar: ProgressBar::hidden() }
+    }
+
+    /// The bar goes.
+    pub(crate) fn finish(&self) {
+        self.bar.finish_and_clear();
+    }
+
+    /// Says an error, the bar stays below; its exit code.
+    pub(crate) fn complain(&self, error: &Error) -> u8 {
+        self.bar.suspend(|| complain(error))
+    }
+
+    fn note(&self, capture: &Path, text: &str) {
+        self.bar.suspend(|| eprintln!("isoplanat-camera: {}: {text}", capture.display()));
+    }
+
+    /// Moves the bar to a share of the capture `k` of `n`; it is shown once there is something to wait for.
+    fn show(&self, (k, n): (usize, usize), capture: &Path, share: f64) {
+        if self.bar.is_finished() {
+            self.bar.reset();
+        }
+        if self.bar.length().is_none() {
+            self.bar.set_draw_target(ProgressDrawTarget::stderr());
+            self.bar.set_length(STEPS * n as u64);
+            if let Ok(style) = ProgressStyle::with_template("{msg} {wide_bar} {percent} % {eta}") {
+                self.bar.set_style(style);
+            }
+        }
+        let count = if n > 1 { format!("{}/{n} ", k + 1) } else { String::new() };
+        self.bar.set_message(format!("{count}{}", capture.display()));
+        self.bar.set_position(STEPS * k as u64 + (share * STEPS as f64) as u64);
+    }
+
+    /// Develops the capture `k` of `n` into `out`.
+    pub(crate) fn develop(&self, (k, n): (usize, usize), capture: &Path, out: &Path) -> Result<serde_json::Value> {
+        let camera = self.camera;
+        let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+        if n > 1 {
+            self.show((k, n), capture, 0.0);
+        }
+        let started = Instant::now();
+        let raw = raw_process::decode(&program, capture, LIMITS)?;
+        let decode = started.elapsed();
+        let (make, model) = (raw.make.clone(), raw.model.clone());
+        let picture =
+            camera.reconstruct(raw, capture, &|done, all| self.show((k, n), capture, done as f64 / all as f64))?;
+        for note in &picture.notes {
+            self.note(capture, note);
+        }
+        if picture.outside_fraction > 0.0 {
+            let percent = 100.0 * picture.outside_fraction;
+            self.note(capture, &format!("{percent:.2} % of the picture lies outside the capture"));
+        }
+        let started = Instant::now();
+        output::make_folder(out)?;
+        self.pictures.write(out, &picture)?;
+        let (_, rows, columns) = picture.image.dim();
+        let figures = Figures {
+            decode,
+            times: picture.times,
+            write: started.elapsed(),
+            megapixels: (rows * columns) as f64 / 1e6,
+            tiles: picture.tiles,
+            workers: camera.network().map_or(1, Network::workers),
+        };
+        if !self.told.json {
+            self.bar.suspend(|| {
+                say(&format!("{} -> {} ({columns} × {rows}, {make} {model})", capture.display(), out.display()));
+                if self.told.bench {
+                    if let Some(network) = camera.network() {
+                        say(&format!("runtime             {}", network.runtime()));
+                    }
+                    say(&figures.text());
+                }
+            });
+        }
+        let exif = &picture.exif;
+        Ok(json!({
+            "capture": capture.display().to_string(),
+            "picture": out.display().to_string(),
+            "columns": columns,
+            "rows": rows,
+            "camera": format!("{make} {model}"),
+            "exposure": {
+                "lens": exif.lens(),
+                "iso": exif.iso(),
+                "f_number": exif.f_number(),
+                "time_s": exif.exposure_s(),
+                "focal_length_mm": exif.focal_length_mm(),
+            },
+            "network": picture.tiles > 0,
+            "outside_fraction": picture.outside_fraction,
+            "notes": picture.notes,
+            "times": figures.json(),
+        }))
+    }
+}

@@ -1,0 +1,157 @@
+//! Relative illumination of a lens, radial and per channel, and the flat field that divides it out.
+
+use serde::{Deserialize, Serialize};
+
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::psf::measured::linear;
+
+/// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
+/// than as noise that outshines the picture.
+pub const DARKEST: f64 = 0.01;
+
+/// Relative illumination against the distance from the axis, per channel R, G, B; 1 on the axis.
+///
+/// Between the nodes it is piecewise linear, beyond the last one constant.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "ShadingFile")]
+pub struct Shading {
+    /// Distances from the axis, mm, growing, the first one 0.
+    pub radius_mm: Vec<f64>,
+    /// Relative illumination at those distances, one list a channel.
+    pub illumination: [Vec<f64>; 3],
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ShadingFile {
+    radius_mm: Vec<f64>,
+    illumination: [Vec<f64>; 3],
+}
+
+impl TryFrom<ShadingFile> for Shading {
+    type Error = Error;
+
+    fn try_from(file: ShadingFile) -> Result<Self> {
+        Self::new(file.radius_mm, file.illumination)
+    }
+}
+
+impl Shading {
+    /// Relative illumination `illumination[channel][i]` at distance `radius_mm[i]` from the axis.
+    ///
+    /// # Errors
+    /// Lists of different lengths, radii that do not start at 0 and grow, illumination outside `(0, 16]`, or a
+    /// value on the axis that is not 1 to 1 %.
+    pub fn new(radius_mm: Vec<f64>, illumination: [Vec<f64>; 3]) -> Result<Self> {
+        let bad = |place: &str, found: String, allowed: &str| Err(Error::bad("", place, found, allowed));
+        if radius_mm.first() != Some(&0.0) {
+            return bad("shading.radius_mm", format!("{:?}", radius_mm.first()), "a list that starts at 0");
+        }
+        if let Some(w) = radius_mm.windows(2).find(|w| !(w[1] > w[0] && w[1].is_finite())) {
+            return bad("shading.radius_mm", format!("{} after {}", w[1], w[0]), "finite radii that grow");
+        }
+        for (channel, values) in illumination.iter().enumerate() {
+            let place = format!("shading.illumination[{channel}]");
+            if values.len() != radius_mm.len() {
+                let allowed = format!("{} values, one for each radius", radius_mm.len());
+                return bad(&place, format!("{} values", values.len()), &allowed);
+            }
+            if let Some(v) = values.iter().find(|v| !(**v > 0.0 && **v <= 16.0)) {
+                return bad(&place, v.to_string(), "relative illumination above 0 and up to 16");
+            }
+            if (values[0] - 1.0).abs() > 0.01 {
+                return bad(&place, format!("{} on the axis", values[0]), "1 on the axis");
+            }
+        }
+        Ok(Self { radius_mm, illumination })
+    }
+
+    /// No shading: 1 everywhere.
+    pub fn none() -> Self {
+        Self { radius_mm: vec![0.0], illumination: std::array::from_fn(|_| vec![1.0]) }
+    }
+
+    /// Relative illumination of `channel` (0 = R, 1 = G, 2 = B) at `radius_mm` from the axis.
+    ///
+    /// # Panics
+    /// For a channel above 2.
+    pub fn at(&self, channel: usize, radius_mm: f64) -> f64 {
+        linear(&self.radius_mm, &self.illumination[channel], radius_mm)
+    }
+
+    /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
+    pub fn gain_table(&self, max_radius_mm: f64) -> GainTable {
+        const N: usize = 4096;
+        let per_mm = N as f64 / max_radius_mm.max(f64::MIN_POSITIVE);
+        let gains = std::array::from_fn(|c| {
+            (0..=N).map(|i| (1.0 / self.at(c, i as f64 / per_mm).max(DARKEST)) as f32).collect()
+        });
+        GainTable { gains, per_mm }
+    }
+}
+
+/// Flat-field gains over the radius; made by [`Shading::gain_table`].
+#[derive(Clone, Debug)]
+pub struct GainTable {
+    gains: [Vec<f32>; 3],
+    per_mm: f64,
+}
+
+impl GainTable {
+    /// Gain of `channel` (0 = R, 1 = G, 2 = B) at `radius_mm` from the axis; constant beyond the table's end.
+    pub fn at(&self, channel: usize, radius_mm: f64) -> f32 {
+        let table = &self.gains[channel];
+        let x = (radius_mm * self.per_mm).min((table.len() - 1) as f64);
+        let i = (x as usize).min(table.len() - 2);
+        let t = (x - i as f64) as f32;
+        table[i] + t * (table[i + 1] - table[i])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cos4() -> Shading {
+        let radius: Vec<f64> = (0..=40).map(|i| 0.5 * f64::from(i)).collect();
+        let values: Vec<f64> = radius.iter().map(|r| (r / 50.0_f64).atan().cos().powi(4)).collect();
+        Shading::new(radius, [values.clone(), values.clone(), values]).expect("valid")
+    }
+
+    #[test]
+    fn between_nodes_it_is_linear_and_beyond_them_constant() {
+        let s = Shading::new(vec![0.0, 10.0], [vec![1.0, 0.5], vec![1.0, 0.6], vec![1.0, 0.7]]).expect("valid");
+        for (channel, r, value) in [(0, 0.0, 1.0), (0, 5.0, 0.75), (1, 2.5, 0.9), (2, 10.0, 0.7), (2, 99.0, 0.7)] {
+            assert!((s.at(channel, r) - value).abs() < 1e-15);
+        }
+        assert_eq!(Shading::none().at(1, 3.0), 1.0);
+    }
+
+    #[test]
+    fn the_gain_table_is_the_reciprocal() {
+        let s = cos4();
+        let table = s.gain_table(20.0);
+        for i in 0..1000 {
+            let r = 0.02 * f64::from(i);
+            let error = f64::from(table.at(1, r)) * s.at(1, r) - 1.0;
+            assert!(error.abs() < 2e-5, "{r}: {error:e}");
+        }
+    }
+
+    #[test]
+    fn files_round_trip_and_wrong_ones_are_refused() {
+        let s = cos4();
+        let text = toml::to_string(&s).expect("writes");
+        assert_eq!(toml::from_str::<Shading>(&text).expect("reads"), s);
+        for bad in [
+            "radius_mm = [0.0, 1.0]\nillumination = [[1.0, 0.5], [1.0, 0.5], [1.0]]",
+            "radius_mm = [0.5, 1.0]\nillumination = [[1.0, 0.5], [1.0, 0.5], [1.0, 0.5]]",
+            "radius_mm = [0.0, 0.0]\nillumination = [[1.0, 0.5], [1.0, 0.5], [1.0, 0.5]]",
+            "radius_mm = [0.0, 1.0]\nillumination = [[1.0, nan], [1.0, 0.5], [1.0, 0.5]]",
+            "radius_mm = [0.0]\nillumination = [[0.5], [1.0], [1.0]]",
+            "radius_mm = []\nillumination = [[], [], []]",
+        ] {
+            assert!(toml::from_str::<Shading>(bad).is_err(), "{bad}");
+        }
+    }
+}

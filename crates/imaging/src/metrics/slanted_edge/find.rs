@@ -1,0 +1,136 @@
+//! The largest part of a picture that holds one straight edge and nothing else.
+//!
+//! Windows of falling size are laid over the picture, each seen at about forty cells a side. A window will do where one step
+//! across a straight line explains most of it, and a profile across that line nearly all of it but noise.
+
+use ndarray::{Array2, ArrayView2, s};
+
+use super::samples::{Rectangle, Sample, Sites};
+use super::step::{self, Step};
+use isoplanat_base::error::{Error, Result};
+
+/// Cells a side that a window is looked at with.
+const CELLS: usize = 40;
+/// Least cells across a picture.
+const LEAST_CELLS: usize = 4;
+/// Least window, pixels.
+const LEAST: usize = 24;
+/// What a step must explain of a window's variance beyond noise, and what the profile across it must.
+const EXPLAINED: [f64; 2] = [0.75, 0.95];
+/// Least share of a window on either side of the edge.
+const SIDE: f64 = 0.12;
+
+/// The largest window with one straight edge among the pixels of `plane` that count.
+///
+/// # Errors
+/// A value that is not finite; a picture without such a window.
+pub fn find_region<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites) -> Result<Rectangle> {
+    let (rows, columns) = plane.dim();
+    let mosaic = sites != Sites::ALL;
+    Rectangle::whole((rows, columns)).check((rows, columns), super::LEAST_SIDE)?;
+    let mut share = 1.0;
+    let mut any = false;
+    while share == 1.0 || share * rows.max(columns) as f64 >= LEAST as f64 {
+        let longer = (share * rows.max(columns) as f64) as usize;
+        let size = [rows, columns].map(|n| n.min(if share == 1.0 { n } else { longer.max(LEAST) }));
+        // A strip is seen by its width.
+        let mut side = longer.div_ceil(CELLS).min(rows.min(columns) / LEAST_CELLS).max(1);
+        // A cell of a mosaic holds every colour.
+        side += usize::from(mosaic && side % 2 == 1);
+        let cells = reduced(plane, sites, side)?;
+        let noise = noise(cells.view());
+        let window = size.map(|n| (n / side).max(1));
+        let mut best: Option<(f64, [usize; 2])> = None;
+        for row in starts(cells.nrows(), window[0]) {
+            for column in starts(cells.ncols(), window[1]) {
+                let part = cells.slice(s![row..row + window[0], column..column + window[1]]);
+                any |= part.iter().any(|v| *v != part[[0, 0]]);
+                if let Some(score) = judged(part, noise)
+                    && best.is_none_or(|b| score > b.0)
+                {
+                    best = Some((score, [row, column]));
+                }
+            }
+        }
+        if let Some((_, [row, column])) = best {
+            if share == 1.0 {
+                return Ok(Rectangle::whole((rows, columns)));
+            }
+            let [height, width] = [window[0] * side, window[1] * side];
+            return Ok(Rectangle { x: column * side, y: row * side, width, height });
+        }
+        share *= 0.75;
+    }
+    let found = if any { "no single straight edge was found" } else { "all pixels are equal" };
+    let allowed = "a picture of a straight edge between two even areas, or a region (x,y,w,h) that holds one";
+    Err(Error::bad("", "picture", found, allowed))
+}
+
+/// Where windows of `size` start on `all` cells: a third of a window apart, the last at the end.
+fn starts(all: usize, size: usize) -> Vec<usize> {
+    let last = all.saturating_sub(size);
+    let mut out: Vec<usize> = (0..last).step_by((size / 3).max(1)).collect();
+    out.push(last);
+    out
+}
+
+/// Means of the pixels that count over whole cells of `side` pixels.
+fn reduced<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites, side: usize) -> Result<Array2<f64>> {
+    let (rows, columns) = (plane.nrows() / side, plane.ncols() / side);
+    let (mut sums, mut counts) = (Array2::zeros((rows, columns)), Array2::<f64>::zeros((rows, columns)));
+    for ((r, c), v) in plane.indexed_iter() {
+        let value: f64 = (*v).into();
+        if sites.has(r, c) && !value.is_finite() {
+            return Err(Error::bad("", format!("pixel at column {c}, row {r}"), value.to_string(), "finite values"));
+        }
+        if sites.has(r, c) && r / side < rows && c / side < columns {
+            sums[[r / side, c / side]] += value;
+            counts[[r / side, c / side]] += 1.0;
+        }
+    }
+    Ok(sums / counts.mapv(|n| n.max(1.0)))
+}
+
+/// Standard deviation of a cell's noise: the median difference of a cell from its four neighbours, which edges hardly move.
+fn noise(cells: ArrayView2<'_, f64>) -> f64 {
+    let (rows, columns) = cells.dim();
+    let mut off = Vec::new();
+    for r in 1..rows.saturating_sub(1) {
+        for c in 1..columns.saturating_sub(1) {
+            let around = cells[[r - 1, c]] + cells[[r + 1, c]] + cells[[r, c - 1]] + cells[[r, c + 1]];
+            off.push((cells[[r, c]] - 0.25 * around).abs());
+        }
+    }
+    off.sort_by(f64::total_cmp);
+    // The median of |x| of unit normal noise is 0.6745; the difference has 1.25 times its variance.
+    off.get(off.len() / 2).map_or(0.0, |m| m / (0.6745 * 1.25f64.sqrt()))
+}
+
+/// How well one edge explains a window; `None` where it does not.
+fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<f64> {
+    let sample = |((r, c), v): ((usize, usize), &f64)| Sample { x: c as f64, y: r as f64, value: *v };
+    let samples: Vec<Sample> = part.indexed_iter().map(sample).collect();
+    let centre = Rectangle::whole(part.dim()).centre();
+    let Step { angle, offset, explained, contrast } = step::find(&samples, centre, 1.0)?;
+    let count = samples.len() as f64;
+    let mean = samples.iter().map(|s| s.value).sum::<f64>() / count;
+    let total = samples.iter().map(|s| (s.value - mean).powi(2)).sum::<f64>();
+    let signal = total - count * noise * noise;
+    if contrast < 2.0 * noise || signal <= 0.0 || explained * total < EXPLAINED[0] * signal {
+        return None;
+    }
+    // The profile in bins of one cell, and what it leaves.
+    let (sin, cos) = angle.sin_cos();
+    let place = |s: &Sample| cos * (s.x - centre[0]) + sin * (s.y - centre[1]) - offset;
+    let reach = samples.iter().fold(0.0f64, |m, s| m.max(place(s).abs())).ceil();
+    let bins = 2 * reach as usize + 2;
+    let bin = |s: &Sample| (place(s) + reach) as usize;
+    let mut profile = vec![[0.0; 2]; bins];
+    for s in &samples {
+        profile[bin(s)] = [profile[bin(s)][0] + 1.0, profile[bin(s)][1] + s.value];
+    }
+    let between: f64 = profile.iter().filter(|b| b[0] > 0.0).map(|b| b[0] * (b[1] / b[0] - mean).powi(2)).sum();
+    let bright = samples.iter().filter(|s| place(s) > 0.0).count() as f64 / count;
+    let fits = between >= EXPLAINED[1] * signal && (SIDE..=1.0 - SIDE).contains(&bright);
+    fits.then_some(between / total)
+}

@@ -1,0 +1,151 @@
+//! The ladders of given scenes, and the cheapest settings that hold what is asked for.
+
+use std::cell::RefCell;
+use std::collections::HashMap;
+
+use ndarray::Axis;
+
+use super::choose::{Choice, Ladders, Measuring, cheapest};
+use super::cost::{Work, convolution, seconds};
+use super::draft::{Draft, FINE_WAVELENGTHS};
+use super::needs::Channels;
+use super::nodes::Nodes;
+use super::plan::{DepthPlan, RenderPlan, Settings, in_cells, quadrature};
+use super::probe::{Probing, Values};
+use super::renderer::Renderer;
+use super::source::WarpedScene;
+use super::stands::{SIDE, Stand, stands};
+use crate::plane::{Plane, Region};
+use crate::render::node_grid::NodeGrid;
+
+/// Dense points of the kernels that probes and nodes are looked at with.
+const DENSE: usize = 600;
+/// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
+/// few: what is blurred differs less from place to place.
+const WIDE: (usize, usize) = (65, 201);
+/// Kernel sizes up to which the finest raster has 8 samples a pixel.
+const SHARP: usize = 33;
+
+/// Most scene samples a pixel that are tried, and probes, for kernels of `size` cells of `bin` pixels.
+fn efforts(size: usize, bin: usize) -> (usize, usize) {
+    let probes = match size {
+        _ if size > WIDE.1 => 8,
+        _ if size > WIDE.0 => 16,
+        _ if size > SHARP => 32,
+        _ => 96,
+    };
+    let samples = match size {
+        _ if bin > 1 => 1,
+        _ if size <= SHARP => 8,
+        _ if size <= WIDE.0 => 4,
+        _ => 2,
+    };
+    (samples, probes)
+}
+
+impl Draft<'_> {
+    /// Ladders on probes of the scenes over `region`, and the cheapest settings whose mean square error is at most `target`.
+    pub(super) fn measure(&self, region: Region, target: f64) -> (Choice, Ladders) {
+        let (first, channels) = (&self.first, &self.needs.channels);
+        let size = first.size();
+        let (most, count) = efforts(size, first.bin);
+        let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, most)).collect();
+        let probing = Probing {
+            optics: &self.light,
+            colours: &self.colours,
+            depth: 0,
+            frame: &first.raster,
+            lit: &channels.lit,
+            scenes: &sampled,
+            size,
+            dense: DENSE,
+        };
+        let around = super::coarse::cells(region, first.bin);
+        let stands = stands(&sampled.iter().map(|s| &s[0]).collect::<Vec<_>>(), around, count);
+        let probes = probing.probes(&stands);
+        let rules: Vec<_> = Settings::WAVELENGTHS
+            .iter()
+            .filter(|n| **n <= FINE_WAVELENGTHS)
+            .map(|n| (*n, quadrature(self.density, *n, &[0, 1, 2])))
+            .collect();
+        let coarsest = Settings::NODE_ERRORS[0].min(self.base.node_error);
+        let mut nodes = Nodes::coarse(&self.light, 0, &first.raster, around, size, coarsest, DENSE);
+        let halves: Vec<usize> = self.widths.iter().map(|half| in_cells(*half, first.bin)).collect();
+        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves };
+        let mut found = measuring.ladders(&mut nodes, target);
+        if first.bin > 1 {
+            found.cells = self.cells(&stands);
+        }
+        let work = Work { region, channels: channels.lit.len(), planes: channels.sources() };
+        (cheapest(&found, target, self.base, &cost(&work)), found)
+    }
+
+    /// A scene at every number of samples a pixel up to `most`: one channel where one serves the only scene, else as many as
+    /// the image has.
+    fn sampled<'a>(&'a self, scene: &'a Plane, most: usize) -> Vec<WarpedScene<'a>> {
+        let (first, channels) = (&self.first, &self.needs.channels);
+        let grey = channels.grey && self.scenes.len() == 1;
+        let shown = Channels { grey, ..channels.clone() }.of_texture(scene);
+        let of = |m| WarpedScene::new(scene, &self.light.maps[0], &first.raster, (m, first.bin), shown.clone());
+        Settings::SAMPLES.into_iter().filter(|m| *m <= most).map(of).collect()
+    }
+
+    /// Differences that cells make: against cells half as large, and a third more for what those lack themselves.
+    fn cells(&self, stands: &[Stand]) -> Vec<Values> {
+        let (lit, bin) = (&self.needs.channels.lit, self.first.bin);
+        let nothing = |s: &Stand| vec![0.0; lit.len() * s.region.rows * s.region.cols];
+        let (Some(mut coarse), Some(mut fine)) = (self.on_cells(bin), self.on_cells(bin / 2)) else {
+            return stands.iter().map(nothing).collect();
+        };
+        let values = |renderer: &mut Renderer, stand: &Stand| -> Values {
+            let Region { row, col, .. } = stand.region;
+            let depth = &mut renderer.plan.depths[0];
+            let steps = (bin / depth.bin).cast_signed();
+            depth.grid = NodeGrid::single(row * steps, col * steps);
+            let pixels = Region { row: row * bin.cast_signed(), col: col * bin.cast_signed(), rows: SIDE, cols: SIDE };
+            let (image, _) = renderer.picture(&self.scenes[stand.scene], 0, pixels, &Channels::all(), &|_| {});
+            lit.iter().flat_map(|c| image.index_axis(Axis(0), *c).to_owned()).collect()
+        };
+        let of = |stand: &Stand| {
+            if (stand.region.rows, stand.region.cols) != (SIDE, SIDE) {
+                return nothing(stand);
+            }
+            #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
+            let scale = (stand.weight.sqrt() * 4.0 / 3.0) as f32;
+            let (a, b) = (values(&mut coarse, stand), values(&mut fine, stand));
+            a.iter().zip(&b).map(|(a, b)| (a - b) * scale).collect()
+        };
+        stands.iter().map(of).collect()
+    }
+
+    /// The lens on cells of `bin` pixels, with one node anywhere; `None` where the frame has no such raster.
+    fn on_cells(&self, bin: usize) -> Option<Renderer> {
+        let first = &self.first;
+        let depth = DepthPlan {
+            bin,
+            half_width: first.half_width * first.bin / bin,
+            raster: super::coarse::raster(self.frame, bin).ok()?,
+            grid: NodeGrid::single(0, 0),
+            samples: 1,
+            ..first.clone()
+        };
+        let plan = RenderPlan {
+            frame: self.frame.clone(),
+            settings: Settings { dense: DENSE, ..Settings::FINE },
+            spec: self.light.spec.clone(),
+            table_error: self.table_error,
+            depths: vec![depth],
+        };
+        Some(Renderer::with(self.light.clone(), plan))
+    }
+}
+
+/// Seconds of settings, half-width and grid. The convolution's share depends on nodes, window and sampling alone.
+fn cost(work: &Work) -> impl Fn(&Settings, usize, &NodeGrid) -> f64 {
+    let known = RefCell::new(HashMap::new());
+    move |settings, half, grid| {
+        let key = (grid.row_knots.len(), grid.col_knots.len(), half, settings.samples);
+        let convolution = *known.borrow_mut().entry(key).or_insert_with(|| convolution(work, settings, half, grid));
+        seconds(work, settings, half, grid) + convolution
+    }
+}

@@ -1,0 +1,63 @@
+//! Pictures through a lens.
+//!
+//! `y(p) = a(p) Σ_n w_n(p) [k_n * s](p)`: the scene `s`, warped by the lens's distortion ([`source`]), is blurred by the kernels of
+//! the nodes around every pixel ([`crate::render::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
+//! distortion and illumination are read from one value, [`isoplanat_optics::psf::Optics`]; a [`mod@plan`] says how finely, [`renderer`] does
+//! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
+//!
+//! ```
+//! use isoplanat_imaging::frame::Frame;
+//! use isoplanat_imaging::plane::{Plane, Region};
+//! use isoplanat_imaging::render::{Request, plan};
+//! use isoplanat_imaging::scene::{SceneKind, generate};
+//! use isoplanat_imaging::sensor::{Sensor, spectrum::SpectralDensity};
+//! use isoplanat_optics::lens::builtin;
+//! use ndarray::Array3;
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let frame = Frame::centred(48, 32, 0.2)?;
+//! // A painted wall at the lens's object distance, a texel a pixel.
+//! let texture = generate(SceneKind::Text, 1, 48, 64);
+//! let scene = Plane { texture, texels_per_slope: 250.0, axis_texel: [32.0, 24.0], vergence: lens.object_vergence };
+//! let density = SpectralDensity::new(&Sensor::generic());
+//! let planned = plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), false)?;
+//! assert!(planned.holds);
+//! let (picture, _) = planned.picture::<f32>(&scene, &|_| ())?;
+//! assert_eq!(picture.dim(), (3, 32, 48));
+//! // A region that can be pulled back: from a cotangent on its pixels to every number of the lens.
+//! let region = Region { row: 8, col: 8, rows: 16, cols: 16 };
+//! let rendered = planned.renderer.record::<f32>(&scene, 0, region);
+//! let (ones, zeros) = (Array3::ones((3, 16, 16)), Array3::zeros((3, 16, 16)));
+//! let bar = planned.renderer.vjp(&scene, &rendered, ones.view(), zeros.view(), zeros.view());
+//! assert!(planned.renderer.lens_gradient(&lens, &bar).surfaces[0].shape.curvature != 0.0);
+//! # Ok::<(), isoplanat_base::error::Error>(())
+//! ```
+
+pub mod blur;
+pub mod choose;
+pub mod coarse;
+pub mod cost;
+mod draft;
+mod explain;
+pub mod gradient_error;
+mod inputs;
+pub mod light;
+mod measure;
+pub mod memory;
+pub mod needs;
+pub mod node_grid;
+pub mod nodes;
+pub mod plan;
+mod planning;
+pub mod probe;
+pub mod renderer;
+pub mod scene_plan;
+pub mod source;
+pub mod stands;
+
+pub use inputs::Seen;
+pub use needs::Channels;
+pub use plan::{RenderPlan, Settings, frame_of};
+pub use planning::plan;
+pub use renderer::{Rendered, Renderer};
+pub use scene_plan::{Request, ScenePlan, Skip};

@@ -1,0 +1,134 @@
+//! Planning: from lens and scenes to the settings that hold what is asked for.
+
+use super::choose::{Choice, Ladders, bound, told};
+use super::coarse::cells;
+use super::draft::Draft;
+use super::explain;
+use super::needs::check;
+use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature};
+use super::renderer::Renderer;
+use super::scene_plan::{Request, ScenePlan};
+use crate::frame::Frame;
+use crate::plane::{Plane, Region};
+use crate::render::blur::Method;
+use crate::render::node_grid::NodeGrid;
+use crate::sensor::spectrum::SpectralDensity;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::{Optics, OpticsSpec};
+
+/// Spacing of the nodes where nothing is left out, cells.
+const FULL_SPACING: usize = 16;
+
+/// Plans the pictures of `scenes` by `lens` on `frame`; probes are spread over all of them. With `explain` the error bounds are
+/// measured for given settings as well.
+///
+/// # Errors
+/// No scene, one that cannot be rendered ([`check`]), or at another distance than the first; a lens without rotational
+/// symmetry; a frame without light.
+pub fn plan(
+    lens: &Lens,
+    scenes: &[Plane],
+    frame: &Frame,
+    density: &SpectralDensity,
+    request: Request,
+    explain: bool,
+) -> Result<ScenePlan> {
+    let vergence = common_vergence(scenes)?;
+    density.require(lens)?;
+    let draft = Draft::new(lens, scenes, frame, density, (request, explain), vergence)?;
+    let (target, probing) = match request {
+        Request::Psnr(db) => (10f64.powf(-0.1 * db), true),
+        Request::Settings(_) => (1e-6, explain),
+        Request::Everything => (1e-6, false),
+    };
+    let region = draft.region.filter(|_| probing && !draft.needs.channels.lit.is_empty());
+    let measured = region.map(|region| draft.measure(region, target));
+    let chosen = draft.chosen(request, measured.as_ref())?;
+    let mut out = draft.finished(lens, chosen, request == Request::Everything)?;
+    let ladders = measured.map(|m| m.1);
+    out.coarse_bound = ladders.as_ref().map_or(f64::NAN, |l| bound(&l.cells));
+    if request != Request::Everything {
+        out.skips = explain::skips(&out, lens, ladders.as_ref());
+    }
+    Ok(out)
+}
+
+/// The distance that all `scenes` stand at, as vergence.
+fn common_vergence(scenes: &[Plane]) -> Result<f64> {
+    let Some(first) = scenes.first() else {
+        return Err(Error::bad("", "scenes", "none".to_owned(), "one or more"));
+    };
+    for other in scenes {
+        check(other)?;
+        if other.vergence != first.vergence {
+            let found = format!("{} mm beside {} mm", other.vergence.recip(), first.vergence.recip());
+            return Err(Error::bad("", "scenes' distances", found, "one distance for all"));
+        }
+    }
+    Ok(first.vergence)
+}
+
+/// Settings and nodes of a plan.
+struct Chosen {
+    settings: Settings,
+    depth: DepthPlan,
+    holds: bool,
+    predicted_db: Option<f64>,
+}
+
+impl Draft<'_> {
+    /// What is rendered how finely, after the probes have been `measured` or without them.
+    fn chosen(&self, request: Request, measured: Option<&(Choice, Ladders)>) -> Result<Chosen> {
+        let (base, first, whole) = (self.base, &self.first, Region::whole(self.frame));
+        Ok(match (request, measured) {
+            (Request::Psnr(_), Some((c, _))) => Chosen {
+                settings: c.settings,
+                depth: DepthPlan {
+                    samples: if first.bin == 1 { c.settings.samples } else { 1 },
+                    half_width: c.half_width,
+                    grid: c.grid.clone(),
+                    node_error: c.node_error,
+                    ..first.clone()
+                },
+                holds: c.holds,
+                predicted_db: Some(c.psnr_db),
+            },
+            (Request::Everything, _) => {
+                let grid = NodeGrid::uniform(cells(whole, first.bin), FULL_SPACING);
+                let depth = DepthPlan { grid, node_error: 0.0, ..first.clone() };
+                Chosen { settings: base, depth, holds: true, predicted_db: None }
+            }
+            _ => {
+                let depth = depth_plan(&self.colours, self.frame, 0, self.region.unwrap_or(whole), base)?;
+                let predicted = measured.and_then(|(_, l)| l.predicted(&base, first.half_width));
+                Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(told) }
+            }
+        })
+    }
+
+    /// The lens as chosen; nothing is said of what is left out.
+    fn finished(self, lens: &Lens, chosen: Chosen, everything: bool) -> Result<ScenePlan> {
+        let Chosen { settings, depth, holds, predicted_db } = chosen;
+        let optics = if settings.wavelengths == self.colours.spec.quadrature.nm.len() {
+            self.colours.illuminated(ILLUMINATIONS)
+        } else {
+            let quadrature = quadrature(self.density, settings.wavelengths, &[0, 1, 2]);
+            let spec = OpticsSpec { quadrature, illuminations: ILLUMINATIONS, ..self.colours.spec };
+            Optics::compute(lens, &spec)?
+        };
+        let (frame, spec) = (self.frame.clone(), optics.spec.clone());
+        let plan = RenderPlan { frame, settings, spec, table_error: self.table_error, depths: vec![depth] };
+        let renderer = Renderer::with(optics, plan);
+        let method = match self.region {
+            Some(region) if !self.needs.channels.lit.is_empty() => {
+                let around = cells(region, self.first.bin);
+                renderer.method(0, &self.needs.channels, &renderer.plan.depths[0].grid.part(around), around)
+            }
+            _ => Method::Direct,
+        };
+        let (needs, region) = (self.needs, self.region);
+        let (skips, coarse_bound) = (Vec::new(), f64::NAN);
+        Ok(ScenePlan { renderer, needs, region, method, skips, predicted_db, holds, coarse_bound, everything })
+    }
+}

@@ -1,0 +1,138 @@
+//! Files of named f32 tensors (safetensors), read whole and checked, written beside their place and renamed.
+//!
+//! Our own facts stand in one metadata entry, `isoplanat`, as JSON in a fixed order: equal contents give equal bytes.
+
+use std::borrow::Cow;
+use std::collections::{BTreeMap, HashMap};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
+
+use isoplanat_base::error::{Error, Result};
+
+/// The metadata entry that holds our facts.
+const KEY: &str = "isoplanat";
+
+/// A tensor to be written: name, shape, values in row-major order.
+pub(super) struct Named<'a> {
+    /// Its name.
+    pub(super) name: String,
+    /// Its shape.
+    pub(super) shape: Vec<usize>,
+    /// Its values.
+    pub(super) values: Cow<'a, [f32]>,
+}
+
+impl View for &Named<'_> {
+    fn dtype(&self) -> Dtype {
+        Dtype::F32
+    }
+    fn shape(&self) -> &[usize] {
+        &self.shape
+    }
+    fn data(&self) -> Cow<'_, [u8]> {
+        if cfg!(target_endian = "little") {
+            Cow::Borrowed(bytemuck::cast_slice(&self.values))
+        } else {
+            Cow::Owned(self.values.iter().flat_map(|v| v.to_le_bytes()).collect())
+        }
+    }
+    fn data_len(&self) -> usize {
+        4 * self.values.len()
+    }
+}
+
+/// Writes `tensors` and `facts` to `path`, whole or not at all. Refuses values that are not finite.
+pub(super) fn write(path: &Path, facts: &BTreeMap<String, String>, tensors: &[Named<'_>]) -> Result<()> {
+    if let Some(bad) = tensors.iter().find(|t| t.values.iter().any(|v| !v.is_finite())) {
+        return Err(Error::Internal(format!("{} is not finite; nothing was saved", bad.name)));
+    }
+    let facts = serde_json::to_string(facts).map_err(|e| Error::Internal(format!("metadata: {e}")))?;
+    let mut name = path.file_name().unwrap_or_default().to_owned();
+    name.push(format!(".{}.part", std::process::id()));
+    let beside = path.with_file_name(name);
+    let entries = tensors.iter().map(|t| (t.name.as_str(), t));
+    let written = serialize_to_file(entries, Some(HashMap::from([(KEY.to_owned(), facts)])), &beside)
+        .map_err(|e| std::io::Error::other(e.to_string()))
+        .and_then(|()| fs::File::open(&beside)?.sync_all())
+        .and_then(|()| fs::rename(&beside, path));
+    written.map_err(|e| {
+        // The half-written file is of no use; the first error is the one to report.
+        let _ = fs::remove_file(&beside);
+        Error::writing(path, e)
+    })
+}
+
+/// A file in memory.
+pub(super) struct TensorFile {
+    path: PathBuf,
+    facts: BTreeMap<String, String>,
+    bytes: Vec<u8>,
+}
+
+impl TensorFile {
+    /// Reads and checks a file; `allowed` says in errors what was wanted.
+    pub(super) fn read(path: &Path, allowed: &str) -> Result<Self> {
+        let bytes = fs::read(path).map_err(|e| Error::reading(path, e))?;
+        let bad = |found: String| Error::bad(path.display().to_string(), "header", found, allowed);
+        let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| bad(e.to_string()))?;
+        let facts = match header.metadata().as_ref().and_then(|m| m.get(KEY)) {
+            Some(text) => serde_json::from_str(text).map_err(|e| bad(format!("metadata: {e}")))?,
+            None => BTreeMap::new(),
+        };
+        // Lengths and offsets of every tensor, once; later views cannot fail.
+        SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
+        Ok(Self { path: path.to_owned(), facts, bytes })
+    }
+
+    /// The error of a bad entry of this file.
+    pub(super) fn bad(&self, place: &str, found: impl Into<String>, allowed: &str) -> Error {
+        Error::bad(self.path.display().to_string(), place, found, allowed)
+    }
+
+    /// One of our facts.
+    pub(super) fn fact(&self, key: &str) -> Option<&str> {
+        self.facts.get(key).map(String::as_str)
+    }
+
+    /// All our facts.
+    pub(super) fn facts(&self) -> &BTreeMap<String, String> {
+        &self.facts
+    }
+
+    fn tensors(&self) -> Result<SafeTensors<'_>> {
+        SafeTensors::deserialize(&self.bytes).map_err(|e| self.bad("header", e.to_string(), "a safetensors file"))
+    }
+
+    /// The names of all tensors.
+    pub(super) fn names(&self) -> Result<Vec<String>> {
+        Ok(self.tensors()?.names().into_iter().map(str::to_owned).collect())
+    }
+
+    /// Appends the tensor `name`, which must have `shape` and finite f32 values.
+    pub(super) fn append(&self, name: &str, shape: &[usize], values: &mut Vec<f32>) -> Result<()> {
+        let tensors = self.tensors()?;
+        let tensor = tensors.tensor(name).map_err(|_| self.bad(name, "missing", "a tensor of that name"))?;
+        if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
+            return Err(self.bad(
+                name,
+                format!("{:?} {:?}", tensor.dtype(), tensor.shape()),
+                &format!("F32 {shape:?}"),
+            ));
+        }
+        let before = values.len();
+        values.extend(tensor.data().chunks_exact(4).map(|c| f32::from_le_bytes([c[0], c[1], c[2], c[3]])));
+        if values[before..].iter().any(|v| !v.is_finite()) {
+            return Err(self.bad(name, "a value that is not finite", "finite values"));
+        }
+        Ok(())
+    }
+
+    /// The tensor `name`, which must have `shape`.
+    pub(super) fn tensor(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>> {
+        let mut values = Vec::new();
+        self.append(name, shape, &mut values)?;
+        Ok(values)
+    }
+}

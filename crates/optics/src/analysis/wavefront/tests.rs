@@ -1,0 +1,102 @@
+//! Against `trace::wavefront`, closed forms, and the third-order sums.
+
+use super::*;
+use crate::lens::{Aperture, Shape, builtin, paraxial, seidel, unchecked};
+use crate::trace::system::TraceSurface;
+use isoplanat_base::testing::{assert_abs, assert_rel};
+
+const AXIS: ObjectPoint = ObjectPoint { direction: DVec3::Z, vergence: 0.0 };
+
+#[test]
+fn maps_are_the_path_differences_of_the_trace() {
+    for (name, degrees, nm) in
+        [("double_gauss", 12.0, 587.5618), ("cooke_triplet", 18.0, 450.0), ("phone", 20.0, 650.0)]
+    {
+        let lens = builtin::lens(name).expect("shipped");
+        let object = ObjectPoint::in_field(&lens, f64::to_radians(degrees), 1.1);
+        let map = Map::of_lens(&lens, object, nm, 24).expect("light");
+        let system = System::new(&lens, nm);
+        let aimer = Aimer::new(&system).expect("has a stop");
+        let points: Vec<DVec2> = map.points.iter().flatten().map(|p| p.stop).collect();
+        let wave = Wavefront::compute(&aimer, object, &points, Reference::Point(map.centre), true).expect("light");
+        for (a, b) in map.points.iter().flatten().zip(wave.waves()) {
+            assert_abs(a.waves, b.expect("open"), 1e-8, name);
+        }
+        assert!(points.len() > 100 && map.best.rms <= map.figures.rms, "{name}");
+        eprintln!("{name}: {:?} best {:?} shift {}", map.figures, map.best, map.shift);
+        // About the best point itself: nothing is left to move.
+        let again = Map::compute(&aimer, object, map.centre + map.shift, 24).expect("light");
+        assert_rel(again.figures.rms, map.best.rms, 1e-6, 1e-9, "exact about the best point");
+        assert!(again.shift.length() < 1e-5, "{}", again.shift);
+    }
+}
+
+/// A stigmatic lens out of focus and beside the point: the shift leads back.
+#[test]
+fn the_best_point_is_the_focus() {
+    let n = 1.5;
+    let surfaces = vec![
+        TraceSurface::new(Shape::default(), 0.0, [1.0, n], 40.0),
+        TraceSurface::new(Shape::even(-1.0 / 30.0, -n * n, vec![]), 10.0, [n, 1.0], 40.0),
+        TraceSurface::new(Shape::default(), 60.2, [1.0, 1.0], f64::INFINITY),
+    ];
+    let system = System { wavelength_nm: 550.0, surfaces, stop: 0, stop_semi_diameter: 8.0 };
+    let aimer = Aimer::new(&system).expect("has a stop");
+    let map = Map::compute(&aimer, AXIS, DVec3::new(0.01, -0.02, 0.0), 32).expect("light");
+    assert!((map.shift - DVec3::new(-0.01, 0.02, -0.2)).length() < 1e-7, "{}", map.shift);
+    assert!(map.best.rms < 1e-6 && map.best.strehl > 1.0 - 1e-9 && map.figures.rms > 1.0);
+    assert_abs(map.open, 1.0, 0.0, "open");
+    // A tenth of a wave: Strehl ratio and its estimate agree.
+    let near = Map::compute(&aimer, AXIS, DVec3::new(0.0, 0.0, -0.2 + 0.008), 64).expect("light");
+    assert!(near.figures.rms > 0.02 && near.figures.rms < 0.1, "{}", near.figures.rms);
+    assert_abs(near.figures.strehl, near.figures.marechal, 5e-3, "Strehl");
+}
+
+/// Small aperture and field: `W₀₄₀ = S_I/8`, `W₁₃₁ = S_II/2`, `W₂₂₂ = S_III/2` in Noll's terms.
+#[test]
+fn third_order_terms_are_those_of_seidel() {
+    for name in ["cooke_triplet", "ac254_050_a", "tessar"] {
+        let lens = builtin::lens(name).expect("shipped");
+        let nm = lens.wavelengths.primary_nm;
+        let lens = unchecked(&lens, |l| {
+            l.aperture = Aperture::EntrancePupilDiameter(3.0);
+            l.max_field_deg = 1.0;
+            l.object_vergence = 0.0;
+        });
+        let image = paraxial::first_order(&lens, nm).paraxial_image_distance;
+        let lens = unchecked(&lens, |l| l.surfaces.last_mut().expect("surfaces").thickness = image);
+        let sums = seidel::total(&seidel::per_surface(&lens, nm));
+        let waves = |mm: f64| mm / (nm * 1e-6);
+        let field = ObjectPoint::in_field(&lens, 1f64.to_radians(), std::f64::consts::FRAC_PI_2);
+        let fit = |object: ObjectPoint| {
+            Map::of_lens(&lens, object, nm, 41).expect("light").zernike(Order::Noll, 22).expect("whole").coefficients
+        };
+        let (axis, off) = (fit(AXIS), fit(field));
+        let spherical = waves(sums.spherical) / 8.0 / (6.0 * 5f64.sqrt());
+        let coma = waves(sums.coma) / 2.0 / (3.0 * 8f64.sqrt());
+        let astigmatism = -waves(sums.astigmatism) / 2.0 / (2.0 * 6f64.sqrt());
+        eprintln!("{name}: {} {spherical}, {} {coma}, {} {astigmatism}", axis[10], off[6], off[5]);
+        assert_rel(axis[10], spherical, 0.05, 1e-4, name);
+        assert_rel(off[6].abs(), coma.abs(), 0.05, 1e-3, name);
+        assert_rel(off[5], astigmatism, 0.1, 1e-3, name);
+        assert!(off[4].abs() < 1e-6 && off[7].abs() < 1e-6, "{name}: symmetric");
+    }
+}
+
+#[test]
+fn no_light_is_told() {
+    let lens = builtin::lens("double_gauss").expect("shipped");
+    let mut shut = System::new(&lens, 550.0);
+    let last = shut.image() - 1;
+    (shut.surfaces[0].semi_diameter, shut.surfaces[last].semi_diameter) = (1e-3, 1e-3);
+    let aimer = Aimer::new(&shut).expect("has a stop");
+    let object = ObjectPoint::in_field(&lens, 0.3, 0.0);
+    let failure = Map::compute(&aimer, object, DVec3::ZERO, 16).expect_err("shut");
+    assert_eq!(failure.cause, Cause::Vignetted);
+    // A clipped map says how much is left.
+    let mut half = System::new(&lens, 550.0);
+    half.surfaces[0].semi_diameter = 6.0;
+    let map = Map::compute(&Aimer::new(&half).expect("has a stop"), object, DVec3::ZERO, 32).expect("light");
+    assert!(map.open > 0.05 && map.open < 0.9, "{}", map.open);
+    assert_eq!(map.zernike(Order::Noll, 1000), None);
+}

@@ -1,0 +1,149 @@
+//! Lens files of other programs: Zemax OpticStudio `.zmx`, CODE V `.seq`, JSON of DeepLens and Optiland, DiffOptics `.txt`.
+//!
+//! A reader makes a `Draft`: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
+//! those without effect on rays, or is refused with its line. `finish` makes the lens of a draft: glasses are looked up in the file's own
+//! catalogues first, planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
+//! clear semi-diameters that the file leaves to its program follow from the beam ([`crate::trace::apertures`]). What was left out or
+//! assumed is returned as notes, one line each, for the program to print.
+//!
+//! Not supported, and refused by name: mirrors, coordinate breaks, gratings, gradient indices, annular apertures that cut the
+//! beam, curved images.
+
+mod diffoptics;
+mod draft;
+mod finish;
+mod json;
+mod media;
+mod order;
+mod seq;
+mod text;
+mod write_seq;
+mod write_zmx;
+mod zmx;
+
+use std::path::Path;
+
+use crate::lens::catalogue::{Glasses, decoded};
+use crate::lens::{Lens, builtin, prescription};
+use isoplanat_base::error::{Error, Result};
+
+pub use text::on_one_axis;
+
+/// Largest lens file that is read.
+const LARGEST: u64 = 16 << 20;
+
+/// A lens with what was told about its file.
+#[derive(Clone, Debug)]
+pub struct Imported {
+    /// The lens.
+    pub lens: Lens,
+    /// What was left out, resolved or assumed; one line each, without the file's name.
+    pub notes: Vec<String>,
+}
+
+/// Forms of lens files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Form {
+    /// This program's own.
+    Toml,
+    /// Zemax OpticStudio.
+    Zmx,
+    /// CODE V sequence.
+    Seq,
+    /// DeepLens or Optiland.
+    Json,
+    /// DiffOptics.
+    Txt,
+}
+
+/// Endings, with their forms.
+const FORMS: [(&str, Form); 5] =
+    [("toml", Form::Toml), ("zmx", Form::Zmx), ("seq", Form::Seq), ("json", Form::Json), ("txt", Form::Txt)];
+
+impl Form {
+    /// The form that a file's ending says.
+    ///
+    /// # Errors
+    /// Another ending.
+    pub fn of(path: &Path) -> Result<Self> {
+        let ending = path.extension().map_or_else(String::new, |e| e.to_string_lossy().to_ascii_lowercase());
+        let found = FORMS.iter().find(|(e, _)| *e == ending).map(|(_, form)| *form);
+        found.ok_or_else(|| {
+            let file = path.display().to_string();
+            Error::bad(file, "name", format!("the ending `{ending}`"), ".toml, .zmx, .seq, .json or .txt")
+        })
+    }
+}
+
+/// Reads a lens file of any form, by its ending.
+///
+/// # Errors
+/// A file that cannot be read, is no lens, or says what this program does not support: with line or key.
+pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
+    // A lens without an ending is TOML, as it always was.
+    let form = if path.extension().is_none() { Form::Toml } else { Form::of(path)? };
+    let file = path.display().to_string();
+    let size = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
+    if size > LARGEST {
+        return Err(Error::bad(file, "size", format!("{size} bytes"), format!("at most {LARGEST}")));
+    }
+    let bytes = std::fs::read(path).map_err(|e| Error::reading(path, e))?;
+    if form == Form::Toml {
+        let text = String::from_utf8(bytes)
+            .map_err(|_| Error::bad(file.as_str(), "text", "bytes that are no UTF-8", "a lens file in UTF-8"))?;
+        let (lens, limited) = prescription::parse(&text, &file, glasses)?;
+        let told = |line: String| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned);
+        return Ok(Imported { lens, notes: limited.into_iter().map(told).collect() });
+    }
+    parse(&decoded(&bytes), form, &file, glasses)
+}
+
+/// Reads the text of a file of another program; `file` names it in errors.
+///
+/// # Errors
+/// As [`load`].
+pub fn parse(text: &str, form: Form, file: &str, glasses: &Glasses) -> Result<Imported> {
+    let draft = match form {
+        Form::Toml => {
+            let (lens, limited) = prescription::parse(text, file, glasses)?;
+            return Ok(Imported { lens, notes: limited.into_iter().collect() });
+        }
+        Form::Zmx => zmx::read(text, file)?,
+        Form::Seq => seq::read(text, file)?,
+        Form::Json => json::read(text, file)?,
+        Form::Txt => diffoptics::read(text, file)?,
+    };
+    finish::finish(draft, file, glasses)
+}
+
+/// The text of `lens` in a form, with one line on each thing that the form cannot say but that does not change rays; glasses are named as
+/// `glasses` names them.
+///
+/// # Errors
+/// What the form cannot say: freeforms, tilts, a glass without a catalogue.
+pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Vec<String>)> {
+    match form {
+        Form::Toml => Ok((prescription::to_toml(lens), Vec::new())),
+        Form::Zmx => write_zmx::write(lens, glasses),
+        Form::Seq => write_seq::write(lens, glasses),
+        Form::Json | Form::Txt => Err(Error::bad(
+            lens.name.as_str(),
+            "form",
+            format!("{form:?}"),
+            ".toml, .zmx or .seq; .json and .txt are read only",
+        )),
+    }
+}
+
+/// A lens from a path with `glasses`, or a shipped one where `name_or_path` is its bare name and no such file exists.
+///
+/// # Errors
+/// As [`load`]; where neither a file nor a shipped lens has that name, the shipped ones are named.
+pub fn lens_or_file(name_or_path: &str, glasses: &Glasses) -> Result<Imported> {
+    let path = Path::new(name_or_path);
+    let bare = path.extension().is_none() && path.components().count() == 1;
+    if bare && !path.exists() {
+        return Ok(Imported { lens: builtin::lens(name_or_path)?, notes: Vec::new() });
+    }
+    load(path, glasses)
+}

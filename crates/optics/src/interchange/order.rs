@@ -1,0 +1,89 @@
+//! Surfaces in the order of the light: planes that only mark places, put where they stand.
+//!
+//! Programs that trace backwards as well let a plane in air stand anywhere, reached by negative distances. Where such planes lie in one air space they
+//! are put in the order of their places; one that would lie within glass, or a real surface behind a negative distance, is refused.
+
+use super::draft::{Draft, Stage};
+use super::media::Stated;
+use isoplanat_base::error::{Error, Result};
+
+/// Rounding of a place, in parts of the distances walked.
+const ROUNDING: f64 = 1e-12;
+
+/// Sorts the planes of every air space that has a negative distance.
+pub(super) fn put(draft: &mut Draft, file: &str) -> Result<()> {
+    if draft.surfaces.iter().all(|s| s.thickness >= 0.0 || s.thickness.is_nan()) {
+        return Ok(());
+    }
+    let count = draft.surfaces.len();
+    let mut next = 0;
+    while next < count {
+        let first = next;
+        // A run of air gaps: the surface `first` and all planes in air behind it, to the next real surface.
+        let air = |s: &Stage| s.medium == Stated::Air;
+        let mut last = first;
+        while last + 1 < count && air(&draft.surfaces[last]) && dummy(&draft.surfaces, last + 1) {
+            last += 1;
+        }
+        // Before the first surface there is air, too: leading planes belong together with what follows them.
+        sort(draft, first, last, file)?;
+        next = last + 1;
+    }
+    Ok(())
+}
+
+/// Whether the surface is a plane with air on both sides.
+fn dummy(surfaces: &[Stage], i: usize) -> bool {
+    let before = i == 0 || surfaces[i - 1].medium == Stated::Air;
+    before && surfaces[i].medium == Stated::Air && surfaces[i].is_flat()
+}
+
+/// Puts the planes behind `first` up to `last` in the order of their places between their real neighbours.
+fn sort(draft: &mut Draft, first: usize, last: usize, file: &str) -> Result<()> {
+    let surfaces = &mut draft.surfaces;
+    // The first itself may be a plane at the very front.
+    let from = if first == 0 && dummy(surfaces, 0) { 0 } else { first + 1 };
+    let run = &surfaces[first..=last];
+    if run.iter().all(|s| s.thickness >= 0.0) {
+        return Ok(());
+    }
+    let walked: f64 = run.iter().map(|s| s.thickness.abs()).sum();
+    // Places from the vertex of `first`; the end is the next real surface, or the image.
+    let mut places = vec![0.0];
+    for s in run {
+        places.push(places[places.len() - 1] + s.thickness);
+    }
+    let end = places[places.len() - 1];
+    let mut planes: Vec<(f64, Stage)> = (from..=last).map(|i| (places[i - first], surfaces[i].clone())).collect();
+    planes.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let start = if from == first { f64::NEG_INFINITY } else { 0.0 };
+    let misplaced = planes.iter().find(|(z, _)| *z < start - ROUNDING * walked || *z > end + ROUNDING * walked);
+    let refused = |stage: &Stage, found: String| {
+        let allowed = "distances along the light; planes in air may stand in any order within their air space";
+        Err(Error::bad(file, stage.place.as_str(), found, allowed))
+    };
+    if let Some((_, stage)) = misplaced {
+        return refused(stage, format!("a negative distance puts it beyond its air space ({} mm)", stage.thickness));
+    }
+    if planes.is_empty() {
+        return refused(&surfaces[first], format!("a distance of {} mm", surfaces[first].thickness));
+    }
+    let front = planes[0].0;
+    let names: Vec<String> = planes.iter().map(|(_, s)| s.place.clone()).collect();
+    if from > first {
+        surfaces[first].thickness = front.max(0.0);
+    }
+    for (k, i) in (from..=last).enumerate() {
+        let here = planes[k].0;
+        let there = planes.get(k + 1).map_or(end, |p| p.0);
+        surfaces[i] = Stage { thickness: (there - here).max(0.0), ..planes[k].1.clone() };
+    }
+    if from == first {
+        // What stands before the first vertex moves it.
+        draft.object_mm += front;
+    }
+    draft
+        .notes
+        .push(format!("planes reached by negative distances stand in the order of their places: {}", names.join(", ")));
+    Ok(())
+}

@@ -1,0 +1,79 @@
+//! Lines of a file with the place that errors name.
+
+use crate::lens::Lens;
+use isoplanat_base::error::{Error, Result};
+
+/// The words of one line.
+pub(super) struct Line<'a> {
+    pub(super) file: &'a str,
+    /// Where the line stands, for errors.
+    pub(super) place: String,
+    /// Words behind the keyword.
+    pub(super) words: Vec<&'a str>,
+}
+
+impl Line<'_> {
+    /// An error of this line.
+    pub(super) fn refused(&self, found: impl Into<String>, allowed: impl Into<String>) -> Error {
+        Error::bad(self.file, self.place.as_str(), found, allowed)
+    }
+
+    /// The word `i` as a finite number.
+    pub(super) fn number(&self, i: usize) -> Result<f64> {
+        self.optional(i)?
+            .ok_or_else(|| self.refused(format!("{} numbers", self.words.len()), format!("at least {}", i + 1)))
+    }
+
+    /// [`Self::number`], `None` where the line is shorter.
+    pub(super) fn optional(&self, i: usize) -> Result<Option<f64>> {
+        let Some(word) = self.words.get(i) else { return Ok(None) };
+        let number = word.parse::<f64>().ok().filter(|x| x.is_finite());
+        number.map(Some).ok_or_else(|| self.refused(format!("`{}`", shown(word)), "a finite number"))
+    }
+
+    /// All words as finite numbers.
+    pub(super) fn numbers(&self) -> Result<Vec<f64>> {
+        (0..self.words.len()).map(|i| self.number(i)).collect()
+    }
+
+    /// The word `i` as a count from 0 to `most`.
+    pub(super) fn count(&self, i: usize, most: usize) -> Result<usize> {
+        let word = self.words.get(i).copied().unwrap_or("");
+        // Some programs write counts as 6.0.
+        let digits = word
+            .split_once('.')
+            .map_or(word, |(whole, rest)| if rest.bytes().all(|b| b == b'0') { whole } else { word });
+        let number = digits.parse::<usize>().ok().filter(|n| *n <= most);
+        number.ok_or_else(|| self.refused(format!("`{}`", shown(word)), format!("a whole number up to {most}")))
+    }
+}
+
+/// A word of a file as an error shows it: short, without control characters.
+pub(super) fn shown(word: &str) -> String {
+    let clean: String = word.chars().filter(|c| !c.is_control()).take(40).collect();
+    if word.chars().count() > 40 { format!("{clean}…") } else { clean }
+}
+
+/// A number as files state it: it reads back to the last bit.
+pub(super) fn plain(x: f64) -> String {
+    if x == 0.0 || (1e-4..1e7).contains(&x.abs()) { format!("{x}") } else { format!("{x:e}") }
+}
+
+/// Refuses a lens with tilts, decentres or freeform terms, which `what` cannot say.
+pub fn on_one_axis(lens: &Lens, what: &str) -> Result<()> {
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        let freeform = !s.shape.is_symmetric();
+        if freeform || s.pose.is_some_and(|p| !p.is_nominal()) {
+            let found = if freeform { "freeform terms" } else { "a tilt or decentre" };
+            let allowed = format!("surfaces of revolution on one axis in {what}; a TOML file takes any");
+            return Err(Error::bad(lens.name.as_str(), format!("surface[{i}]"), found, allowed));
+        }
+    }
+    match lens.elements.iter().position(|e| !e.pose.is_nominal()) {
+        Some(i) => {
+            let allowed = format!("surfaces on one axis in {what}; a TOML file takes any");
+            Err(Error::bad(lens.name.as_str(), format!("element[{i}]"), "a tilt or decentre", allowed))
+        }
+        None => Ok(()),
+    }
+}

@@ -1,0 +1,101 @@
+//! A lens as a CODE V sequence. Reading it again gives the same rays.
+
+use std::fmt::Write;
+
+use super::text::plain;
+use crate::lens::catalogue::Glasses;
+use crate::lens::{Lens, Medium, paraxial};
+use isoplanat_base::error::{Error, Result};
+
+/// The file's text, and notes on what it cannot say.
+pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<String>)> {
+    super::text::on_one_axis(lens, "a CODE V file")?;
+    let mut notes = Vec::new();
+    let mut private = Vec::new();
+    let mut body = String::new();
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        let medium = medium(lens, &s.medium, glasses, &mut private);
+        let shape = &s.shape;
+        let _ = writeln!(body, "S {} {}{medium}", plain(shape.curvature), plain(s.thickness));
+        let a2 = shape.asphere.first().copied().unwrap_or(0.0);
+        if a2 != 0.0 || shape.odd.iter().any(|a| *a != 0.0) {
+            let place = format!("surface[{i}].asphere");
+            let allowed = "even terms from a4 to a20, which an asphere of CODE V has";
+            return Err(Error::bad(lens.name.as_str(), place, "an r² term or odd terms", allowed));
+        }
+        if shape.conic != 0.0 || shape.asphere.iter().any(|a| *a != 0.0) {
+            let _ = writeln!(body, "  ASP\n  K {}", plain(shape.conic));
+            for (letter, a) in "ABCDEFGHJ".chars().zip(shape.asphere.iter().skip(1)) {
+                let _ = writeln!(body, "  {letter} {}", plain(*a));
+            }
+        }
+        if i == lens.stop {
+            body.push_str("  STO\n");
+        }
+        let _ = writeln!(body, "  CIR {}", plain(s.semi_diameter));
+    }
+    let w = &lens.wavelengths;
+    let mut colours: Vec<(f64, f64)> = w.nm.iter().copied().zip(w.weights.iter().copied()).collect();
+    let primary = w.nm.iter().position(|nm| *nm == w.primary_nm).unwrap_or_else(|| {
+        colours.push((w.primary_nm, 0.0));
+        colours.len() - 1
+    });
+    let first = paraxial::first_order(lens, w.primary_nm);
+    let list = |number: fn(&(f64, f64)) -> f64| colours.iter().map(|c| plain(number(c))).collect::<Vec<_>>().join(" ");
+    let name: String = lens.name.split_whitespace().collect::<Vec<_>>().join(" ").replace('\'', "’");
+    let mut out = String::from("RDM N;LEN\n");
+    let _ = writeln!(out, "TITLE '{name}'\nEPD {}\nDIM M", plain(first.entrance_pupil_diameter));
+    let _ = writeln!(out, "WL {}\nREF {}\nWTW {}", list(|c| c.0), primary + 1, list(|c| c.1));
+    let fields = [0.0, 0.7, 1.0].map(|share| plain(share * lens.max_field_deg));
+    let _ = writeln!(out, "XAN 0 0 0\nYAN {}", fields.join(" "));
+    if !private.is_empty() {
+        notes.push(format!("media without a catalogue are written as tables: {} of them", private.len()));
+        out.push_str("PRV\n");
+        for (name, table) in &private {
+            let numbers = |of: fn(&(f64, f64)) -> f64| table.iter().map(|t| plain(of(t))).collect::<Vec<_>>().join(" ");
+            let _ = writeln!(out, "PWL {}\n'{name}' {}", numbers(|t| t.0), numbers(|t| t.1));
+        }
+        out.push_str("END\n");
+    }
+    let object = 1.0 / lens.object_vergence;
+    let _ = write!(out, "SO 0 {}\n{body}SI 0 0\nGO\n", if object.is_finite() { plain(object) } else { "1e13".into() });
+    notes.push("a CODE V file states no sensor: its pixels are left out".into());
+    notes.push("the aperture is written as the diameter of the entrance pupil".into());
+    Ok((out, notes))
+}
+
+/// The medium behind a surface, with a space before it; private glasses are added to `private`.
+fn medium(lens: &Lens, medium: &Medium, glasses: &Glasses, private: &mut Vec<(String, Vec<(f64, f64)>)>) -> String {
+    if *medium == Medium::Air {
+        return String::new();
+    }
+    if let Some((catalogue, name)) = glasses.named_as(medium)
+        && !catalogue.contains(['_', ' '])
+    {
+        return format!(" {}_{catalogue}", name.replace('-', ""));
+    }
+    let table: Vec<(f64, f64)> = match medium {
+        Medium::Table { wavelength_nm, index } => wavelength_nm.iter().copied().zip(index.iter().copied()).collect(),
+        _ => {
+            // The lens's own wavelengths and some between; a two-term Cauchy curve is the table's own between them.
+            let [short, long] = medium.range_nm().map(|nm| nm.clamp(200.0, 20_000.0));
+            let w = &lens.wavelengths;
+            let mut nm: Vec<f64> = w.nm.iter().copied().chain([w.primary_nm]).collect();
+            if matches!(medium, Medium::Cauchy { .. }) {
+                nm.extend([short, long]);
+            } else {
+                nm.extend((1..8).map(|k| short + (long - short) * f64::from(k) / 8.0));
+            }
+            nm.sort_by(f64::total_cmp);
+            nm.dedup();
+            nm.into_iter().map(|nm| (nm, medium.index(nm))).collect()
+        }
+    };
+    let known = private.iter().find(|(_, t)| *t == table).map(|(n, _)| n.clone());
+    let name = known.unwrap_or_else(|| {
+        let name = format!("G{}", private.len() + 1);
+        private.push((name.clone(), table));
+        name
+    });
+    format!(" '{name}'")
+}

@@ -1,0 +1,160 @@
+//! A lens as a Zemax OpticStudio file. Reading it again gives the same rays.
+
+use std::fmt::Write;
+
+use super::media::lines_of;
+use super::text::plain;
+use crate::lens::catalogue::Glasses;
+use crate::lens::{Aperture, Lens, Medium, Surface};
+use isoplanat_base::error::{Error, Result};
+
+/// The file's text, and notes on what it cannot say.
+pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<String>)> {
+    super::text::on_one_axis(lens, "a Zemax file")?;
+    let mut notes = Vec::new();
+    let mut catalogues: Vec<String> = Vec::new();
+    let mut body = String::new();
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        let _ = write!(body, "SURF {}\n{}", i + 1, surface(lens, i, s, glasses, &mut catalogues, &mut notes)?);
+    }
+    let catalogues = ordered(lens, glasses, catalogues)?;
+    let mut out = String::from("VERS 190513 0 0\nMODE SEQ\n");
+    let name: String = lens.name.split_whitespace().collect::<Vec<_>>().join(" ");
+    let _ = writeln!(out, "NAME {name}\nUNIT MM X W X CM MR CPMM");
+    let _ = match lens.aperture {
+        Aperture::EntrancePupilDiameter(d) => writeln!(out, "ENPD {}", plain(d)),
+        Aperture::FNumber(f) => writeln!(out, "FNUM {} 0", plain(f)),
+        Aperture::StopSemiDiameter(_) => writeln!(out, "FLOA"),
+    };
+    let _ = writeln!(out, "ENVD 20 1 0");
+    if !catalogues.is_empty() {
+        let _ = writeln!(out, "GCAT {}", catalogues.join(" "));
+    }
+    let w = &lens.wavelengths;
+    let primary = w.nm.iter().position(|nm| *nm == w.primary_nm);
+    let mut colours: Vec<(f64, f64)> = w.nm.iter().copied().zip(w.weights.iter().copied()).collect();
+    if primary.is_none() {
+        // A reference that is none of the wavelengths becomes one without weight.
+        colours.push((w.primary_nm, 0.0));
+    }
+    let fields = [0.0, 0.7, 1.0].map(|share| share * lens.max_field_deg);
+    let _ = writeln!(out, "FTYP 0 0 {} {}", fields.len(), colours.len());
+    let _ = writeln!(out, "XFLN 0 0 0\nYFLN {}", fields.map(plain).join(" "));
+    for (i, (nm, weight)) in colours.iter().enumerate() {
+        let _ = writeln!(out, "WAVM {} {} {}", i + 1, micrometres(*nm), plain(*weight));
+    }
+    let _ = writeln!(out, "PWAV {}", primary.unwrap_or(colours.len() - 1) + 1);
+    let object = 1.0 / lens.object_vergence;
+    let distance = if object.is_finite() { plain(object) } else { "INFINITY".into() };
+    let _ = write!(out, "SURF 0\n  TYPE STANDARD\n  CURV 0\n  DISZ {distance}\n{body}");
+    let _ = write!(out, "SURF {}\n  TYPE STANDARD\n  CURV 0\n  DISZ 0\n", lens.surfaces.len() + 1);
+    notes.push("a Zemax file states no sensor: its pixels are left out".into());
+    Ok((out, notes))
+}
+
+/// The catalogues in an order in which every glass is found as itself: several have glasses of one name.
+fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec<String>> {
+    let colours: Vec<f64> = lens.wavelengths.nm.iter().copied().chain([lens.wavelengths.primary_nm]).collect();
+    // Each wrong find moves the right catalogue before the wrong one; a circle ends it.
+    for _ in 0..=names.len() * names.len() {
+        let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
+            let (catalogue, name) = glasses.named_as(&s.medium)?;
+            let found = glasses.find_spelled(&name, &names);
+            // A newer edition of a catalogue may give the glass another range, and the same indices.
+            let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - s.medium.index(*nm)).abs() <= 1e-12);
+            (!found.is_ok_and(alike)).then_some((i, catalogue))
+        });
+        let Some((i, catalogue)) = wrong else { return Ok(names) };
+        match names.iter().position(|n| *n == catalogue) {
+            Some(at) if at > 0 => {
+                let moved = names.remove(at);
+                names.insert(0, moved);
+            }
+            _ => {
+                let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
+                return Err(Error::bad(
+                    lens.name.as_str(),
+                    format!("surface[{i}].medium"),
+                    found,
+                    "glasses that one list of catalogues tells apart",
+                ));
+            }
+        }
+    }
+    Err(Error::bad(
+        lens.name.as_str(),
+        "medium",
+        "glasses of one name",
+        "glasses that one list of catalogues tells apart",
+    ))
+}
+
+/// The number of µm that a reader turns into exactly `nm`.
+fn micrometres(nm: f64) -> String {
+    let um = nm * 1e-3;
+    let exact = [um, um.next_up(), um.next_down()].into_iter().find(|x| x * 1e3 == nm);
+    plain(exact.unwrap_or(um))
+}
+
+fn surface(
+    lens: &Lens,
+    i: usize,
+    s: &Surface,
+    glasses: &Glasses,
+    catalogues: &mut Vec<String>,
+    notes: &mut Vec<String>,
+) -> Result<String> {
+    let refused =
+        |found: &str, allowed: &str| Err(Error::bad(lens.name.as_str(), format!("surface[{i}]"), found, allowed));
+    let mut out = String::new();
+    if i == lens.stop {
+        out.push_str("  STOP\n");
+    }
+    let shape = &s.shape;
+    let used = |terms: &[f64]| terms.iter().rposition(|a| *a != 0.0).map_or(0, |last| last + 1);
+    let (even, odd) = (used(&shape.asphere), used(&shape.odd));
+    let kind = match (even, odd) {
+        (0, 0) => "STANDARD",
+        (1..=8, 0) => "EVENASPH",
+        (0..=4, 1..=3) => "ODDASPHE",
+        _ => return refused("aspheric terms beyond a16, or beyond a8 with odd ones", "terms that a Zemax surface has"),
+    };
+    let _ = writeln!(out, "  TYPE {kind}\n  CURV {} 0 0 0 0 \"\"", plain(shape.curvature));
+    for (k, a) in shape.asphere.iter().enumerate().take(even) {
+        let _ = writeln!(out, "  PARM {} {}", if odd == 0 { k + 1 } else { 2 * k + 2 }, plain(*a));
+    }
+    for (k, a) in shape.odd.iter().enumerate().take(odd) {
+        let _ = writeln!(out, "  PARM {} {}", 2 * k + 3, plain(*a));
+    }
+    let _ = writeln!(out, "  DISZ {}", plain(s.thickness));
+    match &s.medium {
+        Medium::Air => {}
+        Medium::Cauchy { .. } => {
+            let (n, v) = lines_of(&s.medium);
+            let _ = writeln!(out, "  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
+        }
+        medium => {
+            let Some((catalogue, name)) = glasses.named_as(medium) else {
+                return refused(
+                    &format!("the medium {medium}"),
+                    "a glass of a catalogue, or { n_d, v_d }: a Zemax file has no tables",
+                );
+            };
+            let (n, v) = lines_of(medium);
+            let _ = writeln!(out, "  GLAS {name} 0 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
+            if !catalogues.contains(&catalogue) {
+                catalogues.push(catalogue);
+            }
+        }
+    }
+    if shape.conic != 0.0 {
+        let _ = writeln!(out, "  CONI {}", plain(shape.conic));
+    }
+    let r =
+        if let (true, Aperture::StopSemiDiameter(r)) = (i == lens.stop, lens.aperture) { r } else { s.semi_diameter };
+    let _ = writeln!(out, "  DIAM {} 1 0 0 1 \"\"\n  FLAP 0 {} 0", plain(r), plain(r));
+    if matches!(s.medium, Medium::Cauchy { .. }) && notes.is_empty() {
+        notes.push("media of two numbers are written by their index at 587.5618 nm and their Abbe number of d, F, C: the same curve".into());
+    }
+    Ok(out)
+}

@@ -1,0 +1,90 @@
+//! AGF catalogues: a glass is a line `NM name formula …`, with its coefficients in `CD` and its range in `LD` (µm).
+
+use super::{Entry, finite, glass};
+use crate::lens::dispersion::Formula;
+use isoplanat_base::error::{Error, Result};
+
+/// Lines of a glass that say nothing of its index at room temperature: comment, expansion and density, thermal coefficients, prices and
+/// resistances, transmission, mechanics, bubbles.
+const HARMLESS: [&str; 8] = ["GC", "ED", "TD", "OD", "IT", "CC", "MD", "BD"];
+
+/// A glass as its lines have it so far.
+struct Glass<'a> {
+    name: &'a str,
+    formula: std::result::Result<(Formula, usize), String>,
+    coefficients: Vec<f64>,
+    range_um: Option<[f64; 2]>,
+}
+
+impl Glass<'_> {
+    fn entry(self, file: &str) -> Entry {
+        let medium = self.formula.and_then(|(formula, count)| {
+            let range = self.range_um.ok_or("no wavelengths (a line LD)")?;
+            let mut coefficients = self.coefficients;
+            // What stands behind a formula's own coefficients is nought, and trailing noughts may be left out.
+            coefficients.resize(count, 0.0);
+            glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))
+        });
+        Entry { name: self.name.to_owned(), medium }
+    }
+}
+
+/// The formula of a number, and its coefficients.
+fn formula(number: f64) -> std::result::Result<(Formula, usize), String> {
+    #[expect(clippy::cast_possible_truncation, reason = "a small number, or another than those below")]
+    Ok(match number as i64 {
+        1 => (Formula::Schott, 6),
+        2 => (Formula::Sellmeier, 6),
+        3 => (Formula::Herzberger, 6),
+        4 => (Formula::Sellmeier2, 5),
+        5 => (Formula::Conrady, 3),
+        6 => (Formula::Sellmeier, 8),
+        7 => (Formula::Handbook1, 4),
+        8 => (Formula::Handbook2, 4),
+        9 => (Formula::Sellmeier4, 5),
+        10 => (Formula::Extended, 8),
+        11 => (Formula::Sellmeier, 10),
+        12 => (Formula::Extended2, 8),
+        13 => (Formula::Extended3, 9),
+        _ => return Err(format!("a dispersion formula of number {number}, which is none of 1 to 13")),
+    })
+}
+
+/// The glasses of `text`; `file` names it.
+pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
+    let mut entries = Vec::new();
+    let mut open: Option<Glass<'_>> = None;
+    for (i, line) in text.lines().enumerate() {
+        let line = line.trim_start_matches('\u{feff}').trim();
+        let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
+        let refuse = |found: &str, allowed: &str| Error::bad(file, format!("line {}", i + 1), found, allowed);
+        let numbers = |what: &str| finite(rest).ok_or_else(|| refuse(line, &format!("{what}: finite numbers")));
+        match (key, &mut open) {
+            ("NM", _) => {
+                let mut words = rest.split_whitespace();
+                let name = words.next().ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
+                let number = words.next().and_then(|w| w.parse::<f64>().ok());
+                let number = number.ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
+                let next = Glass { name, formula: formula(number), coefficients: Vec::new(), range_um: None };
+                entries.extend(open.replace(next).map(|g| g.entry(file)));
+            }
+            ("CD", Some(glass)) => glass.coefficients = numbers("coefficients")?,
+            ("LD", Some(glass)) => {
+                let ends = numbers("shortest and longest wavelength in µm")?;
+                let [short, long, ..] = ends[..] else {
+                    return Err(refuse(line, "shortest and longest wavelength in µm"));
+                };
+                glass.range_um = Some([short, long]);
+            }
+            // Before the first glass some files have a line of prose.
+            (_, None) => {}
+            _ if key.is_empty() || key.starts_with('!') || HARMLESS.contains(&key) => {}
+            _ => return Err(refuse(line, "NM, CD, LD, or a comment (GC, CC, !), ED, TD, OD, IT, MD, BD")),
+        }
+    }
+    entries.extend(open.map(|g| g.entry(file)));
+    if entries.is_empty() {
+        return Err(Error::bad(file, "glasses", "none", "lines NM of an AGF catalogue"));
+    }
+    Ok(entries)
+}

@@ -1,0 +1,82 @@
+//! Pages of refractiveindex.info: `DATA` with a formula and its coefficients (λ in µm), or a table of indices.
+
+use yaml_rust2::{Yaml, YamlLoader};
+
+use super::{Entry, finite, glass};
+use crate::lens::Medium;
+use crate::lens::dispersion::Formula;
+use isoplanat_base::error::{Error, Result};
+
+fn formula(number: &str) -> Option<Formula> {
+    Some(match number {
+        "1" => Formula::SellmeierSquares,
+        "2" => Formula::SellmeierOffset,
+        "3" => Formula::PowersOfSquare,
+        "4" => Formula::Rational,
+        "5" => Formula::Powers,
+        "6" => Formula::Gas,
+        "7" => Formula::Herzberger,
+        "8" => Formula::Retro,
+        "9" => Formula::Exotic,
+        _ => return None,
+    })
+}
+
+/// The glass of the page `text`, called `name`; `file` names it.
+pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
+    let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
+    let form = "a page of refractiveindex.info with a list DATA";
+    let pages = YamlLoader::load_from_str(text).map_err(|e| refuse("form", e.to_string().replace('\n', " "), form))?;
+    let page = pages.first().unwrap_or(&Yaml::BadValue);
+    let blocks = page["DATA"].as_vec().ok_or_else(|| refuse("DATA", "no list".into(), form))?;
+    if page["CONDITIONS"]["n_is_absolute"].as_bool() == Some(true) {
+        return Err(refuse("CONDITIONS.n_is_absolute", "true".into(), "indices relative to air"));
+    }
+    // One number alone is a number to YAML, several are a text.
+    let words = |value: &Yaml| match value {
+        Yaml::String(text) | Yaml::Real(text) => text.clone(),
+        Yaml::Integer(n) => n.to_string(),
+        _ => String::new(),
+    };
+    let numbers = |place: &str, text: &str| {
+        let no_number = |w: &&str| !w.parse::<f64>().is_ok_and(f64::is_finite);
+        let word = || text.split_whitespace().find(no_number).unwrap_or("").chars().take(40).collect::<String>();
+        finite(text).ok_or_else(|| refuse(place, format!("`{}`", word()), "finite numbers"))
+    };
+    // What says nothing of the index (extinction) is passed over; the first that does counts.
+    for block in blocks {
+        let kind = words(&block["type"]);
+        if let Some(number) = kind.strip_prefix("formula ") {
+            let formula = formula(number.trim())
+                .ok_or_else(|| refuse("DATA.type", kind.clone(), "formula 1 to 9, tabulated n, tabulated nk"))?;
+            let coefficients = numbers("DATA.coefficients", &words(&block["coefficients"]))?;
+            let range = numbers("DATA.wavelength_range", &words(&block["wavelength_range"]))?;
+            let [short, long] = range[..] else {
+                return Err(refuse("DATA.wavelength_range", format!("{range:?}"), "two numbers of µm"));
+            };
+            let medium = glass(name, file, formula, coefficients, [short * 1e3, long * 1e3]);
+            return Ok(Entry { name: name.to_owned(), medium });
+        }
+        let columns = match kind.as_str() {
+            "tabulated n" => 2,
+            "tabulated nk" => 3,
+            _ => continue,
+        };
+        let all = numbers("DATA.data", &words(&block["data"]))?;
+        let rows: Vec<&[f64]> = all.chunks(columns).collect();
+        let rising = rows.windows(2).all(|w| w[0][0] < w[1][0]);
+        if rows.is_empty() || rows.iter().any(|r| r.len() != columns || !super::INDICES.contains(&r[1])) || !rising {
+            return Err(refuse(
+                "DATA.data",
+                format!("{} numbers", all.len()),
+                "rows of a rising wavelength in µm and an index from 1 to 5",
+            ));
+        }
+        let medium = Medium::Table {
+            wavelength_nm: rows.iter().map(|r| r[0] * 1e3).collect(),
+            index: rows.iter().map(|r| r[1]).collect(),
+        };
+        return Ok(Entry { name: name.to_owned(), medium: Ok(medium) });
+    }
+    Err(refuse("DATA.type", "no index".into(), "formula 1 to 9, tabulated n, tabulated nk"))
+}

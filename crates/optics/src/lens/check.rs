@@ -1,0 +1,151 @@
+//! What every lens must be, whether a file states it or a design step made it.
+
+use super::{Aperture, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
+use isoplanat_base::error::{Error, Result};
+
+/// Most surfaces that a lens has: the largest published ones have some sixty.
+pub(crate) const MAX_SURFACES: usize = 400;
+/// Largest half field angle. Work on a flat image asks for less than 90.
+const MAX_FIELD_DEG: f64 = 110.0;
+/// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
+/// semi-diameters wide stay within 1e50, and their derivatives with them.
+const RADII: f64 = 1e3;
+/// Bound of the slope of the polynomial terms: 1000 is 89.94°. Aspheres whose terms cancel stay far below.
+const STEEPEST: f64 = 1e3;
+
+impl Prescription {
+    /// Refuses what is no lens; `file` names it. [`super::Lens::new`] asks here, and nothing else does.
+    pub(super) fn check(&self, file: &str) -> Result<()> {
+        self.check_numbers(file)?;
+        for (i, s) in self.surfaces.iter().enumerate() {
+            check_surface(s, &format!("surface[{i}]"), file)?;
+        }
+        let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
+        if matches!(self.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
+            let allowed = "state stop_semi_diameter_mm instead";
+            return Err(Error::bad(file, "aperture.f_number", "the lens is afocal", allowed));
+        }
+        clearance::check(self, file)
+    }
+
+    /// Refuses numbers that may not stand where they do, each for itself: what paraxial and real rays need to be asked at all.
+    pub(crate) fn check_numbers(&self, file: &str) -> Result<()> {
+        let refuse =
+            |place: &str, found: String, allowed: &str| -> Result<()> { Err(Error::bad(file, place, found, allowed)) };
+        if self.surfaces.len() > MAX_SURFACES {
+            let found = format!("{} surfaces", self.surfaces.len());
+            return refuse("surface", found, &format!("at most {MAX_SURFACES}"));
+        }
+        if self.stop >= self.surfaces.len() {
+            return refuse(
+                "surface",
+                format!("{} surfaces, stop {}", self.surfaces.len(), self.stop),
+                "a stop among them",
+            );
+        }
+        for (i, e) in self.elements.iter().enumerate() {
+            if e.first > e.last || e.last >= self.surfaces.len() {
+                let found = format!("surfaces {} to {}", e.first, e.last);
+                let allowed = format!("first ≤ last, both from 0 to {}", self.surfaces.len() - 1);
+                return refuse(&format!("element[{i}]"), found, &allowed);
+            }
+        }
+        // Minus zero is the reciprocal of minus infinity.
+        if !(0.0..=1e6).contains(&self.object_vergence) || self.object_vergence.is_sign_negative() {
+            let distance = self.object_vergence.recip().to_string();
+            return refuse("object.distance_mm", distance, "a positive distance from 1e-6 mm on, or inf");
+        }
+        if !(0.0..=MAX_FIELD_DEG).contains(&self.max_field_deg) {
+            let allowed = format!("0 to {MAX_FIELD_DEG}");
+            return refuse("field.max_angle_deg", self.max_field_deg.to_string(), &allowed);
+        }
+        self.check_wavelengths(file)?;
+        self.check_sensor(file)?;
+        numbers::check(self, file)?;
+        for (i, s) in self.surfaces.iter().enumerate() {
+            check_table(&s.medium, &format!("surface[{i}]"), file)?;
+        }
+        for nm in self.wavelengths.nm.iter().chain([&self.wavelengths.primary_nm]) {
+            self.require_indices(*nm, file)?;
+        }
+        Ok(())
+    }
+
+    fn check_wavelengths(&self, file: &str) -> Result<()> {
+        let w = &self.wavelengths;
+        if w.nm.is_empty() || w.nm.len() != w.weights.len() {
+            let found = format!("{} wavelengths, {} weights", w.nm.len(), w.weights.len());
+            return Err(Error::bad(file, "wavelengths", found, "as many weights as wavelengths, at least one"));
+        }
+        for nm in w.nm.iter().chain([&w.primary_nm]) {
+            if !(200.0..=20_000.0).contains(nm) {
+                return Err(Error::bad(file, "wavelengths.nm", nm.to_string(), "200 to 20000 nm"));
+            }
+        }
+        if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || w.weights.iter().sum::<f64>() <= 0.0 {
+            let found = format!("{:?}", w.weights);
+            return Err(Error::bad(file, "wavelengths.weights", found, "not negative, not all zero"));
+        }
+        Ok(())
+    }
+
+    fn check_sensor(&self, file: &str) -> Result<()> {
+        let s = &self.sensor;
+        if !(1..=65_536).contains(&s.columns) || !(1..=65_536).contains(&s.rows) {
+            let found = format!("{} columns × {} rows", s.columns, s.rows);
+            return Err(Error::bad(file, "sensor", found, "1 to 65536 each"));
+        }
+        if s.axis_px.iter().any(|a| !a.is_finite() || a.abs() > 1e6) {
+            let found = format!("{:?}", s.axis_px);
+            return Err(Error::bad(file, "sensor.axis_px", found, "two finite numbers of pixels"));
+        }
+        if !s.pitch_um.is_finite() || s.pitch_um <= 0.0 {
+            return Err(Error::bad(file, "sensor.pitch_um", s.pitch_um.to_string(), "a positive number"));
+        }
+        Ok(())
+    }
+}
+
+/// What a table of indices must be.
+fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
+    if let Medium::Table { wavelength_nm, index } = medium {
+        let ascending = wavelength_nm.windows(2).all(|w| w[0] < w[1]);
+        if index.is_empty()
+            || index.len() != wavelength_nm.len()
+            || !ascending
+            || !wavelength_nm.iter().all(|w| (100.0..=1e5).contains(w))
+        {
+            let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
+            let allowed = "ascending wavelengths from 100 to 100000 nm, as many indices from 1 to 5";
+            return Err(Error::bad(file, format!("{place}.medium"), found, allowed));
+        }
+    }
+    Ok(())
+}
+
+/// What the numbers of a surface must be to each other.
+pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
+    let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
+    if semi_diameter >= shape.reach() {
+        let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
+        return Err(Error::bad(file, format!("{place}.semi_diameter_mm"), semi_diameter.to_string(), allowed));
+    }
+    // Polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their
+    // derivatives would leave the numbers.
+    let radii =
+        [("zernike", shape.zernike.as_ref().map(|z| z.radius())), ("xy", shape.xy.as_ref().map(|p| p.radius()))];
+    let [least, most] = [semi_diameter / RADII, semi_diameter * RADII];
+    for (key, radius) in radii {
+        if let Some(r) = radius.filter(|r| !(least..=most).contains(r)) {
+            let allowed = format!("{least:e} to {most:e} mm, 1/1000 to 1000 semi_diameter_mm");
+            return Err(Error::bad(file, format!("{place}.{key}.radius_mm"), format!("{r:e}"), allowed));
+        }
+    }
+    let slope = Shape { curvature: 0.0, conic: 0.0, ..shape.clone() }.steepest(semi_diameter);
+    if slope.is_finite() && slope <= STEEPEST {
+        return Ok(());
+    }
+    let found = format!("a slope of up to {slope:e} within the clear semi-diameter");
+    let allowed = format!("terms whose slopes add to at most {STEEPEST}");
+    Err(Error::bad(file, format!("{place}.asphere, zernike, xy"), found, allowed))
+}

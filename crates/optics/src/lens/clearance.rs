@@ -1,0 +1,139 @@
+//! What the surfaces of a lens must leave each other, the stop and the sensor.
+
+use super::{Aperture, Prescription, Surface, paraxial};
+use isoplanat_base::error::{Error, Result};
+
+/// Gaps are held to this, mm: elements may touch.
+const TOUCHING_MM: f64 = 1e-9;
+/// Published prescriptions round and enlarge their semi-diameters; rims that overlap by more are another lens, mm.
+pub(crate) const DEEPEST_MM: f64 = 0.05;
+/// Points of a radius that are looked at.
+const STEPS: u32 = 64;
+
+/// Where two neighbouring surfaces overlap near their rims.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Overlap {
+    /// The first of the two surfaces.
+    pub surface: usize,
+    /// Distance from the axis at which the overlap begins, mm, to 1e-6 of the rim.
+    pub from_mm: f64,
+    /// The deepest overlap within both clear semi-diameters, mm.
+    pub depth_mm: f64,
+}
+
+impl Overlap {
+    /// The error of an overlap that light meets.
+    pub fn refused(&self, file: &str) -> Error {
+        let Self { surface, from_mm, depth_mm } = self;
+        Error::bad(
+            file,
+            format!("surface[{surface}] and surface[{}]", surface + 1),
+            format!("they cross: from {from_mm:.4} mm off the axis on, by up to {depth_mm:.4} mm"),
+            format!("a gap of at least 0 where light goes, and at the rims no overlap above {DEEPEST_MM} mm"),
+        )
+    }
+}
+
+/// Overlaps of neighbouring surfaces within the clear semi-diameters that both have.
+pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
+    let overlap = |(i, pair): (usize, &[Surface])| {
+        let rim = pair[0].semi_diameter.min(pair[1].semi_diameter);
+        let gap = |r: f64| gap(&pair[0], Some(&pair[1]), r);
+        let (depth_mm, first) = deepest(rim, gap)?;
+        Some(Overlap { surface: i, from_mm: begin(rim, first, gap), depth_mm })
+    };
+    lens.surfaces.windows(2).enumerate().filter_map(overlap).collect()
+}
+
+/// Refuses surfaces that overlap where the light of the axis goes, or by more than rims do, and a last surface that reaches
+/// the sensor's plane.
+pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
+    let found = overlaps(lens);
+    let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
+    for overlap in found {
+        let axial = beam[overlap.surface].max(beam[overlap.surface + 1]);
+        if overlap.depth_mm > DEEPEST_MM || overlap.from_mm <= axial {
+            return Err(overlap.refused(file));
+        }
+    }
+    let last = lens.surfaces.len() - 1;
+    let surface = &lens.surfaces[last];
+    let room = radii(surface.semi_diameter).map(|r| gap(surface, None, r)).fold(f64::INFINITY, f64::min);
+    if room <= TOUCHING_MM {
+        return Err(Error::bad(
+            file,
+            format!("surface[{last}]"),
+            format!(
+                "within its clear semi-diameter it comes to {room:.4} mm from the sensor's plane, which it must stand before"
+            ),
+            "more than 0: a larger thickness_mm or a smaller semi_diameter_mm",
+        ));
+    }
+    Ok(())
+}
+
+/// Radii from the axis to `rim`.
+fn radii(rim: f64) -> impl Iterator<Item = f64> {
+    (0..=STEPS).map(move |k| rim * f64::from(k) / f64::from(STEPS))
+}
+
+/// Deepest overlap of a gap over radii up to `rim`, and the first step that overlaps; `None` where there is none.
+fn deepest(rim: f64, gap: impl Fn(f64) -> f64) -> Option<(f64, u32)> {
+    let gaps: Vec<f64> = radii(rim).map(gap).collect();
+    let first = gaps.iter().position(|g| *g < -TOUCHING_MM)?;
+    let depth = gaps.iter().fold(0.0, |d: f64, g| d.max(-g));
+    Some((depth, u32::try_from(first).unwrap_or(0)))
+}
+
+/// Where an overlap begins that is there at the step `first` and not one step before.
+fn begin(rim: f64, first: u32, gap: impl Fn(f64) -> f64) -> f64 {
+    if first == 0 {
+        return 0.0;
+    }
+    let at = |k: u32| rim * f64::from(k) / f64::from(STEPS);
+    let (mut low, mut high) = (at(first - 1), at(first));
+    while high - low > 1e-6 * rim {
+        let middle = 0.5 * (low + high);
+        if gap(middle) < -TOUCHING_MM { high = middle } else { low = middle }
+    }
+    low
+}
+
+/// Least distance along the axis from `surface` to `next` (the sensor's plane for `None`) at `r` from it, mm; tilts and
+/// decentres are not looked at.
+fn gap(surface: &Surface, next: Option<&Surface>, r: f64) -> f64 {
+    // One azimuth says all where both surfaces are symmetric.
+    let symmetric = std::iter::once(surface).chain(next).all(|s| s.shape.is_symmetric());
+    (0..if symmetric { 1 } else { 16 })
+        .filter_map(|k| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
+            let sag = |s: &Surface| s.shape.at(r * cos, r * sin).map(|l| l.h);
+            Some(surface.thickness + next.map_or(Some(0.0), sag)? - sag(surface)?)
+        })
+        .fold(f64::INFINITY, f64::min)
+}
+
+/// The stop's own clear aperture, and what `aperture` asks for where that is more.
+fn asked_for_more(lens: &Prescription) -> Option<[f64; 2]> {
+    let own = lens.surfaces.get(lens.stop)?.semi_diameter;
+    let asked = paraxial::stop_semi_diameter(lens);
+    // A number of the file against one that was computed: rounding is no difference.
+    (asked.is_finite() && asked > own * (1.0 + 1e-9)).then_some([own, asked])
+}
+
+/// Makes the stop's surface clear as far as the stop reaches.
+pub(super) fn open_stop(lens: &mut Prescription) {
+    if let Some([_, asked]) = asked_for_more(lens) {
+        lens.surfaces[lens.stop].semi_diameter = asked;
+    }
+}
+
+/// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more; the line that says so.
+pub(crate) fn limit_stop(lens: &mut Prescription, file: &str) -> Option<String> {
+    let [own, asked] = asked_for_more(lens)?;
+    lens.aperture = Aperture::StopSemiDiameter(own);
+    let stop = lens.stop;
+    Some(format!(
+        "{file}: surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts"
+    ))
+}

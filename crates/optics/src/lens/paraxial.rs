@@ -1,0 +1,248 @@
+//! Paraxial trace (y–nu) and first-order data, with adjoint.
+//!
+//! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
+//! belongs to the paraxial power and is folded in.
+
+use super::{Aperture, LensGradient, Prescription};
+
+/// First-order data at one wavelength, mm.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct FirstOrder {
+    /// Effective focal length.
+    pub effective_focal_length: f64,
+    /// Last vertex to the rear focal point.
+    pub back_focal_length: f64,
+    /// Effective focal length over entrance-pupil diameter.
+    pub f_number: f64,
+    /// Entrance pupil, from the first vertex.
+    pub entrance_pupil_position: f64,
+    /// Entrance-pupil diameter.
+    pub entrance_pupil_diameter: f64,
+    /// Exit pupil, from the last vertex.
+    pub exit_pupil_position: f64,
+    /// Last vertex to the paraxial image of the object.
+    pub paraxial_image_distance: f64,
+    /// Semi-diameter of the stop.
+    pub stop_semi_diameter: f64,
+    /// First vertex to the front focal point; negative before the lens.
+    pub front_focal_length: f64,
+    /// First vertex to the front principal point.
+    pub front_principal_point: f64,
+    /// Last vertex to the rear principal point.
+    pub rear_principal_point: f64,
+    /// First vertex to the front nodal point.
+    pub front_nodal_point: f64,
+    /// Last vertex to the rear nodal point.
+    pub rear_nodal_point: f64,
+    /// Exit-pupil diameter.
+    pub exit_pupil_diameter: f64,
+    /// Height of the image over that of the object; 0 for an object at infinity.
+    pub magnification: f64,
+    /// `1/(2 n′ |u′|)` of the marginal ray from the axial object point.
+    pub working_f_number: f64,
+    /// `n (u ȳ − ū y)` of the marginal and the chief ray of the largest field, absolute.
+    pub lagrange_invariant: f64,
+}
+
+/// `(y, w)` arriving at every surface and, last, after the last surface; starts from `(y, w)` at the first vertex.
+fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
+    let mut state = vec![[y, w]];
+    let (mut y, mut w) = (y, w);
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        w -= y * power(lens, n, i);
+        if i + 1 < lens.surfaces.len() {
+            y += s.thickness / n[i + 1] * w;
+        }
+        state.push([y, w]);
+    }
+    state
+}
+
+/// Pulls cotangents on the states of [`sweep`] back to the lens and the indices.
+fn sweep_vjp(
+    lens: &Prescription,
+    n: &[f64],
+    state: &[[f64; 2]],
+    bars: &[[f64; 2]],
+    g: &mut LensGradient,
+    n_bar: &mut [f64],
+) {
+    let count = lens.surfaces.len();
+    let [mut y_bar, mut w_bar] = bars[count];
+    for i in (0..count).rev() {
+        let s = &lens.surfaces[i];
+        let w_out = state[i + 1][1];
+        if i + 1 < count {
+            let reduced = s.thickness / n[i + 1];
+            g.surfaces[i].thickness += y_bar * w_out / n[i + 1];
+            n_bar[i + 1] -= y_bar * w_out * reduced / n[i + 1];
+            w_bar += y_bar * reduced;
+        }
+        let y_in = state[i][0];
+        let c = vertex_curvature(lens, i);
+        let power_bar = -w_bar * y_in;
+        g.surfaces[i].shape.curvature += power_bar * (n[i + 1] - n[i]);
+        if let Some(a2) = g.surfaces[i].shape.asphere.first_mut() {
+            *a2 += 2.0 * power_bar * (n[i + 1] - n[i]);
+        }
+        n_bar[i + 1] += power_bar * c;
+        n_bar[i] -= power_bar * c;
+        y_bar -= w_bar * power(lens, n, i);
+        y_bar += bars[i][0];
+        w_bar += bars[i][1];
+    }
+}
+
+fn vertex_curvature(lens: &Prescription, i: usize) -> f64 {
+    let shape = &lens.surfaces[i].shape;
+    shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0)
+}
+
+fn power(lens: &Prescription, n: &[f64], i: usize) -> f64 {
+    (n[i + 1] - n[i]) * vertex_curvature(lens, i)
+}
+
+/// First-order data at `nm`. An afocal lens has infinite focal length; callers that need one check it.
+pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
+    let n = lens.indices(nm);
+    let last = lens.surfaces.len();
+    let (parallel, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
+    let [yk, wk] = parallel[last];
+    let n_last = n[last];
+    let efl = -1.0 / wk;
+    // Height at the stop, of the parallel ray and of the ray through the first vertex.
+    let (a, b) = (parallel[lens.stop][0], skew[lens.stop][0]);
+    let stop = stop_from(lens, a, efl);
+    let entrance_pupil_position = b / a;
+    // Chief ray: zero at the stop.
+    let chief: [f64; 2] = std::array::from_fn(|k| parallel[last][k] * -b + skew[last][k] * a);
+    let image = |y: f64, w: f64| -y * n_last / w;
+    // Axial object ray: direction v·y + 0.
+    let v = lens.object_vergence;
+    let axial: [f64; 2] = std::array::from_fn(|k| parallel[last][k] + v * skew[last][k]);
+    let epd = 2.0 * stop / a;
+    let exit_pupil_position = image(chief[0], chief[1]);
+    let (bfl, ffl) = (image(yk, wk), skew[last][1] / wk);
+    // The marginal ray's height at the first vertex, by which the axial ray is to be multiplied.
+    let marginal = 0.5 * epd / (1.0 + v * entrance_pupil_position);
+    FirstOrder {
+        front_focal_length: ffl,
+        front_principal_point: ffl + efl,
+        rear_principal_point: bfl - n_last * efl,
+        front_nodal_point: ffl + n_last * efl,
+        rear_nodal_point: bfl - efl,
+        exit_pupil_diameter: (epd * (yk + exit_pupil_position / n_last * wk)).abs(),
+        magnification: v / axial[1],
+        working_f_number: (0.5 / (marginal * axial[1])).abs(),
+        lagrange_invariant: (0.5 * epd * lens.max_field_deg.to_radians().tan()).abs(),
+        effective_focal_length: efl,
+        back_focal_length: bfl,
+        f_number: (efl / epd).abs(),
+        entrance_pupil_position,
+        entrance_pupil_diameter: epd.abs(),
+        exit_pupil_position,
+        paraxial_image_distance: image(axial[0], axial[1]),
+        stop_semi_diameter: stop.abs(),
+    }
+}
+
+fn stop_from(lens: &Prescription, height_at_stop: f64, efl: f64) -> f64 {
+    match lens.aperture {
+        Aperture::StopSemiDiameter(r) => r,
+        Aperture::EntrancePupilDiameter(d) => 0.5 * d * height_at_stop,
+        Aperture::FNumber(f) => 0.5 * efl / f * height_at_stop,
+    }
+}
+
+/// Semi-diameter of the stop, mm, from the stated aperture at the primary wavelength.
+pub fn stop_semi_diameter(lens: &Prescription) -> f64 {
+    first_order(lens, lens.wavelengths.primary_nm).stop_semi_diameter
+}
+
+/// Heights at which the marginal ray from the axial object point meets every surface, mm.
+pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
+    let (first, v) = (first_order(lens, nm), lens.object_vergence);
+    let y = 0.5 * first.entrance_pupil_diameter / (1.0 + v * first.entrance_pupil_position);
+    let mut heights: Vec<f64> = sweep(lens, &lens.indices(nm), y, v * y).into_iter().map(|[y, _]| y.abs()).collect();
+    heights.pop();
+    heights
+}
+
+/// Heights up to which a paraxial beam whose chief ray has the slope `slope` at the entrance pupil meets every surface, mm.
+pub fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
+    let at = first_order(lens, nm).entrance_pupil_position;
+    let chief = sweep(lens, &lens.indices(nm), -at * slope, slope);
+    marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()
+}
+
+/// Pulls cotangents on the effective focal length and the stop's semi-diameter back to the lens.
+pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
+    let n = lens.indices(nm);
+    let last = lens.surfaces.len();
+    let state = sweep(lens, &n, 1.0, 0.0);
+    let wk = state[last][1];
+    let (efl, height) = (-1.0 / wk, state[lens.stop][0]);
+    let stop_bar = stop_bar * stop_from(lens, height, efl).signum();
+    let (mut efl_bar, mut height_bar) = (efl_bar, 0.0);
+    let own = match lens.aperture {
+        Aperture::StopSemiDiameter(_) => stop_bar,
+        Aperture::EntrancePupilDiameter(d) => {
+            height_bar = stop_bar * 0.5 * d;
+            stop_bar * 0.5 * height
+        }
+        Aperture::FNumber(f) => {
+            height_bar = stop_bar * 0.5 * efl / f;
+            efl_bar += stop_bar * 0.5 * height / f;
+            -stop_bar * 0.5 * efl * height / (f * f)
+        }
+    };
+    *g.aperture.number_mut() += own;
+    let mut bars = vec![[0.0; 2]; last + 1];
+    bars[last][1] += efl_bar / (wk * wk);
+    bars[lens.stop][0] += height_bar;
+    let mut n_bar = vec![0.0; n.len()];
+    sweep_vjp(lens, &n, &state, &bars, g, &mut n_bar);
+    g.add_indices(lens, nm, &n_bar);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::{builtin, variables::Variables};
+    use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
+
+    /// The design page's figures for the two-element start (eq. 8 glasses, 587.6 nm).
+    #[test]
+    fn two_element_first_order_data() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let p = first_order(&lens, 587.5618);
+        assert_abs(p.effective_focal_length, 49.999, 2e-3, "EFL");
+        assert_abs(p.back_focal_length, 29.012, 2e-3, "BFL");
+        assert_abs(p.paraxial_image_distance, 31.605, 2e-3, "image of 1 m");
+        assert_abs(p.entrance_pupil_position, 14.32, 5e-3, "entrance pupil");
+        assert_abs(p.stop_semi_diameter, 4.973, 2e-3, "stop");
+    }
+
+    #[test]
+    fn first_order_vjp_agrees_with_differences() {
+        for name in ["two_element", "three_element", "double_gauss"] {
+            let lens = builtin::lens(name).expect("shipped");
+            for aperture in [Aperture::EntrancePupilDiameter(9.0), Aperture::FNumber(4.0)] {
+                let lens = lens.changed(|l| l.aperture = aperture).expect("a lens");
+                let vars = Variables::all(&lens);
+                let mut g = LensGradient::zeros(&lens);
+                first_order_vjp(&lens, 550.0, 0.7, 1.3, &mut g);
+                let rng = &mut fastrand::Rng::with_seed(1);
+                let x = vars.values(&lens);
+                let dx: Vec<f64> = x.iter().map(|_| rng.f64() - 0.5).collect();
+                let pulled: f64 = vars.gradient(&g).iter().zip(&dx).map(|(a, b)| a * b).sum();
+                let f = |h: f64| {
+                    let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
+                    let p = first_order(&vars.lens(&lens, &moved).expect("a lens"), 550.0);
+                    0.7 * p.effective_focal_length + 1.3 * p.stop_semi_diameter
+                };
+                assert_rel(pulled, central_difference(f, 1e-4), 1e-8, 1e-3, name);
+            }
+        }
+    }
+}

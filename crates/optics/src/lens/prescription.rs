@@ -1,0 +1,410 @@
+//! The TOML form of a lens (`schema = 1`) ⇄ validated [`Lens`]. The form is documented in `models/README.md`.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use super::catalogue::{self, Glasses};
+use super::dispersion::Formula;
+use super::{Aperture, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
+use isoplanat_base::error::{Error, Result};
+
+mod freeform;
+
+pub(super) use freeform::degrees;
+
+/// The newest form this program reads.
+pub const SCHEMA: u32 = 1;
+/// Highest power of an aspheric term.
+const MAX_POWER: usize = 20;
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct File {
+    schema: u32,
+    name: String,
+    source: String,
+    aperture: FileAperture,
+    object: FileObject,
+    field: FileField,
+    wavelengths: FileWavelengths,
+    sensor: FileSensor,
+    surface: Vec<FileSurface>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    element: Vec<FileElement>,
+}
+
+#[derive(Serialize, Deserialize, Default)]
+#[serde(deny_unknown_fields)]
+struct FileAperture {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    entrance_pupil_diameter_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    f_number: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stop_semi_diameter_mm: Option<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileObject {
+    distance_mm: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileField {
+    max_angle_deg: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileWavelengths {
+    nm: Vec<f64>,
+    weights: Vec<f64>,
+    primary_nm: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileSensor {
+    columns: usize,
+    rows: usize,
+    pitch_um: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    axis_px: Option<[f64; 2]>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileSurface {
+    #[serde(skip_serializing_if = "Option::is_none")]
+    radius_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    curvature_per_mm: Option<f64>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    conic: f64,
+    #[serde(default, skip_serializing_if = "std::collections::BTreeMap::is_empty")]
+    asphere: std::collections::BTreeMap<String, f64>,
+    thickness_mm: f64,
+    medium: FileMedium,
+    semi_diameter_mm: f64,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    stop: bool,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    decentre_mm: Option<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    zernike: Option<FileZernike>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    xy: Option<FileXy>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileZernike {
+    radius_mm: f64,
+    terms: Vec<f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileXy {
+    radius_mm: f64,
+    terms: std::collections::BTreeMap<String, f64>,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileElement {
+    first: usize,
+    last: usize,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<[f64; 3]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    decentre_mm: Option<[f64; 2]>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pivot_mm: f64,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's form")]
+fn is_zero(x: &f64) -> bool {
+    *x == 0.0
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(untagged)]
+enum FileMedium {
+    Name(String),
+    Model(FileModelGlass),
+    Table(FileTableGlass),
+    Formula(FileGlass),
+}
+
+/// A glass that the shipped catalogue does not have, whole: the file stays readable where its catalogue is not at hand.
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileGlass {
+    name: String,
+    formula: Formula,
+    coefficients: Vec<f64>,
+    range_nm: [f64; 2],
+    #[serde(default)]
+    source: String,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileModelGlass {
+    n_d: f64,
+    v_d: f64,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FileTableGlass {
+    wavelength_nm: Vec<f64>,
+    index: Vec<f64>,
+}
+
+/// Reads and checks a lens file; glasses are those of the shipped catalogue.
+pub fn load(path: &Path) -> Result<Lens> {
+    let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+    from_toml(&text, &path.display().to_string())
+}
+
+/// Parses and checks the TOML form; `file` names it in errors, glasses are those of the shipped catalogue.
+pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
+    Ok(parse(text, file, Glasses::shipped())?.0)
+}
+
+/// Parses and checks the TOML form with `glasses`; beside the lens one line on what was taken otherwise than the file says.
+pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
+    let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
+    // Read the schema first: a newer file is refused by that name, not by its unknown keys.
+    if let Ok(table) = text.parse::<toml::Table>()
+        && let Some(schema) = table.get("schema")
+        && schema.as_integer() != Some(i64::from(SCHEMA))
+    {
+        return Err(refuse(
+            "schema",
+            format!("{schema}"),
+            "this program reads schema 1; use a newer one for this file",
+        ));
+    }
+    let parsed: File =
+        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "see models/README.md for the form"))?;
+    if parsed.surface.is_empty() {
+        return Err(refuse("surface", "no surfaces".into(), "at least one [[surface]]"));
+    }
+    let aperture = match &parsed.aperture {
+        FileAperture { entrance_pupil_diameter_mm: Some(d), f_number: None, stop_semi_diameter_mm: None } => {
+            Aperture::EntrancePupilDiameter(*d)
+        }
+        FileAperture { entrance_pupil_diameter_mm: None, f_number: Some(f), stop_semi_diameter_mm: None } => {
+            Aperture::FNumber(*f)
+        }
+        FileAperture { entrance_pupil_diameter_mm: None, f_number: None, stop_semi_diameter_mm: Some(r) } => {
+            Aperture::StopSemiDiameter(*r)
+        }
+        _ => {
+            return Err(refuse(
+                "aperture",
+                "not exactly one statement of its size".into(),
+                "one of entrance_pupil_diameter_mm, f_number, stop_semi_diameter_mm",
+            ));
+        }
+    };
+    let stops: Vec<usize> = (0..parsed.surface.len()).filter(|i| parsed.surface[*i].stop).collect();
+    let [stop] = stops[..] else {
+        return Err(refuse("surface", format!("{} surfaces with stop = true", stops.len()), "exactly one"));
+    };
+    let FileSensor { columns, rows, pitch_um, axis_px } = parsed.sensor;
+    #[expect(clippy::cast_precision_loss, reason = "refused beyond 65,536")]
+    let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
+    let surfaces = parsed
+        .surface
+        .into_iter()
+        .enumerate()
+        .map(|(i, s)| read_surface(i, s, file, glasses))
+        .collect::<Result<Vec<_>>>()?;
+    let mut numbers = Prescription {
+        name: parsed.name,
+        source: parsed.source,
+        surfaces,
+        elements: parsed.element.iter().map(freeform::element).collect(),
+        stop,
+        aperture,
+        object_vergence: 1.0 / parsed.object.distance_mm,
+        max_field_deg: parsed.field.max_angle_deg,
+        wavelengths: Wavelengths {
+            nm: parsed.wavelengths.nm,
+            weights: parsed.wavelengths.weights,
+            primary_nm: parsed.wavelengths.primary_nm,
+        },
+        sensor: SensorRaster { columns, rows, pitch_um, axis_px },
+    };
+    let warning = clearance::limit_stop(&mut numbers, file);
+    Ok((Lens::new(numbers, file)?, warning))
+}
+
+fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Result<Surface> {
+    let place = |key: &str| format!("surface[{i}].{key}");
+    let refuse = |key: &str, found: String, allowed: &str| Error::bad(file, place(key), found, allowed);
+    let curvature = match (s.radius_mm, s.curvature_per_mm) {
+        (Some(r), None) if r.is_nan() || r == 0.0 => {
+            return Err(refuse("radius_mm", r.to_string(), "not zero; inf is a plane"));
+        }
+        (Some(r), None) => 1.0 / r,
+        (None, Some(c)) => c,
+        _ => return Err(refuse("radius_mm", "radius and curvature both or neither".into(), "exactly one of the two")),
+    };
+    let (mut asphere, mut odd) = (Vec::new(), Vec::new());
+    for (key, value) in &s.asphere {
+        let power = key.strip_prefix('a').and_then(|p| p.parse::<usize>().ok());
+        let Some(power) = power.filter(|p| (2..=MAX_POWER).contains(p) && *key == format!("a{p}")) else {
+            return Err(refuse("asphere", format!("unknown term `{key}`"), "a2, a3, … a20"));
+        };
+        let (list, entry) = if power % 2 == 0 { (&mut asphere, power / 2 - 1) } else { (&mut odd, power / 2 - 1) };
+        if list.len() <= entry {
+            list.resize(entry + 1, 0.0);
+        }
+        list[entry] = *value;
+    }
+    let zernike = s.zernike.map(|z| freeform::zernike(z, &place("zernike"), file)).transpose()?;
+    let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
+    let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
+    let medium = match s.medium {
+        FileMedium::Name(name) => glasses.find_own(&name).map_err(|e| match e {
+            Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
+            other => other,
+        })?,
+        FileMedium::Model(FileModelGlass { n_d, v_d }) => Medium::Cauchy { n_d, v_d },
+        FileMedium::Formula(FileGlass { name, formula, coefficients, range_nm, source }) => {
+            catalogue::glass(&name, &source, formula, coefficients, range_nm).map_err(|why| {
+                refuse("medium", format!("glass `{name}`: {why}"), "a dispersion that holds within its range")
+            })?
+        }
+        FileMedium::Table(FileTableGlass { wavelength_nm, index }) => Medium::Table { wavelength_nm, index },
+    };
+    let pose = freeform::pose(s.tilt_deg, s.decentre_mm);
+    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter: s.semi_diameter_mm, pose })
+}
+
+/// The canonical TOML form: reading it gives the same lens to the last bit.
+pub fn to_toml(lens: &Prescription) -> String {
+    let mut aperture = FileAperture::default();
+    match lens.aperture {
+        Aperture::EntrancePupilDiameter(d) => aperture.entrance_pupil_diameter_mm = Some(d),
+        Aperture::FNumber(f) => aperture.f_number = Some(f),
+        Aperture::StopSemiDiameter(r) => aperture.stop_semi_diameter_mm = Some(r),
+    }
+    let surface = lens.surfaces.iter().enumerate().map(|(i, s)| write_surface(s, i == lens.stop)).collect();
+    let file = File {
+        schema: SCHEMA,
+        name: lens.name.clone(),
+        source: lens.source.clone(),
+        aperture,
+        object: FileObject { distance_mm: 1.0 / lens.object_vergence },
+        field: FileField { max_angle_deg: lens.max_field_deg },
+        wavelengths: FileWavelengths {
+            nm: lens.wavelengths.nm.clone(),
+            weights: lens.wavelengths.weights.clone(),
+            primary_nm: lens.wavelengths.primary_nm,
+        },
+        sensor: FileSensor {
+            columns: lens.sensor.columns,
+            rows: lens.sensor.rows,
+            pitch_um: lens.sensor.pitch_um,
+            axis_px: Some(lens.sensor.axis_px),
+        },
+        surface,
+        element: lens.elements.iter().map(freeform::write_element).collect(),
+    };
+    toml::to_string(&file).expect("plain data")
+}
+
+/// `a<power>` of a list whose powers start at `from` and rise by two.
+fn terms(list: &[f64], from: usize) -> impl Iterator<Item = (String, f64)> {
+    list.iter().enumerate().map(move |(i, a)| (format!("a{}", 2 * i + from), *a))
+}
+
+fn write_surface(s: &Surface, stop: bool) -> FileSurface {
+    // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
+    let radius = 1.0 / s.shape.curvature;
+    let exact = 1.0 / radius == s.shape.curvature;
+    FileSurface {
+        radius_mm: exact.then_some(radius),
+        curvature_per_mm: (!exact).then_some(s.shape.curvature),
+        conic: s.shape.conic,
+        asphere: terms(&s.shape.asphere, 2).chain(terms(&s.shape.odd, 3)).collect(),
+        thickness_mm: s.thickness,
+        medium: match &s.medium {
+            Medium::Air => FileMedium::Name("air".into()),
+            Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
+            // A name says enough where the shipped catalogue says the same of it.
+            Medium::Glass { name, .. } if Medium::named(name).is_ok_and(|m| m == s.medium) => {
+                FileMedium::Name(name.clone())
+            }
+            Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {
+                name: name.clone(),
+                formula: dispersion.formula(),
+                coefficients: dispersion.coefficients().to_vec(),
+                range_nm: *range_nm,
+                source: source.clone(),
+            }),
+            Medium::Table { wavelength_nm, index } => {
+                FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
+            }
+        },
+        semi_diameter_mm: s.semi_diameter,
+        stop,
+        tilt_deg: s.pose.map(|p| p.tilt.map(freeform::degrees)),
+        decentre_mm: s.pose.map(|p| p.decentre),
+        zernike: s.shape.zernike.as_ref().map(|z| FileZernike { radius_mm: z.radius(), terms: z.terms().to_vec() }),
+        xy: s.shape.xy.as_ref().map(freeform::write_xy),
+    }
+}
+
+/// Writes the canonical form beside `path`, then renames it there.
+pub fn save(lens: &Lens, path: &Path) -> Result<()> {
+    isoplanat_base::atomic::write_bytes(path, to_toml(lens).as_bytes())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two_element(from: &str, to: &str) -> String {
+        let text = crate::lens::test_lenses::TWO_ELEMENT;
+        assert!(text.contains(from), "{from}");
+        text.replacen(from, to, 1)
+    }
+
+    #[test]
+    fn bad_lenses_are_refused_with_place_value_and_what_is_allowed() {
+        let cases = [
+            ("radius_mm = 18.5", "radius = 18.5", "radius"),
+            ("thickness_mm = 8.0", "thickness = 8.0", "thickness"),
+            ("thickness_mm = 8.0", "thickness_mm = 0.5", "cross"),
+            ("semi_diameter_mm = 12.0", "semi_diameter_mm = 19.0", "reach"),
+            ("radius_mm = 18.5", "radius_mm = nan", "radius_mm"),
+            ("schema = 1", "schema = 7", "schema"),
+            ("stop = true", "stop = false", "exactly one"),
+            ("\"air\"", "\"N-UNKNOWN\"", "unknown glass"),
+            ("distance_mm = 1000.0", "distance_mm = -3.0", "distance_mm"),
+            ("entrance_pupil_diameter_mm = 12.5", "", "aperture"),
+            ("columns = 4096", "columns = 0", "columns"),
+            // Found by fuzzing: the index was asked for before the lists' lengths.
+            ("\"air\"", "{ wavelength_nm = [400.0, 500.0, 700.0], index = [1.6, 1.5] }", "as many indices"),
+            ("\"air\"", "{ wavelength_nm = [], index = [] }", "as many indices"),
+            ("\"air\"", "{ wavelength_nm = [1e-155, 700.0], index = [1.6, 1.5] }", "as many indices"),
+            ("nm = [486.1327, ", "nm = [", "as many weights"),
+        ];
+        for (from, to, expected) in cases {
+            let error = from_toml(&two_element(from, to), "lens.toml").expect_err(to).to_string();
+            assert!(error.starts_with("lens.toml: ") && error.contains(expected), "{to}: {error}");
+        }
+    }
+}

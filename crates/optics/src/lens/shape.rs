@@ -1,0 +1,353 @@
+//! Form of a surface: plane, sphere, conic, asphere with even and odd terms (paper eq. 1), freeform terms.
+//!
+//! With `ρ = x² + y²`, `r = √ρ`, `α = (1+κ)c²`, `φ = √(1 − αρ)`:
+//! `h(x, y) = cρ / (1 + φ) + Σ a_{2i} ρ^i + Σ a_{2i+1} r^{2i+1} + freeform(x, y)`.
+//! Derivatives of the rotational part are with respect to `ρ`, so that nothing is singular on the axis; odd terms
+//! start at `r³`, which is twice differentiable there. [`Shape::at`] is the whole surface, [`Shape::sag`] its
+//! rotationally symmetric part.
+
+use super::freeform::{Xy, Zernike};
+use super::numbers::Kind;
+pub use super::sag::{Local, Sag};
+
+/// Shape of a surface; also the type of its own cotangent.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Shape {
+    /// Vertex curvature `c`, 1/mm; positive when the centre lies towards +z; 0 is a plane.
+    pub curvature: f64,
+    /// Conic constant `κ`: 0 sphere, −1 paraboloid.
+    pub conic: f64,
+    /// Raw even coefficients `a₂, a₄, a₆, …` (mm^(1−2i)); entry `i` multiplies `r^(2i+2)`.
+    pub asphere: Vec<f64>,
+    /// Raw odd coefficients `a₃, a₅, a₇, …`; entry `i` multiplies `r^(2i+3)`.
+    pub odd: Vec<f64>,
+    /// Zernike terms.
+    pub zernike: Option<Zernike>,
+    /// Polynomial in x and y.
+    pub xy: Option<Xy>,
+}
+
+impl Shape {
+    /// A sphere (or plane) of curvature `c`.
+    pub fn sphere(curvature: f64) -> Self {
+        Self { curvature, ..Self::default() }
+    }
+
+    /// A conic with even polynomial terms `a₂, a₄, …`.
+    pub fn even(curvature: f64, conic: f64, asphere: Vec<f64>) -> Self {
+        Self { curvature, conic, asphere, ..Self::default() }
+    }
+
+    /// Whether anything beyond the conic is present.
+    pub fn is_aspheric(&self) -> bool {
+        self.asphere.iter().chain(&self.odd).any(|a| *a != 0.0) || !self.is_symmetric()
+    }
+
+    /// Whether the surface is rotationally symmetric about its own axis.
+    pub fn is_symmetric(&self) -> bool {
+        self.zernike.is_none() && self.xy.is_none()
+    }
+
+    /// Whether the surface is a conic with even terms only.
+    pub fn is_even(&self) -> bool {
+        self.is_symmetric() && self.odd.iter().all(|a| *a == 0.0)
+    }
+
+    /// The rotationally symmetric part at `rho = x² + y²` (mm²); `None` where the conic does not reach (`αρ ≥ 1`).
+    #[inline]
+    pub fn sag(&self, rho: f64) -> Option<Sag> {
+        let c = self.curvature;
+        let alpha = (1.0 + self.conic) * c * c;
+        let phi_sq = 1.0 - alpha * rho;
+        if phi_sq.is_nan() || phi_sq <= 0.0 {
+            return None;
+        }
+        let phi = phi_sq.sqrt();
+        let conic_h = c * rho / (1.0 + phi);
+        // Horner for the polynomial and its two derivatives.
+        let (mut p, mut p1, mut p2) = (0.0, 0.0, 0.0);
+        for a in self.asphere.iter().rev() {
+            p2 = p2 * rho + p1;
+            p1 = p1 * rho + p;
+            p = p * rho + a;
+        }
+        // The series starts at ρ: P = ρ p.
+        let (mut q, mut q1, mut q2) = (p * rho, p + p1 * rho, 2.0 * p1 + 2.0 * p2 * rho);
+        if !self.odd.is_empty() {
+            // r³ s(ρ): the same Horner, then r³ = ρ^{3/2}.
+            let (mut s, mut s1, mut s2) = (0.0, 0.0, 0.0);
+            for a in self.odd.iter().rev() {
+                s2 = s2 * rho + s1;
+                s1 = s1 * rho + s;
+                s = s * rho + a;
+            }
+            let r = rho.sqrt();
+            q += r * rho * s;
+            q1 += r * (1.5 * s + rho * s1);
+            // 3/4r s is infinite on the axis, where the second derivative only ever meets x² or xy.
+            q2 += if r > 0.0 { 0.75 * s / r + r * (3.0 * s1 + 2.0 * rho * s2) } else { 0.0 };
+        }
+        Some(Sag { h: conic_h + q, h1: 0.5 * c / phi + q1, h2: 0.25 * c * alpha / (phi * phi_sq) + q2, phi, conic_h })
+    }
+
+    /// The whole surface at `(x, y)`, mm; `None` where the conic does not reach.
+    #[inline]
+    pub fn at(&self, x: f64, y: f64) -> Option<Local> {
+        let sag = self.sag(x * x + y * y)?;
+        let (h1, h2) = (2.0 * sag.h1, 4.0 * sag.h2);
+        let mut local =
+            Local { h: sag.h, slope: [h1 * x, h1 * y], second: [h1 + h2 * x * x, h2 * x * y, h1 + h2 * y * y], sag };
+        if let Some(zernike) = &self.zernike {
+            zernike.polynomial().add_to(x, y, &mut local);
+        }
+        if let Some(xy) = &self.xy {
+            xy.polynomial().add_to(x, y, &mut local);
+        }
+        Some(local)
+    }
+
+    /// Adds the pull-back of cotangents on `h` and `dh/dρ` at `rho` to the shape's cotangent `bar`.
+    pub fn sag_vjp(&self, rho: f64, sag: &Sag, h_bar: f64, h1_bar: f64, bar: &mut Self) {
+        let (c, k) = (self.curvature, 1.0 + self.conic);
+        let (z, inv) = (sag.conic_h, 0.5 / sag.phi);
+        let inv3 = inv / (sag.phi * sag.phi);
+        // ∂h/∂c = (ρ + (1+κ)z²)/2φ, ∂h′/∂c = 1/2φ³, ∂h/∂κ = cz²/2φ, ∂h′/∂κ = c³ρ/4φ³.
+        bar.curvature += h_bar * (rho + k * z * z) * inv + h1_bar * inv3;
+        bar.conic += h_bar * c * z * z * inv + h1_bar * 0.5 * c * c * c * rho * inv3;
+        let mut power = 1.0;
+        for (i, a_bar) in bar.asphere.iter_mut().enumerate() {
+            *a_bar += h_bar * power * rho + h1_bar * order(i) * power;
+            power *= rho;
+        }
+        if !bar.odd.is_empty() {
+            let mut power = rho.sqrt();
+            for (i, a_bar) in bar.odd.iter_mut().enumerate() {
+                *a_bar += h_bar * power * rho + h1_bar * (order(i) + 0.5) * power;
+                power *= rho;
+            }
+        }
+    }
+
+    /// Adds the pull-back of cotangents on `h` and its slope at `(x, y)` to the shape's cotangent `bar`.
+    pub fn at_vjp(&self, x: f64, y: f64, local: &Local, h_bar: f64, slope_bar: [f64; 2], bar: &mut Self) {
+        // Slope = 2 h′ (x, y).
+        let h1_bar = 2.0 * (x * slope_bar[0] + y * slope_bar[1]);
+        self.sag_vjp(x * x + y * y, &local.sag, h_bar, h1_bar, bar);
+        if let (Some(zernike), Some(bar)) = (&self.zernike, &mut bar.zernike) {
+            zernike.terms_vjp(x, y, h_bar, slope_bar, bar);
+        }
+        if let (Some(xy), Some(bar)) = (&self.xy, &mut bar.xy) {
+            xy.terms_vjp(x, y, h_bar, slope_bar, bar);
+        }
+    }
+
+    /// Largest radius the conic part reaches, mm (infinite for planes, paraboloids, hyperboloids).
+    pub fn reach(&self) -> f64 {
+        let alpha = (1.0 + self.conic) * self.curvature * self.curvature;
+        if alpha > 0.0 { alpha.sqrt().recip() } else { f64::INFINITY }
+    }
+
+    /// An upper bound of `|∇h|` for `r ≤ radius`; infinite where the conic does not reach that far.
+    ///
+    /// Ring by ring: the conic's slope is monotonic in `ρ`, and so are the positive and the negative terms of the
+    /// polynomials, each for itself.
+    pub fn steepest(&self, radius: f64) -> f64 {
+        const RINGS: u32 = 64;
+        if !radius.is_finite() || radius >= self.reach() {
+            let flat = self.curvature == 0.0 && !self.is_aspheric();
+            return if flat { 0.0 } else { f64::INFINITY };
+        }
+        let conic = |r: f64| {
+            let phi_sq = 1.0 - (1.0 + self.conic) * (self.curvature * r).powi(2);
+            self.curvature * r / phi_sq.sqrt()
+        };
+        // Slopes of the terms of one sign: Σ k |a_k| r^{k−1} over the terms whose sign is `sign`.
+        let terms = |r: f64, sign: f64| {
+            let mut sum = 0.0;
+            let mut power = r;
+            for i in 0..self.asphere.len().max(self.odd.len()) {
+                let even = self.asphere.get(i).copied().unwrap_or(0.0) * sign;
+                let odd = self.odd.get(i).copied().unwrap_or(0.0) * sign;
+                sum += 2.0 * order(i) * even.max(0.0) * power + (2.0 * order(i) + 1.0) * odd.max(0.0) * power * r;
+                power *= r * r;
+            }
+            sum
+        };
+        let mut bound = 0.0f64;
+        for ring in 0..RINGS {
+            let (a, b) = (radius * f64::from(ring) / f64::from(RINGS), radius * f64::from(ring + 1) / f64::from(RINGS));
+            let (c_a, c_b) = (conic(a), conic(b));
+            let high = c_a.max(c_b) + terms(b, 1.0) - terms(a, -1.0);
+            let low = c_a.min(c_b) + terms(a, 1.0) - terms(b, -1.0);
+            bound = bound.max(high.abs()).max(low.abs());
+        }
+        let freeform = self.zernike.as_ref().map_or(0.0, |z| z.polynomial().steepest(radius))
+            + self.xy.as_ref().map_or(0.0, |p| p.polynomial().steepest(radius));
+        // A part in 1e12 covers the rounding of the sums.
+        (bound + freeform) * (1.0 + 1e-12)
+    }
+
+    /// A cotangent of the same form, all zero.
+    #[must_use]
+    pub fn zeros_like(&self) -> Self {
+        let mut zeros = self.clone();
+        Kind::each_of(&mut zeros, |_, _, list| list.fill(0.0));
+        zeros
+    }
+
+    /// Adds the cotangent `other` of the same form.
+    pub fn add(&mut self, other: &Self) {
+        Kind::each_of(self, |_, of, list| list.iter_mut().zip(of(other)).for_each(|(a, b)| *a += b));
+    }
+
+    /// Brings the freeform polynomials up to date after their terms were changed.
+    pub fn refresh(&mut self) {
+        if let Some(z) = &mut self.zernike {
+            z.refresh();
+        }
+        if let Some(p) = &mut self.xy {
+            p.refresh();
+        }
+    }
+
+    /// The same surface met from the other side: z changes sign, x and y stay.
+    #[must_use]
+    pub fn reversed(&self) -> Self {
+        let mut reversed = self.clone();
+        Kind::each_of(&mut reversed, |kind, _, list| {
+            if kind != Kind::Conic {
+                list.iter_mut().for_each(|a| *a = -*a);
+            }
+        });
+        reversed.refresh();
+        reversed
+    }
+}
+
+/// `i + 1` as a number: the power of `ρ` of entry `i`.
+fn order(i: usize) -> f64 {
+    #[expect(clippy::cast_precision_loss, reason = "a handful of terms")]
+    let order = (i + 1) as f64;
+    order
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use isoplanat_base::testing::{assert_rel, between, central_difference};
+
+    /// ⟨h̄, J dθ⟩ for sag and slope, from planes to hyperboloids, against fourth-order differences.
+    #[test]
+    fn sag_vjp_is_the_transpose_of_the_jacobian() {
+        for seed in 0..200 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let c = if seed == 0 { 0.0 } else { between(rng, -0.05, 0.05) };
+            let mut polynomial = |size: f64| {
+                let list = [between(rng, -1e-3, 1e-3), between(rng, -1e-5, 1e-5), between(rng, -1e-7, 1e-7)];
+                list.iter().map(|a| a * size).collect::<Vec<f64>>()
+            };
+            let shape = Shape { curvature: c, asphere: polynomial(1.0), odd: polynomial(0.1), ..Shape::default() };
+            let step = Shape { asphere: polynomial(1.0), odd: polynomial(0.1), ..Shape::default() };
+            let shape = Shape { conic: between(rng, -3.0, 1.0), ..shape };
+            let rho = between(rng, 0.0, 80.0);
+            let step = Shape { curvature: between(rng, -0.01, 0.01), conic: between(rng, -1.0, 1.0), ..step };
+            let d_rho = between(rng, -1.0, 1.0);
+            let sag = shape.sag(rho).expect("inside");
+            let mut bar = shape.zeros_like();
+            shape.sag_vjp(rho, &sag, 1.0, 100.0, &mut bar);
+            let pulled = bar.curvature * step.curvature
+                + bar.conic * step.conic
+                + bar.asphere.iter().zip(&step.asphere).map(|(a, b)| a * b).sum::<f64>()
+                + bar.odd.iter().zip(&step.odd).map(|(a, b)| a * b).sum::<f64>()
+                + d_rho * (sag.h1 + 100.0 * sag.h2);
+            let moved = |t: f64| {
+                let s = Shape {
+                    curvature: c + t * step.curvature,
+                    conic: shape.conic + t * step.conic,
+                    asphere: shape.asphere.iter().zip(&step.asphere).map(|(a, b)| a + t * b).collect(),
+                    odd: shape.odd.iter().zip(&step.odd).map(|(a, b)| a + t * b).collect(),
+                    ..Shape::default()
+                };
+                let v = s.sag(rho + t * d_rho).expect("inside");
+                v.h + 100.0 * v.h1
+            };
+            assert_rel(pulled, central_difference(moved, 1e-3), 1e-8, 1e-3, &format!("seed {seed}"));
+        }
+    }
+
+    /// Every number of a freeform surface, and the place, against differences of value and slope.
+    #[test]
+    fn at_vjp_is_the_transpose_of_the_jacobian() {
+        for seed in 0..60 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let make = |rng: &mut fastrand::Rng, size: f64| {
+                let mut draw = |w: f64| between(rng, -w, w) * size;
+                Shape {
+                    curvature: draw(0.03),
+                    conic: draw(1.0),
+                    asphere: vec![draw(1e-3), draw(1e-5)],
+                    odd: vec![draw(1e-4), draw(1e-6)],
+                    zernike: Some(Zernike::new(9.0, (0..15).map(|_| draw(1e-2)).collect())),
+                    xy: Some(Xy::new(
+                        7.0,
+                        &[(1, 0, draw(1e-2)), (2, 1, draw(1e-2)), (0, 3, draw(1e-2)), (4, 5, draw(1e-3))],
+                    )),
+                }
+            };
+            let (shape, step) = (make(rng, 1.0), make(rng, 1.0));
+            let [x, y, dx, dy] = [5.0, 5.0, 1.0, 1.0].map(|w| between(rng, -w, w));
+            let bars = [between(rng, -1.0, 1.0), between(rng, -9.0, 9.0), between(rng, -9.0, 9.0)];
+            let local = shape.at(x, y).expect("inside");
+            let mut bar = shape.zeros_like();
+            shape.at_vjp(x, y, &local, bars[0], [bars[1], bars[2]], &mut bar);
+            let numbers = |s: &Shape| -> Vec<f64> {
+                let mut v = Vec::new();
+                Kind::each_of(&mut s.clone(), |_, _, list| v.extend_from_slice(list));
+                v
+            };
+            let pulled = numbers(&bar).iter().zip(numbers(&step)).map(|(a, b)| a * b).sum::<f64>()
+                + dx * (bars[0] * local.slope[0] + bars[1] * local.second[0] + bars[2] * local.second[1])
+                + dy * (bars[0] * local.slope[1] + bars[1] * local.second[1] + bars[2] * local.second[2]);
+            let moved = |t: f64| {
+                let mut s = shape.clone();
+                let mut scaled = step.clone();
+                Kind::each_of(&mut scaled, |_, _, list| list.iter_mut().for_each(|a| *a *= t));
+                s.add(&scaled);
+                s.refresh();
+                let l = s.at(x + t * dx, y + t * dy).expect("inside");
+                bars[0] * l.h + bars[1] * l.slope[0] + bars[2] * l.slope[1]
+            };
+            assert_rel(pulled, central_difference(moved, 1e-3), 1e-8, 1e-3, &format!("seed {seed}"));
+        }
+    }
+
+    /// The bound holds everywhere on a dense raster, and is not far above the largest slope.
+    #[test]
+    fn steepest_bounds_every_slope() {
+        for seed in 0..60 {
+            let rng = &mut fastrand::Rng::with_seed(seed);
+            let mut draw = |w: f64| between(rng, -w, w);
+            let mut shape = Shape { curvature: draw(0.08), conic: draw(1.0), ..Shape::default() };
+            if seed % 4 > 0 {
+                shape.asphere = vec![draw(1e-3), draw(1e-4), draw(1e-6)];
+            }
+            if seed % 4 > 1 {
+                shape.odd = vec![draw(1e-3), draw(1e-5)];
+            }
+            if seed % 4 > 2 {
+                shape.zernike = Some(Zernike::new(8.0, (0..10).map(|_| draw(1e-2)).collect()));
+            }
+            let bound = shape.steepest(8.0);
+            let mut largest = 0.0f64;
+            for i in 0..200 {
+                for k in 0..8 {
+                    let (r, t) = (8.0 * f64::from(i) / 199.0, f64::from(k));
+                    let slope = shape.at(r * t.cos(), r * t.sin()).expect("inside").slope;
+                    largest = largest.max(slope[0].hypot(slope[1]));
+                }
+            }
+            assert!(bound >= largest, "seed {seed}: {bound} {largest}");
+            assert!(bound <= 1.3 * largest + 0.2, "seed {seed}: {bound} {largest}");
+        }
+    }
+}

@@ -1,0 +1,30 @@
+//! Lenses that have every kind of number between them.
+
+use super::{Aperture, Lens, Medium, paraxial, prescription};
+
+/// The file of a shipped lens.
+pub(crate) const TWO_ELEMENT: &str = include_str!("../../../../models/lenses/two_element.toml");
+
+/// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
+/// way.
+pub(crate) fn every_kind() -> [Lens; 3] {
+    let text = TWO_ELEMENT;
+    let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
+         asphere = { a2 = 1e-4, a3 = 1e-5, a4 = 1e-6 }\nzernike = { radius_mm = 12.0, terms = [0.0, 1e-3, 0.0, 2e-3] }\n\
+         xy = { radius_mm = 12.0, terms = { x1y2 = 2e-3 } }";
+    let element = "\n[[element]]\nfirst = 3\nlast = 4\ntilt_deg = [0.3, 0.1, 0.0]\npivot_mm = 1.5\n";
+    let text = text.replacen("radius_mm = 18.5", form, 1) + element;
+    let lens = prescription::from_toml(&text, "lens.toml").expect("valid");
+    let named = |name: &str| Medium::named(name).expect("in the catalogue");
+    let table = Medium::Table { wavelength_nm: vec![440.0, 550.0, 680.0], index: vec![1.62, 1.61, 1.60] };
+    let sizes = [
+        Aperture::EntrancePupilDiameter(12.0),
+        Aperture::FNumber(4.5),
+        Aperture::StopSemiDiameter(0.9 * paraxial::stop_semi_diameter(&lens)),
+    ];
+    let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table];
+    let mut each = sizes.into_iter().zip(media).map(|(aperture, medium)| {
+        lens.changed(|l| (l.aperture, l.surfaces[3].medium) = (aperture, medium)).expect("a lens")
+    });
+    std::array::from_fn(|_| each.next().expect("three"))
+}

@@ -1,0 +1,84 @@
+//! Variables by name and by pattern: `surface[*].curvature`, `surface[2].a4`, `surface[0..3].thickness`.
+
+use crate::lens::{Kind, Lens, Parameter};
+use isoplanat_base::error::{Error, Result};
+
+/// The numbers of `lens` that `pattern` names, in the order of listings: the names of `isoplanat trace`'s derivatives, where `*` in
+/// brackets stands for any number and `*` elsewhere for any letters; `a..b` in brackets for `a` to `b − 1`. Asphere terms that the lens
+/// has not stated yet are none of its numbers: state them as 0. `file` names where the pattern comes from.
+///
+/// # Errors
+/// A pattern that names nothing, or numbers that no variable may be.
+pub fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
+    let found: Vec<Parameter> = Parameter::all(lens).filter(|p| matches(pattern, &p.name(lens))).collect();
+    if found.is_empty() {
+        let mut names: Vec<String> = Parameter::all(lens).filter(|p| movable(p.kind)).map(|p| p.name(lens)).collect();
+        names.dedup();
+        let near = names.iter().take(60).cloned().collect::<Vec<_>>().join(", ");
+        return Err(Error::bad(file, "variable", pattern, format!("names or patterns of the lens's numbers: {near}")));
+    }
+    let free: Vec<Parameter> = found.iter().copied().filter(|p| movable(p.kind)).collect();
+    if free.is_empty() {
+        let allowed = "forms, thicknesses, n_d and v_d, stated tilts and decentres, the aperture's number";
+        return Err(Error::bad(file, "variable", pattern, allowed));
+    }
+    Ok(free)
+}
+
+/// Whether rays have derivatives by it and a design may move it.
+fn movable(kind: Kind) -> bool {
+    kind.is_free() || matches!(kind, Kind::EntrancePupilDiameter | Kind::FNumber | Kind::StopSemiDiameter)
+}
+
+/// Whether `name` is what `pattern` says.
+fn matches(pattern: &str, name: &str) -> bool {
+    let Some((part, rest)) = pattern.split_once('*') else { return ranged(pattern, name) };
+    // A star takes as much as the rest leaves it; not beyond a bracket it stands in.
+    let Some(left) = prefix(part, name) else { return false };
+    (0..=left.len()).any(|n| left.is_char_boundary(n) && !left[..n].contains([']', '.']) && matches(rest, &left[n..]))
+}
+
+/// What is left of `name` behind `part`, of which ranges may stand for numbers.
+fn prefix<'a>(part: &str, name: &'a str) -> Option<&'a str> {
+    (0..=name.len()).filter(|n| name.is_char_boundary(*n)).find(|n| ranged(part, &name[..*n])).map(|n| &name[n..])
+}
+
+/// Equality, with `a..b` in brackets.
+fn ranged(pattern: &str, name: &str) -> bool {
+    let (Some((a, b)), Some((c, d))) = (pattern.split_once('['), name.split_once('[')) else { return pattern == name };
+    let (Some((range, rest)), Some((number, left))) = (b.split_once(']'), d.split_once(']')) else {
+        return pattern == name;
+    };
+    let within = range.split_once("..").and_then(|(low, high)| {
+        let number: usize = number.parse().ok()?;
+        let low = if low.is_empty() { 0 } else { low.parse().ok()? };
+        let high = if high.is_empty() { usize::MAX } else { high.parse().ok()? };
+        Some((low..high).contains(&number))
+    });
+    a == c && rest == left && within.unwrap_or(range == number)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+
+    #[test]
+    fn patterns_name_numbers() {
+        let lens = builtin::lens("three_element").expect("shipped");
+        let named = |p: &str| {
+            let found = parameters(&lens, p, "--vary").map(|all| all.iter().map(|p| p.name(&lens)).collect::<Vec<_>>());
+            found.map_err(|e| e.to_string())
+        };
+        assert_eq!(named("surface[*].curvature").expect("found").len(), 7);
+        assert_eq!(named("surface[1..4].curvature").expect("found").len(), 3);
+        assert_eq!(named("surface[5..].thickness").expect("found").len(), 2);
+        assert_eq!(named("surface[*].a*").expect("found"), named("surface[*].a*").expect("found"));
+        assert_eq!(named("surface[1].a4").expect("found"), ["surface[1].a4"]);
+        assert_eq!(named("surface[*].n_d").expect("found").len(), 3);
+        assert_eq!(named("surface[0].*").expect("found").len(), 5);
+        assert!(named("surface[9].curvature").expect_err("nine").contains("surface[0].curvature"));
+        assert!(named("surface[*].semi_diameter").expect_err("no variable").contains("semi_diameter"));
+        assert!(named("*").is_err() && named("").is_err() && named("[[..*").is_err());
+    }
+}

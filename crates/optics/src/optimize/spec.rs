@@ -1,0 +1,290 @@
+//! What to optimise, as a file and a command line say it.
+
+use std::collections::BTreeMap;
+
+use serde::{Deserialize, Serialize};
+
+use super::constraint::{Constraint, Quantity, Target};
+use super::merit::{Apertures, Merit, Quality, Reference};
+use super::pattern::parameters;
+use super::problem::Problem;
+use crate::lens::{Kind, Lens, Parameter};
+use isoplanat_base::error::{Error, Result};
+
+/// A number, or its smallest and largest value.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(untagged)]
+pub enum Range {
+    /// Held.
+    One(f64),
+    /// Bounded; infinite where it is not.
+    Two([f64; 2]),
+}
+
+impl Range {
+    fn bounds(self) -> [f64; 2] {
+        match self {
+            Self::One(x) => [x, x],
+            Self::Two(b) => b,
+        }
+    }
+
+    /// `12`, `10..12`, `10..` or `..12`.
+    ///
+    /// # Errors
+    /// Anything else; `file` names the argument.
+    pub fn parse(text: &str, file: &str) -> Result<Self> {
+        let number = |t: &str, none: f64| if t.trim().is_empty() { Ok(none) } else { t.trim().parse::<f64>() };
+        let all = match text.split_once("..") {
+            Some((a, b)) => number(a, f64::NEG_INFINITY).and_then(|a| Ok(Self::Two([a, number(b, f64::INFINITY)?]))),
+            None => text.trim().parse().map(Self::One),
+        };
+        all.map_err(|_| Error::bad(file, "range", text, "a number, or LOW..HIGH with either left out"))
+    }
+}
+
+/// What a quantity should be near, and how many mm of rms a unit of deviation counts.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Wanted {
+    /// The value.
+    pub value: f64,
+    /// mm of rms a unit.
+    pub weight: f64,
+}
+
+impl Wanted {
+    /// `50@0.01`.
+    ///
+    /// # Errors
+    /// Anything else; `file` names the argument.
+    pub fn parse(text: &str, file: &str) -> Result<Self> {
+        let numbers = text.split_once('@').and_then(|(v, w)| Some((v.trim().parse().ok()?, w.trim().parse().ok()?)));
+        let (value, weight) =
+            numbers.ok_or_else(|| Error::bad(file, "value", text, "VALUE@WEIGHT, the weight in mm of rms a unit"))?;
+        Ok(Self { value, weight })
+    }
+}
+
+/// The file of `isoplanat optimize --merit`; everything has a default, and what a command line says counts more.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Spec {
+    /// Patterns of numbers that move; none: curvatures of refracting surfaces and thicknesses.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub vary: Vec<String>,
+    /// Patterns of numbers that do not.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub fix: Vec<String>,
+    /// Bounds by pattern, in the units of the names (mm, 1/mm, radians).
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub bounds: BTreeMap<String, Range>,
+    /// Constraints by name.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub constraints: BTreeMap<String, Range>,
+    /// Targets by name. A quantity that is a target is not held at its start's value.
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    pub targets: BTreeMap<String, Wanted>,
+    /// Shares of the largest field.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fields: Option<Vec<f64>>,
+    /// Their weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub field_weights: Option<Vec<f64>>,
+    /// Object distances, mm.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depths_mm: Option<Vec<f64>>,
+    /// Their weights.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub depth_weights: Option<Vec<f64>>,
+    /// Radii in the stop.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub rings: Option<usize>,
+    /// Angles in half the stop.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub arms: Option<usize>,
+    /// `spot` or `wavefront`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub quality: Option<String>,
+    /// `centroid` or `chief`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub reference: Option<String>,
+    /// `stated` or `automatic`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub apertures: Option<String>,
+}
+
+/// Names of constraints and targets; some stand for many.
+const GROUPS: &str = "focal_length, f_number, working_f_number, track, back_focus, distortion, edge_glass, edge_air, slope, reach, surface[i].edge, \
+                      surface[i].centre, surface[i].slope, surface[i].reach";
+
+impl Spec {
+    /// From TOML; `file` names it.
+    ///
+    /// # Errors
+    /// What is no such file, with its line.
+    pub fn from_toml(text: &str, file: &str) -> Result<Self> {
+        toml::from_str(text).map_err(|e| Error::toml(file, text, &e, "the keys of `isoplanat optimize --merit`"))
+    }
+
+    /// The problem for `lens`; `file` names where the spec comes from.
+    ///
+    /// # Errors
+    /// Patterns that name nothing, constraints that are none, numbers that are not allowed.
+    pub fn problem(&self, lens: &Lens, file: &str) -> Result<Problem> {
+        self.problem_varying(lens, Problem::standard(lens).variables.parameters, file)
+    }
+
+    /// [`Self::problem`], with `chosen` moving where the spec names nothing that does.
+    ///
+    /// # Errors
+    /// As [`Self::problem`].
+    pub fn problem_varying(&self, lens: &Lens, mut chosen: Vec<Parameter>, file: &str) -> Result<Problem> {
+        let mut problem = Problem::standard(lens);
+        if !self.vary.is_empty() {
+            chosen.clear();
+            for pattern in &self.vary {
+                let more = parameters(lens, pattern, file)?;
+                chosen.extend(more.into_iter().filter(|p| !chosen.contains(p)).collect::<Vec<_>>());
+            }
+        }
+        for pattern in &self.fix {
+            let fixed = parameters(lens, pattern, file)?;
+            chosen.retain(|p| !fixed.contains(p));
+        }
+        if chosen.is_empty() {
+            return Err(Error::bad(file, "fix", self.fix.join(", "), "patterns that leave something to move"));
+        }
+        let mut constraints = problem.constraints.clone();
+        let merit = self.merit(file)?;
+        // The cone of light is that of the nearest distance; whoever says what focal length or f-number should be, says what light there is.
+        constraints.retain(|c| !matches!(c.quantity, Quantity::WorkingFNumber(_)));
+        let says = |name: &str| self.constraints.contains_key(name) || self.targets.contains_key(name);
+        if !["focal_length", "f_number", "working_f_number"].into_iter().any(says) {
+            let nearest = merit.depths.iter().map(|d| d[0]).reduce(f64::max);
+            constraints.extend(Problem::light(lens, nearest.unwrap_or(lens.object_vergence)));
+        }
+        let mut targets = Vec::new();
+        for (name, Wanted { value, weight }) in &self.targets {
+            for quantity in quantities(lens, &merit, "target", name, file)? {
+                constraints.retain(|c| c.quantity != quantity || c.bounds[0] != c.bounds[1]);
+                targets.push(Target { quantity, value: *value, weight: *weight });
+            }
+        }
+        for (name, range) in &self.constraints {
+            for quantity in quantities(lens, &merit, "constraint", name, file)? {
+                constraints.retain(|c| c.quantity != quantity);
+                constraints.push(Constraint { quantity, bounds: range.bounds() });
+            }
+        }
+        constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
+        problem = Problem { targets, ..Problem::new(lens, chosen, constraints, merit) };
+        for (pattern, range) in &self.bounds {
+            let named = parameters(lens, pattern, file)?;
+            for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
+                if named.contains(p) {
+                    *b = range.bounds();
+                }
+            }
+        }
+        problem.check().map_err(|e| match e {
+            Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
+            other => other,
+        })?;
+        Ok(problem)
+    }
+
+    fn merit(&self, file: &str) -> Result<Merit> {
+        let mut merit = Merit::default();
+        let word = |place: &str, found: &Option<String>, words: [&str; 2]| match found.as_deref() {
+            None => Ok(false),
+            Some(w) if w == words[0] => Ok(false),
+            Some(w) if w == words[1] => Ok(true),
+            Some(w) => Err(Error::bad(file, place, w, words.join(" or "))),
+        };
+        if word("quality", &self.quality, ["spot", "wavefront"])? {
+            merit.quality = Quality::Wavefront;
+        }
+        if word("reference", &self.reference, ["centroid", "chief"])? {
+            merit.reference = Reference::Chief;
+        }
+        if word("apertures", &self.apertures, ["stated", "automatic"])? {
+            merit.apertures = Apertures::Automatic;
+        }
+        let weighed = |place: &str, values: &[f64], weights: &Option<Vec<f64>>| {
+            let weights = weights.clone().unwrap_or_else(|| vec![1.0; values.len()]);
+            if weights.len() != values.len() {
+                let found = format!("{} weights for {} values", weights.len(), values.len());
+                return Err(Error::bad(file, place, found, "as many weights as values"));
+            }
+            Ok(values.iter().zip(weights).map(|(v, w)| [*v, w]).collect::<Vec<_>>())
+        };
+        let own: Vec<f64> = merit.fields.iter().map(|f| f[0]).collect();
+        merit.fields = weighed("field_weights", self.fields.as_deref().unwrap_or(&own), &self.field_weights)?;
+        if let Some(depths) = &self.depths_mm {
+            let vergences: Vec<f64> = depths.iter().map(|d| d.recip()).collect();
+            merit.depths = weighed("depth_weights", &vergences, &self.depth_weights)?;
+        }
+        merit.rings = self.rings.unwrap_or(merit.rings);
+        merit.arms = self.arms.unwrap_or(merit.arms);
+        merit.check(file)?;
+        Ok(merit)
+    }
+}
+
+/// The quantities that a name of a constraint or target (`place`) stands for.
+fn quantities(lens: &Lens, merit: &Merit, place: &str, name: &str, file: &str) -> Result<Vec<Quantity>> {
+    let n = lens.indices(lens.wavelengths.primary_nm);
+    let count = lens.surfaces.len();
+    let glass = |i: &usize| n[i + 1] > 1.0;
+    let refracts = |i: &usize| n[*i] != n[i + 1];
+    let places = 0..count;
+    Ok(match name {
+        "focal_length" => vec![Quantity::FocalLength],
+        "f_number" => vec![Quantity::FNumber],
+        "working_f_number" => vec![Quantity::WorkingFNumber(lens.object_vergence)],
+        "track" => vec![Quantity::Track],
+        "back_focus" => vec![Quantity::BackFocus],
+        "edge_glass" => places.take(count - 1).filter(glass).map(Quantity::Edge).collect(),
+        "edge_air" => places.take(count - 1).filter(|i| !glass(i)).map(Quantity::Edge).collect(),
+        "slope" => places.filter(refracts).map(Quantity::Slope).collect(),
+        "reach" => places.filter(refracts).map(Quantity::Reach).collect(),
+        "distortion" => {
+            let depths = merit.depths.len().max(1);
+            let off_axis = |(_, f): &(usize, [f64; 2])| f[0] != 0.0;
+            let of = |d: usize| {
+                let fields = merit.fields.iter().copied().enumerate().filter(off_axis);
+                fields.map(move |(k, _)| Quantity::Distortion(d * merit.fields.len() + k))
+            };
+            (0..depths).flat_map(of).collect()
+        }
+        _ => {
+            let inner = name.strip_prefix("surface[").and_then(|r| r.split_once("]."));
+            let found = inner.and_then(|(i, what)| Some((i.parse::<usize>().ok().filter(|i| *i < count)?, what)));
+            match found {
+                Some((i, "edge")) if i + 1 < count => vec![Quantity::Edge(i)],
+                Some((i, "centre")) => vec![Quantity::Centre(i)],
+                Some((i, "slope")) => vec![Quantity::Slope(i)],
+                Some((i, "reach")) => vec![Quantity::Reach(i)],
+                _ => return Err(Error::bad(file, place, name, GROUPS)),
+            }
+        }
+    })
+}
+
+/// The surfaces with glass behind them that patterns of media name: `surface[2].medium`, `surface[*].medium`.
+///
+/// # Errors
+/// A pattern that names no glass.
+pub fn glasses(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<usize>> {
+    let n = lens.indices(lens.wavelengths.primary_nm);
+    let named: Vec<usize> = match pattern.replace("medium", "thickness") {
+        p if p == "*" => (0..lens.surfaces.len()).collect(),
+        p => parameters(lens, &p, file)?.into_iter().filter(|p| p.kind == Kind::Thickness).map(|p| p.of).collect(),
+    };
+    let glass: Vec<usize> = named.into_iter().filter(|i| n[i + 1] > 1.0).collect();
+    if glass.is_empty() {
+        return Err(Error::bad(file, "glass", pattern, "`*` or a pattern such as surface[2].medium that names glass"));
+    }
+    Ok(glass)
+}

@@ -1,0 +1,480 @@
+//! A lens as image formation sees it: one value, traced once, that distortion, illumination and kernels are read from, and that
+//! their cotangents are added up in before they go back to the lens together.
+//!
+//! ```
+//! use isoplanat_optics::lens::builtin;
+//! use isoplanat_optics::psf::{Optics, OpticsSpec, Place, Quadrature};
+//!
+//! let lens = builtin::lens("cooke_triplet")?;
+//! let quadrature = Quadrature { nm: vec![486.1, 587.6, 656.3], weight: vec![vec![0.2, 0.5, 0.3]] };
+//! let optics = Optics::compute(&lens, &OpticsSpec::even(18.0, vec![0.0], quadrature))?;
+//! // Relative illumination 15 mm from the axis, and the slope of the object that is seen there.
+//! assert!((0.9..0.92).contains(&optics.relative_illumination(15.0)[0]));
+//! assert!((0.29..0.31).contains(&optics.maps[0].slope(15.0)));
+//! // A kernel of 21 × 21 pixels of 10 µm.
+//! let form = optics.form(500, 21, 1, 0.010);
+//! let mut kernel = vec![0.0; 21 * 21];
+//! let outside = optics.kernels(&form, 0, Place { radius_mm: 15.0, outward: [1.0, 0.0] }, &mut kernel);
+//! assert!((kernel.iter().sum::<f64>() + outside[0] - 1.0).abs() < 1e-12);
+//! # Ok::<(), isoplanat_base::error::Error>(())
+//! ```
+
+use std::collections::HashMap;
+
+use rayon::prelude::*;
+
+use super::illumination::{Illumination, IlluminationBar};
+use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place, Rays};
+use super::measured::{Falloff, MeasuredPsf};
+use super::sensor_map::SensorMap;
+use super::splat::Raster;
+use super::stop::StopPoints;
+use super::table::{Adapted, Table, TableBar, TableSpec, Tolerance};
+use crate::lens::{Lens, LensGradient};
+use isoplanat_base::error::{Error, Result};
+
+/// A quadrature over wavelength: nodes and, by channel, weights that sum to one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Quadrature {
+    /// Wavelengths, nm; of measured kernels, which have colours in their place, none.
+    pub nm: Vec<f64>,
+    /// Weight of each wavelength, or measured colour, in each channel.
+    pub weight: Vec<Vec<f64>>,
+}
+
+/// What is computed of a lens.
+#[derive(Clone, Debug, PartialEq)]
+pub struct OpticsSpec {
+    /// Sensor radii at which rays are traced, mm, growing, the first 0.
+    pub radii_mm: Vec<f64>,
+    /// Object distances, as vergence, 1/mm.
+    pub vergences: Vec<f64>,
+    /// Wavelengths and channels.
+    pub quadrature: Quadrature,
+    /// Degree of the polynomials over the stop.
+    pub degree: usize,
+    /// Radii of the illumination, less one.
+    pub illuminations: u32,
+}
+
+impl OpticsSpec {
+    /// Sixteen even intervals to `radius_mm`, degree 9.
+    pub fn even(radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
+        Self::knots(16, radius_mm, vergences, quadrature)
+    }
+
+    /// `intervals` of it.
+    fn knots(intervals: u32, radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
+        let radii_mm = (0..=intervals).map(|i| radius_mm * f64::from(i) / f64::from(intervals)).collect();
+        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256 }
+    }
+}
+
+/// A lens over sensor radius, wavelength and object distance.
+#[derive(Clone, Debug)]
+pub struct Optics {
+    /// What was asked for.
+    pub spec: OpticsSpec,
+    /// Sensor radius ⇄ object slope, by object distance.
+    pub maps: Vec<SensorMap>,
+    beams: Beams,
+}
+
+/// Where the light of every sensor radius comes from.
+#[derive(Clone, Debug)]
+enum Beams {
+    /// From rays through a lens.
+    Traced { table: Box<Table>, illumination: Illumination },
+    /// From measurements on a camera: kernels, and how light falls off. A pixel is `pitch_mm` wide.
+    Measured { psf: MeasuredPsf, light: Falloff, pitch_mm: f64 },
+}
+
+/// Cotangents on what is read from an [`Optics`].
+#[derive(Clone, Debug)]
+pub struct OpticsBar {
+    /// Of the table's polynomials.
+    pub table: TableBar,
+    /// Of the irradiance.
+    pub illumination: IlluminationBar,
+    /// Of the maps' coefficients, by object distance.
+    pub maps: Vec<Vec<f64>>,
+}
+
+impl OpticsBar {
+    /// All zero, in the form of `optics`.
+    pub fn zeros(optics: &Optics) -> Self {
+        Self {
+            table: TableBar::zeros(optics.table()),
+            illumination: optics.illumination().no_bar(),
+            maps: optics.maps.iter().map(|m| vec![0.0; m.coefficients.len()]).collect(),
+        }
+    }
+
+    /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
+    pub fn add_kernel(&mut self, optics: &Optics, depth: usize, back: &KernelBar) {
+        for (l, row) in &back.rows {
+            optics.table().row_vjp(*l, &back.taps, &row.0, &mut self.table);
+        }
+        optics.illumination().at_vjp(back.radius_mm, &back.irradiance, &mut self.illumination);
+        self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
+    }
+
+    /// Adds `other`.
+    pub fn add(&mut self, other: &Self) {
+        self.table.add(&other.table);
+        let pairs = |a: &mut [Vec<f64>], b: &[Vec<f64>]| {
+            a.iter_mut().flatten().zip(b.iter().flatten()).for_each(|(x, y)| *x += y);
+        };
+        pairs(&mut self.illumination, &other.illumination);
+        pairs(&mut self.maps, &other.maps);
+    }
+}
+
+fn finite(vergences: &[f64]) -> Result<()> {
+    vergences
+        .iter()
+        .find(|v| !v.is_finite())
+        .map_or(Ok(()), |v| Err(Error::bad("", "object distance", format!("vergence {v} /mm"), "a finite number")))
+}
+
+impl Optics {
+    /// `lens` by [`OpticsSpec::even`], with the irradiance at `illuminations + 1` radii; in four times as many intervals where rays of a part of the
+    /// stop fail, since between knots what both know of it is used.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    pub fn even(
+        lens: &Lens,
+        radius_mm: f64,
+        vergences: Vec<f64>,
+        quadrature: Quadrature,
+        illuminations: u32,
+    ) -> Result<Self> {
+        let spec = OpticsSpec { illuminations, ..OpticsSpec::even(radius_mm, vergences, quadrature) };
+        let optics = Self::compute(lens, &spec)?;
+        if !optics.table().is_partial() {
+            return Ok(optics);
+        }
+        Self::compute(
+            lens,
+            &OpticsSpec { illuminations, ..OpticsSpec::knots(64, radius_mm, spec.vergences, spec.quadrature) },
+        )
+    }
+
+    /// Traces `lens`.
+    ///
+    /// # Errors
+    /// A lens without rotational symmetry, or without light on the axis; an object distance at which the picture folds.
+    pub fn compute(lens: &Lens, spec: &OpticsSpec) -> Result<Self> {
+        finite(&spec.vergences)?;
+        let Quadrature { nm, .. } = &spec.quadrature;
+        let table_spec = TableSpec { radii_mm: spec.radii_mm.clone(), wavelength_nm: nm.clone(), degree: spec.degree };
+        Self::of(lens, Table::compute(lens, &table_spec)?, spec.clone())
+    }
+
+    /// Traces `lens` at knots that hold `tolerance` up to the last radius of `spec`, whose other radii are not looked at; and what their errors are.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    pub fn adapted(lens: &Lens, spec: OpticsSpec, tolerance: Tolerance) -> Result<(Self, Tolerance)> {
+        finite(&spec.vergences)?;
+        let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
+        let nearest = spec.vergences.iter().copied().fold(0.0, f64::max);
+        let nm = &spec.quadrature.nm;
+        let Adapted { table, radii_mm, errors } =
+            Adapted::compute(lens, nearest, nm, spec.degree, radius_mm, tolerance)?;
+        Ok((Self::of(lens, table, OpticsSpec { radii_mm, ..spec })?, errors))
+    }
+
+    fn of(lens: &Lens, table: Table, spec: OpticsSpec) -> Result<Self> {
+        let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
+        let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);
+        let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
+        Ok(Self { spec, maps, beams: Beams::Traced { table: Box::new(table), illumination } })
+    }
+
+    /// What was measured on a camera in place of a lens: kernels, how light falls off, and where on the sensor an object's slope is seen, in
+    /// whose mm a pixel is `pitch_mm` wide. Three channels; a psf of one colour serves all of them.
+    pub fn measured(psf: MeasuredPsf, light: Falloff, map: SensorMap, pitch_mm: f64) -> Self {
+        let colours = psf.channels();
+        let sees = |c: usize| (0..colours).map(|k| f64::from(u8::from(k == c.min(colours - 1)))).collect();
+        let spec = OpticsSpec {
+            radii_mm: psf.radii_px.iter().map(|r| r * pitch_mm).collect(),
+            vergences: vec![map.vergence],
+            quadrature: Quadrature { nm: Vec::new(), weight: (0..3).map(sees).collect() },
+            // No rays, no polynomials.
+            degree: 1,
+            illuminations: 0,
+        };
+        Self { spec, maps: vec![map], beams: Beams::Measured { psf, light, pitch_mm } }
+    }
+
+    /// The rays of a lens, and the irradiance of white behind it.
+    ///
+    /// # Panics
+    /// Where there is no lens: what was measured has neither rays nor gradients.
+    fn traced(&self) -> (&Table, &Illumination) {
+        match &self.beams {
+            Beams::Traced { table, illumination } => (table, illumination),
+            Beams::Measured { .. } => panic!("rays of a measured lens"),
+        }
+    }
+
+    /// The rays of the lens.
+    ///
+    /// # Panics
+    /// Of [`Self::measured`]: there is no lens to trace.
+    pub fn table(&self) -> &Table {
+        self.traced().0
+    }
+
+    /// Irradiance of white behind the lens.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
+    pub fn illumination(&self) -> &Illumination {
+        self.traced().1
+    }
+
+    /// The same with the illumination at another number of radii, less one.
+    /// What was measured stays as it is.
+    #[must_use]
+    pub fn illuminated(mut self, illuminations: u32) -> Self {
+        if let Beams::Traced { table, illumination } = &mut self.beams {
+            let radius_mm = illumination.radii_mm[illumination.radii_mm.len() - 1];
+            *illumination = Illumination::compute(table, radius_mm, illuminations);
+            self.spec.illuminations = illuminations;
+        }
+        self
+    }
+
+    /// Channels.
+    pub fn channels(&self) -> usize {
+        self.spec.quadrature.weight.len()
+    }
+
+    /// Irradiance of white by channel, sr for a sensor in air; of what was measured, relative to the centre.
+    pub fn irradiance(&self, radius_mm: f64) -> Vec<f64> {
+        let light = match &self.beams {
+            Beams::Traced { illumination, .. } => illumination.at(radius_mm),
+            Beams::Measured { light, pitch_mm, .. } => return light.at(radius_mm / pitch_mm),
+        };
+        let of = |w: &Vec<f64>| w.iter().zip(&light).map(|(w, e)| w * e).sum();
+        self.spec.quadrature.weight.iter().map(of).collect()
+    }
+
+    /// Irradiance of white by channel, relative to that on the axis; 0 where a channel has none there.
+    pub fn relative_illumination(&self, radius_mm: f64) -> Vec<f64> {
+        let pairs = self.irradiance(radius_mm).into_iter().zip(self.irradiance(0.0));
+        pairs.map(|(here, axis)| if axis > 0.0 { here / axis } else { 0.0 }).collect()
+    }
+
+    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] at some radii to `bar`.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
+    pub fn relative_illumination_vjp<'a>(&self, places: impl Iterator<Item = (f64, &'a [f64])>, bar: &mut OpticsBar) {
+        let weights = &self.spec.quadrature.weight;
+        let scale: Vec<f64> = self.irradiance(0.0).iter().map(|e| if *e > 0.0 { e.recip() } else { 0.0 }).collect();
+        let (mut bars, mut axis_bar) = (vec![0.0; self.spec.quadrature.nm.len()], vec![0.0; scale.len()]);
+        let pull = |of_channels: &[f64], bars: &mut [f64]| {
+            bars.fill(0.0);
+            for ((weight, b), scale) in weights.iter().zip(of_channels).zip(&scale) {
+                bars.iter_mut().zip(weight).for_each(|(to, w)| *to += b * scale * w);
+            }
+        };
+        for (radius_mm, value_bar) in places {
+            pull(value_bar, &mut bars);
+            self.illumination().at_vjp(radius_mm, &bars, &mut bar.illumination);
+            for ((to, here), (b, scale)) in
+                axis_bar.iter_mut().zip(self.irradiance(radius_mm)).zip(value_bar.iter().zip(&scale))
+            {
+                *to -= b * here * scale;
+            }
+        }
+        pull(&axis_bar, &mut bars);
+        self.illumination().at_vjp(0.0, &bars, &mut bar.illumination);
+    }
+
+    /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.
+    pub fn form(&self, dense: usize, size: usize, samples: usize, cell_mm: f64) -> KernelForm {
+        let dense = if matches!(self.beams, Beams::Traced { .. }) { dense } else { 1 };
+        KernelForm {
+            points: StopPoints::new(self.spec.degree, dense),
+            weight: self.spec.quadrature.weight.clone(),
+            raster: Raster { size, samples },
+            cell_mm,
+        }
+    }
+
+    fn pencil(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Pencil {
+        match &self.beams {
+            Beams::Traced { table, illumination } => form.pencil(table, illumination, &self.maps[depth], radius_mm),
+            Beams::Measured { psf, pitch_mm, .. } => form.pencil_of(radius_mm, Self::moved(psf, *pitch_mm, radius_mm)),
+        }
+    }
+
+    /// The light of every measured colour at a radius.
+    fn moved(psf: &MeasuredPsf, pitch_mm: f64, radius_mm: f64) -> Vec<Rays> {
+        (0..psf.channels())
+            .map(|c| {
+                let weights = psf.at(radius_mm / pitch_mm, c);
+                let all = psf.moves.iter().zip(&weights).filter(|(_, w)| **w > 0.0);
+                Rays::of(all.map(|(([along, across], n), w)| ([across * pitch_mm, along * pitch_mm], 0.5 * n * w)))
+            })
+            .collect()
+    }
+
+    /// Light by whole cells of distance from a kernel's centre, for every channel, at a radius.
+    fn spread(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Vec<Vec<f64>> {
+        let (rays, levels) = match &self.beams {
+            Beams::Traced { table, illumination } => {
+                let of = |l: usize| form.rays(table, &self.maps[depth], l, radius_mm);
+                let rays: Vec<Rays> = (0..self.spec.quadrature.nm.len()).map(of).collect();
+                (rays, illumination.at(radius_mm))
+            }
+            Beams::Measured { psf, pitch_mm, .. } => {
+                let rays = Self::moved(psf, *pitch_mm, radius_mm);
+                let even = vec![1.0; rays.len()];
+                (rays, even)
+            }
+        };
+        let by_channel = |weight: &Vec<f64>| {
+            let total: f64 = weight.iter().zip(&levels).map(|(w, e)| w * e).sum();
+            let mut light = Vec::new();
+            for (l, rays) in rays.iter().enumerate() {
+                let scale = weight[l] * levels[l] / total;
+                if scale.is_finite() {
+                    rays.add_reach(form.cell_mm, scale, &mut light);
+                }
+            }
+            light
+        };
+        self.spec.quadrature.weight.iter().map(by_channel).collect()
+    }
+
+    /// Writes the fine kernels of all channels at `place` for object distance `depth`, `[channel][row][col]` on the form's raster;
+    /// returns the share of each channel's light that falls outside the window.
+    pub fn kernels(&self, form: &KernelForm, depth: usize, place: Place, out: &mut [f64]) -> Vec<f64> {
+        form.kernels(&self.pencil(form, depth, place.radius_mm), place.outward, out)
+    }
+
+    /// What `with` makes of each place's number, kernels and light outside, as of [`Self::kernels`], in the order of `places`;
+    /// places at the same distance from the axis share its rays.
+    pub fn kernels_each<R: Send>(
+        &self,
+        form: &KernelForm,
+        depth: usize,
+        places: &[Place],
+        with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
+    ) -> Vec<R> {
+        let of_radius = |group: &Vec<usize>| -> Vec<(usize, R)> {
+            let pencil = self.pencil(form, depth, places[group[0]].radius_mm);
+            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
+            let one = |i: &usize| {
+                let outside = form.kernels(&pencil, places[*i].outward, &mut kernel);
+                (*i, with(*i, &kernel, &outside))
+            };
+            group.iter().map(one).collect()
+        };
+        let mut made: Vec<(usize, R)> = by_radius(places).par_iter().flat_map_iter(of_radius).collect();
+        made.sort_unstable_by_key(|(i, _)| *i);
+        made.into_iter().map(|(_, r)| r).collect()
+    }
+
+    /// Pulls cotangents on the kernels of `places` back, one result a distance from the axis; `bar` writes those of a place
+    /// over zeros, or says that there are none. [`OpticsBar::add_kernel`] takes what comes.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
+    pub fn kernels_vjp(
+        &self,
+        form: &KernelForm,
+        depth: usize,
+        places: &[Place],
+        bar: impl Fn(usize, &mut [f64]) -> bool + Sync,
+    ) -> Vec<KernelBar> {
+        let table = self.table();
+        let of_radius = |group: &Vec<usize>| {
+            let mut pulled: Option<(Pencil, PencilBar)> = None;
+            let mut fine = vec![0.0; form.channels() * form.raster.len()];
+            for i in group {
+                fine.fill(0.0);
+                if !bar(*i, &mut fine) {
+                    continue;
+                }
+                let (pencil, to) = pulled.get_or_insert_with(|| {
+                    let pencil = self.pencil(form, depth, places[*i].radius_mm);
+                    let none = PencilBar::zeros(&pencil);
+                    (pencil, none)
+                });
+                form.kernels_vjp(pencil, places[*i].outward, &fine, to);
+            }
+            pulled.map(|(pencil, bar)| form.pencil_vjp(table, &self.maps[depth], &pencil, &bar))
+        };
+        by_radius(places).par_iter().filter_map(of_radius).collect()
+    }
+
+    /// Half-widths in pixels of the square windows that hold all but each of `shares` of the light of every channel at
+    /// every traced radius, for object distance `depth`; two pixels for box and tent added.
+    pub fn half_widths(&self, form: &KernelForm, depth: usize, shares: &[f64], radii_mm: [f64; 2]) -> Vec<usize> {
+        let [low, high] = radii_mm;
+        // As kernels are made: those of dim places are those of the last place with light.
+        let edge = match &self.beams {
+            Beams::Traced { table, illumination } => table.edge_mm.min(illumination.held(f64::INFINITY)),
+            Beams::Measured { .. } => f64::INFINITY,
+        };
+        let high = high.min(edge);
+        let inner = self.spec.radii_mm.iter().copied().filter(|r| *r > low && *r < high);
+        let radii: Vec<f64> = [low, high].into_iter().chain(inner).filter(|r| *r <= edge).collect();
+        let each: Vec<Vec<usize>> = radii
+            .par_iter()
+            .map(|r| {
+                let mut widest = vec![0; shares.len()];
+                for light in self.spread(form, depth, *r) {
+                    for (share, widest) in shares.iter().zip(&mut widest) {
+                        let mut sum = 0.0;
+                        let passes = |k: &usize| {
+                            sum += light[*k];
+                            sum > *share
+                        };
+                        *widest = (*widest).max((0..light.len()).rev().find(passes).unwrap_or(0));
+                    }
+                }
+                widest
+            })
+            .collect();
+        (0..shares.len()).map(|k| each.iter().map(|w| w[k]).max().unwrap_or(0) + 2).collect()
+    }
+
+    /// Pulls cotangents back to the lens.
+    ///
+    /// # Panics
+    /// As [`Self::table`].
+    pub fn vjp(&self, lens: &Lens, bar: &OpticsBar) -> LensGradient {
+        let (rays, illumination) = self.traced();
+        let mut table = bar.table.clone();
+        illumination.vjp(rays, &bar.illumination, &mut table);
+        for (map, map_bar) in self.maps.iter().zip(&bar.maps) {
+            map.fit_vjp(rays, map_bar, &mut table);
+        }
+        rays.vjp(lens, &table)
+    }
+}
+
+/// Numbers of places at the same distance from the axis, in the order of the first of each.
+fn by_radius(places: &[Place]) -> Vec<Vec<usize>> {
+    let mut groups: Vec<Vec<usize>> = Vec::new();
+    let mut known: HashMap<u64, usize> = HashMap::new();
+    for (i, place) in places.iter().enumerate() {
+        let group = *known.entry(place.radius_mm.to_bits()).or_insert_with(|| {
+            groups.push(Vec::new());
+            groups.len() - 1
+        });
+        groups[group].push(i);
+    }
+    groups
+}
+
+#[cfg(test)]
+mod tests;

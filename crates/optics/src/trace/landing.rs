@@ -1,0 +1,104 @@
+//! Where one ray lands, with respect to every number of the lens: listed by `trace`, judged by `check`.
+
+use glam::DVec3;
+
+use super::precise::Number;
+use super::sequential::{Hit, HitBar, trace_vjp};
+use super::{System, SystemGradient};
+use crate::lens::variables::Variables;
+use crate::lens::{Lens, LensGradient};
+
+/// A number that moves landings, with its name and the size of one scaled unit.
+pub(super) struct Column {
+    pub(super) number: Number,
+    pub(super) name: String,
+    pub(super) scale: f64,
+}
+
+/// Every free number of `lens`, then the indices behind surfaces: glass is looked at as the index itself, whatever formula it
+/// comes from.
+pub(super) fn columns(lens: &Lens) -> Vec<Column> {
+    let variables = Variables::all(lens);
+    let numbers = variables.parameters.iter().zip(&variables.scales).filter(|(p, _)| !p.kind.is_glass());
+    let column = |(p, scale): (&_, &f64)| Column { number: Number::Of(*p), name: p.name(lens), scale: *scale };
+    let index = |i| Column { number: Number::IndexBehind(i), name: format!("surface[{i}].index"), scale: 1.0 };
+    numbers.map(column).chain((0..lens.surfaces.len()).map(index)).collect()
+}
+
+/// `∂(x, y)/∂number` of the landing that ends `hits`, for each column.
+pub(super) fn gradient(lens: &Lens, system: &System, hits: &[Hit], columns: &[Column]) -> Vec<[f64; 2]> {
+    let image = system.image();
+    let rows = [DVec3::X, DVec3::Y].map(|bar| {
+        let mut g = SystemGradient::zeros(system);
+        let mut bars = vec![HitBar::default(); image + 1];
+        bars[image].point = bar;
+        trace_vjp(system, hits, &bars, &mut g);
+        let mut of_lens = LensGradient::zeros(lens);
+        g.add_to(lens, system.wavelength_nm, &mut of_lens);
+        (g.indices, of_lens)
+    });
+    let derivative = |column: &Column| {
+        rows.each_ref().map(|(indices, of_lens)| match column.number {
+            // The image plane stands in the last space: its index is that of the last surface.
+            Number::IndexBehind(i) => indices[i + 1] + if i + 1 == image { indices[image + 1] } else { 0.0 },
+            Number::Of(p) => p.value(of_lens).unwrap_or(0.0),
+        })
+    };
+    columns.iter().map(derivative).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::test_lenses::every_kind;
+    use crate::lens::{Kind, Parameter, paraxial};
+    use crate::trace::Ray;
+    use crate::trace::sequential::trace;
+    use isoplanat_base::testing::{assert_rel, central_difference};
+
+    const NM: f64 = 520.0;
+
+    /// Landing and size of the stop, weighted.
+    fn value(lens: &Lens) -> f64 {
+        let system = System::new(lens, NM);
+        let ray = Ray { origin: DVec3::new(1.3, 2.1, -5.0), direction: DVec3::new(0.03, -0.05, 1.0).normalize() };
+        let landing = trace(&system, ray, system.image(), &mut Vec::new()).expect("arrives").at.point;
+        landing.dot(DVec3::new(0.7, -1.1, 0.0)) + 0.6 * paraxial::stop_semi_diameter(lens)
+    }
+
+    fn pulled(lens: &Lens) -> LensGradient {
+        let (system, mut hits, mut gradient) = (System::new(lens, NM), Vec::new(), LensGradient::zeros(lens));
+        let ray = Ray { origin: DVec3::new(1.3, 2.1, -5.0), direction: DVec3::new(0.03, -0.05, 1.0).normalize() };
+        trace(&system, ray, system.image(), &mut hits).expect("arrives");
+        let mut g = SystemGradient::zeros(&system);
+        let mut bars = vec![HitBar::default(); system.image() + 1];
+        bars[system.image()].point = DVec3::new(0.7, -1.1, 0.0);
+        trace_vjp(&system, &hits, &bars, &mut g);
+        g.stop_semi_diameter += 0.6;
+        g.add_to(lens, NM, &mut gradient);
+        gradient
+    }
+
+    /// Each number alone, so that none hides behind another; and every kind that the table knows is among them.
+    #[test]
+    fn every_kind_of_number_pulls_back() {
+        let mut seen = Vec::new();
+        for lens in every_kind() {
+            let gradient = pulled(&lens);
+            for p in Parameter::all(&lens) {
+                let variables = Variables::new(&lens, vec![p]);
+                let x = variables.values(&lens)[0];
+                let at = |h: f64| value(&variables.lens(&lens, &[x + h]).expect("a lens"));
+                let numeric = central_difference(at, 1e-3);
+                let found = variables.gradient(&gradient)[0];
+                assert_rel(found, numeric, 1e-8, 1e-3, &p.name(&lens));
+                if found != 0.0 {
+                    seen.push(p.kind);
+                }
+            }
+        }
+        // Rays are not clipped here: clear semi-diameters have their test where light is counted.
+        let idle: Vec<Kind> = Kind::ALL.into_iter().filter(|k| !seen.contains(k)).collect();
+        assert_eq!(idle, [Kind::SemiDiameter]);
+    }
+}
