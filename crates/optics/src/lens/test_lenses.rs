@@ -3,7 +3,7 @@
 use super::{Aperture, Lens, Medium, paraxial, prescription};
 
 /// The file of a shipped lens.
-pub(crate) const TWO_ELEMENT: &str = include_str!("../../../../models/lenses/two_element.toml");
+pub(crate) const TWO_ELEMENT: &str = isoplanat_models::LENSES[0].1;
 
 /// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
 /// way.
