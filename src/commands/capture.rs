@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::develop::glare;
+use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 
 use crate::input;

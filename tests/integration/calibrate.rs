@@ -248,9 +248,9 @@ mod program {
     #[cfg(feature = "deploy")]
     #[test]
     fn charts_may_be_raw_files() {
+        use isoplanat::imaging::dng::{DngInfo, write_dng};
         use isoplanat::imaging::files::read_planes;
         use isoplanat::imaging::sensor::Sensor;
-        use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 
         let Some(charts) = charts() else { return };
         let place = Workplace::new();

@@ -4,10 +4,10 @@ use std::path::Path;
 use std::process::Command;
 
 use isoplanat::calibrate::shading::MeasuredShading;
+use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::files::{Encoding, read_picture};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::cfa::Cfa;
-use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::imaging::sensor::noise::{Noise, standard_normal};
 use ndarray::{Array2, s};
 

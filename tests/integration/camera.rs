@@ -6,9 +6,9 @@ use std::time::{Duration, Instant};
 
 use isoplanat::imaging::develop::color::{inverse, product};
 use isoplanat::imaging::develop::gamut::Gamut;
+use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::files::{Encoding, read_picture};
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::testing::shared;
 use ndarray::{Array2, Array3};
 

@@ -486,8 +486,8 @@ mod tests {
     /// An independent reader finds the colours, the neutral and the facts of the exposure.
     #[test]
     fn linear_pictures_come_back() {
+        use isoplanat_imaging::dng::{CameraColour, DngInfo, write_linear_dng};
         use isoplanat_imaging::sensor::Sensor;
-        use isoplanat_imaging::sensor::dng::{CameraColour, DngInfo, write_linear_dng};
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("linear.dng");
         let image = Array3::from_shape_fn((3, 5, 8), |(k, r, c)| (k * 40 + r * 8 + c) as f32 / 130.0);

@@ -21,11 +21,11 @@ use isoplanat_imaging::develop::color::XYZ_FROM_SRGB;
 use isoplanat_imaging::develop::distortion::Distortion;
 use isoplanat_imaging::develop::shading::Shading;
 use isoplanat_imaging::develop::{self, Balance, Development, IDENTITY, Rendering, glare};
+use isoplanat_imaging::dng::CameraColour;
 use isoplanat_imaging::exif::Exif;
 use isoplanat_imaging::frame::Frame;
 use isoplanat_imaging::plane::Region;
 use isoplanat_imaging::sensor::cfa::Cfa;
-use isoplanat_imaging::sensor::dng::CameraColour;
 
 /// Pixels around one that demosaicking looks at.
 const DEMOSAIC_REACH: usize = 4;

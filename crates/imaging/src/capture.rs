@@ -2,7 +2,7 @@
 //!
 //! `signal = exposure · neutral_response · E`, with `E` the irradiance relative to white on the axis: at exposure 1 a
 //! white object on the axis brings green to saturation. Then noise ([`crate::sensor::noise`]), saturation and quantisation in
-//! the sensor's levels. The raw values are what [`crate::sensor::dng`] writes.
+//! the sensor's levels. The raw values are what [`crate::dng`] writes.
 
 use ndarray::{Array2, ArrayView2};
 

@@ -8,6 +8,7 @@
 pub mod calibrate;
 pub mod capture;
 pub mod develop;
+pub mod dng;
 pub mod exif;
 pub mod files;
 pub mod frame;

@@ -12,6 +12,7 @@ use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::develop::distortion::Distortion;
 use isoplanat::imaging::develop::undistort::captured_radius;
 use isoplanat::imaging::develop::{self, Balance, Development, Rendering};
+use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::wiener::{LocalPsfs, tune};
@@ -21,7 +22,6 @@ use isoplanat::imaging::reference::{Channels, Sampling, Settings as Reference, r
 use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Channels as Lit, Renderer};
 use isoplanat::imaging::scene::generate;
-use isoplanat::imaging::sensor::dng::{DngInfo, write_dng};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;

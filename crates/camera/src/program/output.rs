@@ -9,9 +9,9 @@ use crate::reconstruct::Picture;
 use clap::ValueEnum;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::gamut::Gamut;
+use isoplanat_imaging::dng::{DngInfo, write_linear_dng};
 use isoplanat_imaging::exif::{Directory, Value, tags};
 use isoplanat_imaging::files::{self, Annotation, Encoding, extension};
-use isoplanat_imaging::sensor::dng::{DngInfo, write_linear_dng};
 
 /// Formats of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

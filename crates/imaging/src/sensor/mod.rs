@@ -3,7 +3,6 @@
 //! `calibration/README.md` documents the file. The parsed value is checked once, here; the rest of the crate relies on it.
 
 pub mod cfa;
-pub mod dng;
 pub mod haze;
 pub mod illuminant;
 pub mod noise;
@@ -13,7 +12,6 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::files;
 use crate::sensor::cfa::Cfa;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
@@ -101,7 +99,7 @@ impl Sensor {
     /// Writes this sensor as a `sensor.toml`, whole or not at all.
     pub fn save(&self, path: &Path) -> Result<()> {
         let text = toml::to_string(self).map_err(|e| Error::Internal(format!("sensor to TOML: {e}")))?;
-        files::write_bytes(path, text.as_bytes())
+        atomic::write_bytes(path, text.as_bytes())
     }
 
     /// Refuses values that mean nothing; `file` names their file.

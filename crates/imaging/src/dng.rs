@@ -16,8 +16,8 @@ use tiff::tags::Tag;
 
 use crate::develop::color::{XYZ_FROM_SRGB, inverse, product};
 use crate::exif::{Exif, Undefined, ascii};
-use crate::files::write_atomic;
 use crate::sensor::Sensor;
+use isoplanat_base::atomic::write_atomic;
 use isoplanat_base::error::{Error, Result};
 
 /// Denominator of matrix entries, levels and neutral.
