@@ -55,7 +55,7 @@ pub fn between(rng: &mut fastrand::Rng, a: f64, b: f64) -> f64 {
 /// # Panics
 /// Where it is absent and `ISOPLANAT_REQUIRE_SHARED` is 1: a comparison that was skipped shall not look like one that held.
 pub fn shared(relative: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared").join(relative);
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(relative);
     if path.exists() {
         Some(path)
     } else {
