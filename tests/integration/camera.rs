@@ -12,7 +12,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::testing::shared;
 use ndarray::{Array2, Array3};
 
-use crate::support::{Workplace, root};
+use crate::support::{Workplace, repetitions, root};
 
 /// A capture of smooth colours, none of them saturated.
 fn capture(path: &Path, seed: u16) {
@@ -179,12 +179,12 @@ fn mutated(bytes: &[u8], rng: &mut fastrand::Rng) -> Vec<u8> {
 }
 
 /// RAW files and kits with random damage: a picture or one clear refusal, within limits of time and memory, and no partial output.
-/// `ISOPLANAT_CAMERA_MUTATIONS=N` takes N in place of 200.
+/// `ISOPLANAT_REPEAT=N` takes N in place of 24.
 #[cfg(unix)]
 #[test]
 fn damaged_files_are_developed_or_refused() {
     use rayon::prelude::*;
-    let count = std::env::var("ISOPLANAT_CAMERA_MUTATIONS").map_or(200, |v| v.parse().expect("a number"));
+    let count = repetitions(24, 200) as u64;
     let own = Workplace::new();
     capture(&own.path("own.dng"), 0);
     let mut raws = vec![own.path("own.dng")];

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::Workplace;
+use crate::support::{Workplace, repetitions};
 
 /// A design of some seconds: tiny network, checkpoints all the time.
 const TASK: &str = r#"
@@ -38,7 +38,8 @@ fn a_killed_design_ends_with_the_same_bits() {
     assert_ne!(lens("whole"), start, "the lens moved");
     let rng = &mut fastrand::Rng::with_seed(5);
     let mut kills = 0;
-    for k in 0..12 {
+    let most = repetitions(2, 12);
+    for k in (0..most).rev() {
         let arguments: &[&str] = if place.path("killed/task.toml").is_file() { &["--resume"] } else { &["task.toml"] };
         let mut child = Command::new(env!("CARGO_BIN_EXE_isoplanat"))
             .arg("design")
@@ -64,7 +65,7 @@ fn a_killed_design_ends_with_the_same_bits() {
         child.wait().expect("reaped");
         kills += 1;
     }
-    assert!(kills >= 4, "only {kills} kills met a design under way");
+    assert!(kills >= most.min(4), "only {kills} kills met a design under way");
     place.run("design --resume -o killed").done();
     assert_eq!(lens("killed"), lens("whole"));
     let network = |run: &str| tensors(&place.path(run).join("network.safetensors"));

@@ -116,6 +116,19 @@ impl Ran {
     }
 }
 
+/// How often something random is repeated: `few` times, which is what every change can wait for, or `many`, where `ISOPLANAT_REPEAT` is `many` (`.ci/slow
+/// repetitions`), or as often as it says.
+///
+/// # Panics
+/// Where it says anything else.
+pub(crate) fn repetitions(few: usize, many: usize) -> usize {
+    match std::env::var("ISOPLANAT_REPEAT") {
+        Err(_) => few,
+        Ok(text) if text == "many" => many,
+        Ok(text) => text.parse().expect("ISOPLANAT_REPEAT: `many` or a number"),
+    }
+}
+
 /// The repository's root.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
