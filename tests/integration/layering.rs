@@ -312,7 +312,7 @@ fn unsafe_code_is_little_and_in_its_places() {
 #[test]
 fn the_camera_side_has_no_training_code_in_its_dependencies() {
     let cargo = std::env::var("CARGO").unwrap_or_else(|_| "cargo".into());
-    let arguments = "tree --locked --offline -e normal --no-default-features --features deploy --prefix none";
+    let arguments = "tree --locked --offline -e normal --package isoplanat --no-default-features --features deploy --prefix none";
     let output = Command::new(cargo).args(arguments.split(' ')).current_dir(root()).output().expect("cargo runs");
     let text = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && text.contains("rawler"), "{}", String::from_utf8_lossy(&output.stderr));
