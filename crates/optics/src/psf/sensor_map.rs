@@ -309,4 +309,36 @@ mod tests {
             }
         }
     }
+
+    /// The fit's coefficients along a direction, by the lens moved: each of its curvatures and thicknesses.
+    #[test]
+    fn the_fit_pulls_back_to_the_lens() {
+        let (lens, vergence) = (builtin::lens("cooke_triplet").expect("shipped"), 1e-3);
+        let radii_mm: Vec<f64> = (0..=12).map(|i| 1.5 * f64::from(i)).collect();
+        let fitted = |lens: &Lens| {
+            let spec = TableSpec { radii_mm: radii_mm.clone(), wavelength_nm: vec![550.0], degree: 7 };
+            let table = Table::compute(lens, &spec).expect("traces");
+            (SensorMap::fit(lens, &table, vergence).expect("grows"), table)
+        };
+        let (map, table) = fitted(&lens);
+        let rng = &mut fastrand::Rng::with_seed(3);
+        let weights: Vec<f64> = map.coefficients.iter().map(|_| rng.f64() - 0.5).collect();
+        let mut bar = TableBar::zeros(&table);
+        map.fit_vjp(&table, &weights, &mut bar);
+        let gradient = table.vjp(&lens, &bar);
+        for k in 0..lens.surfaces.len() {
+            let along = |change: &dyn Fn(&mut crate::lens::Surface, f64)| {
+                let value = |h: f64| {
+                    let moved = lens.changed(|l| change(&mut l.surfaces[k], h)).expect("a lens");
+                    fitted(&moved).0.coefficients.iter().zip(&weights).map(|(c, w)| c * w).sum()
+                };
+                central_difference(value, 1e-4)
+            };
+            let found = &gradient.surfaces[k];
+            let curvature = along(&|s, h| s.shape.curvature += 1e-2 * h) / 1e-2;
+            assert_rel(found.shape.curvature, curvature, 1e-6, 1e-4, &format!("curvature {k}"));
+            let thickness = along(&|s, h| s.thickness += h);
+            assert_rel(found.thickness, thickness, 1e-6, 1e-6, &format!("thickness {k}"));
+        }
+    }
 }
