@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use ndarray::Array3;
+
 /// Panics unless `a` and `b` agree to `tol` relative to the larger of `|b|` and `floor`.
 #[track_caller]
 pub fn assert_rel(a: f64, b: f64, tol: f64, floor: f64, what: &str) {
@@ -48,6 +50,20 @@ pub fn leaning(gradient: &[f64], seed: u64) -> Vec<f64> {
 /// Uniform draw in `[a, b)`.
 pub fn between(rng: &mut fastrand::Rng, a: f64, b: f64) -> f64 {
     a + (b - a) * rng.f64()
+}
+
+/// Two pictures by formula, `[3, 37, 53]` from 0 to 1, the second with a ripple on the first.
+pub fn two_pictures() -> (Array3<f64>, Array3<f64>) {
+    let a = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
+        let (k, r, c) = (k as f64, r as f64, c as f64);
+        0.5 + 0.45 * (0.31 * c + 0.17 * r * (k + 1.0)).sin() * (0.23 * r - 0.11 * c + k).cos()
+    });
+    let b = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
+        let (x, y, z) = (c as f64, r as f64, k as f64);
+        let ripple = 0.08 * (1.7 * x + 2.3 * y + z).sin() + 0.03 * (0.05 * x * y).cos();
+        (a[[k, r, c]] + ripple).clamp(0.0, 1.0)
+    });
+    (a, b)
 }
 
 /// The shared reference data beside the checkout, or `None` after a visible message.

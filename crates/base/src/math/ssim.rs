@@ -166,25 +166,11 @@ mod tests {
     use super::*;
     use ndarray::Axis;
 
-    use crate::testing::{assert_rel, central_difference};
-
-    /// Two pictures by formula, the second with a ripple on the first.
-    fn pair() -> (Array3<f64>, Array3<f64>) {
-        let a = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
-            let (k, r, c) = (k as f64, r as f64, c as f64);
-            0.5 + 0.45 * (0.31 * c + 0.17 * r * (k + 1.0)).sin() * (0.23 * r - 0.11 * c + k).cos()
-        });
-        let b = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
-            let (x, y, z) = (c as f64, r as f64, k as f64);
-            let ripple = 0.08 * (1.7 * x + 2.3 * y + z).sin() + 0.03 * (0.05 * x * y).cos();
-            (a[[k, r, c]] + ripple).clamp(0.0, 1.0)
-        });
-        (a, b)
-    }
+    use crate::testing::{assert_rel, central_difference, two_pictures};
 
     #[test]
     fn the_gradient_of_ssim_matches_differences() {
-        let (a, b) = pair();
+        let (a, b) = two_pictures();
         let rng = &mut fastrand::Rng::with_seed(4);
         let d = Array3::from_shape_fn(a.dim(), |_| rng.f64() - 0.5);
         for (k, d) in d.outer_iter().enumerate() {

@@ -95,21 +95,7 @@ mod tests {
     use super::*;
     use ndarray::Array3;
 
-    use isoplanat_base::testing::assert_abs;
-
-    /// Two pictures by formula, the second with a ripple on the first.
-    fn pair() -> (Array3<f64>, Array3<f64>) {
-        let a = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
-            let (k, r, c) = (k as f64, r as f64, c as f64);
-            0.5 + 0.45 * (0.31 * c + 0.17 * r * (k + 1.0)).sin() * (0.23 * r - 0.11 * c + k).cos()
-        });
-        let b = Array3::from_shape_fn((3, 37, 53), |(k, r, c)| {
-            let (x, y, z) = (c as f64, r as f64, k as f64);
-            let ripple = 0.08 * (1.7 * x + 2.3 * y + z).sin() + 0.03 * (0.05 * x * y).cos();
-            (a[[k, r, c]] + ripple).clamp(0.0, 1.0)
-        });
-        (a, b)
-    }
+    use isoplanat_base::testing::{assert_abs, two_pictures};
 
     /// Half the brightness is no error after the best gain, and noise is as much as before.
     #[test]
@@ -128,7 +114,7 @@ mod tests {
     /// scikit-image 0.26.0 on the same formulas, in f64.
     #[test]
     fn scikit_image_gives_the_same_numbers() {
-        let (a, b) = pair();
+        let (a, b) = two_pictures();
         let (sa, sb) = (a.mapv(srgb_from_linear), b.mapv(srgb_from_linear));
         assert_abs(ssim_values(sa.view(), sb.view()).expect("large enough"), 0.899_561_062_635_329_3, 1e-12, "mean");
         for (k, value) in [0.880_134_713_114_250_8, 0.903_185_234_942_039_8, 0.915_363_239_849_696_5].iter().enumerate()
