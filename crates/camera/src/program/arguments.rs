@@ -53,7 +53,9 @@ pub(crate) struct Arguments {
     pub(crate) force: bool,
 }
 
-/// How pictures are named.
+// No doc comments on the groups: clap would print them as what the program is.
+
+// How pictures are named.
 #[derive(Debug, Args)]
 pub(crate) struct Naming {
     /// Picture to write: .png (8 bits), .tif (16 bits), .jpg, or .dng (the camera's own linear colours, for other programs to develop); a folder for
@@ -65,7 +67,7 @@ pub(crate) struct Naming {
     pub(crate) format: Option<Format>,
 }
 
-/// How pictures look.
+// How pictures look.
 #[derive(Debug, Args)]
 pub(crate) struct Look {
     /// Write linear light without the sRGB curve (16 bits; .png or .tif).
@@ -82,7 +84,7 @@ pub(crate) struct Look {
     pub(crate) tone: Shoulder,
 }
 
-/// What is done to a capture, and by which files.
+// What is done to a capture, and by which files.
 #[derive(Debug, Args)]
 pub(crate) struct Corrections {
     /// Leave the kit's network out.
@@ -102,7 +104,7 @@ pub(crate) struct Corrections {
     pub(crate) glare: Option<Veil>,
 }
 
-/// What the network runs on, and its limits.
+// What the network runs on, and its limits.
 #[derive(Debug, Args)]
 pub(crate) struct Running {
     /// ONNX Runtime's shared library [default: found by itself, else a slower runtime inside this program].
