@@ -97,7 +97,7 @@ fn told_of(page: &str) -> String {
 
 /// The text of a shipped lens.
 fn lens_of(name: &str) -> &'static str {
-    isoplanat::lens::builtin::LENSES.iter().find(|(n, _)| *n == name).expect("shipped").1
+    isoplanat::lens::builtin::text(name).expect("shipped")
 }
 
 /// Rows for everybody, one of them a lens that has no place; figures that are read again, and a folder that is asked for in the same words or not at all.

@@ -14,9 +14,8 @@ use serde_json::json;
 
 use crate::program::arguments::{Arguments, Shoulder, Space};
 use crate::program::batch::{Batch, Told};
-use crate::program::output::{self, Pictures};
 use crate::program::say::{complain, say};
-use crate::program::{show, watch};
+use crate::program::{output, show, watch};
 
 /// Runs the program; the result is its exit code.
 pub(crate) fn run(arguments: &Arguments) -> u8 {
@@ -37,7 +36,7 @@ fn work(arguments: &Arguments) -> Result<u8> {
         // Fails only if the pool is in use already.
         let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
     }
-    let pictures: Pictures = arguments.pictures();
+    let pictures = arguments.pictures();
     let told = Told { json: arguments.json, bench: arguments.bench };
     if arguments.watch {
         let out = watch::folders(&pictures)?;

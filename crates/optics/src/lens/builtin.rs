@@ -5,13 +5,24 @@ use isoplanat_base::error::{Error, Result};
 
 pub use isoplanat_models::LENSES;
 
-/// A shipped lens by name.
-pub fn lens(name: &str) -> Result<Lens> {
+/// The TOML text of a shipped lens by name.
+///
+/// # Errors
+/// A name that is none; those that are are listed.
+pub fn text(name: &str) -> Result<&'static str> {
     let Some((_, text)) = LENSES.iter().find(|(n, _)| *n == name) else {
         let known: Vec<&str> = LENSES.iter().map(|(n, _)| *n).collect();
         return Err(Error::bad("built-in lens", "name", format!("`{name}`"), format!("one of {}", known.join(", "))));
     };
-    prescription::from_toml(text, &format!("models/lenses/{name}.toml"))
+    Ok(text)
+}
+
+/// A shipped lens by name.
+///
+/// # Errors
+/// As [`text`].
+pub fn lens(name: &str) -> Result<Lens> {
+    prescription::from_toml(text(name)?, &format!("models/lenses/{name}.toml"))
 }
 
 #[cfg(test)]

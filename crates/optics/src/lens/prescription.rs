@@ -377,7 +377,7 @@ mod tests {
     use super::*;
 
     fn two_element(from: &str, to: &str) -> String {
-        let text = crate::lens::test_lenses::TWO_ELEMENT;
+        let text = crate::lens::builtin::text("two_element").expect("shipped");
         assert!(text.contains(from), "{from}");
         text.replacen(from, to, 1)
     }

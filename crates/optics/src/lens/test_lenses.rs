@@ -1,14 +1,11 @@
 //! Lenses that have every kind of number between them.
 
-use super::{Aperture, Lens, Medium, paraxial, prescription};
-
-/// The file of a shipped lens.
-pub(crate) const TWO_ELEMENT: &str = isoplanat_models::LENSES[0].1;
+use super::{Aperture, Lens, Medium, builtin, paraxial, prescription};
 
 /// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
 /// way.
 pub(crate) fn every_kind() -> [Lens; 3] {
-    let text = TWO_ELEMENT;
+    let text = builtin::text("two_element").expect("shipped");
     let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
          asphere = { a2 = 1e-4, a3 = 1e-5, a4 = 1e-6 }\nzernike = { radius_mm = 12.0, terms = [0.0, 1e-3, 0.0, 2e-3] }\n\
          xy = { radius_mm = 12.0, terms = { x1y2 = 2e-3 } }";
