@@ -136,9 +136,6 @@ impl Trainer {
     }
 
     /// Puts a weight into the generator that it should not have; for tests.
-    ///
-    /// # Panics
-    /// Never: the generator has three colours.
     #[doc(hidden)]
     pub fn poison(&mut self, weight: f32) {
         self.generator.set_parameter("output.bias", &[0.0, weight, 0.0]).expect("three channels");
