@@ -98,7 +98,7 @@ fn row(name: &str, lens: &Lens, facts: &serde_json::Value, ms: f64) -> String {
         f.effective_focal_length,
         f.back_focal_length,
         f.f_number,
-        lens.max_field_deg,
+        lens.max_field_deg(),
         difference(by_ray(lens)),
     )
 }

@@ -35,7 +35,7 @@ fn lens(name: &str) -> Lens {
 
 /// The sensor radius that sees the end of the field, as far as there is light, mm.
 fn edge_mm(lens: &Lens) -> f64 {
-    let edge = lens.max_field_deg.to_radians().tan();
+    let edge = lens.max_field_deg().to_radians().tan();
     let radii: Vec<f64> = (1..=400).map(|i| lens.sensor.radius_mm() * f64::from(i) / 200.0).collect();
     let slopes = chief_slopes(lens, lens.object_vergence, &radii).expect("light");
     radii[slopes.partition_point(|s| *s < edge).min(slopes.len()) - 1]

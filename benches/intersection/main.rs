@@ -11,10 +11,9 @@ use std::time::Instant;
 use glam::{DVec2, DVec3};
 use isoplanat::lens::builtin;
 use isoplanat::report::plot::{Mark, Plot, Scale, Series};
-use isoplanat::trace::launch::{FieldPoint, launch};
 use isoplanat::trace::precise::{DoubleDouble, PreciseSystem, Scalar, Start};
 use isoplanat::trace::sequential::trace;
-use isoplanat::trace::{Ray, System};
+use isoplanat::trace::{ObjectPoint, Ray, System};
 
 /// One intersection to solve: surface, ray in its frame, true distance.
 struct Case {
@@ -28,12 +27,12 @@ fn cases(system: &System, slopes: [f64; 2]) -> Vec<Case> {
     let mut hits = Vec::new();
     let mut cases = Vec::new();
     for slope in slopes {
-        let field = FieldPoint { slope: DVec2::new(0.0, slope), vergence: 0.0 };
+        let object = ObjectPoint::from_slope(DVec2::new(0.0, slope), 0.0);
         for i in 0..400 {
             // Low-discrepancy points of the beam.
             let radius = 0.9 * system.stop_semi_diameter * ((f64::from(i) + 0.5) / 400.0).sqrt();
             let e = radius * DVec2::from_angle(f64::from(i) * 2.399_963_229_728_653);
-            let ray = launch(field, e);
+            let ray = Ray::from_object(object, e.extend(0.0));
             if trace(system, ray, system.image(), &mut hits).is_err() {
                 continue;
             }

@@ -6,26 +6,25 @@ mod step;
 use std::hint::black_box;
 
 use criterion::{Criterion, Throughput};
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use isoplanat::lens::builtin;
-use isoplanat::trace::System;
-use isoplanat::trace::launch::{FieldPoint, launch};
 use isoplanat::trace::sequential::trace;
+use isoplanat::trace::{ObjectPoint, Ray, System};
 
 fn trace_lenses(c: &mut Criterion) {
     let mut group = c.benchmark_group("trace");
     for name in ["two_element", "cooke_triplet", "phone"] {
         let lens = builtin::lens(name).expect("shipped");
         let system = System::new(&lens, 550.0);
-        let field = FieldPoint { slope: DVec2::ZERO, vergence: lens.object_vergence };
+        let object = ObjectPoint::from_slope(DVec2::ZERO, lens.object_vergence);
         let mut hits = Vec::new();
         group.throughput(Throughput::Elements(1000 * system.surfaces.len() as u64));
         group.bench_function(format!("{name}/1k_rays"), |b| {
             b.iter(|| {
                 let mut passed = 0;
                 for i in 0..1000 {
-                    let e = DVec2::new(0.0, 1e-4 * f64::from(i));
-                    passed += usize::from(trace(&system, launch(field, e), system.image(), &mut hits).is_ok());
+                    let ray = Ray::from_object(object, DVec3::new(0.0, 1e-4 * f64::from(i), 0.0));
+                    passed += usize::from(trace(&system, ray, system.image(), &mut hits).is_ok());
                 }
                 assert_eq!(black_box(passed), 1000);
             });

@@ -5,11 +5,10 @@ use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::splat::Raster;
 use isoplanat::psf::table::{Adapted, Tolerance};
 use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
-use isoplanat::trace::aim::{ParaxialPupil, SceneRayBar, SensorView, aim};
-use isoplanat::trace::launch::{FieldPoint, launch};
+use isoplanat::trace::aim::{Aimer, SceneRayBar, SensorView};
 use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
-use isoplanat::trace::{System, SystemGradient};
+use isoplanat::trace::{ObjectPoint, System, SystemGradient};
 use rayon::prelude::*;
 
 /// Pixels of a kernel along one side.
@@ -43,12 +42,12 @@ impl Case {
     pub(crate) fn new(name: &'static str) -> Self {
         let lens = builtin::lens(name).expect("shipped");
         // 2 % inside the stated field.
-        let slope = (0.98 * lens.max_field_deg).to_radians().tan();
+        let slope = (0.98 * lens.max_field_deg()).to_radians().tan();
         let system = System::new(&lens, lens.wavelengths.primary_nm);
-        let field = FieldPoint { slope: DVec2::new(0.0, slope), vergence: lens.object_vergence };
+        let object = ObjectPoint::from_slope(DVec2::new(0.0, slope), lens.object_vergence);
         let mut hits = Vec::new();
-        let e = aim(&system, ParaxialPupil::new(&lens), field, DVec2::ZERO, None, &mut hits).expect("aims");
-        let chief = trace(&system, launch(field, e), system.image(), &mut hits).expect("lands");
+        let aimed = Aimer::new(&system).and_then(|a| a.aim(object, DVec2::ZERO, None)).expect("aims");
+        let chief = trace(&system, aimed.ray, system.image(), &mut hits).expect("lands");
         Self { name, pitch_mm: lens.sensor.pitch_mm(), radius_mm: chief.at.point.y.abs(), lens }
     }
 

@@ -42,7 +42,7 @@ impl Case {
         // The corner of the frame at the corner of the lens's own.
         let pitch = lens.sensor.radius_mm() / (COLS as f64 / 2.0).hypot(ROWS as f64 / 2.0);
         let frame = Frame::centred(COLS, ROWS, pitch).expect("valid");
-        let half_field = lens.max_field_deg.to_radians().tan();
+        let half_field = lens.max_field_deg().to_radians().tan();
         let texels_per_slope = 0.5 * (COLS as f64).hypot(ROWS as f64) / half_field;
         let (rows, cols) = (ROWS + ROWS / 2, COLS + COLS / 2);
         let painted = Plane {

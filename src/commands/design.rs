@@ -418,10 +418,10 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
             }).collect::<Vec<_>>(),
             "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
             "seconds_in_all": pace.all(&settings),
-            "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg, "scenes": textures.len() });
+            "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg(), "scenes": textures.len() });
         return Ok(value);
     }
-    writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg, textures.len())?;
+    writeln!(out, "field to {:.2}° half; {} scenes to train on", problem.lens.max_field_deg(), textures.len())?;
     if let Some(rms) = spots {
         writeln!(out, "the stage begins with spots of {:.1} µm rms", 1e3 * rms)?;
     }

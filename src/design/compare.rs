@@ -2,7 +2,7 @@
 //! between two cameras is their glass.
 
 use isoplanat_base::error::{Error, Result};
-use isoplanat_optics::lens::{Aperture, Lens, SensorRaster, paraxial};
+use isoplanat_optics::lens::{Aperture, Field, Lens, SensorRaster, paraxial};
 use isoplanat_optics::optimize::{Apertures, Merit, refocused};
 use isoplanat_optics::trace::apertures::{Beam, open};
 use isoplanat_optics::trace::rims::overlapping_rims;
@@ -94,7 +94,7 @@ impl Place {
                 s.semi_diameter = s.semi_diameter.max(w.semi_diameter);
             }
         }
-        let stated = lens.max_field_deg;
+        let stated = lens.max_field_deg();
         let lens = Lens::new(numbers, &lens.name)?;
         overlapping_rims(&lens, &lens.name)?;
         let corner = (self.sensor.radius_mm() / self.focal_length_mm).atan().to_degrees();
@@ -115,7 +115,7 @@ impl Place {
 
     /// `lens` with the sensor at the least rms spot over field and distances, and that before and after.
     fn focused(&self, lens: &Lens, field_deg: f64) -> Result<(Lens, [f64; 2])> {
-        let lens = lens.changed(|l| l.max_field_deg = field_deg)?;
+        let lens = lens.changed(|l| l.field = Field::Angle(field_deg))?;
         let depths = self.focus.iter().map(|v| [*v, 1.0]).collect();
         let found = refocused(&lens, Merit { depths, apertures: Apertures::Stated, ..Merit::default() })?;
         Ok((found.lens, found.rms_mm))

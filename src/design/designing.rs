@@ -29,7 +29,7 @@ use isoplanat_imaging::guide;
 use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_network::{Compute, Reconstructor};
-use isoplanat_optics::lens::{Lens, prescription};
+use isoplanat_optics::lens::{Field, Lens, prescription};
 use isoplanat_optics::optimize::search::{Plan, Progress, search};
 use isoplanat_optics::optimize::{Limits, Outcome, Problem, optimize, refocused};
 
@@ -90,7 +90,7 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
     let (sensor, frame) = (task.sensor()?, frame_of(lens)?);
     let mut seen = corner_seen(lens, &frame, &sensor)?;
     // Light that reaches the corner; where none does, what the lens states.
-    let stated = lens.max_field_deg;
+    let stated = lens.max_field_deg();
     let within = |corner: f64| stated > 0.0 && stated < corner;
     let focused = task.focus_all.then(|| match focused(task, lens, seen, file) {
         Err(_) if within(seen[0]) => focused(task, lens, [stated, seen[1]], file),
@@ -117,7 +117,7 @@ pub fn prepare_after(task: &Task, start: &Lens, found: &Lens, file: &str) -> Res
     let (start, found) = (task.with_terms(start)?, task.with_terms(found)?);
     let seen = [corner_seen(&found, &frame, &sensor)?[0], corner_seen(&start, &frame, &sensor)?[1]];
     let mut problem = task.problem(&start, seen, file)?;
-    problem.lens = found.changed(|l| l.max_field_deg = seen[0])?;
+    problem.lens = found.changed(|l| l.field = Field::Angle(seen[0]))?;
     if task.lens_steps == Steps::Rays {
         LensSteps::new(task.lens_steps, &problem)?;
     }
@@ -126,9 +126,9 @@ pub fn prepare_after(task: &Task, start: &Lens, found: &Lens, file: &str) -> Res
 
 /// `lens` with its sensor at the least spots over the field and all distances.
 fn focused(task: &Task, lens: &Lens, seen: [f64; 2], file: &str) -> Result<Lens> {
-    let field_deg = lens.max_field_deg;
+    let field_deg = lens.max_field_deg();
     let problem = task.problem(lens, seen, file)?;
-    refocused(&problem.lens, problem.merit)?.lens.changed(|l| l.max_field_deg = field_deg)
+    refocused(&problem.lens, problem.merit)?.lens.changed(|l| l.field = Field::Angle(field_deg))
 }
 
 /// [`prepare`] for a field.
@@ -177,7 +177,7 @@ fn improved(
                 break;
             }
             field_deg = seen;
-            from.lens = from.lens.changed(|l| l.max_field_deg = field_deg)?;
+            from.lens = from.lens.changed(|l| l.field = Field::Angle(field_deg))?;
         }
     }
     if task.lens_steps == Steps::Rays && !task.freeze_lens {

@@ -22,7 +22,7 @@ use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 use isoplanat_optics::interchange;
 use isoplanat_optics::lens::catalogue::Glasses;
 use isoplanat_optics::lens::variables::Variables;
-use isoplanat_optics::lens::{Kind, Lens, Prescription, SensorRaster};
+use isoplanat_optics::lens::{Field, Kind, Lens, Prescription, SensorRaster};
 use isoplanat_optics::optimize::spec::Spec;
 use isoplanat_optics::optimize::{Constraint, Problem, Quantity};
 use isoplanat_optics::trace::rims::overlapping_rims;
@@ -453,7 +453,7 @@ impl Task {
     /// # Errors
     /// Names and numbers that the lens does not allow.
     pub fn problem(&self, lens: &Lens, [corner_deg, distortion]: [f64; 2], file: &str) -> Result<Problem> {
-        let lens = lens.changed(|l| l.max_field_deg = corner_deg)?;
+        let lens = lens.changed(|l| l.field = Field::Angle(corner_deg))?;
         let mut spec = self.optics.clone();
         spec.apertures.get_or_insert_with(|| "automatic".to_owned());
         if spec.depths_mm.is_none() && !self.depths_mm.is_empty() {

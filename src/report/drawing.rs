@@ -6,10 +6,9 @@ use super::field::{FieldLine, slope_at};
 use super::svg::{Anchor, HUES, Svg, text_width};
 use super::table::significant;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::trace::aim::{ParaxialPupil, aim};
-use isoplanat_optics::trace::launch::launch;
+use isoplanat_optics::trace::aim::{Aimed, Aimer};
 use isoplanat_optics::trace::sequential::{first_vignetted, trace};
-use isoplanat_optics::trace::{FieldPoint, System};
+use isoplanat_optics::trace::{ObjectPoint, System};
 
 /// Shares of the field that are drawn.
 const FIELDS: [f64; 3] = [0.0, 0.7, 1.0];
@@ -210,7 +209,7 @@ fn extent(lens: &Lens, fans: &[Vec<Path>]) -> (f64, f64) {
 /// Half field angle, degrees: the stated one, or what the sensor sees of it.
 fn field_deg(lens: &Lens) -> f64 {
     let seen = FieldLine::new(lens, lens.object_vergence, 2).ok().and_then(|line| line.angle_deg.last().copied());
-    seen.filter(|angle| *angle > 0.0).map_or(lens.max_field_deg, |angle| angle.min(lens.max_field_deg))
+    seen.filter(|angle| *angle > 0.0).map_or(lens.max_field_deg(), |angle| angle.min(lens.max_field_deg()))
 }
 
 /// Rays in the meridional plane through evenly spaced points of the stop, from an angle in degrees.
@@ -218,16 +217,15 @@ fn fan(lens: &Lens, angle: f64, lead: f64, vertices: &[f64]) -> Vec<Path> {
     let vergence = lens.object_vergence;
     let slope = slope_at(lens, vergence, angle.to_radians());
     let system = System::new(lens, lens.wavelengths.primary_nm);
-    let point = FieldPoint { slope: DVec2::new(0.0, slope), vergence };
-    let pupil = ParaxialPupil::new(lens);
+    let point = ObjectPoint::from_slope(DVec2::new(0.0, slope), vergence);
+    let Ok(aimer) = Aimer::new(&system) else { return Vec::new() };
     let mut hits = Vec::new();
     let mut paths = Vec::new();
     for k in 0..RAYS {
         // Just inside the rim, so that rounding does not decide about the marginal ray.
         let share = 0.999 * (2.0 * f64::from(k) / f64::from(RAYS - 1) - 1.0);
         let target = DVec2::new(0.0, share * system.stop_semi_diameter);
-        let Ok(e) = aim(&system, pupil, point, target, None, &mut hits) else { continue };
-        let ray = launch(point, e);
+        let Ok(Aimed { ray, .. }) = aimer.aim(point, target, None) else { continue };
         let reached = trace(&system, ray, system.image(), &mut hits).is_ok();
         let stopped = first_vignetted(&system, &hits);
         let start = ray.origin - ray.direction * (lead / ray.direction.z);

@@ -70,15 +70,13 @@ impl FieldLine {
     }
 }
 
-/// Object slope at the first vertex per tangent of the field angle at the entrance pupil; infinite for a lens that is telecentric in
-/// object space, whose field angles are zero.
+/// Object slope at the first vertex per tangent of the field angle at the entrance pupil; 1 for a lens that is telecentric in object
+/// space, whose field angles are those at the first vertex.
 fn slope_per_tangent(lens: &Lens, vergence: f64) -> f64 {
     if vergence == 0.0 {
         return 1.0;
     }
-    let pupil = paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
-    let scale = (1.0 + vergence * pupil).abs();
-    if scale.is_nan() { f64::INFINITY } else { scale }
+    paraxial::field_origin_at(lens, vergence).object_slope().abs()
 }
 
 /// Object slope of the field angle `angle` at the entrance pupil (radians), at most [`STEEPEST`]'s.
@@ -90,14 +88,14 @@ pub fn slope_at(lens: &Lens, vergence: f64, angle: f64) -> f64 {
 
 /// Object slope of the largest field angle; a lens for the axis alone gets a thousandth, so that a scale exists.
 pub fn max_slope(lens: &Lens, vergence: f64) -> f64 {
-    slope_at(lens, vergence, lens.max_field_deg.to_radians().max(1e-3))
+    slope_at(lens, vergence, lens.max_field_deg().to_radians().max(1e-3))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use isoplanat_base::testing::assert_abs;
-    use isoplanat_optics::lens::builtin;
+    use isoplanat_optics::lens::{Field, builtin};
 
     #[test]
     fn places_run_from_the_axis_to_the_border_of_the_sensor_or_of_the_field() {
@@ -110,10 +108,10 @@ mod tests {
         assert_abs(seen, slope, 1e-7, "the chief ray of that angle lands at the corner");
         assert_abs(line.radius_mm[0] + line.slope[0], 0.0, 0.0, "axis");
         // The field ends first.
-        let narrow = lens.changed(|l| l.max_field_deg = 10.0).expect("a lens");
+        let narrow = lens.changed(|l| l.field = Field::Angle(10.0)).expect("a lens");
         let line = FieldLine::new(&narrow, narrow.object_vergence, 3).expect("traces");
         assert_abs(line.angle_deg[2], 10.0, 1e-9, "field");
-        let narrow = lens.changed(|l| l.max_field_deg = 0.0).expect("a lens");
+        let narrow = lens.changed(|l| l.field = Field::Angle(0.0)).expect("a lens");
         assert_abs(FieldLine::new(&narrow, 0.0, 1).expect("traces").radius_mm[0], 0.0, 0.0, "axis only");
     }
 
@@ -121,7 +119,7 @@ mod tests {
     #[test]
     fn a_field_beyond_the_light_ends_with_it() {
         let lens = builtin::lens("cooke_triplet").expect("shipped");
-        let lens = lens.changed(|l| l.max_field_deg = 80.0).expect("a lens");
+        let lens = lens.changed(|l| l.field = Field::Angle(80.0)).expect("a lens");
         let line = FieldLine::new(&lens, 0.0, 3).expect("traces");
         assert!(line.radius_mm[2] <= lens.sensor.radius_mm() && line.angle_deg[2] < 45.0, "{line:?}");
     }

@@ -5,7 +5,7 @@ use std::fmt;
 use serde_json::{Value, json};
 
 use super::table::{Table, significant};
-use isoplanat_optics::lens::paraxial::{FirstOrder, first_order};
+use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
 use isoplanat_optics::lens::{Aperture, Lens, Medium};
 
@@ -38,7 +38,12 @@ impl<'a> Listing<'a> {
 
     /// Label, JSON key and value (mm unless the key says otherwise) of each first-order number.
     fn numbers(&self) -> Vec<(&'static str, &'static str, f64)> {
-        let f = &self.first;
+        let mut f = self.first;
+        // What rounding leaves of a pupil at infinity.
+        if field_origin(self.lens).telecentric {
+            (f.f_number, f.entrance_pupil_position, f.entrance_pupil_diameter) =
+                (f64::NAN, f64::INFINITY, f64::INFINITY);
+        }
         vec![
             ("effective focal length", "effective_focal_length_mm", f.effective_focal_length),
             ("back focal length", "back_focal_length_mm", f.back_focal_length),
@@ -60,7 +65,7 @@ impl<'a> Listing<'a> {
             ("stop semi-diameter", "stop_semi_diameter_mm", f.stop_semi_diameter),
             ("length, first vertex to sensor", "length_mm", self.lens.length()),
             ("object distance", "object_distance_mm", 1.0 / self.lens.object_vergence),
-            ("largest half field angle", "max_field_deg", self.lens.max_field_deg),
+            ("largest half field angle", "max_field_deg", self.lens.max_field_deg()),
         ]
     }
 
@@ -222,6 +227,7 @@ impl fmt::Display for Listing<'_> {
             }
             Aperture::FNumber(n) => format!("f/{}", significant(n, 6)),
             Aperture::StopSemiDiameter(r) => format!("stop semi-diameter {} mm", significant(r, 6)),
+            Aperture::ObjectNa(na) => format!("numerical aperture {} in object space", significant(na, 6)),
         };
         let s = &lens.sensor;
         writeln!(f, "aperture: {aperture}; sensor {} × {} pixels of {} µm\n", s.columns, s.rows, s.pitch_um)?;

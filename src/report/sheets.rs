@@ -129,7 +129,7 @@ impl Sheets<'_> {
             fact(last, " mm", "last glass to sensor"),
             fact(self.made.stop.diameter_mm, " mm", "stop diameter"),
             fact(lens.object_vergence.recip(), " mm", "object distance"),
-            fact(lens.max_field_deg, "°", "largest half field angle"),
+            fact(lens.max_field_deg(), "°", "largest half field angle"),
             Some(sensor),
         ]
         .into_iter()

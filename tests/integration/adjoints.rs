@@ -11,12 +11,10 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Place, Quadrature};
 use isoplanat::testing::{assert_rel, between, central_difference, steady_difference};
-use isoplanat::trace::aim::{ParaxialPupil, aim, aim_vjp};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
-use isoplanat::trace::launch::{launch, launch_vjp};
 use isoplanat::trace::refract::{refract, refract_vjp};
 use isoplanat::trace::system::TraceSurface;
-use isoplanat::trace::{FieldPoint, System, SystemGradient};
+use isoplanat::trace::{System, SystemGradient};
 use ndarray::Array3;
 
 fn vector(rng: &mut fastrand::Rng, size: f64) -> DVec3 {
@@ -38,24 +36,6 @@ fn refract_vjp_agrees_with_differences() {
         // The function itself takes any vectors, so the differences need no sphere.
         let f = |h: f64| refract(direction + h * d_dot, normal + h * n_dot, mu + h * mu_dot).expect("passes").dot(bar);
         let pulled = d_bar.dot(d_dot) + n_bar.dot(n_dot) + mu_bar * mu_dot;
-        assert_rel(pulled, central_difference(f, 1e-4), 1e-9, 0.1, &format!("seed {seed}"));
-    }
-}
-
-#[test]
-fn launch_vjp_agrees_with_differences() {
-    for seed in 0..50 {
-        let rng = &mut fastrand::Rng::with_seed(seed);
-        let mut two = |size: f64| DVec2::new(between(rng, -size, size), between(rng, -size, size));
-        let (slope, e, slope_dot, e_dot) = (two(0.6), two(5.0), two(1.0), two(1.0));
-        let field = |h: f64| FieldPoint { slope: slope + h * slope_dot, vergence: 2e-3 };
-        let (o_bar, d_bar) = (vector(rng, 1.0), vector(rng, 1.0));
-        let f = |h: f64| {
-            let ray = launch(field(h), e + h * e_dot);
-            ray.origin.dot(o_bar) + ray.direction.dot(d_bar)
-        };
-        let (e_bar, slope_bar) = launch_vjp(field(0.0), launch(field(0.0), e), o_bar, d_bar);
-        let pulled = e_bar.dot(e_dot) + slope_bar.dot(slope_dot);
         assert_rel(pulled, central_difference(f, 1e-4), 1e-9, 0.1, &format!("seed {seed}"));
     }
 }
@@ -99,47 +79,6 @@ fn intersect_vjp_agrees_with_differences() {
             + shape_bar.conic * shape_dot.conic
             + shape_bar.asphere.iter().zip(&shape_dot.asphere).map(|(a, b)| a * b).sum::<f64>();
         assert_rel(pulled, central_difference(f, 1e-3), 1e-7, 0.1, &format!("seed {seed}"));
-    }
-}
-
-/// The aimed point with respect to every number of the lens, the slope and the target in the stop.
-#[test]
-fn aim_vjp_agrees_with_differences() {
-    for name in ["two_element", "phone"] {
-        let lens = builtin::lens(name).expect("shipped");
-        let nm = lens.wavelengths.primary_nm;
-        let (slope, target) = (DVec2::new(0.02, 0.3), DVec2::new(0.3, -0.4));
-        // A stop of fixed size: aiming alone, not the size that goes with the aperture's statement.
-        let aimed = |lens: &Lens, slope: DVec2, target: DVec2| {
-            let field = FieldPoint { slope, vergence: lens.object_vergence };
-            let mut hits = Vec::new();
-            let e =
-                aim(&System::new(lens, nm), ParaxialPupil::new(lens), field, target, None, &mut hits).expect("aims");
-            (e, hits)
-        };
-        let rng = &mut fastrand::Rng::with_seed(4);
-        let bar = DVec2::new(0.7, -1.3);
-        let (e, hits) = aimed(&lens, slope, target);
-        let system = System::new(&lens, nm);
-        let mut out = SystemGradient::zeros(&system);
-        let field = FieldPoint { slope, vergence: lens.object_vergence };
-        let back = aim_vjp(&system, field, e, &hits, bar, &mut out);
-        let mut gradient = LensGradient::zeros(&lens);
-        out.add_to(&lens, nm, &mut gradient);
-        let variables = Variables::all(&lens);
-        let x = variables.values(&lens);
-        let dx: Vec<f64> = x.iter().map(|_| between(rng, -0.5, 0.5)).collect();
-        let (slope_dot, target_dot) = (DVec2::new(0.4, -0.2), DVec2::new(0.5, 0.8));
-        let pulled = variables.gradient(&gradient).iter().zip(&dx).map(|(a, b)| a * b).sum::<f64>()
-            + back.slope.dot(slope_dot)
-            + back.target.dot(target_dot);
-        let f = |h: f64| {
-            let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + h * b).collect();
-            aimed(&variables.lens(&lens, &moved).expect("a lens"), slope + h * slope_dot, target + h * target_dot)
-                .0
-                .dot(bar)
-        };
-        assert_rel(pulled, central_difference(f, 1e-4), 1e-7, 1e-2, name);
     }
 }
 

@@ -164,8 +164,8 @@ fn derivatives_agree_with_fifty_digits() {
 fn chief_rays_of_the_double_gauss_agree_with_code_v() {
     use isoplanat::lens::{Aperture, Medium, Surface, builtin, unchecked};
     use isoplanat::psf::table::chief_slopes;
-    use isoplanat::trace::aim::{ParaxialPupil, aim};
-    use isoplanat::trace::launch::{FieldPoint, launch};
+    use isoplanat::trace::ObjectPoint;
+    use isoplanat::trace::aim::Aimer;
     let rows: [(f64, f64, &str); 11] = [
         (0.017_792_840_940_915_43, 8.75, "N-SSK2"),
         (0.006_566_600_536_925_569, 0.5, "air"),
@@ -196,12 +196,13 @@ fn chief_rays_of_the_double_gauss_agree_with_code_v() {
         lens.wavelengths.primary_nm = 587.6;
     });
     let angles = [10.000_000_002_3f64, 14.000_000_003_2];
-    let (system, pupil) = (System::new(&lens, lens.wavelengths.primary_nm), ParaxialPupil::new(&lens));
+    let system = System::new(&lens, lens.wavelengths.primary_nm);
+    let aimer = Aimer::new(&system).expect("a stop");
     let heights = angles.map(|a| {
-        let field = FieldPoint { slope: DVec2::new(0.0, a.to_radians().tan()), vergence: 0.0 };
+        let object = ObjectPoint::from_slope(DVec2::new(0.0, a.to_radians().tan()), 0.0);
         let mut hits = Vec::new();
-        let e = aim(&system, pupil, field, DVec2::ZERO, None, &mut hits).expect("aims");
-        trace(&system, launch(field, e), system.image(), &mut hits).expect("lands").at.point.y
+        let aimed = aimer.aim(object, DVec2::ZERO, None).expect("aims");
+        trace(&system, aimed.ray, system.image(), &mut hits).expect("lands").at.point.y
     });
     for (height, printed) in heights.iter().zip([17.485_856, 24.588_739]) {
         eprintln!("chief ray {height:.9} mm, CODE V {printed:.6}");

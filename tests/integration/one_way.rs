@@ -338,7 +338,7 @@ fn stiff_kernels_end_as_stated() {
 fn stiff_places_end_as_stated() {
     for name in ["two_element", "cooke_triplet", "phone", "double_gauss"] {
         let lens = builtin::lens(name).expect("shipped");
-        let reach = (1.4 * lens.max_field_deg.min(55.0)).to_radians().tan();
+        let reach = (1.4 * lens.max_field_deg().min(55.0)).to_radians().tan();
         let focal = paraxial::first_order(&lens, lens.wavelengths.primary_nm).effective_focal_length;
         // A frame that reaches beyond the image circle.
         let pitch = 2.0 * reach * focal / 96.0;

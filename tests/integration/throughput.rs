@@ -7,11 +7,10 @@ use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_ord
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature};
 use isoplanat::report::field::FieldLine;
 use isoplanat::testing::{assert_rel, central_difference};
-use isoplanat::trace::aim::{ParaxialPupil, SensorView, aim};
-use isoplanat::trace::launch::{FieldPoint, launch};
+use isoplanat::trace::aim::{Aimer, SensorView};
 use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
-use isoplanat::trace::{Ray, System};
+use isoplanat::trace::{ObjectPoint, Ray, System};
 use rayon::prelude::*;
 
 const NM: f64 = 550.0;
@@ -78,13 +77,13 @@ const CASES: [(&str, f64); 7] = [
 fn narrowed(name: &str, slope: f64) -> (Lens, f64) {
     let lens = builtin::lens(name).expect("shipped");
     let system = System::new(&lens, NM);
-    let field = FieldPoint { slope: DVec2::new(0.0, slope), vergence: lens.object_vergence };
-    let pupil = ParaxialPupil::new(&lens);
+    let object = ObjectPoint::from_slope(DVec2::new(0.0, slope), lens.object_vergence);
+    let aimer = Aimer::new(&system).expect("a stop");
     let heights = |target: f64, surface: usize| {
         let mut hits = Vec::new();
         let target = DVec2::new(0.0, target * system.stop_semi_diameter);
-        let e = aim(&system, pupil, field, target, None, &mut hits).expect("aims");
-        trace(&system, launch(field, e), system.image(), &mut hits).expect("traces");
+        let aimed = aimer.aim(object, target, None).expect("aims");
+        trace(&system, aimed.ray, system.image(), &mut hits).expect("traces");
         hits[surface].at.point.y.abs()
     };
     let radius_mm = heights(0.0, lens.surfaces.len());

@@ -20,7 +20,7 @@ fn lenses() -> Vec<Lens> {
 
 /// A frame of 300 × 200 pixels whose corner sees the end of the field.
 fn whole_field(lens: &Lens) -> Frame {
-    let edge = lens.max_field_deg.to_radians().tan();
+    let edge = lens.max_field_deg().to_radians().tan();
     let radii: Vec<f64> = (1..=400).map(|i| lens.sensor.radius_mm() * f64::from(i) / 200.0).collect();
     let slopes = chief_slopes(lens, lens.object_vergence, &radii).expect("light");
     let last = slopes.partition_point(|s| *s < edge) - 1;

@@ -109,7 +109,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
             .map(|line| line.angle_deg.last().copied().unwrap_or(0.0))
             .unwrap_or_else(|e| {
                 missing.push(format!("fields end at the stated angle, not with sensor or light: {}", e.words()));
-                lens.max_field_deg
+                lens.max_field_deg()
             })
     });
     let usual = Settings::usual(lens, max_angle);

@@ -9,9 +9,9 @@ use glam::DVec2;
 use rayon::prelude::*;
 
 use super::rear::RearView;
-use isoplanat_optics::trace::aim::{ParaxialPupil, aim};
+use isoplanat_optics::trace::aim::{Aimed, Aimer};
 use isoplanat_optics::trace::lanes::{TILE, Tile};
-use isoplanat_optics::trace::{FieldPoint, System};
+use isoplanat_optics::trace::{ObjectPoint, System};
 
 /// An ellipse on the plane of the rear rim, in the meridional frame of a sensor point; mm.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -163,9 +163,11 @@ impl Passing {
         let mut system = System { surfaces: rear.system.surfaces[1..].to_vec(), ..rear.system.clone() };
         system.stop -= 1;
         let vertex = std::mem::take(&mut system.surfaces[0].distance);
-        let field = FieldPoint { slope: DVec2::new(0.0, -radius / vertex), vergence: vertex.recip() };
-        let guess = ParaxialPupil { z: 0.0, scale: 1.0 };
-        let Ok(e) = aim(&system, guess, field, DVec2::ZERO, None, &mut Vec::new()) else { return Self::default() };
+        let object = ObjectPoint::from_slope(DVec2::new(0.0, -radius / vertex), vertex.recip());
+        let aimed = Aimer::new(&system).and_then(|aimer| aimer.aim(object, DVec2::ZERO, None));
+        let Ok(Aimed { ray, .. }) = aimed else { return Self::default() };
+        // Where the ray crosses the plane of the first vertex.
+        let e = ray.origin - ray.direction * (ray.origin.z / ray.direction.z);
         let chief = radius + (e.y - radius) * rear.distance / vertex;
         let mut half = rear.disk_radius;
         while half > 1e-9 * rear.disk_radius {

@@ -3,15 +3,14 @@
 mod stiff;
 mod tilted;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use ndarray::{Array3, s};
 
 use super::*;
 use crate::sensor::Sensor;
 use isoplanat_optics::lens::{Aperture, Medium, Shape, Surface, builtin, unchecked};
 use isoplanat_optics::trace::lanes::{Options, Rays, trace_batch};
-use isoplanat_optics::trace::launch::launch;
-use isoplanat_optics::trace::{FieldPoint, System};
+use isoplanat_optics::trace::{ObjectPoint, Ray, System};
 
 fn white(vergence: f64) -> Plane {
     Plane { texture: Array3::ones((1, 1, 1)), texels_per_slope: 1.0, axis_texel: [0.5, 0.5], vergence }
@@ -98,7 +97,7 @@ fn a_bright_texel_lands_where_rays_from_the_object_land() {
             // The bright texel's centre (2.5, 2.5) lies at the slope (right, up).
             let axis_texel = [2.5 - right / spacing, 2.5 + up / spacing];
             let scene = Plane { texture, texels_per_slope: 1.0 / spacing, axis_texel, vergence };
-            // Rays from the object: an even grid of the first vertex plane, weight N⁴ (see trace::launch).
+            // Rays from the object: an even grid of the first vertex plane, weight N⁴ (see `ObjectPoint::from_slope`).
             let channel = 1;
             let (mut flux, mut moment, mut spread) = (0.0, DVec2::ZERO, 0.0f64);
             let (cells, waves) = (400, 12);
@@ -110,9 +109,10 @@ fn a_bright_texel_lands_where_rays_from_the_object_land() {
                 let system = System::new(&lens, nm);
                 let at = |i: i32| (f64::from(i) + 0.5) * cell - half;
                 // The object at (right, up) has its rays run the other way: slope −(right, up).
-                let field = FieldPoint { slope: -DVec2::new(right, up), vergence };
-                let launched: Rays =
-                    (0..cells * cells).map(|i| launch(field, DVec2::new(at(i % cells), at(i / cells)))).collect();
+                let object = ObjectPoint::from_slope(-DVec2::new(right, up), vergence);
+                let launched: Rays = (0..cells * cells)
+                    .map(|i| Ray::from_object(object, DVec3::new(at(i % cells), at(i / cells), 0.0)))
+                    .collect();
                 let mut landed = launched.clone();
                 let status = trace_batch(&system, &mut landed, Options { clip: true, ..Options::default() });
                 for i in (0..launched.len()).filter(|i| status[*i].is_none()) {

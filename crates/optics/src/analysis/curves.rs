@@ -194,7 +194,7 @@ mod tests {
         let small = over_field(&lens, &nm, &[0.0, 0.5]);
         let sums = crate::lens::seidel::total(&crate::lens::seidel::per_surface(&lens, lens.wavelengths.primary_nm));
         let first = paraxial::first_order(&lens, lens.wavelengths.primary_nm);
-        let part = (0.5f64.to_radians().tan() / lens.max_field_deg.to_radians().tan()).powi(2);
+        let part = (0.5f64.to_radians().tan() / lens.max_field_deg().to_radians().tan()).powi(2);
         // Welford: the tangential surface lies −(3 S_III + S_IV)/(2 n'u'²) from the image plane, the sagittal −(S_III + S_IV)/(2 n'u'²).
         let by = 2.0 * first.working_f_number.powi(2) * part;
         let expected = [3.0 * sums.astigmatism + sums.petzval, sums.astigmatism + sums.petzval].map(|s| -by * s);

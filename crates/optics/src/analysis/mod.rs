@@ -13,6 +13,8 @@ pub mod fan;
 pub mod overview;
 pub mod scatter;
 pub mod spot;
+#[cfg(test)]
+mod telecentric;
 pub mod tolerancing;
 pub mod wavefront;
 pub mod zernike;

@@ -6,7 +6,9 @@ use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::{Imported, order};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
-use crate::lens::{Aperture, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial};
+use crate::lens::{
+    Aperture, Field, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
+};
 use crate::trace::apertures::{self, Beam};
 use isoplanat_base::error::{Error, Result};
 
@@ -44,7 +46,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         stop,
         aperture: Aperture::StopSemiDiameter(1.0),
         object_vergence: draft.object_mm.recip(),
-        max_field_deg: 0.0,
+        field: Field::Angle(0.0),
         wavelengths: Wavelengths {
             nm: draft.wavelengths.iter().map(|w| w.0).collect(),
             weights: draft.wavelengths.iter().map(|w| w.1).collect(),
@@ -156,18 +158,23 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
         ));
     };
     let first = paraxial::first_order(numbers, numbers.wavelengths.primary_nm);
-    // From the object to the entrance pupil.
-    let reach = draft.object_mm + first.entrance_pupil_position;
-    let pupil = |diameter: f64| Aperture::EntrancePupilDiameter(diameter.abs());
-    let finite = reach.is_finite();
+    let finite = numbers.object_vergence > 0.0;
+    let telecentric = paraxial::field_origin(numbers).telecentric;
+    // The marginal ray's slope at the object, by that at the image.
+    let object_na = |slope: f64| Aperture::ObjectNa((first.magnification * slope).abs().atan().sin());
     let found = match size {
+        Size::EntrancePupil(_) | Size::FNumber(_) if telecentric => {
+            let found = "a pupil's diameter or f-number of a lens that is telecentric in object space";
+            let allowed = "a numerical aperture in object space, a working f-number or the stop's size";
+            return Err(Error::bad(file, "aperture", found, allowed));
+        }
         Size::EntrancePupil(d) => Aperture::EntrancePupilDiameter(d),
         Size::FNumber(n) => Aperture::FNumber(n),
-        Size::WorkingFNumber(n) if finite => pupil(first.magnification * reach / n),
+        Size::WorkingFNumber(n) if finite => object_na(0.5 / n),
         Size::WorkingFNumber(n) => Aperture::FNumber(n),
-        Size::ImageAperture(na) if finite => pupil(first.magnification * reach * 2.0 * na),
+        Size::ImageAperture(na) if finite => object_na(na),
         Size::ImageAperture(na) => Aperture::FNumber(0.5 / na),
-        Size::ObjectAperture(na) if finite => pupil(2.0 * reach * na.asin().tan()),
+        Size::ObjectAperture(na) if finite => Aperture::ObjectNa(na),
         Size::ObjectAperture(na) => {
             let found = format!("a numerical aperture of {na} at an object at infinity");
             return Err(Error::bad(file, "aperture", found, "a finite object distance, or a pupil's diameter"));
@@ -221,29 +228,30 @@ fn axial_stop(numbers: &Prescription, stages: &[Stage], file: &str) -> Result<f6
 /// The beams of the field points; sets the largest field angle.
 fn fields(draft: &Draft, numbers: &mut Prescription, marked: &[bool], file: &str) -> Result<Vec<Beam>> {
     let first = paraxial::first_order(numbers, numbers.wavelengths.primary_nm);
-    let reach = draft.object_mm + first.entrance_pupil_position;
+    let finite = numbers.object_vergence > 0.0;
     let angle_of = |height: f64| -> Result<f64> {
-        let slope = match draft.field {
-            FieldKind::Angle => return Ok(height.to_radians().abs()),
+        Ok(match draft.field {
+            FieldKind::Angle => height.to_radians().abs(),
             FieldKind::ImageHeight => {
-                return apertures::angle_of_image_height(numbers, marked, height.abs()).ok_or_else(|| {
+                apertures::angle_of_image_height(numbers, marked, height.abs()).ok_or_else(|| {
                     Error::bad(
                         file,
                         "field",
                         format!("an image height of {height} mm"),
                         "a height that a chief ray reaches",
                     )
-                });
+                })?
             }
-            FieldKind::ObjectHeight if reach.is_finite() => height / reach,
+            FieldKind::ObjectHeight if finite => paraxial::angle_of_height(numbers, height),
             FieldKind::ObjectHeight => {
                 let found = format!("an object height of {height} mm at infinity");
                 return Err(Error::bad(file, "field", found, "a finite object distance, or field angles"));
             }
-            FieldKind::ParaxialImageHeight if reach.is_finite() => height / first.magnification / reach,
-            FieldKind::ParaxialImageHeight => height / first.effective_focal_length,
-        };
-        Ok(slope.atan().abs())
+            FieldKind::ParaxialImageHeight if finite => {
+                paraxial::angle_of_height(numbers, height / first.magnification)
+            }
+            FieldKind::ParaxialImageHeight => (height / first.effective_focal_length).atan().abs(),
+        })
     };
     let axis = [Point::default()];
     let points: &[Point] = if draft.points.is_empty() { &axis } else { &draft.points };
@@ -272,7 +280,11 @@ fn fields(draft: &Draft, numbers: &mut Prescription, marked: &[bool], file: &str
             compression: DVec2::from_array(p.compression),
         });
     }
-    numbers.max_field_deg = beams.iter().map(|b| b.angle).fold(0.0, f64::max).to_degrees();
+    numbers.field = if draft.field == FieldKind::ObjectHeight {
+        Field::ObjectHeight(points.iter().map(|p| p.x.hypot(p.y)).fold(0.0, f64::max))
+    } else {
+        Field::Angle(beams.iter().map(|b| b.angle).fold(0.0, f64::max).to_degrees())
+    };
     Ok(beams)
 }
 
@@ -292,7 +304,7 @@ fn sensor(draft: &Draft, numbers: &mut Prescription, marked: &[bool], notes: &mu
         numbers.sensor = raster([pixels(width), pixels(height)], pitch);
         return;
     }
-    let angle = numbers.max_field_deg.to_radians();
+    let angle = numbers.max_field_deg().to_radians();
     let paraxial = paraxial::first_order(numbers, numbers.wavelengths.primary_nm);
     let circle = apertures::image_height(numbers, marked, angle)
         .unwrap_or_else(|| (paraxial.effective_focal_length * angle.min(1.3).tan()).abs());

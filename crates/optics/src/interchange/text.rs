@@ -1,7 +1,18 @@
 //! Lines of a file with the place that errors name.
 
-use crate::lens::Lens;
+use crate::lens::{Field, Lens, paraxial};
 use isoplanat_base::error::{Error, Result};
+
+/// The largest object's height, mm, where a file states heights: those of the lens, or those of its angles where it is telecentric in
+/// object space and other programs know no angles.
+pub(super) fn object_height(lens: &Lens) -> Option<f64> {
+    let origin = paraxial::field_origin(lens);
+    match lens.field {
+        Field::ObjectHeight(height) => Some(height),
+        Field::Angle(angle) if origin.telecentric => Some(angle.to_radians().tan() / lens.object_vergence),
+        Field::Angle(_) => None,
+    }
+}
 
 /// The words of one line.
 pub(super) struct Line<'a> {

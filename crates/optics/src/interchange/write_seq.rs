@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::text::plain;
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Medium, paraxial};
+use crate::lens::{Aperture, Lens, Medium, paraxial};
 use isoplanat_base::error::{Error, Result};
 
 /// The file's text, and notes on what it cannot say.
@@ -44,10 +44,22 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let list = |number: fn(&(f64, f64)) -> f64| colours.iter().map(|c| plain(number(c))).collect::<Vec<_>>().join(" ");
     let name: String = lens.name.split_whitespace().collect::<Vec<_>>().join(" ").replace('\'', "’");
     let mut out = String::from("RDM N;LEN\n");
-    let _ = writeln!(out, "TITLE '{name}'\nEPD {}\nDIM M", plain(first.entrance_pupil_diameter));
+    // A pupil at infinity has no diameter.
+    let by_angle = matches!(lens.aperture, Aperture::ObjectNa(_)) || paraxial::field_origin(lens).telecentric;
+    let size = if by_angle {
+        let slope = lens.object_vergence * paraxial::marginal_height(lens, w.primary_nm);
+        format!("NAO {}", plain(slope.atan().sin()))
+    } else {
+        format!("EPD {}", plain(first.entrance_pupil_diameter))
+    };
+    let _ = writeln!(out, "TITLE '{name}'\n{size}\nDIM M");
     let _ = writeln!(out, "WL {}\nREF {}\nWTW {}", list(|c| c.0), primary + 1, list(|c| c.1));
-    let fields = [0.0, 0.7, 1.0].map(|share| plain(share * lens.max_field_deg));
-    let _ = writeln!(out, "XAN 0 0 0\nYAN {}", fields.join(" "));
+    let (kind, largest) = match super::text::object_height(lens) {
+        Some(height) => ("OB", height),
+        None => ("AN", lens.max_field_deg()),
+    };
+    let fields = [0.0, 0.7, 1.0].map(|share| plain(share * largest));
+    let _ = writeln!(out, "X{kind} 0 0 0\nY{kind} {}", fields.join(" "));
     if !private.is_empty() {
         notes.push(format!("media without a catalogue are written as tables: {} of them", private.len()));
         out.push_str("PRV\n");
@@ -60,7 +72,11 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let object = 1.0 / lens.object_vergence;
     let _ = write!(out, "SO 0 {}\n{body}SI 0 0\nGO\n", if object.is_finite() { plain(object) } else { "1e13".into() });
     notes.push("a CODE V file states no sensor: its pixels are left out".into());
-    notes.push("the aperture is written as the diameter of the entrance pupil".into());
+    notes.push(if by_angle {
+        "the aperture is written as the numerical aperture in object space".into()
+    } else {
+        "the aperture is written as the diameter of the entrance pupil".into()
+    });
     Ok((out, notes))
 }
 

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::media::lines_of;
 use super::text::plain;
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Aperture, Lens, Medium, Surface};
+use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};
 use isoplanat_base::error::{Error, Result};
 
 /// The file's text, and notes on what it cannot say.
@@ -25,6 +25,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         Aperture::EntrancePupilDiameter(d) => writeln!(out, "ENPD {}", plain(d)),
         Aperture::FNumber(f) => writeln!(out, "FNUM {} 0", plain(f)),
         Aperture::StopSemiDiameter(_) => writeln!(out, "FLOA"),
+        Aperture::ObjectNa(na) => writeln!(out, "OBNA {} 0", plain(na)),
     };
     let _ = writeln!(out, "ENVD 20 1 0");
     if !catalogues.is_empty() {
@@ -37,8 +38,14 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         // A reference that is none of the wavelengths becomes one without weight.
         colours.push((w.primary_nm, 0.0));
     }
-    let fields = [0.0, 0.7, 1.0].map(|share| share * lens.max_field_deg);
-    let _ = writeln!(out, "FTYP 0 0 {} {}", fields.len(), colours.len());
+    // Angles are those at an entrance pupil: a lens that is telecentric in object space has none.
+    let telecentric = paraxial::field_origin(lens).telecentric;
+    let (kind, largest) = match super::text::object_height(lens) {
+        Some(height) => (1, height),
+        None => (0, lens.max_field_deg()),
+    };
+    let fields = [0.0, 0.7, 1.0].map(|share| share * largest);
+    let _ = writeln!(out, "FTYP {kind} {} {} {}", u8::from(telecentric), fields.len(), colours.len());
     let _ = writeln!(out, "XFLN 0 0 0\nYFLN {}", fields.map(plain).join(" "));
     for (i, (nm, weight)) in colours.iter().enumerate() {
         let _ = writeln!(out, "WAVM {} {} {}", i + 1, micrometres(*nm), plain(*weight));

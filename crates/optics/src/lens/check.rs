@@ -1,12 +1,14 @@
 //! What every lens must be, whether a file states it or a design step made it.
 
-use super::{Aperture, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
+use super::{Aperture, Field, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
 use isoplanat_base::error::{Error, Result};
 
 /// Most surfaces that a lens has: the largest published ones have some sixty.
 pub(crate) const MAX_SURFACES: usize = 400;
 /// Largest half field angle. Work on a flat image asks for less than 90.
 const MAX_FIELD_DEG: f64 = 110.0;
+/// Largest object.
+const MAX_HEIGHT_MM: f64 = 1e6;
 /// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
 /// semi-diameters wide stay within 1e50, and their derivatives with them.
 const RADII: f64 = 1e3;
@@ -55,9 +57,23 @@ impl Prescription {
             let distance = self.object_vergence.recip().to_string();
             return refuse("object.distance_mm", distance, "a positive distance from 1e-6 mm on, or inf");
         }
-        if !(0.0..=MAX_FIELD_DEG).contains(&self.max_field_deg) {
-            let allowed = format!("0 to {MAX_FIELD_DEG}");
-            return refuse("field.max_angle_deg", self.max_field_deg.to_string(), &allowed);
+        match self.field {
+            Field::Angle(angle) if !(0.0..=MAX_FIELD_DEG).contains(&angle) => {
+                return refuse("field.max_angle_deg", angle.to_string(), &format!("0 to {MAX_FIELD_DEG}"));
+            }
+            Field::ObjectHeight(height) if !(0.0..=MAX_HEIGHT_MM).contains(&height) => {
+                let allowed = format!("0 to {MAX_HEIGHT_MM} mm");
+                return refuse("field.max_object_height_mm", height.to_string(), &allowed);
+            }
+            Field::ObjectHeight(height) if self.object_vergence == 0.0 => {
+                let found = format!("{height} mm at infinity");
+                return refuse("field.max_object_height_mm", found, "a finite object.distance_mm, or max_angle_deg");
+            }
+            _ => {}
+        }
+        if matches!(self.aperture, Aperture::ObjectNa(_)) && self.object_vergence == 0.0 {
+            let allowed = "a finite object.distance_mm, or another statement of the aperture";
+            return refuse("aperture.object_space_na", "an object at infinity".into(), allowed);
         }
         self.check_wavelengths(file)?;
         self.check_sensor(file)?;

@@ -73,15 +73,27 @@ pub enum Aperture {
     FNumber(f64),
     /// Semi-diameter of the stop surface, mm.
     StopSemiDiameter(f64),
+    /// Numerical aperture in object space: sine of the paraxial marginal ray's angle, of an object that is not at infinity.
+    ObjectNa(f64),
 }
 
 impl Aperture {
     /// The number that states it, to change.
     pub fn number_mut(&mut self) -> &mut f64 {
         match self {
-            Self::EntrancePupilDiameter(x) | Self::FNumber(x) | Self::StopSemiDiameter(x) => x,
+            Self::EntrancePupilDiameter(x) | Self::FNumber(x) | Self::StopSemiDiameter(x) | Self::ObjectNa(x) => x,
         }
     }
+}
+
+/// How large the field is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Field {
+    /// Half angle at the entrance pupil, degrees; at the first vertex in a lens that is telecentric in object space
+    /// ([`paraxial::FieldOrigin`]).
+    Angle(f64),
+    /// Height of the object in its plane, mm.
+    ObjectHeight(f64),
 }
 
 /// Design wavelengths of the prescription.
@@ -138,8 +150,8 @@ pub struct Prescription {
     pub aperture: Aperture,
     /// `1/distance` of the object before the first vertex, 1/mm; 0 is infinity.
     pub object_vergence: f64,
-    /// Largest half field angle at the entrance pupil, degrees (as the file states it).
-    pub max_field_deg: f64,
+    /// Largest field (as the file states it).
+    pub field: Field,
     /// Design wavelengths.
     pub wavelengths: Wavelengths,
     /// Pixel raster.

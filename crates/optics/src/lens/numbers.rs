@@ -249,7 +249,7 @@ mod tests {
     /// Sums go number by number, and zeros leave none out.
     #[test]
     fn gradients_add_every_number() {
-        let [_, lens, _] = every_kind();
+        let [_, lens, ..] = every_kind();
         let mut sum = LensGradient::zeros(&lens);
         assert!(Parameter::all(&lens).all(|p| p.value(&sum) == Some(0.0)));
         let mut other = sum.clone();

@@ -3,7 +3,7 @@
 //! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
 //! belongs to the paraxial power and is folded in.
 
-use super::{Aperture, LensGradient, Prescription};
+use super::{Aperture, Field, LensGradient, Prescription};
 
 /// First-order data at one wavelength, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -112,8 +112,9 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let efl = -1.0 / wk;
     // Height at the stop, of the parallel ray and of the ray through the first vertex.
     let (a, b) = (parallel[lens.stop][0], skew[lens.stop][0]);
-    let stop = stop_from(lens, a, efl);
+    let stop = stop_from(lens, [a, b], efl);
     let entrance_pupil_position = b / a;
+    let origin = FieldOrigin::of(a, b, lens.object_vergence);
     // Chief ray: zero at the stop.
     let chief: [f64; 2] = std::array::from_fn(|k| parallel[last][k] * -b + skew[last][k] * a);
     let image = |y: f64, w: f64| -y * n_last / w;
@@ -123,8 +124,8 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let epd = 2.0 * stop / a;
     let exit_pupil_position = image(chief[0], chief[1]);
     let (bfl, ffl) = (image(yk, wk), skew[last][1] / wk);
-    // The marginal ray's height at the first vertex, by which the axial ray is to be multiplied.
-    let marginal = 0.5 * epd / (1.0 + v * entrance_pupil_position);
+    // The marginal ray's height at the first vertex, by which the axial ray is to be multiplied: finite for a pupil at infinity, too.
+    let marginal = stop / (a + v * b);
     FirstOrder {
         front_focal_length: ffl,
         front_principal_point: ffl + efl,
@@ -134,7 +135,7 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
         exit_pupil_diameter: (epd * (yk + exit_pupil_position / n_last * wk)).abs(),
         magnification: v / axial[1],
         working_f_number: (0.5 / (marginal * axial[1])).abs(),
-        lagrange_invariant: (0.5 * epd * lens.max_field_deg.to_radians().tan()).abs(),
+        lagrange_invariant: (marginal * lens.max_field_deg().to_radians().tan() * origin.object_slope()).abs(),
         effective_focal_length: efl,
         back_focal_length: bfl,
         f_number: (efl / epd).abs(),
@@ -146,12 +147,97 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     }
 }
 
-fn stop_from(lens: &Prescription, height_at_stop: f64, efl: f64) -> f64 {
+/// The stop's semi-diameter from the aperture's statement and the heights `[a, b]` in the stop of the ray that enters parallel to the axis
+/// at height 1 and of the ray through the first vertex with `n u = 1`.
+fn stop_from(lens: &Prescription, [a, b]: [f64; 2], efl: f64) -> f64 {
     match lens.aperture {
         Aperture::StopSemiDiameter(r) => r,
-        Aperture::EntrancePupilDiameter(d) => 0.5 * d * height_at_stop,
-        Aperture::FNumber(f) => 0.5 * efl / f * height_at_stop,
+        Aperture::EntrancePupilDiameter(d) => 0.5 * d * a,
+        Aperture::FNumber(f) => 0.5 * efl / f * a,
+        Aperture::ObjectNa(na) => marginal_slope(na) * (a / lens.object_vergence + b),
     }
+}
+
+/// Slope of the marginal ray of a numerical aperture `n sin u` in air.
+fn marginal_slope(na: f64) -> f64 {
+    na / ((1.0 - na) * (1.0 + na)).sqrt()
+}
+
+/// Where field angles are counted in a lens: the middle of the paraxial entrance pupil, in homogeneous coordinates.
+///
+/// The light of a point whose chief ray has the slope `s` at the pupil runs with the slope `s · reach/scale` through the first vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct FieldOrigin {
+    /// Proportional to the distance of the object's plane to the pupil.
+    pub reach: f64,
+    /// Proportional to its distance to the first vertex, by the same factor.
+    pub scale: f64,
+    /// Whether the pupil is so far away that the lens counts as telecentric in object space, and angles are those at the first vertex.
+    pub telecentric: bool,
+}
+
+/// A lens is telecentric in object space from a pupil on that is this many times farther from the object than the first vertex is: its
+/// chief rays are parallel to the axis within a thousandth of the field's own slopes, and an angle at the pupil is no field.
+const TELECENTRIC: f64 = 1e3;
+
+impl FieldOrigin {
+    fn of(a: f64, b: f64, vergence: f64) -> Self {
+        let reach = a + vergence * b;
+        if vergence > 0.0 && reach.abs() >= TELECENTRIC * a.abs() {
+            return Self { reach: 1.0, scale: 1.0, telecentric: true };
+        }
+        Self { reach, scale: a, telecentric: false }
+    }
+
+    /// Slope of the light at the first vertex over that of the chief ray where the field is counted.
+    pub fn object_slope(&self) -> f64 {
+        self.reach / self.scale
+    }
+}
+
+/// Where the field angles of `lens` are counted, at its primary wavelength.
+pub fn field_origin(lens: &Prescription) -> FieldOrigin {
+    field_origin_at(lens, lens.object_vergence)
+}
+
+/// [`field_origin`] for an object at another distance, 1/`vergence` mm before the first vertex.
+pub fn field_origin_at(lens: &Prescription, vergence: f64) -> FieldOrigin {
+    let [a, b] = stop_heights(lens, lens.wavelengths.primary_nm);
+    FieldOrigin::of(a, b, vergence)
+}
+
+impl Prescription {
+    /// Largest half field angle, degrees, as [`Field::Angle`] counts it: stated, or that of the largest object.
+    pub fn max_field_deg(&self) -> f64 {
+        match self.field {
+            Field::Angle(angle) => angle,
+            Field::ObjectHeight(height) => angle_of_height(self, height).to_degrees(),
+        }
+    }
+}
+
+/// The field angle (radians) of an object at `height` (mm) in the object's plane of `lens`.
+pub fn angle_of_height(lens: &Prescription, height: f64) -> f64 {
+    (height * lens.object_vergence / field_origin(lens).object_slope()).abs().atan()
+}
+
+/// Heights in the stop of the ray that enters parallel to the axis at height 1 and of the ray through the first vertex with `n u = 1`.
+fn stop_heights(lens: &Prescription, nm: f64) -> [f64; 2] {
+    let n = lens.indices(nm);
+    [[1.0, 0.0], [0.0, 1.0]].map(|[y, w]| sweep(lens, &n, y, w)[lens.stop][0])
+}
+
+/// Height and slope before the first vertex of the paraxial chief ray of a point in the object's plane whose light has the slope
+/// `slope` at the first vertex: `(y, u)`.
+pub fn chief_ray(lens: &Prescription, nm: f64, slope: f64) -> [f64; 2] {
+    let ([a, b], v) = (stop_heights(lens, nm), lens.object_vergence);
+    [-b * slope / (a + v * b), slope * a / (a + v * b)]
+}
+
+/// Height at the first vertex of the paraxial marginal ray from the axial object point, mm.
+pub fn marginal_height(lens: &Prescription, nm: f64) -> f64 {
+    let [a, b] = stop_heights(lens, nm);
+    first_order(lens, nm).stop_semi_diameter / (a + lens.object_vergence * b).abs()
 }
 
 /// Semi-diameter of the stop, mm, from the stated aperture at the primary wavelength.
@@ -161,17 +247,16 @@ pub fn stop_semi_diameter(lens: &Prescription) -> f64 {
 
 /// Heights at which the marginal ray from the axial object point meets every surface, mm.
 pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
-    let (first, v) = (first_order(lens, nm), lens.object_vergence);
-    let y = 0.5 * first.entrance_pupil_diameter / (1.0 + v * first.entrance_pupil_position);
+    let (y, v) = (marginal_height(lens, nm), lens.object_vergence);
     let mut heights: Vec<f64> = sweep(lens, &lens.indices(nm), y, v * y).into_iter().map(|[y, _]| y.abs()).collect();
     heights.pop();
     heights
 }
 
-/// Heights up to which a paraxial beam whose chief ray has the slope `slope` at the entrance pupil meets every surface, mm.
+/// Heights up to which a paraxial beam meets every surface whose object point's light has the slope `slope` at the first vertex, mm.
 pub fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
-    let at = first_order(lens, nm).entrance_pupil_position;
-    let chief = sweep(lens, &lens.indices(nm), -at * slope, slope);
+    let [y, w] = chief_ray(lens, nm, slope);
+    let chief = sweep(lens, &lens.indices(nm), y, w);
     marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()
 }
 
@@ -179,11 +264,11 @@ pub fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
 pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64, g: &mut LensGradient) {
     let n = lens.indices(nm);
     let last = lens.surfaces.len();
-    let state = sweep(lens, &n, 1.0, 0.0);
+    let (state, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
     let wk = state[last][1];
-    let (efl, height) = (-1.0 / wk, state[lens.stop][0]);
-    let stop_bar = stop_bar * stop_from(lens, height, efl).signum();
-    let (mut efl_bar, mut height_bar) = (efl_bar, 0.0);
+    let (efl, height, skew_height) = (-1.0 / wk, state[lens.stop][0], skew[lens.stop][0]);
+    let stop_bar = stop_bar * stop_from(lens, [height, skew_height], efl).signum();
+    let (mut efl_bar, mut height_bar, mut skew_bar) = (efl_bar, 0.0, 0.0);
     let own = match lens.aperture {
         Aperture::StopSemiDiameter(_) => stop_bar,
         Aperture::EntrancePupilDiameter(d) => {
@@ -195,6 +280,13 @@ pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64
             efl_bar += stop_bar * 0.5 * height / f;
             -stop_bar * 0.5 * efl * height / (f * f)
         }
+        Aperture::ObjectNa(na) => {
+            let (u, v) = (marginal_slope(na), lens.object_vergence);
+            height_bar = stop_bar * u / v;
+            skew_bar = stop_bar * u;
+            // du/dNA = (1 − NA²)^{−3/2} = (u/NA)³.
+            stop_bar * (u / na).powi(3) * (height / v + skew_height)
+        }
     };
     *g.aperture.number_mut() += own;
     let mut bars = vec![[0.0; 2]; last + 1];
@@ -202,6 +294,11 @@ pub fn first_order_vjp(lens: &Prescription, nm: f64, efl_bar: f64, stop_bar: f64
     bars[lens.stop][0] += height_bar;
     let mut n_bar = vec![0.0; n.len()];
     sweep_vjp(lens, &n, &state, &bars, g, &mut n_bar);
+    if skew_bar != 0.0 {
+        let mut bars = vec![[0.0; 2]; last + 1];
+        bars[lens.stop][0] = skew_bar;
+        sweep_vjp(lens, &n, &skew, &bars, g, &mut n_bar);
+    }
     g.add_indices(lens, nm, &n_bar);
 }
 
@@ -227,8 +324,8 @@ mod tests {
     fn first_order_vjp_agrees_with_differences() {
         for name in ["two_element", "three_element", "double_gauss"] {
             let lens = builtin::lens(name).expect("shipped");
-            for aperture in [Aperture::EntrancePupilDiameter(9.0), Aperture::FNumber(4.0)] {
-                let lens = lens.changed(|l| l.aperture = aperture).expect("a lens");
+            for aperture in [Aperture::EntrancePupilDiameter(9.0), Aperture::FNumber(4.0), Aperture::ObjectNa(4e-3)] {
+                let lens = lens.changed(|l| (l.aperture, l.object_vergence) = (aperture, 1e-3)).expect("a lens");
                 let vars = Variables::all(&lens);
                 let mut g = LensGradient::zeros(&lens);
                 first_order_vjp(&lens, 550.0, 0.7, 1.3, &mut g);

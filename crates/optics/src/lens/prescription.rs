@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::catalogue::{self, Glasses};
 use super::dispersion::Formula;
-use super::{Aperture, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
+use super::{Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
 use isoplanat_base::error::{Error, Result};
 
 mod freeform;
@@ -43,6 +43,8 @@ struct FileAperture {
     f_number: Option<f64>,
     #[serde(skip_serializing_if = "Option::is_none")]
     stop_semi_diameter_mm: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    object_space_na: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -54,7 +56,10 @@ struct FileObject {
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FileField {
-    max_angle_deg: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_angle_deg: Option<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    max_object_height_mm: Option<f64>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -198,21 +203,27 @@ pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, 
     if parsed.surface.is_empty() {
         return Err(refuse("surface", "no surfaces".into(), "at least one [[surface]]"));
     }
-    let aperture = match &parsed.aperture {
-        FileAperture { entrance_pupil_diameter_mm: Some(d), f_number: None, stop_semi_diameter_mm: None } => {
-            Aperture::EntrancePupilDiameter(*d)
-        }
-        FileAperture { entrance_pupil_diameter_mm: None, f_number: Some(f), stop_semi_diameter_mm: None } => {
-            Aperture::FNumber(*f)
-        }
-        FileAperture { entrance_pupil_diameter_mm: None, f_number: None, stop_semi_diameter_mm: Some(r) } => {
-            Aperture::StopSemiDiameter(*r)
-        }
+    let sizes = [
+        parsed.aperture.entrance_pupil_diameter_mm.map(Aperture::EntrancePupilDiameter),
+        parsed.aperture.f_number.map(Aperture::FNumber),
+        parsed.aperture.stop_semi_diameter_mm.map(Aperture::StopSemiDiameter),
+        parsed.aperture.object_space_na.map(Aperture::ObjectNa),
+    ];
+    let [aperture] = sizes.into_iter().flatten().collect::<Vec<_>>()[..] else {
+        return Err(refuse(
+            "aperture",
+            "not exactly one statement of its size".into(),
+            "one of entrance_pupil_diameter_mm, f_number, stop_semi_diameter_mm, object_space_na",
+        ));
+    };
+    let field = match parsed.field {
+        FileField { max_angle_deg: Some(angle), max_object_height_mm: None } => Field::Angle(angle),
+        FileField { max_angle_deg: None, max_object_height_mm: Some(height) } => Field::ObjectHeight(height),
         _ => {
             return Err(refuse(
-                "aperture",
+                "field",
                 "not exactly one statement of its size".into(),
-                "one of entrance_pupil_diameter_mm, f_number, stop_semi_diameter_mm",
+                "one of max_angle_deg, max_object_height_mm",
             ));
         }
     };
@@ -237,7 +248,7 @@ pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, 
         stop,
         aperture,
         object_vergence: 1.0 / parsed.object.distance_mm,
-        max_field_deg: parsed.field.max_angle_deg,
+        field,
         wavelengths: Wavelengths {
             nm: parsed.wavelengths.nm,
             weights: parsed.wavelengths.weights,
@@ -299,7 +310,12 @@ pub fn to_toml(lens: &Prescription) -> String {
         Aperture::EntrancePupilDiameter(d) => aperture.entrance_pupil_diameter_mm = Some(d),
         Aperture::FNumber(f) => aperture.f_number = Some(f),
         Aperture::StopSemiDiameter(r) => aperture.stop_semi_diameter_mm = Some(r),
+        Aperture::ObjectNa(na) => aperture.object_space_na = Some(na),
     }
+    let field = match lens.field {
+        Field::Angle(angle) => FileField { max_angle_deg: Some(angle), max_object_height_mm: None },
+        Field::ObjectHeight(height) => FileField { max_angle_deg: None, max_object_height_mm: Some(height) },
+    };
     let surface = lens.surfaces.iter().enumerate().map(|(i, s)| write_surface(s, i == lens.stop)).collect();
     let file = File {
         schema: SCHEMA,
@@ -307,7 +323,7 @@ pub fn to_toml(lens: &Prescription) -> String {
         source: lens.source.clone(),
         aperture,
         object: FileObject { distance_mm: 1.0 / lens.object_vergence },
-        field: FileField { max_angle_deg: lens.max_field_deg },
+        field,
         wavelengths: FileWavelengths {
             nm: lens.wavelengths.nm.clone(),
             weights: lens.wavelengths.weights.clone(),

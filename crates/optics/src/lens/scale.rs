@@ -1,7 +1,7 @@
 //! A lens made larger or smaller.
 
 use super::freeform::{Xy, Zernike};
-use super::{Aperture, Prescription};
+use super::{Aperture, Field, Prescription};
 
 impl Prescription {
     /// Makes all lengths `factor` times as large, the object's distance among them; the sensor's raster, angles and media stay. Shapes stay what they
@@ -43,7 +43,10 @@ impl Prescription {
         self.object_vergence /= factor;
         match &mut self.aperture {
             Aperture::EntrancePupilDiameter(d) | Aperture::StopSemiDiameter(d) => *d *= factor,
-            Aperture::FNumber(_) => {}
+            Aperture::FNumber(_) | Aperture::ObjectNa(_) => {}
+        }
+        if let Field::ObjectHeight(height) = &mut self.field {
+            *height *= factor;
         }
     }
 }

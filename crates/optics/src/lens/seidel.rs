@@ -59,15 +59,14 @@ pub fn per_surface(lens: &Lens, nm: f64) -> Vec<Seidel> {
 /// All sums with rays and indices at `nm`.
 fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
     let n = lens.indices(nm);
-    let first = paraxial::first_order(lens, nm);
     let [short, long] = lens.wavelengths.ends_nm();
     let dispersion: Vec<f64> = lens.indices(short).iter().zip(lens.indices(long)).map(|(f, c)| f - c).collect();
     // Both rays at the first vertex: the marginal one from the axial object point, the chief one through the pupil.
     let v = lens.object_vergence;
-    let mut y = 0.5 * first.entrance_pupil_diameter / (1.0 + v * first.entrance_pupil_position);
+    let mut y = paraxial::marginal_height(lens, nm);
     let mut u = v * y;
-    let mut u_chief = lens.max_field_deg.to_radians().tan();
-    let mut y_chief = -first.entrance_pupil_position * u_chief;
+    let slope = lens.max_field_deg().to_radians().tan() * paraxial::field_origin(lens).object_slope();
+    let [mut y_chief, mut u_chief] = paraxial::chief_ray(lens, nm, slope);
     let mut sums = Vec::with_capacity(lens.surfaces.len());
     for (i, s) in lens.surfaces.iter().enumerate() {
         let (before, after) = (n[i], n[i + 1]);
@@ -118,7 +117,7 @@ pub fn total(per_surface: &[Seidel]) -> Seidel {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::lens::{Aperture, Lens, Medium, Prescription, Shape, Surface, Wavelengths, builtin, unchecked};
+    use crate::lens::{Aperture, Field, Lens, Medium, Prescription, Shape, Surface, Wavelengths, builtin, unchecked};
     use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
     fn number(v: &serde_json::Value) -> f64 {
@@ -148,7 +147,7 @@ mod tests {
             lens.stop = usize::try_from(golden["stop_index"].as_u64().expect("index")).expect("small");
             lens.aperture = Aperture::EntrancePupilDiameter(number(&golden["entrance_pupil_diameter"]));
             lens.object_vergence = 0.0;
-            lens.max_field_deg = list(&golden["fields_deg"]).iter().map(number).fold(0.0, f64::max);
+            lens.field = Field::Angle(list(&golden["fields_deg"]).iter().map(number).fold(0.0, f64::max));
         })
     }
 

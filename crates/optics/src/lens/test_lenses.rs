@@ -4,7 +4,7 @@ use super::{Aperture, Lens, Medium, builtin, paraxial, prescription};
 
 /// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
 /// way.
-pub(crate) fn every_kind() -> [Lens; 3] {
+pub(crate) fn every_kind() -> [Lens; 4] {
     let text = builtin::text("two_element").expect("shipped");
     let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
          asphere = { a2 = 1e-4, a3 = 1e-5, a4 = 1e-6 }\nzernike = { radius_mm = 12.0, terms = [0.0, 1e-3, 0.0, 2e-3] }\n\
@@ -18,10 +18,11 @@ pub(crate) fn every_kind() -> [Lens; 3] {
         Aperture::EntrancePupilDiameter(12.0),
         Aperture::FNumber(4.5),
         Aperture::StopSemiDiameter(0.9 * paraxial::stop_semi_diameter(&lens)),
+        Aperture::ObjectNa(5e-3),
     ];
-    let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table];
+    let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table, named("F2")];
     let mut each = sizes.into_iter().zip(media).map(|(aperture, medium)| {
         lens.changed(|l| (l.aperture, l.surfaces[3].medium) = (aperture, medium)).expect("a lens")
     });
-    std::array::from_fn(|_| each.next().expect("three"))
+    std::array::from_fn(|_| each.next().expect("four"))
 }

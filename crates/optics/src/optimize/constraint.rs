@@ -1,5 +1,7 @@
 //! What a lens must keep while it is improved, with analytic gradients: equalities and bounds that the solver holds by multipliers.
 
+use glam::DVec2;
+
 use super::first_order::{FirstOrder, Value};
 use super::rays::{Rays, Slopes, Traced};
 use crate::lens::variables::Variables;
@@ -220,13 +222,12 @@ impl Held<'_> {
         let (Some(point), Some(Some((c, i)))) = (rays.points.get(k), rays.chiefs().get(k).copied()) else {
             return Value::constant(0.0, n);
         };
-        let slope = point.plane.object.to_field().map_or(f64::INFINITY, |f| f.slope.y);
+        let Some((DVec2 { y: slope, .. }, v)) = point.plane.object.slope() else { return Value::constant(0.0, n) };
         if slope == 0.0 || !slope.is_finite() {
             return Value::constant(0.0, n);
         }
         // Paraxial height: slope over n'u' of the axial ray of unit height at the object's angle.
         let (power, skew) = (&self.first.power, &self.first.skew);
-        let v = point.plane.object.to_field().map_or(0.0, |f| f.vergence);
         let w = power.value - v * skew.value;
         let y = traced.landing(c, i).y;
         let by = |j: usize| {

@@ -95,6 +95,13 @@ impl FirstOrder {
         let stop = match numbers.aperture {
             Aperture::StopSemiDiameter(r) => own(r, 0.0, 1.0),
             Aperture::EntrancePupilDiameter(d) => own(0.5 * d * height, 0.5 * d, 0.5 * height),
+            Aperture::ObjectNa(na) => {
+                let (u, v) = (na / ((1.0 - na) * (1.0 + na)).sqrt(), numbers.object_vergence);
+                let at_stop = height / v + b.value;
+                let mut stop = own(u * at_stop, u / v, (u / na).powi(3) * at_stop);
+                stop.by.iter_mut().zip(&b.by).for_each(|(s, db)| *s += u * db);
+                stop
+            }
             Aperture::FNumber(f) => {
                 let k = 0.5 / (f * power.value);
                 let mut stop = own(k * height, k, -k * height / f);

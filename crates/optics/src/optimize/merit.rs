@@ -164,7 +164,7 @@ pub(super) fn rays(merit: &Merit, lens: &Lens, share: f64) -> (Vec<Point>, Vec<C
         let at = lens.changed(|l| l.object_vergence = *vergence);
         let lens = at.as_ref().unwrap_or(lens);
         for [field, weight] in &merit.fields {
-            let angle = share * field * lens.max_field_deg.to_radians();
+            let angle = share * field * lens.max_field_deg().to_radians();
             let azimuths = if symmetric || angle == 0.0 { 1 } else { 4 };
             for k in 0..azimuths {
                 let object = ObjectPoint::in_field(lens, angle, FRAC_PI_2 * f64::from(1 + k));

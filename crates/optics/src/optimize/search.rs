@@ -273,7 +273,7 @@ fn drawn(problem: &Problem, rng: &mut fastrand::Rng) -> Option<Prescription> {
 fn score(numbers: &Prescription) -> Option<f64> {
     let first = paraxial::first_order(numbers, numbers.wavelengths.primary_nm);
     let height = 0.5 * first.entrance_pupil_diameter;
-    let field = numbers.max_field_deg.to_radians().min(1.2).tan();
+    let field = numbers.max_field_deg().to_radians().min(1.2).tan();
     let n = numbers.indices(numbers.wavelengths.primary_nm);
     // Marginal and chief ray, for incidences: what is bent strongly has high orders.
     let (mut y, mut u, mut yc, mut uc) = (height, 0.0, -field * first.entrance_pupil_position, field);

@@ -3,7 +3,7 @@ use super::residuals::{jacobian, residuals};
 use super::*;
 use crate::lens::test_lenses::every_kind;
 use crate::lens::variables::Variables;
-use crate::lens::{Kind, Parameter, builtin};
+use crate::lens::{Field, Kind, Parameter, builtin};
 
 /// Residuals of a lens whose numbers are `values`, rays followed from the lens at `at`.
 fn moved(merit: &Merit, lens: &Lens, variables: &Variables, step: &[f64]) -> Vec<f64> {
@@ -36,7 +36,7 @@ fn jacobians_agree_with_differences() {
     let depths = Merit { depths: vec![[0.0, 1.0], [1e-3, 1.0]], ..spot.clone() };
     let mut cases = vec![(cooke.clone(), spot.clone()), (cooke.clone(), chief), (cooke, waves.clone()), (two, depths)];
     cases.extend([(three.clone(), spot.clone()), (three, waves)]);
-    let general = |lens: Lens| lens.changed(|l| l.max_field_deg = 4.0).expect("a lens");
+    let general = |lens: Lens| lens.changed(|l| l.field = Field::Angle(4.0)).expect("a lens");
     cases.extend(every_kind().into_iter().map(|lens| (general(lens), spot.clone())));
     for (lens, merit) in cases {
         let variables = Variables::new(&lens, free(&lens));

@@ -13,7 +13,7 @@ use super::object::ObjectPoint;
 use super::pupil::PupilRay;
 use super::system::TraceSurface;
 use super::{Failure, System};
-use crate::lens::{Prescription, paraxial};
+use crate::lens::{Field, Prescription, paraxial};
 
 /// Points of a beam's rim.
 const RIM_POINTS: u32 = 32;
@@ -49,7 +49,7 @@ impl Beam {
     /// Whole stops over the field of `lens`.
     pub fn over_field(lens: &Prescription) -> Vec<Self> {
         let azimuths: &[f64] = if lens.is_symmetric() { &[0.25] } else { &[0.0, 0.25, 0.5, 0.75] };
-        let angle = |share: f64| share * lens.max_field_deg.to_radians();
+        let angle = |share: f64| share * lens.max_field_deg().to_radians();
         [0.0, 0.5, 0.75, 1.0]
             .iter()
             .flat_map(|share| azimuths.iter().map(move |a| Self::full(angle(*share), a * TAU)))
@@ -65,7 +65,8 @@ impl Beam {
 /// `lens` at `nm` with marked surfaces open to `generous` times their paraxial beams.
 fn opened(lens: &Prescription, marked: &[bool], nm: f64, generous: f64) -> System {
     let mut system = System::new(lens, nm);
-    let slope = lens.max_field_deg.to_radians().min(STEEPEST.atan()).tan();
+    let slope =
+        lens.max_field_deg().to_radians().min(STEEPEST.atan()).tan() * paraxial::field_origin(lens).object_slope();
     let heights = paraxial::beam_heights(lens, lens.wavelengths.primary_nm, slope);
     for (i, surface) in system.surfaces.iter_mut().enumerate().take(lens.surfaces.len()) {
         if marked.get(i).copied().unwrap_or(false) && i != lens.stop {
@@ -197,7 +198,7 @@ fn landing(lens: &Prescription, aimer: &Aimer, angle: f64) -> Option<f64> {
 /// The field angle (radians) whose chief ray lands at `height` (mm) from the axis, primary wavelength; `None` where no angle below
 /// 89° lands so far out. Marked surfaces are open.
 pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<f64> {
-    let wide = Prescription { max_field_deg: 75.0, ..lens.clone() };
+    let wide = Prescription { field: Field::Angle(75.0), ..lens.clone() };
     let system = opened(&wide, marked, lens.wavelengths.primary_nm, 2.5);
     let aimer = Aimer::new(&system).ok()?;
     let landing = |angle: f64| landing(lens, &aimer, angle);
@@ -300,7 +301,7 @@ mod tests {
             let system = System::new(&lens, lens.wavelengths.primary_nm);
             let aimer = Aimer::new(&system).expect("a stop");
             for share in [0.1, 0.6, 0.9] {
-                let angle = share * lens.max_field_deg.to_radians();
+                let angle = share * lens.max_field_deg().to_radians();
                 let object = ObjectPoint::in_field(&lens, angle, TAU / 4.0);
                 let ray = PupilRay::new(&aimer, object, DVec2::ZERO, None).expect("aims");
                 let height = ray.hits[system.image()].at.point.y.abs();

@@ -4,6 +4,7 @@
 //! the worst over those that no aperture stops. References come from double-double ([`super::precise`]).
 
 mod conditioning;
+mod reach;
 
 use std::collections::BTreeMap;
 
@@ -16,6 +17,7 @@ use super::precise::{PreciseSystem, reference};
 use super::sequential::{Hit, first_vignetted, trace};
 use super::{Cause, Failure, Ray, System};
 use crate::lens::Lens;
+use reach::clear_ray_reaches;
 
 pub use conditioning::VariableHealth;
 
@@ -130,7 +132,7 @@ pub fn check(lens: &Lens) -> Health {
     for (index, system) in systems.iter().enumerate() {
         for fraction in [0.0, 0.35, 0.7, 1.0] {
             for azimuth in &azimuths[..if fraction == 0.0 { 1 } else { azimuths.len() }] {
-                run.bundle(lens, system, index, fraction * lens.max_field_deg, *azimuth);
+                run.bundle(lens, system, index, fraction * lens.max_field_deg(), *azimuth);
             }
         }
     }
@@ -142,6 +144,8 @@ struct Run {
     good: Vec<Good>,
     rays: usize,
     failed: BTreeMap<&'static str, usize>,
+    /// Points of the stop that no clear ray of their field reaches.
+    out_of_reach: usize,
     chiefs_lost: Vec<String>,
     reflected: Option<String>,
     not_converged: Option<String>,
@@ -174,11 +178,16 @@ impl Run {
             let chief = point == DVec2::ZERO;
             let aimed = match aimed {
                 Ok(a) => a,
-                Err(f) => {
+                // No ray was found; it is a failure only where there is one.
+                Err(f) if aimer.is_err() || clear_ray_reaches(system, object, point * system.stop_semi_diameter) => {
                     self.count(f, &label);
                     if chief {
                         self.chiefs_lost.push(label);
                     }
+                    continue;
+                }
+                Err(_) => {
+                    self.out_of_reach += 1;
                     continue;
                 }
             };
@@ -243,6 +252,12 @@ impl Run {
             Limit::AtMost(0.0),
         );
         put("vignetted", "rays beyond a clear aperture", (failed("vignetted"), String::new()), Limit::None);
+        put(
+            "out_of_reach",
+            "points of the stop that no clear ray of their field reaches",
+            (number(self.out_of_reach), String::new()),
+            Limit::None,
+        );
         put("missed", "rays that miss a surface", (failed("missed"), String::new()), Limit::None);
         put(
             "totally_reflected",

@@ -1,8 +1,8 @@
 //! How rays go through a lens, and how cotangents come back.
 //!
 //! One ray, one surface: transfer to the surface's frame, intersect ([`intersect`]), refract ([`refract`]); the loop
-//! over surfaces is [`sequential`]. Rays are launched from a field point through a point of the first vertex plane
-//! ([`launch`]), or at any angle from a plane before the lens ([`object`]), and aimed at the real stop ([`aim`]).
+//! over surfaces is [`sequential`]. Rays are launched from an object point at any angle through a plane before the lens
+//! ([`object`]) and aimed at the real stop ([`aim`]).
 //! [`pupil`] finds what apertures leave of it, [`wavefront`] the optical path difference in it. All of it is f64. A ray
 //! that fails is data: [`Failure`].
 //!
@@ -42,7 +42,6 @@ pub mod health;
 pub mod intersect;
 mod landing;
 pub mod lanes;
-pub mod launch;
 pub mod object;
 pub mod precise;
 pub mod pupil;
@@ -56,7 +55,6 @@ pub mod wavefront;
 
 use glam::DVec3;
 
-pub use launch::FieldPoint;
 pub use object::ObjectPoint;
 pub use system::{System, SystemGradient};
 

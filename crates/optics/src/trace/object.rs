@@ -2,8 +2,8 @@
 //!
 //! An [`ObjectPoint`] is the unit direction `d` of its light at the first vertex and a vergence `v`. Its ray through
 //! the point `e` runs along `d + v e`: one formula for infinitely far, near and virtual objects and for half fields of
-//! 90° and more. The object itself stands at `−d/v`. Below 90° it converts to and from [`FieldPoint`], which counts in
-//! slopes.
+//! 90° and more. The object itself stands at `−d/v`. A slope (image side sign: a positive one runs up and lands above the
+//! axis of a lens with positive power) and a distance from the plane of the first vertex make one, too: [`ObjectPoint::from_slope`].
 //!
 //! Rays are launched from a plane perpendicular to `d` ([`LaunchPlane`]): the light of an infinitely far object moves
 //! parallel to itself, that of a near one turns about the object. The plane is a wavefront of the former; of the latter
@@ -13,7 +13,6 @@ use std::f64::consts::FRAC_PI_2;
 
 use glam::{DVec2, DVec3};
 
-use super::launch::FieldPoint;
 use super::{Ray, System};
 use crate::lens::{Prescription, paraxial};
 
@@ -61,22 +60,39 @@ impl ObjectPoint {
         Self { direction: DVec3::new(s * ca, s * sa, c), vergence }
     }
 
-    /// The point of the object plane of `lens` whose light runs at `angle` to the axis through the middle of the paraxial
-    /// entrance pupil (primary wavelength), in the meridian `azimuth`: what a field angle means in a lens file. Radians.
-    /// From 90° on a plane has no such point, and the point is infinitely far; a lens that is telecentric in object space has
-    /// no such pupil, and the angle is that at the first vertex.
+    /// The point of the object plane of `lens` at the field angle `angle` in the meridian `azimuth`, radians: what a field angle means
+    /// in a lens file. It is the angle to the axis at which light runs through the middle of the paraxial entrance pupil (primary
+    /// wavelength); in a lens that is telecentric in object space ([`paraxial::FieldOrigin`]), and has no such pupil, through the first vertex. From 90° on a
+    /// plane has no such point, and the point is infinitely far.
     pub fn in_field(lens: &Prescription, angle: f64, azimuth: f64) -> Self {
         let d = Self::from_angle(angle, azimuth, 0.0).direction;
-        let pupil = paraxial::first_order(lens, lens.wavelengths.primary_nm).entrance_pupil_position;
-        let v = lens.object_vergence * d.z.max(0.0);
-        // The object stands at P − d/w from the pupil's middle P, its plane 1/v before the first vertex.
-        let w = v / (1.0 + lens.object_vergence * pupil);
-        if v == 0.0 || !w.is_finite() || !pupil.is_finite() {
-            return Self { direction: d, vergence: v };
+        let v = lens.object_vergence;
+        if v == 0.0 || d.z <= 0.0 {
+            return Self { direction: d, vergence: 0.0 };
         }
-        // A pupil before the object is looked back at: w is negative.
-        let g = (d - w * pupil * DVec3::Z) * w.signum();
-        Self { direction: g.normalize(), vergence: w.abs() / g.length() }
+        // The object's plane stands 1/v before the first vertex, its height is counted at the pupil's middle: no quotient of a
+        // distant pupil enters.
+        let origin = paraxial::field_origin(lens);
+        let g = (origin.reach * d.truncate()).extend(origin.scale * d.z);
+        let length = g.length() * g.z.signum();
+        Self { direction: g / length, vergence: v * (g.z / length) }
+    }
+
+    /// The point of slope `slope` (tangents of the light's angle at the first vertex, along x and y) in the plane 1/`vergence` before
+    /// the first vertex (1/mm; 0 is infinitely far): it stands at `−slope/vergence` there.
+    ///
+    /// Étendue: `dL dM` per unit of object slope squared is `N⁴ dx dy` on the plane of the first vertex, exactly and for every
+    /// vergence; that is the weight of a ray (times `|∂(x, y)/∂(stop point)|`).
+    pub fn from_slope(slope: DVec2, vergence: f64) -> Self {
+        let cosine = (1.0 + slope.length_squared()).sqrt().recip();
+        Self { direction: (slope * cosine).extend(cosine), vergence: vergence * cosine }
+    }
+
+    /// Slope of the light at the first vertex and vergence of the plane in which the point stands, as [`Self::from_slope`] takes them;
+    /// `None` from 90° on.
+    pub fn slope(&self) -> Option<(DVec2, f64)> {
+        let d = self.direction;
+        (d.z > 0.0).then(|| (d.truncate() / d.z, self.vergence / d.z))
     }
 
     /// Pulls a cotangent on [`Self::from_angle`] back to the angle and the azimuth.
@@ -84,28 +100,6 @@ impl ObjectPoint {
         let ((s, c), (sa, ca)) = (angle.sin_cos(), azimuth.sin_cos());
         let d = bar.direction;
         (d.x * c * ca + d.y * c * sa - d.z * s, s * (d.y * ca - d.x * sa))
-    }
-
-    /// The same point, from slopes.
-    pub fn from_field(field: FieldPoint) -> Self {
-        let cosine = (1.0 + field.slope.length_squared()).sqrt().recip();
-        let direction = DVec3::new(field.slope.x * cosine, field.slope.y * cosine, cosine);
-        Self { direction, vergence: field.vergence * cosine }
-    }
-
-    /// Pulls a cotangent on [`Self::from_field`] back to the slope.
-    pub fn from_field_vjp(field: FieldPoint, bar: &ObjectBar) -> DVec2 {
-        let d = Self::from_field(field).direction;
-        // d = (s, 1) N, v = v₀ N, N = (1 + s²)^{−1/2}.
-        let along = d.dot(bar.direction);
-        d.z * (bar.direction.truncate() - along * d.truncate())
-            - field.vergence * d.z * d.z * d.truncate() * bar.vergence
-    }
-
-    /// The same point in slopes; `None` from 90° on.
-    pub fn to_field(&self) -> Option<FieldPoint> {
-        let d = self.direction;
-        (d.z > 0.0).then(|| FieldPoint { slope: d.truncate() / d.z, vergence: self.vergence / d.z })
     }
 
     /// Where the object stands, mm; `None` if it is infinitely far.
@@ -126,9 +120,10 @@ impl ObjectPoint {
     }
 }
 
-impl From<FieldPoint> for ObjectPoint {
-    fn from(field: FieldPoint) -> Self {
-        Self::from_field(field)
+impl Ray {
+    /// The ray of `object` through `point` (mm, frame of the first vertex), starting there.
+    pub fn from_object(object: ObjectPoint, point: DVec3) -> Self {
+        Self { origin: point, direction: object.direction_at(point).0 }
     }
 }
 
@@ -162,8 +157,7 @@ impl LaunchPlane {
     /// The ray through the point `p` of the plane (mm, in the plane's own axes).
     #[inline]
     pub fn ray(&self, p: DVec2) -> Ray {
-        let origin = p.x * self.u + p.y * self.w - self.standoff * self.object.direction;
-        Ray { origin, direction: self.object.direction_at(origin).0 }
+        Ray::from_object(self.object, p.x * self.u + p.y * self.w - self.standoff * self.object.direction)
     }
 
     /// Pulls cotangents on [`Self::ray`] back to `p` and to the object. The plane's distance is held: it moves origins
@@ -182,10 +176,15 @@ impl LaunchPlane {
 
     /// The point of the plane whose ray runs through `point` (mm, frame of the first vertex).
     pub fn through(&self, point: DVec3) -> DVec2 {
-        let g = self.object.direction + self.object.vergence * point;
-        let back = (self.standoff + self.object.direction.dot(point)) / self.object.direction.dot(g);
-        let e = point - back * g;
-        DVec2::new(self.u.dot(e), self.w.dot(e))
+        self.towards(point, 1.0)
+    }
+
+    /// The point of the plane whose ray runs through `point/weight`: a point in homogeneous coordinates, so that one at infinity
+    /// (`weight` 0: all rays along `point`) is no special case.
+    pub fn towards(&self, point: DVec3, weight: f64) -> DVec2 {
+        let (d, v) = (self.object.direction, self.object.vergence);
+        let along = (1.0 - v * self.standoff) / (weight + v * d.dot(point));
+        along * DVec2::new(self.u.dot(point), self.w.dot(point))
     }
 
     /// `∂(origin, direction)/∂p`, one pair for each of the plane's axes.
@@ -257,20 +256,19 @@ mod tests {
     fn slopes_and_angles_convert_both_ways() {
         let rng = &mut fastrand::Rng::with_seed(2);
         for _ in 0..100 {
-            let field = FieldPoint { slope: vector(rng, 3.0).truncate(), vergence: between(rng, -1e-2, 1e-2) };
-            let object = ObjectPoint::from(field);
-            let back = object.to_field().expect("below 90°");
-            assert!((back.slope - field.slope).length() < 1e-14 * (1.0 + field.slope.length_squared()));
-            assert_rel(back.vergence, field.vergence, 1e-14, 1e-12, "vergence");
-            // The object is where `launch` says: at −s/v on the plane z = −1/v.
+            let (slope, vergence) = (vector(rng, 3.0).truncate(), between(rng, -1e-2, 1e-2));
+            let object = ObjectPoint::from_slope(slope, vergence);
+            let back = object.slope().expect("below 90°");
+            assert!((back.0 - slope).length() < 1e-14 * (1.0 + slope.length_squared()));
+            assert_rel(back.1, vergence, 1e-14, 1e-12, "vergence");
+            // At −s/v on the plane z = −1/v.
             let position = object.position().expect("finite");
-            let expected = (-field.slope / field.vergence).extend(-1.0 / field.vergence);
+            let expected = (-slope / vergence).extend(-1.0 / vergence);
             assert!((position - expected).length() < 1e-12 * expected.length());
-            let slope = field.slope;
             let again = ObjectPoint::from_angle(slope.length().atan(), slope.y.atan2(slope.x), object.vergence);
             assert!((again.direction - object.direction).length() < 1e-14);
             assert_abs(object.angle(), slope.length().atan(), 1e-14, "angle");
-            if field.vergence > 0.0 {
+            if vergence > 0.0 {
                 let real = ObjectPoint::finite(position);
                 assert!((real.direction - object.direction).length() < 1e-14);
                 assert_rel(real.vergence, object.vergence, 1e-14, 1e-12, "vergence of a position");
@@ -279,7 +277,7 @@ mod tests {
         for angle in [1.6, 2.5, 3.1] {
             let object = ObjectPoint::from_angle(angle, 0.3, 0.0);
             assert_abs(object.angle(), angle, 1e-15, "angle");
-            assert_eq!(object.to_field(), None);
+            assert_eq!(object.slope(), None);
             assert_eq!(object.position(), None);
         }
         assert_eq!(ObjectPoint::from_angle(0.0, 0.0, 0.0), ObjectPoint::infinite(DVec3::Z));
@@ -299,15 +297,6 @@ mod tests {
             let by_azimuth = central_difference(|h| value(ObjectPoint::from_angle(angle, azimuth + h, 0.0)), 1e-3);
             assert_rel(pulled.0, by_angle, 1e-9, 0.1, "angle");
             assert_rel(pulled.1, by_azimuth, 1e-9, 0.1, "azimuth");
-            let field = FieldPoint { slope: vector(rng, 1.0).truncate(), vergence: between(rng, -1e-2, 1e-2) };
-            let dot = vector(rng, 1.0).truncate();
-            let tangent = {
-                let d = ObjectPoint::from_field(field).direction;
-                ObjectBar { direction: bar - d * d.dot(bar), vergence: 1e2 * v_bar }
-            };
-            let f = |h: f64| value(ObjectPoint::from_field(FieldPoint { slope: field.slope + h * dot, ..field }));
-            let pulled = ObjectPoint::from_field_vjp(field, &tangent).dot(dot);
-            assert_rel(pulled, central_difference(f, 1e-3), 1e-8, 0.1, "slope");
         }
     }
 

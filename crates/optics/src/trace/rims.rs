@@ -60,7 +60,7 @@ pub fn beam_semi_diameters(lens: &Lens) -> Vec<f64> {
     };
     for share in [0.0, 0.25, 0.5, 0.7, 0.85, 1.0] {
         for azimuth in azimuths {
-            let object = ObjectPoint::in_field(lens, share * lens.max_field_deg.to_radians(), azimuth.to_radians());
+            let object = ObjectPoint::in_field(lens, share * lens.max_field_deg().to_radians(), azimuth.to_radians());
             for k in 0..RIM_POINTS {
                 let u = DVec2::from_angle(std::f64::consts::TAU * f64::from(k) / f64::from(RIM_POINTS));
                 if let Ok(aimed) = aimer.aim(object, u * system.stop_semi_diameter, None) {

@@ -1,7 +1,7 @@
 //! Wide-angle lenses for tests: published prescriptions as plain numbers.
 
 use crate::lens::{
-    Aperture, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin, unchecked,
+    Aperture, Field, Lens, Medium, Pose, Prescription, SensorRaster, Shape, Surface, Wavelengths, builtin, unchecked,
 };
 use isoplanat_base::testing::between;
 
@@ -27,7 +27,7 @@ fn lens(name: &str, source: &str, rows: &[Row], unit: f64, stop: usize, aperture
         stop,
         aperture,
         object_vergence: 0.0,
-        max_field_deg: field_deg,
+        field: Field::Angle(field_deg),
         wavelengths: Wavelengths { nm: vec![587.5618], weights: vec![1.0], primary_nm: 587.5618 },
         sensor: SensorRaster { columns: 100, rows: 100, pitch_um: 5.0, axis_px: [50.0, 50.0] },
     };

@@ -1,7 +1,7 @@
 //! Against `trace::wavefront`, closed forms, and the third-order sums.
 
 use super::*;
-use crate::lens::{Aperture, Shape, builtin, paraxial, seidel, unchecked};
+use crate::lens::{Aperture, Field, Shape, builtin, paraxial, seidel, unchecked};
 use crate::trace::system::TraceSurface;
 use isoplanat_base::testing::{assert_abs, assert_rel};
 
@@ -60,7 +60,7 @@ fn third_order_terms_are_those_of_seidel() {
         let nm = lens.wavelengths.primary_nm;
         let lens = unchecked(&lens, |l| {
             l.aperture = Aperture::EntrancePupilDiameter(3.0);
-            l.max_field_deg = 1.0;
+            l.field = Field::Angle(1.0);
             l.object_vergence = 0.0;
         });
         let image = paraxial::first_order(&lens, nm).paraxial_image_distance;

@@ -270,4 +270,13 @@ kinds! {
         free: false,
         ..PLAIN
     },
+    /// Numerical aperture in object space, where the aperture is stated so.
+    ObjectNa => Line {
+        at: variant!(Aperture, Aperture::ObjectNa(na) => na),
+        name: |_, _| "object_space_na".into(),
+        key: "object_space_na",
+        allowed: (|x| x > 0.0 && x < 1.0, "above 0, below 1"),
+        free: false,
+        ..PLAIN
+    },
 }

@@ -1,7 +1,7 @@
 use super::*;
 use crate::lens::{builtin, variables::Variables};
-use crate::trace::aim::{ParaxialPupil, aim};
-use crate::trace::launch::{FieldPoint, launch};
+use crate::trace::ObjectPoint;
+use crate::trace::aim::Aimer;
 use crate::trace::{System, sequential::trace};
 use glam::DVec2;
 use isoplanat_base::testing::{assert_abs, assert_rel, between, central_difference, steady_difference};
@@ -131,11 +131,11 @@ fn displacements_are_those_of_traced_rays() {
                     // The raster's point that the ray shows, and that object's slope.
                     let d = [-rays.x[q], at - rays.y[q]];
                     let ratio = o.maps[0].ratio(d[0].hypot(d[1]));
-                    let field = FieldPoint { slope: DVec2::new(d[0], d[1]) * ratio, vergence };
+                    let object = ObjectPoint::from_slope(DVec2::new(d[0], d[1]) * ratio, vergence);
                     let target = *s * o.table().pupil * system.stop_semi_diameter;
                     let mut hits = Vec::new();
-                    let e = aim(&system, ParaxialPupil::new(&lens), field, target, None, &mut hits).expect("aims");
-                    let hit = trace(&system, launch(field, e), system.image(), &mut hits).expect("lands");
+                    let aimed = Aimer::new(&system).and_then(|a| a.aim(object, target, None)).expect("aims");
+                    let hit = trace(&system, aimed.ray, system.image(), &mut hits).expect("lands");
                     worst = worst.max((hit.at.point.truncate() - DVec2::new(0.0, at)).length());
                 }
             }

@@ -7,12 +7,12 @@ use super::super::sequential::{Hit, HitBar, trace_vjp};
 use super::super::{Failure, Ray, System, SystemGradient};
 use super::backward::Front;
 use super::newton::{Solved, solve, stop_jacobian};
-use super::paraxial::ParaxialPupil;
+use super::paraxial::ParaxialStop;
 
 /// Aims rays of one system: keeps what all of them share.
 pub struct Aimer<'a> {
     system: &'a System,
-    pupil: ParaxialPupil,
+    pupil: ParaxialStop,
     front: Front<'a>,
 }
 
@@ -37,7 +37,7 @@ impl<'a> Aimer<'a> {
     /// For `system`. Fails if its stop is no surface of it.
     pub fn new(system: &'a System) -> Result<Self, Failure> {
         let front = Front::new(system)?;
-        Ok(Self { system, pupil: ParaxialPupil::of(system), front })
+        Ok(Self { system, pupil: ParaxialStop::of(system), front })
     }
 
     /// The system whose rays are aimed.
@@ -62,7 +62,7 @@ impl<'a> Aimer<'a> {
         };
         let guesses = near.map(|a| self.step_from(a, &plane, target)).into_iter();
         let (mut forward, mut spent) = (None, 0);
-        for guess in guesses.chain([plane.through(self.pupil.point(target))]) {
+        for guess in guesses.chain([self.pupil.guess(&plane, target)]) {
             match solve(self.system, &plane, target, guess, &mut hits) {
                 Ok(s) if s.upright => return Ok(aimed(s, hits, spent, false)),
                 Ok(s) => {

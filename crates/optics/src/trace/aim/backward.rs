@@ -23,8 +23,6 @@ pub(super) struct Front<'a> {
 pub(super) struct Found {
     /// Point, mm.
     pub(super) point: DVec3,
-    /// Unit direction.
-    pub(super) direction: DVec3,
     /// Rays traced.
     pub(super) iterations: u32,
 }
@@ -221,7 +219,7 @@ impl<'a> Front<'a> {
             let tolerance = if next == 1.0 { AT_THE_END } else { ON_THE_WAY };
             match self.newton(there, target, trend, tolerance, walk) {
                 Ok((_, exit, sign_here)) if next == 1.0 && sign_here == sign => {
-                    return Ok(Found { point: exit.point, direction: exit.direction, iterations: walk.traced });
+                    return Ok(Found { point: exit.point, iterations: walk.traced });
                 }
                 Ok((m, _, sign_here)) if sign_here == sign => {
                     before = Some((s, last));

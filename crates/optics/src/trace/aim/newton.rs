@@ -1,9 +1,8 @@
 //! Newton on the launch ray: `S(p) = s`, forward through the lens, with the Jacobian from ray differentials.
 
-use glam::{DMat2, DVec2, DVec3};
+use glam::{DMat2, DVec2};
 
 use super::super::differential::{RayDot, trace_jvp};
-use super::super::launch::{FieldPoint, launch};
 use super::super::object::LaunchPlane;
 use super::super::sequential::{Hit, trace};
 use super::super::{Cause, Failure, Ray, System};
@@ -23,20 +22,6 @@ pub(super) trait Launching {
     fn ray(&self, p: DVec2) -> Ray;
     /// Its derivative with respect to both coordinates.
     fn columns(&self, ray: &Ray) -> [RayDot; 2];
-}
-
-impl Launching for FieldPoint {
-    #[inline]
-    fn ray(&self, p: DVec2) -> Ray {
-        launch(*self, p)
-    }
-
-    #[inline]
-    fn columns(&self, ray: &Ray) -> [RayDot; 2] {
-        // d̂ = d/|d| with d_z = 1, so 1/|d| = d̂_z.
-        let (d, turn) = (ray.direction, self.vergence * ray.direction.z);
-        [DVec3::X, DVec3::Y].map(|u| RayDot { point: u, direction: turn * (u - d * d.dot(u)) })
-    }
 }
 
 impl Launching for LaunchPlane {

@@ -1,29 +1,23 @@
-//! The paraxial entrance pupil: the first guess of every aimed ray.
+//! Paraxial aiming: the first guess of every aimed ray.
 
 use glam::{DVec2, DVec3};
 
 use super::super::System;
-use super::super::launch::FieldPoint;
+use super::super::object::LaunchPlane;
 
-/// First guess: the paraxial entrance pupil at `z`, `scale` mm of pupil per mm of stop.
+/// How the stop is seen paraxially from object space. The entrance pupil stands at `skew/parallel` from the first vertex, `1/parallel` times
+/// as large as the stop; kept as the pair, so that a pupil at infinity is no special case.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ParaxialPupil {
-    /// Position from the first vertex, mm.
-    pub z: f64,
-    /// Entrance-pupil radius over stop radius.
-    pub scale: f64,
+pub(super) struct ParaxialStop {
+    /// Height in the stop of the ray that enters parallel to the axis at height 1.
+    parallel: f64,
+    /// Height in the stop of the ray through the first vertex with slope 1.
+    skew: f64,
 }
 
-impl ParaxialPupil {
-    /// The entrance pupil of `lens` at its primary wavelength.
-    pub fn new(lens: &crate::lens::Lens) -> Self {
-        let p = crate::lens::paraxial::first_order(lens, lens.wavelengths.primary_nm);
-        Self { z: p.entrance_pupil_position, scale: 0.5 * p.entrance_pupil_diameter / p.stop_semi_diameter }
-    }
-
-    /// The entrance pupil of `system`, tilts and freeform terms left out.
-    pub fn of(system: &System) -> Self {
-        // Heights at the stop of the parallel ray and of the ray through the first vertex.
+impl ParaxialStop {
+    /// Of `system`, tilts and freeform terms left out.
+    pub(super) fn of(system: &System) -> Self {
         let height = |y: f64, w: f64| {
             let (mut y, mut w) = (y, w);
             for (i, s) in system.surfaces[..=system.stop].iter().enumerate() {
@@ -37,18 +31,12 @@ impl ParaxialPupil {
             }
             y
         };
-        let n = system.surfaces[0].index_before;
-        let (a, b) = (height(1.0, 0.0), height(0.0, n));
-        Self { z: b / a, scale: a.recip() }
+        Self { parallel: height(1.0, 0.0), skew: height(0.0, system.surfaces[0].index_before) }
     }
 
-    /// Guess on the first vertex plane.
-    pub(super) fn guess(&self, field: FieldPoint, target: DVec2) -> DVec2 {
-        (target * self.scale - self.z * field.slope) / (1.0 + self.z * field.vergence)
-    }
-
-    /// The pupil's point of `target`, frame of the first vertex.
-    pub(super) fn point(&self, target: DVec2) -> DVec3 {
-        (target * self.scale).extend(self.z)
+    /// The point of `plane` whose ray runs through the paraxial pupil's point of `target`.
+    pub(super) fn guess(&self, plane: &LaunchPlane, target: DVec2) -> DVec2 {
+        let DVec2 { x, y } = target;
+        plane.towards(DVec3::new(x, y, self.skew), self.parallel)
     }
 }

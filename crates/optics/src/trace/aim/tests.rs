@@ -2,12 +2,14 @@
 
 use glam::{DVec2, DVec3};
 
+use super::backward::Front;
+use super::newton::solve;
 use super::*;
 use crate::lens::{Pose, Shape, builtin};
-use crate::trace::Cause;
 use crate::trace::sequential::trace;
 use crate::trace::system::TraceSurface;
 use crate::trace::test_lenses::{laikin_100, meniscus_200, muller_156, nikkor_180, scaled, tilt};
+use crate::trace::{Cause, ObjectPoint, System};
 use isoplanat_base::testing::between;
 
 /// What aiming over a lens's field and stop came to.
@@ -61,7 +63,7 @@ fn every_ray_of_every_shipped_lens_is_aimed() {
         let lens = builtin::lens(name).expect("shipped");
         let system = System::new(&lens, lens.wavelengths.primary_nm);
         for alone in [true, false] {
-            let t = sweep(&system, lens.object_vergence, lens.max_field_deg.to_radians(), alone);
+            let t = sweep(&system, lens.object_vergence, lens.max_field_deg().to_radians(), alone);
             eprintln!("{name}, alone {alone}: {t:?}");
             assert!(t.failed == 0 && t.residual <= 1e-12, "{name}: {t:?}");
         }
@@ -73,12 +75,12 @@ fn every_ray_of_wide_lenses_is_aimed() {
     for lens in [laikin_100(), muller_156(), nikkor_180(), meniscus_200()] {
         let system = System::new(&lens, 587.5618);
         for alone in [true, false] {
-            let t = sweep(&system, 0.0, lens.max_field_deg.to_radians(), alone);
+            let t = sweep(&system, 0.0, lens.max_field_deg().to_radians(), alone);
             eprintln!("{}, alone {alone}: {t:?}", lens.name);
             assert!(t.failed == 0 && t.residual <= 1e-12, "{}: {t:?}", lens.name);
         }
         // A near object as well.
-        let t = sweep(&system, 1.0 / 300.0, lens.max_field_deg.to_radians(), false);
+        let t = sweep(&system, 1.0 / 300.0, lens.max_field_deg().to_radians(), false);
         assert!(t.failed == 0 && t.residual <= 1e-12, "{} near: {t:?}", lens.name);
     }
 }
@@ -87,7 +89,7 @@ fn every_ray_of_wide_lenses_is_aimed() {
 #[test]
 fn aiming_has_no_scale() {
     for lens in [laikin_100(), nikkor_180(), builtin::lens("phone").expect("shipped")] {
-        let half_field = lens.max_field_deg.to_radians();
+        let half_field = lens.max_field_deg().to_radians();
         let here = sweep(&System::new(&lens, 587.5618), lens.object_vergence, half_field, true);
         for scale in [1e-3, 1e3] {
             let large = scaled(&lens, scale);
@@ -119,7 +121,6 @@ fn the_stop_may_be_any_surface() {
                 let a = aimer.aim(object, target, None).expect("aims");
                 let found = front.search(object, target).expect("searches");
                 let point = a.hits[0].at.point;
-                assert!((found.direction - a.ray.direction).length() < 1e-9, "stop {stop}");
                 assert!((found.point - point).length() < 1e-8, "stop {stop}: {} {point}", found.point);
             }
         }
@@ -133,30 +134,8 @@ fn tilted_lenses_are_aimed() {
         for _ in 0..3 {
             let lens = tilt(&lens, rng, 1.0);
             let system = System::new(&lens, 587.5618);
-            let t = sweep(&system, lens.object_vergence, 0.97 * lens.max_field_deg.to_radians(), true);
+            let t = sweep(&system, lens.object_vergence, 0.97 * lens.max_field_deg().to_radians(), true);
             assert!(t.failed == 0 && t.residual <= 1e-12, "{}: {t:?}", lens.name);
-        }
-    }
-}
-
-/// Slopes fall back on the backward search too, and give the same ray.
-#[test]
-fn slopes_and_angles_give_the_same_ray() {
-    for lens in [builtin::lens("phone").expect("shipped"), laikin_100(), nikkor_180()] {
-        let system = System::new(&lens, 587.5618);
-        let aimer = Aimer::new(&system).expect("has a stop");
-        let mut hits = Vec::new();
-        for part in [0.0, 0.3, 0.6, 0.9] {
-            for target in [DVec2::ZERO, DVec2::new(0.9, 0.3) * system.stop_semi_diameter] {
-                let object = ObjectPoint::from_angle(part * lens.max_field_deg.to_radians(), 0.8, 1e-3);
-                let field = object.to_field().expect("below 90°");
-                let e = aim(&system, ParaxialPupil::new(&lens), field, target, None, &mut hits).expect("aims");
-                let a = aimer.aim(object, target, None).expect("aims");
-                let ray = launch(field, e);
-                assert!((ray.direction - a.ray.direction).length() < 1e-10, "{} {part}", lens.name);
-                let apart = (ray.origin - a.ray.origin).cross(ray.direction).length();
-                assert!(apart < 1e-9, "{} {part}: {apart:e} mm", lens.name);
-            }
         }
     }
 }
@@ -200,7 +179,6 @@ fn any_input_gives_a_ray_or_a_failure() {
         let direction = DVec3::new(draw(1.0, rng), draw(1.0, rng), draw(1.0, rng));
         let object = ObjectPoint { direction: direction.normalize(), vergence: draw(0.1, rng) };
         let target = DVec2::new(draw(2.0, rng), draw(2.0, rng));
-        let mut hits = Vec::new();
         let found = Aimer::new(&system).and_then(|a| a.aim(object, target, None));
         match found {
             Ok(a) => {
@@ -214,12 +192,6 @@ fn any_input_gives_a_ray_or_a_failure() {
                 failed += 1;
                 assert!(f.surface <= system.stop, "{f:?}");
             }
-        }
-        if let Some(field) = object.to_field()
-            && system.stop < system.surfaces.len()
-            && let Ok(e) = aim(&system, ParaxialPupil::of(&system), field, target, None, &mut hits)
-        {
-            assert!(e.is_finite() && hits.len() == system.stop + 1);
         }
     }
     eprintln!("{aimed} aimed, {failed} failed");
