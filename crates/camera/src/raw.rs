@@ -293,4 +293,8 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: Opt
 }
 
 #[cfg(test)]
+mod synthetic;
+#[cfg(test)]
+mod table;
+#[cfg(test)]
 mod tests;
