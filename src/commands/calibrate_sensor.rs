@@ -151,8 +151,12 @@ impl Camera {
             Err(Error::bad(path.display().to_string(), place, found, allowed))
         };
         let RawPixels::Mosaic { cfa, .. } = raw.pixels else {
-            return refuse("RAW", "a picture that is demosaicked already".into(), "the sensor's mosaic");
+            return refuse("RAW", "a picture without a Bayer mosaic".into(), "the sensor's mosaic");
         };
+        if raw.corrected {
+            let found = "samples that the file's own corrections changed (OpcodeList2)".into();
+            return refuse("RAW", found, "levels in digital numbers, as the sensor gave them");
+        }
         let white = f64::from(raw.white.iter().copied().fold(f32::INFINITY, f32::min));
         if white <= 16.0 || white > 65535.0 {
             return refuse("RAW", format!("white level {white}"), "levels in digital numbers, as the sensor gave them");

@@ -112,6 +112,12 @@ fn raw(path: &Path) -> Result<Picture> {
             let source = format!("RAW of {} {}, {cfa} mosaic", raw.make, raw.model);
             Ok(Picture { channels: mosaic_channels(&mosaic, cfa, range), source })
         }
+        RawPixels::Grey(samples) => {
+            let at = |(r, c): (usize, usize)| level(samples[[r, c]], (r & 1) * 2 + (c & 1));
+            let plane = ndarray::Array2::from_shape_fn(samples.dim(), at).into_shared();
+            let grey = Channel { name: "grey", plane, sites: Sites::ALL, range };
+            Ok(Picture { channels: vec![grey], source: format!("RAW of {} {} without colours", raw.make, raw.model) })
+        }
         RawPixels::Linear(samples) => {
             let plane = |i: usize| samples.index_axis(Axis(0), i).mapv(|v| level(v, i)).into_shared();
             let one = |(i, name)| Channel { name, plane: plane(i), sites: Sites::ALL, range };

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::child::{self, Limits, Start};
 use crate::orientation::Orientation;
-use crate::raw::{self, ALLOWED, RawCapture, RawPixels};
+use crate::raw::{self, ALLOWED, Area, RawCapture, RawPixels};
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::exif::Exif;
@@ -33,16 +33,25 @@ enum Reply {
     Refused { found: String, allowed: String },
 }
 
+#[derive(Clone, Copy, Serialize, Deserialize)]
+enum Kind {
+    Mosaic(Cfa),
+    Linear,
+    Grey,
+}
+
 #[derive(Serialize, Deserialize)]
 struct Header {
     rows: usize,
     columns: usize,
-    /// The mosaic's layout; absent for linear pictures.
-    cfa: Option<Cfa>,
+    /// What the samples are.
+    kind: Kind,
     /// Samples as `u16` (all are whole numbers) or `f32`, in this machine's byte order.
     integer: bool,
     black: [f32; 4],
     white: [f32; 4],
+    corrected: bool,
+    crop: Area,
     // Facts come from f32, which JSON carries exactly.
     neutral: Option<[f32; 3]>,
     camera_from_xyz: Option<[[f32; 3]; 3]>,
@@ -72,18 +81,21 @@ pub fn serve(path: &Path, out: &mut impl Write) -> std::io::Result<()> {
         }
     };
     let (rows, columns) = capture.size();
-    let (samples, cfa) = match capture.pixels {
-        RawPixels::Mosaic { samples, cfa } => (samples.into_raw_vec_and_offset().0, Some(cfa)),
-        RawPixels::Linear(samples) => (samples.into_raw_vec_and_offset().0, None),
+    let (samples, kind) = match capture.pixels {
+        RawPixels::Mosaic { samples, cfa } => (samples.into_raw_vec_and_offset().0, Kind::Mosaic(cfa)),
+        RawPixels::Linear(samples) => (samples.into_raw_vec_and_offset().0, Kind::Linear),
+        RawPixels::Grey(samples) => (samples.into_raw_vec_and_offset().0, Kind::Grey),
     };
     let integer = samples.iter().all(|v| (0.0..=65_535.0).contains(v) && v.fract() == 0.0);
     let header = Header {
         rows,
         columns,
-        cfa,
+        kind,
         integer,
         black: capture.black,
         white: capture.white,
+        corrected: capture.corrected,
+        crop: capture.crop,
         neutral: capture.neutral.map(|v| v.map(|x| x as f32)),
         camera_from_xyz: capture.camera_from_xyz.map(|m| m.map(|row| row.map(|x| x as f32))),
         orientation: capture.orientation,
@@ -166,7 +178,7 @@ fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String
         Reply::Capture(header) => header,
     };
     let body = &bytes[end + 1..];
-    let planes = if header.cfa.is_some() { 1 } else { 3 };
+    let planes = if matches!(header.kind, Kind::Linear) { 3 } else { 1 };
     let count = header.rows.checked_mul(header.columns)?.checked_mul(planes)?;
     if body.len() != count.checked_mul(if header.integer { 2 } else { 4 })? {
         return None;
@@ -176,16 +188,19 @@ fn parse(bytes: &[u8]) -> Option<std::result::Result<RawCapture, (String, String
     } else {
         body.chunks_exact(4).map(|b| f32::from_ne_bytes([b[0], b[1], b[2], b[3]])).collect()
     };
-    let pixels = match header.cfa {
-        Some(cfa) => {
-            RawPixels::Mosaic { samples: Array2::from_shape_vec((header.rows, header.columns), samples).ok()?, cfa }
-        }
-        None => RawPixels::Linear(Array3::from_shape_vec((3, header.rows, header.columns), samples).ok()?),
+    let size = (header.rows, header.columns);
+    let plane = |samples| Array2::from_shape_vec(size, samples).ok();
+    let pixels = match header.kind {
+        Kind::Mosaic(cfa) => RawPixels::Mosaic { samples: plane(samples)?, cfa },
+        Kind::Grey => RawPixels::Grey(plane(samples)?),
+        Kind::Linear => RawPixels::Linear(Array3::from_shape_vec((3, size.0, size.1), samples).ok()?),
     };
     Some(Ok(RawCapture {
         pixels,
         black: header.black,
         white: header.white,
+        corrected: header.corrected,
+        crop: header.crop,
         neutral: header.neutral.map(|v| v.map(f64::from)),
         camera_from_xyz: header.camera_from_xyz.map(|m| m.map(|row| row.map(f64::from))),
         orientation: header.orientation,

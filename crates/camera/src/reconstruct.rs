@@ -11,7 +11,7 @@ use ndarray::{Array3, ArrayView2, ArrayView4};
 use crate::kit::Kit;
 use crate::lock;
 use crate::network_process::{Apart, Network};
-use crate::raw::{RawCapture, RawPixels};
+use crate::raw::{Area, RawCapture, RawPixels};
 use crate::session::Options;
 use crate::tiles;
 use isoplanat_base::error::{Error, Result};
@@ -273,16 +273,15 @@ impl Camera {
         let mut notes = capture.notes.clone();
         let (orientation, exif) = (capture.orientation, capture.exif.clone());
         let name = format!("{} {}", capture.make, capture.model).trim().to_owned();
+        let distortion = self.measured.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
+        let flat_field = self.shading.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
         let mut development = match &self.calibrated {
             Some(calibrated) => calibrated.development(&capture, file, &mut notes)?,
-            None => {
-                let distortion = self.measured.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
-                let flat_field = self.shading.as_ref().map(|m| m.of(&capture, file, &mut notes)).transpose()?;
-                if flat_field.is_some() && matches!(capture.pixels, RawPixels::Linear(_)) {
-                    notes.push("the lens's falling light is left in a picture that is demosaicked already".into());
-                }
-                Development { distortion, flat_field, ..plain_development(&capture, &mut notes) }
-            }
+            None => Development {
+                distortion: distortion.as_ref().map(|(frame, value)| (frame, *value)),
+                flat_field: flat_field.as_ref().map(|(frame, value)| (frame, *value)),
+                ..plain_development(&capture, &mut notes)
+            },
         };
         let started = Instant::now();
         let mut camera = match capture.pixels {
@@ -297,8 +296,14 @@ impl Camera {
                 if matches!(self.veil, Veil::Share(_) | Veil::Guess) {
                     notes.push("glare is left in a picture that is demosaicked already".into());
                 }
-                develop::balance_colours(&mut samples, &development.balance);
+                develop::colour_input(&mut samples, &development.balance, development.flat_field);
                 samples
+            }
+            RawPixels::Grey(samples) => {
+                if matches!(self.veil, Veil::Share(_) | Veil::Guess) {
+                    notes.push("glare is left in a picture without colours".into());
+                }
+                develop::grey_input(samples, &development.balance, development.flat_field)
             }
         };
         let mut times = Times { input: started.elapsed(), ..Times::default() };
@@ -321,7 +326,8 @@ impl Camera {
             }
             Target::Camera => develop::unfinished(camera, &development),
         };
-        let image = orientation.apply(developed.image);
+        // Calibrations state places of the whole active area: the part that is shown is cut out behind them.
+        let image = orientation.apply(cut(developed.image, capture.crop));
         times.finish = started.elapsed();
         let outside_fraction = developed.outside_fraction;
         Ok(Picture { image, colour, exif, camera: name, notes, outside_fraction, tiles: count, times })
@@ -329,14 +335,23 @@ impl Camera {
 }
 
 impl<T> Measured<T> {
-    /// Frame and value for a capture of the size that they were measured at.
-    fn of(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<(&Frame, &T)> {
-        of_size(capture, &self.frame, file, &format!("the pictures that the {} was measured in", self.what))?;
+    /// Frame over the active area, and value, for a capture of the size that they were measured at: the active area's, or that of the part that
+    /// pictures show.
+    fn of(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<(Frame, &T)> {
+        let Area { row, column, rows, columns } = capture.crop;
+        let frame = if (rows, columns) == (self.frame.rows, self.frame.columns) {
+            let [x, y] = self.frame.axis_px;
+            let (rows, columns) = capture.size();
+            Frame { rows, columns, axis_px: [x + column as f64, y + row as f64], ..self.frame.clone() }
+        } else {
+            of_size(capture, &self.frame, file, &format!("the pictures that the {} was measured in", self.what))?;
+            self.frame.clone()
+        };
         let camera = format!("{} {}", capture.make, capture.model);
         if !self.camera.is_empty() && !same_camera(&camera, &self.camera) {
             notes.push(format!("the file is of {}, the {} was measured on {}", camera.trim(), self.what, self.camera));
         }
-        Ok((&self.frame, &self.value))
+        Ok((frame, &self.value))
     }
 }
 
@@ -374,11 +389,19 @@ impl Calibrated {
                 let found = "a picture that is demosaicked already";
                 return Err(Error::bad(file, "RAW", found, "the sensor's mosaic; without --kit it is only developed"));
             }
+            RawPixels::Grey(_) => {
+                let found = "a picture of a sensor without colours";
+                return Err(Error::bad(file, "RAW", found, "the sensor's mosaic; without --kit it is only developed"));
+            }
         }
         let mut balance = Balance::from_sensor(sensor);
         let range = balance.white[0] - balance.black[0];
         let far = |a: f32, b: f32| (a - b).abs() > 0.01 * range;
-        if (0..4).any(|i| far(capture.black[i], balance.black[i]) || far(capture.white[i], balance.white[i])) {
+        if capture.corrected {
+            // Digital numbers are gone: the samples run from 0 to 1.
+            (balance.black, balance.white) = (capture.black, capture.white);
+            notes.push("the file's own corrections are made before the kit's, by the file's levels".into());
+        } else if (0..4).any(|i| far(capture.black[i], balance.black[i]) || far(capture.white[i], balance.white[i])) {
             notes.push(format!(
                 "the file's levels ({} to {}) are not the kit's ({} to {}), which are used",
                 capture.black[0], capture.white[0], balance.black[0], balance.white[0]
@@ -403,6 +426,26 @@ impl Calibrated {
     }
 }
 
+/// The part of a picture, `[3, row, col]`, in place.
+fn cut(image: Array3<f32>, part: Area) -> Array3<f32> {
+    let (planes, rows, columns) = image.dim();
+    if (part.rows, part.columns) == (rows, columns) {
+        return image;
+    }
+    let image = if image.is_standard_layout() { image } else { image.as_standard_layout().into_owned() };
+    let mut samples = image.into_raw_vec_and_offset().0;
+    let mut to = 0;
+    for plane in 0..planes {
+        for row in part.row..part.row + part.rows {
+            let from = (plane * rows + row) * columns + part.column;
+            samples.copy_within(from..from + part.columns, to);
+            to += part.columns;
+        }
+    }
+    samples.truncate(to);
+    Array3::from_shape_vec((planes, part.rows, part.columns), samples).expect("as many samples as the part has")
+}
+
 /// Refuses a capture that has not the size of `frame`, which is `whose`.
 fn of_size(capture: &RawCapture, frame: &Frame, file: &Path, whose: &str) -> Result<()> {
     let (rows, columns) = capture.size();
@@ -425,6 +468,11 @@ fn same_camera(file: &str, sensor: &str) -> bool {
 
 /// Levels and colour as the file has them.
 fn plain_development(capture: &RawCapture, notes: &mut Vec<String>) -> Development<'static> {
+    if matches!(capture.pixels, RawPixels::Grey(_)) {
+        let balance = Balance { black: capture.black, white: capture.white, neutral: [1.0; 3] };
+        let rendering = Rendering::default();
+        return Development { balance, flat_field: None, distortion: None, srgb_from_camera: IDENTITY, rendering };
+    }
     let neutral = capture.neutral.unwrap_or_else(|| {
         let daylight = capture.camera_from_xyz.as_ref().and_then(daylight_response);
         let source = if daylight.is_some() { "daylight is assumed" } else { "none is applied" };

@@ -17,6 +17,8 @@ fn capture(columns: usize, rows: usize) -> RawCapture {
         pixels: RawPixels::Mosaic { samples, cfa: Cfa::RGGB },
         black: [256.0; 4],
         white: [4095.0; 4],
+        corrected: false,
+        crop: Area { row: 0, column: 0, rows, columns },
         neutral: None,
         camera_from_xyz: None,
         orientation: Orientation::from_exif(6),
@@ -170,9 +172,10 @@ fn balanced_captures_have_libraws_colour() {
         let camera = match capture.pixels {
             RawPixels::Mosaic { samples, cfa } => develop::network_input(samples.clone(), cfa, &balance, None),
             RawPixels::Linear(mut samples) => {
-                develop::balance_colours(&mut samples, &balance);
+                develop::colour_input(&mut samples, &balance, None);
                 samples
             }
+            RawPixels::Grey(_) => panic!("{name} has colours"),
         };
         for c in 0..3 {
             // LibRaw cuts at white, on 16 bits.

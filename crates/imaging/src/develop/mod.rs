@@ -17,7 +17,7 @@ pub mod simulate;
 pub mod undistort;
 
 use ndarray::parallel::prelude::*;
-use ndarray::{Array2, Array3, ArrayView2, Axis, Zip};
+use ndarray::{Array2, Array3, ArrayView2, ArrayViewMut2, Axis, Zip};
 
 pub use crate::develop::color::IDENTITY;
 use crate::develop::color::{XYZ_FROM_SRGB, inverse, product};
@@ -156,7 +156,7 @@ pub fn network_input_at(
 ) -> Array3<f32> {
     balance_mosaic(&mut mosaic, cfa, balance);
     if let Some((frame, shading)) = flat_field {
-        divide_shading(&mut mosaic, at, cfa, frame, shading);
+        divide_shading(mosaic.view_mut(), at, |r, c| cfa.channel(r, c), frame, shading);
     }
     demosaic(mosaic.view(), cfa)
 }
@@ -172,21 +172,53 @@ fn balance_mosaic(mosaic: &mut Array2<f32>, cfa: Cfa, balance: &Balance) {
     });
 }
 
-/// Steps 1 and 2 for a picture with three samples a pixel, `[3, row, col]`, in place.
-pub fn balance_colours(image: &mut Array3<f32>, balance: &Balance) {
+/// Steps 1 to 3 for a picture with three samples a pixel, `[3, row, col]`, in place.
+///
+/// # Panics
+/// If the frame has not the picture's size.
+pub fn colour_input(image: &mut Array3<f32>, balance: &Balance, flat_field: Option<(&Frame, &Shading)>) {
+    let size = (image.dim().1, image.dim().2);
     for (channel, mut plane) in image.axis_iter_mut(Axis(0)).enumerate() {
         let (gain, black) = balance.gain(channel, channel);
         plane.par_mapv_inplace(|dn| (dn - black) * gain);
+        if let Some((frame, shading)) = flat_field {
+            assert_eq!(size, (frame.rows, frame.columns), "the picture has the frame's size");
+            divide_shading(plane, Region::whole(frame), |_, _| channel, frame, shading);
+        }
     }
 }
 
+/// Steps 1 to 3 for a sensor without colours, `[row, col]`: three equal channels, `[3, row, col]`. Illumination is green's.
+///
+/// # Panics
+/// If the frame has not the picture's size.
+pub fn grey_input(mut samples: Array2<f32>, balance: &Balance, flat_field: Option<(&Frame, &Shading)>) -> Array3<f32> {
+    let balance = Balance { neutral: [1.0; 3], ..balance.clone() };
+    balance_mosaic(&mut samples, Cfa::RGGB, &balance);
+    if let Some((frame, shading)) = flat_field {
+        assert_eq!(samples.dim(), (frame.rows, frame.columns), "the picture has the frame's size");
+        divide_shading(samples.view_mut(), Region::whole(frame), |_, _| 1, frame, shading);
+    }
+    let (rows, columns) = samples.dim();
+    let mut all = samples.into_raw_vec_and_offset().0;
+    all.reserve_exact(2 * all.len());
+    (0..2).for_each(|_| all.extend_from_within(..rows * columns));
+    Array3::from_shape_vec((3, rows, columns), all).expect("three planes")
+}
+
 /// Step 3, in place, for samples at `at` of the frame.
-fn divide_shading(samples: &mut Array2<f32>, at: Region, cfa: Cfa, frame: &Frame, shading: &Shading) {
+fn divide_shading(
+    mut samples: ArrayViewMut2<'_, f32>,
+    at: Region,
+    channel: impl Fn(usize, usize) -> usize + Sync,
+    frame: &Frame,
+    shading: &Shading,
+) {
     let first = [at.col as f64 + 0.5, at.row as f64 + 0.5];
     let gains = shading.gain_table(frame.max_radius_mm());
     samples.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
         for (c, v) in row.iter_mut().enumerate() {
-            *v *= gains.at(cfa.channel(r, c), frame.radius_mm(c as f64 + first[0], r as f64 + first[1]));
+            *v *= gains.at(channel(r, c), frame.radius_mm(c as f64 + first[0], r as f64 + first[1]));
         }
     });
 }
