@@ -6,7 +6,7 @@ use isoplanat_base::error::{Error, Result};
 /// Most surfaces that a lens has: the largest published ones have some sixty.
 pub(crate) const MAX_SURFACES: usize = 400;
 /// Largest half field angle. Work on a flat image asks for less than 90.
-const MAX_FIELD_DEG: f64 = 110.0;
+pub(crate) const MAX_FIELD_DEG: f64 = 120.0;
 /// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
 /// semi-diameters wide stay within 1e50, and their derivatives with them.
 const RADII: f64 = 1e3;
@@ -126,8 +126,8 @@ fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
 /// What the numbers of a surface must be to each other.
 pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
     let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
-    if semi_diameter >= shape.reach() {
-        let allowed = format!("below the conic's reach of {:.6} mm", shape.reach());
+    if semi_diameter > shape.reach() {
+        let allowed = format!("at most the conic's reach of {:.6} mm", shape.reach());
         return Err(Error::bad(file, format!("{place}.semi_diameter_mm"), semi_diameter.to_string(), allowed));
     }
     // Polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their
