@@ -1,12 +1,11 @@
 //! Aspheric terms of a Zemax surface, by its type.
 
 use crate::interchange::text::shown;
+use crate::lens::shape::HIGHEST_POWER;
 use isoplanat_base::error::{Error, Result};
 
 /// Types whose terms are read.
 const SUPPORTED: &str = "STANDARD, EVENASPH, ODDASPHE, XASPHERE, XOSPHERE";
-/// Highest power of `r` that a surface may have.
-const HIGHEST: usize = 20;
 
 /// Numbers of a surface beside curvature and conic constant, lengths in the file's unit.
 pub(super) struct Terms<'a> {
@@ -48,8 +47,8 @@ impl Terms<'_> {
             if power == 1 {
                 return Err(refuse(format!("a term {a} r"), "terms from r² on: a cone has no tangent plane"));
             }
-            if power > HIGHEST {
-                return Err(refuse(format!("a term {a:e} r^{power}"), &format!("terms up to r^{HIGHEST}")));
+            if power > HIGHEST_POWER {
+                return Err(refuse(format!("a term {a:e} r^{power}"), &format!("terms up to r^{HIGHEST_POWER}")));
             }
             let list = if power % 2 == 0 { &mut even } else { &mut odd };
             let entry = power / 2 - 1;

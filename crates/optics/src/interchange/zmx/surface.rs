@@ -16,6 +16,8 @@ const HARMLESS: [&str; 26] = [
 /// Keywords by which a thickness follows from something else; its value stands in DISZ.
 const SOLVES: [&str; 12] =
     ["MAZH", "CHZH", "PZUP", "EDGT", "OPDZ", "POSI", "COMP", "CNTR", "PUPZ", "TTHI", "EDGE", "ZPLM"];
+/// Distances from here on are infinite, in any unit.
+const INFINITE: f64 = 1e10;
 /// Parameters that a surface's type has at most.
 const PARAMETERS: usize = 300;
 
@@ -212,7 +214,12 @@ impl Raw {
 fn distance(line: &Line) -> Result<f64> {
     let word = line.words.first().copied().unwrap_or("");
     let infinite = ["INFINITY", "INF", "1E+10", "1.0E+10"].iter().any(|w| word.eq_ignore_ascii_case(w));
-    if infinite { Ok(f64::INFINITY) } else { line.number(0) }
+    if infinite {
+        return Ok(f64::INFINITY);
+    }
+    let distance = line.number(0)?;
+    // The number that the program itself writes for it.
+    Ok(if distance >= INFINITE { f64::INFINITY } else { distance })
 }
 
 /// Object, surfaces and image of a file.
