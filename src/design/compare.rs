@@ -5,7 +5,7 @@ use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::{Aperture, Field, Lens, SensorRaster, paraxial};
 use isoplanat_optics::optimize::{Apertures, Merit, refocused};
 use isoplanat_optics::trace::apertures::{Beam, open};
-use isoplanat_optics::trace::rims::overlapping_rims;
+use isoplanat_optics::trace::rims::require_clear;
 
 /// What every lens of a comparison is made to be.
 #[derive(Clone, Debug, PartialEq)]
@@ -96,7 +96,7 @@ impl Place {
         }
         let stated = lens.max_field_deg();
         let lens = Lens::new(numbers, &lens.name)?;
-        overlapping_rims(&lens, &lens.name)?;
+        require_clear(&lens, &lens.name)?;
         let corner = (self.sensor.radius_mm() / self.focal_length_mm).atan().to_degrees();
         // As far out as light comes through: to the frame's corner, as far as the file says, or next to the axis.
         let fields = [corner, corner.min(stated), 0.5 * corner.min(stated), 0.1 * corner.min(stated)];

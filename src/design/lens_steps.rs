@@ -9,7 +9,7 @@ use isoplanat_optics::lens::variables::Variables;
 use isoplanat_optics::lens::{Lens, LensGradient};
 use isoplanat_optics::optimize::Problem;
 use isoplanat_optics::optimize::descent::{Descent, Linear, Memory};
-use isoplanat_optics::trace::rims::overlapping_rims;
+use isoplanat_optics::trace::rims::require_clear;
 
 /// What a step of the lens is measured by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -127,7 +127,7 @@ impl LensSteps {
         match &mut self.0 {
             Way::Rays { descent, memory } => {
                 let moved = descent.step(memory, lens, &gradient, rate, more);
-                let clear = |l: Lens| overlapping_rims(&l, &l.name).is_ok().then_some(l);
+                let clear = |l: Lens| require_clear(&l, &l.name).is_ok().then_some(l);
                 match moved {
                     Some(m) => Stepped {
                         lens: clear(m.lens),
@@ -147,7 +147,7 @@ impl LensSteps {
                 }
                 let mut x = variables.values(lens);
                 adam.step(&mut x, &g, rate);
-                let clear = |moved: Lens| overlapping_rims(&moved, &moved.name).map(|_| moved);
+                let clear = |moved: Lens| require_clear(&moved, &moved.name).map(|_| moved);
                 let lens = variables.lens(lens, &x).and_then(clear).ok();
                 Stepped { lens, ..Stepped::nowhere(penalty) }
             }

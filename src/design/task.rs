@@ -19,13 +19,13 @@ use isoplanat_imaging::calibrate::lens::MeasuredLens;
 use isoplanat_imaging::guide::Inputs;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
-use isoplanat_optics::interchange;
+use isoplanat_optics::interchange::{self, Reading};
 use isoplanat_optics::lens::catalogue::Glasses;
 use isoplanat_optics::lens::variables::Variables;
 use isoplanat_optics::lens::{Field, Kind, Lens, Prescription, SensorRaster};
 use isoplanat_optics::optimize::spec::Spec;
 use isoplanat_optics::optimize::{Constraint, Problem, Quantity};
-use isoplanat_optics::trace::rims::overlapping_rims;
+use isoplanat_optics::trace::rims::require_clear;
 
 /// Largest distortion at the frame's corner, and how much more than its own a lens may get that has more.
 const BARREL: f64 = 0.08;
@@ -544,8 +544,8 @@ impl Task {
             let allowed = "a lens with a prescription; `isoplanat train` takes measured ones";
             return Err(Error::bad(&self.lens, "lens", "a measured lens, which has no surfaces to move", allowed));
         }
-        let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
-        overlapping_rims(&lens, &self.lens)?;
+        let lens = interchange::lens_or_file(&self.lens, glasses, Reading::default())?.lens;
+        require_clear(&lens, &self.lens)?;
         let lens = self.with_terms(&lens)?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]

@@ -12,7 +12,7 @@ use isoplanat::interchange::{Form, load, text_of};
 use isoplanat::lens::builtin;
 use isoplanat::lens::catalogue::Glasses;
 
-const WORDS: [&str; 24] = [
+const WORDS: [&str; 32] = [
     "nan",
     "inf",
     "-inf",
@@ -37,6 +37,14 @@ const WORDS: [&str; 24] = [
     "&",
     "CD",
     "NM",
+    "XASPHERE",
+    "XOSPHERE",
+    "XDAT",
+    "MNUM",
+    "THIC",
+    "GLSS",
+    "DBDT",
+    "0,5",
 ];
 
 /// Files to start from: the shipped lenses in this form, and those of `FUZZ_SEEDS`.

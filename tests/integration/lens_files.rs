@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use glam::DVec3;
-use isoplanat::interchange::{Form, load, parse, text_of};
+use isoplanat::interchange::{Form, Reading, load, parse, parse_as, text_of};
 use isoplanat::lens::catalogue::Glasses;
 use isoplanat::lens::{Aperture, Lens, builtin, paraxial, seidel};
 use isoplanat::testing::{assert_abs, assert_rel, shared};
@@ -232,8 +232,7 @@ fn what_is_not_supported_is_refused_by_name_and_line() {
         ("UNIT MM", "UNIT FT", "line 4: the unit `FT`"),
         ("ENPD 4", "ENPD 4\r\nFNUM 3 0", "line 6: FNUM beside ENPD"),
         ("ENPD 4", "", "aperture"),
-        ("ENPD 4", "ENPD 4\r\nHURZ 1", "line 6: the keyword `HURZ`"),
-        ("  STOP\r\n", "", "stop: none"),
+        ("  STOP\r\n", "  STOP\r\n  HURZ 1\r\n", "line 16 (SURF 1): the keyword `HURZ`"),
         ("SURF 3", "SURF 7", "SURF 7"),
         ("DISZ 2\r\n", "DISZ 2\r\n  OBSC 0 1\r\n", "obscuration"),
         ("DISZ 2\r\n", "DISZ 2\r\n  CLAP 1 2\r\n", "annular"),
@@ -283,9 +282,47 @@ fn spoilt_files_are_read_or_refused() {
                 .map(|p| (Form::of(p).expect("a form"), std::fs::read(p).expect("reads"))),
         );
     }
+    // Lines that a Zemax file may have anywhere.
+    let lines = [
+        "XDAT 1 1e9",
+        "XDAT 2 0",
+        "XDAT 4 1e300",
+        "XDAT 299 1",
+        "  TYPE XOSPHERE",
+        "  TYPE XASPHERE",
+        "MNUM 3 9",
+        "THIC 2 1 1e10",
+        "THIC 99 1 0",
+        "GLSS 2 1 MIRROR",
+        "STPS 0 1 900",
+        "WAVE 0 1 0.5",
+        "YFIE 70 1 3",
+        "PAR8 1 1 nan",
+        "APER 0 1 -3",
+        "SURF 5AS",
+        "DBDT 0",
+        "HURZ",
+        "  CURV 0,5",
+        "FTYP 3 0 2 1",
+        "  DISZ -1E+10",
+        "  DIAM 1E300 1",
+        "GLAS ___BLANK 1 0 -1",
+    ];
     let rng = &mut fastrand::Rng::with_seed(13);
     let place = Workplace::new();
     for (form, bytes) in &texts {
+        for _ in 0..if *form == Form::Zmx { 40 } else { 0 } {
+            let text = String::from_utf8_lossy(bytes);
+            let mut spoilt: Vec<&str> = text.lines().collect();
+            for _ in 0..rng.usize(1..4) {
+                spoilt.insert(rng.usize(0..=spoilt.len()), lines[rng.usize(0..lines.len())]);
+            }
+            let reading = Reading { strict: rng.bool(), configuration: [None, Some(rng.usize(0..4))][rng.usize(0..2)] };
+            if let Err(error) = parse_as(&spoilt.join("\n"), Form::Zmx, "a.zmx", Glasses::shipped(), reading) {
+                let text = error.to_string();
+                assert!(text.contains("a.zmx") && !text.contains('\n'), "{text}");
+            }
+        }
         for _ in 0..20 {
             let mut spoilt = bytes.clone();
             if rng.bool() {

@@ -53,3 +53,5 @@ mod white;
 mod white_axis;
 mod white_oracle;
 mod windows;
+mod zemax_database;
+mod zemax_files;

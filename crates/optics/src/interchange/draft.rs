@@ -11,6 +11,10 @@ pub(super) struct Draft {
     pub(super) kind: &'static str,
     /// Object distance before the first surface, mm.
     pub(super) object_mm: f64,
+    /// Medium that an object at infinity lies in.
+    pub(super) object_medium: Stated,
+    /// How far behind the last distance's end the image plane lies, mm: not positive. Below 0 the image is virtual.
+    pub(super) image_back_mm: f64,
     /// How large the stop is.
     pub(super) aperture: Option<Size>,
     /// What field points are.
@@ -119,6 +123,8 @@ impl Draft {
             title: String::new(),
             kind,
             object_mm: f64::INFINITY,
+            object_medium: Stated::Air,
+            image_back_mm: 0.0,
             aperture: None,
             field: FieldKind::Angle,
             points: Vec::new(),

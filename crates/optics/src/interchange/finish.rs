@@ -3,17 +3,20 @@
 use glam::DVec2;
 
 use super::draft::{Draft, FieldKind, Point, Size, Stage};
+use super::media::Stated;
 use super::{Imported, order};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{
     Aperture, Field, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
 };
-use crate::trace::apertures::{self, Beam};
+use crate::trace::apertures::{self, Beam, Reached};
 use isoplanat_base::error::{Error, Result};
 
 /// Pixels of the frame that stands in for a sensor no file states: 3:2.
 const FRAME: [usize; 2] = [1500, 1000];
+/// A clear semi-diameter within this part of the conic's reach stands at it.
+const AT_REACH: f64 = 1e-9;
 /// Its pixel pitch where the field is a single point, µm.
 const POINT_PITCH_UM: f64 = 1.0;
 
@@ -23,8 +26,10 @@ const POINT_PITCH_UM: f64 = 1.0;
 /// What is no lens, with the surface's place in the file.
 pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<Imported> {
     order::put(&mut draft, file)?;
-    let stages = std::mem::take(&mut draft.surfaces);
-    let stop = the_stop(&stages, file)?;
+    within_glass(&mut draft);
+    let mut stages = std::mem::take(&mut draft.surfaces);
+    let stop = the_stop(&mut stages, &mut draft.notes, file)?;
+    end_at_reach(&mut stages, &mut draft.notes);
     let mut surfaces = Vec::with_capacity(stages.len());
     for stage in &stages {
         surfaces.push(surface(stage, file, glasses, &draft.catalogues)?);
@@ -61,17 +66,25 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
             check_surface(s, &format!("surface[{i}]"), file).map_err(|e| placed(e, &stages))?;
         }
     }
+    let last = numbers.surfaces.len() - 1;
+    numbers.surfaces[last].thickness += draft.image_back_mm;
     let mut notes = std::mem::take(&mut draft.notes);
     let marked: Vec<bool> = stages.iter().map(|s| s.semi_diameter.is_none()).collect();
     meet(&mut numbers, &stages, &marked, &mut notes);
-    numbers.aperture = aperture(&draft, &numbers, &stages[stop], file)?;
-    if draft.aperture == Some(Size::Stop) && stages[stop].semi_diameter.or(stages[stop].computed).is_none() {
-        numbers.aperture = Aperture::StopSemiDiameter(axial_stop(&numbers, &stages, file)?);
-        notes.push(
-            "the stop floats and has no size: it is as large as the other apertures let the axis' light be".into(),
-        );
-    }
-    let beams = fields(&draft, &mut numbers, &marked, file)?;
+    let own = stages[stop].semi_diameter.or(stages[stop].computed);
+    numbers.aperture = match draft.aperture {
+        None | Some(Size::Stop) if draft.aperture.is_none() || own.is_none() => {
+            let (size, of) = axial_stop(&numbers, &stages, file)?;
+            let why =
+                if draft.aperture.is_none() { "no aperture is stated" } else { "the stop floats and has no size" };
+            notes.push(format!(
+                "{why}: the stop is as large as the clear semi-diameter of {of} lets the axis' light be, {size:.6} mm"
+            ));
+            Aperture::StopSemiDiameter(size)
+        }
+        _ => aperture(&draft, &numbers, &stages[stop], file)?,
+    };
+    let beams = fields(&draft, &mut numbers, &marked, &mut notes, file)?;
     let dark = apertures::open(&mut numbers, &marked, &beams);
     if !dark.is_empty() {
         let list: Vec<String> = dark.iter().map(|a| format!("{:.3}°", a.to_degrees())).collect();
@@ -87,6 +100,12 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         ));
     }
     sensor(&draft, &mut numbers, &marked, &mut notes);
+    if draft.image_back_mm < 0.0 {
+        // Behind the last surface's deepest point, where a sensor can stand.
+        let s = &numbers.surfaces[last];
+        let sag = (0..=64).filter_map(|k| s.shape.at(s.semi_diameter * f64::from(k) / 64.0, 0.0)).map(|l| l.h);
+        numbers.surfaces[last].thickness = sag.fold(stages[last].thickness, f64::max);
+    }
     notes.extend(
         clearance::limit_stop(&mut numbers, file)
             .map(|line| line.trim_start_matches(file).trim_start_matches(": ").to_owned()),
@@ -110,16 +129,58 @@ fn stem(file: &str) -> String {
     std::path::Path::new(file).file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-fn the_stop(stages: &[Stage], file: &str) -> Result<usize> {
+/// The stop's number; where the file names none it is the first surface.
+fn the_stop(stages: &mut [Stage], notes: &mut Vec<String>, file: &str) -> Result<usize> {
     let stops: Vec<usize> = (0..stages.len()).filter(|i| stages[*i].stop).collect();
     match stops[..] {
         [stop] => Ok(stop),
         [] => {
-            Err(Error::bad(file, "stop", format!("none among {} surfaces", stages.len()), "exactly one stop surface"))
+            let Some(first) = stages.first_mut() else {
+                return Err(Error::bad(file, "stop", "no surfaces", "a stop among them"));
+            };
+            first.stop = true;
+            notes.push(format!("no stop is stated: the pupil is taken at the first surface, {}", first.place));
+            Ok(0)
         }
         [first, second, ..] => {
             let found = format!("a second one; the first is {}", stages[first].place);
             Err(Error::bad(file, stages[second].place.as_str(), found, "exactly one stop surface"))
+        }
+    }
+}
+
+/// Light of an object at infinity within glass arrives in parallel, and so does light that enters that glass through a plane: such a plane is put
+/// before the first surface.
+fn within_glass(draft: &mut Draft) {
+    if draft.object_medium == Stated::Air {
+        return;
+    }
+    let mut plane = Stage::plane("the object's medium".into());
+    plane.medium = draft.object_medium.clone();
+    // Before the first surface's rim.
+    if let Some((c, r)) = draft.surfaces.first().and_then(|s| Some((s.curvature, s.semi_diameter.or(s.computed)?))) {
+        let share = (c * r).abs().min(1.0);
+        plane.thickness = if c < 0.0 { share * r } else { 0.0 };
+    }
+    draft.surfaces.insert(0, plane);
+    draft.notes.push("the object lies within a medium: its light enters there through a plane before the first surface, and field angles are those in the medium".into());
+}
+
+/// Clear semi-diameters that a file states end where the conic ends: no surface reaches further.
+fn end_at_reach(stages: &mut [Stage], notes: &mut Vec<String>) {
+    for s in stages {
+        let reach = Shape::even(s.curvature, s.conic, Vec::new()).reach();
+        let beyond = |r: &f64| *r > reach * (1.0 - AT_REACH);
+        if let Some(r) = s.semi_diameter.filter(beyond) {
+            notes.push(format!(
+                "{}: its clear semi-diameter of {r} mm {} the edge of its conic: it is taken up to there, {reach:.6} mm",
+                s.place,
+                if r > reach * (1.0 + AT_REACH) { "lies beyond" } else { "is" }
+            ));
+            s.semi_diameter = Some(reach);
+        }
+        if s.computed.as_ref().is_some_and(beyond) {
+            s.computed = Some(reach);
         }
     }
 }
@@ -191,7 +252,7 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
 /// Neighbouring surfaces that cross within the clear semi-diameters a file states end where they meet: no glass reaches further.
 fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &mut Vec<String>) {
     for overlap in clearance::overlaps(numbers) {
-        let pair = [overlap.surface, overlap.surface + 1];
+        let pair = [overlap.surface, overlap.next];
         if pair.iter().any(|i| marked[*i]) || overlap.depth_mm <= clearance::DEEPEST_MM || overlap.from_mm <= 0.0 {
             continue;
         }
@@ -206,42 +267,50 @@ fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &m
     }
 }
 
-/// The stop of the widest axial beam that the fixed apertures let through.
-fn axial_stop(numbers: &Prescription, stages: &[Stage], file: &str) -> Result<f64> {
-    let heights = paraxial::marginal_heights(numbers, numbers.wavelengths.primary_nm);
-    let stated = stages.iter().zip(&numbers.surfaces).map(|(stage, s)| stage.semi_diameter.and(Some(s.semi_diameter)));
-    let scale =
-        stated.zip(&heights).filter_map(|(r, h)| Some(r? / h).filter(|x| x.is_finite())).fold(f64::INFINITY, f64::min);
+/// The stop of the widest axial beam that the fixed apertures let through, and the place of the one that limits it.
+fn axial_stop(numbers: &Prescription, stages: &[Stage], file: &str) -> Result<(f64, String)> {
+    // Where no size is known yet, paraxial heights are those of any.
+    let unit = Prescription { aperture: Aperture::EntrancePupilDiameter(1.0), ..numbers.clone() };
+    let heights = paraxial::marginal_heights(&unit, numbers.wavelengths.primary_nm);
     let stop = stages.iter().position(|s| s.stop).map_or(0.0, |i| heights[i]);
-    let size = scale * stop;
-    if !size.is_finite() || size <= 0.0 {
-        return Err(Error::bad(
-            file,
-            "aperture",
-            "the stop floats and no aperture has a size",
-            "a clear semi-diameter of the stop",
-        ));
-    }
-    Ok(size)
+    let of = |any: bool| {
+        let size = |s: &Stage| s.semi_diameter.or(if any { s.computed } else { None });
+        let all = stages.iter().zip(&heights).filter_map(|(s, h)| Some((size(s)? / h * stop, s.place.clone())));
+        all.filter(|(size, _)| size.is_finite() && *size > 0.0).min_by(|a, b| a.0.total_cmp(&b.0))
+    };
+    // Sizes that the file fixes, or else those that its program had computed.
+    of(false).or_else(|| of(true)).ok_or_else(|| {
+        let found =
+            if numbers.surfaces.is_empty() { "no surfaces" } else { "no aperture is stated and no surface has a size" };
+        Error::bad(file, "aperture", found, "its size (ENPD, FNUM, OBNA, FLOA), or a clear semi-diameter of the stop")
+    })
 }
 
 /// The beams of the field points; sets the largest field angle.
-fn fields(draft: &Draft, numbers: &mut Prescription, marked: &[bool], file: &str) -> Result<Vec<Beam>> {
+fn fields(
+    draft: &Draft,
+    numbers: &mut Prescription,
+    marked: &[bool],
+    notes: &mut Vec<String>,
+    file: &str,
+) -> Result<Vec<Beam>> {
     let first = paraxial::first_order(numbers, numbers.wavelengths.primary_nm);
     let finite = numbers.object_vergence > 0.0;
-    let angle_of = |height: f64| -> Result<f64> {
+    let mut beyond: Option<(f64, f64, f64)> = None;
+    let mut angle_of = |height: f64| -> Result<f64> {
         Ok(match draft.field {
             FieldKind::Angle => height.to_radians().abs(),
-            FieldKind::ImageHeight => {
-                apertures::angle_of_image_height(numbers, marked, height.abs()).ok_or_else(|| {
-                    Error::bad(
-                        file,
-                        "field",
-                        format!("an image height of {height} mm"),
-                        "a height that a chief ray reaches",
-                    )
-                })?
-            }
+            FieldKind::ImageHeight => match apertures::angle_of_image_height(numbers, marked, height.abs()) {
+                Some(Reached::Angle(angle)) => angle,
+                Some(Reached::UpTo { angle, height: landed }) if landed > 0.0 => {
+                    beyond = beyond.filter(|b| b.0 >= height.abs()).or(Some((height.abs(), landed, angle)));
+                    angle
+                }
+                _ => {
+                    let found = format!("an image height of {height} mm");
+                    return Err(Error::bad(file, "field", found, "a height that a chief ray reaches"));
+                }
+            },
             FieldKind::ObjectHeight if finite => paraxial::angle_of_height(numbers, height),
             FieldKind::ObjectHeight => {
                 let found = format!("an object height of {height} mm at infinity");
@@ -279,6 +348,12 @@ fn fields(draft: &Draft, numbers: &mut Prescription, marked: &[bool], file: &str
             decentre: DVec2::from_array(p.decentre),
             compression: DVec2::from_array(p.compression),
         });
+    }
+    if let Some((height, landed, angle)) = beyond {
+        notes.push(format!(
+            "no chief ray lands at the image height of {height} mm: the field ends where the farthest lands, at {landed:.4} mm and {:.4}°",
+            angle.to_degrees()
+        ));
     }
     numbers.field = if draft.field == FieldKind::ObjectHeight {
         Field::ObjectHeight(points.iter().map(|p| p.x.hypot(p.y)).fold(0.0, f64::max))

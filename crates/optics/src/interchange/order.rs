@@ -16,6 +16,7 @@ pub(super) fn put(draft: &mut Draft, file: &str) -> Result<()> {
         return Ok(());
     }
     let count = draft.surfaces.len();
+    virtual_image(draft);
     let mut next = 0;
     while next < count {
         let first = next;
@@ -30,6 +31,30 @@ pub(super) fn put(draft: &mut Draft, file: &str) -> Result<()> {
         next = last + 1;
     }
     Ok(())
+}
+
+/// An image plane before the last real surface is a virtual image: the plane is put at the end of what stands before it, and how far it lies
+/// from there is kept.
+fn virtual_image(draft: &mut Draft) {
+    let last = (0..draft.surfaces.len()).rev().find(|i| !dummy(&draft.surfaces, *i));
+    let Some(last) = last else { return };
+    let (mut place, mut farthest) = (0.0f64, 0.0f64);
+    for s in &draft.surfaces[last..] {
+        farthest = farthest.max(place);
+        place += s.thickness;
+    }
+    if place < 0.0
+        && draft.surfaces[last].medium == Stated::Air
+        && let Some(end) = draft.surfaces.last_mut()
+    {
+        draft.image_back_mm = place - farthest;
+        end.thickness += farthest - place;
+        draft.notes.push(format!(
+            "the image plane stands {:.6} mm before the last refracting surface, a virtual image: first-order data are those of the file; rays \
+             go to a plane behind the lens instead, where spots and pictures are out of focus",
+            -place
+        ));
+    }
 }
 
 /// Whether the surface is a plane with air on both sides.

@@ -1,52 +1,57 @@
 //! Zemax OpticStudio `.zmx`, sequential mode. Keywords as the files of versions 2009 to 2024 have them; lengths in the file's unit.
 
 mod apertures;
+mod configurations;
+mod header;
+mod order;
+mod shapes;
 mod surface;
 
-use super::draft::{Draft, FieldKind, Point, Size};
+use super::Reading;
+use super::draft::Draft;
 use super::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
+use configurations::Configurations;
+use header::Header;
 use isoplanat_base::error::Result;
+use order::Order;
 use surface::Raw;
 
-/// Keywords of the header that no ray depends on, or that another keyword repeats.
+/// Keywords that no ray depends on and that every file has, or that another keyword repeats.
 const HARMLESS: [&str; 38] = [
     "VERS", "AUTH", "NOTE", "IWDP", "STUD", "PFIL", "LANG", "GFAC", "RAIM", "PUSH", "SDMA", "OMMA", "ROPD", "HYPR",
     "PICB", "FWGN", "FCOM", "POLS", "GLRS", "GSTD", "NSCD", "COFN", "LUID", "EERA", "TOLS", "SCHT", "PPRD", "FOVL",
     "CLRF", "XZOO", "FWGT", "DXFN", "RYLE", "VPCO", "DRGN", "SYMM", "COMM", "WWGN",
 ];
-/// Most field points and wavelengths that a file states.
-const MOST: usize = 64;
-
-/// What the header says.
-#[derive(Default)]
-struct Header {
-    scale: Option<f64>,
-    size: Option<(String, Size)>,
-    kind: Option<FieldKind>,
-    fields: Option<usize>,
-    waves: Option<usize>,
-    primary: Option<usize>,
-    columns: std::collections::BTreeMap<&'static str, Vec<f64>>,
-    wavelengths: std::collections::BTreeMap<usize, (f64, f64)>,
-    catalogues: Vec<String>,
-    title: String,
-    notes: Vec<String>,
-    merit: usize,
-}
-
-/// Lists of the header: one number a field or wavelength.
-const COLUMNS: [&str; 9] = ["XFLN", "YFLN", "VDXN", "VDYN", "VCXN", "VCYN", "VANN", "WAVL", "WWGT"];
+/// Keywords of some versions and vendors that no ray depends on, in a surface or outside. They are told.
+const READ_OVER: [&str; 6] = ["DBDT", "OEMA", "VCON", "TOLE", "FENF", "FEFD"];
 
 /// Reads the text of a file; `file` names it in errors.
-pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
+pub(super) fn read(text: &str, file: &str, reading: Reading) -> Result<Draft> {
     let mut header = Header::default();
     let mut surfaces: Vec<Raw> = Vec::new();
+    let mut order = Order::default();
+    let mut configurations = Configurations::default();
+    let (mut read_over, mut commas) = (Told::default(), Told::default());
+    let mut unknown: Vec<String> = Vec::new();
     let mut known = false;
     for (number, raw) in text.lines().enumerate() {
         let mut words = raw.split_whitespace();
         let Some(keyword) = words.next() else { continue };
-        let line = Line { file, place: format!("line {}", number + 1), words: words.collect() };
+        let place = match surfaces.last().filter(|_| keyword != "SURF") {
+            Some(surface) => format!("line {} (SURF {})", number + 1, surface.index()),
+            None => format!("line {}", number + 1),
+        };
+        let stated: Vec<&str> = words.collect();
+        // Titles and comments have commas that are no decimal points.
+        let text = ["NAME", "NOTE", "COMM", "GCAT"].contains(&keyword);
+        let dotted: Vec<Option<String>> = stated.iter().map(|w| with_point(w).filter(|_| !text)).collect();
+        let comma = stated.iter().zip(&dotted).find_map(|(w, d)| d.as_ref().map(|_| *w));
+        if let Some(word) = comma {
+            commas.add(word, &place);
+        }
+        let words = stated.iter().zip(&dotted).map(|(w, d)| d.as_deref().unwrap_or(w)).collect();
+        let line = Line { file, place, words };
         if keyword == "SURF" {
             known = true;
             if surfaces.len() > MAX_SURFACES {
@@ -54,27 +59,32 @@ pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
                     line.refused(format!("more than {MAX_SURFACES} surfaces"), format!("at most {MAX_SURFACES}"))
                 );
             }
-            let index = line.count(0, usize::MAX)?;
-            if index != surfaces.len() {
-                return Err(line.refused(format!("SURF {index}"), format!("SURF {}, the next one", surfaces.len())));
-            }
-            surfaces.push(Raw::new(format!("{} (SURF {index})", line.place)));
+            let label = order.next(&line)?;
+            surfaces.push(Raw::new(format!("{} (SURF {label})", line.place)));
             continue;
         }
-        let place = surfaces.last().map(|s| format!("{} (SURF {})", line.place, s.index()));
-        let in_surface = Line { place: place.unwrap_or_else(|| line.place.clone()), ..line };
-        if let Some(surface) = surfaces.last_mut()
-            && surface.read(keyword, &in_surface)?
+        let indented = raw.starts_with(char::is_whitespace);
+        // Behind the surfaces stand configurations, the merit function and tolerances, none of them indented.
+        let behind = !surfaces.is_empty() && !indented;
+        if behind && configurations.read(keyword, &line)? {
+            continue;
+        }
+        if !(behind && configurations.begun())
+            && let Some(surface) = surfaces.last_mut()
+            && surface.read(keyword, &line)?
         {
             continue;
         }
-        let line = in_surface;
-        if header.read(keyword, &line, raw)? || HARMLESS.contains(&keyword) {
+        if header.read(keyword, &line, raw)? || configurations.begin(keyword, &line)? || HARMLESS.contains(&keyword) {
             known = true;
             continue;
         }
-        // Behind the surfaces stand the merit function, tolerances and configurations, none of them indented.
-        if !surfaces.is_empty() && (!raw.starts_with(' ') || header.merit > 0) && operand(keyword) {
+        if READ_OVER.contains(&keyword) {
+            known = true;
+            read_over.add(keyword, &line.place);
+            continue;
+        }
+        if !surfaces.is_empty() && (!indented || header.merit > 0) && operand(keyword) {
             header.merit += 1;
             continue;
         }
@@ -84,150 +94,68 @@ pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
                 "a Zemax lens file, which begins with keywords such as VERS",
             ));
         }
-        return Err(line.refused(format!("the keyword `{}`", shown(keyword)), "a keyword that this reader knows"));
+        let found = format!("the keyword `{}`", shown(keyword));
+        if !surfaces.is_empty() && indented {
+            let allowed =
+                "keywords that this reader knows: within a surface another one may change its shape or medium";
+            return Err(line.refused(found, allowed));
+        }
+        if reading.strict {
+            return Err(line.refused(found, "a keyword that this reader knows; without --strict it is read over"));
+        }
+        unknown.push(format!("`{}` at {}", shown(keyword), line.place));
     }
-    header.draft(surfaces, file)
+    let mut notes = Vec::new();
+    notes.extend(read_over.note("read over, no ray depends on it"));
+    notes.extend(commas.note("a decimal comma, read as a point"));
+    if !unknown.is_empty() {
+        let [more, rest] = [unknown.len().min(8), unknown.len().saturating_sub(8)];
+        let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+        notes.push(format!(
+            "unknown keywords are read over (--strict refuses them): {}{rest}",
+            unknown[..more].join(", ")
+        ));
+    }
+    notes.append(&mut header.notes);
+    notes.extend(order.notes());
+    notes.extend(configurations.apply(reading.configuration, &mut header, &mut surfaces, &order, file)?);
+    header.draft(surfaces, &order, notes, file)
+}
+
+/// Words of a file that are told once, with the place of the first and how many there are.
+#[derive(Default)]
+struct Told(std::collections::BTreeMap<String, (String, usize)>);
+
+impl Told {
+    fn add(&mut self, word: &str, place: &str) {
+        let word = shown(word);
+        if self.0.len() < 40 || self.0.contains_key(&word) {
+            self.0.entry(word).or_insert_with(|| (place.to_owned(), 0)).1 += 1;
+        }
+    }
+
+    fn note(&self, what: &str) -> Option<String> {
+        let one = |(word, (place, count)): (&String, &(String, usize))| match count {
+            1 => format!("{word} ({place})"),
+            n => format!("{word} ({n} times, first {place})"),
+        };
+        let list: Vec<String> = self.0.iter().map(one).collect();
+        (!list.is_empty()).then(|| format!("{what}: {}", list.join(", ")))
+    }
+}
+
+/// A number with one decimal comma, with a point in its place: numbers of a line stand between blanks, never between commas.
+fn with_point(word: &str) -> Option<String> {
+    let (whole, rest) = word.split_once(',')?;
+    let digits = |s: &str| !s.is_empty() && s.bytes().all(|b| b.is_ascii_digit());
+    let mantissa = rest.split(['e', 'E']).next().unwrap_or("");
+    let number = format!("{whole}.{rest}");
+    (digits(whole.trim_start_matches(['-', '+'])) && digits(mantissa) && number.parse::<f64>().is_ok())
+        .then_some(number)
 }
 
 /// Whether a word looks like an operand of the merit function.
 fn operand(keyword: &str) -> bool {
     (3..=4).contains(&keyword.len())
         && keyword.chars().all(|c| c.is_ascii_uppercase() || c.is_ascii_digit() || c == '+')
-}
-
-impl Header {
-    /// Takes a keyword of the header; whether it is one.
-    fn read(&mut self, keyword: &str, line: &Line, raw: &str) -> Result<bool> {
-        match keyword {
-            "MODE" if line.words.first() != Some(&"SEQ") => {
-                return Err(line.refused(format!("mode {}", shown(&line.words.join(" "))), "SEQ: sequential lenses"));
-            }
-            "MODE" => {}
-            "NAME" => self.title = raw.trim().trim_start_matches("NAME").trim().chars().take(200).collect(),
-            "UNIT" => {
-                let unit = line.words.first().copied().unwrap_or("");
-                let scale = [("MM", 1.0), ("CM", 10.0), ("IN", 25.4), ("METER", 1e3), ("M", 1e3)];
-                let found = scale.iter().find(|(name, _)| *name == unit);
-                self.scale = Some(
-                    found.ok_or_else(|| line.refused(format!("the unit `{}`", shown(unit)), "MM, CM, IN, METER"))?.1,
-                );
-            }
-            "ENPD" => self.size(line, keyword, Size::EntrancePupil(line.number(0)?))?,
-            "FNUM" => {
-                let (n, paraxial) = (line.number(0)?, line.optional(1)?.unwrap_or(0.0));
-                self.size(line, keyword, if paraxial == 0.0 { Size::FNumber(n) } else { Size::WorkingFNumber(n) })?;
-            }
-            "OBNA" => {
-                let (n, cone) = (line.number(0)?, line.optional(1)?.unwrap_or(0.0));
-                self.size(line, keyword, Size::ObjectAperture(if cone == 0.0 { n } else { n.to_radians().sin() }))?;
-            }
-            "FLOA" => self.size(line, keyword, Size::Stop)?,
-            "ENVD" => {
-                let (t, p, adjusted) = (line.number(0)?, line.number(1)?, line.optional(2)?.unwrap_or(0.0));
-                if adjusted != 0.0 && (t != 20.0 || p != 1.0) {
-                    self.notes
-                        .push(format!("{t} °C and {p} atm are not taken into account: indices are the catalogue's"));
-                }
-            }
-            "GCAT" => self.catalogues = line.words.iter().map(|w| (*w).to_owned()).collect(),
-            "FTYP" => {
-                let kinds =
-                    [FieldKind::Angle, FieldKind::ObjectHeight, FieldKind::ParaxialImageHeight, FieldKind::ImageHeight];
-                let kind = line.count(0, 9)?;
-                let allowed = "0 angle, 1 object height, 2 paraxial image height, 3 image height";
-                let kind = *kinds.get(kind).ok_or_else(|| line.refused(format!("field type {kind}"), allowed))?;
-                // Two image heights stand in files as 2 (paraxial) and 3 (real).
-                self.kind = Some(kind);
-                if line.optional(1)?.unwrap_or(0.0) != 0.0 {
-                    self.notes.push("telecentric object space: rays are aimed at the stop instead".into());
-                }
-                if line.words.len() > 2 {
-                    self.fields = Some(line.count(2, MOST)?);
-                }
-                if line.words.len() > 3 {
-                    self.waves = Some(line.count(3, MOST)?);
-                }
-            }
-            "WAVM" => {
-                let (i, um, weight) = (line.count(0, 1000)?, line.number(1)?, line.optional(2)?.unwrap_or(1.0));
-                self.wavelengths.insert(i, (um * 1e3, weight));
-            }
-            "PWAV" => self.primary = Some(line.count(0, 1000)?),
-            "MNUM" => {
-                let configurations = line.count(0, 10_000)?;
-                if configurations > 1 {
-                    self.notes
-                        .push(format!("{configurations} configurations: the one that the surfaces state is read"));
-                }
-            }
-            "BLNK" | "TOL" | "MOFF" | "TOFF" => {}
-            _ => match COLUMNS.iter().find(|c| **c == keyword) {
-                Some(column) => {
-                    let numbers = line.numbers()?;
-                    if numbers.len() > 4 * MOST {
-                        return Err(line.refused(format!("{} numbers", numbers.len()), format!("at most {}", 4 * MOST)));
-                    }
-                    self.columns.insert(column, numbers);
-                }
-                None => return Ok(false),
-            },
-        }
-        Ok(true)
-    }
-
-    fn size(&mut self, line: &Line, keyword: &str, size: Size) -> Result<()> {
-        let empty = matches!(size, Size::EntrancePupil(x) | Size::FNumber(x) | Size::WorkingFNumber(x) | Size::ObjectAperture(x) if x == 0.0);
-        if empty {
-            return Ok(());
-        }
-        if let Some((other, _)) = self.size.as_ref().filter(|(_, s)| *s != size) {
-            return Err(line.refused(format!("{keyword} beside {other}"), "one statement of the aperture"));
-        }
-        self.size = Some((keyword.to_owned(), size));
-        Ok(())
-    }
-
-    fn column(&self, name: &str, i: usize) -> f64 {
-        self.columns.get(name).and_then(|c| c.get(i)).copied().unwrap_or(0.0)
-    }
-
-    fn draft(mut self, surfaces: Vec<Raw>, file: &str) -> Result<Draft> {
-        let mut draft = Draft::new("Zemax file");
-        let scale = self.scale.unwrap_or(1.0);
-        draft.title = std::mem::take(&mut self.title);
-        draft.aperture = self.size.as_ref().map(|(_, size)| match *size {
-            Size::EntrancePupil(d) => Size::EntrancePupil(d * scale),
-            other => other,
-        });
-        draft.field = self.kind.unwrap_or(FieldKind::Angle);
-        let stated = self.columns.get("YFLN").map_or(0, Vec::len).max(self.columns.get("XFLN").map_or(0, Vec::len));
-        let unit = if draft.field == FieldKind::Angle { 1.0 } else { scale };
-        for i in 0..self.fields.filter(|n| *n > 0).unwrap_or(stated).min(MOST) {
-            if self.column("VANN", i) != 0.0 {
-                self.notes.push(format!("field {}: the vignetting angle is not taken into account", i + 1));
-            }
-            draft.points.push(Point {
-                x: unit * self.column("XFLN", i),
-                y: unit * self.column("YFLN", i),
-                decentre: [self.column("VDXN", i), self.column("VDYN", i)],
-                compression: [self.column("VCXN", i), self.column("VCYN", i)],
-            });
-        }
-        let mut wavelengths: Vec<(f64, f64)> = self.wavelengths.values().copied().collect();
-        if wavelengths.is_empty() {
-            let list = self.columns.get("WAVL").cloned().unwrap_or_default();
-            let weight = |i: usize| self.columns.get("WWGT").and_then(|w| w.get(i)).copied().unwrap_or(1.0);
-            wavelengths = list.iter().enumerate().map(|(i, um)| (um * 1e3, weight(i))).collect();
-        }
-        wavelengths.truncate(self.waves.filter(|n| *n > 0).unwrap_or(usize::MAX));
-        draft.primary = self.primary.unwrap_or(1).saturating_sub(1);
-        draft.wavelengths = wavelengths;
-        draft.catalogues = std::mem::take(&mut self.catalogues);
-        if self.merit > 0 {
-            draft.notes.push(format!("{} operands of the merit function and of tolerances are not read", self.merit));
-        }
-        draft.notes.append(&mut self.notes);
-        surface::put(&mut draft, surfaces, scale, file)?;
-        Ok(draft)
-    }
 }

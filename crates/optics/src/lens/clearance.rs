@@ -1,11 +1,12 @@
 //! What the surfaces of a lens must leave each other, the stop and the sensor.
 
-use super::{Aperture, Prescription, Surface, paraxial};
+use super::{Aperture, Medium, Prescription, Surface, paraxial};
 use isoplanat_base::error::{Error, Result};
 
 /// Gaps are held to this, mm: elements may touch.
 const TOUCHING_MM: f64 = 1e-9;
-/// Published prescriptions round and enlarge their semi-diameters; rims that overlap by more are another lens, mm.
+/// Published prescriptions round their thicknesses and enlarge their semi-diameters; surfaces that overlap by more are another lens, mm. Rays are
+/// traced through less as they stand: the way back from one surface to the next is negative, and their landings are those of the prescription.
 pub(crate) const DEEPEST_MM: f64 = 0.05;
 /// Points of a radius that are looked at.
 const STEPS: u32 = 64;
@@ -15,6 +16,8 @@ const STEPS: u32 = 64;
 pub struct Overlap {
     /// The first of the two surfaces.
     pub surface: usize,
+    /// The second: the next one that refracts.
+    pub next: usize,
     /// Distance from the axis at which the overlap begins, mm, to 1e-6 of the rim.
     pub from_mm: f64,
     /// The deepest overlap within both clear semi-diameters, mm.
@@ -22,51 +25,66 @@ pub struct Overlap {
 }
 
 impl Overlap {
+    /// The error of one that is too deep.
+    fn refused(&self, file: &str) -> Error {
+        self.error(file, format!("no overlap above {DEEPEST_MM} mm"))
+    }
+
     /// The error of an overlap that light meets.
-    pub fn refused(&self, file: &str) -> Error {
-        let Self { surface, from_mm, depth_mm } = self;
+    pub fn refused_in_light(&self, file: &str) -> Error {
+        self.error(file, "a gap of at least 0 where light goes".into())
+    }
+
+    fn error(&self, file: &str, allowed: String) -> Error {
+        let Self { surface, next, from_mm, depth_mm } = self;
         Error::bad(
             file,
-            format!("surface[{surface}] and surface[{}]", surface + 1),
+            format!("surface[{surface}] and surface[{next}]"),
             format!("they cross: from {from_mm:.4} mm off the axis on, by up to {depth_mm:.4} mm"),
-            format!("a gap of at least 0 where light goes, and at the rims no overlap above {DEEPEST_MM} mm"),
+            allowed,
         )
     }
 }
 
-/// Overlaps of neighbouring surfaces within the clear semi-diameters that both have.
-pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
-    let overlap = |(i, pair): (usize, &[Surface])| {
-        let rim = pair[0].semi_diameter.min(pair[1].semi_diameter);
-        let gap = |r: f64| gap(&pair[0], Some(&pair[1]), r);
-        let (depth_mm, first) = deepest(rim, gap)?;
-        Some(Overlap { surface: i, from_mm: begin(rim, first, gap), depth_mm })
-    };
-    lens.surfaces.windows(2).enumerate().filter_map(overlap).collect()
+/// Whether surface `i` only marks a place: the same medium on both sides.
+fn is_dummy(lens: &Prescription, i: usize) -> bool {
+    lens.surfaces[i].medium == if i == 0 { Medium::Air } else { lens.surfaces[i - 1].medium.clone() }
 }
 
-/// Refuses surfaces that overlap where the light of the axis goes, or by more than rims do, and a last surface that reaches
-/// the sensor's plane.
+/// Overlaps of neighbouring surfaces within the clear semi-diameters that both have. Stops and other surfaces that refract nothing may stand anywhere
+/// between their neighbours and across them: a ray meets them on its straight way, before or behind the face.
+pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
+    let real: Vec<usize> = (0..lens.surfaces.len()).filter(|i| !is_dummy(lens, *i)).collect();
+    let overlap = |pair: &[usize]| {
+        let [a, b] = [pair[0], pair[1]];
+        let between = &lens.surfaces[a..b];
+        let rim = lens.surfaces[a..=b].iter().map(|s| s.semi_diameter).fold(f64::INFINITY, f64::min);
+        let apart = between.iter().map(|s| s.thickness).sum();
+        let gap = |r: f64| gap(&lens.surfaces[a], apart, Some(&lens.surfaces[b]), r);
+        let (depth_mm, first) = deepest(rim, gap)?;
+        Some(Overlap { surface: a, next: b, from_mm: begin(rim, first, gap), depth_mm })
+    };
+    real.windows(2).filter_map(overlap).collect()
+}
+
+/// Refuses surfaces that overlap by more than prescriptions are rounded, and a last surface that reaches beyond the sensor's plane; it may touch it.
 pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
-    let found = overlaps(lens);
-    let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
-    for overlap in found {
-        let axial = beam[overlap.surface].max(beam[overlap.surface + 1]);
-        if overlap.depth_mm > DEEPEST_MM || overlap.from_mm <= axial {
-            return Err(overlap.refused(file));
-        }
+    if let Some(overlap) = overlaps(lens).iter().find(|o| o.depth_mm > DEEPEST_MM) {
+        return Err(overlap.refused(file));
     }
-    let last = lens.surfaces.len() - 1;
+    let Some(last) = (0..lens.surfaces.len()).rev().find(|i| !is_dummy(lens, *i)) else { return Ok(()) };
     let surface = &lens.surfaces[last];
-    let room = radii(surface.semi_diameter).map(|r| gap(surface, None, r)).fold(f64::INFINITY, f64::min);
-    if room <= TOUCHING_MM {
+    let rim = lens.surfaces[last..].iter().map(|s| s.semi_diameter).fold(f64::INFINITY, f64::min);
+    let apart = lens.surfaces[last..].iter().map(|s| s.thickness).sum();
+    let room = radii(rim).map(|r| gap(surface, apart, None, r)).fold(f64::INFINITY, f64::min);
+    if room < -TOUCHING_MM {
         return Err(Error::bad(
             file,
             format!("surface[{last}]"),
             format!(
-                "within its clear semi-diameter it comes to {room:.4} mm from the sensor's plane, which it must stand before"
+                "within its clear semi-diameter it comes to {room:.4} mm from the sensor's plane, which it must not pass"
             ),
-            "more than 0: a larger thickness_mm or a smaller semi_diameter_mm",
+            "0 or more: a larger thickness_mm or a smaller semi_diameter_mm",
         ));
     }
     Ok(())
@@ -99,16 +117,16 @@ fn begin(rim: f64, first: u32, gap: impl Fn(f64) -> f64) -> f64 {
     low
 }
 
-/// Least distance along the axis from `surface` to `next` (the sensor's plane for `None`) at `r` from it, mm; tilts and
+/// Least distance along the axis from `surface` to `next`, `apart` from it (the sensor's plane for `None`) at `r` from it, mm; tilts and
 /// decentres are not looked at.
-fn gap(surface: &Surface, next: Option<&Surface>, r: f64) -> f64 {
+fn gap(surface: &Surface, apart: f64, next: Option<&Surface>, r: f64) -> f64 {
     // One azimuth says all where both surfaces are symmetric.
     let symmetric = std::iter::once(surface).chain(next).all(|s| s.shape.is_symmetric());
     (0..if symmetric { 1 } else { 16 })
         .filter_map(|k| {
             let (sin, cos) = (std::f64::consts::TAU * f64::from(k) / 16.0).sin_cos();
             let sag = |s: &Surface| s.shape.at(r * cos, r * sin).map(|l| l.h);
-            Some(surface.thickness + next.map_or(Some(0.0), sag)? - sag(surface)?)
+            Some(apart + next.map_or(Some(0.0), sag)? - sag(surface)?)
         })
         .fold(f64::INFINITY, f64::min)
 }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::catalogue::{self, Glasses};
 use super::dispersion::Formula;
+use super::shape::HIGHEST_POWER;
 use super::{Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
 use isoplanat_base::error::{Error, Result};
 
@@ -15,8 +16,6 @@ pub(super) use freeform::degrees;
 
 /// The newest form this program reads.
 pub const SCHEMA: u32 = 1;
-/// Highest power of an aspheric term.
-const MAX_POWER: usize = 20;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -274,8 +273,8 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     let (mut asphere, mut odd) = (Vec::new(), Vec::new());
     for (key, value) in &s.asphere {
         let power = key.strip_prefix('a').and_then(|p| p.parse::<usize>().ok());
-        let Some(power) = power.filter(|p| (2..=MAX_POWER).contains(p) && *key == format!("a{p}")) else {
-            return Err(refuse("asphere", format!("unknown term `{key}`"), "a2, a3, … a20"));
+        let Some(power) = power.filter(|p| (2..=HIGHEST_POWER).contains(p) && *key == format!("a{p}")) else {
+            return Err(refuse("asphere", format!("unknown term `{key}`"), &format!("a2, a3, … a{HIGHEST_POWER}")));
         };
         let (list, entry) = if power % 2 == 0 { (&mut asphere, power / 2 - 1) } else { (&mut odd, power / 2 - 1) };
         if list.len() <= entry {

@@ -10,6 +10,9 @@ use super::freeform::{Xy, Zernike};
 use super::numbers::Kind;
 pub use super::sag::{Local, Sag};
 
+/// Highest power of `r` among the aspheric terms: published ones go to 38.
+pub const HIGHEST_POWER: usize = 40;
+
 /// Shape of a surface; also the type of its own cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Shape {
@@ -148,11 +151,13 @@ impl Shape {
     }
 
     /// An upper bound of `|∇h|` for `r ≤ radius`; infinite where the conic does not reach that far.
-    ///
-    /// Ring by ring: the conic's slope is monotonic in `ρ`, and so are the positive and the negative terms of the
-    /// polynomials, each for itself.
     pub fn steepest(&self, radius: f64) -> f64 {
-        const RINGS: u32 = 64;
+        self.steepest_of(radius, 64)
+    }
+
+    /// [`Self::steepest`], ring by ring: the conic's slope is monotonic in `ρ`, and so are the positive and the negative terms of the
+    /// polynomials, each for itself. More rings come closer to the largest slope.
+    pub fn steepest_of(&self, radius: f64, rings: u32) -> f64 {
         if !radius.is_finite() || radius >= self.reach() {
             let flat = self.curvature == 0.0 && !self.is_aspheric();
             return if flat { 0.0 } else { f64::INFINITY };
@@ -174,8 +179,8 @@ impl Shape {
             sum
         };
         let mut bound = 0.0f64;
-        for ring in 0..RINGS {
-            let (a, b) = (radius * f64::from(ring) / f64::from(RINGS), radius * f64::from(ring + 1) / f64::from(RINGS));
+        for ring in 0..rings {
+            let (a, b) = (radius * f64::from(ring) / f64::from(rings), radius * f64::from(ring + 1) / f64::from(rings));
             let (c_a, c_b) = (conic(a), conic(b));
             let high = c_a.max(c_b) + terms(b, 1.0) - terms(a, -1.0);
             let low = c_a.min(c_b) + terms(a, 1.0) - terms(b, -1.0);

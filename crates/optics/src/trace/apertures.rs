@@ -13,6 +13,7 @@ use super::object::ObjectPoint;
 use super::pupil::PupilRay;
 use super::system::TraceSurface;
 use super::{Failure, System};
+use crate::lens::check::MAX_FIELD_DEG;
 use crate::lens::{Field, Prescription, paraxial};
 
 /// Points of a beam's rim.
@@ -195,27 +196,32 @@ fn landing(lens: &Prescription, aimer: &Aimer, angle: f64) -> Option<f64> {
     ray.hits.get(image).map(|h| h.at.point.truncate().length())
 }
 
-/// The field angle (radians) whose chief ray lands at `height` (mm) from the axis, primary wavelength; `None` where no angle below
-/// 89° lands so far out. Marked surfaces are open.
-pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<f64> {
+/// The field angle (radians) whose chief ray lands at `height` (mm) from the axis, primary wavelength; the farthest
+/// angle with its height where none up to the largest field of a lens (120°) lands so far out. Marked surfaces are open.
+pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<Reached> {
     let wide = Prescription { field: Field::Angle(75.0), ..lens.clone() };
     let system = opened(&wide, marked, lens.wavelengths.primary_nm, 2.5);
     let aimer = Aimer::new(&system).ok()?;
     let landing = |angle: f64| landing(lens, &aimer, angle);
     // Outwards until it is passed, then between.
-    let (mut low, mut high) = (0.0f64, None);
-    for k in 1..=178 {
-        let angle = (0.5 * f64::from(k)).to_radians();
+    let (mut low, mut farthest, mut high) = (0.0f64, (0.0, 0.0), None);
+    let steps = (1..=1000).map(|k| 0.5 * f64::from(k)).take_while(|a| *a <= MAX_FIELD_DEG);
+    for angle in steps.map(f64::to_radians) {
         match landing(angle) {
             Some(h) if h >= height => {
                 high = Some(angle);
                 break;
             }
-            Some(_) => low = angle,
+            Some(h) => {
+                low = angle;
+                if h > farthest.1 {
+                    farthest = (angle, h);
+                }
+            }
             None => break,
         }
     }
-    let mut high = high?;
+    let Some(mut high) = high else { return Some(Reached::UpTo { angle: farthest.0, height: farthest.1 }) };
     while high - low > 1e-13 {
         let middle = 0.5 * (low + high);
         if landing(middle)? < height {
@@ -227,7 +233,21 @@ pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) 
             break;
         }
     }
-    Some(0.5 * (low + high))
+    Some(Reached::Angle(0.5 * (low + high)))
+}
+
+/// What chief rays say of an image height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Reached {
+    /// The field angle, radians, whose chief ray lands there.
+    Angle(f64),
+    /// None lands so far out: the angle that lands farthest, radians, and where, mm.
+    UpTo {
+        /// Radians.
+        angle: f64,
+        /// mm.
+        height: f64,
+    },
 }
 
 #[cfg(test)]
@@ -305,10 +325,15 @@ mod tests {
                 let object = ObjectPoint::in_field(&lens, angle, TAU / 4.0);
                 let ray = PupilRay::new(&aimer, object, DVec2::ZERO, None).expect("aims");
                 let height = ray.hits[system.image()].at.point.y.abs();
-                let found = angle_of_image_height(&lens, &marked, height).expect("an angle");
+                let Some(Reached::Angle(found)) = angle_of_image_height(&lens, &marked, height) else {
+                    panic!("{}", lens.name)
+                };
                 assert_abs(found, angle, 1e-10, &lens.name);
             }
-            assert_eq!(angle_of_image_height(&lens, &marked, 1e6), None);
+            let Some(Reached::UpTo { angle, height }) = angle_of_image_height(&lens, &marked, 1e6) else {
+                panic!("1 km")
+            };
+            assert_abs(image_height(&lens, &marked, angle).expect("lands"), height, 1e-9, &lens.name);
         }
     }
 }

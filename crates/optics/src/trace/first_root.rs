@@ -14,7 +14,7 @@
 use glam::DVec3;
 
 use super::{Cause, system::TraceSurface};
-use crate::lens::shape::{Local, Shape};
+use crate::lens::shape::{HIGHEST_POWER, Local, Shape};
 
 /// Doublings of the domain before a ray counts as missed.
 const DOUBLINGS: u32 = 6;
@@ -247,7 +247,7 @@ impl Line<'_> {
 }
 
 /// Even and odd terms each.
-const MAX_TERMS: usize = 16;
+const MAX_TERMS: usize = HIGHEST_POWER / 2;
 
 /// Value of the polynomial `Σ q_k x^k` at `x`, and a bound of how far it moves within `±half`, rounding included.
 fn expanded(q: &mut [f64], x: f64, half: f64) -> (f64, f64) {

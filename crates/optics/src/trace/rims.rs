@@ -7,38 +7,47 @@ use super::object::ObjectPoint;
 use super::sequential::{first_vignetted, trace};
 use super::{Ray, System};
 use crate::lens::Lens;
-use crate::lens::clearance::overlaps;
+use crate::lens::clearance::{Overlap, overlaps};
 use isoplanat_base::error::Result;
 
 /// Points of the stop's rim that rays are aimed at.
 const RIM_POINTS: u32 = 16;
 
-/// One line for each pair of neighbouring surfaces that overlap beyond the beam, naming by how much; `file` names the lens.
+/// One line for each pair of neighbouring surfaces that overlap, by how much and whether light gets there; `file` names the lens.
+pub fn overlapping_rims(lens: &Lens, file: &str) -> Vec<String> {
+    let line = |(o, widest): (Overlap, f64)| {
+        let Overlap { surface, next, from_mm, depth_mm } = o;
+        let light = if from_mm <= widest {
+            format!("light goes there, up to {widest:.4} mm, and is traced through both as they stand")
+        } else {
+            format!("the beam ends at {widest:.4} mm")
+        };
+        format!(
+            "{file}: surface[{surface}] and surface[{next}]: they overlap by {depth_mm:.4} mm from {from_mm:.4} mm off the axis on; {light}"
+        )
+    };
+    with_beam(lens).into_iter().map(line).collect()
+}
+
+/// Refuses surfaces that overlap where light goes, for a lens that is to be made; `file` names it.
 ///
 /// # Errors
-/// Surfaces that overlap where light goes.
-pub fn overlapping_rims(lens: &Lens, file: &str) -> Result<Vec<String>> {
+/// The first such pair.
+pub fn require_clear(lens: &Lens, file: &str) -> Result<()> {
+    match with_beam(lens).into_iter().find(|(o, widest)| o.from_mm <= *widest) {
+        Some((o, _)) => Err(o.refused_in_light(file)),
+        None => Ok(()),
+    }
+}
+
+/// Overlaps, each with how far from the axis light meets its surfaces.
+fn with_beam(lens: &Lens) -> Vec<(Overlap, f64)> {
     let overlaps = overlaps(lens);
     if overlaps.is_empty() {
-        return Ok(Vec::new());
+        return Vec::new();
     }
     let beam = beam_semi_diameters(lens);
-    let mut warnings = Vec::with_capacity(overlaps.len());
-    for o in overlaps {
-        let widest = beam[o.surface].max(beam[o.surface + 1]);
-        if o.from_mm <= widest {
-            return Err(o.refused(file));
-        }
-        warnings.push(format!(
-            "{file}: surface[{}] and surface[{}]: their rims overlap by {:.4} mm from {:.4} mm off the axis on; the beam ends at \
-             {widest:.4} mm",
-            o.surface,
-            o.surface + 1,
-            o.depth_mm,
-            o.from_mm,
-        ));
-    }
-    Ok(warnings)
+    overlaps.into_iter().map(|o| (o, beam[o.surface].max(beam[o.next]))).collect()
 }
 
 /// Largest distance from the axis at which light of any field meets each surface, mm, primary wavelength: rays through the stop's rim

@@ -41,6 +41,11 @@ impl Apertures {
         Ok(true)
     }
 
+    /// Fixes the semi-diameter.
+    pub(super) fn fix(&mut self, semi_diameter: f64) {
+        self.semi_diameter = Some((semi_diameter.abs(), true));
+    }
+
     /// The semi-diameter that is fixed, and the one that the program had computed.
     pub(super) fn clear(&self, place: &str, file: &str, notes: &mut Vec<String>) -> Result<(Option<f64>, Option<f64>)> {
         let refused = |found: String| Err(Error::bad(file, place, found, "a circular aperture about the axis"));

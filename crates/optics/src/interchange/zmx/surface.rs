@@ -1,6 +1,8 @@
 //! Surfaces of a Zemax file.
 
 use super::apertures::Apertures;
+use super::order::Order;
+use super::shapes;
 use crate::interchange::draft::{Draft, Stage};
 use crate::interchange::media::Stated;
 use crate::interchange::text::{Line, shown};
@@ -14,6 +16,8 @@ const HARMLESS: [&str; 26] = [
 /// Keywords by which a thickness follows from something else; its value stands in DISZ.
 const SOLVES: [&str; 12] =
     ["MAZH", "CHZH", "PZUP", "EDGT", "OPDZ", "POSI", "COMP", "CNTR", "PUPZ", "TTHI", "EDGE", "ZPLM"];
+/// Distances from here on are infinite, in any unit.
+const INFINITE: f64 = 1e10;
 /// Parameters that a surface's type has at most.
 const PARAMETERS: usize = 300;
 
@@ -24,11 +28,10 @@ pub(super) struct Raw {
     curvature: f64,
     conic: f64,
     parameters: Vec<f64>,
-    /// More data than the parameters: of types that are not supported.
-    extended: bool,
+    /// More data than the parameters, as their numbers.
+    extra: Vec<f64>,
     thickness: f64,
     glass: Option<(Stated, String)>,
-    mirror: bool,
     stop: bool,
     tilted: bool,
     pickup: Option<(String, usize, f64)>,
@@ -44,10 +47,9 @@ impl Raw {
             curvature: 0.0,
             conic: 0.0,
             parameters: Vec::new(),
-            extended: false,
+            extra: Vec::new(),
             thickness: 0.0,
             glass: None,
-            mirror: false,
             stop: false,
             tilted: false,
             pickup: None,
@@ -85,12 +87,14 @@ impl Raw {
                 }
                 self.parameters[i] = line.number(1)?;
             }
-            "XDAT" => self.extended |= line.optional(1)?.unwrap_or(0.0) != 0.0,
-            "DISZ" => {
-                let word = line.words.first().copied().unwrap_or("");
-                let infinite = ["INFINITY", "INF", "1E+10", "1.0E+10"].iter().any(|w| word.eq_ignore_ascii_case(w));
-                self.thickness = if infinite { f64::INFINITY } else { line.number(0)? };
+            "XDAT" => {
+                let i = line.count(0, PARAMETERS)?;
+                if self.extra.len() <= i {
+                    self.extra.resize(i + 1, 0.0);
+                }
+                self.extra[i] = line.optional(1)?.unwrap_or(0.0);
             }
+            "DISZ" => self.thickness = distance(line)?,
             "GLAS" => self.medium(line)?,
             "SCBD" => self.tilted |= (3..line.words.len()).any(|i| line.optional(i).ok().flatten() != Some(0.0)),
             _ if self.apertures.read(keyword, line)? => {}
@@ -103,11 +107,21 @@ impl Raw {
     fn medium(&mut self, line: &Line) -> Result<()> {
         let name = line.words.first().copied().ok_or_else(|| line.refused("no glass", "its name"))?;
         let kind = line.optional(1)?.unwrap_or(0.0);
-        self.mirror = name == "MIRROR";
+        let mut mirror = name == "MIRROR";
+        // Some files write a mirror as a model glass of the index −1.
+        if kind == 1.0 && line.optional(3).ok().flatten().is_some_and(|n| n < 0.0) {
+            mirror = true;
+        }
+        if mirror {
+            // What a mirror brings along (breaks, holes, distances backwards) is not the reason.
+            return Err(
+                line.refused(format!("a mirror (GLAS {})", shown(&line.words.join(" "))), "refracting surfaces")
+            );
+        }
         // 1: a model glass, whose numbers follow; 4: a glass with offsets of them.
         let model = kind == 1.0 || name == "___BLANK";
         let stated = if model {
-            Stated::Lines { n_d: line.number(3)?, v_d: line.number(4)? }
+            Stated::Lines { n_d: line.number(3)?, v_d: line.optional(4)?.unwrap_or(0.0) }
         } else {
             Stated::Glass(name.to_owned())
         };
@@ -125,43 +139,49 @@ impl Raw {
         Ok(())
     }
 
+    /// Takes the value of a configuration's operand.
+    pub(super) fn set(&mut self, operand: &str, line: &Line) -> Result<()> {
+        match operand {
+            "THIC" => self.thickness = distance(line)?,
+            "CRVT" | "CURV" => (self.curvature, self.pickup) = (line.number(0)?, None),
+            "CONN" | "CONI" => self.conic = line.number(0)?,
+            "SDIA" => self.apertures.fix(line.number(0)?),
+            "GLSS" => {
+                self.glass = None;
+                if !["AIR", "-", "0", "\"\""].contains(&line.words[0]) {
+                    self.medium(line)?;
+                }
+            }
+            parameter => {
+                let i = parameter.trim_start_matches("PAR").parse::<usize>().ok().filter(|i| *i <= PARAMETERS);
+                let i = i.ok_or_else(|| line.refused(format!("`{}`", shown(parameter)), "an operand of a surface"))?;
+                if self.parameters.len() <= i {
+                    self.parameters.resize(i + 1, 0.0);
+                }
+                self.parameters[i] = line.number(0)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Makes it the stop, or not.
+    pub(super) fn set_stop(&mut self, stop: bool) {
+        self.stop = stop;
+    }
+
     fn refused(&self, file: &str, found: impl Into<String>, allowed: &str) -> Error {
         Error::bad(file, self.place.as_str(), found, allowed)
     }
 
-    /// Even and odd terms, scaled to mm.
-    fn terms(&self, scale: f64, file: &str) -> Result<(Vec<f64>, Vec<f64>)> {
-        let parameter = |i: usize| self.parameters.get(i).copied().unwrap_or(0.0);
-        let scaled = |a: f64, power: i32| a * scale.powi(1 - power);
-        let supported = "STANDARD, EVENASPH, ODDASPHE";
-        match self.kind.as_str() {
-            _ if self.extended => {
-                Err(self.refused(file, format!("extra data of a surface of type {}", shown(&self.kind)), supported))
-            }
-            "STANDARD" => Ok((Vec::new(), Vec::new())),
-            // A break that breaks nothing marks a place.
-            "COORDBRK" if self.parameters.iter().all(|p| *p == 0.0) => Ok((Vec::new(), Vec::new())),
-            "COORDBRK" => Err(self.refused(
-                file,
-                "a coordinate break",
-                "surfaces on one axis; tilts and decentres go in a TOML file",
-            )),
-            "EVENASPH" => {
-                Ok(((1..=8).map(|i| scaled(parameter(i), 2 * i32::try_from(i).unwrap_or(0))).collect(), Vec::new()))
-            }
-            "ODDASPHE" => {
-                if parameter(1) != 0.0 {
-                    return Err(self.refused(
-                        file,
-                        format!("a term {} r", parameter(1)),
-                        "terms from r² on: a cone has no tangent plane",
-                    ));
-                }
-                let term = |power: usize| scaled(parameter(power), i32::try_from(power).unwrap_or(0));
-                Ok(((1..=4).map(|i| term(2 * i)).collect(), (1..=3).map(|i| term(2 * i + 1)).collect()))
-            }
-            other => Err(self.refused(file, format!("a surface of type {}", shown(other)), supported)),
-        }
+    /// Even and odd terms, in mm.
+    fn shape(&self, scale: f64, file: &str) -> Result<(Vec<f64>, Vec<f64>)> {
+        let refuse = |found: String, allowed: &str| self.refused(file, found, allowed);
+        shapes::Terms { kind: &self.kind, parameters: &self.parameters, extra: &self.extra }.in_mm(scale, refuse)
+    }
+
+    /// Whether it is no plane.
+    fn is_curved(&self) -> bool {
+        self.curvature != 0.0 || self.parameters.iter().chain(self.extra.iter().skip(3)).any(|p| *p != 0.0)
     }
 
     /// The surface in mm.
@@ -169,7 +189,7 @@ impl Raw {
         if self.tilted {
             return Err(self.refused(file, "a tilted or decentred surface (SCBD)", "surfaces on one axis"));
         }
-        let (even, odd) = self.terms(scale, file)?;
+        let (even, odd) = self.shape(scale, file)?;
         let mut stage = Stage::plane(self.place.clone());
         (stage.even, stage.odd) = (even, odd);
         (stage.curvature, stage.conic, stage.thickness) = (self.curvature / scale, self.conic, self.thickness * scale);
@@ -190,8 +210,27 @@ impl Raw {
     }
 }
 
+/// A distance along the axis.
+fn distance(line: &Line) -> Result<f64> {
+    let word = line.words.first().copied().unwrap_or("");
+    let infinite = ["INFINITY", "INF", "1E+10", "1.0E+10"].iter().any(|w| word.eq_ignore_ascii_case(w));
+    if infinite {
+        return Ok(f64::INFINITY);
+    }
+    let distance = line.number(0)?;
+    // The number that the program itself writes for it.
+    Ok(if distance >= INFINITE { f64::INFINITY } else { distance })
+}
+
 /// Object, surfaces and image of a file.
-pub(super) fn put(draft: &mut Draft, surfaces: Vec<Raw>, scale: f64, file: &str) -> Result<()> {
+pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scale: f64, file: &str) -> Result<()> {
+    if order.from_one() {
+        surfaces.insert(0, Raw { thickness: f64::INFINITY, ..Raw::new("the object".into()) });
+        // The last distance reaches the image plane, which some of these files name and others do not.
+        if surfaces.last().is_some_and(|s| s.thickness != 0.0 || s.glass.is_some() || s.is_curved()) {
+            surfaces.push(Raw::new("the image".into()));
+        }
+    }
     let [object, middle @ .., image] = &surfaces[..] else {
         let found = format!("{} surfaces", surfaces.len());
         return Err(Error::bad(file, "SURF", found, "an object, at least one surface, an image"));
@@ -199,25 +238,38 @@ pub(super) fn put(draft: &mut Draft, surfaces: Vec<Raw>, scale: f64, file: &str)
     if middle.is_empty() {
         return Err(Error::bad(file, "SURF", "2 surfaces", "an object, at least one surface, an image"));
     }
-    for (s, what) in [(object, "object"), (image, "image")] {
-        if s.curvature != 0.0 || !["STANDARD"].contains(&s.kind.as_str()) {
-            return Err(s.refused(file, format!("a curved {what}"), &format!("a plane {what}")));
+    for (s, what, taken) in [
+        (object, "object", "object points are taken on the plane through its vertex"),
+        (image, "image", "images are taken on the plane through its vertex"),
+    ] {
+        s.shape(scale, file)?;
+        if s.kind == "COORDBRK" || s.tilted {
+            return Err(s.refused(file, format!("a tilted {what}"), &format!("the {what} on the axis")));
+        }
+        if s.is_curved() {
+            let radius = if s.curvature == 0.0 {
+                "an aspheric form".into()
+            } else {
+                format!("a radius of {} mm", scale / s.curvature)
+            };
+            draft.notes.push(format!("{}: the {what} is curved, with {radius}: {taken}", s.place));
         }
     }
-    // What a mirror brings along (breaks, holes, distances backwards) is not the reason.
-    if let Some(s) = middle.iter().find(|s| s.mirror) {
-        return Err(s.refused(file, "a mirror (GLAS MIRROR)", "refracting surfaces"));
-    }
     draft.object_mm = object.thickness * scale;
-    if object.glass.is_some() {
-        return Err(object.refused(file, "an object within glass", "an object in air"));
+    if let Some((stated, _)) = &object.glass {
+        if draft.object_mm.is_finite() {
+            let found = format!("an object within glass, {} mm before the first surface", draft.object_mm);
+            return Err(object.refused(file, found, "an object in air, or one within glass at infinity"));
+        }
+        draft.object_medium = stated.clone();
     }
     let mut solved = Vec::new();
     for (i, s) in middle.iter().enumerate() {
         let stage = s.stage(scale, file, &mut draft.notes)?;
         solved.extend(s.solved.iter().map(|what| format!("{what} at {}", s.place)));
         if let Some((place, of, factor)) = &s.pickup {
-            let expected = surfaces.get(*of).map(|o| o.curvature * factor);
+            let picked = order.position(*of).and_then(|at| surfaces.get(at + usize::from(order.from_one())));
+            let expected = picked.map(|o| o.curvature * factor);
             if expected.is_none_or(|e| (e - s.curvature).abs() > 1e-6 * s.curvature.abs()) {
                 draft
                     .notes
