@@ -1,6 +1,6 @@
 //! Single adjoints of the trace, each against central differences of its own forward function.
 
-use glam::{DVec2, DVec3};
+use glam::DVec3;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::render::light::Light;
@@ -14,7 +14,6 @@ use isoplanat::testing::{assert_rel, between, central_difference, steady_differe
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
 use isoplanat::trace::refract::{refract, refract_vjp};
 use isoplanat::trace::system::TraceSurface;
-use isoplanat::trace::{System, SystemGradient};
 use ndarray::Array3;
 
 fn vector(rng: &mut fastrand::Rng, size: f64) -> DVec3 {

@@ -248,10 +248,10 @@ fn throughput_follows_the_stop_size() {
             let with_aperture = |aperture| unchecked(&shipped, |l| l.aperture = aperture);
             let lens = with_aperture(aperture);
             let mut g = gradient(&lens, radius).1;
-            let with = |h: f64| match aperture {
-                Aperture::StopSemiDiameter(r) => Aperture::StopSemiDiameter(r + h),
-                Aperture::EntrancePupilDiameter(d) => Aperture::EntrancePupilDiameter(d + h),
-                Aperture::FNumber(n) => Aperture::FNumber(n + h),
+            let with = |h: f64| {
+                let mut moved = aperture;
+                *moved.number_mut() += h;
+                moved
             };
             let f = |h: f64| irradiance(&with_aperture(with(h)), radius) / level;
             // The stop's size follows the stated number.

@@ -103,7 +103,7 @@ fn check_counts_the_rays_that_apertures_stop() {
     let axis = with(&cooke, &|l| l.field = Field::Angle(0.0));
     let near = with(&cooke, &|l| l.object_vergence = 1.0 / 120.0);
     let two = with(&shipped("two_element"), &|l| {
-        (l.object_vergence, l.max_field_deg(), l.surfaces[4].semi_diameter) = (1.0 / 60.0, 25.0, 8.0);
+        (l.object_vergence, l.field, l.surfaces[4].semi_diameter) = (1.0 / 60.0, Field::Angle(25.0), 8.0);
     });
     let open = unchecked(&shipped("cooke_triplet"), |l| l.surfaces.iter_mut().for_each(|s| s.semi_diameter = 10.0));
     let lenses = [

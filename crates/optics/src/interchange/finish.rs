@@ -270,7 +270,7 @@ fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &m
 /// The stop of the widest axial beam that the fixed apertures let through, and the place of the one that limits it.
 fn axial_stop(numbers: &Prescription, stages: &[Stage], file: &str) -> Result<(f64, String)> {
     // Where no size is known yet, paraxial heights are those of any.
-    let unit = Prescription { aperture: Aperture::EntrancePupilDiameter(1.0), ..numbers.clone() };
+    let unit = Prescription { aperture: Aperture::StopSemiDiameter(1.0), ..numbers.clone() };
     let heights = paraxial::marginal_heights(&unit, numbers.wavelengths.primary_nm);
     let stop = stages.iter().position(|s| s.stop).map_or(0.0, |i| heights[i]);
     let of = |any: bool| {
