@@ -2,7 +2,7 @@
 //!
 //! The lens of `nearly` is an equiconvex singlet whose stop stands off its rear (object side) or front (image side) focal plane by
 //! a small way: the pupil is at the square of the focal length over that. Figures at pupils of 1e6 to 1e20 mm on either side are held
-//! against the straight line through those at ±4e5 mm.
+//! against the parabola through those at −4e5 mm, at infinity and at 4e5 mm.
 
 use glam::DVec2;
 
@@ -16,7 +16,7 @@ use crate::trace::health::check;
 use crate::trace::{ObjectPoint, System};
 use isoplanat_base::testing::assert_rel;
 
-/// Distance of the pupils that the straight line is drawn through, mm.
+/// Distance of the pupils that the parabola is drawn through, mm.
 const NEAR: f64 = 4e5;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,16 +103,19 @@ fn figures(lens: &Lens) -> Vec<(String, f64)> {
 #[test]
 fn figures_run_smoothly_through_a_pupil_at_infinity() {
     for side in [Side::Object, Side::Image] {
-        let (minus, plus) = (figures(&nearly(side, -NEAR)), figures(&nearly(side, NEAR)));
+        let [minus, exact, plus] = [-NEAR, f64::INFINITY, NEAR].map(|pupil| figures(&nearly(side, pupil)));
         let mut lenses = 0;
         for exponent in [6, 7, 8, 10, 12, 13, 14, 16, 18, 20] {
             for sign in [-1.0, 1.0] {
                 let pupil = sign * 10f64.powi(exponent);
+                let x = NEAR / pupil;
                 for (k, (what, value)) in figures(&nearly(side, pupil)).into_iter().enumerate() {
-                    let (a, b) = (minus[k].1, plus[k].1);
-                    let line = 0.5 * (a + b) + 0.5 * (b - a) * NEAR / pupil;
+                    let (a, c, b) = (minus[k].1, exact[k].1, plus[k].1);
+                    let expected = c + x * (0.5 * (b - a) + x * (0.5 * (a + b) - c));
                     // Against the figure's own size; what is close to zero against that of its kin.
-                    assert_rel(value, line, 1e-6, 0.1, &format!("{side:?} {pupil:e}: {what}"));
+                    assert_rel(value, expected, 1e-6, 0.1, &format!("{side:?} {pupil:e}: {what}"));
+                    // And infinity lies between its neighbours.
+                    assert_rel(c, 0.5 * (a + b), 1e-4, 0.1, &format!("{side:?}: {what}"));
                 }
                 lenses += 1;
             }
