@@ -223,7 +223,7 @@ fn planes_reached_by_negative_distances_are_put_in_order() {
 #[test]
 fn what_is_not_supported_is_refused_by_name_and_line() {
     for (from, to, expected) in [
-        ("GLAS N-BK7", "GLAS MIRROR", "line 19 (SURF 2): a mirror"),
+        ("GLAS N-BK7", "GLAS MIRROR", "line 24 (SURF 2): a mirror"),
         ("GLAS N-BK7", "GLAS N-BK8", "N-BK7"),
         ("TYPE EVENASPH", "TYPE BINARY_2", "line 19 (SURF 2): a surface of type BINARY_2"),
         ("PARM 2 1e-6", "PARM 2 nan", "line 22 (SURF 2): `nan`"),

@@ -70,7 +70,6 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     numbers.surfaces[last].thickness += draft.image_back_mm;
     let mut notes = std::mem::take(&mut draft.notes);
     let marked: Vec<bool> = stages.iter().map(|s| s.semi_diameter.is_none()).collect();
-    meet(&mut numbers, &stages, &marked, &mut notes);
     let own = stages[stop].semi_diameter.or(stages[stop].computed);
     numbers.aperture = match draft.aperture {
         None | Some(Size::Stop) if draft.aperture.is_none() || own.is_none() => {
@@ -84,6 +83,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         }
         _ => aperture(&draft, &numbers, &stages[stop], file)?,
     };
+    meet(&mut numbers, &stages, &marked, &mut notes);
     let beams = fields(&draft, &mut numbers, &marked, &mut notes, file)?;
     let dark = apertures::open(&mut numbers, &marked, &beams);
     if !dark.is_empty() {
@@ -249,11 +249,14 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
     Ok(found)
 }
 
-/// Neighbouring surfaces that cross within the clear semi-diameters a file states end where they meet: no glass reaches further.
+/// Neighbouring surfaces that cross within the clear semi-diameters a file states, beyond the light of the axis, end where they meet: no glass reaches
+/// further.
 fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &mut Vec<String>) {
+    let axial = paraxial::marginal_heights(numbers, numbers.wavelengths.primary_nm);
     for overlap in clearance::overlaps(numbers) {
         let pair = [overlap.surface, overlap.next];
-        if pair.iter().any(|i| marked[*i]) || overlap.depth_mm <= clearance::DEEPEST_MM || overlap.from_mm <= 0.0 {
+        let lit = pair.iter().any(|i| overlap.from_mm <= axial[*i]);
+        if lit || pair.iter().any(|i| marked[*i]) || overlap.depth_mm <= clearance::DEEPEST_MM {
             continue;
         }
         for i in pair {
@@ -337,6 +340,17 @@ fn fields(
             }
         } else {
             (angle_of(p.x.hypot(p.y))?, p.y.atan2(p.x))
+        };
+        let angle = if draft.field == FieldKind::Angle && draft.object_medium != Stated::Air {
+            // Beyond the plane before the lens the same light has this angle in air.
+            let sine = numbers.surfaces[0].medium.index(numbers.wavelengths.primary_nm) * angle.sin();
+            if angle >= std::f64::consts::FRAC_PI_2 || sine >= 1.0 {
+                let found = format!("{:.4}° within the object's medium", angle.to_degrees());
+                return Err(Error::bad(file, "field", found, "less than the angle of total reflection towards air"));
+            }
+            sine.asin()
+        } else {
+            angle
         };
         if !angle.is_finite() {
             return Err(Error::bad(file, "field", format!("({}, {})", p.x, p.y), "finite numbers"));
