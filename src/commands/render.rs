@@ -4,10 +4,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use isoplanat::imaging::files::{Encoding, write_picture};
+use isoplanat::imaging::files::{Annotation, Depth, Encoding, extension, write_annotated};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
+use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
@@ -29,15 +30,15 @@ enum Method {
 }
 
 /// The picture on the sensor.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
     lens: String,
-    /// Picture files, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades, color_chart (with
+    /// Picture files (.png, .tif, .jpg, .npy), folders of them, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades, color_chart (with
     /// :SEED). Several share one plan.
     #[arg(required = true)]
     scenes: Vec<String>,
-    /// Picture to write: .png, .tif, .jpg; for several scenes the folder to put them in, as .png.
+    /// Picture to write: .png, .tif, .jpg, .npy (linear light); for several scenes the folder to put them in, as .png.
     #[arg(short, long)]
     output: PathBuf,
     /// Renderer.
@@ -60,6 +61,9 @@ pub(crate) struct Args {
     /// Seed of the rays.
     #[arg(long, default_value_t = 1)]
     seed: u64,
+    /// Write linear light as 32-bit floating point (.tif or .npy; for several scenes as .tif).
+    #[arg(long)]
+    float: bool,
     /// Figures as JSON.
     #[arg(long)]
     json: bool,
@@ -69,6 +73,28 @@ pub(crate) struct Args {
 }
 
 impl Args {
+    /// The same with the pictures of folders in the folders' place, and whether there was one.
+    fn expanded(&self) -> Result<(Self, bool)> {
+        let mut scenes = Vec::new();
+        let mut folders = false;
+        for scene in &self.scenes {
+            let path = Path::new(scene);
+            if path.is_dir() {
+                folders = true;
+                scenes.extend(Photos::open(path)?.paths().iter().map(|p| p.display().to_string()));
+            } else {
+                scenes.push(scene.clone());
+            }
+        }
+        Ok((Self { scenes, ..self.clone() }, folders))
+    }
+
+    /// Writes a picture.
+    fn write(&self, path: &Path, image: &Array3<f32>) -> Result<()> {
+        let depth = if self.float { Depth::Float } else { Depth::Sixteen };
+        write_annotated(path, image, Encoding::Srgb, depth, &Annotation::default())
+    }
+
     fn request(&self) -> Result<Request> {
         match self.min_psnr_db {
             None if self.everything => Ok(Request::Everything),
@@ -86,8 +112,10 @@ impl Args {
         };
         let stems: Vec<String> = self.scenes.iter().map(stem).collect();
         let repeated = |k: usize| stems.iter().filter(|s| **s == stems[k]).count() > 1;
-        let name =
-            |(k, s): (usize, &String)| if repeated(k) { format!("{:03}-{s}.png", k + 1) } else { format!("{s}.png") };
+        let ending = if self.float { "tif" } else { "png" };
+        let name = |(k, s): (usize, &String)| {
+            if repeated(k) { format!("{:03}-{s}.{ending}", k + 1) } else { format!("{s}.{ending}") }
+        };
         stems.iter().enumerate().map(name).collect()
     }
 }
@@ -176,7 +204,12 @@ const PLANNED: usize = 8;
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    let many = args.scenes.len() > 1 || args.output.is_dir();
+    let (args, folders) = &args.expanded()?;
+    let many = args.scenes.len() > 1 || *folders || args.output.is_dir();
+    if args.float && !many && !["tif", "tiff", "npy"].contains(&extension(&args.output).as_str()) {
+        let found = format!("`{}` has no floating point", args.output.display());
+        return Err(Error::bad("--float", "output", found, ".tif, .tiff or .npy").into());
+    }
     if many {
         atomic::check_folder(&args.output, MARKER, args.force)?;
     } else {
@@ -207,7 +240,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::write_folder(&args.output, MARKER, args.force, |folder| {
             for (k, (scene, name)) in args.scenes.iter().zip(&names).enumerate() {
                 let made = one(k, scene)?;
-                write_picture(&folder.join(name), &made.image, Encoding::Srgb)?;
+                args.write(&folder.join(name), &made.image)?;
                 all.push((name.clone(), made.figures));
             }
             let listed: Vec<_> = all.iter().map(|(n, f)| serde_json::json!({ "picture": n, "figures": f })).collect();
@@ -216,7 +249,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         })?;
     } else {
         let made = one(0, &args.scenes[0])?;
-        write_picture(&args.output, &made.image, Encoding::Srgb)?;
+        args.write(&args.output, &made.image)?;
         all.push((args.output.display().to_string(), made.figures));
     }
     bar.done(String::new());

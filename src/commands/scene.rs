@@ -14,7 +14,7 @@ use isoplanat::{Error, Result};
 use crate::input;
 
 /// Where the scene stands and what sees it.
-#[derive(Debug, clap::Args)]
+#[derive(Clone, Debug, clap::Args)]
 pub(crate) struct SceneArgs {
     /// Object distance before the first surface, mm (inf allowed); the lens file's where left out.
     #[arg(long)]
@@ -198,6 +198,10 @@ impl Stage {
     pub(crate) fn plane(&self, name: &str) -> Result<Plane> {
         let frame = &self.whole;
         let path = Path::new(name);
+        if path.is_dir() {
+            let allowed = "one picture of it; `isoplanat render` takes folders of scenes";
+            return Err(Error::bad(name, "scene", "a folder", allowed));
+        }
         let (texture, zoom) = if path.exists() {
             let texture = read_linear(path)?;
             let (_, rows, cols) = texture.dim();

@@ -26,12 +26,12 @@ enum Coding {
 /// Arguments of `slanted-edge`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
-    /// Picture (.png, .tif, .jpg) of one slanted edge, or RAW file (.dng, .nef, .arw …; needs the feature `deploy`)
+    /// Picture (.png, .tif, .jpg, .npy) of one slanted edge, or RAW file (.dng, .nef, .arw …; needs the feature `deploy`)
     image: PathBuf,
     /// Where the edge is: column and row of the first pixel, width, height [default: the largest part with one straight edge]
     #[arg(long, value_name = "X,Y,W,H", allow_hyphen_values = true)]
     region: Option<String>,
-    /// What the numbers stand for [default: sRGB for 8 bits, linear for 16 bits and floating point]
+    /// What the numbers stand for [default: sRGB for 8 bits, linear for more bits and floating point]
     #[arg(long, value_enum)]
     encoding: Option<Coding>,
     /// The picture is a mosaic behind this Bayer filter: RGGB, GRBG, GBRG, BGGR

@@ -158,6 +158,74 @@ fn folders_are_batches() {
     assert_eq!(std::fs::read(place.path("out/a.jpg")).expect("reads"), before);
 }
 
+/// Cases that stand for kinds of files: black by rows, gain maps and crops give the light of `a_base`; what is left out is told; filters are named.
+#[test]
+fn kinds_of_dng_are_developed_or_refused_by_name() {
+    let Some(cases) = shared("cases") else { return };
+    let place = Workplace::new();
+    let develop = |name: &str| {
+        let file = cases.join(name);
+        let (code, _, err) = run(&place, &format!("{} -o {name}.tif --linear", file.display()));
+        assert_eq!(code, 0, "{name}: {err}");
+        (read_picture(&place.path(&format!("{name}.tif")), Encoding::Linear).expect("reads"), err)
+    };
+    let (base, _) = develop("a_base.dng");
+    assert!((0..3).all(|k| (base[[k, 4, 4]] - 0.25).abs() < 1e-4), "a quarter of white, grey");
+    for name in ["b_deltaV.dng", "b_deltaV_const.dng", "o_op2gain.dng"] {
+        let (picture, _) = develop(name);
+        assert!((0..3).all(|k| (picture[[k, 4, 4]] - 0.25).abs() < 1.5e-4), "{name}");
+        assert!(worst(&picture, &base) < 5e-4, "{name}: {}", worst(&picture, &base));
+    }
+    let (warped, err) = develop("o_op3warp.dng");
+    assert!(err.contains("OpcodeList3: WarpRectilinear") && warped == base, "{err}");
+    let (cropped, _) = develop("c_defaultcrop.dng");
+    assert_eq!(cropped, base.slice(ndarray::s![.., 8..120, 8..184]));
+    let (grey, _) = develop("e_mono.dng");
+    assert!((0..3).all(|k| (grey[[k, 4, 4]] - 0.25).abs() < 1e-4));
+    for (name, word) in [("g_quad.dng", "Quad Bayer"), ("g_xtrans.dng", "X-Trans")] {
+        let (code, _, err) = run(&place, &format!("{} -o no.png", cases.join(name).display()));
+        assert!(code == 2 && err.contains(word) && !place.path("no.png").exists(), "{name}: {err}");
+    }
+}
+
+/// Pictures that are developed already have distortion and falling light taken out as captures have: a JPEG, a TIFF, an array of numbers; and floating
+/// point out is the same light.
+#[test]
+fn developed_pictures_are_corrected_by_calibrations() {
+    let place = Workplace::new();
+    capture(&place.path("a.dng"), 0);
+    place.write(
+        "d.toml",
+        "schema = 1\ncamera = \"\"\nlens = \"\"\nsource = \"test\"\ncolumns = 64\nrows = 48\nfocal_length_px = 60.0\n\
+         centre_px = [30.0, 26.0]\nk = [-0.2, 0.01, 0.0]\nmax_slope = 0.7\nrms_px = 0.1\n",
+    );
+    let develop = |arguments: &str| {
+        let (code, _, err) = run(&place, arguments);
+        assert_eq!(code, 0, "{arguments}: {err}");
+    };
+    develop("a.dng -o a.tif");
+    develop("a.dng -o a.jpg");
+    develop("a.dng -o f.npy");
+    develop("a.dng -o f.tif --float");
+    develop("a.dng -o straight.tif --linear --distortion d.toml");
+    let read = |name: &str| read_picture(&place.path(name), Encoding::Linear).expect("reads");
+    assert_eq!(read("f.npy"), read("f.tif"));
+    let straight = read("straight.tif");
+    for (from, close) in [("a.tif", 1e-4), ("a.jpg", 0.03), ("f.npy", 1e-4), ("f.tif", 1e-4)] {
+        develop(&format!("{from} -o out-{from}.tif --linear --distortion d.toml"));
+        let found = read(&format!("out-{from}.tif"));
+        assert!(worst(&found, &straight) < close, "{from}: {}", worst(&found, &straight));
+    }
+    for (arguments, words) in [
+        ("a.tif -o x.png --float", "--float"),
+        ("a.tif -o a.tif --force", "is a capture"),
+        ("d.toml -o x.png", "d.toml"),
+    ] {
+        let (code, _, err) = run(&place, arguments);
+        assert!(code == 2 && err.contains(words) && !place.path("x.png").exists(), "{arguments}: {err}");
+    }
+}
+
 /// Bytes of a file cut short, changed at random places, mostly near its head, or with a run of them overwritten.
 fn mutated(bytes: &[u8], rng: &mut fastrand::Rng) -> Vec<u8> {
     let mut bytes = bytes.to_vec();

@@ -177,3 +177,21 @@ fn a_raw_file_is_measured_by_colour() {
     }
     place.run("slanted-edge edge.dng --cfa RGGB").refused(&["--cfa", "RAW"]);
 }
+
+/// Grey floating point is what the same numbers are in three channels, and as an array.
+#[test]
+fn grey_floating_point_is_measured_as_three_channels_are() {
+    use isoplanat::imaging::files::{Annotation, Depth, read_picture, write_annotated};
+    let Some(grey) = shared("cases/grey_float32.tif") else { return };
+    let place = Workplace::new();
+    let image: Array3<f32> = read_picture(&grey, Encoding::Linear).expect("reads");
+    assert_eq!(image.dim(), (3, 160, 200));
+    let found = measured(&grey, "");
+    let mtf50 = number(&found, "mtf50_cy_per_px");
+    assert!(mtf50 > 0.05 && mtf50 < 0.6, "{mtf50}");
+    for name in ["three.tif", "array.npy"] {
+        let path = place.path(name);
+        write_annotated(&path, &image, Encoding::Linear, Depth::Float, &Annotation::default()).expect("writes");
+        assert_eq!(number(&measured(&path, ""), "mtf50_cy_per_px"), mtf50, "{name}");
+    }
+}

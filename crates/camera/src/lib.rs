@@ -1,6 +1,7 @@
 //! The camera side: RAW in, picture out. No training code, no gradients.
 
 pub mod child;
+pub mod developed;
 pub mod kit;
 pub mod network_process;
 pub mod onnxruntime;

@@ -1,166 +1,48 @@
-//! Pictures in and out: PNG, JPEG and TIFF, 8 and 16 bits. Only this file names the `image` crate.
+//! Pictures in and out: PNG, JPEG, TIFF and NumPy's `.npy`. Only this file and those in `files/` name the `image` crate.
 //!
-//! Integer samples are taken as sRGB-encoded unless the caller says they are linear; floating-point TIFF is linear.
-//! Embedded colour profiles are not read: pictures in wider gamuts look less saturated than they are. Alpha is dropped,
-//! grey becomes three equal channels, the orientation in the metadata is applied. Outputs are written beside their place and
-//! renamed, so that they appear whole or not at all.
+//! `files/read.rs` is the one reader: 8 and 16 bits, whole numbers of 32 and 64 bits, floating point of 16, 32 and 64 bits, grey or three channels. Whole
+//! numbers are taken as sRGB-encoded unless the caller says they are linear; floating point is linear. Embedded colour profiles are not read: pictures in
+//! wider gamuts look less saturated than they are. Alpha is dropped, grey becomes three equal channels, the orientation in the metadata is applied.
+//! `.npy` holds `[row, col]` or `[row, col, channel]`, linear light from the top row. Outputs are written beside their place and renamed, so that they
+//! appear whole or not at all.
+
+mod npy;
+mod read;
+mod tiff_file;
 
 use std::io::Cursor;
 use std::path::Path;
 
 use image::codecs::{jpeg::JpegEncoder, png::PngEncoder};
-use image::{DynamicImage, ImageBuffer, ImageDecoder, ImageEncoder, ImageError, ImageReader, Rgb};
+use image::{ImageBuffer, ImageEncoder, ImageError, Rgb};
 use ndarray::{Array3, ArrayView3, Axis, s};
 use rayon::prelude::*;
 use tiff::TiffError;
 use tiff::encoder::{TiffEncoder, colortype};
 use tiff::tags::Tag;
 
-use crate::develop::color::{linear_from_srgb, srgb_from_linear};
+use crate::develop::color::srgb_from_linear;
 use crate::develop::gamut::Gamut;
 use crate::exif::{Exif, Undefined};
 pub use isoplanat_base::atomic::{write_atomic, write_bytes};
 use isoplanat_base::error::{Error, Result};
+pub use read::{Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_stored};
 
 /// Endings of pictures that are read and written.
-pub const PICTURES: [&str; 5] = ["png", "tif", "tiff", "jpg", "jpeg"];
+pub const PICTURES: [&str; 6] = ["png", "tif", "tiff", "jpg", "jpeg", "npy"];
 
 /// JPEG quality of [`write_picture`].
 const JPEG_QUALITY: u8 = 95;
 
-/// What the numbers of an integer picture stand for.
+/// Numbers of a written picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Encoding {
-    /// sRGB (IEC 61966-2-1), as photographs are.
-    Srgb,
-    /// Proportional to light.
-    Linear,
-}
-
-/// Reads a picture to linear RGB in `[0, 1]`, taking it as sRGB-encoded.
-///
-/// # Shapes
-/// Result `[3, row, col]`.
-pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
-    read_picture(path, Encoding::Srgb)
-}
-
-/// Rows and columns that a picture's file states, either way round; its pixels are not read.
-///
-/// # Errors
-/// A file that cannot be read, or is no picture.
-pub fn picture_size(path: &Path) -> Result<[usize; 2]> {
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let size = reader.map_err(|e| Error::reading(path, e))?.into_dimensions().map_err(|e| refused(path, e))?;
-    Ok([size.1 as usize, size.0 as usize])
-}
-
-fn refused(path: &Path, e: ImageError) -> Error {
-    match e {
-        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
-        e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a PNG, JPEG or TIFF picture"),
-    }
-}
-
-/// Reads a picture to linear RGB.
-///
-/// # Shapes
-/// Result `[3, row, col]`.
-pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
-    let refused = |e| refused(path, e);
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
-    let orientation = decoder.orientation().map_err(refused)?;
-    let mut picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
-    picture.apply_orientation(orientation);
-    if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
-        let rgb = picture.into_rgb32f();
-        return Ok(planes(rgb.dimensions(), rgb.as_raw(), |v| v));
-    }
-    // Decode through a table of all sample values.
-    let table = |top: u16| -> Vec<f32> {
-        let values = (0..=top).map(|v| f64::from(v) / f64::from(top));
-        match encoding {
-            Encoding::Srgb => values.map(|v| linear_from_srgb(v) as f32).collect(),
-            Encoding::Linear => values.map(|v| v as f32).collect(),
-        }
-    };
-    let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
-    Ok(if deep {
-        let (rgb, table) = (picture.into_rgb16(), table(u16::MAX));
-        planes(rgb.dimensions(), rgb.as_raw(), |v| table[usize::from(v)])
-    } else {
-        let (rgb, table) = (picture.into_rgb8(), table(255));
-        planes(rgb.dimensions(), rgb.as_raw(), |v| table[usize::from(v)])
-    })
-}
-
-/// A picture as its file has it: its own number of channels, and what was known of its numbers.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Planes {
-    /// Linear values, `[channel, row, col]`: one channel for grey, three for colour; `[0, 1]` for integer samples.
-    pub values: Array3<f64>,
-    /// Bits a sample; `None` for floating point.
-    pub bits: Option<u8>,
-    /// What the samples were taken as.
-    pub encoding: Encoding,
-}
-
-/// Reads a picture to linear channels in double precision: grey stays one channel, 16 bits stay exact.
-///
-/// Without `encoding` 8-bit samples are taken as sRGB and 16-bit ones as linear; floating point is linear whatever is asked for.
-///
-/// # Shapes
-/// Values `[1 or 3, row, col]`.
-///
-/// # Errors
-/// A file that cannot be read, or is no picture.
-pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
-    let refused = |e| refused(path, e);
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
-    let orientation = decoder.orientation().map_err(refused)?;
-    let mut picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
-    picture.apply_orientation(orientation);
-    let (rows, cols) = (picture.height() as usize, picture.width() as usize);
-    let channels = if picture.color().has_color() { 3 } else { 1 };
-    let shaped = |samples: Vec<f64>| {
-        let interleaved = Array3::from_shape_vec((rows, cols, channels), samples);
-        let interleaved = interleaved.map_err(|e| Error::Internal(format!("picture buffer size: {e}")))?;
-        Ok(interleaved.permuted_axes([2, 0, 1]))
-    };
-    if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
-        let samples = picture.into_rgb32f().into_raw().into_iter().map(f64::from).collect();
-        return Ok(Planes { values: shaped(samples)?, bits: None, encoding: Encoding::Linear });
-    }
-    let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
-    let encoding = encoding.unwrap_or(if deep { Encoding::Linear } else { Encoding::Srgb });
-    let samples: Vec<u16> = match (deep, channels) {
-        (true, 1) => picture.into_luma16().into_raw(),
-        (true, _) => picture.into_rgb16().into_raw(),
-        (false, 1) => picture.into_luma8().into_raw().into_iter().map(u16::from).collect(),
-        (false, _) => picture.into_rgb8().into_raw().into_iter().map(u16::from).collect(),
-    };
-    let top = if deep { u16::MAX } else { 255 };
-    let decoded = (0..=top).map(|v| f64::from(v) / f64::from(top)).map(|v| match encoding {
-        Encoding::Srgb => linear_from_srgb(v),
-        Encoding::Linear => v,
-    });
-    let table: Vec<f64> = decoded.collect();
-    let values = shaped(samples.into_iter().map(|v| table[usize::from(v)]).collect())?;
-    Ok(Planes { values, bits: Some(if deep { 16 } else { 8 }), encoding })
-}
-
-/// Channel planes of interleaved samples.
-fn planes<S: Copy + Sync>((cols, rows): (u32, u32), samples: &[S], value: impl Fn(S) -> f32 + Sync) -> Array3<f32> {
-    let (rows, cols) = (rows as usize, cols as usize);
-    let mut out = Array3::zeros((3, rows, cols));
-    out.axis_iter_mut(Axis(1)).into_par_iter().zip(samples.par_chunks(3 * cols)).for_each(|(mut to, from)| {
-        for (c, pixel) in from.chunks_exact(3).enumerate() {
-            (0..3).for_each(|k| to[[k, c]] = value(pixel[k]));
-        }
-    });
-    out
+pub enum Depth {
+    /// 8 bits; TIFF has 16.
+    Eight,
+    /// 16 bits; JPEG has 8.
+    Sixteen,
+    /// 32-bit floating point, linear, not cut off: TIFF and `.npy`.
+    Float,
 }
 
 /// A sample type of written pictures.
@@ -178,6 +60,12 @@ impl Sample for u8 {
 impl Sample for u16 {
     fn nearest(v: f32) -> Self {
         (v * 65535.0 + 0.5) as Self
+    }
+}
+
+impl Sample for f32 {
+    fn nearest(v: f32) -> Self {
+        v
     }
 }
 
@@ -277,8 +165,13 @@ pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
     write_png::<u8>(path, image, Encoding::Srgb, &Annotation::default())
 }
 
-/// Writes linear RGB as an uncompressed 16-bit TIFF, strip by strip.
-fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()> {
+/// Writes linear RGB as an uncompressed TIFF of samples of a form, strip by strip.
+fn write_tiff<C>(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
+where
+    C: colortype::ColorType,
+    C::Inner: Sample,
+    [C::Inner]: tiff::encoder::TiffValue,
+{
     let (width, height) = sides(image).map_err(|e| e.in_file(path))?;
     let profile = beside.profile(encoding)?;
     let write = |out: &mut std::io::BufWriter<std::fs::File>| {
@@ -286,7 +179,7 @@ fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &A
         let has_exif = !beside.exif.entries().is_empty();
         let directories =
             if has_exif { Some(beside.exif.write_directories(&mut file, beside.color_space(encoding))?) } else { None };
-        let mut picture = file.new_image::<colortype::RGB16>(width, height)?;
+        let mut picture = file.new_image::<C>(width, height)?;
         if let Some(profile) = &profile {
             picture.encoder().write_tag(Tag::IccProfile, Undefined(profile))?;
         }
@@ -297,7 +190,7 @@ fn write_tiff16(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &A
         while row < height as usize {
             let count = usize::try_from(picture.next_strip_sample_count())? / (3 * width as usize);
             let rows = image.slice(s![.., row..row + count, ..]);
-            picture.write_strip(&interleaved_rows::<u16>(rows, encoding))?;
+            picture.write_strip(&interleaved_rows::<C::Inner>(rows, encoding))?;
             row += count;
         }
         picture.finish()
@@ -320,29 +213,42 @@ fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8, beside: &Annotation
     })
 }
 
-/// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`.
+/// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`, `.npy`.
 ///
-/// JPEG has the sRGB curve always.
+/// JPEG has the sRGB curve always, `.npy` linear light.
 pub fn write_picture(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
-    write_annotated(path, image, encoding, true, &Annotation::default())
+    write_annotated(path, image, encoding, Depth::Sixteen, &Annotation::default())
 }
 
-/// The same with what stands beside the pixels; PNG with 16 bits only if `deep`.
+/// The same with what stands beside the pixels, and as deep as is asked for.
+///
+/// # Errors
+/// An ending or a size that is none, floating point in a format that has none, a file that cannot be written.
 pub fn write_annotated(
     path: &Path,
     image: &Array3<f32>,
     encoding: Encoding,
-    deep: bool,
+    depth: Depth,
     beside: &Annotation,
 ) -> Result<()> {
-    match extension(path).as_str() {
-        "png" if deep => write_png::<u16>(path, image, encoding, beside),
-        "png" => write_png::<u8>(path, image, encoding, beside),
-        "tif" | "tiff" => write_tiff16(path, image, encoding, beside),
-        "jpg" | "jpeg" => write_jpeg(path, image, JPEG_QUALITY, beside),
-        other => {
+    match (extension(path).as_str(), depth) {
+        ("npy", _) => {
+            sides(image).map_err(|e| e.in_file(path))?;
+            npy::write(path, image)
+        }
+        ("tif" | "tiff", Depth::Float) => write_tiff::<colortype::RGB32Float>(path, image, Encoding::Linear, beside),
+        ("tif" | "tiff", _) => write_tiff::<colortype::RGB16>(path, image, encoding, beside),
+        (other @ ("png" | "jpg" | "jpeg"), Depth::Float) => {
+            let found = format!("floating point as `.{other}`");
+            Err(Error::bad(path.display().to_string(), "file name", found, ".tif, .tiff or .npy for floating point"))
+        }
+        ("png", Depth::Sixteen) => write_png::<u16>(path, image, encoding, beside),
+        ("png", Depth::Eight) => write_png::<u8>(path, image, encoding, beside),
+        ("jpg" | "jpeg", _) => write_jpeg(path, image, JPEG_QUALITY, beside),
+        (other, _) => {
             let (file, found) = (path.display().to_string(), format!("`.{other}`"));
-            Err(Error::bad(file, "file name", found, "a picture's name ends in .png, .tif, .tiff, .jpg or .jpeg"))
+            let allowed = "a picture's name ends in .png, .tif, .tiff, .jpg, .jpeg or .npy";
+            Err(Error::bad(file, "file name", found, allowed))
         }
     }
 }
@@ -417,7 +323,7 @@ mod tests {
     fn planes_keep_channels_and_bits() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let at = |name: &str| folder.path().join(name);
-        let deep = ImageBuffer::<image::Luma<u16>, _>::from_fn(5, 3, |x, y| {
+        let deep = ImageBuffer::<image::Luma<u16>, Vec<u16>>::from_fn(5, 3, |x, y| {
             image::Luma([(7919 * (5 * y + x) % 65536) as u16])
         });
         deep.save(at("deep.png")).expect("writes");
@@ -475,5 +381,107 @@ mod tests {
         let failed = write_atomic(&kept, |_| Err(Error::Interrupted));
         assert!(failed.is_err() && fs::read(&kept).expect("reads") == b"old");
         assert_eq!(fs::read_dir(folder.path()).expect("lists").count(), 2);
+    }
+
+    /// A TIFF of one of the forms that the `image` crate does not read, by the `tiff` crate's writer.
+    fn tiff_of<C: colortype::ColorType>(
+        path: &Path,
+        size: (u32, u32),
+        samples: &[C::Inner],
+        compression: tiff::encoder::Compression,
+        predict: bool,
+    ) where
+        [C::Inner]: tiff::encoder::TiffValue,
+    {
+        let file = std::fs::File::create(path).expect("a file");
+        let mut writer = TiffEncoder::new(std::io::BufWriter::new(file)).expect("writes").with_compression(compression);
+        if predict {
+            writer = writer.with_predictor(tiff::encoder::Predictor::Horizontal);
+        }
+        writer.write_image::<C>(size.0, size.1, samples).expect("writes");
+    }
+
+    /// Every depth and every packing of grey and colour is the same picture.
+    #[test]
+    fn forms_of_numbers_are_one_picture() {
+        use tiff::encoder::Compression;
+        use tiff::encoder::compression::DeflateLevel;
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let (size, count) = ((5, 3), 15);
+        let values: Vec<f64> = (0..3 * count).map(|k| (k * 37 % 101) as f64 / 100.0).collect();
+        let (f32s, f64s): (Vec<f32>, Vec<f64>) = (values.iter().map(|v| *v as f32).collect(), values.clone());
+        let u32s: Vec<u32> = values.iter().map(|v| (v * f64::from(u32::MAX)).round() as u32).collect();
+        for (k, compression) in [
+            Compression::Uncompressed,
+            Compression::Lzw,
+            Compression::Deflate(DeflateLevel::Balanced),
+            Compression::Packbits,
+        ]
+        .into_iter()
+        .enumerate()
+        {
+            tiff_of::<colortype::Gray32Float>(&at(&format!("g32f{k}.tif")), size, &f32s[..count], compression, false);
+            tiff_of::<colortype::Gray64Float>(&at(&format!("g64f{k}.tif")), size, &f64s[..count], compression, false);
+            tiff_of::<colortype::RGB32Float>(&at(&format!("c32f{k}.tif")), size, &f32s, compression, false);
+            tiff_of::<colortype::RGB64Float>(&at(&format!("c64f{k}.tif")), size, &f64s, compression, false);
+            tiff_of::<colortype::Gray32>(&at(&format!("g32{k}.tif")), size, &u32s[..count], compression, k == 1);
+            tiff_of::<colortype::RGB32>(&at(&format!("c32{k}.tif")), size, &u32s, compression, k == 2);
+            for (name, channels, bits) in [
+                ("g32f", 1, None),
+                ("g64f", 1, None),
+                ("c32f", 3, None),
+                ("c64f", 3, None),
+                ("g32", 1, Some(32)),
+                ("c32", 3, Some(32)),
+            ] {
+                let path = at(&format!("{name}{k}.tif"));
+                let read = read_planes(&path, None).unwrap_or_else(|e| panic!("{e}"));
+                assert_eq!(
+                    (read.values.dim(), read.bits, read.encoding),
+                    ((channels, 3, 5), bits, Encoding::Linear),
+                    "{name}{k}"
+                );
+                for ((ch, r, c), v) in read.values.indexed_iter() {
+                    assert!((v - values[(r * 5 + c) * channels + ch]).abs() < 6e-8, "{name}{k}");
+                }
+                let rgb = read_picture(&path, Encoding::Linear).expect("reads");
+                assert_eq!(rgb.dim(), (3, 3, 5));
+                assert!((rgb[[2, 1, 2]] - read.values[[channels - 1, 1, 2]] as f32).abs() < 1e-7);
+                assert_eq!(picture_size(&path).expect("a picture"), [3, 5]);
+            }
+        }
+        // What is no number is no light.
+        tiff_of::<colortype::Gray32Float>(&at("nan.tif"), (2, 1), &[0.5, f32::NAN], Compression::Uncompressed, false);
+        let error = read_linear(&at("nan.tif")).expect_err("no number").to_string();
+        assert!(error.contains("nan.tif") && error.contains("row 0, column 1"), "{error}");
+        tiff_of::<colortype::GrayI16>(&at("signed.tif"), (2, 1), &[1, -2], Compression::Uncompressed, false);
+        assert!(read_linear(&at("signed.tif")).expect_err("signed").to_string().contains("signed"));
+        // Cut short at any length: refused.
+        let whole = fs::read(at("g32f0.tif")).expect("reads");
+        for keep in [4, 8, 20, whole.len() / 2, whole.len() - 1] {
+            fs::write(at("cut.tif"), &whole[..keep]).expect("writes");
+            assert!(read_linear(&at("cut.tif")).is_err(), "{keep}");
+        }
+    }
+
+    /// Floating point goes out and comes in as it was, beyond 0 and 1 too.
+    #[test]
+    fn floating_point_reads_back_to_the_bit() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| folder.path().join(name);
+        let image = picture().mapv(|v| 3.0 * v - 0.25);
+        let beside = Annotation { gamut: Some(Gamut::DisplayP3), exif: Exif::default() };
+        for name in ["a.tif", "a.npy"] {
+            write_annotated(&at(name), &image, Encoding::Srgb, Depth::Float, &beside).expect("writes");
+            assert_eq!(read_linear(&at(name)).expect("reads"), image, "{name}");
+            assert_eq!(read_planes(&at(name), None).expect("reads").values.mapv(|v| v as f32), image, "{name}");
+            assert_eq!(picture_size(&at(name)).expect("a picture"), [7, 11]);
+        }
+        for name in ["a.png", "a.jpg"] {
+            let error =
+                write_annotated(&at(name), &image, Encoding::Linear, Depth::Float, &beside).expect_err("none there");
+            assert!(error.to_string().contains("floating point"), "{error}");
+        }
     }
 }

@@ -22,7 +22,8 @@ const EXPOSURES: f64 = 10.0;
 #[derive(Debug, Parser)]
 #[command(version, name = "isoplanat-camera")]
 pub(crate) struct Arguments {
-    /// RAW files (DNG or a camera's own), or folders of them.
+    /// RAW files (DNG or a camera's own), or folders of them. Pictures (.png, .tif, .jpg, .npy) that a camera or another program developed are
+    /// taken too: their numbers as sRGB, floating point as linear.
     #[arg(value_name = "CAPTURE", required_unless_present = "show_kit")]
     pub(crate) captures: Vec<PathBuf>,
     /// Kit folder, as `isoplanat export` writes it; without it no network is applied.
@@ -58,8 +59,8 @@ pub(crate) struct Arguments {
 // How pictures are named.
 #[derive(Debug, Args)]
 pub(crate) struct Naming {
-    /// Picture to write: .png (8 bits), .tif (16 bits), .jpg, or .dng (the camera's own linear colours, for other programs to develop); a folder for
-    /// several captures [default: CAPTURE.png here].
+    /// Picture to write: .png (8 bits), .tif (16 bits), .jpg, .npy (linear light, floating point), or .dng (the camera's own linear colours, for other
+    /// programs to develop); a folder for several captures [default: CAPTURE.png here].
     #[arg(short, long, value_name = "OUT")]
     pub(crate) out: Option<PathBuf>,
     /// Format of pictures that are named after their captures [default: png].
@@ -73,6 +74,9 @@ pub(crate) struct Look {
     /// Write linear light without the sRGB curve (16 bits; .png or .tif).
     #[arg(long)]
     pub(crate) linear: bool,
+    /// Write linear light as 32-bit floating point (.tif or .npy).
+    #[arg(long)]
+    pub(crate) float: bool,
     /// Colours that the picture's numbers stand for, as its embedded profile says.
     #[arg(long, value_name = "SPACE", default_value = "srgb")]
     pub(crate) color: Space,
@@ -156,6 +160,7 @@ impl Arguments {
             out: self.naming.out.clone(),
             format: self.naming.format,
             linear: self.look.linear,
+            float: self.look.float,
             gamut: self.look.rendering().gamut,
             force: self.force,
         }

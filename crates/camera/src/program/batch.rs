@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::time::Instant;
 
+use crate::developed;
 use crate::network_process::Network;
 use crate::raw_process::{self, LIMITS};
 use crate::reconstruct::Camera;
@@ -80,7 +81,11 @@ impl<'a> Batch<'a> {
             self.show((k, n), capture, 0.0);
         }
         let started = Instant::now();
-        let raw = raw_process::decode(&program, capture, LIMITS)?;
+        let raw = if developed::is_picture(capture) {
+            developed::read(capture)?
+        } else {
+            raw_process::decode(&program, capture, LIMITS)?
+        };
         let decode = started.elapsed();
         let (make, model) = (raw.make.clone(), raw.model.clone());
         let picture =

@@ -11,7 +11,7 @@ use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::gamut::Gamut;
 use isoplanat_imaging::dng::{DngInfo, write_linear_dng};
 use isoplanat_imaging::exif::{Directory, Value, tags};
-use isoplanat_imaging::files::{self, Annotation, Encoding, extension};
+use isoplanat_imaging::files::{self, Annotation, Depth, Encoding, extension};
 
 /// Formats of pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -20,10 +20,11 @@ pub(crate) enum Format {
     Tif,
     Jpg,
     Dng,
+    Npy,
 }
 
 impl Format {
-    pub(crate) const ALL: [Self; 4] = [Self::Png, Self::Tif, Self::Jpg, Self::Dng];
+    pub(crate) const ALL: [Self; 5] = [Self::Png, Self::Tif, Self::Jpg, Self::Dng, Self::Npy];
 
     /// Endings of its files.
     pub(crate) fn endings(self) -> &'static [&'static str] {
@@ -32,6 +33,7 @@ impl Format {
             Self::Tif => &["tif", "tiff"],
             Self::Jpg => &["jpg", "jpeg"],
             Self::Dng => &["dng"],
+            Self::Npy => &["npy"],
         }
     }
 
@@ -52,6 +54,8 @@ pub(crate) struct Pictures {
     pub(crate) format: Option<Format>,
     /// Linear light, 16 bits.
     pub(crate) linear: bool,
+    /// Linear light, floating point.
+    pub(crate) float: bool,
     /// What the numbers stand for.
     pub(crate) gamut: Gamut,
     /// Overwrite what is there.
@@ -109,9 +113,12 @@ impl Pictures {
         let ending = extension(path);
         if !is_picture(path) {
             let found = if ending.is_empty() { "no ending".into() } else { format!("`.{ending}`") };
-            return refuse("-o", found, ".png, .tif, .tiff, .jpg, .jpeg or .dng");
+            return refuse("-o", found, ".png, .tif, .tiff, .jpg, .jpeg, .dng or .npy");
         }
         match ending.as_str() {
+            "png" | "jpg" | "jpeg" | "dng" if self.float => {
+                refuse("--float", format!("`.{ending}` has no floating point here"), ".tif or .npy")
+            }
             "jpg" | "jpeg" if self.linear => refuse("--linear", "JPEG has 8 bits".into(), ".tif or .png"),
             "dng" if self.linear => {
                 refuse("--linear", "a DNG is linear already".into(), "no --linear, or .tif or .png")
@@ -139,7 +146,7 @@ impl Pictures {
         Ok(())
     }
 
-    /// Writes a picture in the format its name asks for: PNG with 8 bits (16 if linear), TIFF and DNG with 16, JPEG; colours and the exposure's facts beside
+    /// Writes a picture in the format its name asks for: PNG with 8 bits (16 if linear), TIFF and DNG with 16, JPEG, `.npy`; colours and the exposure's facts beside
     /// the pixels.
     pub(crate) fn write(&self, path: &Path, picture: &Picture) -> Result<()> {
         if path.exists() && !self.force {
@@ -154,9 +161,14 @@ impl Pictures {
             let info = DngInfo { software, description: String::new(), lens: String::new(), model };
             return write_linear_dng(path, &picture.image, &picture.colour, &info, &exif);
         }
-        let encoding = if self.linear { Encoding::Linear } else { Encoding::Srgb };
+        let encoding = if self.linear || self.float { Encoding::Linear } else { Encoding::Srgb };
+        let depth = match (self.float, self.linear) {
+            (true, _) => Depth::Float,
+            (false, true) => Depth::Sixteen,
+            (false, false) => Depth::Eight,
+        };
         let beside = Annotation { gamut: Some(self.gamut), exif };
-        files::write_annotated(path, &picture.image, encoding, self.linear, &beside)
+        files::write_annotated(path, &picture.image, encoding, depth, &beside)
     }
 }
 

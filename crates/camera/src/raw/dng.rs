@@ -43,7 +43,9 @@ pub(super) fn check_filter(path: &Path, directory: &IFD) -> Result<()> {
                 let found = format!("a Bayer filter stated as {columns} × {rows} pixels");
                 return Err(bad(path, found, "a Bayer filter stated as 2 × 2 pixels"));
             }
-            Filter::Bayer(_) | Filter::Grey => {}
+            // Without a filter the file would be LinearRaw, with black and white of one plane.
+            Filter::Grey => return Err(bad(path, "a colour filter of one colour", allowed)),
+            Filter::Bayer(_) => {}
         }
     }
     match numbers(directory, DngTag::CFALayout).as_deref() {

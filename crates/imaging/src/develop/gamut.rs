@@ -1,9 +1,10 @@
 //! The colours that a picture's numbers stand for, and the ICC profile that says so.
 //!
 //! Both spaces have sRGB's white (D65) and its curve. Profiles are those of the `moxcms` crate, without the code-point tag, whose primaries for Display
-//! P3 are another space's there; with `linear` their curves are straight lines.
+//! P3 are another space's there; with `linear` their curves are straight lines. White, primaries and the layout are made to be what strict readers ask
+//! for (ICC.1:2022; libpng's checks): white is D50 exactly, primaries are adapted to it (Bradford) and add up to it, elements lie on multiples of 4.
 
-use moxcms::{ColorProfile, LocalizableString, ProfileText, ToneReprCurve};
+use moxcms::{ColorProfile, LocalizableString, Matrix3d, ProfileText, ToneReprCurve, Xyzd};
 use serde::{Deserialize, Serialize};
 
 use super::color::{IDENTITY, XYZ_FROM_SRGB, inverse, product};
@@ -15,6 +16,12 @@ const XYZ_FROM_P3: [[f64; 3]; 3] = [
     [0.228_974_564_069_748_8, 0.691_738_521_836_506_4, 0.079_286_914_093_745_0],
     [0.0, 0.045_113_381_858_902_6, 1.043_944_368_900_976],
 ];
+
+/// White of the profile connection space, D50 (ICC.1:2022, 7.2.16), 65536ths: what profiles hold of 0.9642, 1, 0.8249.
+const D50: [u32; 3] = [0xf6d6, 0x1_0000, 0xd32d];
+
+/// The Bradford cone response (ICC.1:2022, annex E).
+const BRADFORD: [[f64; 3]; 3] = [[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]];
 
 /// A space of colours.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -69,13 +76,59 @@ impl Gamut {
             let name = LocalizableString::new("en".into(), "US".into(), name.into());
             profile.description = Some(ProfileText::Localizable(vec![name]));
         }
-        let mut bytes = profile.encode().map_err(|e| Error::Internal(format!("colour profile: {e}")))?;
+        let (adapted, colorants) = self.adapted();
+        let column = |k: usize| Xyzd::new(colorants[0][k], colorants[1][k], colorants[2][k]);
+        (profile.red_colorant, profile.green_colorant, profile.blue_colorant) = (column(0), column(1), column(2));
+        profile.chromatic_adaptation = Some(Matrix3d { v: adapted });
+        let [x, y, z] = D50.map(|v| f64::from(v) / 65536.0);
+        (profile.white_point, profile.media_white_point) = (Xyzd::new(x, y, z), Some(Xyzd::new(x, y, z)));
+        let bytes = profile.encode().map_err(|e| Error::Internal(format!("colour profile: {e}")))?;
+        let mut bytes = aligned(&bytes).ok_or_else(|| Error::Internal("colour profile: its table".into()))?;
         // Equal pictures are equal files: the date in the head (ICC.1:2022, 7.2.10) is not the clock's.
-        if let Some(date) = bytes.get_mut(24..36) {
-            date.copy_from_slice(&[7, 208, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0]);
+        bytes[24..36].copy_from_slice(&[7, 208, 0, 1, 0, 1, 0, 0, 0, 0, 0, 0]);
+        for (place, v) in bytes[68..80].chunks_exact_mut(4).zip(D50) {
+            place.copy_from_slice(&v.to_be_bytes());
         }
         Ok(bytes)
     }
+
+    /// From XYZ under D65 to D50, and the primaries there, one a column.
+    fn adapted(self) -> ([[f64; 3]; 3], [[f64; 3]; 3]) {
+        let xyz = match self {
+            Self::Srgb => XYZ_FROM_SRGB,
+            Self::DisplayP3 => XYZ_FROM_P3,
+        };
+        let cones = |white: [f64; 3]| BRADFORD.map(|row| row.iter().zip(white).map(|(m, w)| m * w).sum::<f64>());
+        let (from, to) = (cones(xyz.map(|row| row.iter().sum())), cones(D50.map(|v| f64::from(v) / 65536.0)));
+        let scaled: [[f64; 3]; 3] = std::array::from_fn(|k| BRADFORD[k].map(|v| v * to[k] / from[k]));
+        let adapted = product(&inverse(&BRADFORD).expect("a constant with an inverse"), &scaled);
+        (adapted, product(&adapted, &xyz))
+    }
+}
+
+/// The profile with every element on a multiple of 4 bytes, equal elements once, and as long as a multiple of 4 (ICC.1:2022, 7.2.2 and 7.3.1). `None`
+/// where its table points outside.
+fn aligned(profile: &[u8]) -> Option<Vec<u8>> {
+    let word = |at: usize| Some(u32::from_be_bytes(profile.get(at..at + 4)?.try_into().ok()?) as usize);
+    let count = word(128)?;
+    let mut out = profile.get(..132 + 12 * count)?.to_vec();
+    let mut places: Vec<(&[u8], usize)> = Vec::with_capacity(count);
+    for entry in (0..count).map(|k| 132 + 12 * k) {
+        let (from, length) = (word(entry + 4)?, word(entry + 8)?);
+        let element = profile.get(from..from.checked_add(length)?)?;
+        let place = places.iter().find(|(other, _)| *other == element).map(|(_, place)| *place);
+        let place = place.unwrap_or_else(|| {
+            let place = out.len();
+            out.extend_from_slice(element);
+            out.resize(out.len().next_multiple_of(4), 0);
+            places.push((element, place));
+            place
+        });
+        out[entry + 4..entry + 8].copy_from_slice(&u32::try_from(place).ok()?.to_be_bytes());
+    }
+    let length = u32::try_from(out.len()).ok()?;
+    out[..4].copy_from_slice(&length.to_be_bytes());
+    Some(out)
 }
 
 #[cfg(test)]
@@ -117,5 +170,76 @@ mod tests {
                 }
             }
         }
+    }
+
+    /// A strict reader's rules, stated apart from the writer: those of libpng 1.6 (`png_icc_check_length`, `_header`, `_tag_table`) and of ICC.1:2022,
+    /// 7.2 and 7.3, for a display's profile.
+    fn strict(profile: &[u8]) -> std::result::Result<(), String> {
+        let word = |at: usize| u32::from_be_bytes(profile[at..at + 4].try_into().expect("four bytes"));
+        let need = |ok: bool, what: &str| if ok { Ok(()) } else { Err(what.to_owned()) };
+        need(profile.len() >= 132 && word(0) as usize == profile.len(), "length")?;
+        need(profile.len() % 4 == 0, "length no multiple of 4")?;
+        need(profile[8] == 4, "version")?;
+        need(&profile[12..24] == b"mntrRGB XYZ " && &profile[36..40] == b"acsp", "class, space or signature")?;
+        need(word(64) < 4, "intent")?;
+        need([word(68), word(72), word(76)] == D50, "illuminant is not D50")?;
+        need(profile[100..128].iter().all(|b| *b == 0), "reserved")?;
+        let count = word(128) as usize;
+        need(count <= (profile.len() - 132) / 12, "tag count")?;
+        let mut seen = Vec::new();
+        for entry in (0..count).map(|k| 132 + 12 * k) {
+            let (name, start, length) =
+                (&profile[entry..entry + 4], word(entry + 4) as usize, word(entry + 8) as usize);
+            let told = String::from_utf8_lossy(name).into_owned();
+            need(start % 4 == 0, &format!("{told} is not aligned"))?;
+            need(
+                start >= 132 + 12 * count && length <= profile.len() - start.min(profile.len()),
+                &format!("{told} is outside"),
+            )?;
+            need(!seen.contains(&told), &format!("{told} stands twice"))?;
+            seen.push(told);
+        }
+        for name in ["desc", "cprt", "wtpt", "chad", "rXYZ", "gXYZ", "bXYZ", "rTRC", "gTRC", "bTRC"] {
+            need(seen.iter().any(|s| s == name), &format!("{name} is missing"))?;
+        }
+        Ok(())
+    }
+
+    /// The three numbers of an XYZ element.
+    fn xyz(profile: &[u8], name: &[u8; 4]) -> [f64; 3] {
+        let word = |at: usize| i32::from_be_bytes(profile[at..at + 4].try_into().expect("four bytes"));
+        let entry = (132..).step_by(12).find(|at| &profile[*at..at + 4] == name).expect("there");
+        let at = word(entry + 4) as usize + 8;
+        [0, 4, 8].map(|k| f64::from(word(at + k)) / 65536.0)
+    }
+
+    /// Against the strict reader, and the numbers that lcms2 sees (`tests/peers/icc_lcms.py`): primaries as XYZ of D50.
+    #[test]
+    fn strict_readers_take_the_profiles() {
+        let lcms: serde_json::Value =
+            serde_json::from_str(include_str!("../../../../tests/peers/icc_lcms.json")).expect("JSON");
+        for (gamut, name) in [(Gamut::Srgb, "srgb"), (Gamut::DisplayP3, "display-p3")] {
+            for linear in [false, true] {
+                let profile = gamut.icc(linear).expect("writes");
+                strict(&profile).unwrap_or_else(|what| panic!("{gamut:?} {linear}: {what}"));
+                assert!(strict(&profile[..profile.len() - 1]).is_err());
+                let white = D50.map(|v| f64::from(v) / 65536.0);
+                assert_eq!(xyz(&profile, b"wtpt"), white);
+                let primaries = [b"rXYZ", b"gXYZ", b"bXYZ"].map(|name| xyz(&profile, name));
+                for (k, white) in white.into_iter().enumerate() {
+                    let sum: f64 = primaries.iter().map(|p| p[k]).sum();
+                    assert!((sum - white).abs() < 2.5 / 65536.0, "{gamut:?}: white {sum} {white}");
+                    for (p, colour) in primaries.iter().zip(["red", "green", "blue"]) {
+                        let seen = lcms[name][colour][k].as_f64().expect("a number");
+                        assert!((p[k] - seen).abs() < 3e-4, "{gamut:?} {colour}: {} {seen}", p[k]);
+                    }
+                }
+            }
+        }
+        // What the writer gave before: unaligned, of odd length.
+        let plain = ColorProfile::new_display_p3().encode().expect("writes");
+        assert!(strict(&plain).is_err());
+        assert_eq!(aligned(&plain).map(|p| p.len() % 4), Some(0));
+        assert!(aligned(&plain[..140]).is_none() && aligned(&plain[..100]).is_none());
     }
 }

@@ -362,6 +362,29 @@ mod tests {
         assert!(mosaic.iter().all(|v| (v - 0.25).abs() < 1e-6));
     }
 
+    /// Three samples a pixel, and none of a colour: levels, neutral and falling light are taken out of each as of a mosaic.
+    #[test]
+    fn pictures_without_a_mosaic_are_balanced_and_evened() {
+        let frame = Frame::centred(16, 12, 0.5).expect("valid");
+        let list = |end: f64| vec![1.0, end];
+        let shading = Shading::new(vec![0.0, 6.0], [list(0.4), list(0.5), list(0.6)]).expect("valid");
+        let balance =
+            Balance { black: [64.0, 70.0, 80.0, 64.0], white: [964.0, 970.0, 980.0, 964.0], neutral: [0.5, 1.0, 0.8] };
+        let at = |r: usize, c: usize, k: usize| shading.at(k, frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+        let mut colours = Array3::from_shape_fn((3, 12, 16), |(k, r, c)| {
+            balance.black[k] + (900.0 * 0.5 * balance.neutral[k] * at(r, c, k)) as f32
+        });
+        colour_input(&mut colours, &balance, Some((&frame, &shading)));
+        assert!(colours.iter().all(|v| (v - 0.5).abs() < 1e-4), "{colours:?}");
+        // Without colours: black a place of the cell, green's illumination, no neutral.
+        let grey = Array2::from_shape_fn((12, 16), |(r, c)| {
+            balance.black[(r & 1) * 2 + (c & 1)] + (900.0 * 0.5 * at(r, c, 1)) as f32
+        });
+        let grey = grey_input(grey, &balance, Some((&frame, &shading)));
+        assert_eq!(grey.dim(), (3, 12, 16));
+        assert!(grey.iter().all(|v| (v - 0.5).abs() < 1e-4), "{grey:?}");
+    }
+
     #[test]
     fn shading_is_divided_out_before_demosaicking() {
         let frame = Frame::centred(16, 12, 0.5).expect("valid");

@@ -1,4 +1,4 @@
-//! A folder of photographs as scenes: PNG, JPEG and TIFF, read when asked for, sRGB decoded to linear light.
+//! A folder of photographs as scenes: PNG, JPEG, TIFF and `.npy`, read when asked for, sRGB decoded to linear light.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ pub struct Photos {
 }
 
 impl Photos {
-    /// Lists the folder's `.png`, `.jpg`, `.jpeg`, `.tif` and `.tiff` files; hidden files and folders in it are left out.
+    /// Lists the folder's `.png`, `.jpg`, `.jpeg`, `.tif`, `.tiff` and `.npy` files; hidden files and folders in it are left out.
     ///
     /// A folder without any is refused.
     pub fn open(folder: &Path) -> Result<Self> {
@@ -29,7 +29,8 @@ impl Photos {
             }
         }
         if paths.is_empty() {
-            let (file, allowed) = (folder.display().to_string(), "at least one .png, .jpg, .jpeg, .tif or .tiff file");
+            let (file, allowed) =
+                (folder.display().to_string(), "at least one .png, .jpg, .jpeg, .tif, .tiff or .npy file");
             return Err(Error::bad(file, "folder of photographs", "no pictures", allowed));
         }
         paths.sort();

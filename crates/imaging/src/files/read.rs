@@ -1,0 +1,279 @@
+//! The one reader of pictures: whatever a file holds as interleaved samples of one or three channels, then as linear light.
+
+use std::io::Read;
+use std::path::Path;
+
+use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
+use ndarray::{Array3, Axis};
+use rayon::prelude::*;
+
+use super::{extension, npy, tiff_file};
+use crate::develop::color::linear_from_srgb;
+use isoplanat_base::error::{Error, Result};
+
+/// What a picture's file may be.
+pub(super) const ALLOWED: &str = "a PNG, JPEG or TIFF picture, or an array (.npy)";
+
+/// What the numbers of an integer picture stand for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Encoding {
+    /// sRGB (IEC 61966-2-1), as photographs are.
+    Srgb,
+    /// Proportional to light.
+    Linear,
+}
+
+/// Samples of a file.
+pub(super) enum Samples {
+    U8(Vec<u8>),
+    U16(Vec<u16>),
+    /// Whole numbers of so many bits, as shares of the largest.
+    Whole(Vec<f64>, u8),
+    F32(Vec<f32>),
+    F64(Vec<f64>),
+}
+
+/// What a file holds, interleaved: `[row, col, channel]`.
+pub(super) struct Content {
+    pub(super) rows: usize,
+    pub(super) cols: usize,
+    /// 1 or 3.
+    pub(super) channels: usize,
+    pub(super) samples: Samples,
+    /// How to turn it upright, as Exif has it.
+    pub(super) orientation: u8,
+}
+
+/// A picture as its file has it: its own number of channels, and what was known of its numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Planes {
+    /// Linear values, `[channel, row, col]`: one channel for grey, three for colour; `[0, 1]` for integer samples.
+    pub values: Array3<f64>,
+    /// Bits a sample; `None` for floating point.
+    pub bits: Option<u8>,
+    /// What the samples were taken as.
+    pub encoding: Encoding,
+}
+
+/// A picture as it is stored, not turned upright.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Stored {
+    /// Linear light, `[3, row, col]`.
+    pub image: Array3<f32>,
+    /// How to turn it upright: Exif's 1 to 8.
+    pub orientation: u8,
+    /// Bits a sample; `None` for floating point.
+    pub bits: Option<u8>,
+}
+
+/// Reads a picture to linear RGB in `[0, 1]`, taking whole numbers as sRGB-encoded.
+///
+/// # Shapes
+/// Result `[3, row, col]`.
+pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
+    read_picture(path, Encoding::Srgb)
+}
+
+/// Rows and columns that a picture's file states, either way round; its pixels are not read.
+///
+/// # Errors
+/// A file that cannot be read, or is no picture.
+pub fn picture_size(path: &Path) -> Result<[usize; 2]> {
+    match kind(path)? {
+        Kind::Array => npy::size(path),
+        Kind::Tiff => tiff_file::size(path),
+        Kind::Other => {
+            let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+            let size = reader.map_err(|e| Error::reading(path, e))?.into_dimensions().map_err(|e| refused(path, e))?;
+            Ok([size.1 as usize, size.0 as usize])
+        }
+    }
+}
+
+/// Reads a picture to linear RGB, upright.
+///
+/// # Shapes
+/// Result `[3, row, col]`.
+pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
+    let Stored { image, orientation, .. } = read_stored(path, encoding)?;
+    Ok(upright(image, orientation))
+}
+
+/// Reads a picture to linear RGB as it is stored.
+///
+/// # Errors
+/// A file that cannot be read, or is no picture.
+pub fn read_stored(path: &Path, encoding: Encoding) -> Result<Stored> {
+    let content = content(path)?;
+    let orientation = content.orientation;
+    let (bits, image) = match &content.samples {
+        Samples::F32(v) => (None, planes(&content, 3, v, |v| v)),
+        Samples::F64(v) => (None, planes(&content, 3, v, |v| v as f32)),
+        Samples::Whole(v, bits) => (Some(*bits), planes(&content, 3, v, |v| decoded(v, encoding) as f32)),
+        Samples::U16(v) => {
+            let table: Vec<f32> = table(u16::MAX, encoding).into_iter().map(|v| v as f32).collect();
+            (Some(16), planes(&content, 3, v, |v| table[usize::from(v)]))
+        }
+        Samples::U8(v) => {
+            let table: Vec<f32> = table(255, encoding).into_iter().map(|v| v as f32).collect();
+            (Some(8), planes(&content, 3, v, |v| table[usize::from(v)]))
+        }
+    };
+    Ok(Stored { image, orientation, bits })
+}
+
+/// Reads a picture to linear channels in double precision, upright: grey stays one channel, 16 bits stay exact.
+///
+/// Without `encoding` 8-bit samples are taken as sRGB and deeper ones as linear; floating point is linear whatever is asked for.
+///
+/// # Shapes
+/// Values `[1 or 3, row, col]`.
+///
+/// # Errors
+/// A file that cannot be read, or is no picture.
+pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    let content = content(path)?;
+    let deep = encoding.unwrap_or(Encoding::Linear);
+    let channels = content.channels;
+    let (bits, encoding, values) = match &content.samples {
+        Samples::F32(v) => (None, Encoding::Linear, planes(&content, channels, v, f64::from)),
+        Samples::F64(v) => (None, Encoding::Linear, planes(&content, channels, v, |v| v)),
+        Samples::Whole(v, bits) => (Some(*bits), deep, planes(&content, channels, v, |v| decoded(v, deep))),
+        Samples::U16(v) => {
+            let table = table(u16::MAX, deep);
+            (Some(16), deep, planes(&content, channels, v, |v| table[usize::from(v)]))
+        }
+        Samples::U8(v) => {
+            let encoding = encoding.unwrap_or(Encoding::Srgb);
+            let table = table(255, encoding);
+            (Some(8), encoding, planes(&content, channels, v, |v| table[usize::from(v)]))
+        }
+    };
+    Ok(Planes { values: upright(values, content.orientation), bits, encoding })
+}
+
+fn decoded(v: f64, encoding: Encoding) -> f64 {
+    match encoding {
+        Encoding::Srgb => linear_from_srgb(v),
+        Encoding::Linear => v,
+    }
+}
+
+/// Light of all sample values.
+fn table(top: u16, encoding: Encoding) -> Vec<f64> {
+    (0..=top).map(|v| decoded(f64::from(v) / f64::from(top), encoding)).collect()
+}
+
+/// Channel planes of interleaved samples; a single channel fills all that are asked for.
+fn planes<S: Copy + Sync, T: Copy + Default + Send + Sync>(
+    content: &Content,
+    channels: usize,
+    samples: &[S],
+    value: impl Fn(S) -> T + Sync,
+) -> Array3<T> {
+    let stored = content.channels;
+    let mut out = Array3::from_elem((channels, content.rows, content.cols), T::default());
+    let rows = samples.par_chunks((stored * content.cols).max(1));
+    out.axis_iter_mut(Axis(1)).into_par_iter().zip(rows).for_each(|(mut to, from)| {
+        for (c, pixel) in from.chunks_exact(stored).enumerate() {
+            (0..channels).for_each(|k| to[[k, c]] = value(pixel[k.min(stored - 1)]));
+        }
+    });
+    out
+}
+
+/// A picture turned as Exif's orientation says.
+fn upright<T: Clone>(mut image: Array3<T>, orientation: u8) -> Array3<T> {
+    let (transpose, flip_rows, flip_columns) = match orientation {
+        2 => (false, false, true),
+        3 => (false, true, true),
+        4 => (false, true, false),
+        5 => (true, false, false),
+        6 => (true, false, true),
+        7 => (true, true, true),
+        8 => (true, true, false),
+        _ => return image,
+    };
+    if transpose {
+        image.swap_axes(1, 2);
+    }
+    if flip_rows {
+        image.invert_axis(Axis(1));
+    }
+    if flip_columns {
+        image.invert_axis(Axis(2));
+    }
+    image.as_standard_layout().into_owned()
+}
+
+/// What reads a file.
+enum Kind {
+    Array,
+    Tiff,
+    Other,
+}
+
+/// By the first bytes; by name what is an array by name alone, so that its reader says what is wrong.
+fn kind(path: &Path) -> Result<Kind> {
+    let file = std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
+    let mut start = Vec::new();
+    file.take(6).read_to_end(&mut start).map_err(|e| Error::reading(path, e))?;
+    Ok(match &start[..] {
+        [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Kind::Tiff,
+        start if start == npy::MAGIC || extension(path) == "npy" => Kind::Array,
+        _ => Kind::Other,
+    })
+}
+
+/// What a file holds.
+fn content(path: &Path) -> Result<Content> {
+    match kind(path)? {
+        Kind::Array => npy::read(path),
+        // Forms that the `image` crate knows too go its way: palettes, CMYK, bilevel.
+        Kind::Tiff => tiff_file::read(path)?.map_or_else(|| picture(path), Ok),
+        Kind::Other => picture(path),
+    }
+}
+
+/// A picture that the `image` crate reads.
+fn picture(path: &Path) -> Result<Content> {
+    let refused = |e| refused(path, e);
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
+    let orientation = decoder.orientation().map_err(refused)?.to_exif();
+    let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
+    let (rows, cols) = (picture.height() as usize, picture.width() as usize);
+    let channels = if picture.color().has_color() { 3 } else { 1 };
+    if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
+        let samples = picture.into_rgb32f().into_raw();
+        return finite(path, Content { rows, cols, channels, samples: Samples::F32(samples), orientation });
+    }
+    let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
+    let samples = match (deep, channels) {
+        (true, 1) => Samples::U16(picture.into_luma16().into_raw()),
+        (true, _) => Samples::U16(picture.into_rgb16().into_raw()),
+        (false, 1) => Samples::U8(picture.into_luma8().into_raw()),
+        (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
+    };
+    Ok(Content { rows, cols, channels, samples, orientation })
+}
+
+fn refused(path: &Path, e: ImageError) -> Error {
+    match e {
+        ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
+    }
+}
+
+/// The content, if all of it are numbers.
+pub(super) fn finite(path: &Path, content: Content) -> Result<Content> {
+    let wrong = match &content.samples {
+        Samples::F32(v) => v.iter().position(|v| !v.is_finite()),
+        Samples::F64(v) => v.iter().position(|v| !v.is_finite()),
+        _ => None,
+    };
+    let Some(at) = wrong else { return Ok(content) };
+    let pixel = at / content.channels;
+    let place = format!("row {}, column {}", pixel / content.cols, pixel % content.cols);
+    Err(Error::bad(path.display().to_string(), place, "a sample that is not a finite number", "finite numbers"))
+}

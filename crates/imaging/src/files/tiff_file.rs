@@ -1,0 +1,110 @@
+//! TIFF samples that the `image` crate does not take: grey floating point, 16- and 64-bit floating point, whole numbers beyond 16 bits, bands.
+
+use std::fs::File;
+use std::io::BufReader;
+use std::path::Path;
+
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+use tiff::{ColorType, TiffError};
+
+use super::read::{ALLOWED, Content, Samples, finite};
+use isoplanat_base::error::{Error, Result};
+
+/// Bytes of a picture at most.
+const LARGEST: usize = 4 << 30;
+/// How many bytes one of a compressed file can stand for: what deflate reaches, and some.
+const EXPANSION: usize = 1100;
+
+fn refused(path: &Path, e: TiffError) -> Error {
+    match e {
+        TiffError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
+        e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
+    }
+}
+
+fn open(path: &Path) -> Result<Decoder<BufReader<File>>> {
+    let file = File::open(path).map_err(|e| Error::reading(path, e))?;
+    let bytes = file.metadata().map_err(|e| Error::reading(path, e))?.len();
+    let most = usize::try_from(bytes).unwrap_or(usize::MAX).saturating_mul(EXPANSION).min(LARGEST);
+    let mut limits = Limits::default();
+    (limits.decoding_buffer_size, limits.intermediate_buffer_size) = (most, most);
+    Ok(Decoder::new(BufReader::new(file)).map_err(|e| refused(path, e))?.with_limits(limits))
+}
+
+/// Rows and columns.
+pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
+    let (cols, rows) = open(path)?.dimensions().map_err(|e| refused(path, e))?;
+    Ok([rows as usize, cols as usize])
+}
+
+/// The samples of the first picture; `None` for forms that go another way.
+pub(super) fn read(path: &Path) -> Result<Option<Content>> {
+    let refused = |e| refused(path, e);
+    let bad = |found: String, allowed: &str| Error::bad(path.display().to_string(), "picture", found, allowed);
+    let mut decoder = open(path)?;
+    let (cols, rows) = decoder.dimensions().map_err(refused)?;
+    let (bits, bands) = match decoder.colortype().map_err(refused)? {
+        ColorType::Gray(bits) => (bits, 1),
+        ColorType::GrayA(bits) => (bits, 2),
+        ColorType::RGB(bits) => (bits, 3),
+        ColorType::RGBA(bits) => (bits, 4),
+        ColorType::Multiband { bit_depth, num_samples } => (bit_depth, usize::from(num_samples)),
+        _ => return Ok(None),
+    };
+    if !matches!(bits, 8 | 16 | 32 | 64) {
+        return Ok(None);
+    }
+    // Grey with or without alpha, or colour with or without: what stands behind them is dropped.
+    let channels = match bands {
+        1 | 2 => 1,
+        3 | 4 => 3,
+        _ => return Err(bad(format!("{bands} bands"), "grey or three colours, with or without alpha")),
+    };
+    let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(refused)?;
+    let orientation = orientation.and_then(|v| u8::try_from(v).ok()).filter(|v| (1..=8).contains(v)).unwrap_or(1);
+    let mut result = DecodingResult::U8(Vec::new());
+    let layout = decoder.read_image_to_buffer(&mut result).map_err(refused)?;
+    if result.as_buffer(0).as_bytes().len() < layout.complete_len {
+        return Err(bad(format!("{} bytes of samples", layout.complete_len), "at most 4 GiB of samples"));
+    }
+    let shape = Shape { pixels: rows as usize * cols as usize, bands, channels, planar: layout.planes > 1 };
+    let whole = |v: Vec<f64>, bits: u8| Samples::Whole(v, bits);
+    let samples = match result {
+        DecodingResult::U8(v) => shape.taken(&v, |v| v).map(Samples::U8),
+        DecodingResult::U16(v) => shape.taken(&v, |v| v).map(Samples::U16),
+        DecodingResult::U32(v) => shape.taken(&v, |v| f64::from(v) / f64::from(u32::MAX)).map(|v| whole(v, 32)),
+        DecodingResult::U64(v) => shape.taken(&v, |v| v as f64 / u64::MAX as f64).map(|v| whole(v, 64)),
+        DecodingResult::F16(v) => shape.taken(&v, |v| v.to_f32()).map(Samples::F32),
+        DecodingResult::F32(v) => shape.taken(&v, |v| v).map(Samples::F32),
+        DecodingResult::F64(v) => shape.taken(&v, |v| v).map(Samples::F64),
+        DecodingResult::I8(_) | DecodingResult::I16(_) | DecodingResult::I32(_) | DecodingResult::I64(_) => {
+            return Err(bad("signed whole numbers".into(), "whole numbers from 0, or floating point"));
+        }
+    };
+    let samples = samples.ok_or_else(|| bad("fewer samples than pixels".into(), "a complete file"))?;
+    finite(path, Content { rows: rows as usize, cols: cols as usize, channels, samples, orientation }).map(Some)
+}
+
+/// How samples lie.
+struct Shape {
+    pixels: usize,
+    /// Stored.
+    bands: usize,
+    /// Kept.
+    channels: usize,
+    /// Band after band, not pixel after pixel.
+    planar: bool,
+}
+
+impl Shape {
+    /// The kept channels, pixel after pixel; `None` where samples are missing.
+    fn taken<S: Copy, T>(&self, samples: &[S], value: impl Fn(S) -> T) -> Option<Vec<T>> {
+        if samples.len() < self.pixels.checked_mul(self.bands)? {
+            return None;
+        }
+        let at = |pixel: usize, k: usize| if self.planar { k * self.pixels + pixel } else { pixel * self.bands + k };
+        let all = (0..self.pixels).flat_map(|pixel| (0..self.channels).map(move |k| (pixel, k)));
+        Some(all.map(|(pixel, k)| value(samples[at(pixel, k)])).collect())
+    }
+}
