@@ -1,12 +1,14 @@
-//! `--glass`: catalogues beside the shipped one.
+//! `--glass`: catalogues beside the shipped one; `--strict`, `--configuration`: how lens files are read.
 
 use std::path::PathBuf;
 use std::sync::OnceLock;
 
+use isoplanat::interchange::Reading;
 use isoplanat::lens::catalogue::Glasses;
 use isoplanat::{Error, Result};
 
 static GLASSES: OnceLock<Glasses> = OnceLock::new();
+static READING: OnceLock<Reading> = OnceLock::new();
 
 /// Reads the catalogues and pages of this run of the program: those in the folder that `ISOPLANAT_GLASSES` names, then `files`; `instead` has
 /// pairs `NAME=GLASS`.
@@ -40,4 +42,14 @@ pub(crate) fn set(files: &[PathBuf], instead: &[String]) -> Result<()> {
 /// The glasses of this run.
 pub(crate) fn all() -> &'static Glasses {
     GLASSES.get().unwrap_or_else(|| Glasses::shipped())
+}
+
+/// Sets how this run of the program reads lens files.
+pub(crate) fn set_reading(reading: Reading) {
+    let _ = READING.set(reading);
+}
+
+/// How this run reads lens files.
+pub(crate) fn reading() -> Reading {
+    READING.get().copied().unwrap_or_default()
 }

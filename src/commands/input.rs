@@ -20,7 +20,7 @@ use crate::glasses;
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
 pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
-    let Imported { lens, notes } = interchange::lens_or_file(name_or_path, glasses::all())?;
+    let Imported { lens, notes } = interchange::lens_or_file(name_or_path, glasses::all(), glasses::reading())?;
     let toml = Path::new(name_or_path).extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.

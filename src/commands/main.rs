@@ -57,6 +57,7 @@ use std::process::ExitCode;
 
 use clap::Parser;
 use isoplanat::Error;
+use isoplanat::interchange::Reading;
 use isoplanat::math::simd::check_environment;
 
 /// Designs a camera lens and its reconstruction network together, and runs the result on real captures.
@@ -75,6 +76,12 @@ struct Cli {
     /// A glass to take where a lens names one that no catalogue has, such as SSK4=SSK4A; as often as wanted
     #[arg(long, global = true, value_name = "NAME=GLASS")]
     glass_for: Vec<String>,
+    /// Refuse a lens file with keywords that are not known, in place of a note
+    #[arg(long, global = true)]
+    strict: bool,
+    /// The configuration (zoom position) to read of a Zemax or CODE V file that has several, from 1 [default: 1]
+    #[arg(long, global = true, value_name = "N")]
+    configuration: Option<usize>,
 }
 
 #[derive(clap::Subcommand)]
@@ -226,16 +233,44 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
     }
 }
 
+/// Refuses `--configuration` where the lens comes from a task, which has one.
+#[cfg(feature = "train")]
+fn of_one_configuration(command: &Command, configuration: Option<usize>) -> isoplanat::Result<()> {
+    let by_task = matches!(
+        command,
+        Command::Demo(_)
+            | Command::Design(_)
+            | Command::Sweep(_)
+            | Command::Train(_)
+            | Command::Evaluate(_)
+            | Command::Compare(_)
+            | Command::Export(_)
+    );
+    match configuration.filter(|_| by_task) {
+        Some(n) => {
+            let allowed = "commands that read a lens file; `isoplanat convert` with it writes the configuration as a lens file for a task";
+            Err(Error::bad("--configuration", "value", n.to_string(), allowed))
+        }
+        None => Ok(()),
+    }
+}
+
+#[cfg(not(feature = "train"))]
+fn of_one_configuration(_: &Command, _: Option<usize>) -> isoplanat::Result<()> {
+    Ok(())
+}
+
 fn main() -> ExitCode {
     #[cfg(feature = "deploy")]
     if let Some(code) = isoplanat::deploy::serve_child() {
         return code;
     }
-    let Cli { command, memory_gib, glass, glass_for } = Cli::parse();
+    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = Cli::parse();
+    glasses::set_reading(Reading { strict, configuration });
     let mut out = BufWriter::new(std::io::stdout().lock());
     let ready =
         check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));
-    let ready = ready.map_err(anyhow::Error::from);
+    let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;
     };

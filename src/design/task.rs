@@ -19,7 +19,7 @@ use isoplanat_imaging::calibrate::lens::MeasuredLens;
 use isoplanat_imaging::guide::Inputs;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
-use isoplanat_optics::interchange;
+use isoplanat_optics::interchange::{self, Reading};
 use isoplanat_optics::lens::catalogue::Glasses;
 use isoplanat_optics::lens::variables::Variables;
 use isoplanat_optics::lens::{Kind, Lens, Prescription, SensorRaster};
@@ -544,7 +544,7 @@ impl Task {
             let allowed = "a lens with a prescription; `isoplanat train` takes measured ones";
             return Err(Error::bad(&self.lens, "lens", "a measured lens, which has no surfaces to move", allowed));
         }
-        let lens = interchange::lens_or_file(&self.lens, glasses)?.lens;
+        let lens = interchange::lens_or_file(&self.lens, glasses, Reading::default())?.lens;
         overlapping_rims(&lens, &self.lens)?;
         let lens = self.with_terms(&lens)?;
         let Some(TaskSensor { columns, rows, pitch_um, axis_px }) = self.sensor else { return Ok(lens) };

@@ -3,7 +3,7 @@
 use glam::DVec2;
 
 use super::draft::{Draft, FieldKind, Point, Size, Stage};
-use super::{Imported, order};
+use super::{Imported, order, solve};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{Aperture, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial};
@@ -20,6 +20,7 @@ const POINT_PITCH_UM: f64 = 1.0;
 /// # Errors
 /// What is no lens, with the surface's place in the file.
 pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<Imported> {
+    solve::put(&mut draft, glasses);
     order::put(&mut draft, file)?;
     let stages = std::mem::take(&mut draft.surfaces);
     let stop = the_stop(&stages, file)?;

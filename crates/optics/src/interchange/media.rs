@@ -51,6 +51,21 @@ impl Stated {
     }
 }
 
+/// Index and Abbe number of a fictitious glass: `517642`, `516800.641673` or `1.5168:64.17`.
+pub(super) fn fictitious(name: &str) -> Option<(f64, f64)> {
+    if let Some((n, v)) = name.split_once(':') {
+        return Some((n.parse().ok()?, v.parse().ok()?));
+    }
+    let digits = |s: &str| !s.is_empty() && s.len() <= 12 && s.bytes().all(|b| b.is_ascii_digit());
+    let (n, v) = match name.split_once('.') {
+        Some((n, v)) if digits(n) && digits(v) && n.len() >= 3 => (n, v),
+        None if digits(name) && name.len() == 6 => name.split_at(3),
+        _ => return None,
+    };
+    let v = if v.len() <= 2 { v.to_owned() } else { format!("{}.{}", &v[..2], &v[2..]) };
+    Some((format!("1.{n}").parse().ok()?, v.parse().ok()?))
+}
+
 /// A constant index is a table over all wavelengths that a lens may have.
 fn constant(n: f64) -> Result<Medium> {
     if n == 1.0 {
@@ -106,5 +121,14 @@ mod tests {
             assert_abs(again_v, v, 1e-10, "V_d again");
         }
         assert!(cauchy_of_lines(f64::NAN, 3.0).is_err() && cauchy_of_lines(1.5, -3.0).is_err());
+    }
+
+    #[test]
+    fn fictitious_glasses() {
+        assert_eq!(fictitious("517642"), Some((1.517, 64.2)));
+        assert_eq!(fictitious("516800.641673"), Some((1.5168, 64.1673)));
+        assert_eq!(fictitious("1.5168:64.17"), Some((1.5168, 64.17)));
+        assert_eq!(fictitious("NBK7_SCHOTT"), None);
+        assert_eq!(fictitious("F2"), None);
     }
 }

@@ -1,7 +1,8 @@
 //! Lens files of other programs: Zemax OpticStudio `.zmx`, CODE V `.seq`, JSON of DeepLens and Optiland, DiffOptics `.txt`.
 //!
 //! A reader makes a `Draft`: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
-//! those without effect on rays, or is refused with its line. `finish` makes the lens of a draft: glasses are looked up in the file's own
+//! those without effect on rays, or is refused with its line; unknown keywords outside of surfaces are read over with a note, and refused
+//! where [`Reading::strict`] asks for it. `finish` makes the lens of a draft: glasses are looked up in the file's own
 //! catalogues first, planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
 //! clear semi-diameters that the file leaves to its program follow from the beam ([`crate::trace::apertures`]). What was left out or
 //! assumed is returned as notes, one line each, for the program to print.
@@ -16,6 +17,7 @@ mod json;
 mod media;
 mod order;
 mod seq;
+mod solve;
 mod text;
 mod write_seq;
 mod write_zmx;
@@ -39,6 +41,30 @@ pub struct Imported {
     pub lens: Lens,
     /// What was left out, resolved or assumed; one line each, without the file's name.
     pub notes: Vec<String>,
+}
+
+/// How a file is to be read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Reading {
+    /// Refuse keywords that the reader does not know, where they would be read over with a note.
+    pub strict: bool,
+    /// The configuration of a file that has several, from 1; the first one without.
+    pub configuration: Option<usize>,
+}
+
+impl Reading {
+    /// Refuses a configuration beyond the first of a form that has one.
+    fn of_one(self, file: &str) -> Result<()> {
+        match self.configuration {
+            Some(n) if n != 1 => Err(Error::bad(
+                file,
+                "configuration",
+                n.to_string(),
+                "1: only a Zemax file's MNUM and a CODE V file's ZOO state more",
+            )),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Forms of lens files.
@@ -80,6 +106,14 @@ impl Form {
 /// # Errors
 /// A file that cannot be read, is no lens, or says what this program does not support: with line or key.
 pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
+    load_as(path, glasses, Reading::default())
+}
+
+/// [`load`], in the way of `reading`.
+///
+/// # Errors
+/// As [`load`]; a configuration that the file does not have.
+pub fn load_as(path: &Path, glasses: &Glasses, reading: Reading) -> Result<Imported> {
     // A lens without an ending is TOML, as it always was.
     let form = if path.extension().is_none() { Form::Toml } else { Form::of(path)? };
     let file = path.display().to_string();
@@ -89,13 +123,14 @@ pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
     }
     let bytes = std::fs::read(path).map_err(|e| Error::reading(path, e))?;
     if form == Form::Toml {
+        reading.of_one(&file)?;
         let text = String::from_utf8(bytes)
             .map_err(|_| Error::bad(file.as_str(), "text", "bytes that are no UTF-8", "a lens file in UTF-8"))?;
         let (lens, limited) = prescription::parse(&text, &file, glasses)?;
         let told = |line: String| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned);
         return Ok(Imported { lens, notes: limited.into_iter().map(told).collect() });
     }
-    parse(&decoded(&bytes), form, &file, glasses)
+    parse_as(&decoded(&bytes), form, &file, glasses, reading)
 }
 
 /// Reads the text of a file of another program; `file` names it in errors.
@@ -103,13 +138,24 @@ pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
 /// # Errors
 /// As [`load`].
 pub fn parse(text: &str, form: Form, file: &str, glasses: &Glasses) -> Result<Imported> {
+    parse_as(text, form, file, glasses, Reading::default())
+}
+
+/// [`parse`], in the way of `reading`.
+///
+/// # Errors
+/// As [`load_as`].
+pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
+    if !matches!(form, Form::Zmx | Form::Seq) {
+        reading.of_one(file)?;
+    }
     let draft = match form {
         Form::Toml => {
             let (lens, limited) = prescription::parse(text, file, glasses)?;
             return Ok(Imported { lens, notes: limited.into_iter().collect() });
         }
         Form::Zmx => zmx::read(text, file)?,
-        Form::Seq => seq::read(text, file)?,
+        Form::Seq => seq::read(text, file, glasses, reading)?,
         Form::Json => json::read(text, file)?,
         Form::Txt => diffoptics::read(text, file)?,
     };
@@ -138,12 +184,13 @@ pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Ve
 /// A lens from a path with `glasses`, or a shipped one where `name_or_path` is its bare name and no such file exists.
 ///
 /// # Errors
-/// As [`load`]; where neither a file nor a shipped lens has that name, the shipped ones are named.
-pub fn lens_or_file(name_or_path: &str, glasses: &Glasses) -> Result<Imported> {
+/// As [`load_as`]; where neither a file nor a shipped lens has that name, the shipped ones are named.
+pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
     let path = Path::new(name_or_path);
     let bare = path.extension().is_none() && path.components().count() == 1;
     if bare && !path.exists() {
+        reading.of_one(name_or_path)?;
         return Ok(Imported { lens: builtin::lens(name_or_path)?, notes: Vec::new() });
     }
-    load(path, glasses)
+    load_as(path, glasses, reading)
 }
