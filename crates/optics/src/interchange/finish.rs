@@ -26,7 +26,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     let stop = the_stop(&stages, file)?;
     let mut surfaces = Vec::with_capacity(stages.len());
     for stage in &stages {
-        surfaces.push(surface(stage, file, glasses, &draft.catalogues)?);
+        surfaces.push(surface(stage, file, glasses, &draft.catalogues, &mut draft.notes)?);
     }
     let Some(primary) = draft.wavelengths.get(draft.primary).map(|w| w.0) else {
         let found = format!("{} wavelengths, reference {}", draft.wavelengths.len(), draft.primary + 1);
@@ -123,13 +123,20 @@ fn the_stop(stages: &[Stage], file: &str) -> Result<usize> {
     }
 }
 
-fn surface(stage: &Stage, file: &str, glasses: &Glasses, catalogues: &[String]) -> Result<Surface> {
-    let medium = stage.medium.resolve(glasses, catalogues).map_err(|e| match e {
+fn surface(
+    stage: &Stage,
+    file: &str,
+    glasses: &Glasses,
+    catalogues: &[String],
+    notes: &mut Vec<String>,
+) -> Result<Surface> {
+    let (medium, told) = stage.medium.resolve_told(glasses, catalogues).map_err(|e| match e {
         Error::BadInput { place, found, allowed, .. } => {
             Error::bad(file, format!("{}: {place}", stage.place), found, allowed)
         }
         other => other,
     })?;
+    notes.extend(told.map(|told| format!("{}: {told}", stage.place)));
     let plain = [stage.curvature, stage.conic, stage.thickness];
     if let Some(x) = plain.iter().chain(&stage.even).chain(&stage.odd).find(|x| !x.is_finite()) {
         return Err(Error::bad(file, stage.place.as_str(), x.to_string(), "finite numbers"));

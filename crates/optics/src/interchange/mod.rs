@@ -3,7 +3,7 @@
 //! A reader makes a `Draft`: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
 //! those without effect on rays, or is refused with its line; unknown keywords outside of surfaces are read over with a note, and refused
 //! where [`Reading::strict`] asks for it. `finish` makes the lens of a draft: glasses are looked up in the file's own
-//! catalogues first, planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
+//! catalogues first and held against the numbers of their lines (`line_glass.rs`), planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
 //! clear semi-diameters that the file leaves to its program follow from the beam ([`crate::trace::apertures`]). What was left out or
 //! assumed is returned as notes, one line each, for the program to print.
 //!
@@ -14,6 +14,7 @@ mod diffoptics;
 mod draft;
 mod finish;
 mod json;
+mod line_glass;
 mod media;
 mod order;
 mod seq;
@@ -194,3 +195,6 @@ pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> 
     }
     load_as(path, glasses, reading)
 }
+
+#[cfg(test)]
+mod tests;
