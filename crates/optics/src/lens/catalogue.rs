@@ -31,7 +31,27 @@ struct Entry {
     name: String,
     /// The medium, or why there is none.
     medium: std::result::Result<Medium, String>,
+    /// Whether the maker marks the type as no longer made.
+    obsolete: bool,
 }
+
+/// A glass with what a choice among glasses asks of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Listed<'a> {
+    /// Its catalogue.
+    pub catalogue: &'a str,
+    /// Its name there.
+    pub name: &'a str,
+    /// The medium.
+    pub medium: &'a Medium,
+    /// Whether it is a polymer: one of a catalogue of polymers.
+    pub polymer: bool,
+    /// Whether its maker marks the type as no longer made.
+    pub obsolete: bool,
+}
+
+/// Words in the names of catalogues of polymers.
+const POLYMERS: [&str; 5] = ["PLASTIC", "POLYMER", "ZEON", "TOPAS", "ARTON"];
 
 /// A catalogue by its name.
 #[derive(Clone, Debug)]
@@ -124,8 +144,15 @@ fn stem(path: &Path) -> String {
 
 impl Glasses {
     /// Every glass that is a medium, catalogue by catalogue.
-    pub fn media(&self) -> impl Iterator<Item = &Medium> {
-        self.catalogues.iter().flat_map(|c| &c.entries).filter_map(|e| e.medium.as_ref().ok())
+    pub fn listed_all(&self) -> impl Iterator<Item = Listed<'_>> {
+        self.catalogues.iter().flat_map(|c| {
+            let upper = c.name.to_ascii_uppercase();
+            let polymer = POLYMERS.iter().any(|p| upper.contains(p));
+            c.entries.iter().filter_map(move |e| {
+                let medium = e.medium.as_ref().ok()?;
+                Some(Listed { catalogue: &c.name, name: &e.name, medium, polymer, obsolete: e.obsolete })
+            })
+        })
     }
 
     /// The catalogue of `models/glasses`, read once.
@@ -151,12 +178,14 @@ impl Glasses {
             coefficients: Vec<f64>,
             range_nm: [f64; 2],
             source: String,
+            #[serde(default)]
+            obsolete: bool,
         }
         let file: File = toml::from_str(isoplanat_models::GLASSES).expect("the shipped catalogue is tested");
         let mut all = Self { catalogues: Vec::new(), instead: Vec::new() };
-        for Glass { name, catalogue, formula, coefficients, range_nm, source } in file.glass {
+        for Glass { name, catalogue, formula, coefficients, range_nm, source, obsolete } in file.glass {
             let medium = glass(&name, &source, formula, coefficients, range_nm);
-            all.catalogue(&catalogue).entries.push(Entry { name, medium });
+            all.catalogue(&catalogue).entries.push(Entry { name, medium, obsolete });
         }
         all
     }
