@@ -7,7 +7,7 @@ use std::path::Path;
 use isoplanat::calibrate::lens::MeasuredLens;
 #[cfg(feature = "train")]
 use isoplanat::design::subject::Subject;
-use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
 use isoplanat::lens::Lens;
 use isoplanat::trace::rims::overlapping_rims;
@@ -36,6 +36,11 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
 /// `argument` named the lens.
 pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) -> Result<()> {
     density.require(lens).map_err(|e| in_lens(e, lens, argument))?;
+    for [from, to] in density.left_out_nm() {
+        eprintln!(
+            "note: {argument}: {from:.2} to {to:.2} nm are left out: the sensor sees less than {SEEN} of its peak there"
+        );
+    }
     let [short, long] = density.ends_nm();
     let unseen: Vec<String> = lens
         .wavelengths

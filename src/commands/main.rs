@@ -73,13 +73,14 @@ struct Cli {
     /// The folder that ISOPLANAT_GLASSES names is read too
     #[arg(long, global = true, value_name = "FILE")]
     glass: Vec<std::path::PathBuf>,
-    /// A glass to take where a lens names one that no catalogue has, such as SSK4=SSK4A; as often as wanted
+    /// A glass to take where a lens names another, such as SSK4=SSK4A; SSK4=model takes the index and Abbe number of the line that names it;
+    /// as often as wanted
     #[arg(long, global = true, value_name = "NAME=GLASS")]
     glass_for: Vec<String>,
     /// Refuse a lens file with keywords that are not known, in place of a note
     #[arg(long, global = true)]
     strict: bool,
-    /// The configuration to read of a Zemax file that has several, from 1 [default: 1]
+    /// The configuration (zoom position) to read of a Zemax or CODE V file that has several, from 1 [default: 1]
     #[arg(long, global = true, value_name = "N")]
     configuration: Option<usize>,
 }

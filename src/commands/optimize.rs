@@ -4,8 +4,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::interchange::{Form, text_of};
-use isoplanat::lens::{Lens, Medium, prescription};
+use isoplanat::lens::{Lens, prescription};
+use isoplanat::optimize::pool::Pool;
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
 use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
@@ -71,7 +74,8 @@ pub(crate) struct Args {
     /// Folder for the ten best lenses of a search, with drawings
     #[arg(long, value_name = "FOLDER")]
     best: Option<PathBuf>,
-    /// Choose real glasses: `*` or patterns such as `surface[2].medium`
+    /// Choose real glasses: `*` or patterns such as `surface[2].medium`, and among which, such as `SCHOTT/*,!plastic`; `plastic` lets polymers be
+    /// cemented to glass, `obsolete` takes types that are no longer made
     #[arg(long, value_name = "PATTERN")]
     choose_glass: Vec<String>,
     /// Drawing of the lens before and after
@@ -148,14 +152,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             None => optimize(&from, limits, &mut tell)?,
         }
     } else {
-        let mut surfaces = Vec::new();
-        for pattern in &args.choose_glass {
-            surfaces.extend(glasses(&lens, pattern, "--choose-glass")?);
-        }
-        surfaces.sort_unstable();
-        surfaces.dedup();
-        let media: Vec<Medium> = crate::glasses::all().media().cloned().collect();
-        glass::choose(&from, &surfaces, &media, limits, &mut tell)?
+        let (surfaces, pool) = choice(&lens, &args.choose_glass)?;
+        glass::choose(&from, &surfaces, &pool, limits, &mut tell)?
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
     if asked() {
@@ -171,6 +169,28 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     if args.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+}
+
+/// The surfaces whose glass is chosen, all where none is named, and the glasses to choose among. A lens for light that the generic sensor sees is to be
+/// seen through by all of it: `render` and `train` ask for that.
+fn choice(lens: &Lens, patterns: &[String]) -> Result<(Vec<usize>, Pool)> {
+    const FLAG: &str = "--choose-glass";
+    let parts = patterns.iter().flat_map(|p| p.split(',')).map(str::trim).filter(|p| !p.is_empty());
+    let (filters, mut named): (Vec<&str>, Vec<&str>) = parts.partition(|p| Pool::is_filter(p));
+    if named.is_empty() {
+        named.push("*");
+    }
+    let mut surfaces = Vec::new();
+    for pattern in named {
+        surfaces.extend(glasses(lens, pattern, FLAG)?);
+    }
+    surfaces.sort_unstable();
+    surfaces.dedup();
+    let pool = Pool::new(crate::glasses::all(), &filters, FLAG)?;
+    let seen = SpectralDensity::new(&Sensor::generic()).ends_nm();
+    let [short, long] = lens.wavelengths.ends_nm();
+    let visible = short <= seen[1] && long >= seen[0];
+    Ok((surfaces, if visible { pool.known_over(seen) } else { pool }))
 }
 
 /// The table of a search's folder; its presence makes the folder one.

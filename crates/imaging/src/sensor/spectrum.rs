@@ -16,6 +16,9 @@ use crate::sensor::illuminant::Illuminant;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::Lens;
 
+/// Wavelengths beyond which every channel responds with less than this part of its peak are left out.
+pub const SEEN: f64 = 1e-3;
+
 /// A quadrature over wavelength, common nodes and one set of weights a channel.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Spectrum {
@@ -41,6 +44,8 @@ pub struct SpectralDensity {
     density: [Vec<f64>; 3],
     /// Integral of each channel up to the ends.
     cumulative: [Vec<f64>; 3],
+    /// Ends of the response, nm, where less than [`SEEN`] was left out there.
+    left_out: [Option<f64>; 2],
 }
 
 impl SpectralDensity {
@@ -79,7 +84,8 @@ impl SpectralDensity {
         Ok(Self::normalised(nm, density))
     }
 
-    fn normalised(nm: Vec<f64>, mut density: [Vec<f64>; 3]) -> Self {
+    fn normalised(nm: Vec<f64>, density: [Vec<f64>; 3]) -> Self {
+        let (nm, mut density, left_out) = seen(nm, density);
         let cumulative = density.each_mut().map(|p| {
             let mut sums = vec![0.0];
             for i in 1..nm.len() {
@@ -90,7 +96,7 @@ impl SpectralDensity {
             sums.iter_mut().for_each(|v| *v /= total);
             sums
         });
-        Self { nm, density, cumulative }
+        Self { nm, density, cumulative, left_out }
     }
 
     /// Shortest and longest wavelength at which a channel has light, nm.
@@ -99,6 +105,13 @@ impl SpectralDensity {
         let (first, last) = ((0..self.nm.len()).find(lit), (0..self.nm.len()).rev().find(lit));
         // The pieces beside them have light as well.
         [first.unwrap_or(0).saturating_sub(1), (last.unwrap_or(0) + 1).min(self.nm.len() - 1)].map(|i| self.nm[i])
+    }
+
+    /// Ranges in nm, at the short and the long end, where the sensor has a response of less than [`SEEN`] of its peak, which are left out.
+    pub fn left_out_nm(&self) -> Vec<[f64; 2]> {
+        let (first, last) = (self.nm[0], self.nm[self.nm.len() - 1]);
+        let [short, long] = self.left_out;
+        short.map(|end| [end, first]).into_iter().chain(long.map(|end| [last, end])).collect()
     }
 
     /// Refuses to image with `lens` where it states only wavelengths that these densities do not hold, or where they hold
@@ -191,6 +204,53 @@ impl SpectralDensity {
     }
 }
 
+/// Pieces without those ends where every channel has less than [`SEEN`] of its peak; the response's former ends where it was not 0 there.
+type Seen = (Vec<f64>, [Vec<f64>; 3], [Option<f64>; 2]);
+fn seen(mut nm: Vec<f64>, mut density: [Vec<f64>; 3]) -> Seen {
+    let floor = density.each_ref().map(|p| SEEN * p.iter().copied().fold(0.0, f64::max));
+    let mut cut = |nm: &mut Vec<f64>, density: &mut [Vec<f64>; 3]| -> Option<f64> {
+        // From the end of the lists: how many entries lie below, and where the first channel comes up to its floor before them.
+        let below = |i: &usize| (0..3).all(|c| density[c][*i] < floor[c]);
+        let dark = (0..nm.len()).rev().take_while(below).count();
+        if dark == 0 || dark == nm.len() {
+            return None;
+        }
+        let (inner, outer) = (nm.len() - dark - 1, nm.len() - dark);
+        let lit = (outer..nm.len()).any(|i| density.iter().any(|p| p[i] > 0.0));
+        if !lit {
+            return None;
+        }
+        let crossing = |c: usize| {
+            let (a, b) = (density[c][inner], density[c][outer]);
+            if a < floor[c] { 0.0 } else { (a - floor[c]) / (a - b) }
+        };
+        let t = (0..3).map(crossing).fold(0.0, f64::max);
+        let end = nm[nm.len() - 1];
+        let mix = |a: f64, b: f64| a + t * (b - a);
+        nm[outer] = mix(nm[inner], nm[outer]);
+        nm.truncate(outer + 1);
+        for p in density.iter_mut() {
+            p[outer] = mix(p[inner], p[outer]);
+            p.truncate(outer + 1);
+        }
+        if t == 0.0 {
+            nm.pop();
+            density.iter_mut().for_each(|p| drop(p.pop()));
+        }
+        Some(end)
+    };
+    let long = cut(&mut nm, &mut density);
+    // The other end, the lists turned round.
+    let turn = |nm: &mut Vec<f64>, density: &mut [Vec<f64>; 3]| {
+        nm.reverse();
+        density.iter_mut().for_each(|p| p.reverse());
+    };
+    turn(&mut nm, &mut density);
+    let short = cut(&mut nm, &mut density);
+    turn(&mut nm, &mut density);
+    (nm, density, [short, long])
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -274,6 +334,30 @@ mod tests {
         assert_eq!(equal.quadrature(5), Spectrum::quadrature(&sensor, 5));
         assert!(SpectralDensity::under(&sensor, Illuminant::BlackBody { kelvin: 0.0 }).is_err());
         assert!(SpectralDensity::under(&sensor, Illuminant::Daylight { kelvin: f64::NAN }).is_err());
+    }
+
+    /// Ends that the sensor hardly sees are left out; the rest is as it was, and sharp cut-offs and zeros stay.
+    #[test]
+    fn what_the_sensor_hardly_sees_is_left_out() {
+        let generic = Sensor::generic();
+        assert!(SpectralDensity::new(&generic).left_out_nm().is_empty());
+        assert_eq!(SpectralDensity::new(&generic).ends_nm(), [400.0, 700.0]);
+        let mut sensor = Sensor::generic();
+        sensor.spectral_response.wavelength_nm = vec![380.0, 390.0, 400.0, 500.0, 600.0, 700.0, 720.0];
+        let with = |peak: f64| vec![0.0, 5e-4, 5.5e-3, 1.0, peak, 0.2, 1e-4];
+        sensor.spectral_response.red = with(1.0);
+        sensor.spectral_response.green = with(1.0);
+        sensor.spectral_response.blue = with(0.5);
+        let density = SpectralDensity::new(&sensor);
+        let [short, long] = density.ends_nm();
+        // The floor of 1e-3 is crossed a tenth into the piece from 390 nm, and at 700 + 20 (0.2 − 1e-3)/(0.2 − 1e-4) nm.
+        assert!((short - 391.0).abs() < 1e-9, "{short}");
+        assert!((long - (700.0 + 20.0 * 0.199 / 0.1999)).abs() < 1e-9, "{long}");
+        assert_eq!(density.left_out_nm(), vec![[380.0, short], [long, 720.0]]);
+        for c in 0..3 {
+            assert!((density.moments(c, 0.0, 1e4).0 - 1.0).abs() < 1e-12);
+            assert!(density.sample(c, 0.0) >= short && density.sample(c, 1.0) <= long);
+        }
     }
 
     #[test]

@@ -87,6 +87,8 @@ pub(super) struct Stage {
     pub(super) odd: Vec<f64>,
     /// Distance to the next surface, mm.
     pub(super) thickness: f64,
+    /// Where a solve puts the next surface at the paraxial image: how far beyond it, mm.
+    pub(super) solved: Option<f64>,
     pub(super) medium: Stated,
     /// Clear semi-diameter that the file fixes, mm; `None` for one that follows the beam.
     pub(super) semi_diameter: Option<f64>,
@@ -104,6 +106,7 @@ impl Stage {
             even: Vec::new(),
             odd: Vec::new(),
             thickness: 0.0,
+            solved: None,
             medium: Stated::Air,
             semi_diameter: None,
             computed: None,

@@ -4,7 +4,7 @@ use glam::DVec2;
 
 use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::media::Stated;
-use super::{Imported, order};
+use super::{Imported, order, solve};
 use crate::lens::catalogue::Glasses;
 use crate::lens::check::check_surface;
 use crate::lens::{
@@ -25,6 +25,7 @@ const POINT_PITCH_UM: f64 = 1.0;
 /// # Errors
 /// What is no lens, with the surface's place in the file.
 pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<Imported> {
+    solve::put(&mut draft, glasses);
     order::put(&mut draft, file)?;
     within_glass(&mut draft);
     let mut stages = std::mem::take(&mut draft.surfaces);
@@ -32,7 +33,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     end_at_reach(&mut stages, &mut draft.notes);
     let mut surfaces = Vec::with_capacity(stages.len());
     for stage in &stages {
-        surfaces.push(surface(stage, file, glasses, &draft.catalogues)?);
+        surfaces.push(surface(stage, file, glasses, &draft.catalogues, &mut draft.notes)?);
     }
     let Some(primary) = draft.wavelengths.get(draft.primary).map(|w| w.0) else {
         let found = format!("{} wavelengths, reference {}", draft.wavelengths.len(), draft.primary + 1);
@@ -185,13 +186,20 @@ fn end_at_reach(stages: &mut [Stage], notes: &mut Vec<String>) {
     }
 }
 
-fn surface(stage: &Stage, file: &str, glasses: &Glasses, catalogues: &[String]) -> Result<Surface> {
-    let medium = stage.medium.resolve(glasses, catalogues).map_err(|e| match e {
+fn surface(
+    stage: &Stage,
+    file: &str,
+    glasses: &Glasses,
+    catalogues: &[String],
+    notes: &mut Vec<String>,
+) -> Result<Surface> {
+    let (medium, told) = stage.medium.resolve_told(glasses, catalogues).map_err(|e| match e {
         Error::BadInput { place, found, allowed, .. } => {
             Error::bad(file, format!("{}: {place}", stage.place), found, allowed)
         }
         other => other,
     })?;
+    notes.extend(told.map(|told| format!("{}: {told}", stage.place)));
     let plain = [stage.curvature, stage.conic, stage.thickness];
     if let Some(x) = plain.iter().chain(&stage.even).chain(&stage.odd).find(|x| !x.is_finite()) {
         return Err(Error::bad(file, stage.place.as_str(), x.to_string(), "finite numbers"));

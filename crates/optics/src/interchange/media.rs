@@ -1,5 +1,6 @@
 //! Media as other programs' files state them.
 
+use super::line_glass::OfLine;
 use crate::lens::Medium;
 use crate::lens::catalogue::Glasses;
 use isoplanat_base::error::{Error, Result};
@@ -10,6 +11,8 @@ pub(super) enum Stated {
     Air,
     /// A glass of a catalogue; where the catalogue is named it stands before a slash.
     Glass(String),
+    /// A glass by name on a line that has an index and an Abbe number beside it.
+    Line(OfLine),
     /// Index at 587.5618 nm and Abbe number of the lines d, F, C.
     Lines {
         n_d: f64,
@@ -27,7 +30,7 @@ pub(super) enum Stated {
 }
 
 /// Lines d, F, C of catalogues, nm.
-const LINES_NM: [f64; 3] = [587.561_8, 486.132_7, 656.272_5];
+pub(super) const LINES_NM: [f64; 3] = [587.561_8, 486.132_7, 656.272_5];
 
 impl Stated {
     /// The medium itself.
@@ -35,9 +38,18 @@ impl Stated {
     /// # Errors
     /// An unknown glass, or one of several catalogues; the error names no file and no place.
     pub(super) fn resolve(&self, glasses: &Glasses, catalogues: &[String]) -> Result<Medium> {
-        Ok(match self {
+        Ok(self.resolve_told(glasses, catalogues)?.0)
+    }
+
+    /// [`Self::resolve`] with what is to be told of it.
+    ///
+    /// # Errors
+    /// As [`Self::resolve`].
+    pub(super) fn resolve_told(&self, glasses: &Glasses, catalogues: &[String]) -> Result<(Medium, Option<String>)> {
+        let medium = match self {
             Self::Air => Medium::Air,
             Self::Glass(name) => glasses.find_spelled(name, catalogues)?,
+            Self::Line(line) => return line.resolve(glasses, catalogues),
             Self::Lines { n_d, v_d } => cauchy_of_lines(*n_d, *v_d)?,
             Self::Pair { n_d, v_d } => Medium::Cauchy { n_d: *n_d, v_d: *v_d },
             Self::Constant(n) => constant(*n)?,
@@ -47,8 +59,24 @@ impl Stated {
                 let (wavelength_nm, index) = pairs.into_iter().unzip();
                 Medium::Table { wavelength_nm, index }
             }
-        })
+        };
+        Ok((medium, None))
     }
+}
+
+/// Index and Abbe number of a fictitious glass: `517642`, `516800.641673` or `1.5168:64.17`.
+pub(super) fn fictitious(name: &str) -> Option<(f64, f64)> {
+    if let Some((n, v)) = name.split_once(':') {
+        return Some((n.parse().ok()?, v.parse().ok()?));
+    }
+    let digits = |s: &str| !s.is_empty() && s.len() <= 12 && s.bytes().all(|b| b.is_ascii_digit());
+    let (n, v) = match name.split_once('.') {
+        Some((n, v)) if digits(n) && digits(v) && n.len() >= 3 => (n, v),
+        None if digits(name) && name.len() == 6 => name.split_at(3),
+        _ => return None,
+    };
+    let v = if v.len() <= 2 { v.to_owned() } else { format!("{}.{}", &v[..2], &v[2..]) };
+    Some((format!("1.{n}").parse().ok()?, v.parse().ok()?))
 }
 
 /// A constant index is a table over all wavelengths that a lens may have.
@@ -64,7 +92,7 @@ fn constant(n: f64) -> Result<Medium> {
 
 /// The two-term Cauchy curve that has the index `n_d` at the d line and the Abbe number `v_d` of d, F, C, as the pair of eq. 8: the
 /// same curve by its values at that equation's own lines.
-fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
+pub(super) fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
     if v_d == 0.0 {
         // Programs write 0 for "no dispersion stated".
         return constant(n_d);
@@ -82,10 +110,10 @@ fn cauchy_of_lines(n_d: f64, v_d: f64) -> Result<Medium> {
     Ok(Medium::Cauchy { n_d: n_line, v_d: (n_line - 1.0) / (n_f - n_c) })
 }
 
-/// Index at the d line and Abbe number of d, F, C of a medium, as files state model glasses.
+/// Index at the d line and Abbe number of d, F, C of a medium, as files state model glasses; 0 stands for no dispersion.
 pub(super) fn lines_of(medium: &Medium) -> (f64, f64) {
     let [d, f, c] = LINES_NM.map(|nm| medium.index(nm));
-    (d, (d - 1.0) / (f - c))
+    (d, if f == c { 0.0 } else { (d - 1.0) / (f - c) })
 }
 
 #[cfg(test)]
@@ -106,5 +134,14 @@ mod tests {
             assert_abs(again_v, v, 1e-10, "V_d again");
         }
         assert!(cauchy_of_lines(f64::NAN, 3.0).is_err() && cauchy_of_lines(1.5, -3.0).is_err());
+    }
+
+    #[test]
+    fn fictitious_glasses() {
+        assert_eq!(fictitious("517642"), Some((1.517, 64.2)));
+        assert_eq!(fictitious("516800.641673"), Some((1.5168, 64.1673)));
+        assert_eq!(fictitious("1.5168:64.17"), Some((1.5168, 64.17)));
+        assert_eq!(fictitious("NBK7_SCHOTT"), None);
+        assert_eq!(fictitious("F2"), None);
     }
 }

@@ -1,9 +1,9 @@
 //! Lens files of other programs: Zemax OpticStudio `.zmx`, CODE V `.seq`, JSON of DeepLens and Optiland, DiffOptics `.txt`.
 //!
 //! A reader makes a `Draft`: what the file says, in mm, nm and degrees. Every keyword is read, or stands in the reader's list of
-//! those without effect on rays, or is refused with its line; a Zemax file's unknown keywords outside of surfaces are read over with a note, and refused
+//! those without effect on rays, or is refused with its line; unknown keywords outside of surfaces are read over with a note, and refused
 //! where [`Reading::strict`] asks for it. `finish` makes the lens of a draft: glasses are looked up in the file's own
-//! catalogues first, planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
+//! catalogues first and held against the numbers of their lines (`line_glass.rs`), planes reached by negative distances are put in order, field points become angles at the entrance pupil, and
 //! clear semi-diameters that the file leaves to its program follow from the beam ([`crate::trace::apertures`]). What was left out or
 //! assumed is returned as notes, one line each, for the program to print.
 //!
@@ -14,9 +14,11 @@ mod diffoptics;
 mod draft;
 mod finish;
 mod json;
+mod line_glass;
 mod media;
 mod order;
 mod seq;
+mod solve;
 mod text;
 mod write_seq;
 mod write_zmx;
@@ -55,9 +57,12 @@ impl Reading {
     /// Refuses a configuration beyond the first of a form that has one.
     fn of_one(self, file: &str) -> Result<()> {
         match self.configuration {
-            Some(n) if n != 1 => {
-                Err(Error::bad(file, "configuration", n.to_string(), "1: only a Zemax file's MNUM states more"))
-            }
+            Some(n) if n != 1 => Err(Error::bad(
+                file,
+                "configuration",
+                n.to_string(),
+                "1: only a Zemax file's MNUM and a CODE V file's ZOO state more",
+            )),
             _ => Ok(()),
         }
     }
@@ -142,7 +147,7 @@ pub fn parse(text: &str, form: Form, file: &str, glasses: &Glasses) -> Result<Im
 /// # Errors
 /// As [`load_as`].
 pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
-    if form != Form::Zmx {
+    if !matches!(form, Form::Zmx | Form::Seq) {
         reading.of_one(file)?;
     }
     let draft = match form {
@@ -151,7 +156,7 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
             return Ok(Imported { lens, notes: limited.into_iter().collect() });
         }
         Form::Zmx => zmx::read(text, file, reading)?,
-        Form::Seq => seq::read(text, file)?,
+        Form::Seq => seq::read(text, file, glasses, reading)?,
         Form::Json => json::read(text, file)?,
         Form::Txt => diffoptics::read(text, file)?,
     };
@@ -190,3 +195,6 @@ pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> 
     }
     load_as(path, glasses, reading)
 }
+
+#[cfg(test)]
+mod tests;

@@ -85,8 +85,11 @@ fn medium(lens: &Lens, medium: &Medium, glasses: &Glasses, private: &mut Vec<(St
     if *medium == Medium::Air {
         return String::new();
     }
-    if let Some((catalogue, name)) = glasses.named_as(medium)
+    let listed = glasses.named_as(medium);
+    // By its name alone where it is found again without further catalogues; any other glass goes along as a table.
+    if let Some((catalogue, name)) = &listed
         && !catalogue.contains(['_', ' '])
+        && Glasses::shipped().find_spelled(&format!("{catalogue}/{name}"), &[]).is_ok_and(|m| m == *medium)
     {
         return format!(" {}_{catalogue}", name.replace('-', ""));
     }
@@ -109,7 +112,10 @@ fn medium(lens: &Lens, medium: &Medium, glasses: &Glasses, private: &mut Vec<(St
     };
     let known = private.iter().find(|(_, t)| *t == table).map(|(n, _)| n.clone());
     let name = known.unwrap_or_else(|| {
-        let name = format!("G{}", private.len() + 1);
+        // A glass keeps its name; a table of its own is numbered.
+        let own = listed.map(|(catalogue, name)| format!("{}_{catalogue}", name.replace('-', "")));
+        let own = own.filter(|n| !n.contains([' ', '\'', ';']) && private.iter().all(|(other, _)| other != n));
+        let name = own.unwrap_or_else(|| format!("G{}", private.len() + 1));
         private.push((name.clone(), table));
         name
     });

@@ -140,6 +140,10 @@ fn surface(
             let (n, v) = lines_of(&s.medium);
             let _ = writeln!(out, "  GLAS ___BLANK 1 0 {} {} 0 0 0 0 0 0", plain(n), plain(v));
         }
+        // One index for all wavelengths.
+        Medium::Table { index, .. } if index.iter().all(|n| *n == index[0]) => {
+            let _ = writeln!(out, "  GLAS ___BLANK 1 0 {} 0 0 0 0 0 0 0", plain(index[0]));
+        }
         medium => {
             let Some((catalogue, name)) = glasses.named_as(medium) else {
                 return refused(

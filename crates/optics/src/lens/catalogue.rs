@@ -16,8 +16,12 @@ use isoplanat_base::error::{Error, Result};
 mod agf;
 mod page;
 
+/// Stands in a glass's place for the two numbers that a lens file states beside its name.
+pub(crate) const MODEL: &str = "model";
 /// Indices of a glass lie within.
 const INDICES: std::ops::RangeInclusive<f64> = 1.0..=5.0;
+/// Indices of a formula that differ by no more are one.
+const ROUNDING: f64 = 1e-14;
 /// Largest file that is read: the largest catalogues have 2 MB.
 const LARGEST: u64 = 64 << 20;
 
@@ -27,7 +31,27 @@ struct Entry {
     name: String,
     /// The medium, or why there is none.
     medium: std::result::Result<Medium, String>,
+    /// Whether the maker marks the type as no longer made.
+    obsolete: bool,
 }
+
+/// A glass with what a choice among glasses asks of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Listed<'a> {
+    /// Its catalogue.
+    pub catalogue: &'a str,
+    /// Its name there.
+    pub name: &'a str,
+    /// The medium.
+    pub medium: &'a Medium,
+    /// Whether it is a polymer: one of a catalogue of polymers.
+    pub polymer: bool,
+    /// Whether its maker marks the type as no longer made.
+    pub obsolete: bool,
+}
+
+/// Words in the names of catalogues of polymers.
+const POLYMERS: [&str; 5] = ["PLASTIC", "POLYMER", "ZEON", "TOPAS", "ARTON"];
 
 /// A catalogue by its name.
 #[derive(Clone, Debug)]
@@ -66,12 +90,16 @@ pub(super) fn glass(
     Ok(Medium::Glass { name: name.to_owned(), dispersion, range_nm, source: source.to_owned() })
 }
 
-/// The longest part of a range in which the index lies within [`INDICES`] and falls with wavelength: some catalogues state ranges
+/// The longest part of a range in which the index lies within [`INDICES`] and falls with wavelength, or all of it where the index is constant: some catalogues state ranges
 /// beyond the poles of their formulas.
 fn normal(dispersion: &Dispersion, [short, long]: [f64; 2]) -> Option<[f64; 2]> {
     const STEPS: u16 = 256;
     let nm = |k: u16| if k == STEPS { long } else { short + (long - short) * f64::from(k) / f64::from(STEPS) };
     let at = |k: u16| dispersion.index(nm(k) * 1e-3);
+    // One index for all wavelengths.
+    if INDICES.contains(&at(0)) && (1..=STEPS).all(|k| (at(k) - at(0)).abs() <= ROUNDING) {
+        return Some([short, long]);
+    }
     let (mut best, mut from) = ([0u16; 2], 0);
     for k in 0..STEPS {
         let (a, b) = (at(k), at(k + 1));
@@ -116,8 +144,15 @@ fn stem(path: &Path) -> String {
 
 impl Glasses {
     /// Every glass that is a medium, catalogue by catalogue.
-    pub fn media(&self) -> impl Iterator<Item = &Medium> {
-        self.catalogues.iter().flat_map(|c| &c.entries).filter_map(|e| e.medium.as_ref().ok())
+    pub fn listed_all(&self) -> impl Iterator<Item = Listed<'_>> {
+        self.catalogues.iter().flat_map(|c| {
+            let upper = c.name.to_ascii_uppercase();
+            let polymer = POLYMERS.iter().any(|p| upper.contains(p));
+            c.entries.iter().filter_map(move |e| {
+                let medium = e.medium.as_ref().ok()?;
+                Some(Listed { catalogue: &c.name, name: &e.name, medium, polymer, obsolete: e.obsolete })
+            })
+        })
     }
 
     /// The catalogue of `models/glasses`, read once.
@@ -143,12 +178,14 @@ impl Glasses {
             coefficients: Vec<f64>,
             range_nm: [f64; 2],
             source: String,
+            #[serde(default)]
+            obsolete: bool,
         }
         let file: File = toml::from_str(isoplanat_models::GLASSES).expect("the shipped catalogue is tested");
         let mut all = Self { catalogues: Vec::new(), instead: Vec::new() };
-        for Glass { name, catalogue, formula, coefficients, range_nm, source } in file.glass {
+        for Glass { name, catalogue, formula, coefficients, range_nm, source, obsolete } in file.glass {
             let medium = glass(&name, &source, formula, coefficients, range_nm);
-            all.catalogue(&catalogue).entries.push(Entry { name, medium });
+            all.catalogue(&catalogue).entries.push(Entry { name, medium, obsolete });
         }
         all
     }
@@ -201,7 +238,8 @@ impl Glasses {
         Ok(())
     }
 
-    /// Takes `glass` wherever a lens names `name`; refused where `glass` is none.
+    /// Takes `glass` wherever a lens names `name`; refused where `glass` is none. `model` stands for the index and the Abbe number that a
+    /// file states beside the name.
     ///
     /// # Errors
     /// An unknown glass in the place of the other; a glass in the place of air.
@@ -209,13 +247,15 @@ impl Glasses {
         if name.eq_ignore_ascii_case("air") {
             return Err(Error::bad("", "medium", "a glass for air", "the name of a glass"));
         }
-        self.find_spelled(glass, &[])?;
+        if !glass.eq_ignore_ascii_case(MODEL) {
+            self.find_spelled(glass, &[])?;
+        }
         self.instead.push((name.to_owned(), glass.to_owned()));
         Ok(())
     }
 
     /// What is looked up for `name`: without its catalogue, too.
-    fn instead_of(&self, name: &str) -> Option<&str> {
+    pub(crate) fn stands_for(&self, name: &str) -> Option<&str> {
         let short = name.rsplit('/').next().unwrap_or(name);
         let is = |stated: &String| stated.eq_ignore_ascii_case(name) || stated.eq_ignore_ascii_case(short);
         self.instead.iter().find(|(stated, _)| is(stated)).map(|(_, glass)| glass.as_str())
@@ -226,10 +266,36 @@ impl Glasses {
     /// # Errors
     /// An unknown name (with near ones), several glasses of that name, an entry that is no dispersion. The error names no file.
     pub fn find(&self, name: &str, preferred: &[String]) -> Result<Medium> {
-        match self.instead_of(name) {
-            Some(glass) => self.listed_spelled(glass, &[]),
+        match self.stands_for(name) {
+            Some(glass) => self.in_place(name, glass),
             None => self.listed(name, preferred),
         }
+    }
+
+    /// The glass that is taken in the place of `name`.
+    fn in_place(&self, name: &str, glass: &str) -> Result<Medium> {
+        if glass.eq_ignore_ascii_case(MODEL) {
+            let found = format!("no index and no Abbe number of `{name}` in the file");
+            return Err(Error::bad(
+                "",
+                "medium",
+                found,
+                "two numbers beside the name, as --glass-for NAME=model takes them",
+            ));
+        }
+        self.listed_spelled(glass, &[])
+    }
+
+    /// Every glass of this name with its catalogue, in the order of the catalogues; where none is spelled so, those that differ by case and hyphens alone.
+    pub(crate) fn candidates(&self, name: &str) -> Vec<(&str, &Medium)> {
+        let of = |alike: &dyn Fn(&str) -> bool| -> Vec<(&str, &Medium)> {
+            let one = |c: &'_ Catalogue| c.entries.iter().rposition(|e| alike(&e.name) && e.medium.is_ok());
+            let found = self.catalogues.iter().filter_map(|c| Some((c, one(c)?)));
+            found.filter_map(|(c, at)| Some((c.name.as_str(), c.entries[at].medium.as_ref().ok()?))).collect()
+        };
+        let exact = of(&|n| n == name);
+        let key = spelled(name);
+        if exact.is_empty() { of(&|n| spelled(n) == key) } else { exact }
     }
 
     /// [`Self::find`] by the catalogues alone, whatever is taken instead.
@@ -270,7 +336,7 @@ impl Glasses {
     pub fn find_own(&self, name: &str) -> Result<Medium> {
         let own = Self::shipped();
         let known = own.catalogues.iter().any(|c| c.entries.iter().any(|e| e.name == name));
-        if known && self.instead_of(name).is_none() { own.find(name, &[]) } else { self.find(name, &[]) }
+        if known && self.stands_for(name).is_none() { own.find(name, &[]) } else { self.find(name, &[]) }
     }
 
     /// [`Self::find`]; a name that is none is taken for the one glass that differs from it by case and hyphens alone, as CODE V and
@@ -279,8 +345,8 @@ impl Glasses {
     /// # Errors
     /// As [`Self::find`].
     pub fn find_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
-        match self.instead_of(name) {
-            Some(glass) => self.listed_spelled(glass, &[]),
+        match self.stands_for(name) {
+            Some(glass) => self.in_place(name, glass),
             None => self.listed_spelled(name, preferred),
         }
     }

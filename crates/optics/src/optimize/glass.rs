@@ -3,6 +3,7 @@
 
 use super::constraint::{Constraint, Quantity};
 use super::finish::Outcome;
+use super::pool::Pool;
 use super::problem::{KEPT, Limits, Problem};
 use super::{Step, optimize};
 use crate::lens::{Kind, Lens, Medium, Parameter};
@@ -48,28 +49,18 @@ pub fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
     Ok(Problem { bounds, targets: problem.targets.clone(), ..free })
 }
 
-/// The lens with the glasses behind `surfaces` chosen among `glasses`.
+/// The lens with the glasses behind `surfaces` chosen among those of `pool` that are known over its wavelengths.
 ///
 /// # Errors
 /// As [`optimize`]; no glass that covers the lens's wavelengths.
 pub fn choose(
     problem: &Problem,
     surfaces: &[usize],
-    glasses: &[Medium],
+    pool: &Pool,
     limits: Limits,
     watch: &mut dyn FnMut(Step) -> bool,
 ) -> Result<Outcome> {
-    let [short, long] = problem.lens.wavelengths.ends_nm();
-    let covers = |m: &&Medium| m.range_nm()[0] <= short && m.range_nm()[1] >= long;
-    let real: Vec<&Medium> = glasses.iter().filter(covers).collect();
-    if real.is_empty() {
-        return Err(Error::bad(
-            problem.lens.name.as_str(),
-            "glasses",
-            "none",
-            format!("glasses whose index is known from {short} to {long} nm"),
-        ));
-    }
+    let real = pool.of_lens(&problem.lens)?;
     let mut free = freed(problem, surfaces)?;
     let mut best = optimize(&free, limits, watch)?;
     // Before: the start with its glasses as pairs of numbers.
@@ -79,6 +70,7 @@ pub fn choose(
         let [n, v] = best.lens.surfaces[i].medium.pair();
         let mut near: Vec<(f64, &Medium)> = real
             .iter()
+            .filter(|m| pool.fits(&best.lens, i, m))
             .map(|m| {
                 let [a, b] = m.pair();
                 // A hundredth of the index weighs as much as three Abbe numbers.

@@ -39,6 +39,7 @@ pub mod first_order;
 pub mod glass;
 pub mod merit;
 pub mod pattern;
+pub mod pool;
 mod problem;
 mod quadratic;
 mod rays;

@@ -31,7 +31,7 @@ fn movable(kind: Kind) -> bool {
 }
 
 /// Whether `name` is what `pattern` says.
-fn matches(pattern: &str, name: &str) -> bool {
+pub(super) fn matches(pattern: &str, name: &str) -> bool {
     let Some((part, rest)) = pattern.split_once('*') else { return ranged(pattern, name) };
     // A star takes as much as the rest leaves it; not beyond a bracket it stands in.
     let Some(left) = prefix(part, name) else { return false };

@@ -26,7 +26,7 @@ pub(super) fn statements(text: &str) -> Vec<Statement<'_>> {
                     end(&mut found, &mut words, begun);
                     rest = &rest[1..];
                 }
-                '&' if rest[1..].trim().is_empty() => {
+                '&' if last(&rest[1..]) => {
                     continued = true;
                     break;
                 }
@@ -37,7 +37,11 @@ pub(super) fn statements(text: &str) -> Vec<Statement<'_>> {
                     rest = inside.get(close + 1..).unwrap_or("");
                 }
                 _ => {
-                    let close = rest.find(|c: char| c.is_whitespace() || c == ';' || c == '!').unwrap_or(rest.len());
+                    // An `&` at the line's end may stand next to its last word.
+                    let ends = |(at, c): (usize, char)| {
+                        c.is_whitespace() || matches!(c, ';' | '!') || (c == '&' && last(&rest[at + 1..]))
+                    };
+                    let close = rest.char_indices().find(|x| ends(*x)).map_or(rest.len(), |(at, _)| at);
                     words.push(&rest[..close]);
                     rest = &rest[close..];
                 }
@@ -49,6 +53,12 @@ pub(super) fn statements(text: &str) -> Vec<Statement<'_>> {
     }
     end(&mut found, &mut words, begun);
     found
+}
+
+/// Whether nothing but a comment follows on the line.
+fn last(rest: &str) -> bool {
+    let rest = rest.trim_start();
+    rest.is_empty() || rest.starts_with('!')
 }
 
 fn end<'a>(found: &mut Vec<Statement<'a>>, words: &mut Vec<&'a str>, line: usize) {
@@ -63,7 +73,8 @@ mod tests {
 
     #[test]
     fn quotes_comments_and_continuations() {
-        let text = "RDM;LEN \"a; b\"\nTITLE 'x ! y' ! end\nWL 1 2 &\n 3\n\n! all\nS 1 2;  STO";
+        let text =
+            "RDM;LEN \"a; b\"\nTITLE 'x ! y' ! end\nWL 1 2 &\n 3\n\n! all\nS 1 2;  STO\nA 1& ! on\n 2&\n\nGLA A&B";
         let all: Vec<(usize, Vec<&str>)> = statements(text).into_iter().map(|s| (s.line, s.words)).collect();
         let expected: Vec<(usize, Vec<&str>)> = vec![
             (1, vec!["RDM"]),
@@ -72,6 +83,8 @@ mod tests {
             (3, vec!["WL", "1", "2", "3"]),
             (7, vec!["S", "1", "2"]),
             (7, vec!["STO"]),
+            (8, vec!["A", "1", "2"]),
+            (11, vec!["GLA", "A&B"]),
         ];
         assert_eq!(all, expected);
     }

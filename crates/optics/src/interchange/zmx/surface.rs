@@ -4,6 +4,7 @@ use super::apertures::Apertures;
 use super::order::Order;
 use super::shapes;
 use crate::interchange::draft::{Draft, Stage};
+use crate::interchange::line_glass::OfLine;
 use crate::interchange::media::Stated;
 use crate::interchange::text::{Line, shown};
 use isoplanat_base::error::{Error, Result};
@@ -123,7 +124,10 @@ impl Raw {
         let stated = if model {
             Stated::Lines { n_d: line.number(3)?, v_d: line.optional(4)?.unwrap_or(0.0) }
         } else {
-            Stated::Glass(name.to_owned())
+            let number = |i: usize| line.optional(i).ok().flatten().unwrap_or(0.0);
+            // A pickup, a substitute, a partial dispersion or numbers that vary: what stands there is another glass's, or a former model's.
+            let marked = kind != 0.0 || (5..=8).any(|i| number(i) != 0.0);
+            Stated::Line(OfLine::new(name, number(3), number(4), marked))
         };
         if kind == 4.0 && (line.optional(3)?.unwrap_or(0.0) != 0.0 || line.optional(4)?.unwrap_or(0.0) != 0.0) {
             return Err(line

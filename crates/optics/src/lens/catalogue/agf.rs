@@ -1,4 +1,4 @@
-//! AGF catalogues: a glass is a line `NM name formula …`, with its coefficients in `CD` and its range in `LD` (µm).
+//! AGF catalogues: a glass is a line `NM name formula code n_d V_d exclude status …`, with its coefficients in `CD` and its range in `LD` (µm).
 
 use super::{Entry, finite, glass};
 use crate::lens::dispersion::Formula;
@@ -14,6 +14,7 @@ struct Glass<'a> {
     formula: std::result::Result<(Formula, usize), String>,
     coefficients: Vec<f64>,
     range_um: Option<[f64; 2]>,
+    obsolete: bool,
 }
 
 impl Glass<'_> {
@@ -25,7 +26,7 @@ impl Glass<'_> {
             coefficients.resize(count, 0.0);
             glass(self.name, file, formula, coefficients, range.map(|um| um * 1e3))
         });
-        Entry { name: self.name.to_owned(), medium }
+        Entry { name: self.name.to_owned(), medium, obsolete: self.obsolete }
     }
 }
 
@@ -65,7 +66,9 @@ pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
                 let name = words.next().ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
                 let number = words.next().and_then(|w| w.parse::<f64>().ok());
                 let number = number.ok_or_else(|| refuse(line, "NM with a name and the number of a formula"))?;
-                let next = Glass { name, formula: formula(number), coefficients: Vec::new(), range_um: None };
+                // Behind the formula: six digits, n_d, V_d, a flag, the status, of which 2 is a type that is no longer made.
+                let obsolete = words.nth(4).and_then(|w| w.parse::<f64>().ok()) == Some(2.0);
+                let next = Glass { name, formula: formula(number), coefficients: Vec::new(), range_um: None, obsolete };
                 entries.extend(open.replace(next).map(|g| g.entry(file)));
             }
             ("CD", Some(glass)) => glass.coefficients = numbers("coefficients")?,

@@ -55,7 +55,7 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
                 return Err(refuse("DATA.wavelength_range", format!("{range:?}"), "two numbers of µm"));
             };
             let medium = glass(name, file, formula, coefficients, [short * 1e3, long * 1e3]);
-            return Ok(Entry { name: name.to_owned(), medium });
+            return Ok(Entry { name: name.to_owned(), medium, obsolete: false });
         }
         let columns = match kind.as_str() {
             "tabulated n" => 2,
@@ -76,7 +76,7 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
             wavelength_nm: rows.iter().map(|r| r[0] * 1e3).collect(),
             index: rows.iter().map(|r| r[1]).collect(),
         };
-        return Ok(Entry { name: name.to_owned(), medium: Ok(medium) });
+        return Ok(Entry { name: name.to_owned(), medium: Ok(medium), obsolete: false });
     }
     Err(refuse("DATA.type", "no index".into(), "formula 1 to 9, tabulated n, tabulated nk"))
 }

@@ -1,0 +1,266 @@
+//! Files of other programs: what they mean by what they leave out, and by names.
+
+use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
+use crate::lens::catalogue::Glasses;
+use crate::lens::{Lens, Medium, paraxial};
+use isoplanat_base::testing::{assert_abs, assert_rel, shared};
+
+/// Focal length and sensor distance, mm.
+fn measures(lens: &Lens) -> [f64; 2] {
+    let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
+    [first.effective_focal_length, lens.surfaces[lens.surfaces.len() - 1].thickness]
+}
+
+fn seq(text: &str, reading: Reading) -> isoplanat_base::error::Result<Imported> {
+    parse_as(text, Form::Seq, "a.seq", Glasses::shipped(), reading)
+}
+
+fn read(text: &str) -> Imported {
+    seq(text, Reading::default()).unwrap_or_else(|e| panic!("{text}: {e}"))
+}
+
+fn refusal(text: &str) -> String {
+    seq(text, Reading::default()).expect_err(text).to_string()
+}
+
+/// A biconvex singlet of radii 40 and −60 mm, 3 mm of N-BK7; its closed form is the oracle.
+const HEAD: &str = "EPD 5\nDIM M\nWL 587.5618\nYAN 0 3\nSO 0 1e13\n";
+fn singlet(index: f64) -> [f64; 2] {
+    let (r1, r2, t) = (40.0, -60.0, 3.0);
+    let power = (index - 1.0) * (1.0 / r1 - 1.0 / r2 + (index - 1.0) * t / (index * r1 * r2));
+    [1.0 / power, (1.0 - (index - 1.0) * t / (index * r1)) / power]
+}
+fn bk7() -> f64 {
+    Medium::named("N-BK7").expect("shipped").index(587.5618)
+}
+
+/// Without `RDM` numbers are curvatures, and that is told.
+#[test]
+fn numbers_are_curvatures_where_the_file_does_not_say() {
+    let c = |radii: &str| format!("{radii}{HEAD}S 0.025 3.0 NBK7_SCHOTT\nSTO\nS -0.0166666666666666667 60.0\nSI 0 0\n");
+    for (radii, told) in [("LEN NEW\n", true), ("RDM N\n", false), ("RDM NO;LEN\n", false)] {
+        let Imported { lens, notes } = read(&c(radii));
+        assert_rel(measures(&lens)[0], singlet(bk7())[0], 1e-12, 0.0, radii);
+        assert_eq!(notes.iter().any(|n| n.contains("taken as curvatures")), told, "{notes:?}");
+    }
+    // The same lens by radii: as curvatures its surfaces end before the light does.
+    let radii = format!("LEN NEW\n{HEAD}S 40.0 3.0 NBK7_SCHOTT\nSTO\nS -60.0 60.0\nSI 0 0\n");
+    let Imported { lens, notes } = read(&radii);
+    assert_rel(measures(&lens)[0], singlet(bk7())[0], 1e-12, 0.0, "radii");
+    assert!(notes.iter().any(|n| n.contains("taken as radii")), "{notes:?}");
+    // Neither makes a lens: an image far from the file's own, as curvatures and as radii.
+    for text in [c("LEN NEW\n").replace("60.0\nSI", "400.0\nSI"), radii.replace("60.0\nSI", "400.0\nSI")] {
+        let why = refusal(&text);
+        assert!(why.contains("taken as curvatures") && why.contains("`RDM N`"), "{why}");
+        // Said, it is read.
+        let said = if text.contains("0.025") { "RDM N\n" } else { "RDM\n" };
+        read(&text.replace("LEN NEW\n", said));
+    }
+}
+
+/// Statements of CODE V that name what they are about, each against the same lens by `S` alone.
+#[test]
+fn statements_name_their_surface() {
+    let body =
+        |s2: &str, more: &str| format!("RDM;LEN\n{HEAD}S 40.0 3.0 NBK7_SCHOTT\nSTO\nS -60.0 {s2}\nSI 0 0\n{more}GO\n");
+    let plain = read(&body("44.0", "")).lens;
+    for text in [
+        body("1.0", "THI S2 44.0\n"),
+        body("1.0", "THI S1..2 44.0;THI S1 3.0\n"),
+        body("1.0", "THI SI-1 44.0\n"),
+        body("43.0", "THI SI 1.0\n"),
+        body("44.0", "").replace("S 40.0", "S 1.0").replace("GO", "RDY S1 40.0"),
+        body("44.0", "").replace("S 40.0", "S 1.0").replace("GO", "CUY S1 0.025"),
+        body("44.0", "").replace("NBK7_SCHOTT", "F2_SCHOTT").replace("GO", "GLA S1 NBK7_SCHOTT"),
+        body("44.0", "").replace("WL 587.5618", "WL& ! on\n587.5618"),
+        body("44.0", "").replace("SO 0 1e13", "SO INF inf"),
+        body("44.0", "").replace("STO\n", "STO\nASP\nK 0.0\nCUF 0.0\n"),
+    ] {
+        let lens = read(&text).lens;
+        assert_eq!((lens.surfaces.len(), lens.stop), (2, 0));
+        for (a, b) in measures(&lens).into_iter().zip(measures(&plain)) {
+            assert_rel(a, b, 1e-14, 0.0, &text);
+        }
+    }
+    assert_eq!(read(&body("44.0", "STO S2\n")).lens.stop, 1);
+    for (more, why) in
+        [("THI S3 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SI 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
+    {
+        assert!(refusal(&body("44.0", more)).contains(why), "{more}");
+    }
+}
+
+/// `PIM` puts the image at the paraxial one, whatever distance is stated, and `SI`'s distance counts from there.
+#[test]
+fn the_image_solve_is_evaluated() {
+    let back = singlet(bk7())[1];
+    for (stated, defocus) in [(0.0, 0.0), (12.0, -0.25), (12.0, 0.5)] {
+        let text = format!("RDM\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 {stated}\nPIM\nSI 0 {defocus}\n");
+        assert_abs(measures(&read(&text).lens)[1], back + defocus, 1e-10, "image");
+        if stated == 0.0 {
+            continue;
+        }
+        let off = text.replace("PIM", "PIM N");
+        assert_abs(measures(&read(&off).lens)[1], stated + defocus, 1e-12, "without");
+    }
+    // A near object.
+    let near = format!("RDM\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 1\nPIM\nSI 0 0\n").replace("1e13", "200");
+    let lens = read(&near).lens;
+    let first = paraxial::first_order(&lens, 587.5618);
+    assert_abs(measures(&lens)[1], first.paraxial_image_distance, 1e-9, "image of a near object");
+}
+
+/// Zoom positions, by number.
+#[test]
+fn zoom_positions_are_read_by_their_number() {
+    let text = format!(
+        "RDM\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\nZOO 2\nZOO THI S2 45 50\nZOO EPD 5 4\nZOO YAN F2 3 2\nZOO THC S2 0 0\n"
+    );
+    for (n, distance, pupil, field) in [(None, 45.0, 5.0, 3.0), (Some(1), 45.0, 5.0, 3.0), (Some(2), 50.0, 4.0, 2.0)] {
+        let Imported { lens, notes } = seq(&text, Reading { configuration: n, strict: false }).expect("reads");
+        let first = paraxial::first_order(&lens, 587.5618);
+        assert_abs(measures(&lens)[1], distance, 0.0, "distance");
+        assert_rel(first.entrance_pupil_diameter, pupil, 1e-12, 0.0, "pupil");
+        assert_rel(lens.max_field_deg(), field, 1e-12, 0.0, "field");
+        assert!(notes.iter().any(|n| n.contains("2 zoom positions")), "{notes:?}");
+    }
+    for n in [0, 3] {
+        let why = seq(&text, Reading { configuration: Some(n), strict: false }).expect_err("none").to_string();
+        assert!(why.contains("1 to 2"), "{why}");
+    }
+    assert!(refusal(&text.replace("ZOO THI S2 45 50", "ZOO THI 45")).contains("2 positions"));
+    assert!(refusal(&text.replace("ZOO 2\n", "")).contains("first their number"));
+}
+
+/// An unknown statement is told of, refused on demand, and refused with a surface whose shape it may be.
+#[test]
+fn unknown_statements() {
+    let text = format!("RDM\nFOO 1 2\n{HEAD}S 40 3 NBK7_SCHOTT\nSTO\nS -60 45\nSI 0 0\nBAR 3\n");
+    let notes = read(&text).notes;
+    assert!(notes.iter().any(|n| n.contains("FOO (line 2)") && n.contains("BAR")), "{notes:?}");
+    assert!(seq(&text, Reading { strict: true, configuration: None }).expect_err("strict").to_string().contains("FOO"));
+    assert!(refusal(&text.replace("STO\n", "STO\nBAZ 1\n")).contains("BAZ"));
+    assert!(refusal("FOO 1\nRDM\n").contains("CODE V sequence"));
+}
+
+/// The kept cases.
+#[test]
+fn cases() {
+    let cases = [
+        ("seq_curvature_mode_default.seq", Some(11.7448), None),
+        ("seq_ampersand_joined.seq", None, Some(45.0)),
+        ("seq_so_inf.seq", None, Some(45.0)),
+        ("seq_cuf.seq", None, Some(45.0)),
+        ("seq_thi_statement.seq", None, Some(44.0)),
+        ("seq_zoo.seq", None, Some(45.0)),
+        ("pim0.seq", None, Some(45.7202)),
+    ];
+    for (name, focal, distance) in cases {
+        let Some(path) = shared(&format!("cases/{name}")) else { return };
+        let [f, d] = measures(&load(&path, Glasses::shipped()).unwrap_or_else(|e| panic!("{name}: {e}")).lens);
+        assert_abs(f, focal.unwrap_or(singlet(bk7())[0]), 5e-5, name);
+        assert_abs(d, distance.unwrap_or(d), 5e-5, name);
+    }
+}
+
+/// A Zemax file of the singlet with the line `GLAS`.
+fn zmx(catalogues: &str, glas: &str) -> String {
+    format!(
+        "VERS 1\nMODE SEQ\nUNIT MM\nENPD 5\nGCAT {catalogues}\nFTYP 0 0 1 1\nYFLN 3\nWAVM 1 0.5875618 1\nPWAV 1\nSURF 0\n  DISZ INFINITY\n\
+         SURF 1\n  STOP\n  CURV 0.025\n  DISZ 3\n  GLAS {glas}\nSURF 2\n  CURV -0.016666666666666666\n  DISZ 45\nSURF 3\n  DISZ 0\n"
+    )
+}
+
+fn of_glass(catalogues: &str, glas: &str, glasses: &Glasses) -> std::result::Result<(f64, Vec<String>), String> {
+    let read = parse(&zmx(catalogues, glas), Form::Zmx, "a.zmx", glasses).map_err(|e| e.to_string())?;
+    Ok((read.lens.surfaces[0].medium.index(587.5618), read.notes))
+}
+
+/// Another maker's glass of the same name is not taken; numbers that a line only keeps are no statement.
+#[test]
+fn glasses_are_held_against_their_lines() {
+    let own = Glasses::shipped();
+    // N-BK7 as it is, as files have it where nothing is known, and as what a line keeps.
+    for numbers in
+        ["1.5168 64.17 0 0 0 0 0 0", "1.51685 64.2 0 0 0 0", "1.5 40 0 0", "0 0 0", "1.50E+00 4.00E+01 0 1 1 1 0 0"]
+    {
+        let (n, notes) = of_glass("SCHOTT", &format!("N-BK7 0 0 {numbers}"), own).expect(numbers);
+        assert_abs(n, bk7(), 0.0, numbers);
+        assert!(notes.iter().all(|n| !n.contains("glass")), "{notes:?}");
+    }
+    // SCHOTT's F4 has 1.61659; the line is CDGM's.
+    let why = of_glass("CDGM", "F4 0 0 1.62004 36.35 0 0", own).expect_err("another glass");
+    assert!(why.contains("1.62004") && why.contains("1.61659") && why.contains("--glass-for F4=model"), "{why}");
+    for (asked, index, within) in [("model", 1.62004, 1e-12), ("SCHOTT/F4", 1.61659, 5e-6)] {
+        let mut glasses = own.clone();
+        glasses.take_instead("F4", asked).expect("taken");
+        let (n, _) = of_glass("CDGM", "F4 0 0 1.62004 36.35 0 0", &glasses).expect(asked);
+        assert_abs(n, index, within, asked);
+    }
+    // Left over: picked up, a former model with a partial dispersion, one that varied.
+    for glas in [
+        "SF1 2 5 1.5723 57.5 0 0",
+        "SF1 3 0 1.5723 57.5 0",
+        "SF1 0 0 1.5723 57.5 -9.E-4 1 1 1 0 0",
+        "SF1 0 0 1.5168 64.17 0",
+    ] {
+        let (n, notes) = of_glass("SCHOTT", glas, own).expect(glas);
+        assert_abs(n, 1.71736, 5e-6, glas);
+        assert!(notes.iter().any(|n| n.contains("left from another glass")), "{notes:?}");
+    }
+    // With the maker's catalogue at hand the line's numbers choose, and the file's catalogues come first.
+    let Some(cdgm) = shared("data/glass/agf/cdgm.agf") else { return };
+    let mut glasses = own.clone();
+    glasses.add(&cdgm).expect("a catalogue");
+    for (catalogues, glas, index) in [
+        ("CDGM", "F4 0 0 1.62004 36.35 0", 1.62004),
+        ("CDGM SCHOTT", "F4 0 0 1.5 40 0", 1.62004),
+        ("SCHOTT CDGM", "F4 0 0 1.62004 36.35 0", 1.62004),
+        ("CDGM", "F4 0 0 1.61659 36.6 0", 1.61659),
+    ] {
+        assert_abs(of_glass(catalogues, glas, &glasses).expect(glas).0, index, 1e-5, &format!("{catalogues}: {glas}"));
+    }
+    // Written and read again without that catalogue: the same glass, or an error.
+    let lens = parse(&zmx("CDGM", "F4 0 0 1.62004 36.35 0"), Form::Zmx, "a.zmx", &glasses).expect("reads").lens;
+    for form in [Form::Toml, Form::Seq] {
+        let text = text_of(&lens, form, &glasses).expect("writes").0;
+        let again = parse(&text, form, "a", own).expect("reads again").lens;
+        assert_abs(again.surfaces[0].medium.index(587.5618), 1.62004, 1e-5, "kept");
+    }
+    let text = text_of(&lens, Form::Zmx, &glasses).expect("writes").0;
+    assert!(parse(&text, Form::Zmx, "a", own).expect_err("SCHOTT's").to_string().contains("--glass-for F4=model"));
+}
+
+/// A name that nobody has: the line's own numbers serve when asked; six digits say them themselves.
+#[test]
+fn missing_glasses_and_codes() {
+    let own = Glasses::shipped();
+    let why = of_glass("SCHOTT", "MYGLASS7 0 0 1.5168 64.17 0", own).expect_err("unknown");
+    assert!(why.contains("--glass-for MYGLASS7=model") && why.contains("1.5168"), "{why}");
+    let mut glasses = own.clone();
+    glasses.take_instead("MYGLASS7", "model").expect("taken");
+    assert_abs(of_glass("SCHOTT", "MYGLASS7 0 0 1.5168 64.17 0", &glasses).expect("reads").0, 1.5168, 1e-12, "model");
+    // Without numbers nothing is offered, and nothing taken.
+    assert!(!of_glass("SCHOTT", "MYGLASS7 0 0 1.5 40 0", own).expect_err("unknown").contains("=model for"));
+    assert!(of_glass("SCHOTT", "MYGLASS7 0 0 1.5 40 0", &glasses).expect_err("no numbers").contains("no index"));
+    assert_abs(of_glass("SCHOTT", "517642 0 0 1.517 64.2 0", own).expect("a code").0, 1.517, 1e-12, "code");
+}
+
+/// A glass of one index for all wavelengths: from a catalogue, and as a model without dispersion.
+#[test]
+fn constant_indices_are_read_and_written() {
+    let (Some(file), Some(catalogue)) = (shared("cases/const_glass.zmx"), shared("cases/const.agf")) else { return };
+    let mut glasses = Glasses::shipped().clone();
+    glasses.add(&catalogue).expect("a catalogue");
+    let plain = parse(&zmx("", "___BLANK 1 0 1.5 0 0"), Form::Zmx, "a.zmx", &glasses).expect("reads").lens;
+    for lens in [load(&file, &glasses).expect("reads").lens, plain] {
+        assert_rel(measures(&lens)[0], singlet(1.5)[0], 1e-12, 0.0, "focal length");
+        for form in [Form::Toml, Form::Seq, Form::Zmx] {
+            let text = text_of(&lens, form, &glasses).unwrap_or_else(|e| panic!("{form:?}: {e}")).0;
+            let again = parse(&text, form, "again", &glasses).unwrap_or_else(|e| panic!("{form:?}: {e}\n{text}")).lens;
+            for nm in [450.0, 587.5618, 650.0] {
+                assert_abs(again.surfaces[0].medium.index(nm), 1.5, 1e-15, "index");
+            }
+        }
+    }
+}
