@@ -119,7 +119,7 @@ fn contradictions_are_refused() {
         ("a.dng -o a.dng --force", "is a capture"),
         ("a.dng -o b.png --exposure 11", "steps from -10 to 10"),
         ("a.dng -o b.png --exposure NaN", "steps from -10 to 10"),
-        ("a.dng -o b.gif", ".jpeg or .dng"),
+        ("a.dng -o b.gif", ".dng or .npy"),
         ("empty -o out", "no RAW file in it"),
         ("a.dng -o out --watch", "no folder"),
         ("a.dng --watch", "--out"),

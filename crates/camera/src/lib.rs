@@ -5,7 +5,6 @@ pub mod developed;
 pub mod kit;
 pub mod network_process;
 pub mod onnxruntime;
-mod opcodes;
 pub mod orientation;
 #[doc(hidden)]
 pub mod program;

@@ -9,6 +9,7 @@ mod dng;
 mod exposure;
 mod filter;
 mod levels;
+mod opcodes;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;

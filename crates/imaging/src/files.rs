@@ -6,6 +6,7 @@
 //! `.npy` holds `[row, col]` or `[row, col, channel]`, linear light from the top row. Outputs are written beside their place and renamed, so that they
 //! appear whole or not at all.
 
+mod content;
 mod npy;
 mod read;
 mod tiff_file;

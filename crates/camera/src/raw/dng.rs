@@ -8,8 +8,8 @@ use rawler::tags::{DngTag, TiffCommonTag};
 
 use super::filter::{Filter, filter};
 use super::levels::Deltas;
+use super::opcodes::{self, Applied};
 use super::{Area, RawCapture, RawPixels, bad};
-use crate::opcodes::{self, Applied};
 
 /// Numbers of an entry; `None` where it has other values than numbers.
 fn numbers(directory: &IFD, tag: DngTag) -> Option<Vec<f32>> {

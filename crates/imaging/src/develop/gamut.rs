@@ -178,7 +178,7 @@ mod tests {
         let word = |at: usize| u32::from_be_bytes(profile[at..at + 4].try_into().expect("four bytes"));
         let need = |ok: bool, what: &str| if ok { Ok(()) } else { Err(what.to_owned()) };
         need(profile.len() >= 132 && word(0) as usize == profile.len(), "length")?;
-        need(profile.len() % 4 == 0, "length no multiple of 4")?;
+        need(profile.len().is_multiple_of(4), "length no multiple of 4")?;
         need(profile[8] == 4, "version")?;
         need(&profile[12..24] == b"mntrRGB XYZ " && &profile[36..40] == b"acsp", "class, space or signature")?;
         need(word(64) < 4, "intent")?;
@@ -191,7 +191,7 @@ mod tests {
             let (name, start, length) =
                 (&profile[entry..entry + 4], word(entry + 4) as usize, word(entry + 8) as usize);
             let told = String::from_utf8_lossy(name).into_owned();
-            need(start % 4 == 0, &format!("{told} is not aligned"))?;
+            need(start.is_multiple_of(4), &format!("{told} is not aligned"))?;
             need(
                 start >= 132 + 12 * count && length <= profile.len() - start.min(profile.len()),
                 &format!("{told} is outside"),

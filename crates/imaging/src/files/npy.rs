@@ -5,7 +5,7 @@ use std::path::Path;
 use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
-use super::read::{Content, Samples, finite};
+use super::content::{Content, Samples, finite};
 use isoplanat_base::atomic::write_atomic;
 use isoplanat_base::error::{Error, Result};
 

@@ -7,12 +7,10 @@ use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
 use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
-use super::{extension, npy, tiff_file};
+use super::content::{ALLOWED, Content, Samples, finite};
+use super::{npy, tiff_file};
 use crate::develop::color::linear_from_srgb;
 use isoplanat_base::error::{Error, Result};
-
-/// What a picture's file may be.
-pub(super) const ALLOWED: &str = "a PNG, JPEG or TIFF picture, or an array (.npy)";
 
 /// What the numbers of an integer picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,27 +19,6 @@ pub enum Encoding {
     Srgb,
     /// Proportional to light.
     Linear,
-}
-
-/// Samples of a file.
-pub(super) enum Samples {
-    U8(Vec<u8>),
-    U16(Vec<u16>),
-    /// Whole numbers of so many bits, as shares of the largest.
-    Whole(Vec<f64>, u8),
-    F32(Vec<f32>),
-    F64(Vec<f64>),
-}
-
-/// What a file holds, interleaved: `[row, col, channel]`.
-pub(super) struct Content {
-    pub(super) rows: usize,
-    pub(super) cols: usize,
-    /// 1 or 3.
-    pub(super) channels: usize,
-    pub(super) samples: Samples,
-    /// How to turn it upright, as Exif has it.
-    pub(super) orientation: u8,
 }
 
 /// A picture as its file has it: its own number of channels, and what was known of its numbers.
@@ -218,9 +195,10 @@ fn kind(path: &Path) -> Result<Kind> {
     let file = std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
     let mut start = Vec::new();
     file.take(6).read_to_end(&mut start).map_err(|e| Error::reading(path, e))?;
+    let is_array = path.extension().is_some_and(|e| e.eq_ignore_ascii_case("npy"));
     Ok(match &start[..] {
         [b'I', b'I', 42 | 43, 0, ..] | [b'M', b'M', 0, 42 | 43, ..] => Kind::Tiff,
-        start if start == npy::MAGIC || extension(path) == "npy" => Kind::Array,
+        start if start == npy::MAGIC || is_array => Kind::Array,
         _ => Kind::Other,
     })
 }
@@ -263,17 +241,4 @@ fn refused(path: &Path, e: ImageError) -> Error {
         ImageError::IoError(e) if e.kind() != std::io::ErrorKind::UnexpectedEof => Error::reading(path, e),
         e => Error::bad(path.display().to_string(), "picture", e.to_string(), ALLOWED),
     }
-}
-
-/// The content, if all of it are numbers.
-pub(super) fn finite(path: &Path, content: Content) -> Result<Content> {
-    let wrong = match &content.samples {
-        Samples::F32(v) => v.iter().position(|v| !v.is_finite()),
-        Samples::F64(v) => v.iter().position(|v| !v.is_finite()),
-        _ => None,
-    };
-    let Some(at) = wrong else { return Ok(content) };
-    let pixel = at / content.channels;
-    let place = format!("row {}, column {}", pixel / content.cols, pixel % content.cols);
-    Err(Error::bad(path.display().to_string(), place, "a sample that is not a finite number", "finite numbers"))
 }

@@ -8,7 +8,7 @@ use tiff::decoder::{Decoder, DecodingResult, Limits};
 use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
-use super::read::{ALLOWED, Content, Samples, finite};
+use super::content::{ALLOWED, Content, Samples, finite};
 use isoplanat_base::error::{Error, Result};
 
 /// Bytes of a picture at most.
