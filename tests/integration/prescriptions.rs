@@ -193,10 +193,10 @@ fn a_surface_behind_the_sensor_is_refused_by_every_command() {
     assert_eq!(place.files(), ["behind.toml", "rays.json"]);
 }
 
-/// The published semi-diameters of the phone lens: rims that overlap by 7 and 18 µm, beyond the light, are said; the same rims
-/// where light goes are refused, and so is an overlap of more than rims have.
+/// The published semi-diameters of the phone lens: rims that overlap by 7 and 18 µm are said, beyond the light and where light
+/// goes; an overlap of more than prescriptions are rounded by is refused.
 #[test]
-fn rims_may_overlap_by_micrometres_beyond_the_beam() {
+fn rims_may_overlap_by_micrometres() {
     let place = Workplace::new();
     let published = with(PHONE, &[("semi_diameter_mm = 2.04", "semi_diameter_mm = 2.095"), ("= 2.065", "= 2.095")]);
     place.write("published.toml", &published).write("rays.json", RAYS);
@@ -217,9 +217,14 @@ fn rims_may_overlap_by_micrometres_beyond_the_beam() {
             "{ran:?}"
         );
     }
-    // A wider field takes the light there.
+    // A wider field takes the light there: said too, and traced as the surfaces stand.
     place.write("wide.toml", published.replace("max_angle_deg = 32.0", "max_angle_deg = 40.0"));
-    place.run("inspect wide.toml").refused(&["wide.toml: surface[5] and surface[6]", "they cross", "0.0073 mm"]);
+    let ran = place.run("inspect wide.toml");
+    assert!(
+        ran.code == 0 && ran.err.contains("wide.toml: surface[5] and surface[6]: they overlap by 0.0073 mm"),
+        "{ran:?}"
+    );
+    assert!(ran.err.contains("light goes there"), "{ran:?}");
     // Near the axis, and deep.
     place.write("deep.toml", published.replace("thickness_mm = 0.634", "thickness_mm = 0.5"));
     place.run("inspect deep.toml").refused(&["deep.toml: surface[6] and surface[7]", "they cross"]);

@@ -257,13 +257,13 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
     Ok(found)
 }
 
-/// Neighbouring surfaces that cross within the clear semi-diameters a file states, beyond the light of the axis, end where they meet: no glass reaches
-/// further.
+/// Neighbouring surfaces that cross within the clear semi-diameters a file states end where they meet: no glass reaches further.
 fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &mut Vec<String>) {
     let axial = paraxial::marginal_heights(numbers, numbers.wavelengths.primary_nm);
     for overlap in clearance::overlaps(numbers) {
         let pair = [overlap.surface, overlap.next];
-        let lit = pair.iter().any(|i| overlap.from_mm <= axial[*i]);
+        // Where they meet within half the light of the axis the lens is another one, and the check says so.
+        let lit = pair.iter().any(|i| overlap.from_mm <= 0.5 * axial[*i]);
         if lit || pair.iter().any(|i| marked[*i]) || overlap.depth_mm <= clearance::DEEPEST_MM {
             continue;
         }

@@ -27,7 +27,7 @@ impl Order {
             }
             return Err(line.refused(format!("SURF {}", shown(label)), "SURF 0 or SURF 1 at the beginning"));
         };
-        let between = self.begins_with_one()
+        let between = self.starts_at_one()
             && !suffix.is_empty()
             && suffix.len() <= 4
             && suffix.bytes().all(|b| b.is_ascii_alphanumeric());
@@ -43,7 +43,7 @@ impl Order {
     }
 
     /// Whether object and image are left out.
-    pub(super) fn begins_with_one(&self) -> bool {
+    pub(super) fn starts_at_one(&self) -> bool {
         self.numbers.first() == Some(&1)
     }
 
@@ -55,7 +55,7 @@ impl Order {
     /// What is told of it.
     pub(super) fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
-        if self.begins_with_one() {
+        if self.starts_at_one() {
             notes.push("the surfaces begin with SURF 1: the object is taken to be at infinity".into());
         }
         if !self.inserted.is_empty() {

@@ -228,7 +228,7 @@ fn distance(line: &Line) -> Result<f64> {
 
 /// Object, surfaces and image of a file.
 pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scale: f64, file: &str) -> Result<()> {
-    if order.begins_with_one() {
+    if order.starts_at_one() {
         surfaces.insert(0, Raw { thickness: f64::INFINITY, ..Raw::new("the object".into()) });
         // The last distance reaches the image plane, which some of these files name and others do not.
         if surfaces.last().is_some_and(|s| s.thickness != 0.0 || s.glass.is_some() || s.is_curved()) {
@@ -272,7 +272,7 @@ pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scal
         let stage = s.stage(scale, file, &mut draft.notes)?;
         solved.extend(s.solved.iter().map(|what| format!("{what} at {}", s.place)));
         if let Some((place, of, factor)) = &s.pickup {
-            let picked = order.position(*of).and_then(|at| surfaces.get(at + usize::from(order.begins_with_one())));
+            let picked = order.position(*of).and_then(|at| surfaces.get(at + usize::from(order.starts_at_one())));
             let expected = picked.map(|o| o.curvature * factor);
             if expected.is_none_or(|e| (e - s.curvature).abs() > 1e-6 * s.curvature.abs()) {
                 draft
