@@ -129,7 +129,7 @@ fn black_by_rows_and_columns_is_taken_off() {
     for (wrong, words) in [
         (by_rows.clone().ratios(50716, &rows[1..]), "BlackLevelDeltaV of 39 numbers"),
         (by_rows.clone().text(50716, "no numbers"), "BlackLevelDeltaV that is no list"),
-        (by_rows.ratios(50716, &[60000.0; ROWS]), "black below white"),
+        (by_rows.longs(50714, &[58000]).ratios(50716, &[2000.0; ROWS]), "black below white"),
     ] {
         let error = decoded(&wrong).expect_err(words);
         assert!(error.to_string().contains(words) && error.exit_code() == 2, "{error}");
