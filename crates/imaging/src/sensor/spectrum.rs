@@ -208,7 +208,7 @@ impl SpectralDensity {
 type Seen = (Vec<f64>, [Vec<f64>; 3], [Option<f64>; 2]);
 fn seen(mut nm: Vec<f64>, mut density: [Vec<f64>; 3]) -> Seen {
     let floor = density.each_ref().map(|p| SEEN * p.iter().copied().fold(0.0, f64::max));
-    let mut cut = |nm: &mut Vec<f64>, density: &mut [Vec<f64>; 3]| -> Option<f64> {
+    let cut = |nm: &mut Vec<f64>, density: &mut [Vec<f64>; 3]| -> Option<f64> {
         // From the end of the lists: how many entries lie below, and where the first channel comes up to its floor before them.
         let below = |i: &usize| (0..3).all(|c| density[c][*i] < floor[c]);
         let dark = (0..nm.len()).rev().take_while(below).count();
@@ -234,8 +234,8 @@ fn seen(mut nm: Vec<f64>, mut density: [Vec<f64>; 3]) -> Seen {
             p.truncate(outer + 1);
         }
         if t == 0.0 {
-            nm.pop();
-            density.iter_mut().for_each(|p| drop(p.pop()));
+            nm.truncate(outer);
+            density.iter_mut().for_each(|p| p.truncate(outer));
         }
         Some(end)
     };

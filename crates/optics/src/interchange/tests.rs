@@ -84,7 +84,7 @@ fn statements_name_their_surface() {
     }
     assert_eq!(read(&body("44.0", "STO S2\n")).lens.stop, 1);
     for (more, why) in
-        [("THI S3 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SI 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
+        [("THI S4 1\n", "S1 to S2"), ("THI S2\n", "numbers"), ("CUY SI 0.1\n", "curved"), ("CUF S1 0.1\n", "Fresnel")]
     {
         assert!(refusal(&body("44.0", more)).contains(why), "{more}");
     }

@@ -14,7 +14,10 @@ use super::dispersion::{Dispersion, Formula};
 use isoplanat_base::error::{Error, Result};
 
 mod agf;
+mod listed;
 mod page;
+
+pub use listed::Listed;
 
 /// Stands in a glass's place for the two numbers that a lens file states beside its name.
 pub(crate) const MODEL: &str = "model";
@@ -34,24 +37,6 @@ struct Entry {
     /// Whether the maker marks the type as no longer made.
     obsolete: bool,
 }
-
-/// A glass with what a choice among glasses asks of it.
-#[derive(Clone, Copy, Debug)]
-pub struct Listed<'a> {
-    /// Its catalogue.
-    pub catalogue: &'a str,
-    /// Its name there.
-    pub name: &'a str,
-    /// The medium.
-    pub medium: &'a Medium,
-    /// Whether it is a polymer: one of a catalogue of polymers.
-    pub polymer: bool,
-    /// Whether its maker marks the type as no longer made.
-    pub obsolete: bool,
-}
-
-/// Words in the names of catalogues of polymers.
-const POLYMERS: [&str; 5] = ["PLASTIC", "POLYMER", "ZEON", "TOPAS", "ARTON"];
 
 /// A catalogue by its name.
 #[derive(Clone, Debug)]
@@ -143,18 +128,6 @@ fn stem(path: &Path) -> String {
 }
 
 impl Glasses {
-    /// Every glass that is a medium, catalogue by catalogue.
-    pub fn listed_all(&self) -> impl Iterator<Item = Listed<'_>> {
-        self.catalogues.iter().flat_map(|c| {
-            let upper = c.name.to_ascii_uppercase();
-            let polymer = POLYMERS.iter().any(|p| upper.contains(p));
-            c.entries.iter().filter_map(move |e| {
-                let medium = e.medium.as_ref().ok()?;
-                Some(Listed { catalogue: &c.name, name: &e.name, medium, polymer, obsolete: e.obsolete })
-            })
-        })
-    }
-
     /// The catalogue of `models/glasses`, read once.
     pub fn shipped() -> &'static Self {
         static SHIPPED: LazyLock<Glasses> = LazyLock::new(Glasses::read_shipped);
@@ -284,18 +257,6 @@ impl Glasses {
             ));
         }
         self.listed_spelled(glass, &[])
-    }
-
-    /// Every glass of this name with its catalogue, in the order of the catalogues; where none is spelled so, those that differ by case and hyphens alone.
-    pub(crate) fn candidates(&self, name: &str) -> Vec<(&str, &Medium)> {
-        let of = |alike: &dyn Fn(&str) -> bool| -> Vec<(&str, &Medium)> {
-            let one = |c: &'_ Catalogue| c.entries.iter().rposition(|e| alike(&e.name) && e.medium.is_ok());
-            let found = self.catalogues.iter().filter_map(|c| Some((c, one(c)?)));
-            found.filter_map(|(c, at)| Some((c.name.as_str(), c.entries[at].medium.as_ref().ok()?))).collect()
-        };
-        let exact = of(&|n| n == name);
-        let key = spelled(name);
-        if exact.is_empty() { of(&|n| spelled(n) == key) } else { exact }
     }
 
     /// [`Self::find`] by the catalogues alone, whatever is taken instead.

@@ -122,12 +122,16 @@ mod tests {
     #[test]
     fn filters_by_catalogue_and_kind() {
         let all = pool(&[]);
-        for (name, there) in [("N-BK7", true), ("PLASTIC/PMMA", true), ("OHARA/S-TIH57", true), ("SCHOTT/F4", false)] {
+        for (name, there) in [("N-BK7", true), ("MISC/PMMA", true), ("OHARA/S-TIH57", true), ("SCHOTT/F4", false)] {
             assert_eq!(has(&all, name), there, "{name}");
         }
         let schott = pool(&["SCHOTT/*", "!plastic", "!schott/n-bk7"]);
         assert!(has(&schott, "N-SK16") && !has(&schott, "OHARA/S-TIH57") && !has(&schott, "N-BK7"));
-        assert!(!has(&pool(&["!plastic"]), "PLASTIC/PMMA") && has(&pool(&["!plastic"]), "N-BK7"));
+        assert!(
+            !has(&pool(&["!plastic"]), "MISC/PMMA")
+                && !has(&pool(&["!plastic"]), "PLASTIC/E48R")
+                && has(&pool(&["!plastic"]), "N-BK7")
+        );
         assert!(has(&pool(&["obsolete"]), "SCHOTT/F4") && has(&pool(&["SCHOTT/F4"]), "SCHOTT/F4"));
         for wrong in ["NOBODY/*", "!cheap", "SCHOTT/UNOBTAINIUM"] {
             assert!(Pool::new(Glasses::shipped(), &[wrong], "--choose-glass").is_err(), "{wrong}");
@@ -151,7 +155,7 @@ mod tests {
     #[test]
     fn polymers_are_not_cemented_to_glass() {
         let doublet = builtin::lens("ac254_050_a").expect("shipped");
-        let [pmma, bk7] = ["PLASTIC/PMMA", "N-BK7"].map(|n| Glasses::shipped().find(n, &[]).expect(n));
+        let [pmma, bk7] = ["MISC/PMMA", "N-BK7"].map(|n| Glasses::shipped().find(n, &[]).expect(n));
         assert!(!pool(&[]).fits(&doublet, 0, &pmma) && pool(&[]).fits(&doublet, 0, &bk7));
         assert!(pool(&["plastic"]).fits(&doublet, 0, &pmma));
         // Between air it stands alone.
