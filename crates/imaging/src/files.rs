@@ -116,12 +116,26 @@ pub struct Planes {
 /// # Errors
 /// A file that cannot be read, or is no picture.
 pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    planes_as(path, encoding, true)
+}
+
+/// As [`read_planes`], but as the sensor has it: an orientation in the metadata says how a picture is to be seen, and is not applied.
+///
+/// # Errors
+/// As [`read_planes`].
+pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    planes_as(path, encoding, false)
+}
+
+fn planes_as(path: &Path, encoding: Option<Encoding>, turned: bool) -> Result<Planes> {
     let refused = |e| refused(path, e);
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
     let orientation = decoder.orientation().map_err(refused)?;
     let mut picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
-    picture.apply_orientation(orientation);
+    if turned {
+        picture.apply_orientation(orientation);
+    }
     let (rows, cols) = (picture.height() as usize, picture.width() as usize);
     let channels = if picture.color().has_color() { 3 } else { 1 };
     let shaped = |samples: Vec<f64>| {

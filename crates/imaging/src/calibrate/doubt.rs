@@ -1,0 +1,263 @@
+//! Whether a fitted camera is the one that took the pictures: its residuals beside the corners' own noise, and what it was for want of where
+//! they stand far above.
+//!
+//! The noise is told without any camera: each picture's corners less the homography of its board are fitted by polynomials in two variables,
+//! of the highest degree (six at most) that has half as many terms as there are corners or fewer. Every lens is smooth like that; what is
+//! left, by its degrees of freedom, is noise of single corners. A polynomial that does not follow makes the noise too large, so that a
+//! good fit is not refused for it.
+
+use glam::DVec2;
+use nalgebra::{DMatrix, DVector};
+
+use super::View;
+use super::model::{Projection, TERMS};
+use super::solve::{Fit, Settings, State, Wider, search};
+use super::start;
+use isoplanat_base::error::{Error, Result};
+use isoplanat_base::figures::significant;
+
+/// Degree of the polynomials at most.
+const DEGREE: usize = 6;
+/// Residuals of so many times the noise are looked into.
+const DOUBTED: f64 = 4.0;
+/// Residuals of so many times the noise, and of this part of the frame's half diagonal, are no fit whatever the reason.
+const REFUSED: f64 = 8.0;
+const GROSS: f64 = 1e-3;
+/// A wider camera is the reason where it leaves at most this part of the mean square above noise.
+const EXPLAINED: f64 = 0.25;
+/// Noise of corners at least, pixels: exact corners are noisier by the fit's own steps.
+const LEAST: f64 = 1e-3;
+/// Difference of a picture's focal length from the others' that is told.
+const ZOOMED: f64 = 3e-3;
+
+/// Noise of the corners along one axis times √2 (a length, as residuals are), pixels; `None` where there are too few corners to tell it.
+pub fn noise(views: &[View]) -> Option<f64> {
+    let (mut square, mut free) = (0.0, 0.0);
+    for view in views {
+        let n = view.seen.len();
+        let terms = |degree: usize| (degree + 1) * (degree + 2) / 2;
+        let Some(degree) = (1..=DEGREE).rev().find(|d| 2 * terms(*d) <= n) else { continue };
+        let Some(plane) = start::homography(view) else { continue };
+        let flat: Vec<DVec2> = view.board.iter().map(|b| plane * b.extend(1.0)).map(|p| p.truncate() / p.z).collect();
+        let middle = flat.iter().sum::<DVec2>() / n as f64;
+        let size = flat.iter().map(|p| (*p - middle).abs().max_element()).fold(0.0, f64::max);
+        let powers = (0..=degree).flat_map(|i| (0..=degree - i).map(move |j| (i as i32, j as i32)));
+        let powers: Vec<(i32, i32)> = powers.collect();
+        let matrix = DMatrix::from_fn(n, powers.len(), |row, k| {
+            let at = (flat[row] - middle) / size;
+            at.x.powi(powers[k].0) * at.y.powi(powers[k].1)
+        });
+        let off = [0, 1].map(|axis| DVector::from_fn(n, |row, _| view.seen[row][axis] - flat[row][axis]));
+        // What an orthonormal base of the polynomials does not hold.
+        let base = matrix.qr().q();
+        for line in off {
+            let left = &line - &base * (base.transpose() * &line);
+            square += left.norm_squared();
+        }
+        free += (n - powers.len()) as f64;
+    }
+    let noise = (square / free).sqrt();
+    (free > 0.0 && noise.is_finite()).then_some(noise)
+}
+
+/// What is doubtful about a fit, one sentence each; `names` are those of the pictures.
+///
+/// # Errors
+/// Residuals far above the corners' own noise, by their reason: held numbers that are others, too few terms, pixels that are not square, another
+/// focal length in some pictures, a fisheye; or by none that is known.
+pub fn judge(views: &[View], names: &[String], settings: &Settings, fit: &Fit) -> Result<Vec<String>> {
+    let Some(noise) = noise(views).map(|n| n.max(LEAST)) else { return Ok(Vec::new()) };
+    let rms = fit.rms_px();
+    if rms <= DOUBTED * noise {
+        return Ok(Vec::new());
+    }
+    let found = |reason: &str| {
+        let [rms, noise] = [rms, noise].map(|v| significant(v, 2));
+        format!("corners {rms} px from where the camera lands them, their own noise {noise} px{reason}")
+    };
+    let corners = views.iter().map(|v| v.seen.len()).sum::<usize>() as f64;
+    let explains = |state: &State| {
+        let own = noise * noise;
+        state.square / corners - own <= EXPLAINED * (rms * rms - own)
+    };
+    let wider = |settings: &Settings, wider: Wider| search(views, settings, wider).ok().filter(|s| explains(s));
+    let refused = |reason: String, allowed: &str| Err(Error::bad("", "charts", found(&reason), allowed));
+    let all = Settings { terms: TERMS, ..*settings };
+    if settings.terms < TERMS && wider(&all, Wider::NONE).is_some() {
+        return refused(format!(": {} radial terms are too few", settings.terms), "more --terms");
+    }
+    let free = Settings { centre_px: None, focal_px: None, ..all };
+    if free != all
+        && let Some(state) = wider(&free, Wider::NONE)
+    {
+        let ([x, y], f) = (state.camera.centre_px.to_array(), state.camera.focal_px.x);
+        let reason = format!(": pictures that tell a focal length of {f:.1} px and a centre at {x:.1}, {y:.1}");
+        return refused(reason, "no held number that is another");
+    }
+    // The widest step that closes most.
+    let oblong = wider(&Settings { oblong_pixels: true, ..free }, Wider::NONE).filter(|_| !settings.oblong_pixels);
+    let angle = wider(&free, Wider { projection: Projection::Angle, ..Wider::NONE });
+    let zooms = wider(&free, Wider { zooms: true, ..Wider::NONE });
+    let least = [&oblong, &angle, &zooms].into_iter().flatten().map(|s| s.square).fold(f64::INFINITY, f64::min);
+    let best = |state: &Option<State>| state.as_ref().is_some_and(|s| s.square <= least);
+    if let Some(state) = oblong.as_ref().filter(|_| best(&oblong)) {
+        let [x, y] = state.camera.focal_px.to_array();
+        let reason =
+            format!(": pixels that are not square, focal lengths {x:.1} px along columns and {y:.1} along rows");
+        return refused(reason, "pictures with square pixels, as the sensor has them");
+    }
+    if best(&angle) {
+        return refused(
+            ": a fisheye, whose height is by angles".into(),
+            "pictures through a lens that this polynomial of slopes fits",
+        );
+    }
+    if let Some(state) = zooms.as_ref().filter(|_| best(&zooms)) {
+        let mut sorted = state.zooms.clone();
+        sorted.sort_by(f64::total_cmp);
+        let middle = sorted[sorted.len() / 2];
+        let others = state.zooms.iter().zip(names).filter(|(z, _)| (*z / middle - 1.0).abs() > ZOOMED);
+        let told: Vec<String> = others.map(|(z, n)| format!("{n} ({} times)", significant(z / middle, 4))).collect();
+        let reason = format!(": another focal length than the other pictures' in {}", told.join(", "));
+        return refused(reason, "pictures of one zoom and focus");
+    }
+    let [columns, rows] = settings.size.map(|n| n as f64);
+    if rms > REFUSED * noise && rms > GROSS * 0.5 * columns.hypot(rows) {
+        return refused(
+            String::new(),
+            "pictures by one camera, lens, zoom and focus, none of them turned, of one flat board",
+        );
+    }
+    Ok(vec![found("; the errors are too small: was the board flat, the focus the same?")])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::{Pinhole, Pose};
+    use super::super::solve::solve;
+    use super::*;
+    use glam::{DMat3, DVec3};
+    use isoplanat_base::testing::{assert_rel, between};
+
+    const SIZE: [usize; 2] = [1280, 720];
+
+    /// Ten pictures of a board of 9 × 7 corners by the camera that `of` makes of a picture's number.
+    fn views(of: impl Fn(usize) -> Pinhole, projection: Projection, noise: f64, seed: u64) -> Vec<View> {
+        let rng = &mut fastrand::Rng::with_seed(seed);
+        let mut out: Vec<View> = Vec::new();
+        while out.len() < 10 {
+            let camera = of(out.len());
+            let [x, y, z] = [0.6, 0.6, 0.3].map(|most| between(rng, -most, most));
+            let turn = DMat3::from_rotation_y(x) * DMat3::from_rotation_x(y) * DMat3::from_rotation_z(z);
+            let distance = camera.focal_px.x * between(rng, 0.008, 0.014);
+            let slope = DVec2::new(between(rng, -350.0, 350.0), between(rng, -150.0, 150.0)) / camera.focal_px;
+            let at = (slope * distance).extend(distance) - turn * DVec3::new(4.0, 3.0, 0.0);
+            let pose = Pose { turn, at };
+            let mut view = View { board: Vec::new(), seen: Vec::new() };
+            for i in 0..63 {
+                let board = DVec2::new(f64::from(i % 9), f64::from(i / 9));
+                let Some((seen, _)) = camera.project_by(projection, board, &pose) else { continue };
+                let mut normal = || (0..12).map(|_| rng.f64()).sum::<f64>() - 6.0;
+                let seen = seen + noise * DVec2::new(normal(), normal());
+                if seen.cmpge(DVec2::ZERO).all() && seen.x < 1280.0 && seen.y < 720.0 {
+                    view.board.push(board);
+                    view.seen.push(seen);
+                }
+            }
+            if view.seen.len() >= 40 {
+                out.push(view);
+            }
+        }
+        out
+    }
+
+    fn camera(f: f64) -> Pinhole {
+        Pinhole { focal_px: DVec2::splat(f), centre_px: DVec2::new(655.0, 340.0), k: [-0.2, 0.05, 0.0] }
+    }
+
+    fn judged(views: &[View], settings: Settings) -> Result<Vec<String>> {
+        let names: Vec<String> = (0..views.len()).map(|k| format!("p{k}.png")).collect();
+        judge(views, &names, &settings, &solve(views, &settings)?)
+    }
+
+    const PLAIN: Settings = Settings { size: SIZE, terms: 3, centre_px: None, focal_px: None, oblong_pixels: false };
+
+    /// The noise that was added comes back without a camera, and no good fit is doubted; nor is one by few terms that are enough.
+    #[test]
+    fn good_fits_pass_and_noise_is_told() {
+        for (seed, f) in [(1, 600.0), (2, 900.0), (3, 1500.0)] {
+            for noise_px in [0.0, 0.03, 0.3] {
+                let views = views(|_| camera(f), Projection::Tangent, noise_px, seed);
+                if noise_px > 0.0 {
+                    let told = noise(&views).expect("enough corners");
+                    assert_rel(told, noise_px * 2f64.sqrt(), 0.1, 0.0, "noise");
+                }
+                assert_eq!(judged(&views, PLAIN).expect("passes"), Vec::<String>::new(), "f {f}, noise {noise_px}");
+            }
+        }
+    }
+
+    /// Every reason by its name, for several strengths of it and noises.
+    #[test]
+    fn wrong_models_are_refused_by_their_reason() {
+        for noise_px in [0.02, 0.1] {
+            let told = |views: &[View], settings: Settings, words: &[&str]| {
+                let error = judged(views, settings).expect_err(words[0]).to_string();
+                assert!(words.iter().all(|w| error.contains(w)), "noise {noise_px}: {words:?}: {error}");
+            };
+            for part in [0.9, 1.03, 1.1, 1.33] {
+                let oblong = |_| Pinhole { focal_px: DVec2::new(900.0, 900.0 * part), ..camera(900.0) };
+                told(&views(oblong, Projection::Tangent, noise_px, 4), PLAIN, &["not square", "90"]);
+            }
+            for part in [0.8, 1.05, 1.5] {
+                let zoomed = |k| camera(if k == 3 || k == 7 { 900.0 * part } else { 900.0 });
+                told(
+                    &views(zoomed, Projection::Tangent, noise_px, 5),
+                    PLAIN,
+                    &["another focal length", "p3.png", "p7.png"],
+                );
+            }
+            let bent = |k| move |_: usize| Pinhole { k, ..camera(700.0) };
+            let few = Settings { terms: 1, ..PLAIN };
+            told(&views(bent([-0.35, 0.2, -0.05]), Projection::Tangent, noise_px, 6), few, &["1 radial terms"]);
+            let held = Settings { focal_px: Some(800.0), ..PLAIN };
+            told(&views(|_| camera(900.0), Projection::Tangent, noise_px, 7), held, &["focal length of 9"]);
+            let middle = Settings { centre_px: Some(DVec2::new(760.0, 360.0)), ..PLAIN };
+            told(&views(bent([-0.35, 0.1, 0.0]), Projection::Tangent, noise_px, 8), middle, &["centre at 65"]);
+        }
+        // Fields of 140°: height by angles.
+        let fisheye = |_| Pinhole { focal_px: DVec2::splat(530.0), centre_px: DVec2::new(640.0, 360.0), k: [0.0; 3] };
+        for terms in [1, 2] {
+            let seen = views(fisheye, Projection::Angle, 0.03, 9);
+            let error = judged(&seen, Settings { terms, ..PLAIN }).expect_err("no such lens").to_string();
+            assert!(error.contains("fisheye") || error.contains("terms"), "{terms}: {error}");
+        }
+    }
+
+    /// Pictures of one sensor of which every second was turned by its file: no known reason, refused all the same.
+    #[test]
+    fn turned_pictures_are_refused() {
+        let mut seen =
+            views(|_| Pinhole { centre_px: DVec2::new(740.0, 310.0), ..camera(900.0) }, Projection::Tangent, 0.05, 10);
+        for view in seen.iter_mut().step_by(2) {
+            view.seen.iter_mut().for_each(|p| *p = DVec2::new(1280.0, 720.0) - *p);
+        }
+        let error = judged(&seen, PLAIN).expect_err("two centres").to_string();
+        assert!(error.contains("own noise"), "{error}");
+    }
+
+    /// A board that is not flat is told, and the fit stays.
+    #[test]
+    fn bent_boards_are_told() {
+        let mut seen = views(|_| camera(900.0), Projection::Tangent, 0.1, 11);
+        for (k, view) in seen.iter_mut().enumerate() {
+            let side = if k % 2 == 0 { 1.0 } else { -1.0 };
+            for (p, b) in view.seen.iter_mut().zip(&view.board) {
+                p.x += side * 0.06 * (b.y - 3.0).powi(2) * (1.0 + 0.1 * k as f64);
+            }
+        }
+        let told = judged(&seen, PLAIN);
+        let words = told.as_ref().map_or_else(ToString::to_string, |w| w.join(" "));
+        assert!(words.contains("own noise"), "{words}");
+    }
+}
