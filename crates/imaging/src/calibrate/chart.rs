@@ -163,7 +163,7 @@ mod tests {
         let Some(views) = boards("cases/anisotropic") else { return };
         let fit = solve(&views, &Settings { oblong_pixels: true, ..PLAIN }).expect("fits");
         assert!(fit.rms_px() < 0.05, "{} px", fit.rms_px());
-        let own = noise(&views).expect("corners");
+        let own = noise(&views, &fit.residuals).expect("corners");
         assert!(own > 0.5 * fit.rms_px() && own < 1.5 * fit.rms_px(), "{own} of {}", fit.rms_px());
         for (found, truth, error) in [
             (fit.camera.focal_px.x, 900.0, fit.errors.focal_px.x),

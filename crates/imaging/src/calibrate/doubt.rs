@@ -1,10 +1,10 @@
 //! Whether a fitted camera is the one that took the pictures: its residuals beside the corners' own noise, and what it was for want of where
 //! they stand far above.
 //!
-//! The noise is told without any camera: each picture's corners less the homography of its board are fitted by polynomials in two variables,
-//! of the highest degree (six at most) that has half as many terms as there are corners or fewer. Every lens is smooth like that; what is
-//! left, by its degrees of freedom, is noise of single corners. A polynomial that does not follow makes the noise too large, so that a
-//! good fit is not refused for it.
+//! The noise does not lean on the camera being right. Each picture's residuals are fitted by polynomials in the board's two coordinates, of the
+//! highest degree (six at most) that has half as many terms as there are corners or fewer. Whatever a camera gets wrong is smooth over
+//! the board and goes into them; what is left, by its degrees of freedom, is noise of single corners. Where polynomials do not follow,
+//! the noise comes out too large, so that a good fit is not refused for it.
 
 use glam::DVec2;
 use nalgebra::{DMatrix, DVector};
@@ -12,12 +12,13 @@ use nalgebra::{DMatrix, DVector};
 use super::View;
 use super::model::{Projection, TERMS};
 use super::solve::{Fit, Settings, State, Wider, search};
-use super::start;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::figures::significant;
 
 /// Degree of the polynomials at most.
 const DEGREE: usize = 6;
+/// Singular value, of the largest, below which corners do not tell a polynomial.
+const RANK: f64 = 1e-9;
 /// Residuals of so many times the noise are looked into.
 const DOUBTED: f64 = 4.0;
 /// Residuals of so many times the noise, and of this part of the frame's half diagonal, are no fit whatever the reason.
@@ -30,31 +31,37 @@ const LEAST: f64 = 1e-3;
 /// Difference of a picture's focal length from the others' that is told.
 const ZOOMED: f64 = 3e-3;
 
-/// Noise of the corners along one axis times √2 (a length, as residuals are), pixels; `None` where there are too few corners to tell it.
-pub fn noise(views: &[View]) -> Option<f64> {
+/// Noise of the corners, root mean square length as residuals are, pixels; `None` where there are too few corners to tell it. `residuals` are
+/// those of a camera that need not be the right one.
+pub fn noise(views: &[View], residuals: &[Vec<DVec2>]) -> Option<f64> {
     let (mut square, mut free) = (0.0, 0.0);
-    for view in views {
-        let n = view.seen.len();
+    for (view, residuals) in views.iter().zip(residuals) {
+        let n = view.board.len();
         let terms = |degree: usize| (degree + 1) * (degree + 2) / 2;
         let Some(degree) = (1..=DEGREE).rev().find(|d| 2 * terms(*d) <= n) else { continue };
-        let Some(plane) = start::homography(view) else { continue };
-        let flat: Vec<DVec2> = view.board.iter().map(|b| plane * b.extend(1.0)).map(|p| p.truncate() / p.z).collect();
-        let middle = flat.iter().sum::<DVec2>() / n as f64;
-        let size = flat.iter().map(|p| (*p - middle).abs().max_element()).fold(0.0, f64::max);
-        let powers = (0..=degree).flat_map(|i| (0..=degree - i).map(move |j| (i as i32, j as i32)));
-        let powers: Vec<(i32, i32)> = powers.collect();
+        let middle = view.board.iter().sum::<DVec2>() / n as f64;
+        let size = view.board.iter().map(|p| (*p - middle).abs().max_element()).fold(0.0, f64::max);
+        let powers: Vec<(i32, i32)> =
+            (0..=DEGREE as i32).flat_map(|i| (0..=DEGREE as i32).map(move |j| (i, j))).collect();
+        let powers: Vec<_> = powers.into_iter().filter(|(i, j)| (i + j).unsigned_abs() as usize <= degree).collect();
         let matrix = DMatrix::from_fn(n, powers.len(), |row, k| {
-            let at = (flat[row] - middle) / size;
+            let at = (view.board[row] - middle) / size;
             at.x.powi(powers[k].0) * at.y.powi(powers[k].1)
         });
-        let off = [0, 1].map(|axis| DVector::from_fn(n, |row, _| view.seen[row][axis] - flat[row][axis]));
-        // What an orthonormal base of the polynomials does not hold.
-        let base = matrix.qr().q();
-        for line in off {
-            let left = &line - &base * (base.transpose() * &line);
+        // What an orthonormal base of the polynomials does not hold; few rows of corners tell fewer of them.
+        let svd = matrix.svd(true, false);
+        let base = svd.u?;
+        let held: Vec<usize> =
+            (0..base.ncols()).filter(|k| svd.singular_values[*k] > RANK * svd.singular_values[0]).collect();
+        for axis in 0..2 {
+            let mut left = DVector::from_fn(n, |row, _| residuals[row][axis]);
+            for k in &held {
+                let share = base.column(*k).dot(&left);
+                left.axpy(-share, &base.column(*k), 1.0);
+            }
             square += left.norm_squared();
         }
-        free += (n - powers.len()) as f64;
+        free += (n - held.len()) as f64;
     }
     let noise = (square / free).sqrt();
     (free > 0.0 && noise.is_finite()).then_some(noise)
@@ -66,7 +73,7 @@ pub fn noise(views: &[View]) -> Option<f64> {
 /// Residuals far above the corners' own noise, by their reason: held numbers that are others, too few terms, pixels that are not square, another
 /// focal length in some pictures, a fisheye; or by none that is known.
 pub fn judge(views: &[View], names: &[String], settings: &Settings, fit: &Fit) -> Result<Vec<String>> {
-    let Some(noise) = noise(views).map(|n| n.max(LEAST)) else { return Ok(Vec::new()) };
+    let Some(noise) = noise(views, &fit.residuals).map(|n| n.max(LEAST)) else { return Ok(Vec::new()) };
     let rms = fit.rms_px();
     if rms <= DOUBTED * noise {
         return Ok(Vec::new());
@@ -189,11 +196,25 @@ mod tests {
             for noise_px in [0.0, 0.03, 0.3] {
                 let views = views(|_| camera(f), Projection::Tangent, noise_px, seed);
                 if noise_px > 0.0 {
-                    let told = noise(&views).expect("enough corners");
+                    let fit = solve(&views, &PLAIN).expect("fits");
+                    let told = noise(&views, &fit.residuals).expect("enough corners");
                     assert_rel(told, noise_px * 2f64.sqrt(), 0.1, 0.0, "noise");
                 }
                 assert_eq!(judged(&views, PLAIN).expect("passes"), Vec::<String>::new(), "f {f}, noise {noise_px}");
             }
+        }
+    }
+
+    /// The same noise by a camera that is far off.
+    #[test]
+    fn noise_is_told_by_wrong_cameras_too() {
+        for (seed, noise_px) in [(20, 0.05), (21, 0.2)] {
+            let oblong = |_| Pinhole { focal_px: DVec2::new(900.0, 990.0), ..camera(900.0) };
+            let views = views(oblong, Projection::Tangent, noise_px, seed);
+            let fit = solve(&views, &PLAIN).expect("fits");
+            let told = noise(&views, &fit.residuals).expect("enough corners");
+            assert!(fit.rms_px() > 5.0 * told, "{} px", fit.rms_px());
+            assert_rel(told, noise_px * 2f64.sqrt(), 0.15, 0.0, "noise");
         }
     }
 
