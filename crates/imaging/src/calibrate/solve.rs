@@ -110,7 +110,7 @@ pub fn solve(views: &[View], settings: &Settings) -> Result<Fit> {
         let found = format!("a focal length of {:.0} ± {:.0} pixels", end.camera.focal_px.x, errors.focal_px.x);
         return refused(&found, "pictures of the board tilted to several sides, or --focal-px");
     }
-    let residuals: Vec<Vec<DVec2>> = views.iter().enumerate().map(|(k, v)| end.residuals(v, k)).collect();
+    let residuals = end.residuals(views);
     let slopes = views.iter().zip(&end.poses).flat_map(|(v, p)| v.board.iter().map(|b| Pinhole::slopes(*b, p)));
     let max_slope = slopes.flatten().map(|s| s.length()).fold(0.0, f64::max);
     if let Some(at) = end.camera.folds(max_slope) {
@@ -195,9 +195,13 @@ impl State {
         Some(self.zoomed(k).land(self.wider.projection.of(slope).0))
     }
 
-    fn residuals(&self, view: &View, k: usize) -> Vec<DVec2> {
-        let landed = |b: &DVec2| self.land(k, *b).unwrap_or(DVec2::NAN);
-        view.board.iter().zip(&view.seen).map(|(b, s)| *s - landed(b)).collect()
+    /// Seen less landed, picture by picture, pixels.
+    pub(super) fn residuals(&self, views: &[View]) -> Vec<Vec<DVec2>> {
+        let of = |(k, view): (usize, &View)| {
+            let landed = |b: &DVec2| self.land(k, *b).unwrap_or(DVec2::NAN);
+            view.board.iter().zip(&view.seen).map(|(b, s)| *s - landed(b)).collect()
+        };
+        views.iter().enumerate().map(of).collect()
     }
 
     /// Numbers that the pictures' own focal lengths add: all but the first one's, which is 1.

@@ -15,6 +15,7 @@ mod finish;
 mod json;
 mod media;
 mod order;
+mod own;
 mod seq;
 mod text;
 mod write_seq;
@@ -91,9 +92,7 @@ pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
     if form == Form::Toml {
         let text = String::from_utf8(bytes)
             .map_err(|_| Error::bad(file.as_str(), "text", "bytes that are no UTF-8", "a lens file in UTF-8"))?;
-        let (lens, limited) = prescription::parse(&text, &file, glasses)?;
-        let told = |line: String| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned);
-        return Ok(Imported { lens, notes: limited.into_iter().map(told).collect() });
+        return own::read(&text, &file, glasses);
     }
     parse(&decoded(&bytes), form, &file, glasses)
 }
@@ -104,10 +103,7 @@ pub fn load(path: &Path, glasses: &Glasses) -> Result<Imported> {
 /// As [`load`].
 pub fn parse(text: &str, form: Form, file: &str, glasses: &Glasses) -> Result<Imported> {
     let draft = match form {
-        Form::Toml => {
-            let (lens, limited) = prescription::parse(text, file, glasses)?;
-            return Ok(Imported { lens, notes: limited.into_iter().collect() });
-        }
+        Form::Toml => return own::read(text, file, glasses),
         Form::Zmx => zmx::read(text, file)?,
         Form::Seq => seq::read(text, file)?,
         Form::Json => json::read(text, file)?,
