@@ -31,6 +31,8 @@ pub(crate) struct View {
     /// Object distance before the first surface, mm; `inf` is allowed [default: the lens's own]
     #[arg(long, allow_negative_numbers = true, value_name = "MM")]
     depth_mm: Option<f64>,
+    #[command(flatten)]
+    f_number: crate::input::FNumber,
     /// Largest field angle, degrees [default: where sensor, stated field or light end]
     #[arg(long, allow_negative_numbers = true, value_name = "DEG")]
     max_angle_deg: Option<f64>,
@@ -48,7 +50,7 @@ pub(crate) struct View {
 impl View {
     /// The lens `name`, with its object where it was asked for.
     pub(crate) fn lens(&self, name: &str) -> Result<Lens> {
-        let lens = crate::input::lens(name)?;
+        let lens = self.f_number.applied(crate::input::lens(name)?, name)?;
         match self.depth_mm {
             None => Ok(lens),
             Some(depth) if depth > 0.0 => {

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec2;
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, solve};
-use isoplanat::calibrate::{View, chart};
+use isoplanat::calibrate::{View, chart, doubt};
 use isoplanat::imaging::files::{Encoding, PICTURES, extension, write_bytes, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
@@ -23,7 +23,8 @@ use listing::{Chart, Listing};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Photographs of a chessboard that lies flat (.jpg, .png, .tif; RAW files need the feature `deploy`), all of one size, zoom and focus,
-    /// the board tilted to several sides and seen out to the corners; parts of the board count
+    /// the board tilted to several sides and seen out to the corners; parts of the board count. An orientation in Exif is not applied: it is
+    /// the sensor that is calibrated
     #[arg(required = true, value_name = "CHART")]
     charts: Vec<PathBuf>,
     /// The measured distortion, as `isoplanat-camera --distortion` reads it
@@ -138,13 +139,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     };
     let views: Vec<View> = charts.iter().map(|c| c.view.clone()).collect();
     let fit = solve(&views, &settings).map_err(|e| e.in_file(Path::new("CHART")))?;
+    let names: Vec<String> = charts.iter().map(|c| c.path.display().to_string()).collect();
+    let doubts = doubt::judge(&views, &names, &settings, &fit).map_err(|e| e.in_file(Path::new("CHART")))?;
     let measured = measured(args, size, &charts, &fit);
     // Whatever becomes of the kernels.
     if let Some(path) = &args.out {
         crate::output::put(&measured.text()?, Some(path), out)?;
     }
     let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
-    let listing = Listing { settings, charts, skipped, fit };
+    let listing = Listing { settings, charts, skipped, fit, doubts };
     if let Some(path) = &args.svg {
         crate::output::put(&listing.svg(), Some(path), out)?;
     }
@@ -176,7 +179,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// The corners that a picture shows, and its columns and rows.
 fn look(path: &Path) -> Result<(View, [usize; 2])> {
-    let picture = picture::read(path, None, None)?;
+    let picture = picture::read(path, None, None, picture::Way::Sensor)?;
     let channels = &picture.channels;
     let named = |name: &str| channels.iter().find(|c| c.name == name);
     let chosen = named("luminance").or_else(|| named("G")).unwrap_or(&channels[0]);

@@ -14,6 +14,8 @@ pub(crate) struct Args {
     /// Figures to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
+    #[command(flatten)]
+    f_number: crate::input::FNumber,
     /// Machine-readable output
     #[arg(long)]
     json: bool,
@@ -27,7 +29,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
         crate::output::check_writable(path, args.force)?;
     }
-    let lens = crate::input::lens(&args.lens)?;
+    let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let report = HealthReport::new(&lens);
     if let Some(path) = &args.csv {
         crate::output::put(&report.csv(), Some(path), out)?;

@@ -9,7 +9,9 @@ use isoplanat::calibrate::lens::MeasuredLens;
 use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
-use isoplanat::lens::Lens;
+use isoplanat::lens::paraxial::first_order;
+use isoplanat::lens::{Aperture, Lens};
+use isoplanat::report::table::significant;
 use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Result};
 
@@ -30,6 +32,49 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
         eprintln!("warning: {warning}");
     }
     Ok(lens)
+}
+
+/// An f-number for one run, in place of the lens's.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct FNumber {
+    /// f-number (focal length over entrance pupil) for this run only: the stop is closed to it [default: the lens's own]
+    #[arg(long, allow_negative_numbers = true, value_name = "N")]
+    f_number: Option<f64>,
+}
+
+impl FNumber {
+    /// `lens` with its stop closed to the f-number; stderr is told. `argument` named the lens.
+    ///
+    /// # Errors
+    /// An f-number that is none, a lens without power, a stop larger than its surface lets through.
+    pub(crate) fn applied(self, lens: Lens, argument: &str) -> Result<Lens> {
+        let Some(number) = self.f_number else { return Ok(lens) };
+        let refuse = |found: String, allowed: String| Err(Error::bad("--f-number", "value", found, allowed));
+        if !(number > 0.0 && number <= 1e6) {
+            return refuse(number.to_string(), "above 0 and up to 1e6".into());
+        }
+        let first = first_order(&lens, lens.wavelengths.primary_nm);
+        let powerless =
+            !(first.f_number.is_finite() && first.f_number > 0.0 && first.effective_focal_length.abs() < 1e9);
+        if powerless {
+            return refuse(format!("given for {argument}, which has no power"), "a lens with a focal length".into());
+        }
+        // The pupil grows as the stop does.
+        let radius = first.stop_semi_diameter * first.f_number / number;
+        let clear = lens.surfaces[lens.stop].semi_diameter;
+        if radius > clear * (1.0 + 1e-9) {
+            let least = first.stop_semi_diameter * first.f_number / clear;
+            let allowed = format!("{} or more: the stop's surface is clear up to {clear} mm", significant(least, 5));
+            return refuse(format!("{number}, a stop of {} mm", significant(radius, 5)), allowed);
+        }
+        eprintln!(
+            "note: {argument}: f/{number} for this run: the stop's semi-diameter is {} mm in place of {}",
+            significant(radius, 6),
+            significant(first.stop_semi_diameter, 6)
+        );
+        let changed = lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(radius));
+        changed.map_err(|e| in_lens(e, &lens, argument))
+    }
 }
 
 /// Refuses a lens that is made for other light than the picture's, and says which of its wavelengths the picture lacks;

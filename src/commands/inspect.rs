@@ -16,6 +16,8 @@ pub(crate) struct Args {
     /// Surfaces to write as comma-separated values, with their aberration sums
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
+    #[command(flatten)]
+    f_number: crate::input::FNumber,
     /// Machine-readable output
     #[arg(long)]
     json: bool,
@@ -29,7 +31,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
         crate::output::check_writable(path, args.force)?;
     }
-    let lens = crate::input::lens(&args.lens)?;
+    let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let nm = args.wavelength_nm.unwrap_or(lens.wavelengths.primary_nm);
     if !(200.0..=20_000.0).contains(&nm) {
         return Err(isoplanat::Error::bad("--wavelength-nm", "value", nm.to_string(), "200 to 20000 nm").into());

@@ -23,6 +23,7 @@ mod design;
 mod evaluate;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod export;
+mod focus;
 mod glasses;
 mod input;
 mod inspect;
@@ -95,6 +96,8 @@ enum Command {
     Check(check::Args),
     /// A lens file in another form: TOML, Zemax, CODE V
     Convert(convert::Args),
+    /// A lens with its sensor at best focus for an object distance, written with that distance
+    Focus(focus::Args),
     /// What a workshop gets: a printable sheet of each element, sag tables, the lens in three forms
     Sheets(sheets::Args),
     /// A better lens by damped least squares with constraints, from where it stands or from anywhere
@@ -185,6 +188,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Lenses(args) => lenses::run(&args, out),
         Command::Check(args) => check::run(&args, out),
         Command::Convert(args) => convert::run(&args, out),
+        Command::Focus(args) => focus::run(&args, out),
         Command::Sheets(args) => sheets::run(&args, out),
         Command::Optimize(args) => optimize::run(&args, out),
         Command::Trace(args) => trace::run(&args, out),

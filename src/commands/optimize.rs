@@ -25,7 +25,10 @@ pub(crate) struct Args {
     /// Where the better lens goes (.toml, .zmx, .seq)
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
-    /// What to judge, move and hold (TOML); flags count more
+    /// What to judge, move and hold (TOML); flags count more. Keys, all optional: `vary`, `fix` (lists of patterns), tables `bounds`
+    /// (pattern = 12 or [10, 12]), `constraints` (name = 50 or [low, high]) and `targets` (name = { value, weight }); `fields` and `field_weights` (shares
+    /// of the largest field), `depths_mm` and `depth_weights`, `rings` and `arms` (rays in the stop), `quality` (`spot`, `wavefront`),
+    /// `reference` (`centroid`, `chief`), `apertures` (`stated`, `automatic`)
     #[arg(long, value_name = "FILE")]
     merit: Option<PathBuf>,
     /// Numbers that move, by name or pattern: `surface[*].curvature`, `surface[2].a4`, `surface[0..3].n_d`; as often as wanted
@@ -116,6 +119,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
     let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
+    spec.notes(&lens, &file)?.iter().for_each(|note| eprintln!("note: {file}: {note}"));
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
     // Ctrl-C asks for an end; the best lens so far is written.
     let asked = crate::interrupt::asked()?;

@@ -5,7 +5,7 @@ use std::path::Path;
 #[cfg(feature = "deploy")]
 use isoplanat::deploy::raw::has_raw_name;
 use isoplanat::imaging::develop::color::XYZ_FROM_SRGB;
-use isoplanat::imaging::files::{Encoding, Planes, picture_size, read_planes};
+use isoplanat::imaging::files::{Encoding, Planes, picture_size, read_planes, read_sensor_planes};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
@@ -34,8 +34,17 @@ pub(crate) struct Picture {
     pub(crate) source: String,
 }
 
-/// Reads a picture or a RAW file.
-pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) -> Result<Picture> {
+/// Which way up a picture is taken; RAW files are always the sensor's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Way {
+    /// As it is looked at: the orientation in Exif is applied.
+    Seen,
+    /// As the sensor has it.
+    Sensor,
+}
+
+/// Reads a picture or a RAW file; a mosaic is the sensor's whatever is asked for.
+pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, way: Way) -> Result<Picture> {
     if has_raw_name(path) {
         let found = |option: &str| Error::bad(option, "value", "given for a RAW file", "RAW files say it themselves");
         if encoding.is_some() {
@@ -51,7 +60,8 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>) ->
         let bytes = product(&[rows, columns, BYTES]);
         crate::memory::limit().allow(&format!("a picture of {columns} × {rows} pixels"), bytes, "a part of it")?;
     }
-    let Planes { values, bits, encoding } = read_planes(path, encoding)?;
+    let as_seen = way == Way::Seen && cfa.is_none();
+    let Planes { values, bits, encoding } = if as_seen { read_planes } else { read_sensor_planes }(path, encoding)?;
     let said = match encoding {
         Encoding::Srgb => "sRGB",
         Encoding::Linear => "linear",

@@ -32,6 +32,8 @@ pub(crate) struct Args {
     /// Wavelengths of equal weight, nm, comma separated [default: the lens's own, by their weights]
     #[arg(long, value_delimiter = ',', allow_negative_numbers = true, value_name = "NM")]
     wavelength_nm: Vec<f64>,
+    #[command(flatten)]
+    f_number: crate::input::FNumber,
     /// Field points from the axis to the border
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=512))]
     fields: u16,
@@ -58,7 +60,7 @@ pub(crate) struct Args {
 /// Runs the command; a summary goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[Some(&*args.output), args.png.as_deref(), args.csv.as_deref()], args.force)?;
-    let lens = crate::input::lens(&args.lens)?;
+    let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let request = request(args, &lens)?;
     if args.png.is_some() {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;

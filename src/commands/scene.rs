@@ -19,6 +19,8 @@ pub(crate) struct SceneArgs {
     /// Object distance before the first surface, mm (inf allowed); the lens file's where left out.
     #[arg(long)]
     depth_mm: Option<f64>,
+    #[command(flatten)]
+    f_number: input::FNumber,
     /// Texels per pixel on the axis; by default the picture just fills the frame.
     #[arg(long)]
     texels_per_pixel: Option<f64>,
@@ -101,7 +103,7 @@ pub(crate) struct Placed {
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
     pub(crate) fn stage(&self, argument: &str) -> Result<Stage> {
-        let lens = self.applied(input::lens(argument)?, argument)?;
+        let lens = self.applied(self.f_number.applied(input::lens(argument)?, argument)?, argument)?;
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
             Some(part) => cut(&whole, part)?,

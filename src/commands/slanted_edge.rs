@@ -63,7 +63,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         Coding::Linear => Encoding::Linear,
         Coding::Srgb => Encoding::Srgb,
     });
-    let picture = picture::read(&args.image, encoding, cfa)?;
+    let picture = picture::read(&args.image, encoding, cfa, picture::Way::Seen)?;
     let names: Vec<&str> = picture.channels.iter().map(|c| c.name).collect();
     let first = match &args.channel {
         None => names.iter().position(|n| *n == "G").unwrap_or(0),

@@ -150,7 +150,7 @@ impl<'a> Listing<'a> {
             form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
             table.row([
                 i.to_string(),
-                significant(1.0 / s.shape.curvature, 7),
+                significant(radius(s.shape.curvature), 7),
                 significant(s.thickness, 7),
                 s.medium.to_string(),
                 format!("{:.6}", s.medium.index(self.wavelength_nm)),
@@ -194,7 +194,7 @@ impl<'a> Listing<'a> {
         let sums = SUMS.iter().map(|(key, _)| format!("{key}_mm"));
         let mut table = Table::new(own.map(str::to_owned).into_iter().chain(sums));
         for (i, (s, sums)) in self.lens.surfaces.iter().zip(&self.seidel).enumerate() {
-            let (radius, index) = (1.0 / s.shape.curvature, s.medium.index(self.wavelength_nm));
+            let (radius, index) = (radius(s.shape.curvature), s.medium.index(self.wavelength_nm));
             let own =
                 [i.to_string(), radius.to_string(), s.thickness.to_string(), s.medium.to_string(), index.to_string()];
             let sums = std::iter::once(s.semi_diameter).chain(sums.to_array()).map(|v| v.to_string());
@@ -208,10 +208,23 @@ impl<'a> Listing<'a> {
         let mut table = Table::new(["first-order data", "value", "unit"]);
         for (label, key, value) in self.numbers() {
             let unit = ["mm", "deg"].into_iter().find(|u| key.ends_with(&format!("_{u}"))).unwrap_or("");
-            table.row([label.to_owned(), significant(value, 8), unit.to_owned()]);
+            table.row([label.to_owned(), stated(value), unit.to_owned()]);
         }
         table
     }
+}
+
+/// A radius; a plane's is infinite without a sign, whatever the sign of its zero.
+fn radius(curvature: f64) -> f64 {
+    1.0 / (curvature + 0.0)
+}
+
+/// A first-order number: infinity has no side, and what a lens does not have is a dash.
+fn stated(value: f64) -> String {
+    if value.is_nan() {
+        return "–".to_owned();
+    }
+    if value.is_infinite() { "inf".to_owned() } else { significant(value, 8) }
 }
 
 impl fmt::Display for Listing<'_> {
@@ -251,6 +264,24 @@ fn sums_json(sums: Seidel) -> Value {
 mod tests {
     use super::*;
     use isoplanat_optics::lens::builtin;
+
+    /// A plate has no focal points: nothing that is no number is printed, and JSON has `null` there.
+    #[test]
+    fn lenses_without_power_have_no_nan() {
+        let lens = builtin::lens("two_element").expect("shipped");
+        let plate = lens.changed(|l| {
+            l.aperture = Aperture::StopSemiDiameter(2.0);
+            l.surfaces.iter_mut().for_each(|s| s.shape.curvature = -0.0);
+        });
+        let plate = plate.expect("a lens");
+        let listing = Listing::new(&plate, 587.5618);
+        for text in [listing.to_string(), listing.csv()] {
+            let bad = text.split(|c: char| c.is_whitespace() || c == ',').find(|w| ["nan", "NaN", "-inf"].contains(w));
+            assert_eq!(bad, None, "{text}");
+        }
+        assert!(listing.to_string().contains('–'));
+        assert!(listing.json()["front_principal_point_mm"].is_null());
+    }
 
     /// The design's figures of the two-element start appear in both forms.
     #[test]

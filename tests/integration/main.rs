@@ -15,6 +15,7 @@ mod comparing;
 mod designing;
 mod diffraction;
 mod extremes;
+mod from_scratch;
 #[cfg(feature = "deploy")]
 mod glare;
 mod golden;

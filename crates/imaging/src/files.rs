@@ -27,7 +27,9 @@ use crate::develop::gamut::Gamut;
 use crate::exif::{Exif, Undefined};
 pub use isoplanat_base::atomic::{write_atomic, write_bytes};
 use isoplanat_base::error::{Error, Result};
-pub use read::{Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_stored};
+pub use read::{
+    Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_sensor_planes, read_stored,
+};
 
 /// Endings of pictures that are read and written.
 pub const PICTURES: [&str; 6] = ["png", "tif", "tiff", "jpg", "jpeg", "npy"];

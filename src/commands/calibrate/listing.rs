@@ -29,6 +29,8 @@ pub(super) struct Listing {
     /// Pictures without a chart, and why.
     pub(super) skipped: Vec<Error>,
     pub(super) fit: Fit,
+    /// What is doubtful about the fit as a whole.
+    pub(super) doubts: Vec<String>,
 }
 
 /// Figures of one picture, pixels.
@@ -74,7 +76,7 @@ impl Listing {
     }
 
     pub(super) fn warnings(&self) -> Vec<String> {
-        let mut out = Vec::new();
+        let mut out = self.doubts.clone();
         let all = self.fit.rms_px();
         for (k, chart) in self.charts.iter().enumerate() {
             let own = self.figures(k).rms;

@@ -55,7 +55,7 @@ pub(super) fn measure(
     let (mut left_out, mut names) = (Vec::new(), Vec::new());
     for (k, chart) in charts.iter().enumerate() {
         bar.set(0.8 * k as f64 / charts.len() as f64, chart.path.display().to_string());
-        let read = picture::read(&chart.path, None, None)?;
+        let read = picture::read(&chart.path, None, None, picture::Way::Sensor)?;
         // Luminance is a sum of the others.
         let channels: Vec<_> = read.channels.iter().filter(|c| c.name != "luminance").collect();
         let pixels = Pixels {

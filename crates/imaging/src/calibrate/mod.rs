@@ -1,12 +1,14 @@
 //! Real cameras: the distortion of a lens from photographs of a chessboard (paper §4.1), its relative illumination and the sensor's levels and noise from
 //! flat and dark frames; each as one file.
 //!
-//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`mod@file`] keeps the result. [`transfer`] measures the
+//! [`chart`] finds the corners, [`solve`] fits the lens and where it stood before every picture, [`doubt`] says whether corners lie where it lands
+//! them, [`mod@file`] keeps the result. [`transfer`] measures the
 //! sensor, [`shading`] the lens's falling light, [`psf`] its point spread functions; [`lens`] is all of a lens as image formation reads it.
 //! All in pixels of the pictures; pixel (row `i`, column `j`) has its centre at `(j + ½, i + ½)`, as in [`crate::frame`].
 
 #[cfg(feature = "calibrate")]
 pub mod chart;
+pub mod doubt;
 pub mod file;
 pub mod lens;
 pub mod model;

@@ -4,7 +4,7 @@
 //! `1 + k₁ r² + k₂ r⁴ + k₃ r⁶`, `r = |x|`, and land at `c + f x` in the picture, `f` in pixels, `c` the centre of distortion. Not
 //! covered: decentring and tilt (tangential terms).
 
-use glam::{DMat3, DVec2, DVec3};
+use glam::{DMat2, DMat3, DVec2, DVec3};
 use nalgebra::{SMatrix, SVector};
 
 use crate::develop::distortion::Distortion;
@@ -34,6 +34,35 @@ pub struct Pose {
     pub turn: DMat3,
     /// The board's origin before the camera, squares.
     pub at: DVec3,
+}
+
+/// What the radial polynomial is of: slopes, as in every file, or angles, by which a fisheye is told.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Projection {
+    /// Of the tangent of the field angle.
+    Tangent,
+    /// Of the field angle itself (equidistant).
+    Angle,
+}
+
+impl Projection {
+    /// A slope in what the polynomial is of, and its derivative.
+    pub fn of(self, slope: DVec2) -> (DVec2, DMat2) {
+        if self == Self::Tangent {
+            return (slope, DMat2::IDENTITY);
+        }
+        let square = slope.length_squared();
+        // θ/r and its derivative by r², twice; series where differences would be rounded away.
+        let (ratio, twice) = if square > 1e-4 {
+            let r = square.sqrt();
+            let ratio = r.atan() / r;
+            (ratio, ((1.0 + square).recip() - ratio) / square)
+        } else {
+            (1.0 - square / 3.0 + square * square / 5.0, -2.0 / 3.0 + 0.8 * square)
+        };
+        let outer = DMat2::from_cols(slope * slope.x, slope * slope.y);
+        (ratio * slope, DMat2::from_diagonal(DVec2::splat(ratio)) + twice * outer)
+    }
 }
 
 /// Derivatives of a landing by the numbers of the camera and of the pose, rows column and row.
@@ -85,12 +114,18 @@ impl Pinhole {
 
     /// Where a board point lands, and how that changes.
     pub fn project(&self, board: DVec2, pose: &Pose) -> Option<(DVec2, Jacobian)> {
+        self.project_by(Projection::Tangent, board, pose)
+    }
+
+    /// As [`Self::project`], the polynomial of what `projection` says.
+    pub fn project_by(&self, projection: Projection, board: DVec2, pose: &Pose) -> Option<(DVec2, Jacobian)> {
         let turned = pose.turn * board.extend(0.0);
         let at = turned + pose.at;
         if at.z.is_nan() || at.z <= 0.0 {
             return None;
         }
-        let x = at.truncate() / at.z;
+        let slope = at.truncate() / at.z;
+        let (x, bent) = projection.of(slope);
         let square = x.length_squared();
         let (scale, by) = self.scale(square);
         let landed = self.centre_px + self.focal_px * (scale * x);
@@ -105,10 +140,9 @@ impl Pinhole {
                 power *= square;
             }
             // By the point in space: through slopes, then distortion.
-            let by_slope = [0, 1].map(|k| 2.0 * by * x[row] * x[k] + if k == row { scale } else { 0.0 });
-            let by_point = DVec3::new(by_slope[0], by_slope[1], -by_slope[0] * x.x - by_slope[1] * x.y)
-                * self.focal_px[row]
-                / at.z;
+            let by_bent = [0, 1].map(|k| 2.0 * by * x[row] * x[k] + if k == row { scale } else { 0.0 });
+            let by_slope = bent.transpose() * DVec2::from(by_bent);
+            let by_point = DVec3::new(by_slope.x, by_slope.y, -by_slope.dot(slope)) * self.focal_px[row] / at.z;
             // A small turn δ moves the point by δ × (R X).
             let by_turn = turned.cross(by_point);
             for k in 0..3 {
@@ -150,8 +184,10 @@ mod tests {
             step.iter_mut().for_each(|v| *v = between(rng, -0.6, 0.6));
             let pose = Pose { turn: DMat3::IDENTITY, at: DVec3::new(-3.0, -2.0, 14.0) }.moved(&step);
             let board = DVec2::new(between(rng, 0.0, 8.0), between(rng, 0.0, 5.0));
-            let (_, (inner, outer)) = camera.project(board, &pose).expect("before the camera");
-            let land = |camera: &Pinhole, pose: &Pose| camera.project(board, pose).expect("before the camera").0;
+            let projection = [Projection::Tangent, Projection::Angle][usize::from(rng.bool())];
+            let project = |c: &Pinhole, pose: &Pose| c.project_by(projection, board, pose).expect("before the camera");
+            let (_, (inner, outer)) = project(&camera, &pose);
+            let land = |camera: &Pinhole, pose: &Pose| project(camera, pose).0;
             let moved = |column: usize, h: f64| {
                 let mut c = camera;
                 match column {

@@ -6,7 +6,7 @@ use glam::DVec2;
 use nalgebra::{DMatrix, DVector, SVector};
 
 use super::View;
-use super::model::{INNER, OUTER, Pinhole, Pose, TERMS};
+use super::model::{INNER, Jacobian, OUTER, Pinhole, Pose, Projection, TERMS};
 use super::start;
 use isoplanat_base::error::{Error, Result};
 
@@ -67,12 +67,29 @@ impl Fit {
     }
 }
 
+/// Freedom that no file can hold: what a fit that is off may be for want of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Wider {
+    pub(super) projection: Projection,
+    /// Whether every picture has a focal length of its own.
+    pub(super) zooms: bool,
+}
+
+impl Wider {
+    /// None of it: the camera that is fitted.
+    pub(super) const NONE: Self = Self { projection: Projection::Tangent, zooms: false };
+}
+
 /// A camera with poses on its way.
 #[derive(Clone)]
-struct State {
-    camera: Pinhole,
+pub(super) struct State {
+    pub(super) camera: Pinhole,
     poses: Vec<Pose>,
-    square: f64,
+    /// Focal lengths of the pictures, of the camera's; all 1 unless they are free.
+    pub(super) zooms: Vec<f64>,
+    wider: Wider,
+    /// Sum of the squared residuals, square pixels.
+    pub(super) square: f64,
 }
 
 /// Fits `views`.
@@ -81,15 +98,42 @@ struct State {
 /// Settings outside their ranges; pictures that do not tell the camera (all from one direction, too few); a polynomial that folds within
 /// the corners.
 pub fn solve(views: &[View], settings: &Settings) -> Result<Fit> {
-    let refused = |found: &str, allowed: &str| Err(Error::bad("", "charts", found, allowed));
+    let refused = |found: &str, allowed: &str| Err(refusal(found, allowed));
     if !(1..=TERMS).contains(&settings.terms) {
         return Err(Error::bad("", "terms", settings.terms.to_string(), "1 to 3"));
     }
+    let end = search(views, settings, Wider::NONE)?;
+    let Some(errors) = end.errors(views, &free(settings, settings.terms, true)) else {
+        return refused("pictures that do not tell the camera", "pictures of the board tilted to several sides");
+    };
+    if settings.focal_px.is_none() && errors.focal_px.max_element() > VAGUE * end.camera.focal_px.min_element() {
+        let found = format!("a focal length of {:.0} ± {:.0} pixels", end.camera.focal_px.x, errors.focal_px.x);
+        return refused(&found, "pictures of the board tilted to several sides, or --focal-px");
+    }
+    let residuals = end.residuals(views);
+    let slopes = views.iter().zip(&end.poses).flat_map(|(v, p)| v.board.iter().map(|b| Pinhole::slopes(*b, p)));
+    let max_slope = slopes.flatten().map(|s| s.length()).fold(0.0, f64::max);
+    if let Some(at) = end.camera.folds(max_slope) {
+        let found = format!("image height stops growing at slope {at:.3}, within the corners");
+        return refused(&found, "fewer --terms, or pictures of a lens that this polynomial fits");
+    }
+    Ok(Fit { camera: end.camera, errors, poses: end.poses, residuals, max_slope })
+}
+
+fn refusal(found: &str, allowed: &str) -> Error {
+    Error::bad("", "charts", found, allowed)
+}
+
+/// The camera that lands corners nearest to where they are seen, from several starts.
+pub(super) fn search(views: &[View], settings: &Settings, wider: Wider) -> Result<State> {
     let [columns, rows] = settings.size.map(|n| n as f64);
     let centre = settings.centre_px.unwrap_or(DVec2::new(0.5 * columns, 0.5 * rows));
     let homographies: Option<Vec<_>> = views.iter().map(start::homography).collect();
     let Some(homographies) = homographies.filter(|h| !h.is_empty()) else {
-        return refused("a picture whose corners lie on a line", "corners of three rows and columns in every picture");
+        return Err(refusal(
+            "a picture whose corners lie on a line",
+            "corners of three rows and columns in every picture",
+        ));
     };
     let first = free(settings, 1, false);
     let own = settings.focal_px.or_else(|| start::focal_px(&homographies, centre));
@@ -98,29 +142,14 @@ pub fn solve(views: &[View], settings: &Settings) -> Result<Fit> {
     let coarse = own.into_iter().chain(others).filter_map(|focal| {
         let poses: Option<Vec<Pose>> = homographies.iter().map(|h| start::pose(h, focal, centre)).collect();
         let camera = Pinhole { focal_px: DVec2::splat(focal), centre_px: centre, k: [0.0; TERMS] };
-        let state = State::new(views, camera, poses?)?;
+        let narrow = Wider { zooms: false, ..wider };
+        let state = State::new(views, camera, poses?, vec![1.0; views.len()], narrow)?;
         Some(state.settled(views, settings, &first))
     });
     let Some(best) = coarse.reduce(|a, b| if b.square < a.square { b } else { a }) else {
-        return refused("no camera that sees them like that", "pictures of one flat board");
+        return Err(refusal("no camera that sees them like that", "pictures of one flat board"));
     };
-    let free = free(settings, settings.terms, true);
-    let end = best.settled(views, settings, &free);
-    let Some(errors) = end.errors(views, &free) else {
-        return refused("pictures that do not tell the camera", "pictures of the board tilted to several sides");
-    };
-    if settings.focal_px.is_none() && errors.focal_px.max_element() > VAGUE * end.camera.focal_px.min_element() {
-        let found = format!("a focal length of {:.0} ± {:.0} pixels", end.camera.focal_px.x, errors.focal_px.x);
-        return refused(&found, "pictures of the board tilted to several sides, or --focal-px");
-    }
-    let residuals: Vec<Vec<DVec2>> = views.iter().zip(&end.poses).map(|(v, p)| end.residuals(v, p)).collect();
-    let slopes = views.iter().zip(&end.poses).flat_map(|(v, p)| v.board.iter().map(|b| Pinhole::slopes(*b, p)));
-    let max_slope = slopes.flatten().map(|s| s.length()).fold(0.0, f64::max);
-    if let Some(at) = end.camera.folds(max_slope) {
-        let found = format!("image height stops growing at slope {at:.3}, within the corners");
-        return refused(&found, "fewer --terms, or pictures of a lens that this polynomial fits");
-    }
-    Ok(Fit { camera: end.camera, errors, poses: end.poses, residuals, max_slope })
+    Ok(State { wider, ..best }.settled(views, settings, &free(settings, settings.terms, true)))
 }
 
 /// Columns of the camera that move, and the column that each adds to: focal lengths may be one.
@@ -139,39 +168,63 @@ fn free(settings: &Settings, terms: usize, centre: bool) -> Vec<Vec<usize>> {
 }
 
 impl State {
-    fn new(views: &[View], camera: Pinhole, poses: Vec<Pose>) -> Option<Self> {
-        let mut state = Self { camera, poses, square: 0.0 };
+    fn new(views: &[View], camera: Pinhole, poses: Vec<Pose>, zooms: Vec<f64>, wider: Wider) -> Option<Self> {
+        let mut state = Self { camera, poses, zooms, wider, square: 0.0 };
         state.square = state.sum(views)?;
         Some(state)
     }
 
     fn sum(&self, views: &[View]) -> Option<f64> {
         let mut sum = 0.0;
-        for (view, pose) in views.iter().zip(&self.poses) {
+        for (k, view) in views.iter().enumerate() {
             for (b, s) in view.board.iter().zip(&view.seen) {
-                sum += (*s - self.camera.land(Pinhole::slopes(*b, pose)?)).length_squared();
+                sum += (*s - self.land(k, *b)?).length_squared();
             }
         }
         sum.is_finite().then_some(sum)
     }
 
-    fn residuals(&self, view: &View, pose: &Pose) -> Vec<DVec2> {
-        let landed = |b: &DVec2| Pinhole::slopes(*b, pose).map_or(DVec2::NAN, |s| self.camera.land(s));
-        view.board.iter().zip(&view.seen).map(|(b, s)| *s - landed(b)).collect()
+    /// The camera of picture `k`.
+    fn zoomed(&self, k: usize) -> Pinhole {
+        Pinhole { focal_px: self.zooms[k] * self.camera.focal_px, ..self.camera }
     }
 
-    /// `JᵀJ` and `Jᵀ` times the residuals: the camera's free numbers, then the poses.
+    /// Where a board point of picture `k` lands.
+    fn land(&self, k: usize, board: DVec2) -> Option<DVec2> {
+        let slope = Pinhole::slopes(board, &self.poses[k])?;
+        Some(self.zoomed(k).land(self.wider.projection.of(slope).0))
+    }
+
+    /// Seen less landed, picture by picture, pixels.
+    pub(super) fn residuals(&self, views: &[View]) -> Vec<Vec<DVec2>> {
+        let of = |(k, view): (usize, &View)| {
+            let landed = |b: &DVec2| self.land(k, *b).unwrap_or(DVec2::NAN);
+            view.board.iter().zip(&view.seen).map(|(b, s)| *s - landed(b)).collect()
+        };
+        views.iter().enumerate().map(of).collect()
+    }
+
+    /// Numbers that the pictures' own focal lengths add: all but the first one's, which is 1.
+    fn own(&self) -> usize {
+        if self.wider.zooms { self.poses.len() - 1 } else { 0 }
+    }
+
+    /// `JᵀJ` and `Jᵀ` times the residuals: the camera's free numbers, then the poses, then the pictures' focal lengths.
     fn normal(&self, views: &[View], free: &[Vec<usize>]) -> Option<(DMatrix<f64>, DVector<f64>)> {
-        let (m, n) = (free.len(), free.len() + OUTER * views.len());
+        let (m, n) = (free.len(), free.len() + OUTER * views.len() + self.own());
         let (mut matrix, mut right) = (DMatrix::zeros(n, n), DVector::zeros(n));
         for (k, (view, pose)) in views.iter().zip(&self.poses).enumerate() {
+            let camera = self.zoomed(k);
             for (b, s) in view.board.iter().zip(&view.seen) {
-                let (landed, (inner, outer)) = self.camera.project(*b, pose)?;
+                let (landed, (mut inner, outer)): (_, Jacobian) = camera.project_by(self.wider.projection, *b, pose)?;
+                let by_zoom = [0, 1].map(|row| inner[(row, row)] * self.camera.focal_px[row]);
+                (0..2).for_each(|row| inner[(row, row)] *= self.zooms[k]);
                 let residual = *s - landed;
                 for row in 0..2 {
                     let camera = free.iter().map(|all| all.iter().map(|c| inner[(row, *c)]).sum::<f64>()).enumerate();
                     let pose = (0..OUTER).map(|c| (m + OUTER * k + c, outer[(row, c)]));
-                    let line: Vec<(usize, f64)> = camera.chain(pose).collect();
+                    let zoom = (k > 0 && self.wider.zooms).then(|| (m + OUTER * views.len() + k - 1, by_zoom[row]));
+                    let line: Vec<(usize, f64)> = camera.chain(pose).chain(zoom).collect();
                     for (i, a) in &line {
                         right[*i] += a * residual[row];
                         line.iter().for_each(|(j, b)| matrix[(*i, *j)] += a * b);
@@ -203,7 +256,13 @@ impl State {
             let from = free.len() + OUTER * k;
             pose.moved(&SVector::from_fn(|i, _| step[from + i]))
         });
-        Self::new(views, camera, poses.collect())
+        let mut zooms = self.zooms.clone();
+        let first = free.len() + OUTER * views.len();
+        (0..self.own()).for_each(|k| zooms[k + 1] += step[first + k]);
+        if zooms.iter().any(|z| !(*z > 0.0)) {
+            return None;
+        }
+        Self::new(views, camera, poses.collect(), zooms, self.wider)
     }
 
     /// Steps until none gains.

@@ -109,6 +109,20 @@ pub fn read_stored(path: &Path, encoding: Encoding) -> Result<Stored> {
 /// # Errors
 /// A file that cannot be read, or is no picture.
 pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    let (planes, orientation) = stored_planes(path, encoding)?;
+    Ok(Planes { values: upright(planes.values, orientation), ..planes })
+}
+
+/// As [`read_planes`], but as the sensor has it: an orientation in the metadata says how a picture is to be seen, and is not applied.
+///
+/// # Errors
+/// As [`read_planes`].
+pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
+    Ok(stored_planes(path, encoding)?.0)
+}
+
+/// Channels as they are stored, and Exif's orientation.
+fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)> {
     let content = content(path)?;
     let deep = encoding.unwrap_or(Encoding::Linear);
     let channels = content.channels;
@@ -126,7 +140,7 @@ pub fn read_planes(path: &Path, encoding: Option<Encoding>) -> Result<Planes> {
             (Some(8), encoding, planes(&content, channels, v, |v| table[usize::from(v)]))
         }
     };
-    Ok(Planes { values: upright(values, content.orientation), bits, encoding })
+    Ok((Planes { values, bits, encoding }, content.orientation))
 }
 
 fn decoded(v: f64, encoding: Encoding) -> f64 {

@@ -17,6 +17,7 @@ mod json;
 mod line_glass;
 mod media;
 mod order;
+mod own;
 mod seq;
 mod solve;
 mod text;
@@ -127,9 +128,7 @@ pub fn load_as(path: &Path, glasses: &Glasses, reading: Reading) -> Result<Impor
         reading.of_one(&file)?;
         let text = String::from_utf8(bytes)
             .map_err(|_| Error::bad(file.as_str(), "text", "bytes that are no UTF-8", "a lens file in UTF-8"))?;
-        let (lens, limited) = prescription::parse(&text, &file, glasses)?;
-        let told = |line: String| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned);
-        return Ok(Imported { lens, notes: limited.into_iter().map(told).collect() });
+        return own::read(&text, &file, glasses);
     }
     parse_as(&decoded(&bytes), form, &file, glasses, reading)
 }
@@ -151,10 +150,7 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
         reading.of_one(file)?;
     }
     let draft = match form {
-        Form::Toml => {
-            let (lens, limited) = prescription::parse(text, file, glasses)?;
-            return Ok(Imported { lens, notes: limited.into_iter().collect() });
-        }
+        Form::Toml => return own::read(text, file, glasses),
         Form::Zmx => zmx::read(text, file, reading)?,
         Form::Seq => seq::read(text, file, glasses, reading)?,
         Form::Json => json::read(text, file)?,

@@ -12,6 +12,8 @@ pub(crate) const MAX_FIELD_DEG: f64 = 120.0;
 /// A freeform's radius lies within this factor of the clear semi-diameter, either way: ten powers of it and of a search up to 70
 /// semi-diameters wide stay within 1e50, and their derivatives with them.
 const RADII: f64 = 1e3;
+/// Focal length, in the larger of the lens's width and its length without the last distance, beyond which it has no power.
+const POWERLESS: f64 = 1e5;
 /// Bound of the slope of the polynomial terms: 1000 is 89.94°. Aspheres whose terms cancel stay far below.
 const STEEPEST: f64 = 1e3;
 /// Rings by which it is bounded.
@@ -24,12 +26,22 @@ impl Prescription {
         for (i, s) in self.surfaces.iter().enumerate() {
             check_surface(s, &format!("surface[{i}]"), file)?;
         }
-        let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
-        if matches!(self.aperture, Aperture::FNumber(_)) && !efl.is_finite() {
-            let allowed = "state stop_semi_diameter_mm instead";
-            return Err(Error::bad(file, "aperture.f_number", "the lens is afocal", allowed));
+        if let Aperture::FNumber(number) = self.aperture
+            && self.is_powerless()
+        {
+            let found = format!("{number} of a lens without power, whose stop it cannot size");
+            let allowed = "a lens with power, or entrance_pupil_diameter_mm or stop_semi_diameter_mm instead";
+            return Err(Error::bad(file, "aperture.f_number", found, allowed));
         }
         clearance::check(self, file)
+    }
+
+    /// Whether the lens has no power that an f-number could be of: afocal, or a focal length that is next to what rounding leaves of one.
+    pub(crate) fn is_powerless(&self) -> bool {
+        let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
+        let widest = self.surfaces.iter().map(|s| s.semi_diameter).fold(0.0, f64::max);
+        let within: f64 = self.surfaces.iter().take(self.surfaces.len() - 1).map(|s| s.thickness.abs()).sum();
+        !(efl.abs() <= POWERLESS * widest.max(within))
     }
 
     /// Refuses numbers that may not stand where they do, each for itself: what paraxial and real rays need to be asked at all.

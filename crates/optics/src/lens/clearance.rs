@@ -134,6 +134,10 @@ fn gap(surface: &Surface, apart: f64, next: Option<&Surface>, r: f64) -> f64 {
 /// The stop's own clear aperture, and what `aperture` asks for where that is more.
 fn asked_for_more(lens: &Prescription) -> Option<[f64; 2]> {
     let own = lens.surfaces.get(lens.stop)?.semi_diameter;
+    // Of no power an f-number asks for anything: the check refuses it.
+    if matches!(lens.aperture, super::Aperture::FNumber(_)) && lens.is_powerless() {
+        return None;
+    }
     let asked = paraxial::stop_semi_diameter(lens);
     // A number of the file against one that was computed: rounding is no difference.
     (asked.is_finite() && asked > own * (1.0 + 1e-9)).then_some([own, asked])

@@ -92,7 +92,8 @@ struct FileSurface {
     asphere: std::collections::BTreeMap<String, f64>,
     thickness_mm: f64,
     medium: FileMedium,
-    semi_diameter_mm: f64,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    semi_diameter_mm: Option<f64>,
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     stop: bool,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -184,7 +185,29 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
 }
 
 /// Parses and checks the TOML form with `glasses`; beside the lens one line on what was taken otherwise than the file says.
-pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
+fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
+    let Read { mut numbers, marked } = read(text, file, glasses)?;
+    if let Some(i) = marked.iter().position(|m| *m) {
+        let place = format!("surface[{i}].semi_diameter_mm");
+        return Err(Error::bad(file, place, "left out", "a clear semi-diameter, where no beam is traced to find it"));
+    }
+    let warning = clearance::limit_stop(&mut numbers, file);
+    Ok((Lens::new(numbers, file)?, warning))
+}
+
+/// A lens file's numbers, not yet checked together.
+pub(crate) struct Read {
+    /// The numbers; clear semi-diameters that are left out stand at [`UNKNOWN`].
+    pub(crate) numbers: Prescription,
+    /// Surfaces whose clear semi-diameter is left out.
+    pub(crate) marked: Vec<bool>,
+}
+
+/// Stands for a clear semi-diameter that a file leaves out, mm, until the beam says it.
+const UNKNOWN: f64 = 1.0;
+
+/// Parses the TOML form with `glasses`; rays are asked for what it leaves out in [`crate::interchange`].
+pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     // Read the schema first: a newer file is refused by that name, not by its unknown keys.
     if let Ok(table) = text.parse::<toml::Table>()
@@ -233,13 +256,14 @@ pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, 
     let FileSensor { columns, rows, pitch_um, axis_px } = parsed.sensor;
     #[expect(clippy::cast_precision_loss, reason = "refused beyond 65,536")]
     let axis_px = axis_px.unwrap_or([columns as f64 / 2.0, rows as f64 / 2.0]);
+    let marked = parsed.surface.iter().map(|s| s.semi_diameter_mm.is_none()).collect();
     let surfaces = parsed
         .surface
         .into_iter()
         .enumerate()
         .map(|(i, s)| read_surface(i, s, file, glasses))
         .collect::<Result<Vec<_>>>()?;
-    let mut numbers = Prescription {
+    let numbers = Prescription {
         name: parsed.name,
         source: parsed.source,
         surfaces,
@@ -255,8 +279,7 @@ pub(crate) fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, 
         },
         sensor: SensorRaster { columns, rows, pitch_um, axis_px },
     };
-    let warning = clearance::limit_stop(&mut numbers, file);
-    Ok((Lens::new(numbers, file)?, warning))
+    Ok(Read { numbers, marked })
 }
 
 fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Result<Surface> {
@@ -299,7 +322,7 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
         FileMedium::Table(FileTableGlass { wavelength_nm, index }) => Medium::Table { wavelength_nm, index },
     };
     let pose = freeform::pose(s.tilt_deg, s.decentre_mm);
-    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter: s.semi_diameter_mm, pose })
+    Ok(Surface { shape, thickness: s.thickness_mm, medium, semi_diameter: s.semi_diameter_mm.unwrap_or(UNKNOWN), pose })
 }
 
 /// The canonical TOML form: reading it gives the same lens to the last bit.
@@ -373,7 +396,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
                 FileMedium::Table(FileTableGlass { wavelength_nm: wavelength_nm.clone(), index: index.clone() })
             }
         },
-        semi_diameter_mm: s.semi_diameter,
+        semi_diameter_mm: Some(s.semi_diameter),
         stop,
         tilt_deg: s.pose.map(|p| p.tilt.map(freeform::degrees)),
         decentre_mm: s.pose.map(|p| p.decentre),

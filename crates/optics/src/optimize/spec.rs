@@ -194,7 +194,27 @@ impl Spec {
         Ok(problem)
     }
 
-    fn merit(&self, file: &str) -> Result<Merit> {
+    /// What bounds take in that their pattern does not say by name: the distance to the sensor among thicknesses. One line each.
+    ///
+    /// # Errors
+    /// Patterns that name nothing.
+    pub fn notes(&self, lens: &Lens, file: &str) -> Result<Vec<String>> {
+        let sensor = Kind::Thickness.at(lens.surfaces.len() - 1);
+        let name = sensor.name(lens);
+        let mut out = Vec::new();
+        for pattern in self.bounds.keys().filter(|p| **p != name) {
+            if parameters(lens, pattern, file)?.contains(&sensor) && !self.bounds.contains_key(&name) {
+                out.push(format!("the bound on {pattern} takes in {name}, the distance to the sensor"));
+            }
+        }
+        Ok(out)
+    }
+
+    /// What is judged; `file` names where the spec comes from.
+    ///
+    /// # Errors
+    /// Words, weights and numbers that make no merit.
+    pub fn merit(&self, file: &str) -> Result<Merit> {
         let mut merit = Merit::default();
         let word = |place: &str, found: &Option<String>, words: [&str; 2]| match found.as_deref() {
             None => Ok(false),

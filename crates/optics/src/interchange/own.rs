@@ -1,0 +1,107 @@
+//! This program's own form: what a file leaves out follows from the beam, as in other programs' files.
+
+use super::Imported;
+use crate::lens::catalogue::Glasses;
+use crate::lens::check::check_surface;
+use crate::lens::prescription::{self, Read};
+use crate::lens::{Aperture, Lens, clearance, paraxial};
+use crate::trace::apertures::{self, Beam};
+use isoplanat_base::error::{Error, Result};
+
+/// The lens of a text; `file` names it in errors.
+pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported> {
+    let Read { mut numbers, marked } = prescription::read(text, file, glasses)?;
+    let mut notes = Vec::new();
+    let count = marked.iter().filter(|m| **m).count();
+    if count > 0 {
+        // Each number by itself, before rays go through them.
+        numbers.check_numbers(file)?;
+        for (i, s) in numbers.surfaces.iter().enumerate().filter(|(i, _)| !marked[*i]) {
+            check_surface(s, &format!("surface[{i}]"), file)?;
+        }
+        let stop = numbers.stop;
+        if marked[stop] {
+            let asked = paraxial::stop_semi_diameter(&numbers);
+            if matches!(numbers.aperture, Aperture::FNumber(_)) && numbers.is_powerless() || !asked.is_finite() {
+                let found = "left out, and no size by `aperture`, since the lens has no power";
+                let place = format!("surface[{stop}].semi_diameter_mm");
+                return Err(Error::bad(file, place, found, "a clear semi-diameter, or stop_semi_diameter_mm"));
+            }
+            numbers.surfaces[stop].semi_diameter = asked;
+        }
+        let beams = Beam::over_field(&numbers);
+        let dark = apertures::open(&mut numbers, &marked, &beams);
+        notes.push(format!(
+            "{count} of {} clear semi-diameters are left out: they follow from the beam over the field",
+            marked.len()
+        ));
+        if !dark.is_empty() {
+            let list: Vec<String> = dark.iter().map(|a| format!("{:.3}°", a.to_degrees())).collect();
+            notes.push(format!("no ray of the field {} arrives: clear semi-diameters leave it out", list.join(", ")));
+        }
+    }
+    let limited = clearance::limit_stop(&mut numbers, file);
+    notes.extend(limited.map(|line| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned)));
+    Ok(Imported { lens: Lens::new(numbers, file)?, notes })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::lens::builtin;
+    use isoplanat_base::testing::assert_rel;
+
+    /// A file without clear semi-diameters but the stop's: they are those that [`apertures::open`] finds, and every ray of the field's beams passes.
+    #[test]
+    fn clear_semi_diameters_may_be_left_out() {
+        for name in ["cooke_triplet", "double_gauss", "two_element"] {
+            let lens = builtin::lens(name).expect("shipped");
+            let text = prescription::to_toml(&lens);
+            let without: String =
+                text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).map(|l| format!("{l}\n")).collect();
+            assert_ne!(text, without);
+            let read = read(&without, "own.toml", Glasses::shipped()).unwrap_or_else(|e| panic!("{name}: {e}"));
+            let told = format!("{0} of {0} clear", lens.surfaces.len());
+            assert!(read.notes[0].contains(&told), "{name}: {:?}", read.notes);
+            let size = |l: &Lens| paraxial::stop_semi_diameter(l);
+            assert_rel(size(&read.lens), size(&lens), 1e-12, 0.0, name);
+            // Twice found is once found.
+            let mut again = (*read.lens).clone();
+            apertures::open(&mut again, &vec![true; lens.surfaces.len()], &Beam::over_field(&lens));
+            for (i, (a, b)) in again.surfaces.iter().zip(&read.lens.surfaces).enumerate() {
+                assert_rel(a.semi_diameter, b.semi_diameter, 1e-5, 0.0, &format!("{name} {i}"));
+            }
+            // One alone, beside stated ones.
+            let mut first = true;
+            let keep = |l: &&str| !(l.starts_with("semi_diameter_mm") && std::mem::take(&mut first));
+            let one: String = text.lines().filter(keep).map(|l| format!("{l}\n")).collect();
+            let read = super::read(&one, "own.toml", Glasses::shipped()).expect("reads");
+            assert!(read.notes[0].starts_with("1 of"), "{:?}", read.notes);
+            for (a, b) in read.lens.surfaces.iter().zip(&lens.surfaces).skip(1) {
+                assert_eq!(a.semi_diameter, b.semi_diameter, "{name}");
+            }
+        }
+    }
+
+    /// An f-number of a lens without power is refused by one sentence, exactly afocal or by what rounding leaves.
+    #[test]
+    fn f_numbers_without_power_are_refused() {
+        let plate = |radii: [f64; 2], aperture: &str| {
+            format!(
+                "schema = 1\nname = \"plate\"\nsource = \"own\"\naperture = {{ {aperture} }}\nobject = {{ distance_mm = inf }}\n\
+                 field = {{ max_angle_deg = 5.0 }}\n\
+                 wavelengths = {{ nm = [587.6], weights = [1.0], primary_nm = 587.6 }}\n\
+                 sensor = {{ columns = 64, rows = 48, pitch_um = 5.0 }}\n\
+                 [[surface]]\nradius_mm = {}\nthickness_mm = 3.0\nmedium = {{ n_d = 1.5, v_d = 60.0 }}\nsemi_diameter_mm = 8.0\n\
+                 stop = true\n[[surface]]\nradius_mm = {}\nthickness_mm = 20.0\nmedium = \"air\"\nsemi_diameter_mm = 9.0\n",
+                radii[0], radii[1]
+            )
+        };
+        for radii in [[f64::INFINITY; 2], [50.0, 49.0], [-30.0, -31.0]] {
+            let read = |aperture: &str| read(&plate(radii, aperture), "p.toml", Glasses::shipped());
+            let error = read("f_number = 4.0").expect_err("no power").to_string();
+            assert!(error.contains("aperture.f_number") && error.contains("without power"), "{radii:?}: {error}");
+            assert!(read("stop_semi_diameter_mm = 5.0").is_ok(), "{radii:?}");
+        }
+    }
+}

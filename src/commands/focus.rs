@@ -1,0 +1,70 @@
+//! `isoplanat focus`: a lens with its sensor at best focus for an object distance.
+
+use std::io::Write;
+use std::path::PathBuf;
+
+use isoplanat::Error;
+use isoplanat::interchange::{Form, text_of};
+use isoplanat::optimize::refocused;
+use isoplanat::optimize::spec::Spec;
+use isoplanat::report::table::significant;
+
+/// Arguments of `focus`.
+#[derive(Debug, clap::Args)]
+pub(crate) struct Args {
+    /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
+    lens: String,
+    /// Object distance before the first surface, mm; `inf` is allowed. It becomes the lens's own
+    #[arg(long, allow_negative_numbers = true, value_name = "MM")]
+    depth_mm: f64,
+    /// File to write, by its ending: .toml, .zmx (Zemax OpticStudio), .seq (CODE V)
+    #[arg(short, long, value_name = "OUT")]
+    output: PathBuf,
+    /// Shares of the field that count, comma separated: `0` is the axis alone [default: five from 0 to 1]
+    #[arg(long, value_delimiter = ',', value_name = "SHARES")]
+    fields: Vec<f64>,
+    /// Machine-readable output
+    #[arg(long)]
+    json: bool,
+    /// Overwrite the file
+    #[arg(long)]
+    force: bool,
+}
+
+/// Runs the command; what moved goes to `out`.
+pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    let form = Form::of(&args.output)?;
+    if matches!(form, Form::Json | Form::Txt) {
+        let file = args.output.display().to_string();
+        return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
+    }
+    crate::output::check_writable(&args.output, args.force)?;
+    if args.depth_mm.is_nan() || args.depth_mm <= 0.0 {
+        let found = args.depth_mm.to_string();
+        return Err(Error::bad("--depth-mm", "value", found, "a positive distance, or inf").into());
+    }
+    let lens = crate::input::lens(&args.lens)?;
+    let named = |e: Error| crate::input::in_lens(e, &lens, &args.lens);
+    let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip()).map_err(named)?;
+    let fields = (!args.fields.is_empty()).then(|| args.fields.clone());
+    let merit = Spec { fields, ..Spec::default() }.merit("--fields")?;
+    let found = refocused(&placed, merit).map_err(named)?;
+    let (text, notes) = text_of(&found.lens, form, crate::glasses::all()).map_err(named)?;
+    crate::output::put(&text, Some(&args.output), out)?;
+    let output = args.output.display();
+    let last = |l: &isoplanat::lens::Lens| l.surfaces[l.surfaces.len() - 1].thickness;
+    let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));
+    if args.json {
+        let value = serde_json::json!({
+            "schema": 1, "lens": args.lens, "output": output.to_string(), "object_distance_mm": args.depth_mm,
+            "sensor_distance_mm": [before, after], "rms_um": [rms, least], "notes": notes,
+        });
+        writeln!(out, "{value:#}")?;
+        return Ok(());
+    }
+    notes.iter().for_each(|note| eprintln!("note: {output}: {note}"));
+    let [before, after, rms, least] = [(before, 8), (after, 8), (rms, 4), (least, 4)].map(|(v, n)| significant(v, n));
+    writeln!(out, "sensor from last vertex  {before} mm, now {after}")?;
+    writeln!(out, "spots, rms               {rms} µm at {} mm, now {least}", args.depth_mm)?;
+    Ok(())
+}

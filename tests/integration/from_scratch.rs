@@ -1,0 +1,99 @@
+//! Lenses on the way from scratch: an f-number for one run, focus for a distance, clear semi-diameters left out, bounds that take in the sensor.
+
+use serde_json::Value;
+
+use crate::support::Workplace;
+
+fn json(place: &Workplace, arguments: &str) -> Value {
+    let ran = place.run(arguments);
+    assert_eq!(ran.code, 0, "{arguments}: {}", ran.err);
+    serde_json::from_str(&ran.out).unwrap_or_else(|e| panic!("{arguments}: {e}: {}", ran.out))
+}
+
+fn number(value: &Value, key: &str) -> f64 {
+    value[key].as_f64().unwrap_or_else(|| panic!("{key}: {value}"))
+}
+
+/// `--f-number` is what the listing then says, and what a file with that stop gives; the lens's file is not touched.
+#[test]
+fn an_f_number_for_one_run() {
+    let place = Workplace::new();
+    for name in ["cooke_triplet", "double_gauss"] {
+        let own = json(&place, &format!("inspect {name} --json"));
+        for f_number in [8.0, 16.0] {
+            let at = json(&place, &format!("inspect {name} --json --f-number {f_number}"));
+            assert!((number(&at, "f_number") / f_number - 1.0).abs() < 1e-12, "{name}: {}", number(&at, "f_number"));
+            let pupil = number(&own, "effective_focal_length_mm").abs() / f_number;
+            assert!((number(&at, "entrance_pupil_diameter_mm") / pupil - 1.0).abs() < 1e-12, "{name}");
+        }
+        let told = place.run(&format!("spot {name} --f-number 8 --json"));
+        assert!(told.code == 0 && told.err.contains("f/8 for this run"), "{}", told.err);
+        let stop = number(&own, "stop_semi_diameter_mm") * number(&own, "f_number") / 8.0;
+        place.run(&format!("convert {name} {name}.toml")).done();
+        let text = std::fs::read_to_string(place.path(&format!("{name}.toml"))).expect("written");
+        let at = text.find("[aperture]").expect("a table");
+        let end = at + text[at..].find("\n\n").expect("more");
+        let other = format!("{}[aperture]\nstop_semi_diameter_mm = {stop}{}", &text[..at], &text[end..]);
+        place.write("stopped.toml", &other);
+        let [a, b] = [format!("{name} --f-number 8"), "stopped.toml".to_owned()]
+            .map(|lens| json(&place, &format!("spot {lens} --json"))["fields"].clone());
+        for (a, b) in a.as_array().expect("fields").iter().zip(b.as_array().expect("fields")) {
+            let [a, b] = [a, b].map(|f| number(f, "rms_mm"));
+            assert!((a - b).abs() < 1e-12, "{name}: {a} {b}");
+        }
+        for wrong in ["0", "-4", "nan", "0.1", "1e9"] {
+            let ran = place.run(&format!("check {name} --f-number {wrong}"));
+            assert!(ran.code == 2 && ran.err.contains("--f-number"), "{name} f/{wrong}: {}", ran.err);
+        }
+    }
+}
+
+/// The focused lens has its distance, its sensor where the axis's image lies within spherical aberration, and stays when focused again.
+#[test]
+fn focus_for_a_distance() {
+    let place = Workplace::new();
+    let name = "cooke_triplet";
+    let mut found = Vec::new();
+    for depth in ["inf", "2000", "700"] {
+        let file = format!("f{depth}.toml");
+        let ran = json(&place, &format!("focus {name} --depth-mm {depth} -o {file} --fields 0 --json"));
+        let at = json(&place, &format!("inspect {file} --json"));
+        assert_eq!(at["object_distance_mm"].as_f64(), depth.parse().ok().filter(|d: &f64| d.is_finite()));
+        let sensor = number(&at, "sensor_distance_mm");
+        assert_eq!(ran["sensor_distance_mm"][1].as_f64(), Some(sensor));
+        found.push([sensor, number(&at, "paraxial_image_distance_mm")]);
+        let again = json(&place, &format!("focus {file} --depth-mm {depth} -o again.toml --fields 0 --json --force"));
+        let moved = again["sensor_distance_mm"][1].as_f64().expect("a number") - sensor;
+        assert!(moved.abs() < 1e-4, "{depth}: {moved}");
+        assert!(again["rms_um"][0].as_f64() <= ran["rms_um"][0].as_f64());
+    }
+    for pair in found.windows(2) {
+        let [moved, paraxial] = [0, 1].map(|k| pair[1][k] - pair[0][k]);
+        assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.03, "{moved} mm, paraxial {paraxial}");
+    }
+    for wrong in ["0", "-5", "nan"] {
+        let ran = place.run(&format!("focus {name} --depth-mm {wrong} -o w.toml"));
+        assert!(ran.code == 2 && ran.err.contains("--depth-mm"), "{}", ran.err);
+    }
+    let ran = place.run(&format!("focus {name} --depth-mm 900 -o finf.toml"));
+    assert!(ran.code == 2 && ran.err.contains("finf.toml"), "{}", ran.err);
+}
+
+/// Clear semi-diameters that a file leaves out are told and found; bounds on all thicknesses say that the sensor's distance is one.
+#[test]
+fn what_is_taken_in_is_told() {
+    let place = Workplace::new();
+    place.run("convert cooke_triplet own.toml").done();
+    let text = std::fs::read_to_string(place.path("own.toml")).expect("written");
+    let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).collect();
+    place.write("without.toml", &without.join("\n"));
+    let ran = place.run("spot without.toml");
+    assert!(ran.code == 0 && ran.err.contains("clear semi-diameters are left out"), "{}", ran.err);
+    let last = text.matches("[[surface]]").count() - 1;
+    let sensor = format!("surface[{last}].thickness");
+    for (bound, told) in [("surface[*].thickness=0.5..60", true), ("surface[0].thickness=1..8", false)] {
+        let ran = place.run(&format!("optimize cooke_triplet -o o.toml --bound {bound} --iterations 2 --force"));
+        assert_eq!(ran.code, 0, "{}", ran.err);
+        assert_eq!(ran.err.contains(&format!("takes in {sensor}")), told, "{bound}: {}", ran.err);
+    }
+}
