@@ -155,7 +155,8 @@ fn files_of_a_public_database_have_their_focal_lengths() {
         match result {
             Ok((w, n)) => (count, configurations, worst) = (count + 1, configurations + n, worst.max(w)),
             Err(error) => {
-                let why = ["mirror", "unknown glass"].iter().any(|w| error.contains(w));
+                // Three files state terms that belong to other powers: slopes of 1e11 and more.
+                let why = ["mirror", "unknown glass", "a slope of up to"].iter().any(|w| error.contains(w));
                 assert!(why && error.contains("line ") && !error.contains('\n'), "{}: {error}", path.display());
                 eprintln!("{error}");
             }

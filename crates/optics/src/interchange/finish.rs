@@ -259,7 +259,9 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
 
 /// Neighbouring surfaces that cross within the clear semi-diameters a file states end where they meet: no glass reaches further.
 fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &mut Vec<String>) {
-    let axial = paraxial::marginal_heights(numbers, numbers.wavelengths.primary_nm);
+    let mut limited = numbers.clone();
+    let _ = clearance::limit_stop(&mut limited, "");
+    let axial = paraxial::marginal_heights(&limited, numbers.wavelengths.primary_nm);
     for overlap in clearance::overlaps(numbers) {
         let pair = [overlap.surface, overlap.next];
         // Where they meet within half the light of the axis the lens is another one, and the check says so.
