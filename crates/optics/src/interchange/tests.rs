@@ -110,6 +110,16 @@ fn the_image_solve_is_evaluated() {
     assert_abs(measures(&lens)[1], first.paraxial_image_distance, 1e-9, "image of a near object");
 }
 
+/// `MAZH 0 0` of Zemax files is the same solve; one at another height or pupil zone keeps its value.
+#[test]
+fn marginal_ray_height_solves_are_evaluated() {
+    for (solve, distance) in [("MAZH 0 0", singlet(bk7())[1]), ("MAZH 0 0.7", 45.0), ("MAZH 0.1 0", 45.0)] {
+        let text = zmx("SCHOTT", "N-BK7").replace("DISZ 45", &format!("DISZ 45\n  {solve}"));
+        let lens = parse(&text, Form::Zmx, "a.zmx", Glasses::shipped()).expect(solve).lens;
+        assert_abs(measures(&lens)[1], distance, 1e-10, solve);
+    }
+}
+
 /// Zoom positions, by number.
 #[test]
 fn zoom_positions_are_read_by_their_number() {

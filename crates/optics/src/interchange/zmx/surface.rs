@@ -35,6 +35,8 @@ pub(super) struct Raw {
     glass: Option<(Stated, String)>,
     stop: bool,
     tilted: bool,
+    /// Whether the next surface stands at the paraxial image.
+    focus: bool,
     pickup: Option<(String, usize, f64)>,
     solved: Vec<String>,
     apertures: Apertures,
@@ -53,6 +55,7 @@ impl Raw {
             glass: None,
             stop: false,
             tilted: false,
+            focus: false,
             pickup: None,
             solved: Vec::new(),
             apertures: Apertures::default(),
@@ -99,6 +102,10 @@ impl Raw {
             "GLAS" => self.medium(line)?,
             "SCBD" => self.tilted |= (3..line.words.len()).any(|i| line.optional(i).ok().flatten() != Some(0.0)),
             _ if self.apertures.read(keyword, line)? => {}
+            // The paraxial marginal ray at height 0: the image of a point on the axis.
+            "MAZH" if line.optional(0)?.unwrap_or(0.0) == 0.0 && line.optional(1)?.unwrap_or(0.0) == 0.0 => {
+                self.focus = true;
+            }
             _ if SOLVES.contains(&keyword) => self.solved.push("its thickness".into()),
             _ => return Ok(HARMLESS.contains(&keyword)),
         }
@@ -198,6 +205,7 @@ impl Raw {
         (stage.even, stage.odd) = (even, odd);
         (stage.curvature, stage.conic, stage.thickness) = (self.curvature / scale, self.conic, self.thickness * scale);
         stage.stop = self.stop;
+        stage.solved = self.focus.then_some(0.0);
         if self.kind == "COORDBRK" {
             return Ok(stage);
         }
