@@ -2,7 +2,7 @@
 
 use glam::DVec3;
 use isoplanat::imaging::files::read_linear;
-use isoplanat::interchange::{Form, Imported, Reading, load, parse, parse_as};
+use isoplanat::interchange::{Form, Imported, Reading, load, parse, parse_as, text_of};
 use isoplanat::lens::catalogue::Glasses;
 use isoplanat::lens::{Lens, Medium, paraxial};
 use isoplanat::testing::{assert_abs, assert_rel, shared};
@@ -136,6 +136,15 @@ fn extended_aspheres_have_their_terms() {
     let sag = lens.surfaces[0].shape.at(9.0, 0.0).expect("reaches").h;
     let conic = 0.02 * 81.0 / (1.0 + (1.0 - 0.5 * 0.02 * 0.02 * 81.0f64).sqrt());
     assert_abs(sag, conic + 1e-3 * 0.9f64.powi(40), 1e-15, "r^40");
+    // Written again, even terms alone and with odd ones.
+    let mixed = lens.changed(|l| l.surfaces[1].shape.odd = vec![1e-6, 0.0, 0.0, 0.0, 3e-9]).expect("a lens");
+    for lens in [&lens, &mixed] {
+        let (text, _) = text_of(lens, Form::Zmx, Glasses::shipped()).expect("writes");
+        let again = read(&text).lens;
+        for (a, b) in again.surfaces.iter().zip(&lens.surfaces) {
+            assert_eq!((&a.shape.asphere, &a.shape.odd), (&b.shape.asphere, &b.shape.odd));
+        }
+    }
     for (entries, expected) in [
         (vec![1.0, 0.0, 1e-5], "normalising radius"),
         (vec![1.5, 1.0, 1e-5], "whole number"),
@@ -256,13 +265,7 @@ fn rims_reach_to_the_radius() {
 #[test]
 fn planes_may_touch_and_cross_a_face() {
     let Some(imported) = case("stopcontact") else { return };
-    assert_rel(
-        efl(&imported.lens),
-        singlet(-0.033_333_333_333_333_333, -0.066_666_666_666_666_666, 3.0),
-        1e-12,
-        0.0,
-        "efl",
-    );
+    assert_rel(efl(&imported.lens), singlet(-1.0 / 30.0, -1.0 / 15.0, 3.0), 1e-12, 0.0, "efl");
     // Without the plane, the ray is the same.
     let bare = imported.lens.changed(|l| {
         l.surfaces.remove(0);

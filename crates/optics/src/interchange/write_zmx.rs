@@ -124,14 +124,22 @@ fn surface(
         (0, 0) => "STANDARD",
         (1..=8, 0) => "EVENASPH",
         (0..=4, 1..=3) => "ODDASPHE",
-        _ => return refused("aspheric terms beyond a16, or beyond a8 with odd ones", "terms that a Zemax surface has"),
+        (_, 0) => "XASPHERE",
+        _ => "XOSPHERE",
     };
     let _ = writeln!(out, "  TYPE {kind}\n  CURV {} 0 0 0 0 \"\"", plain(shape.curvature));
-    for (k, a) in shape.asphere.iter().enumerate().take(even) {
-        let _ = writeln!(out, "  PARM {} {}", if odd == 0 { k + 1 } else { 2 * k + 2 }, plain(*a));
+    let powers = (1..=even).map(|k| 2 * k).zip(&shape.asphere).chain((1..=odd).map(|k| 2 * k + 1).zip(&shape.odd));
+    let step = if ["EVENASPH", "XASPHERE"].contains(&kind) { 2 } else { 1 };
+    if kind.starts_with('X') {
+        // Terms of r in mm: the normalising radius is 1.
+        let count = (2 * even).max(2 * odd + 1) / step;
+        let _ = writeln!(out, "  XDAT 1 {count} 0 0 1 0 0 \"\"\n  XDAT 2 1 0 0 1 0 0 \"\"");
     }
-    for (k, a) in shape.odd.iter().enumerate().take(odd) {
-        let _ = writeln!(out, "  PARM {} {}", 2 * k + 3, plain(*a));
+    for (power, a) in powers {
+        let _ = match kind.starts_with('X') {
+            true => writeln!(out, "  XDAT {} {} 0 0 1 0 0 \"\"", power / step + 2, plain(*a)),
+            false => writeln!(out, "  PARM {} {}", power / step, plain(*a)),
+        };
     }
     let _ = writeln!(out, "  DISZ {}", plain(s.thickness));
     match &s.medium {
