@@ -31,9 +31,9 @@ fn an_f_number_for_one_run() {
         let stop = number(&own, "stop_semi_diameter_mm") * number(&own, "f_number") / 8.0;
         place.run(&format!("convert {name} {name}.toml")).done();
         let text = std::fs::read_to_string(place.path(&format!("{name}.toml"))).expect("written");
-        let at = text.find("[aperture]").expect("a table");
-        let end = at + text[at..].find("\n\n").expect("more");
-        let other = format!("{}[aperture]\nstop_semi_diameter_mm = {stop}{}", &text[..at], &text[end..]);
+        let (before, rest) = text.split_once("[aperture]\n").expect("a table");
+        let (_, behind) = rest.split_once('\n').expect("one line");
+        let other = format!("{before}[aperture]\nstop_semi_diameter_mm = {stop:?}\n{behind}");
         place.write("stopped.toml", &other);
         let [a, b] = [format!("{name} --f-number 8"), "stopped.toml".to_owned()]
             .map(|lens| json(&place, &format!("spot {lens} --json"))["fields"].clone());

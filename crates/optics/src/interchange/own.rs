@@ -29,7 +29,8 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported
             }
             numbers.surfaces[stop].semi_diameter = asked;
         }
-        let dark = apertures::open(&mut numbers, &marked, &Beam::over_field(&numbers));
+        let beams = Beam::over_field(&numbers);
+        let dark = apertures::open(&mut numbers, &marked, &beams);
         notes.push(format!(
             "{count} of {} clear semi-diameters are left out: they follow from the beam over the field",
             marked.len()
