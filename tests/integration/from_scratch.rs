@@ -54,7 +54,7 @@ fn focus_for_a_distance() {
     let place = Workplace::new();
     let name = "cooke_triplet";
     let mut found = Vec::new();
-    for depth in ["inf", "2000", "700"] {
+    for depth in ["inf", "2000", "700", "100"] {
         let file = format!("f{depth}.toml");
         let ran = json(&place, &format!("focus {name} --depth-mm {depth} -o {file} --fields 0 --json"));
         let at = json(&place, &format!("inspect {file} --json"));
@@ -69,8 +69,11 @@ fn focus_for_a_distance() {
     }
     for pair in found.windows(2) {
         let [moved, paraxial] = [0, 1].map(|k| pair[1][k] - pair[0][k]);
-        assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.03, "{moved} mm, paraxial {paraxial}");
+        assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.05, "{moved} mm, paraxial {paraxial}");
     }
+    // Within the front focal length there is no image to focus.
+    let ran = place.run(&format!("focus {name} --depth-mm 20 -o w.toml"));
+    assert!(ran.code == 2 && ran.err.contains("image"), "{}", ran.err);
     for wrong in ["0", "-5", "nan"] {
         let ran = place.run(&format!("focus {name} --depth-mm {wrong} -o w.toml"));
         assert!(ran.code == 2 && ran.err.contains("--depth-mm"), "{}", ran.err);
