@@ -5,6 +5,7 @@ use std::path::PathBuf;
 
 use isoplanat::Error;
 use isoplanat::interchange::{Form, text_of};
+use isoplanat::lens::paraxial::first_order;
 use isoplanat::optimize::refocused;
 use isoplanat::optimize::spec::Spec;
 use isoplanat::report::table::significant;
@@ -31,6 +32,9 @@ pub(crate) struct Args {
     force: bool,
 }
 
+/// Images farther than this behind a lens are none, mm.
+const FARTHEST_MM: f64 = 1e6;
+
 /// Runs the command; what moved goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let form = Form::of(&args.output)?;
@@ -46,6 +50,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let named = |e: Error| crate::input::in_lens(e, &lens, &args.lens);
     let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip()).map_err(named)?;
+    // Light that does not come together says nothing of where to stand.
+    let image = first_order(&placed, placed.wavelengths.primary_nm).paraxial_image_distance;
+    if !(image > 0.0 && image < FARTHEST_MM) {
+        let found = format!("{} mm, of which {} makes no image behind its last surface", args.depth_mm, args.lens);
+        return Err(Error::bad("--depth-mm", "value", found, "a distance whose image is real").into());
+    }
     let fields = (!args.fields.is_empty()).then(|| args.fields.clone());
     let merit = Spec { fields, ..Spec::default() }.merit("--fields")?;
     let found = refocused(&placed, merit).map_err(named)?;

@@ -31,9 +31,9 @@ fn an_f_number_for_one_run() {
         let stop = number(&own, "stop_semi_diameter_mm") * number(&own, "f_number") / 8.0;
         place.run(&format!("convert {name} {name}.toml")).done();
         let text = std::fs::read_to_string(place.path(&format!("{name}.toml"))).expect("written");
-        let at = text.find("[aperture]").expect("a table");
-        let end = at + text[at..].find("\n\n").expect("more");
-        let other = format!("{}[aperture]\nstop_semi_diameter_mm = {stop}{}", &text[..at], &text[end..]);
+        let (before, rest) = text.split_once("[aperture]\n").expect("a table");
+        let (_, behind) = rest.split_once('\n').expect("one line");
+        let other = format!("{before}[aperture]\nstop_semi_diameter_mm = {stop:?}\n{behind}");
         place.write("stopped.toml", &other);
         let [a, b] = [format!("{name} --f-number 8"), "stopped.toml".to_owned()]
             .map(|lens| json(&place, &format!("spot {lens} --json"))["fields"].clone());
@@ -54,7 +54,7 @@ fn focus_for_a_distance() {
     let place = Workplace::new();
     let name = "cooke_triplet";
     let mut found = Vec::new();
-    for depth in ["inf", "2000", "700"] {
+    for depth in ["inf", "2000", "700", "100"] {
         let file = format!("f{depth}.toml");
         let ran = json(&place, &format!("focus {name} --depth-mm {depth} -o {file} --fields 0 --json"));
         let at = json(&place, &format!("inspect {file} --json"));
@@ -69,8 +69,11 @@ fn focus_for_a_distance() {
     }
     for pair in found.windows(2) {
         let [moved, paraxial] = [0, 1].map(|k| pair[1][k] - pair[0][k]);
-        assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.03, "{moved} mm, paraxial {paraxial}");
+        assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.05, "{moved} mm, paraxial {paraxial}");
     }
+    // Within the front focal length there is no image to focus.
+    let ran = place.run(&format!("focus {name} --depth-mm 20 -o w.toml"));
+    assert!(ran.code == 2 && ran.err.contains("image"), "{}", ran.err);
     for wrong in ["0", "-5", "nan"] {
         let ran = place.run(&format!("focus {name} --depth-mm {wrong} -o w.toml"));
         assert!(ran.code == 2 && ran.err.contains("--depth-mm"), "{}", ran.err);

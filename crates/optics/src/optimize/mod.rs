@@ -128,13 +128,25 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
     Ok(finish::outcome(problem, lens, solved, finish::Spent { iterations, rays, reached, first_rms, started }))
 }
 
+/// How far behind the last surface a focus is looked for, of the lens's length and width.
+const FOCUS: [f64; 2] = [1e-6, 1e4];
+
 /// `lens` with its sensor where `merit` is least: nothing else moves.
 ///
 /// # Errors
-/// As [`optimize`]; a lens through which not all rays of the merit come.
+/// As [`optimize`]; a lens through which not all rays of the merit come, or behind which they do not come together.
 pub fn refocused(lens: &Lens, merit: Merit) -> Result<Outcome> {
     let sensor = Kind::Thickness.at(lens.surfaces.len() - 1);
-    let found = optimize(&Problem::new(lens, vec![sensor], Vec::new(), merit), Limits::default(), &mut |_| true)?;
+    let mut problem = Problem::new(lens, vec![sensor], Vec::new(), merit);
+    let widest = lens.surfaces.iter().map(|s| s.semi_diameter).fold(0.0, f64::max);
+    let [near, far] = FOCUS.map(|share| share * lens.length().max(widest));
+    problem.bounds = vec![[near, far]];
+    let found = optimize(&problem, Limits::default(), &mut |_| true)?;
+    let at = found.lens.surfaces[sensor.of].thickness;
+    if at <= 2.0 * near || at >= 0.5 * far {
+        let allowed = "an object whose light comes together behind the lens";
+        return Err(Error::bad(&lens.name, "focus", format!("none from {near} to {far} mm"), allowed));
+    }
     if found.share < 1.0 {
         let reached = format!("{:.0} % of aperture and field", 100.0 * found.share);
         return Err(Error::bad(&lens.name, "rays", reached, "a lens that light comes through"));
