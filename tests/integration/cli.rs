@@ -118,6 +118,8 @@ fn check_fails_a_lens_at_its_limits() {
     let ran = place.run("check sick.toml");
     assert_eq!(ran.code, 1, "{}{}", ran.out, ran.err);
     assert!(ran.out.contains("FAIL") && ran.err.contains("check"), "{}{}", ran.out, ran.err);
+    let failed = ran.out.lines().find(|l| l.contains("FAIL")).expect("a line");
+    assert!(failed.starts_with("points of the stop that no clear ray from the axis reaches"), "{failed}");
     place.write("no.toml", "schema = 1");
     assert_eq!(place.run("check no.toml").code, 2);
 }

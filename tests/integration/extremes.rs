@@ -93,7 +93,12 @@ fn relays_and_object_space_telecentric_lenses_are_lenses() {
         let rows = table(&shown);
         assert_eq!(rows.len(), 3, "{shown}");
         // The sensor's corner, or 6° before it.
-        let corner = [6.9407, 7.5, 3.75][usize::from(name != "relay") + usize::from(name == "telecentric")];
+        let corner = match name {
+            "relay" => 6.9407,
+            // Telecentric in object space: 6° are those at the first vertex.
+            "four_f" => BACK * 6f64.to_radians().tan(),
+            _ => 3.75,
+        };
         assert!((rows[2][2] - corner).abs() < 1e-3, "{shown}");
         assert!(rows.iter().all(|r| r[3] > 0.5 && r[3] < 1.5 && r[4] < 0.2), "{shown}");
         // Object slope at the corner: height over distance.

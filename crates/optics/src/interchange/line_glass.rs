@@ -7,7 +7,7 @@
 //! up from another line or may be substituted, the line keeps the numbers of what stood there before; 1.5168 and 64.17, those of N-BK7, are what it keeps most
 //! often. Such numbers are not held against a glass; where they differ that is told. They still serve as a model glass when that is asked for.
 
-use super::media::{LINES_NM, Stated, cauchy_of_lines, fictitious};
+use super::model_glass::{LINES_NM, cauchy_of_lines, fictitious};
 use crate::lens::Medium;
 use crate::lens::catalogue::{Glasses, MODEL};
 use isoplanat_base::error::{Error, Result};
@@ -47,7 +47,7 @@ impl OfLine {
         }
         let found = glasses.candidates(name);
         if let (true, Some((n_d, v_d))) = (found.is_empty(), fictitious(name)) {
-            return Ok((Stated::Lines { n_d, v_d }.resolve(glasses, catalogues)?, None));
+            return Ok((cauchy_of_lines(n_d, v_d)?, None));
         }
         let Some((n_d, v_d)) = self.lines.filter(|_| !found.is_empty() && !self.left_over) else {
             let medium = glasses.find_spelled(name, catalogues).map_err(|e| self.or_model(e))?;

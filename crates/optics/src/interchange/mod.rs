@@ -16,6 +16,7 @@ mod finish;
 mod json;
 mod line_glass;
 mod media;
+mod model_glass;
 mod order;
 mod own;
 mod seq;

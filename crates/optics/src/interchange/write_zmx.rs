@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use super::media::lines_of;
+use super::model_glass::lines_of;
 use super::text::plain;
 use crate::lens::catalogue::Glasses;
 use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};

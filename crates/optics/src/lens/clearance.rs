@@ -67,6 +67,19 @@ pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
     real.windows(2).filter_map(overlap).collect()
 }
 
+/// Refuses surfaces that overlap where the paraxial light of the axis goes: what a lens that is to be made may not. `file` names it.
+pub(crate) fn require_clear_axis(lens: &Prescription, file: &str) -> Result<()> {
+    let found = overlaps(lens);
+    if found.is_empty() {
+        return Ok(());
+    }
+    let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
+    match found.into_iter().find(|o| o.from_mm <= beam[o.surface].max(beam[o.next])) {
+        Some(o) => Err(o.refused_in_light(file)),
+        None => Ok(()),
+    }
+}
+
 /// Refuses surfaces that overlap by more than prescriptions are rounded, and a last surface that reaches beyond the sensor's plane; it may touch it.
 pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     if let Some(overlap) = overlaps(lens).iter().find(|o| o.depth_mm > DEEPEST_MM) {

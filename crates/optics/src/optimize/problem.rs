@@ -4,6 +4,7 @@ use std::time::Instant;
 
 use super::constraint::{Constraint, Target};
 use super::merit::{Apertures, Merit};
+use crate::lens::clearance::require_clear_axis;
 use crate::lens::variables::Variables;
 use crate::lens::{Lens, Prescription};
 use isoplanat_base::error::Result;
@@ -51,7 +52,19 @@ impl Problem {
                 numbers.surfaces[numbers.stop].semi_diameter = stop;
             }
         }
-        Lens::new(numbers, &self.lens.name)
+        self.made(numbers)
+    }
+
+    /// The lens of `numbers`, whose faces do not cross in the light of the axis unless those of the start do.
+    ///
+    /// # Errors
+    /// Numbers that are no lens, or none that can be made.
+    pub(super) fn made(&self, numbers: Prescription) -> Result<Lens> {
+        let made = Lens::new(numbers, &self.lens.name)?;
+        if require_clear_axis(&self.lens, &self.lens.name).is_ok() {
+            require_clear_axis(&made, &made.name)?;
+        }
+        Ok(made)
     }
 }
 

@@ -170,7 +170,7 @@ fn start(problem: &Problem, seed: u64) -> Option<Lens> {
     }
     let (_, mut numbers) = best?;
     room(problem, &mut numbers);
-    Lens::new(numbers, &problem.lens.name).ok()
+    problem.made(numbers).ok()
 }
 
 fn focal_length(problem: &Problem) -> f64 {
@@ -351,7 +351,7 @@ fn displaced(problem: &Problem, lens: &Lens, size: f64, rng: &mut fastrand::Rng)
         }
     }
     room(problem, &mut numbers);
-    Lens::new(numbers, &problem.lens.name).ok()
+    problem.made(numbers).ok()
 }
 
 fn numbers_of(numbers: &mut Prescription, kind: Kind, of: usize, entry: usize) -> Option<&mut f64> {

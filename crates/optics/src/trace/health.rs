@@ -144,8 +144,10 @@ struct Run {
     good: Vec<Good>,
     rays: usize,
     failed: BTreeMap<&'static str, usize>,
-    /// Points of the stop that no clear ray of their field reaches.
+    /// Points of the stop that no clear ray of their field reaches, off the axis.
     out_of_reach: usize,
+    /// The same on the axis, where the stop is what limits the light.
+    axis_out_of_reach: Vec<String>,
     chiefs_lost: Vec<String>,
     reflected: Option<String>,
     not_converged: Option<String>,
@@ -187,7 +189,11 @@ impl Run {
                     continue;
                 }
                 Err(_) => {
-                    self.out_of_reach += 1;
+                    if field_deg == 0.0 {
+                        self.axis_out_of_reach.push(label);
+                    } else {
+                        self.out_of_reach += 1;
+                    }
                     continue;
                 }
             };
@@ -257,6 +263,12 @@ impl Run {
             "points of the stop that no clear ray of their field reaches",
             (number(self.out_of_reach), String::new()),
             Limit::None,
+        );
+        put(
+            "axis_out_of_reach",
+            "points of the stop that no clear ray from the axis reaches",
+            (number(self.axis_out_of_reach.len()), list(&self.axis_out_of_reach)),
+            Limit::AtMost(0.0),
         );
         put("missed", "rays that miss a surface", (failed("missed"), String::new()), Limit::None);
         put(

@@ -173,51 +173,6 @@ fn intervals_hold_the_truth_as_often_as_they_say() {
     }
 }
 
-/// Light that changes along and across the edge, by up to 40 % over the region, on levels and as glare: MTF50 within 1 %, and within the interval
-/// as often as it says.
-#[test]
-fn uneven_light_is_taken_off() {
-    let lit = |edge: &Edge, [across, along]: [f64; 2], glare: bool, noise: f64, seed: u64| {
-        let mut picture = edge.picture(0.0, 0);
-        let rng = &mut fastrand::Rng::with_seed(seed);
-        let [columns, rows] = edge.size.map(|n| n as f64);
-        let [cos, sin] = edge.normal();
-        for ((r, c), v) in picture.indexed_iter_mut() {
-            let (x, y) = (c as f64 - 0.5 * (columns - 1.0), r as f64 - 0.5 * (rows - 1.0));
-            let change = across * (x * cos + y * sin) / columns + along * (y * cos - x * sin) / rows;
-            *v = if glare { *v + 0.3 * change } else { *v * (1.0 + change) };
-            *v += noise * (-2.0 * (1.0 - rng.f64()).ln()).sqrt() * (std::f64::consts::TAU * rng.f64()).cos();
-        }
-        picture
-    };
-    let (mut held, mut all, mut square) = (0, 0, 0.0);
-    for deg in [3.0, 95.0, -160.0] {
-        for light in [[0.0, 0.0], [0.2, 0.0], [-0.1, 0.2], [0.4, -0.3], [0.02, 0.02]] {
-            for glare in [all % 8 == 0] {
-                let edge = Edge { deg, size: [100, 90], ..PLAIN };
-                let truth = edge.crossing(0.5);
-                let off = |noise: f64, seed: u64| {
-                    let m = measured(&lit(&edge, light, glare, noise, seed), Sites::ALL).expect("measured");
-                    let found = m.mtf50.expect("falls");
-                    (found.frequency / truth - 1.0, found.interval[0] <= truth && truth <= found.interval[1])
-                };
-                let (error, _) = off(0.0, 0);
-                assert!(error.abs() < 1e-3, "{deg}° under {light:?}, glare {glare}: {error}");
-                let noisy: Vec<(f64, bool)> = (1..5).into_par_iter().map(|seed| off(0.005, all + seed)).collect();
-                for (error, inside) in noisy {
-                    square += error * error;
-                    held += usize::from(inside);
-                    all += 1;
-                }
-            }
-        }
-    }
-    let share = held as f64 / all as f64;
-    assert!((0.9..=0.99).contains(&share), "{share} of {all} intervals hold the truth");
-    let rms = f64::sqrt(square / all as f64);
-    assert!(rms < 0.01, "MTF50 off by {rms} in noise, rms");
-}
-
 /// A bent edge is as sharp as a straight one, and its bend is told.
 #[test]
 fn a_bent_edge_is_followed() {

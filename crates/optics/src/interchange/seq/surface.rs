@@ -4,7 +4,8 @@ use std::ops::Range;
 
 use super::{Reader, few};
 use crate::interchange::draft::Stage;
-use crate::interchange::media::{Stated, fictitious};
+use crate::interchange::media::Stated;
+use crate::interchange::model_glass::fictitious;
 use crate::interchange::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
 use isoplanat_base::error::Result;
