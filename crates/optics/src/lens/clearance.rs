@@ -54,7 +54,16 @@ fn is_dummy(lens: &Prescription, i: usize) -> bool {
 /// Overlaps of neighbouring surfaces within the clear semi-diameters that both have. Stops and other surfaces that refract nothing may stand anywhere
 /// between their neighbours and across them: a ray meets them on its straight way, before or behind the face.
 pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
-    let real: Vec<usize> = (0..lens.surfaces.len()).filter(|i| !is_dummy(lens, *i)).collect();
+    among(lens, &(0..lens.surfaces.len()).filter(|i| !is_dummy(lens, *i)).collect::<Vec<_>>())
+}
+
+/// [`overlaps`], stops and other planes that refract nothing among the neighbours: of a lens that is to be made, whose stop is a thing.
+pub(crate) fn overlaps_of_parts(lens: &Prescription) -> Vec<Overlap> {
+    among(lens, &(0..lens.surfaces.len()).collect::<Vec<_>>())
+}
+
+/// Overlaps of each of these surfaces with the next.
+fn among(lens: &Prescription, these: &[usize]) -> Vec<Overlap> {
     let overlap = |pair: &[usize]| {
         let [a, b] = [pair[0], pair[1]];
         let between = &lens.surfaces[a..b];
@@ -64,17 +73,18 @@ pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
         let (depth_mm, first) = deepest(rim, gap)?;
         Some(Overlap { surface: a, next: b, from_mm: begin(rim, first, gap), depth_mm })
     };
-    real.windows(2).filter_map(overlap).collect()
+    these.windows(2).filter_map(overlap).collect()
 }
 
-/// Refuses surfaces that overlap where the paraxial light of the axis goes: what a lens that is to be made may not. `file` names it.
+/// Refuses parts that overlap where the paraxial light of the axis goes, or by more than rims do: what a lens that is to be made may not.
+/// `file` names it.
 pub(crate) fn require_clear_axis(lens: &Prescription, file: &str) -> Result<()> {
-    let found = overlaps(lens);
+    let found = overlaps_of_parts(lens);
     if found.is_empty() {
         return Ok(());
     }
     let beam = paraxial::marginal_heights(lens, lens.wavelengths.primary_nm);
-    match found.into_iter().find(|o| o.from_mm <= beam[o.surface].max(beam[o.next])) {
+    match found.into_iter().find(|o| o.depth_mm > DEEPEST_MM || o.from_mm <= beam[o.surface].max(beam[o.next])) {
         Some(o) => Err(o.refused_in_light(file)),
         None => Ok(()),
     }

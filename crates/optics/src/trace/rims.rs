@@ -7,7 +7,7 @@ use super::object::ObjectPoint;
 use super::sequential::{first_vignetted, trace};
 use super::{Ray, System};
 use crate::lens::Lens;
-use crate::lens::clearance::{Overlap, overlaps};
+use crate::lens::clearance::{DEEPEST_MM, Overlap, overlaps, overlaps_of_parts};
 use isoplanat_base::error::Result;
 
 /// Points of the stop's rim that rays are aimed at.
@@ -26,23 +26,23 @@ pub fn overlapping_rims(lens: &Lens, file: &str) -> Vec<String> {
             "{file}: surface[{surface}] and surface[{next}]: they overlap by {depth_mm:.4} mm from {from_mm:.4} mm off the axis on; {light}"
         )
     };
-    with_beam(lens).into_iter().map(line).collect()
+    with_beam(lens, overlaps(lens)).into_iter().map(line).collect()
 }
 
-/// Refuses surfaces that overlap where light goes, for a lens that is to be made; `file` names it.
+/// Refuses parts, the stop among them, that overlap where light goes, or by more than rims do, for a lens that is to be made; `file` names it.
 ///
 /// # Errors
 /// The first such pair.
 pub fn require_clear(lens: &Lens, file: &str) -> Result<()> {
-    match with_beam(lens).into_iter().find(|(o, widest)| o.from_mm <= *widest) {
+    let unmade = |(o, widest): &(Overlap, f64)| o.depth_mm > DEEPEST_MM || o.from_mm <= *widest;
+    match with_beam(lens, overlaps_of_parts(lens)).into_iter().find(unmade) {
         Some((o, _)) => Err(o.refused_in_light(file)),
         None => Ok(()),
     }
 }
 
 /// Overlaps, each with how far from the axis light meets its surfaces.
-fn with_beam(lens: &Lens) -> Vec<(Overlap, f64)> {
-    let overlaps = overlaps(lens);
+fn with_beam(lens: &Lens, overlaps: Vec<Overlap>) -> Vec<(Overlap, f64)> {
     if overlaps.is_empty() {
         return Vec::new();
     }
