@@ -135,7 +135,7 @@ struct Made {
 /// What renders scene after scene.
 enum Way {
     Grid(Box<ScenePlan>, f64),
-    Rays(Rays, SpectralDensity),
+    Rays(Rays, Box<SpectralDensity>),
 }
 
 impl Way {
@@ -143,7 +143,7 @@ impl Way {
         if args.method == Method::MonteCarlo {
             let rays =
                 Rays { samples: args.samples, seed: args.seed, channels: Channels::All, sampling: Sampling::Bounded };
-            return Ok(Self::Rays(rays, density));
+            return Ok(Self::Rays(rays, Box::new(density)));
         }
         let clock = Instant::now();
         let what = format!("pictures of {} × {} pixels", stage.frame.columns, stage.frame.rows);

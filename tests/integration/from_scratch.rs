@@ -89,7 +89,7 @@ fn what_is_taken_in_is_told() {
     place.run("convert cooke_triplet own.toml").done();
     let text = std::fs::read_to_string(place.path("own.toml")).expect("written");
     let without: Vec<&str> = text.lines().filter(|l| !l.starts_with("semi_diameter_mm")).collect();
-    place.write("without.toml", &without.join("\n"));
+    place.write("without.toml", without.join("\n"));
     let ran = place.run("spot without.toml");
     assert!(ran.code == 0 && ran.err.contains("clear semi-diameters are left out"), "{}", ran.err);
     let last = text.matches("[[surface]]").count() - 1;

@@ -259,7 +259,7 @@ impl State {
         let mut zooms = self.zooms.clone();
         let first = free.len() + OUTER * views.len();
         (0..self.own()).for_each(|k| zooms[k + 1] += step[first + k]);
-        if zooms.iter().any(|z| !(*z > 0.0)) {
+        if zooms.iter().any(|z| z.is_nan() || *z <= 0.0) {
             return None;
         }
         Self::new(views, camera, poses.collect(), zooms, self.wider)

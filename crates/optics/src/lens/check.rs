@@ -41,7 +41,7 @@ impl Prescription {
         let efl = paraxial::first_order(self, self.wavelengths.primary_nm).effective_focal_length;
         let widest = self.surfaces.iter().map(|s| s.semi_diameter).fold(0.0, f64::max);
         let within: f64 = self.surfaces.iter().take(self.surfaces.len() - 1).map(|s| s.thickness.abs()).sum();
-        !(efl.abs() <= POWERLESS * widest.max(within))
+        efl.is_nan() || efl.abs() > POWERLESS * widest.max(within)
     }
 
     /// Refuses numbers that may not stand where they do, each for itself: what paraxial and real rays need to be asked at all.
