@@ -40,6 +40,7 @@ pub(crate) enum Way {
     /// As it is looked at: the orientation in Exif is applied.
     Seen,
     /// As the sensor has it.
+    #[cfg_attr(not(feature = "calibrate"), expect(dead_code, reason = "charts are taken so"))]
     Sensor,
 }
 
