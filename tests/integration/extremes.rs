@@ -287,3 +287,35 @@ fn a_design_with_patches_in_the_dark_goes_on() {
     // The lens that was designed is one.
     place.run("inspect run/lens.toml").done();
 }
+
+/// A lens that is telecentric in object space to rounding, with an entrance pupil at 7e16 mm: spots by tracing the light from the object to
+/// the stop (another program's figures), from its own file and from two Zemax files.
+#[test]
+fn a_pupil_at_infinity_has_the_spots_of_its_rays() {
+    let (Some(own), Some(obna), Some(floa)) = (
+        isoplanat::testing::shared("cases/tele_exact.toml"),
+        isoplanat::testing::shared("cases/tele_exact_obna.zmx"),
+        isoplanat::testing::shared("cases/tele_exact_floa.zmx"),
+    ) else {
+        return;
+    };
+    let place = Workplace::new();
+    let axis = |path: &std::path::Path| {
+        let shown = place.run(&format!("spot {} --json", path.display())).done();
+        let found: serde_json::Value = serde_json::from_str(&shown).expect("JSON");
+        let axis = &found["fields"][0];
+        [axis["rms_mm"].as_f64().expect("a number"), axis["best_focus_mm"][2].as_f64().expect("a number")]
+    };
+    for path in [own, floa] {
+        let [rms, focus] = axis(&path);
+        assert!((rms - 0.0700).abs() < 1e-4 && (focus + 5.91).abs() < 0.01, "{}: {rms} {focus}", path.display());
+    }
+    // NA 0.05 in object space: the marginal ray meets the stop at f tan u, more than the 3 mm of the others.
+    let [rms, _] = axis(&obna);
+    assert!(rms > 0.0, "{rms}");
+    let shown = place.run(&format!("inspect {} --json", obna.display())).done();
+    let found: serde_json::Value = serde_json::from_str(&shown).expect("JSON");
+    let stop = found["stop_semi_diameter_mm"].as_f64().expect("a number");
+    let expected = 49.043_002 * (0.05f64.asin()).tan();
+    assert!((stop / expected - 1.0).abs() < 1e-6, "{stop} for {expected}");
+}

@@ -210,3 +210,24 @@ fn rays_through_files_of_a_public_database_agree_with_rayoptics() {
     eprintln!("{rays} rays of {} files land within {worst:.1e} mm", files.len());
     assert!(rays >= 100, "{rays}");
 }
+
+/// Wide lenses in the check: no aiming that fails where a clear ray gets, no chief ray lost.
+#[test]
+fn rays_of_wide_lenses_are_found_where_there_are_any() {
+    let Some(folder) = shared("data/lenses/optics_database") else { return };
+    let files: Vec<PathBuf> =
+        std::fs::read_dir(folder).expect("a folder").map(|e| e.expect("an entry").path()).collect();
+    let failing = |path: &PathBuf| {
+        let lens = load(path, Glasses::shipped()).ok()?.lens;
+        if lens.max_field_deg() < 48.0 {
+            return None;
+        }
+        let keys = ["not_converged", "chief_rays_lost", "axis_out_of_reach", "totally_reflected"];
+        let health = isoplanat::trace::health::check(&lens);
+        let failed = health.figures.iter().filter(|f| keys.contains(&f.key) && f.value > 0.0);
+        Some(failed.map(|f| format!("{}: {} {}", path.display(), f.key, f.place)).collect::<Vec<_>>())
+    };
+    let wide: Vec<Vec<String>> = files.par_iter().filter_map(failing).collect();
+    let failed: Vec<&String> = wide.iter().flatten().collect();
+    assert!(wide.len() >= 20 && failed.is_empty(), "{} wide lenses, {failed:#?}", wide.len());
+}
