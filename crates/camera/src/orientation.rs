@@ -1,5 +1,6 @@
 //! How a capture is turned to stand upright: the eight orientations of Exif tag 0x0112.
 
+use isoplanat_imaging::exif::Turn;
 use ndarray::Array3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -34,18 +35,7 @@ impl Orientation {
 
     /// The picture turned upright, `[channel, row, col]`.
     pub fn apply(self, image: Array3<f32>) -> Array3<f32> {
-        // Exif: 2 mirrors left–right, 3 turns by 180°, 4 mirrors top–bottom, 5 transposes, 6 turns clockwise to stand
-        // upright, 7 transposes on the other diagonal, 8 turns counterclockwise.
-        let (transpose, flip_rows, flip_columns) = match self.0 {
-            2 => (false, false, true),
-            3 => (false, true, true),
-            4 => (false, true, false),
-            5 => (true, false, false),
-            6 => (true, false, true),
-            7 => (true, true, true),
-            8 => (true, true, false),
-            _ => return image,
-        };
+        let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::of(self.0) else { return image };
         let (channels, rows, columns) = image.dim();
         let mut samples = if image.is_standard_layout() {
             image.into_raw_vec_and_offset().0

@@ -14,6 +14,36 @@ use tiff::tags::{Tag, Type};
 /// Longest text that is kept, characters.
 const LONGEST: usize = 1000;
 
+/// What turns a stored picture upright: first the transposition, then the mirrorings.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Turn {
+    /// Rows become columns.
+    pub transpose: bool,
+    /// Top and bottom change places.
+    pub flip_rows: bool,
+    /// Left and right change places.
+    pub flip_columns: bool,
+}
+
+impl Turn {
+    /// Of Exif's orientation (tag 0x0112); `None` where the picture stands upright as it is.
+    pub fn of(orientation: u8) -> Option<Self> {
+        // 2 mirrors left–right, 3 turns by 180°, 4 mirrors top–bottom, 5 transposes, 6 turns clockwise to stand upright, 7 transposes on
+        // the other diagonal, 8 turns counterclockwise.
+        let (transpose, flip_rows, flip_columns) = match orientation {
+            2 => (false, false, true),
+            3 => (false, true, true),
+            4 => (false, true, false),
+            5 => (true, false, false),
+            6 => (true, false, true),
+            7 => (true, true, true),
+            8 => (true, true, false),
+            _ => return None,
+        };
+        Some(Self { transpose, flip_rows, flip_columns })
+    }
+}
+
 /// The directory of a file that an entry stands in.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Directory {

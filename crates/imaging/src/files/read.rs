@@ -10,6 +10,7 @@ use rayon::prelude::*;
 use super::content::{ALLOWED, Content, Samples, finite};
 use super::{npy, tiff_file};
 use crate::develop::color::linear_from_srgb;
+use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
 
 /// What the numbers of an integer picture stand for.
@@ -175,16 +176,7 @@ fn planes<S: Copy + Sync, T: Copy + Default + Send + Sync>(
 
 /// A picture turned as Exif's orientation says.
 fn upright<T: Clone>(mut image: Array3<T>, orientation: u8) -> Array3<T> {
-    let (transpose, flip_rows, flip_columns) = match orientation {
-        2 => (false, false, true),
-        3 => (false, true, true),
-        4 => (false, true, false),
-        5 => (true, false, false),
-        6 => (true, false, true),
-        7 => (true, true, true),
-        8 => (true, true, false),
-        _ => return image,
-    };
+    let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::of(orientation) else { return image };
     if transpose {
         image.swap_axes(1, 2);
     }

@@ -159,7 +159,7 @@ fn stop_from(lens: &Prescription, [a, b]: [f64; 2], efl: f64) -> f64 {
 }
 
 /// Slope of the marginal ray of a numerical aperture `n sin u` in air.
-fn marginal_slope(na: f64) -> f64 {
+pub(crate) fn marginal_slope(na: f64) -> f64 {
     na / ((1.0 - na) * (1.0 + na)).sqrt()
 }
 

@@ -1,6 +1,7 @@
 //! First-order data with their derivatives by the variables, forward: two paraxial rays and one displacement of them a variable.
 
 use super::engine::index_by;
+use crate::lens::paraxial::marginal_slope;
 use crate::lens::variables::Variables;
 use crate::lens::{Aperture, Kind, Prescription};
 
@@ -96,7 +97,7 @@ impl FirstOrder {
             Aperture::StopSemiDiameter(r) => own(r, 0.0, 1.0),
             Aperture::EntrancePupilDiameter(d) => own(0.5 * d * height, 0.5 * d, 0.5 * height),
             Aperture::ObjectNa(na) => {
-                let (u, v) = (na / ((1.0 - na) * (1.0 + na)).sqrt(), numbers.object_vergence);
+                let (u, v) = (marginal_slope(na), numbers.object_vergence);
                 let at_stop = height / v + b.value;
                 let mut stop = own(u * at_stop, u / v, (u / na).powi(3) * at_stop);
                 stop.by.iter_mut().zip(&b.by).for_each(|(s, db)| *s += u * db);
