@@ -21,7 +21,7 @@ use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::prescription;
 use isoplanat::math::memory::{product, threads};
-use isoplanat::network::{Compute, Reconstructor, UnetConfig};
+use isoplanat::network::{Compute, Reconstructor};
 use isoplanat::report::demo::{DemoReport, LossCurve};
 use isoplanat::report::lens_view::LensView;
 use isoplanat::{Result, atomic};
@@ -141,7 +141,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.loss.push(LossCurve { name: "lens and network".into(), points });
     done("Joint design of lens and network", clock, &mut report);
 
-    // The final networks for the finished lens, of equal minutes: of the capture alone, and told of the lens.
+    // The final networks for the finished lens, of equal steps from the same start: of the capture alone, and told of the lens.
     let seen = textures.sha256();
     let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| -> Result<Training> {
         let clock = Instant::now();
@@ -154,10 +154,10 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         done(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)
     };
-    let told = UnetConfig { inputs: task.train.inputs, ..joint.network.config().clone() };
+    let told = joint.network.config().clone().seeing(task.train.inputs);
+    let guided = joint.network.deepened(&told, task.seed, Compute::Cpu)?;
     let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
-    let fresh = Reconstructor::new(told, task.seed)?;
-    let training = finished("network told of its lens", task.train.inputs, fresh)?;
+    let training = finished("network told of its lens", task.train.inputs, guided)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();

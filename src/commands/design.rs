@@ -20,6 +20,7 @@ use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
 use isoplanat::optimize::merit_of;
+use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
 use crate::progress::Bar;
@@ -255,10 +256,16 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     if json {
         let value = serde_json::json!({ "schema": 1, "steps": designing.stage().steps(), "seconds": designing.stage().seconds(),
             "last": last, "held_out": designing.judged(), "validation": validated,
+            "verdicts": designing.verdicts().and_then(|v| v.as_ref().ok()),
             "rejected": joint.rejected, "drawn_without_light": designing.stage().lost(), "fineness": designing.stage().fineness, "filters_made": joint.refreshed.0,
             "filters_seconds": joint.refreshed.1 });
         writeln!(out, "{value}")?;
         return Ok(());
+    }
+    match designing.verdicts() {
+        None => {}
+        Some(Ok(all)) => Verdict::lines(all).iter().try_for_each(|line| writeln!(out, "{line}"))?,
+        Some(Err(why)) => writeln!(out, "the network could not be judged: {why}")?,
     }
     let mut tell = |name: &str, e: Option<&Entry>| -> std::io::Result<()> {
         let Some(e) = e else { return Ok(()) };

@@ -21,6 +21,7 @@ use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::paired;
 use isoplanat::report::table::significant;
+use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result, atomic};
 
 use crate::progress::Bar;
@@ -66,7 +67,7 @@ pub(crate) struct Args {
     /// Plot to write: PSNR over the field.
     #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
-    /// Folder for sheets, one a zone and depth: truth, capture and reconstruction of the first four pictures.
+    /// Folder for sheets, one a zone and depth: truth, capture, Wiener filter and reconstruction of the first four pictures.
     #[arg(long, value_name = "DIR")]
     pictures: Option<PathBuf>,
     /// Overwrite files, and a folder of sheets.
@@ -211,13 +212,18 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         run.save(folder, args.force, &sheets, &result, &pictures)?;
     }
+    let verdicts = Verdict::of(&result);
     if args.json {
         let mut json = result.json();
+        json["verdicts"] = serde_json::to_value(&verdicts)?;
         if let Some(differences) = &differences {
             json["differences"] = serde_json::to_value(differences)?;
         }
         writeln!(out, "{json}")?;
         return Ok(());
+    }
+    for line in Verdict::lines(&verdicts) {
+        writeln!(out, "{line}")?;
     }
     writeln!(out, "{}, {} {}", result.lens, result.count, result.pictures)?;
     writeln!(out, "{}", result.table())?;
@@ -389,7 +395,7 @@ impl Judged {
         pictures: &Pictures,
     ) -> Result<()> {
         atomic::write_folder(folder, MARKER, force, |folder| {
-            let mut text = String::from("Columns: truth, capture, reconstruction. Rows:");
+            let mut text = String::from("Columns: truth, capture, the lens's own Wiener filter, reconstruction. Rows:");
             for index in 0..pictures.len().min(4) {
                 text += &format!(" {}", pictures.name(index));
             }

@@ -6,7 +6,9 @@ use std::path::{Path, PathBuf};
 use isoplanat::design::memory;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::{Status, Training};
+use isoplanat::design::verdict::verdicts;
 use isoplanat::network::Compute;
+use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
 use crate::progress::Bar;
@@ -83,6 +85,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         eprintln!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
     }
     trained?;
+    let judged = judged(&training, &args.output);
     let (steps, skipped, returned) = (training.step(), training.skipped(), training.returned());
     if returned > 0 {
         eprintln!(
@@ -94,17 +97,30 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(
             out,
             "{}",
-            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "returned": returned, "last": entry })
+            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "returned": returned, "last": entry, "verdicts": judged.as_ref().ok() })
         )?;
     } else {
         if let Some(s) = last {
             writeln!(out, "loss {:.5}  PSNR of training patches {:.2} dB", s.entry.content, s.entry.psnr_db)?;
+        }
+        match &judged {
+            Ok(all) => Verdict::lines(all).iter().try_for_each(|line| writeln!(out, "{line}"))?,
+            Err(e) => writeln!(out, "the network could not be judged: {e}")?,
         }
         let without =
             if skipped > 0 { format!(", {skipped} of them without a finite gradient") } else { String::new() };
         writeln!(out, "{}: network of {steps} steps{without}", args.output.display())?;
     }
     Ok(())
+}
+
+/// What the trained network is worth on pictures that it was not trained on.
+fn judged(training: &Training, folder: &Path) -> Result<Vec<Verdict>> {
+    let bar = Bar::new("held-out pictures");
+    let (subject, network) = (crate::input::of_run(folder)?, training.network());
+    let judged = verdicts(training.task(), &subject, (&network, training.guide()), &mut |share| bar.set(share, String::new()));
+    bar.done(String::new());
+    judged
 }
 
 /// Trains to the end with a bar called `label`, or until somebody `asked` for one; `see` sees every step.

@@ -19,9 +19,12 @@ use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, Scenery};
 use super::state::State;
-use super::story::{Judgement, WORSE_DB, page};
+use super::story::{Judgement, Told, WORSE_DB, page};
+use super::subject::Subject;
 use super::task::Task;
 use super::train_task::NETWORK;
+use super::verdict::verdicts;
+use crate::report::verdict::Verdict;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::frame::Frame;
@@ -205,6 +208,8 @@ pub struct Designing {
     log: Log,
     history: Log,
     judged: Option<Entry>,
+    /// What the finished network is worth, or why that could not be said.
+    verdicts: Option<std::result::Result<Vec<Verdict>, String>>,
     best: Option<(f64, usize)>,
     seen: [f64; 2],
     /// The lens that the stage began with.
@@ -323,7 +328,7 @@ impl Designing {
         let history = Log::open_with(&folder.join("history.jsonl"), "", stage.steps() as u64, step_of)?;
         let folder = folder.to_owned();
         let first = prescription::load(&folder.join(FIRST))?;
-        let judged = None;
+        let (judged, verdicts) = (None, None);
         Ok(Self {
             folder,
             task,
@@ -335,6 +340,7 @@ impl Designing {
             log,
             history,
             judged,
+            verdicts,
             best,
             seen,
             first,
@@ -360,6 +366,11 @@ impl Designing {
     /// The last judgement.
     pub fn judged(&self) -> Option<&Entry> {
         self.judged.as_ref()
+    }
+
+    /// What the finished network is worth on pictures that it does not train on, or why that could not be said; nothing before the end, or of a design without one.
+    pub fn verdicts(&self) -> Option<&std::result::Result<Vec<Verdict>, String>> {
+        self.verdicts.as_ref()
     }
 
     /// Designs to the end; the best of the states that were judged is the result. `watch` sees every step; where it returns `false` a
@@ -454,7 +465,13 @@ impl Designing {
     fn show(&self) -> Result<()> {
         let history = Judgement::of(self.history.text(), "history.jsonl")?;
         let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(entry_of).collect();
-        let html = page(&self.folder, &self.task, &self.stage, &self.held_out, &history, &log, &self.first)?;
+        let verdict = match &self.verdicts {
+            None => Vec::new(),
+            Some(Ok(all)) => Verdict::lines(all),
+            Some(Err(why)) => vec![format!("the network could not be judged: {why}")],
+        };
+        let told = Told { held_out: &self.held_out, history: &history, log: &log, verdict: &verdict };
+        let html = page(&self.folder, &self.task, &self.stage, &told, &self.first)?;
         atomic::write_bytes(&self.folder.join("report.html"), html.as_bytes())
     }
 
@@ -467,7 +484,7 @@ impl Designing {
 
     /// The end: where the last state is worse than the best one, that is the result.
     fn settle(&mut self) -> Result<()> {
-        let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.show() };
+        let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.conclude() };
         let path = self.folder.join(BEST);
         let last = self.stage.judged(&self.held_out, self.task.patch_px)?;
         let last = self.stage.score(&last);
@@ -485,6 +502,17 @@ impl Designing {
             save(&self.stage, (self.best, self.seen), &self.folder)?;
             // What is told of the result is the result's.
             self.judged = Some(self.stage.judged(&self.held_out, self.task.patch_px)?);
+        }
+        self.conclude()
+    }
+
+    /// Judges the network that is the result, where there is one, and writes the page. A judgement that fails takes nothing from the result.
+    fn conclude(&mut self) -> Result<()> {
+        if self.task.sensor_loss.is_none() {
+            let joint = &self.stage.joint;
+            let subject = Subject::from(joint.lens.clone());
+            let verdicts = verdicts(&self.task, &subject, (&joint.network, &joint.guide), &mut |_| {});
+            self.verdicts = Some(verdicts.map_err(|e| e.to_string()));
         }
         self.show()
     }

@@ -21,13 +21,14 @@ use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
 use super::subject::Subject;
+use crate::report::picture_sheet::picture_sheet;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use camera::{Camera, Image};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::develop::{Balance, Development, Rendering, finish};
 use isoplanat_imaging::frame::Frame;
-use isoplanat_imaging::guide::Guide;
+use isoplanat_imaging::guide::{Facts, Guide, Inputs};
 use isoplanat_imaging::metrics;
 use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
 use isoplanat_imaging::plane::{Plane, Region, mirrored};
@@ -61,8 +62,11 @@ const BUILT_IN: [usize; 2] = [640, 960];
 /// Pictures of a sheet.
 pub(super) const SHEET: usize = 4;
 
-/// Gap between the pictures of a sheet, pixels.
-const GAP: usize = 8;
+/// Colours of a picture.
+const CHANNELS: usize = 3;
+
+/// Columns of a sheet.
+pub const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
 
 /// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
 pub const FINENESS: Fineness =
@@ -155,7 +159,7 @@ pub struct Settings {
     pub through: Option<Subject>,
 }
 
-/// Pictures of one zone at one depth: a row for each picture, truth, capture and reconstruction side by side.
+/// Pictures of one zone at one depth: a row for each picture, columns as [`SHOWN`].
 #[derive(Clone, Debug)]
 pub struct Sheet {
     /// Index of the depth.
@@ -178,6 +182,8 @@ pub struct Judge<'a> {
     settings: &'a Settings,
     frame: Frame,
     renderer: Renderer,
+    /// The lens's own Wiener filters, which need no training: what a network has to be better than.
+    wiener: Guide,
     bounds: Vec<f64>,
     zones: Vec<Zone>,
 }
@@ -217,7 +223,8 @@ impl<'a> Judge<'a> {
         let renderer = at_depths(subject, sensor, settings)?;
         let bounds = zones::bounds(&renderer.optics.maps[0], &frame, settings)?;
         let zones = zones::zones(&frame, &bounds, settings.patch)?;
-        Ok(Self { subject, told, sensor, pictures, settings, frame, renderer, bounds, zones })
+        let wiener = local_wiener(told.1, &renderer, &Electronics::of(sensor))?;
+        Ok(Self { subject, told, sensor, pictures, settings, frame, renderer, wiener, bounds, zones })
     }
 
     /// Judges captures by `camera`.
@@ -238,7 +245,7 @@ impl<'a> Judge<'a> {
         sheets: bool,
         progress: &mut dyn FnMut(f64),
     ) -> Result<(Evaluation, Vec<Sheet>)> {
-        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, bounds, zones } = self;
+        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, bounds, zones } = self;
         let maps = &renderer.optics.maps;
         let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
         let electronics = Electronics::of(sensor);
@@ -251,8 +258,8 @@ impl<'a> Judge<'a> {
             rendering: Rendering::default(),
         };
         // By depth and zone, for each picture.
-        let mut figures = vec![vec![Vec::<[Judged; 2]>::new(); used.len()]; maps.len()];
-        let mut strips = vec![vec![Vec::<Array3<f32>>::new(); used.len()]; maps.len()];
+        let mut figures = vec![vec![Vec::<[Judged; 3]>::new(); used.len()]; maps.len()];
+        let mut strips = vec![vec![Vec::<Vec<Array3<f32>>>::new(); used.len()]; maps.len()];
         let all = (pictures.len() * maps.len() * used.len()).max(1);
         let mut done = 0;
         for index in 0..pictures.len() {
@@ -267,8 +274,8 @@ impl<'a> Judge<'a> {
                     let noise_seed = mixed(seed, 1 + d as u64);
                     let (whole, texels) = (settings.patch, settings.texels);
                     let shot = Shot { region, whole, texels, context, part, noise_seed, camera };
-                    let [truth, capture, restored] =
-                        shot.take(renderer, map, &electronics, (network, guide), &picture)?;
+                    let [truth, capture, restored, filtered] =
+                        shot.take(renderer, map, &electronics, (network, guide, wiener), &picture)?;
                     let shown = finish(truth.clone(), &development).image;
                     let judged = |p: &Array3<f32>| -> Result<Judged> {
                         let seen = finish(p.clone(), &development).image;
@@ -280,9 +287,9 @@ impl<'a> Judge<'a> {
                             metrics::psnr_at_best_gain(p.view(), truth.view()),
                         ])
                     };
-                    figures[d][k].push([judged(&capture)?, judged(&restored)?]);
+                    figures[d][k].push([judged(&capture)?, judged(&restored)?, judged(&filtered)?]);
                     if sheets && index < SHEET {
-                        strips[d][k].push(side_by_side(&[truth, capture, restored]));
+                        strips[d][k].push(vec![truth, capture, filtered, restored]);
                     }
                     done += 1;
                     #[expect(clippy::cast_precision_loss, reason = "a share")]
@@ -307,9 +314,9 @@ impl<'a> Judge<'a> {
                     used.iter().map(|(z, _)| within([bounds[*z], bounds[z + 1]].map(angle), to)).collect();
                 let mean = |i: usize| {
                     let of = |of: usize, f: usize| weighted(&column(by_zone, i, of, f), &shares);
-                    [0, 1].map(|o| std::array::from_fn(|f| of(o, f)))
+                    [0, 1, 2].map(|o| std::array::from_fn(|f| of(o, f)))
                 };
-                let values: Vec<[Judged; 2]> = (0..pictures.len()).map(mean).collect();
+                let values: Vec<[Judged; 3]> = (0..pictures.len()).map(mean).collect();
                 let reached = used.iter().zip(&shares).filter(|(_, share)| **share > 0.0);
                 let (patch, count) = reached.fold((settings.patch, 0), |(p, n), ((_, z), _)| (p.min(z.patch), n + 1));
                 rows.push(Row {
@@ -321,7 +328,7 @@ impl<'a> Judge<'a> {
         }
         let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
             let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
-            zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: stacked(strips) })
+            zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: picture_sheet(&SHOWN, strips) })
         });
         let evaluation = Evaluation {
             schema: 1,
@@ -355,8 +362,8 @@ fn context_of(network: &Reconstructor) -> usize {
     network.config().receptive_radius_px().min(CONTEXT).next_multiple_of(STEP)
 }
 
-/// Figure `f` of picture `i`, as captured or as restored, in every zone.
-fn column(by_zone: &[Vec<[Judged; 2]>], i: usize, of: usize, f: usize) -> Vec<f64> {
+/// Figure `f` of picture `i`, as captured, as restored or as filtered, in every zone.
+fn column(by_zone: &[Vec<[Judged; 3]>], i: usize, of: usize, f: usize) -> Vec<f64> {
     by_zone.iter().map(|values| values[i][of][f]).collect()
 }
 
@@ -371,8 +378,8 @@ fn weighted(values: &[f64], shares: &[f64]) -> f64 {
     counted.map(|(v, share)| v * share).sum::<f64>() / shares.iter().sum::<f64>()
 }
 
-fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[Judged; 2]]) -> Row {
-    let figure = |of: &dyn Fn(&[Judged; 2]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
+fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[Judged; 3]]) -> Row {
+    let figure = |of: &dyn Fn(&[Judged; 3]) -> f64| Figure::of(&values.iter().map(of).collect::<Vec<f64>>());
     let closeness = |of: usize| Closeness {
         psnr_db: figure(&|v| v[of][0]),
         ssim: figure(&|v| v[of][1]),
@@ -390,7 +397,20 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
         capture: closeness(0),
         reconstruction: closeness(1),
         gain_db: figure(&|v| v[1][0] - v[0][0]),
+        wiener: closeness(2),
+        over_wiener_db: figure(&|v| v[1][0] - v[2][0]),
         each: values.iter().map(|v| [v[1][0], v[1][1]]).collect(),
+    }
+}
+
+/// The Wiener filters of the lens that `renderer` holds: those that a network is told of, or its own.
+fn local_wiener(told: &Guide, renderer: &Renderer, electronics: &Electronics) -> Result<Guide> {
+    let inputs = Inputs { wiener: true, ..Inputs::BARE };
+    match told.facts().and_then(|facts| facts.filters.clone()) {
+        Some(filters) => {
+            Guide::from_parts(inputs, told.frame(), Facts { filters: Some(filters), ..Facts::default() })
+        }
+        None => Guide::new(inputs, renderer, electronics),
     }
 }
 
@@ -423,19 +443,20 @@ struct Shot<'a> {
 }
 
 impl Shot<'_> {
-    /// Truth, capture and reconstruction of the region.
+    /// Truth, capture and reconstruction of the region, and what the lens's own filters make of the capture.
     fn take(
         &self,
         renderer: &Renderer,
         map: &SensorMap,
         electronics: &Electronics,
-        (network, guide): (&Reconstructor, &Guide),
+        (network, guide, wiener): (&Reconstructor, &Guide, &Guide),
         picture: &Array3<f32>,
-    ) -> Result<[Array3<f32>; 3]> {
+    ) -> Result<[Array3<f32>; 4]> {
         let scene = self.scene(&renderer.plan.frame, map, picture);
-        let behind = Behind { renderer, electronics, network, guide, context: self.context };
+        let behind = Behind { renderer, electronics, network, guide, wiener: Some(wiener), context: self.context };
         let taken = behind.take(scene, self.region, self.noise_seed, self.camera)?;
-        Ok([taken.truth, taken.developed, taken.restored])
+        let filtered = taken.filtered.ok_or_else(|| Error::Internal("no filters were looked at".into()))?;
+        Ok([taken.truth, taken.developed, taken.restored, filtered])
     }
 
     /// The picture placed so that the region's centre sees a random part of it: the same for every zone and depth.
@@ -469,6 +490,8 @@ struct Behind<'a> {
     electronics: &'a Electronics,
     network: &'a Reconstructor,
     guide: &'a Guide,
+    /// The lens's own Wiener filters, where they are looked at.
+    wiener: Option<&'a Guide>,
     /// Pixels around a region that the network sees.
     context: usize,
 }
@@ -478,6 +501,8 @@ struct Taken {
     truth: Array3<f32>,
     developed: Array3<f32>,
     restored: Array3<f32>,
+    /// The capture through the lens's own Wiener filters, where they are looked at.
+    filtered: Option<Array3<f32>>,
     /// Irradiance in each pixel's own colour, without noise, where rays made it.
     mosaic: Option<Array2<f32>>,
 }
@@ -488,7 +513,8 @@ impl Behind<'_> {
         let frame = &self.renderer.plan.frame;
         let inner = region.grown(self.context).common(Region::whole(frame));
         // Rows and columns start as the mosaic does, however far the guide looks.
-        let seen = inner.grown(self.guide.reach().next_multiple_of(STEP)).common(Region::whole(frame));
+        let reach = self.guide.reach().max(self.wiener.map_or(0, Guide::reach));
+        let seen = inner.grown(reach.next_multiple_of(STEP)).common(Region::whole(frame));
         let patch = Patch::whole(scene, seen, noise_seed);
         let (done, mosaic) = match camera.image(self.renderer, self.electronics, &patch)? {
             None => (forward::<f32>(self.renderer, self.electronics, &patch)?, None),
@@ -506,6 +532,9 @@ impl Behind<'_> {
         Ok(Taken {
             truth: cut(done.truth.view()),
             developed: cut(done.developed.view()),
+            filtered: self.wiener.map(|wiener| {
+                wiener.over(done.developed.view(), seen, region).slice(s![CHANNELS.., .., ..]).to_owned()
+            }),
             restored: restored(self.network, told.view(), within, [region.rows, region.cols], self.context)?,
             mosaic: mosaic.map(|m| m.slice(part).to_owned()),
         })
@@ -529,29 +558,6 @@ fn restored(
     let output = network.forward_padded(input.view())?;
     let inside = s![.., context..context + size[0], context..context + size[1]];
     Ok(output.index_axis(Axis(0), 0).slice(inside).to_owned())
-}
-
-/// Pictures of one size beside each other on white.
-fn side_by_side(pictures: &[Array3<f32>]) -> Array3<f32> {
-    let (channels, rows, cols) = pictures[0].dim();
-    let width = pictures.len() * (cols + GAP) - GAP;
-    let mut out = Array3::ones((channels, rows, width));
-    for (k, picture) in pictures.iter().enumerate() {
-        let start = k * (cols + GAP);
-        out.slice_mut(s![.., .., start..start + cols]).assign(picture);
-    }
-    out
-}
-
-/// Pictures of one size below each other on white.
-fn stacked(pictures: &[Array3<f32>]) -> Array3<f32> {
-    let (channels, rows, cols) = pictures[0].dim();
-    let mut out = Array3::ones((channels, pictures.len() * (rows + GAP) - GAP, cols));
-    for (k, picture) in pictures.iter().enumerate() {
-        let start = k * (rows + GAP);
-        out.slice_mut(s![.., start..start + rows, ..]).assign(picture);
-    }
-    out
 }
 
 #[cfg(test)]

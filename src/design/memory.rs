@@ -53,7 +53,7 @@ pub fn of_design(task: &Task) -> Result<u64> {
 }
 
 fn of_part(task: &Task) -> Result<u64> {
-    let network = UnetConfig { base_width: task.base_width, inputs: task.inputs, ..UnetConfig::default() };
+    let network = UnetConfig { base_width: task.base_width, ..UnetConfig::default() }.seeing(task.inputs);
     // Patches of a step, or those that settings are chosen with, which are rendered more finely.
     let side = task.patch_px.min(JUDGED.1);
     let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };

@@ -39,3 +39,4 @@ pub mod sweep_task;
 pub mod task;
 pub mod train_task;
 pub mod training;
+pub mod verdict;

@@ -595,5 +595,5 @@ pub fn joint_stage(
 /// # Errors
 /// A size that is no network, or a device that this build or machine has not.
 pub fn network(base_width: usize, inputs: Inputs, seed: u64, compute: Compute) -> Result<Reconstructor> {
-    Reconstructor::on(compute, UnetConfig { inputs, ..UnetConfig::bare(base_width, 3) }, seed)
+    Reconstructor::on(compute, UnetConfig::bare(base_width, 3).seeing(inputs), seed)
 }

@@ -102,16 +102,25 @@ impl Judgement {
     }
 }
 
+/// What a page tells beside the state of its design.
+#[derive(Clone, Copy)]
+pub(super) struct Told<'a> {
+    pub(super) held_out: &'a Textures,
+    pub(super) history: &'a [Judgement],
+    pub(super) log: &'a [Entry],
+    /// What the finished network is worth, a line a distance.
+    pub(super) verdict: &'a [String],
+}
+
 /// The page of a design in `folder`.
 pub(super) fn page(
     folder: &Path,
     task: &Task,
     stage: &Stage,
-    held_out: &Textures,
-    history: &[Judgement],
-    log: &[Entry],
+    told: &Told<'_>,
     first: &Lens,
 ) -> Result<String> {
+    let Told { held_out, history, log, verdict } = *told;
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;
     let view = |lens: &Lens| LensView::new(lens, distance, FIELDS, false).ok();
@@ -137,21 +146,27 @@ pub(super) fn page(
             pictures: notes.iter().cloned().zip(pictures).collect(),
         });
     let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
-    let mut facts = vec![
-        fact(stage.total().map_or(stage.steps().to_string(), |n| format!("{} of {n}", stage.steps())), "steps"),
-        fact(format!("{:.1} min", stage.seconds() / 60.0), "so far"),
-    ];
+    let mut facts = Vec::new();
     let over_share = stage.used() >= 1.0;
     let told = if over_share { Judgement::of_result(history) } else { history.last() };
-    if let (Some(first), Some(told)) = (history.first(), told) {
-        facts.push(fact(format!("{:.2} dB", told.held_out_db[1]), &words.judged[1]));
-        facts.push(fact(format!("{:+.2} dB", told.held_out_db[1] - first.held_out_db[1]), "since the first judgement"));
+    if let Some(told) = told {
+        let [before, after] = told.held_out_db;
+        if task.sensor_loss.is_none() {
+            facts.push(fact(format!("{:+.2} dB", after - before), "held-out pictures: network less capture"));
+        }
+        facts.push(fact(format!("{after:.2} dB"), &words.judged[1]));
     }
+    facts.extend([
+        fact(stage.total().map_or(stage.steps().to_string(), |n| format!("{} of {n}", stage.steps())), "steps"),
+        fact(format!("{:.1} min", stage.seconds() / 60.0), "so far"),
+    ]);
     let standing = match told.filter(|j| over_share && Some(j.step) != history.last().map(|last| last.step)) {
         Some(j) => format!("Finished. The result is the state of step {}: later ones were judged worse.", j.step),
         None if over_share => "Finished.".into(),
         None => format!("Under way: {:.0} %.", 100.0 * stage.used()),
     };
+    let verdict = verdict.iter().map(|line| format!("{}. ", sentence(line)));
+    let standing = verdict.chain([standing]).collect();
     if let Some(e) = log.last() {
         facts.push(fact(format!("{:.2} s", e.step_seconds), "a step"));
         facts.push(fact(
@@ -199,6 +214,12 @@ pub(super) fn page(
         settings,
     };
     page.to_html()
+}
+
+/// With a capital.
+fn sentence(line: &str) -> String {
+    let mut letters = line.chars();
+    letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
 }
 
 /// What figures and the pictures of a row are called.

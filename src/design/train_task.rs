@@ -11,7 +11,7 @@ use isoplanat_card::Blocks;
 use isoplanat_imaging::guide::Inputs;
 use isoplanat_network::critic::CriticConfig;
 use isoplanat_network::unet::FULL_SCALES;
-use isoplanat_network::{ContentKind, Objective, Reconstructor, UnetConfig};
+use isoplanat_network::{Base, ContentKind, Objective, Reconstructor, UnetConfig};
 
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";
@@ -37,6 +37,9 @@ pub struct TrainTask {
     /// What its scales are made of: `paper`, `separable` or `gated`.
     #[serde(skip_serializing_if = "Blocks::is_paper")]
     pub blocks: Blocks,
+    /// What a network that sees filtered captures adds its output to: `blend` (the capture, and shares of what each filter changes in it) or `filtered` (the first of them, as before).
+    #[serde(skip_serializing_if = "is_new")]
+    pub base: Base,
     /// Side of a training patch, pixels.
     pub patch_px: usize,
     /// Patches a step.
@@ -86,6 +89,10 @@ pub struct TrainTask {
     pub sample_steps: u64,
 }
 
+fn is_new(base: &Base) -> bool {
+    *base == Base::NEW
+}
+
 impl Default for TrainTask {
     fn default() -> Self {
         Self {
@@ -94,6 +101,7 @@ impl Default for TrainTask {
             scales: FULL_SCALES,
             inputs: Inputs::BARE,
             blocks: Blocks::Paper,
+            base: Base::NEW,
             patch_px: 256,
             batch: 1,
             pairs: 400,
@@ -141,7 +149,7 @@ impl TrainTask {
     }
 
     fn sized(&self, base_width: usize) -> UnetConfig {
-        UnetConfig { base_width, scales: self.scales, inputs: self.inputs, blocks: self.blocks }
+        UnetConfig { base_width, scales: self.scales, inputs: self.inputs, blocks: self.blocks, base: self.base }
     }
 
     /// Paths relative to `folder` become paths below it.

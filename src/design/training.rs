@@ -12,7 +12,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use ndarray::{Array3, Array4, Axis, s};
+use ndarray::{Array4, Axis, s};
 
 use super::data::Textures;
 use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, scenes_of, sweep};
@@ -23,6 +23,7 @@ use super::subject::Subject;
 use super::task::Task;
 use super::train_task::NETWORK;
 use guard::Guard;
+use crate::report::picture_sheet::picture_sheet;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::simulate::Electronics;
@@ -379,20 +380,16 @@ impl Training {
 
     /// A sheet of held-out patches (capture, reconstruction, truth) and the mean PSNR of the reconstructions.
     fn sample(&self) -> Result<f64> {
-        let side = self.task.train.patch_px;
-        let (gap, n, network) = (4, self.samples.len(), self.trainer.result());
-        let mut sheet = Array3::ones((3, n * (side + gap) - gap, 3 * (side + gap) - gap));
-        let mut sum = 0.0;
-        for (i, (input, target)) in self.samples.iter().enumerate() {
+        let (n, network) = (self.samples.len(), self.trainer.result());
+        let (mut rows, mut sum) = (Vec::new(), 0.0);
+        for (input, target) in &self.samples {
             let output = network.forward(input.view())?;
             let first = |a: &'_ Array4<f32>| a.index_axis(Axis(0), 0).slice(s![..3, .., ..]).to_owned();
             let (input, output, target) = (first(input), first(&output), first(target));
             sum += bounded(psnr(output.view(), target.view()));
-            for (j, picture) in [input, output, target].iter().enumerate() {
-                let (r, c) = (i * (side + gap), j * (side + gap));
-                sheet.slice_mut(s![.., r..r + side, c..c + side]).assign(picture);
-            }
+            rows.push(vec![input, output, target]);
         }
+        let sheet = picture_sheet(&["capture", "network", "truth"], &rows);
         let folder = self.folder.join("samples");
         fs::create_dir_all(&folder).map_err(|e| Error::writing(&folder, e))?;
         write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;

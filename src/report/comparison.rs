@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::evaluation::{Evaluation, Figure, Row};
 use super::html::{Fact, Page, Picture};
-use super::paired::{Difference, against};
+use super::paired::against;
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
 use isoplanat_base::error::Result;
@@ -129,7 +129,7 @@ fn paired(first: &Evaluation, other: &Evaluation) -> Option<f64> {
     let over = a.len() as f64;
     let one = |i: usize| a.iter().zip(&b).map(|(a, b)| a.each[i][0] - b.each[i][0]).sum::<f64>() / over;
     let figure = Figure::of(&(0..pictures).map(one).collect::<Vec<_>>());
-    let half = Difference::half_width(figure, pictures);
+    let half = figure.half_width(pictures);
     half.is_finite().then_some(half)
 }
 
@@ -421,6 +421,8 @@ mod tests {
                 capture: close(db - 2.0),
                 reconstruction: close(db),
                 gain_db: figure(2.0),
+                wiener: close(db - 1.0),
+                over_wiener_db: figure(1.0),
                 each: vec![[db - 3.0, 0.5], [db, 0.5], [db + 3.0, 0.5]],
             }
         };

@@ -253,9 +253,9 @@ impl DemoReport {
     pub fn to_html(&self) -> Result<String> {
         let mut page = Page::new(&self.title, &self.summary);
         page.facts(&self.facts());
+        self.scene_section(&mut page)?;
         self.lens_section(&mut page)?;
         self.loss_section(&mut page);
-        self.scene_section(&mut page)?;
         self.method_section(&mut page);
         self.run_section(&mut page);
         Ok(page.finish_with_contents())

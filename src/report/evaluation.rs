@@ -28,6 +28,17 @@ impl Figure {
         Self { mean, standard_error: (square / (n - 1.0) / n).sqrt() }
     }
 
+    /// Half the width of the 95 % interval of a mean over so many; NaN below three.
+    pub(super) fn half_width(self, count: usize) -> f64 {
+        student(count.saturating_sub(1)) * self.standard_error
+    }
+
+    /// The 95 % interval of a mean over so many; NaN below three.
+    pub(super) fn interval(self, count: usize) -> [f64; 2] {
+        let half = self.half_width(count);
+        [self.mean - half, self.mean + half]
+    }
+
     /// Two cells of a line, with commas before them; an error that is not known stays empty.
     fn cells(self) -> String {
         let error = if self.standard_error.is_nan() { String::new() } else { self.standard_error.to_string() };
@@ -42,6 +53,16 @@ impl Figure {
             format!("{:.places$}", self.mean)
         }
     }
+}
+
+/// The 97.5 % point of Student's t with `freedom` degrees, within 1 % from 2 on (Abramowitz and Stegun 26.7.5); NaN below.
+#[expect(clippy::cast_precision_loss, reason = "a count of pictures")]
+fn student(freedom: usize) -> f64 {
+    const TERMS: [f64; 5] = [1.959_964, 2.372_27, 2.822_50, 2.555_85, 1.589_53];
+    if freedom < 2 {
+        return f64::NAN;
+    }
+    TERMS.iter().rev().fold(0.0, |sum, term| sum / freedom as f64 + term)
 }
 
 /// How close one kind of picture is to the truth.
@@ -80,6 +101,10 @@ pub struct Row {
     pub reconstruction: Closeness,
     /// PSNR that the network adds, dB; its error is that of the differences, which vary less than the pictures.
     pub gain_db: Figure,
+    /// The capture through the lens's own Wiener filters against the truth: what needs no training.
+    pub wiener: Closeness,
+    /// PSNR that the network has over those filters, dB; its error is that of the differences.
+    pub over_wiener_db: Figure,
     /// PSNR, dB, and SSIM of each picture's reconstruction, in the order of the pictures: what pairs two runs.
     pub each: Vec<[f64; 2]>,
 }
@@ -116,6 +141,7 @@ impl Evaluation {
             "angle °",
             "patches",
             "capture dB",
+            "Wiener dB",
             "network dB",
             "gain dB",
             "best gain dB",
@@ -138,6 +164,7 @@ impl Evaluation {
                 },
                 r.patches.to_string(),
                 r.capture.psnr_db.text(2),
+                r.wiener.psnr_db.text(2),
                 r.reconstruction.psnr_db.text(2),
                 if r.gain_db.mean.is_nan() { "–".into() } else { r.gain_db.text(2) },
                 r.reconstruction.best_gain_psnr_db.text(2),
@@ -163,7 +190,8 @@ impl Evaluation {
             let _ = write!(out, ",{of}_delta_e,{of}_delta_e_error,{of}_colour_shift,{of}_colour_shift_error");
         }
         out.push_str(",angle_from_deg,angle_to_deg,capture_best_gain_psnr_db,capture_best_gain_psnr_db_error");
-        out.push_str(",reconstruction_best_gain_psnr_db,reconstruction_best_gain_psnr_db_error\n");
+        out.push_str(",reconstruction_best_gain_psnr_db,reconstruction_best_gain_psnr_db_error");
+        out.push_str(",wiener_psnr_db,wiener_psnr_db_error,wiener_ssim,wiener_ssim_error,over_wiener_db,over_wiener_db_error\n");
         for r in &self.rows {
             let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
             let _ = write!(out, ",{},{}", r.patches, r.patch_px);
@@ -173,7 +201,8 @@ impl Evaluation {
                 out += &f.cells();
             }
             let _ = write!(out, ",{},{}", r.angle_deg[0], r.angle_deg[1]);
-            for f in [a.best_gain_psnr_db, b.best_gain_psnr_db] {
+            let w = r.wiener;
+            for f in [a.best_gain_psnr_db, b.best_gain_psnr_db, w.psnr_db, w.ssim, r.over_wiener_db] {
                 out += &f.cells();
             }
             out.push('\n');
@@ -258,6 +287,8 @@ mod tests {
             capture: closeness(psnr, error),
             reconstruction: closeness(psnr + 2.5, error),
             gain_db: Figure { mean: 2.5, standard_error: 0.13 },
+            wiener: closeness(psnr + 1.0, error),
+            over_wiener_db: Figure { mean: 1.5, standard_error: 0.11 },
             each: vec![[psnr, 0.5]; 3],
         };
         Evaluation::of_rows(vec![
@@ -286,7 +317,7 @@ mod tests {
         }
         let csv = e.csv();
         let lines: Vec<Vec<&str>> = csv.lines().map(|l| l.split(',').collect()).collect();
-        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 30), "{csv}");
+        assert!(lines.len() == 5 && lines.iter().all(|l| l.len() == 36), "{csv}");
         assert_eq!(
             lines[1],
             [
@@ -319,7 +350,13 @@ mod tests {
                 "25.25",
                 "0.25",
                 "27.75",
-                "0.25"
+                "0.25",
+                "26",
+                "0.25",
+                "0.52",
+                "0.005",
+                "1.5",
+                "0.11"
             ]
         );
         assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));

@@ -27,28 +27,6 @@ pub struct Difference {
     pub ssim_interval: [f64; 2],
 }
 
-/// The 97.5 % point of Student's t with `freedom` degrees, within 1 % from 2 on (Abramowitz and Stegun 26.7.5); NaN below.
-#[expect(clippy::cast_precision_loss, reason = "a count of pictures")]
-fn student(freedom: usize) -> f64 {
-    const TERMS: [f64; 5] = [1.959_964, 2.372_27, 2.822_50, 2.555_85, 1.589_53];
-    if freedom < 2 {
-        return f64::NAN;
-    }
-    TERMS.iter().rev().fold(0.0, |sum, term| sum / freedom as f64 + term)
-}
-
-impl Difference {
-    /// Half the width of the 95 % interval of a mean over so many pictures; NaN below three.
-    pub(super) fn half_width(figure: Figure, pictures: usize) -> f64 {
-        student(pictures.saturating_sub(1)) * figure.standard_error
-    }
-}
-
-fn interval(figure: Figure, pictures: usize) -> [f64; 2] {
-    let half = Difference::half_width(figure, pictures);
-    [figure.mean - half, figure.mean + half]
-}
-
 /// `run` less `other`, row by row.
 ///
 /// # Errors
@@ -84,9 +62,9 @@ pub fn against(run: &Evaluation, other: &Evaluation) -> Result<Vec<Difference>> 
                 field: a.field,
                 pictures,
                 psnr_db,
-                psnr_interval_db: interval(psnr_db, pictures),
+                psnr_interval_db: psnr_db.interval(pictures),
                 ssim,
-                ssim_interval: interval(ssim, pictures),
+                ssim_interval: ssim.interval(pictures),
             }
         })
         .collect())
@@ -153,6 +131,8 @@ mod tests {
             capture: closeness,
             reconstruction: closeness,
             gain_db: figure,
+            wiener: closeness,
+            over_wiener_db: figure,
             each,
         };
         Evaluation::of_rows(vec![row])

@@ -26,7 +26,7 @@ use ndarray::{Array3, Array4, ArrayView4, Axis, s};
 
 use crate::support::Workplace;
 
-const BOTH: Inputs = Inputs::TOLD;
+const BOTH: Inputs = Inputs { wiener: true, field: true, ..Inputs::BARE };
 const ALL: Inputs = Inputs { levels: true, psf: true, ..BOTH };
 
 fn frame() -> Frame {

@@ -316,7 +316,7 @@ mod tests {
 
     #[test]
     fn what_a_network_sees_stands_in_the_second_form() {
-        let inputs = Inputs::TOLD;
+        let inputs = Inputs { wiener: true, field: true, ..Inputs::BARE };
         let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
         let mut metadata = card.to_metadata();
         assert_eq!((ModelCard::from_metadata(&metadata).expect("own card"), card.schema), (card.clone(), 2));
@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn point_spread_functions_and_levels_stand_in_the_fourth_form() {
-        for inputs in [Inputs { psf: true, ..Inputs::BARE }, Inputs { levels: true, ..Inputs::TOLD }] {
+        for inputs in [Inputs { psf: true, ..Inputs::BARE }, Inputs { field: true, ..Inputs::TOLD }] {
             let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
             assert_eq!(
                 (ModelCard::from_metadata(&card.to_metadata()).expect("own card"), card.schema),

@@ -32,8 +32,8 @@ impl Inputs {
     /// The capture alone, as in the paper.
     pub const BARE: Self = Self { wiener: false, levels: false, field: false, psf: false };
 
-    /// Filtered captures and the place in the field.
-    pub const TOLD: Self = Self { wiener: true, field: true, ..Self::BARE };
+    /// The capture through filters for three levels of noise.
+    pub const TOLD: Self = Self { wiener: true, levels: true, ..Self::BARE };
 
     fn all(self) -> [(bool, usize); NAMES.len()] {
         [(self.wiener, COLOURS), (self.levels, 2 * COLOURS), (self.field, COLOURS), (self.psf, SPREAD)]
@@ -59,7 +59,12 @@ impl Inputs {
         self.is_filtered() || self.psf
     }
 
-    /// The first of the channels that the network's output is added to.
+    /// Filtered captures; they stand behind the capture.
+    pub fn banks(self) -> usize {
+        usize::from(self.wiener) + 2 * usize::from(self.levels)
+    }
+
+    /// The first of the channels that the output of a network whose base is the filtered capture is added to.
     pub fn base(self) -> usize {
         if self.wiener { COLOURS } else { 0 }
     }

@@ -19,6 +19,10 @@ impl Reconstructor {
     pub fn deepened(&self, config: &UnetConfig, seed: u64, compute: Compute) -> Result<Self> {
         let own = self.config();
         let more = own.inputs != config.inputs;
+        if !more && !own.inputs.is_bare() && own.base != config.base {
+            let found = format!("output added to {:?}", own.base);
+            return Err(Error::bad("", "starting network", found, format!("{:?}", config.base)));
+        }
         if more && !own.inputs.is_bare() {
             let allowed = format!("a network of the same inputs, {:?}, or of none", config.inputs.names());
             return Err(Error::bad("", "starting network", format!("inputs {:?}", own.inputs.names()), allowed));
@@ -55,7 +59,7 @@ impl Reconstructor {
                 (Some(moved), _) if more && parameter.name == "output.weight" => {
                     let (features, all) = (config.width(0), parameter.shape[1]);
                     let mut values = widened(&moved.values, features, &parameter.shape);
-                    let base = config.inputs.base();
+                    let base = config.base_channel();
                     for (colour, row) in values.chunks_mut(9 * all).enumerate().filter(|_| base > 0) {
                         // The output is the capture and what the network adds, whatever the new base.
                         row[9 * (features + colour) + 4] = 1.0;
@@ -63,7 +67,11 @@ impl Reconstructor {
                     }
                     weights.extend(values);
                 }
-                (Some(moved), _) => weights.extend_from_slice(&moved.values),
+                (Some(moved), _) => {
+                    // Shares of what filters change are nothing at first.
+                    weights.extend_from_slice(&moved.values);
+                    weights.resize(weights.len() + parameter.values.len() - moved.values.len(), 0.0);
+                }
                 (None, Some("slope1" | "slope2")) => weights.extend(vec![1.0; parameter.values.len()]),
                 (None, Some(name)) if IDENTITIES.contains(&name) => weights.extend(identity(&parameter.shape)),
                 _ => weights.extend(parameter.values),
@@ -116,6 +124,7 @@ mod tests {
     use super::*;
     use isoplanat_card::Blocks;
     use isoplanat_card::Inputs;
+    use crate::Base;
 
     #[test]
     fn the_full_network_starts_where_the_trimmed_one_ended() {
@@ -148,14 +157,16 @@ mod tests {
             }
         }
         // A network that sees more than the capture starts with the same output, whatever else it sees.
-        for (wiener, field) in [(true, true), (true, false), (false, true)] {
-            let inputs = Inputs { wiener, field, ..Inputs::BARE };
-            let told = trimmed.deepened(&UnetConfig { inputs, ..of(4, 4) }, 5, Compute::Cpu).expect("told");
+        let told = |wiener, field| Inputs { wiener, field, ..Inputs::BARE };
+        let levels = Inputs { levels: true, ..told(true, true) };
+        let all = [told(true, true), told(true, false), told(false, true), levels];
+        for (inputs, base) in all.into_iter().flat_map(|i| Base::ALL.map(|base| (i, base))) {
+            let told = trimmed.deepened(&UnetConfig { inputs, base, ..of(4, 4) }, 5, Compute::Cpu).expect("told");
             let more = Array4::from_shape_simple_fn((1, inputs.channels() - 3, 64, 128), || rng.f32());
             let all = ndarray::concatenate(ndarray::Axis(1), &[input.view(), more.view()]).expect("one size");
             let after = told.forward(all.view()).expect("fits");
             let worst = (&after - &before).iter().fold(0f32, |m, v| m.max(v.abs()));
-            assert!(worst < 1e-5, "{blocks:?}, {inputs:?}: {worst}");
+            assert!(worst < 1e-5, "{blocks:?}, {inputs:?}, {base:?}: {worst}");
             assert!(told.deepened(&of(4, 4), 5, Compute::Cpu).is_err(), "back to the capture alone");
         }
         for (base_width, scales) in [(8, 7), (4, 2)] {

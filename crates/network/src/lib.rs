@@ -36,4 +36,4 @@ pub use compute::Compute;
 pub use learner::Parameter;
 pub use reconstructor::{NetworkStep, Reconstructor, Step};
 pub use trainer::{ContentKind, Objective, TrainStep, Trainer};
-pub use unet::UnetConfig;
+pub use unet::{Base, UnetConfig};

@@ -16,9 +16,10 @@ use onnx_rs::ast::{
 
 use half::f16;
 
-use self::graph::{BOUNDS, Operation, steps, with_casts};
+use self::graph::{CHANGE, Operation, cuts, steps, with_casts};
 use super::learner::Parameter;
 use super::reconstructor::Reconstructor;
+use super::unet::CHANGE_GAIN;
 use isoplanat_base::atomic::write_bytes;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_card::Inputs;
@@ -57,10 +58,15 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
     };
     let mut initializers: Vec<TensorProto<'_>> = parameters.iter().map(initializer).collect();
     let mut steps = steps(config);
+    let bounds;
     if !config.inputs.is_bare() {
-        let base = config.inputs.base() as i64;
-        let bounds = BOUNDS.iter().zip([base, base + 3, 1]);
-        initializers.extend(bounds.map(|(name, v)| TensorProto::from_i64(name, vec![1], vec![v])));
+        bounds = cuts(config);
+        let named = bounds.iter().map(|(name, v)| TensorProto::from_i64(name, vec![1], vec![*v]));
+        initializers.extend(named);
+        if config.blended() > 0 {
+            initializers.push(TensorProto::from_f32(CHANGE, vec![1], vec![CHANGE_GAIN]));
+        }
+
     }
     if let Some(halves) = &halves {
         for (tensor, bytes) in initializers.iter_mut().zip(halves) {

@@ -110,8 +110,7 @@ impl Reconstructor {
         self.check(&input)?;
         let (network, way) = (self.learner.module().valid(), self.way);
         let device = self.learner.device().clone().inner();
-        let inputs = self.config.inputs;
-        let run = |window: ArrayView4<f32>| array(network.forward(way, inputs, tensor(&window, &device)));
+        let run = |window: ArrayView4<f32>| array(network.forward(way, &self.config, tensor(&window, &device)));
         let (_, _, rows, columns) = input.dim();
         if rows * columns * self.config.base_width * self.config.planes_forward() <= TILE_ABOVE {
             return run(input);
@@ -288,7 +287,7 @@ impl Reconstructor {
 
     /// The forward pass with a graph behind it.
     pub(super) fn forward_tracked(&self, input: Tensor<4>) -> Tensor<4> {
-        self.learner.module().forward(self.way, self.config.inputs, input)
+        self.learner.module().forward(self.way, &self.config, input)
     }
 
     /// A clipped Adam step with the weights' part of `gradients`; see [`Learner::update`].
@@ -338,7 +337,7 @@ impl Reconstructor {
         let frozen = (!with_parameters).then(|| self.learner.frozen());
         let network = frozen.as_ref().unwrap_or_else(|| self.learner.module());
 
-        let output = network.forward(self.way, self.config.inputs, input.clone());
+        let output = network.forward(self.way, &self.config, input.clone());
         let difference = output.clone() - tensor(target, self.learner.device());
         let difference = match weights {
             Some(weights) => {

@@ -20,11 +20,38 @@ pub(super) const CHANNELS: usize = 3;
 /// Scale of the last convolution's weights against the others': training starts near the identity.
 const OUTPUT_GAIN: f64 = 0.01;
 
+/// By how much what filters change is enlarged: it is small beside the capture, and weights learn at one pace.
+pub(super) const CHANGE_GAIN: f32 = 4.0;
+
 /// From this scale on the number of channels stays: `16 ×` the finest scale's.
 const WIDEST: usize = 4;
 
 /// Scales of the full generator (paper §4.1): six down- and upsamplings.
 pub const FULL_SCALES: usize = 7;
+
+/// What a network that sees filtered captures adds its output to. One that sees none adds it to the capture.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Base {
+    /// The first of the filtered captures, as all did once: such a network begins with that filter's noise.
+    #[default]
+    Filtered,
+    /// The capture, and of what each filter changes in it a share, a pixel and a colour, that the network gives: none at first. The network sees
+    /// these changes in place of the filtered captures.
+    Blend,
+}
+
+impl Base {
+    /// That of new networks.
+    pub const NEW: Self = Self::Blend;
+
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::Filtered, Self::Blend];
+
+    fn is_filtered(&self) -> bool {
+        *self == Self::Filtered
+    }
+}
 
 /// Size of the network.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -42,6 +69,9 @@ pub struct UnetConfig {
     /// What it is made of.
     #[serde(default, skip_serializing_if = "Blocks::is_paper")]
     pub blocks: Blocks,
+    /// What its output is added to; checkpoints that do not say it are older than the choice.
+    #[serde(default, skip_serializing_if = "Base::is_filtered")]
+    pub base: Base,
 }
 
 impl Default for UnetConfig {
@@ -53,7 +83,13 @@ impl Default for UnetConfig {
 impl UnetConfig {
     /// A network of the paper's blocks that sees the capture alone.
     pub fn bare(base_width: usize, scales: usize) -> Self {
-        Self { base_width, scales, inputs: Inputs::BARE, blocks: Blocks::Paper }
+        Self { base_width, scales, inputs: Inputs::BARE, blocks: Blocks::Paper, base: Base::default() }
+    }
+
+    /// The same network, fresh, that sees `inputs`.
+    #[must_use]
+    pub fn seeing(self, inputs: Inputs) -> Self {
+        Self { inputs, base: if inputs.is_bare() { Base::default() } else { Base::NEW }, ..self }
     }
 
     /// Refuses sizes that are no network or too large to train.
@@ -131,6 +167,21 @@ impl UnetConfig {
         1 << (self.scales - 1)
     }
 
+    /// Channels of the last convolution: the colours, and the shares of what filters change.
+    fn outputs(&self) -> usize {
+        CHANNELS * (1 + self.blended())
+    }
+
+    /// Filtered captures that are blended in.
+    pub(super) fn blended(&self) -> usize {
+        if self.base == Base::Blend { self.inputs.banks() } else { 0 }
+    }
+
+    /// The first of the channels that the output is added to.
+    pub(super) fn base_channel(&self) -> usize {
+        if self.base == Base::Filtered { self.inputs.base() } else { 0 }
+    }
+
     /// Channels at `scale`.
     pub(super) fn width(&self, scale: usize) -> usize {
         self.base_width << scale.min(WIDEST)
@@ -138,16 +189,16 @@ impl UnetConfig {
 }
 
 /// The last convolution of a network that sees more than the capture: small weights on `features`, none yet on `inputs`.
-fn beside(features: usize, inputs: usize, rng: &mut fastrand::Rng, device: &Device) -> Convolution {
+fn beside(features: usize, [inputs, outputs]: [usize; 2], rng: &mut fastrand::Rng, device: &Device) -> Convolution {
     let all = features + inputs;
-    let mut values = vec![0.0; CHANNELS * all * 9];
+    let mut values = vec![0.0; outputs * all * 9];
     let bound = Convolution::bound(9 * features, OUTPUT_GAIN);
     for row in values.chunks_mut(9 * all) {
         row[..9 * features].iter_mut().for_each(|v| *v = (bound * (2.0 * rng.f64() - 1.0)) as f32);
     }
     Convolution {
-        weight: Param::from_data(TensorData::new(values, [CHANNELS, all, 3, 3]), device),
-        bias: Param::from_data(TensorData::new(vec![0f32; CHANNELS], [CHANNELS]), device),
+        weight: Param::from_data(TensorData::new(values, [outputs, all, 3, 3]), device),
+        bias: Param::from_data(TensorData::new(vec![0f32; outputs], [outputs]), device),
     }
 }
 
@@ -176,16 +227,17 @@ impl Unet {
             decoder: (0..coarser).map(|s| Block::new(kind, [2 * width(s), width(s)], false, rng, device)).collect(),
             output: match config.inputs.is_bare() {
                 true => Convolution::square(3, width(0), CHANNELS, OUTPUT_GAIN, rng, device),
-                false => beside(width(0), config.inputs.channels(), rng, device),
+                false => beside(width(0), [config.inputs.channels(), config.outputs()], rng, device),
             },
         }
     }
 
     /// # Shapes
     /// `[batch, channel, row, col]` → `[batch, 3, row, col]`; rows and columns are multiples of `2^(scales − 1)`. What the last
-    /// convolution gives is added to the channels of [`Inputs::base`]; where there is more to see than the capture it sees that too,
+    /// convolution gives is added as [`Base`] says; where there is more to see than the capture it sees that too,
     /// so that every channel has a straight way to the output.
-    pub(super) fn forward(&self, way: Way, inputs: Inputs, input: Tensor<4>) -> Tensor<4> {
+    pub(super) fn forward(&self, way: Way, config: &UnetConfig, input: Tensor<4>) -> Tensor<4> {
+        let input = Self::seen(config, input);
         let mut features = Features::plain(input.clone());
         let mut skips = Vec::with_capacity(self.encoder.len());
         for (scale, block) in self.encoder.iter().enumerate() {
@@ -201,11 +253,29 @@ impl Unet {
             features = block.forward(way, &[&skips[scale], &lifted]);
         }
         let (weight, bias) = (self.output.weight.val(), self.output.bias.val());
-        if inputs.is_bare() {
+        if config.inputs.is_bare() {
             return input + convolve(way, &[&features], weight, bias);
         }
-        let base = input.clone().narrow(1, inputs.base(), CHANNELS);
-        base + convolve(way, &[&features, &Features::plain(input)], weight, bias)
+        let given = convolve(way, &[&features, &Features::plain(input.clone())], weight, bias);
+        let colours = |of: &Tensor<4>, first: usize| of.clone().narrow(1, first, CHANNELS);
+        let sum = colours(&input, config.base_channel()) + colours(&given, 0);
+        (1..=config.blended())
+            .map(|bank| CHANNELS * bank)
+            .fold(sum, |sum, first| sum + colours(&given, first) * colours(&input, first))
+    }
+
+    /// The channels as the layers see them: where filtered captures are blended in, what each filter changes in the capture, enlarged.
+    fn seen(config: &UnetConfig, input: Tensor<4>) -> Tensor<4> {
+        let blended = config.blended();
+        if blended == 0 {
+            return input;
+        }
+        let part = |first: usize, count: usize| input.clone().narrow(1, first, count);
+        let capture = part(0, CHANNELS);
+        let changes = (1..=blended).map(|bank| (part(CHANNELS * bank, CHANNELS) - capture.clone()) * CHANGE_GAIN);
+        let filtered = CHANNELS * (1 + blended);
+        let rest = (config.inputs.channels() > filtered).then(|| part(filtered, config.inputs.channels() - filtered));
+        Tensor::cat(std::iter::once(capture.clone()).chain(changes).chain(rest).collect(), 1)
     }
 }
 

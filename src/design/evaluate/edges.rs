@@ -42,7 +42,7 @@ pub fn measured(
     let electronics = Electronics::of(sensor);
     let by_rays = Camera::of(&subject, sensor, &renderer, &evaluated)?;
     let context = context_of(network);
-    let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, context };
+    let behind = Behind { renderer: &renderer, electronics: &electronics, network, guide, wiener: None, context };
     let camera = |scene: &Plane, region: Region| -> Result<Seen> {
         let taken = behind.take(scene.clone(), region, settings.seed, &by_rays)?;
         let mosaic = taken.mosaic.ok_or_else(|| Error::Internal("a capture by rays has a mosaic".into()))?;

@@ -11,7 +11,7 @@ use crate::sensor::noise::Noise;
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_optics::lens::builtin;
 
-const BOTH: Inputs = Inputs::TOLD;
+const BOTH: Inputs = Inputs { wiener: true, field: true, ..Inputs::BARE };
 const ALL: Inputs = Inputs { wiener: true, levels: true, field: true, psf: true };
 
 /// What `inputs` need, of no lens.

@@ -37,6 +37,13 @@ impl Photos {
         Ok(Self { paths })
     }
 
+    /// The first `count` of them, at least one.
+    #[must_use]
+    pub fn first(mut self, count: usize) -> Self {
+        self.paths.truncate(count.max(1));
+        self
+    }
+
     /// The number of pictures, at least one.
     #[expect(clippy::len_without_is_empty, reason = "a folder without pictures is refused, so it never is")]
     pub fn len(&self) -> usize {

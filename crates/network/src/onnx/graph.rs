@@ -1,13 +1,31 @@
 //! The network's operations as nodes of a graph, in order, as in the in-crate forward pass.
 
+use std::collections::BTreeMap;
+
 use onnx_rs::ast::{Attribute, AttributeType, DataType, Node, OpType};
 
 use crate::learner::Parameter;
-use crate::unet::UnetConfig;
+use crate::unet::{CHANNELS, UnetConfig};
 use isoplanat_card::Blocks;
 
-/// First channel, channel behind the last, and axis of the slice that the network's output is added to.
-pub(super) const BOUNDS: [&str; 3] = ["base.from", "base.to", "base.axis"];
+/// Name of the number by which changes are enlarged.
+pub(super) const CHANGE: &str = "change.gain";
+
+/// Name of the axis of channels.
+const CHANNEL_AXIS: &str = "cut.axis";
+
+/// Name of a number of a channel at which slices begin or end.
+fn cut(channel: usize) -> String {
+    format!("cut.{channel}")
+}
+
+/// The whole numbers that slices of three channels ask for, by name.
+pub(super) fn cuts(config: &UnetConfig) -> BTreeMap<String, i64> {
+    let firsts = (0..=config.blended()).map(|bank| CHANNELS * bank).chain([config.base_channel()]);
+    let ends = firsts.flat_map(|first| [first, first + CHANNELS]).chain([config.inputs.channels()]);
+    let ends = ends.map(|at| (cut(at), at as i64));
+    ends.chain([(CHANNEL_AXIS.to_owned(), 1)]).collect()
+}
 
 /// One node; a single output has its name.
 pub(super) struct Operation {
@@ -33,6 +51,7 @@ enum Kind {
     Halves,
     Product,
     Addition,
+    Difference,
 }
 
 /// Operations so far.
@@ -48,6 +67,32 @@ impl Steps {
     /// A layer with the weights and the bias of its name.
     fn layer(&mut self, kind: Kind, name: &str, input: &str) -> String {
         self.push(kind, name, &[input, &format!("{name}.weight"), &format!("{name}.bias")])
+    }
+
+    /// Three channels of `of`.
+    fn colours(&mut self, name: &str, of: &str, first: usize) -> String {
+        self.push(Kind::Slice, name, &[of, &cut(first), &cut(first + CHANNELS), CHANNEL_AXIS])
+    }
+
+    /// The channels as the layers see them.
+    fn seen(&mut self, config: &UnetConfig) -> String {
+        let blended = config.blended();
+        if blended == 0 {
+            return "input".to_owned();
+        }
+        let capture = self.colours("capture", "input", 0);
+        let mut parts = vec![capture.clone()];
+        for bank in 1..=blended {
+            let filtered = self.colours(&format!("filtered.{bank}"), "input", CHANNELS * bank);
+            let change = self.push(Kind::Difference, &format!("difference.{bank}"), &[&filtered, &capture]);
+            parts.push(self.push(Kind::Product, &format!("change.{bank}"), &[&change, CHANGE]));
+        }
+        let (filtered, all) = (CHANNELS * (1 + blended), config.inputs.channels());
+        if all > filtered {
+            parts.push(self.push(Kind::Slice, "rest", &["input", &cut(filtered), &cut(all), CHANNEL_AXIS]));
+        }
+        let parts: Vec<&str> = parts.iter().map(String::as_str).collect();
+        self.push(Kind::Concatenation, "seen", &parts)
     }
 
     /// A layer whose outputs are the two sides of a gate, computed apart: no picture is cut up, only the layer's weights.
@@ -109,7 +154,8 @@ impl Steps {
 pub(super) fn steps(config: &UnetConfig) -> Vec<Operation> {
     let mut steps = Steps(Vec::new());
     let (scales, inputs, width) = (config.scales, config.inputs, |scale| config.width(scale));
-    let mut value = "input".to_owned();
+    let seen = steps.seen(config);
+    let mut value = seen.clone();
     let mut skips = Vec::new();
     for scale in 0..scales {
         if scale > 0 {
@@ -124,13 +170,25 @@ pub(super) fn steps(config: &UnetConfig) -> Vec<Operation> {
         value = steps.push(Kind::Concatenation, &format!("concat.{scale}"), &[&skips[scale], &value]);
         value = steps.block(config, &format!("decoder.{scale}"), &value, [2 * width(scale), width(scale)]);
     }
-    let mut base = "input".to_owned();
-    if !inputs.is_bare() {
-        value = steps.push(Kind::Concatenation, "beside", &[&value, "input"]);
-        base = steps.push(Kind::Slice, "base", &["input", BOUNDS[0], BOUNDS[1], BOUNDS[2]]);
+    let output = ["output.weight", "output.bias"];
+    let blended = config.blended();
+    if inputs.is_bare() {
+        let residual = steps.push(Kind::Convolution(3), "residual", &[&value, output[0], output[1]]);
+        steps.push(Kind::Addition, "output", &["input", &residual]);
+        return steps.0;
     }
-    value = steps.push(Kind::Convolution(3), "residual", &[&value, "output.weight", "output.bias"]);
-    steps.push(Kind::Addition, "output", &[&base, &value]);
+    let beside = steps.push(Kind::Concatenation, "beside", &[&value, &seen]);
+    let base = if blended > 0 { "capture".to_owned() } else { steps.colours("base", "input", config.base_channel()) };
+    let name = if blended > 0 { "given" } else { "residual" };
+    let given = steps.push(Kind::Convolution(3), name, &[&beside, output[0], output[1]]);
+    let residual = if blended > 0 { steps.colours("residual", &given, 0) } else { given.clone() };
+    let sum = |bank: usize| if bank == blended { "output".to_owned() } else { format!("sum.{bank}") };
+    let mut total = steps.push(Kind::Addition, &sum(0), &[&base, &residual]);
+    for bank in 1..=blended {
+        let share = steps.colours(&format!("share.{bank}"), &given, CHANNELS * bank);
+        let part = steps.push(Kind::Product, &format!("part.{bank}"), &[&share, &format!("change.{bank}")]);
+        total = steps.push(Kind::Addition, &sum(bank), &[&total, &part]);
+    }
     steps.0
 }
 
@@ -155,6 +213,7 @@ impl Operation {
             Kind::Halves => (OpType::Split, vec![int("axis", 0)]),
             Kind::Product => (OpType::Mul, vec![]),
             Kind::Addition => (OpType::Add, vec![]),
+            Kind::Difference => (OpType::Sub, vec![]),
         };
         Node {
             name: &self.name,
