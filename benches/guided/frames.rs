@@ -55,8 +55,9 @@ pub(crate) struct Frames(Vec<Frame>, Region);
 impl Frames {
     /// Captures of the lens, by the fast renderer.
     pub(crate) fn of(subject: &Subject, sensor: &Sensor, every: usize) -> Self {
-        let renderer =
-            subject.renderer(&SpectralDensity::new(sensor), &[subject.vergence()], FINENESS).expect("a lens that images");
+        let renderer = subject
+            .renderer(&SpectralDensity::new(sensor), &[subject.vergence()], FINENESS)
+            .expect("a lens that images");
         let electronics = Electronics::of(sensor);
         let frame = &renderer.plan.frame;
         let whole = Region::whole(frame);
@@ -67,11 +68,16 @@ impl Frames {
         let size = [frame.rows, frame.columns].map(|n| (n as f64 * TEXELS * 1.1) as usize);
         let frames = pictures(size).into_iter().enumerate().step_by(every).map(|(i, (name, texture))| {
             let plane = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
-            let done = forward::<f32>(&renderer, &electronics, &Patch::whole(plane, whole, 77 + i as u64)).expect("renders");
+            let done =
+                forward::<f32>(&renderer, &electronics, &Patch::whole(plane, whole, 77 + i as u64)).expect("renders");
             let steps = |axis: usize| {
                 let n = done.truth.len_of(Axis(axis));
-                let (a, b) = (done.truth.slice_axis(Axis(axis), (1..).into()), done.truth.slice_axis(Axis(axis), (..n - 1).into()));
-                a.iter().zip(b.iter()).map(|(a, b)| f64::from((encoded(*a) - encoded(*b)).abs())).sum::<f64>() / a.len() as f64
+                let (a, b) = (
+                    done.truth.slice_axis(Axis(axis), (1..).into()),
+                    done.truth.slice_axis(Axis(axis), (..n - 1).into()),
+                );
+                a.iter().zip(b.iter()).map(|(a, b)| f64::from((encoded(*a) - encoded(*b)).abs())).sum::<f64>()
+                    / a.len() as f64
             };
             let detail = 500.0 * (steps(1) + steps(2));
             Frame { name, detail, truth: done.truth, capture: done.developed }

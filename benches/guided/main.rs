@@ -63,7 +63,9 @@ fn main() {
             train(Path::new(file), Path::new(lens), &kinds, [&numbers(steps), &numbers(seeds)], 3);
         }
         ["table", file] => tables::print(Path::new(file)),
-        _ => println!("train FILE.csv LENS.toml NETWORKS STEPS SEEDS, or table FILE.csv: see the first lines of this bench"),
+        _ => println!(
+            "train FILE.csv LENS.toml NETWORKS STEPS SEEDS, or table FILE.csv: see the first lines of this bench"
+        ),
     }
 }
 

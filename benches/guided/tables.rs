@@ -30,8 +30,11 @@ pub(crate) fn print(file: &Path) {
     let mut rows: Vec<(u64, String)> = runs.keys().map(|(steps, kind, _)| (*steps, kind.clone())).collect();
     rows.dedup();
     for (steps, kind) in rows {
-        let of_kind: Vec<(u64, &Run)> =
-            runs.iter().filter(|((s, k, _), _)| (*s, k) == (steps, &kind)).map(|((_, _, seed), run)| (*seed, run)).collect();
+        let of_kind: Vec<(u64, &Run)> = runs
+            .iter()
+            .filter(|((s, k, _), _)| (*s, k) == (steps, &kind))
+            .map(|((_, _, seed), run)| (*seed, run))
+            .collect();
         let count = of_kind.len() as f64;
         let mean = |of: &dyn Fn(&Run) -> f64| of_kind.iter().map(|(_, run)| of(run)).sum::<f64>() / count;
         let cells = groups.iter().map(|(_, frames)| {

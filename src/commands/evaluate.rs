@@ -181,6 +181,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.pictures {
         atomic::check_folder(folder, MARKER, args.force)?;
     }
+    if args.plot.is_some() && args.protocol.fields < 2 {
+        let found = format!("{} with --plot", args.protocol.fields);
+        return Err(Error::bad("--fields", "value", found, "two zones or more: a dot is no curve").into());
+    }
     let pictures = args.protocol.pictures()?;
     let judged = |folder: &Path| Judged::new(&args.protocol, args.through.as_deref(), folder);
     let run = judged(&args.run)?;

@@ -118,7 +118,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 fn judged(training: &Training, folder: &Path) -> Result<Vec<Verdict>> {
     let bar = Bar::new("held-out pictures");
     let (subject, network) = (crate::input::of_run(folder)?, training.network());
-    let judged = verdicts(training.task(), &subject, (&network, training.guide()), &mut |share| bar.set(share, String::new()));
+    let judged =
+        verdicts(training.task(), &subject, (&network, training.guide()), &mut |share| bar.set(share, String::new()));
     bar.done(String::new());
     judged
 }

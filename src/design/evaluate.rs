@@ -21,8 +21,8 @@ use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use super::chain::{Patch, forward, forward_of};
 use super::subject::Subject;
-use crate::report::picture_sheet::picture_sheet;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
+use crate::report::picture_sheet::picture_sheet;
 use camera::{Camera, Image};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::simulate::Electronics;
@@ -245,7 +245,8 @@ impl<'a> Judge<'a> {
         sheets: bool,
         progress: &mut dyn FnMut(f64),
     ) -> Result<(Evaluation, Vec<Sheet>)> {
-        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, bounds, zones } = self;
+        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, bounds, zones } =
+            self;
         let maps = &renderer.optics.maps;
         let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
         let electronics = Electronics::of(sensor);
@@ -407,9 +408,7 @@ fn row(depth_mm: f64, zone: usize, field: [f64; 2], patch_px: usize, values: &[[
 fn local_wiener(told: &Guide, renderer: &Renderer, electronics: &Electronics) -> Result<Guide> {
     let inputs = Inputs { wiener: true, ..Inputs::BARE };
     match told.facts().and_then(|facts| facts.filters.clone()) {
-        Some(filters) => {
-            Guide::from_parts(inputs, told.frame(), Facts { filters: Some(filters), ..Facts::default() })
-        }
+        Some(filters) => Guide::from_parts(inputs, told.frame(), Facts { filters: Some(filters), ..Facts::default() }),
         None => Guide::new(inputs, renderer, electronics),
     }
 }

@@ -335,8 +335,12 @@ mod tests {
         let scales = ndarray::Array2::from_elem((1, 3), 1.0 / 30_000.0);
         let grid = isoplanat_imaging::render::node_grid::NodeGrid::single(0, 0);
         let filters = Filters::from_parts(grid, steps, scales).expect("valid");
-        let guide = Guide::from_parts(Inputs { wiener: true, field: true, ..Inputs::BARE }, &frame, Facts { filters: Some(filters), ..Facts::default() })
-            .expect("valid");
+        let guide = Guide::from_parts(
+            Inputs { wiener: true, field: true, ..Inputs::BARE },
+            &frame,
+            Facts { filters: Some(filters), ..Facts::default() },
+        )
+        .expect("valid");
         let region = Region { row: 20, col: 32, rows: 40, cols: 48 };
         let value = |r: f32, c: f32| 0.1 + 0.004 * r + 0.006 * c;
         let ramp = Array3::from_shape_fn((3, 40, 48), |(_, r, c)| value(20.0 + r as f32, 32.0 + c as f32));

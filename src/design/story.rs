@@ -113,13 +113,7 @@ pub(super) struct Told<'a> {
 }
 
 /// The page of a design in `folder`.
-pub(super) fn page(
-    folder: &Path,
-    task: &Task,
-    stage: &Stage,
-    told: &Told<'_>,
-    first: &Lens,
-) -> Result<String> {
+pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, first: &Lens) -> Result<String> {
     let Told { held_out, history, log, verdict } = *told;
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;

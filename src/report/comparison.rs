@@ -349,6 +349,7 @@ impl Comparison {
         let plots: Vec<(String, String)> = (0..distances.unwrap_or(0))
             .filter_map(|d| self.over_field(d))
             .chain(self.over_distance())
+            .filter(Plot::is_telling)
             .map(|p| (p.to_svg(), String::new()))
             .collect();
         if !plots.is_empty() {

@@ -318,9 +318,9 @@ impl DemoReport {
                 series: vec![Series { name: String::new(), points, mark: Mark::Line }],
                 ..Plot::default()
             };
-            (plot.to_svg(), String::new())
+            plot.is_telling().then(|| (plot.to_svg(), String::new()))
         });
-        page.drawings(&plots.collect::<Vec<_>>(), 440);
+        page.drawings(&plots.flatten().collect::<Vec<_>>(), 440);
     }
 
     fn scene_section(&self, page: &mut Page) -> Result<()> {
@@ -377,10 +377,6 @@ impl DemoReport {
             table.row([m.name.clone(), significant(m.seconds, 3), psnr, significant(m.relative_l2, 2), m.note.clone()]);
         }
         page.table(&table);
-        // One point is no curve.
-        if self.methods.len() < 2 {
-            return;
-        }
         let series = self.methods.iter().map(|m| Series {
             name: m.name.clone(),
             points: vec![[m.seconds, m.psnr_db]],
@@ -394,7 +390,10 @@ impl DemoReport {
             series: series.collect(),
             ..Plot::default()
         };
-        page.drawings(&[(plot.to_svg(), String::new())], 440);
+        // The reference itself has no error to be drawn.
+        if plot.is_telling() {
+            page.drawings(&[(plot.to_svg(), String::new())], 440);
+        }
     }
 
     fn run_section(&self, page: &mut Page) {

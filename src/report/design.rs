@@ -134,12 +134,12 @@ impl DesignPage {
                 series,
                 keys: vec![],
             };
-            (plot.to_svg(), String::new())
+            // A dot is no course.
+            plot.is_telling().then(|| (plot.to_svg(), String::new()))
         };
         #[expect(clippy::cast_precision_loss, reason = "step counts")]
         let judged = |k: usize| self.moments.iter().map(|m| [m.step as f64, m.held_out_db[k]]).collect::<Vec<_>>();
         let [before, after] = self.words.judged.clone();
-        page.section("Over time");
         let drawings = [
             plot("Loss of training patches", &self.words.loss, Scale::Log, vec![line("", &self.loss, Mark::Line)]),
             plot(
@@ -151,7 +151,11 @@ impl DesignPage {
             plot("How far a step moves rays", "rms, µm", Scale::Log, vec![line("", &self.moved_um, Mark::Line)]),
             plot("Agreement of gradients", "0 to 1", Scale::Linear, vec![line("", &self.signal, Mark::Line)]),
         ];
-        page.drawings(&drawings, 420);
+        let drawings: Vec<(String, String)> = drawings.into_iter().flatten().collect();
+        if !drawings.is_empty() {
+            page.section("Over time");
+            page.drawings(&drawings, 420);
+        }
         if !self.active.is_empty() {
             page.paragraph(&format!("Holding the lens back now: {}.", self.active.join(", ")));
         }

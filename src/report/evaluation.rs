@@ -191,7 +191,9 @@ impl Evaluation {
         }
         out.push_str(",angle_from_deg,angle_to_deg,capture_best_gain_psnr_db,capture_best_gain_psnr_db_error");
         out.push_str(",reconstruction_best_gain_psnr_db,reconstruction_best_gain_psnr_db_error");
-        out.push_str(",wiener_psnr_db,wiener_psnr_db_error,wiener_ssim,wiener_ssim_error,over_wiener_db,over_wiener_db_error\n");
+        out.push_str(
+            ",wiener_psnr_db,wiener_psnr_db_error,wiener_ssim,wiener_ssim_error,over_wiener_db,over_wiener_db_error\n",
+        );
         for r in &self.rows {
             let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
             let _ = write!(out, ",{},{}", r.patches, r.patch_px);
@@ -373,5 +375,17 @@ mod tests {
         let one = Evaluation { rows: evaluation().rows[..3].to_vec(), ..evaluation() };
         let svg = one.svg();
         assert!(svg.contains("reconstruction") && svg.contains("capture") && !svg.contains("NaN"), "{svg}");
+    }
+
+    /// Printed tables of Student's t.
+    #[test]
+    fn points_of_student() {
+        for (freedom, t, within) in
+            [(2, 4.3027, 0.01), (4, 2.7764, 1e-3), (9, 2.2622, 1e-4), (23, 2.0687, 1e-4), (1000, 1.9623, 1e-4)]
+        {
+            let found = student(freedom);
+            assert!((found / t - 1.0).abs() < within, "{freedom}: {found}");
+        }
+        assert!(student(1).is_nan() && student(0).is_nan());
     }
 }

@@ -59,7 +59,9 @@ mod tests {
     #[test]
     fn pictures_stand_below_their_names() {
         for width in [16, 40, 200] {
-            let row = |k: usize| vec![Array3::from_elem((3, 12, width), 0.2 * k as f32), Array3::from_elem((3, 12, width), 0.5)];
+            let row = |k: usize| {
+                vec![Array3::from_elem((3, 12, width), 0.2 * k as f32), Array3::from_elem((3, 12, width), 0.5)]
+            };
             let sheet = picture_sheet(&["a long name indeed, longer than any column is wide", "l"], &[row(1), row(2)]);
             let (_, rows, cols) = sheet.dim();
             let top = rows - 2 * 12 - GAP;
@@ -69,7 +71,8 @@ mod tests {
                 assert!(sheet.slice(s![.., at..at + 12, ..width]).iter().all(|v| (*v - level).abs() < 1e-6));
                 assert!(sheet.slice(s![.., at..at + 12, width + GAP..]).iter().all(|v| *v == 0.5));
             }
-            let inked = |from: usize, to: usize| sheet.slice(s![0, ..top, from..to]).iter().filter(|v| **v == INK).count();
+            let inked =
+                |from: usize, to: usize| sheet.slice(s![0, ..top, from..to]).iter().filter(|v| **v == INK).count();
             assert!(inked(0, width) > 10 && inked(width, width + GAP) == 0 && inked(width + GAP, cols) > 5, "{width}");
         }
     }

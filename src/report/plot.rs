@@ -100,6 +100,11 @@ struct Axis {
 }
 
 impl Plot {
+    /// Whether it says more than a number in a sentence would: two points or more are drawn.
+    pub fn is_telling(&self) -> bool {
+        self.series.iter().map(|s| self.shown(s).len()).sum::<usize>() > 1
+    }
+
     /// The drawing; without a single point it shows its axes and says so.
     pub fn to_svg(&self) -> String {
         let shown: Vec<Vec<[f64; 2]>> = self.series.iter().map(|s| self.shown(s)).collect();

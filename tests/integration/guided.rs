@@ -21,7 +21,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::builtin;
 use isoplanat::network::card::{ModelCard, Weights};
-use isoplanat::network::{Blocks, Reconstructor, UnetConfig, onnx};
+use isoplanat::network::{Base, Blocks, Reconstructor, UnetConfig, onnx};
 use ndarray::{Array3, Array4, ArrayView4, Axis, s};
 
 use crate::support::Workplace;
@@ -43,7 +43,12 @@ fn guide(inputs: Inputs) -> Guide {
 
 /// A network that is no identity any more and looks at all its channels.
 fn trained(inputs: Inputs, blocks: Blocks) -> Reconstructor {
-    let mut net = Reconstructor::new(UnetConfig { inputs, blocks, ..UnetConfig::bare(6, 3) }, 3).expect("valid");
+    trained_on(inputs, blocks, Base::NEW)
+}
+
+fn trained_on(inputs: Inputs, blocks: Blocks, base: Base) -> Reconstructor {
+    let config = UnetConfig { blocks, base, ..UnetConfig::bare(6, 3).seeing(inputs) };
+    let mut net = Reconstructor::new(config, 3).expect("valid");
     let rng = &mut fastrand::Rng::with_seed(5);
     for _ in 0..12 {
         let x = Array4::from_shape_simple_fn((1, inputs.channels(), 32, 32), || rng.f32());
@@ -79,16 +84,19 @@ fn open(model: &[u8], choice: Choice) -> Option<Session> {
 #[test]
 fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
     let cases = [
-        (BOTH, Blocks::Paper),
-        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Paper),
-        (Inputs { field: true, ..Inputs::BARE }, Blocks::Paper),
-        (Inputs { psf: true, ..Inputs::BARE }, Blocks::Paper),
-        (ALL, Blocks::Paper),
-        (BOTH, Blocks::Separable),
-        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Gated),
+        (BOTH, Blocks::Paper, Base::Blend),
+        (BOTH, Blocks::Paper, Base::Filtered),
+        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Paper, Base::Blend),
+        (Inputs { field: true, ..Inputs::BARE }, Blocks::Paper, Base::Blend),
+        (Inputs { psf: true, ..Inputs::BARE }, Blocks::Paper, Base::Filtered),
+        (Inputs::TOLD, Blocks::Paper, Base::Blend),
+        (ALL, Blocks::Paper, Base::Blend),
+        (ALL, Blocks::Paper, Base::Filtered),
+        (BOTH, Blocks::Separable, Base::Blend),
+        (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Gated, Base::Blend),
     ];
-    for (inputs, blocks) in cases {
-        let (guide, net) = (guide(inputs), trained(inputs, blocks));
+    for (inputs, blocks, base) in cases {
+        let (guide, net) = (guide(inputs), trained_on(inputs, blocks, base));
         let card = ModelCard::for_unet("told", 6, 3).seeing(inputs).made_of(blocks);
         let model = onnx::encode(&net, &card).expect("encodes");
         let (rows, cols) = (150, 230);
@@ -114,8 +122,12 @@ fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
             let in_turn = tiles::run(image.clone(), whole, &guide, tiling, 1, &run, &|_, _| ()).expect("runs");
             assert_eq!(theirs, in_turn, "{choice:?}");
             let worst = (&theirs - &ours).iter().fold(0f32, |m, v| m.max(v.abs()));
-            eprintln!("{:?}, {blocks:?}, {choice:?}, {} tiles: {worst:e}", inputs.names(), tiling.count(rows, cols));
-            assert!(worst <= 2e-5, "{:?}, {blocks:?}, {choice:?}: {worst:e}", inputs.names());
+            eprintln!(
+                "{:?}, {blocks:?}, {base:?}, {choice:?}, {} tiles: {worst:e}",
+                inputs.names(),
+                tiling.count(rows, cols)
+            );
+            assert!(worst <= 2e-5, "{:?}, {blocks:?}, {base:?}, {choice:?}: {worst:e}", inputs.names());
         }
     }
 }

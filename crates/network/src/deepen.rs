@@ -122,9 +122,9 @@ mod tests {
     use ndarray::Array4;
 
     use super::*;
+    use crate::Base;
     use isoplanat_card::Blocks;
     use isoplanat_card::Inputs;
-    use crate::Base;
 
     #[test]
     fn the_full_network_starts_where_the_trimmed_one_ended() {

@@ -292,7 +292,7 @@ mod tests {
             tensor(&ndarray::Array4::from_shape_simple_fn((1, 3, 16, 16), || rng.f32()).view(), &device)
         };
         let step = |learner: &mut Learner<Unet>, k: u64, factor: f32, sound: bool| {
-            let made = learner.module().forward(Way::Burn, config.inputs, picture(k));
+            let made = learner.module().forward(Way::Burn, &config, picture(k));
             let loss = (made - picture(100 + k)).abs().mean() * factor;
             let gradient = learner.gradient(&mut loss.backward());
             learner.update(sound, gradient, 3e-3)

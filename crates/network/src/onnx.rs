@@ -66,7 +66,6 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         if config.blended() > 0 {
             initializers.push(TensorProto::from_f32(CHANGE, vec![1], vec![CHANGE_GAIN]));
         }
-
     }
     if let Some(halves) = &halves {
         for (tensor, bytes) in initializers.iter_mut().zip(halves) {

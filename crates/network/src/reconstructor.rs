@@ -632,7 +632,7 @@ mod tests {
             let margin = config.receptive_radius_px().next_multiple_of(4);
             let (network, way) = (model.learner.module().valid(), model.way);
             let device = model.learner.device().clone().inner();
-            let run = |w: ArrayView4<f32>| array(network.forward(way, config.inputs, tensor(&w, &device)));
+            let run = |w: ArrayView4<f32>| array(network.forward(way, &config, tensor(&w, &device)));
             let tiled = tiles::forward_tiled(input.view(), 32, margin, run).expect("fits");
             let largest = whole.iter().fold(1f32, |m, v| m.max(v.abs()));
             let difference = (&tiled - &whole).iter().fold(0f32, |m, v| m.max(v.abs()));

@@ -295,4 +295,53 @@ mod tests {
         let widths: Vec<usize> = (0..7).map(|s| full.width(s)).collect();
         assert_eq!(widths, [32, 64, 128, 256, 512, 512, 512]);
     }
+
+    /// Checkpoints from before the choice do not say what their output is added to: the filtered capture. New ones say so.
+    #[test]
+    fn what_an_output_is_added_to_is_kept() {
+        let old: UnetConfig =
+            serde_json::from_str(r#"{"base_width": 16, "scales": 3, "inputs": ["wiener", "field"]}"#).expect("read");
+        assert_eq!((old.base, old.base_channel(), old.blended(), old.outputs()), (Base::Filtered, 3, 0, 3));
+        let new = UnetConfig::bare(16, 3).seeing(Inputs::TOLD);
+        assert_eq!((new.base, new.base_channel(), new.blended(), new.outputs()), (Base::Blend, 0, 3, 12));
+        let text = serde_json::to_string(&new).expect("text");
+        assert_eq!((text.contains("blend"), serde_json::from_str::<UnetConfig>(&text).expect("own text")), (true, new));
+        let bare = UnetConfig::bare(16, 3);
+        assert!(
+            bare == bare.clone().seeing(Inputs::BARE)
+                && !serde_json::to_string(&bare).expect("text").contains("base\"")
+        );
+    }
+
+    /// A fresh network whose filters are blended in begins near the capture, whatever the filters make of it; one on the old base near the filtered
+    /// capture. Of shares of one and no residual it gives the filtered capture.
+    #[test]
+    fn shares_of_one_give_the_filtered_capture() {
+        use crate::Reconstructor;
+        use ndarray::{Array4, s};
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let inputs = Inputs { wiener: true, field: true, ..Inputs::BARE };
+        let seen = Array4::from_shape_simple_fn((1, 9, 16, 16), || rng.f32());
+        for base in Base::ALL {
+            let config = UnetConfig { base, ..UnetConfig::bare(4, 2).seeing(inputs) };
+            let mut net = Reconstructor::new(config, 1).expect("valid");
+            let at = |net: &Reconstructor, first: usize| {
+                let out = net.forward(seen.view()).expect("fits");
+                (&out - &seen.slice(s![.., first..first + 3, .., ..])).iter().fold(0f32, |m, v| m.max(v.abs()))
+            };
+            let [near, far] = if base == Base::Blend { [0, 3] } else { [3, 0] };
+            assert!(at(&net, near) < 0.05 && at(&net, far) > 0.2, "{base:?}");
+            if base == Base::Blend {
+                for parameter in net.parameters().iter().filter(|p| p.name.starts_with("output.")) {
+                    let mut values = vec![0.0; parameter.values.len()];
+                    if parameter.name == "output.bias" {
+                        // Changes are enlarged.
+                        values[3..].fill(1.0 / CHANGE_GAIN);
+                    }
+                    net.set_parameter(&parameter.name, &values).expect("as many");
+                }
+                assert!(at(&net, 3) < 1e-6);
+            }
+        }
+    }
 }

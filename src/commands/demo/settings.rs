@@ -38,7 +38,11 @@ pub(crate) struct Unseen {
 
 /// What a network is told, in words.
 fn told(inputs: Inputs) -> &'static str {
-    if inputs.levels { "the lens's own Wiener filters for three levels of noise" } else { "the lens's own Wiener filters" }
+    if inputs.levels {
+        "the lens's own Wiener filters for three levels of noise"
+    } else {
+        "the lens's own Wiener filters"
+    }
 }
 
 impl Settings {
@@ -124,10 +128,16 @@ impl Settings {
                 render.spec.quadrature.nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
             ),
             pair("Networks", format!("U-Nets, three scales, {} channels at the finest", self.task.base_width)),
-            pair("Network of the capture alone", format!("as the joint design left it, trained on for {} steps", self.task.train.steps.unwrap_or(0))),
+            pair(
+                "Network of the capture alone",
+                format!("as the joint design left it, trained on for {} steps", self.task.train.steps.unwrap_or(0)),
+            ),
             pair(
                 "Network told of its lens",
-                format!("from the same start, for as many steps; sees the capture through {} as well", told(self.task.train.inputs)),
+                format!(
+                    "from the same start, for as many steps; sees the capture through {} as well",
+                    told(self.task.train.inputs)
+                ),
             ),
             pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),
             pair("Wiener filter", "PSF of each place on the frame, noise level tuned on the capture itself".into()),

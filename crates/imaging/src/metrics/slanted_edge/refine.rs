@@ -175,6 +175,17 @@ pub(super) fn refine(samples: &[Sample], start: Line, width: f64, curved: bool) 
     })
 }
 
+/// A spline that ends close to the edge, and its points: what lies beyond is left to the light.
+pub(super) fn narrow(samples: &[Sample], line: &Line, width: f64) -> Option<(Spread, Vec<Point>)> {
+    let width = width.max(0.5);
+    let sides = sides(samples, line).map(|s| s.min(most(width)));
+    let step = (width / KNOTS[1]).max(1.0 / KNOTS[0]);
+    let near = sides.map(|s| (((s - FLAT).min(2.0 * width + 1.5) / step).ceil() as usize).max(2));
+    let points = points(samples, line, sides);
+    let spread = Sums::new(&points, Knots { step, sides: near }).fit(penalty(&points, sides, step, width))?;
+    Some((spread, points))
+}
+
 /// The penalty on third differences of coefficients: `ρ h⁻⁵ (2πf)⁻⁶` times what it may take off at the frequency `f`, at a
 /// density of `ρ` samples a pixel.
 fn penalty(points: &[Point], sides: [f64; 2], step: f64, width: f64) -> f64 {

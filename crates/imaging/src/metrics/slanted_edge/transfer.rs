@@ -8,6 +8,7 @@
 
 use nalgebra::{DMatrix, DVector};
 
+use super::shade::{Beside, COUNT};
 use super::spread::{Point, Spread};
 
 /// One point of an MTF.
@@ -48,14 +49,24 @@ pub(super) struct Transfer {
 }
 
 impl Transfer {
-    /// Up to `highest` cycles a pixel; `rounding` is the relative uncertainty of the contrast beyond noise.
-    pub(super) fn new(spread: &Spread, points: &[Point], highest: f64, rounding: f64) -> Self {
+    /// Up to `highest` cycles a pixel; `rounding` is the relative uncertainty of the contrast beyond noise, `light` the slopes that were
+    /// fitted with the spline.
+    pub(super) fn new(spread: &Spread, points: &[Point], highest: f64, rounding: f64, light: Option<&Beside>) -> Self {
         let count = (highest / FINE + 1e-9).floor() as usize + 1;
         let frequencies: Vec<f64> = (0..count).map(|i| FINE * i as f64).collect();
         let (values, functionals) = linear(spread, &frequencies);
-        let (scores, coverage) = scores(spread, points);
+        let (scores, coverage) = scores(spread, points, light);
         // Each row of `parts` is one group's share in the error of every real and imaginary part.
-        let parts = scores.transpose() * spread.solve(&functionals);
+        let n = spread.knots.count();
+        let alone = spread.solve(&functionals);
+        let parts = match light {
+            None => scores.transpose() * alone,
+            Some(light) => {
+                let (coefficients, slopes) = light.joint(alone);
+                let (own, beside) = (scores.rows(0, n), scores.rows(n, scores.nrows() - n));
+                own.transpose() * coefficients + beside.transpose() * slopes
+            }
+        };
         let point = |(i, [re, im]): (usize, &[f64; 2])| {
             let (mut rr, mut ri, mut ii) = (0.0, 0.0, 0.0);
             for row in parts.row_iter() {
@@ -133,18 +144,22 @@ fn linear(spread: &Spread, frequencies: &[f64]) -> (Vec<[f64; 2]>, DMatrix<f64>)
     (values, functionals)
 }
 
-/// Sums of residuals times basis functions over each group of rows, one column a group; and the factor of a 95 % interval.
-fn scores(spread: &Spread, points: &[Point]) -> (DMatrix<f64>, f64) {
+/// Sums of residuals times basis functions (then the light's) over each group of rows, one column a group; and the factor of a 95 % interval.
+fn scores(spread: &Spread, points: &[Point], light: Option<&Beside>) -> (DMatrix<f64>, f64) {
     let (first, last) = points.iter().fold((usize::MAX, 0), |(a, b), p| (a.min(p.across), b.max(p.across)));
     let rows = last.saturating_sub(first) + 1;
     let thick = rows.div_ceil(CLUSTERS);
-    let mut sums = DMatrix::zeros(spread.knots.count(), rows.div_ceil(thick));
+    let n = spread.knots.count();
+    let mut sums = DMatrix::zeros(n + if light.is_some() { COUNT } else { 0 }, rows.div_ceil(thick));
     let leverages = spread.leverages(points);
     for (p, leverage) in points.iter().zip(leverages) {
         // A residual is smaller than the error by the root of what the fit leaves free.
         let r = (p.value - spread.at(p.d)) / (1.0 - leverage).max(0.05).sqrt();
         let mut column = sums.column_mut((p.across - first) / thick);
         spread.knots.row(p.d, false).into_iter().for_each(|(k, w)| column[k] += w * r);
+        if let Some(light) = light {
+            light.columns(p).into_iter().enumerate().for_each(|(k, w)| column[n + k] += w * r);
+        }
     }
     let used = sums.column_iter().filter(|c| c.iter().any(|v| *v != 0.0)).count();
     (sums, student(used.saturating_sub(1).max(2) as f64))
