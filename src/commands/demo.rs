@@ -88,6 +88,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             s.reconstruction_quality.colour_shift
         )?;
     }
+    if let Some(verdict) = report.verdict() {
+        writeln!(out, "{verdict}")?;
+    }
     writeln!(
         out,
         "fast renderer against the reference: {:.2} dB in {:.2} s against {:.1} s",

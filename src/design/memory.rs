@@ -7,6 +7,7 @@ use super::data::{LARGEST, TEXTURE};
 use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
 use super::run::JUDGED;
 use super::task::Task;
+use super::verdict;
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{BASE, product, threads};
 use isoplanat_imaging::guide::{Filters, Inputs};
@@ -30,14 +31,9 @@ fn textures(task: &Task) -> Result<u64> {
     })
 }
 
-/// Banks of Wiener filters.
-fn banks(inputs: Inputs) -> usize {
-    usize::from(inputs.wiener) + 2 * usize::from(inputs.levels)
-}
-
 /// Bytes of Wiener filters, from above: as stored, as computed with, and while they are made.
 fn guide(inputs: Inputs) -> u64 {
-    3 * Filters::LARGEST * banks(inputs) as u64
+    3 * Filters::LARGEST * inputs.banks() as u64
 }
 
 fn sum(parts: &[u64]) -> u64 {
@@ -67,12 +63,14 @@ fn of_part(task: &Task) -> Result<u64> {
     // The textures of all of a step's patches are cut out beforehand.
     let cut = seen + seen / 4 + 160;
     let cuts = product(&[task.batch, task.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
-    let each = REGION + RECORD * banks(task.inputs);
+    let each = REGION + RECORD * task.inputs.banks();
     let patches = product(&[count.max(threads()), seen, seen, each]).max(judged).saturating_add(cuts);
     let step = network.step_bytes(task.patch_px, batch);
     let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);
-    Ok(sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.inputs)]))
+    let design = sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.inputs)]);
+    let judged = if task.sensor_loss.is_none() { of_verdict(task, &network)?.saturating_add(held_out) } else { 0 };
+    Ok(design.max(judged))
 }
 
 /// Bytes of `isoplanat train`.
@@ -90,7 +88,14 @@ pub fn of_training(task: &Task) -> Result<u64> {
     let critics = if t.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
     let vgg = if t.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
     let step = network.step_bytes(t.patch_px, t.batch);
-    Ok(sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]))
+    let training = sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]);
+    Ok(training.max(of_verdict(task, &network)?))
+}
+
+/// Bytes of what is said of a network at the end, beside the textures that are still held.
+fn of_verdict(task: &Task, network: &UnetConfig) -> Result<u64> {
+    let judged = of_evaluation(network, &verdict::held_out(task)?, &verdict::settings(vec![f64::INFINITY]), false)?;
+    Ok(judged.saturating_add(textures(task)?))
 }
 
 /// Bytes that networks trained on for drawn lenses take beside a judgement: the pictures of `task`, captures and a step by `how` many of which side.
@@ -109,12 +114,14 @@ pub fn of_retraining(network: &UnetConfig, task: &Task, [captures, side, batch]:
 /// # Errors
 /// A photograph that cannot be read.
 pub fn of_evaluation(network: &UnetConfig, pictures: &Pictures, settings: &Settings, sheets: bool) -> Result<u64> {
-    let side = settings.patch + 2 * CONTEXT;
+    // The lens's own filters look at what lies around.
+    let side = settings.patch + 2 * CONTEXT + 2 * Filters::WIDEST;
     // A picture as it is read: its samples, its planes, and the scene made of it.
     let picture = product(&[pictures.largest()?, 3 * (2 * size_of::<f32>() + 4)]);
     let region = product(&[side, side, REGION]);
-    // Truth, capture and reconstruction; as strips, as sheets, and as one of them is written.
-    let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 3 * 3 * 2 * size_of::<f32>()]);
+    // Truth, capture, filtered capture and reconstruction; as strips, as sheets, and as one of them is written.
+    let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 4 * 3 * 2 * size_of::<f32>()]);
     let shown = if sheets { shown.saturating_mul(product(&[settings.patch, settings.patch])) } else { 0 };
-    Ok(sum(&[picture, region, network.forward_bytes(side), shown, guide(network.inputs)]))
+    let inputs = Inputs { wiener: true, ..network.inputs };
+    Ok(sum(&[picture, region, network.forward_bytes(side), shown, guide(inputs)]))
 }

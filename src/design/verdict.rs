@@ -26,12 +26,28 @@ const SEED: u64 = 31;
 ///
 /// # Errors
 /// A folder of photographs that cannot be listed.
-fn held_out(task: &Task) -> Result<Pictures> {
+pub(super) fn held_out(task: &Task) -> Result<Pictures> {
     match &task.photos {
         Some(folder) if task.keep_first > 0 => {
             Ok(Pictures::Photos(Photos::open(folder)?.first(task.keep_first.min(PICTURES))))
         }
         _ => Ok(Pictures::BuiltIn(SceneKind::Facades, PICTURES)),
+    }
+}
+
+/// How they are judged.
+pub(super) fn settings(depths_mm: Vec<f64>) -> Settings {
+    Settings {
+        fields: ZONES,
+        to_deg: None,
+        means_deg: Vec::new(),
+        depths_mm,
+        patch: PATCH,
+        seed: SEED,
+        fineness: FINENESS,
+        rays: None,
+        texels: TEXELS_PER_PIXEL,
+        through: None,
     }
 }
 
@@ -49,18 +65,7 @@ pub fn verdicts(
         [] => vec![1.0 / subject.vergence()],
         depths => depths.to_vec(),
     };
-    let settings = Settings {
-        fields: ZONES,
-        to_deg: None,
-        means_deg: Vec::new(),
-        depths_mm,
-        patch: PATCH,
-        seed: SEED,
-        fineness: FINENESS,
-        rays: None,
-        texels: TEXELS_PER_PIXEL,
-        through: None,
-    };
+    let settings = settings(depths_mm);
     let (evaluation, _) = evaluate(subject, told, &task.sensor()?, &held_out(task)?, &settings, false, progress)?;
     Ok(Verdict::of(&evaluation))
 }

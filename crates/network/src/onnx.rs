@@ -64,7 +64,8 @@ pub fn encode(model: &Reconstructor, card: &ModelCard) -> Result<Vec<u8>> {
         let named = bounds.iter().map(|(name, v)| TensorProto::from_i64(name, vec![1], vec![*v]));
         initializers.extend(named);
         if config.blended() > 0 {
-            initializers.push(TensorProto::from_f32(CHANGE, vec![1], vec![CHANGE_GAIN]));
+            let gains = CHANGE.into_iter().zip([CHANGE_GAIN, -CHANGE_GAIN]);
+            initializers.extend(gains.map(|(name, v)| TensorProto::from_f32(name, vec![1], vec![v])));
         }
     }
     if let Some(halves) = &halves {

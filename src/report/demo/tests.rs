@@ -79,9 +79,14 @@ fn the_page_holds_everything_and_loads_nothing() {
         "Left out",
         "&lt;built in&gt;",
         "PSNR against run time",
+        "dB against the network of the capture alone",
     ] {
         assert!(page.contains(text), "{text}");
     }
+    // Pictures come first, then the lens, then curves.
+    let places = ["Pictures", "Before", "Training"].map(|heading| page.find(&format!(">{heading}<")).expect(heading));
+    assert!(places.is_sorted(), "{places:?}");
+    assert!(DemoReport::default().verdict().is_none());
     DemoReport::default().to_html().expect("an empty report is a page, too");
 }
 

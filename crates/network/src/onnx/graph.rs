@@ -8,8 +8,8 @@ use crate::learner::Parameter;
 use crate::unet::{CHANNELS, UnetConfig};
 use isoplanat_card::Blocks;
 
-/// Name of the number by which changes are enlarged.
-pub(super) const CHANGE: &str = "change.gain";
+/// Names of the number by which changes are enlarged, and of its negative: a difference of sums and products needs no operator that cameras do not know.
+pub(super) const CHANGE: [&str; 2] = ["change.gain", "change.less"];
 
 /// Name of the axis of channels.
 const CHANNEL_AXIS: &str = "cut.axis";
@@ -51,7 +51,6 @@ enum Kind {
     Halves,
     Product,
     Addition,
-    Difference,
 }
 
 /// Operations so far.
@@ -81,11 +80,12 @@ impl Steps {
             return "input".to_owned();
         }
         let capture = self.colours("capture", "input", 0);
-        let mut parts = vec![capture.clone()];
+        let less = self.push(Kind::Product, "less", &[&capture, CHANGE[1]]);
+        let mut parts = vec![capture];
         for bank in 1..=blended {
             let filtered = self.colours(&format!("filtered.{bank}"), "input", CHANNELS * bank);
-            let change = self.push(Kind::Difference, &format!("difference.{bank}"), &[&filtered, &capture]);
-            parts.push(self.push(Kind::Product, &format!("change.{bank}"), &[&change, CHANGE]));
+            let enlarged = self.push(Kind::Product, &format!("enlarged.{bank}"), &[&filtered, CHANGE[0]]);
+            parts.push(self.push(Kind::Addition, &format!("change.{bank}"), &[&enlarged, &less]));
         }
         let (filtered, all) = (CHANNELS * (1 + blended), config.inputs.channels());
         if all > filtered {
@@ -213,7 +213,6 @@ impl Operation {
             Kind::Halves => (OpType::Split, vec![int("axis", 0)]),
             Kind::Product => (OpType::Mul, vec![]),
             Kind::Addition => (OpType::Add, vec![]),
-            Kind::Difference => (OpType::Sub, vec![]),
         };
         Node {
             name: &self.name,
