@@ -24,7 +24,7 @@
 
 #[doc(hidden)]
 pub use isoplanat_base::testing;
-pub use isoplanat_base::{Error, Result, atomic, error, figures, math, units};
+pub use isoplanat_base::{Error, Result, atomic, error, figures, math, refusing, terminal, units};
 
 pub use isoplanat_optics::{analysis, interchange, lens, optimize, psf, trace};
 

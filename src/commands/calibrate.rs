@@ -116,7 +116,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // One camera has one size: that of the most pictures, the first of equals.
     let votes = |size: [usize; 2]| found.iter().filter(|f| f.1 == size).count();
     let Some(size) = found.iter().map(|f| f.1).rev().max_by_key(|s| votes(*s)) else {
-        skipped.iter().for_each(|e| eprintln!("warning: left out: {e}"));
+        skipped.iter().for_each(|e| crate::tell!("warning: left out: {e}"));
         return Err(Error::bad("CHART", "pictures", "no chessboard in any", "photographs of a chessboard").into());
     };
     let (same, others): (Vec<_>, Vec<_>) = found.into_iter().partition(|f| f.1 == size);
@@ -124,7 +124,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     skipped.extend(others.iter().map(|(chart, own)| {
         Error::bad(chart.path.display().to_string(), "size", pixels(*own), format!("{}, as the others", pixels(size)))
     }));
-    skipped.iter().for_each(|e| eprintln!("warning: left out: {e}"));
+    skipped.iter().for_each(|e| crate::tell!("warning: left out: {e}"));
     let charts: Vec<Chart> = same.into_iter().map(|f| f.0).collect();
     let settings = Settings {
         size,
@@ -172,8 +172,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             write!(out, "\n{spread}")?;
         }
     }
-    spread.iter().flat_map(psf::Spread::warnings).for_each(|w| eprintln!("warning: {w}"));
-    listing.warnings().iter().for_each(|w| eprintln!("warning: {w}"));
+    spread.iter().flat_map(psf::Spread::warnings).for_each(|w| crate::tell!("warning: {w}"));
+    listing.warnings().iter().for_each(|w| crate::tell!("warning: {w}"));
     Ok(())
 }
 

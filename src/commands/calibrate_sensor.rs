@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     } else {
         write!(out, "{listing}")?;
     }
-    measured.warnings().iter().for_each(|w| eprintln!("warning: {w}"));
+    measured.warnings().iter().for_each(|w| crate::tell!("warning: {w}"));
     Ok(())
 }
 

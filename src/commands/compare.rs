@@ -147,13 +147,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let (subject, sensor) = (Subject::from(first.clone()), task.sensor()?);
     let settings_of_first = args.protocol.settings(&task, &subject);
     judgeable(&subject, &sensor, &settings_of_first).map_err(|e| e.in_file(&args.subject))?;
+    let frame = subject.frame()?;
+    let size = Some([frame.columns, frame.rows]);
     for camera in &cameras {
-        let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &settings_of_first, true)?;
+        let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &settings_of_first, size, true)?;
         crate::memory::limit().allow("the judgement", bytes, "a smaller --patch or smaller photographs")?;
         if args.edges > 0 {
             // Patches of edges are of the size that their blur asks for.
             let edges = Settings { patch: LARGEST, ..settings_of_first.clone() };
-            let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &edges, false)?;
+            let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &edges, size, false)?;
             crate::memory::limit().allow("the slanted edges", bytes, "no --edges, or a smaller network")?;
         }
         let instead = "a smaller train.patch_px, batch or base_width";
@@ -165,11 +167,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let asked = crate::interrupt::asked()?;
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
-        eprintln!("{} of {}: {}", k + 1, cameras.len(), camera.label());
+        crate::tell!("{} of {}: {}", k + 1, cameras.len(), camera.label());
         let outcome =
             camera.compared(args, &pictures, &asked).and_then(|found| Ok((found, camera.edges(args, &asked)?)));
         if let Err(Error::Interrupted) = outcome {
-            eprintln!("stopped; the same command with --resume goes on");
+            crate::tell!("stopped; the same command with --resume goes on");
             return Err(Error::Interrupted.into());
         }
         outcomes.push(outcome);
@@ -181,7 +183,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     apart(&mut entrants, &cameras);
     if let Some(why) = entrants.first().and_then(|e| e.outcome.as_ref().err()) {
-        eprintln!("warning: the first camera was not judged: {why}");
+        crate::tell!("warning: the first camera was not judged: {why}");
     }
     let comparison = Comparison {
         title: format!("{} and others in its place", first.name),
@@ -517,7 +519,7 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
         let last = ((losses.len() as f64 * LAST) as usize).max(1).min(losses.len());
         #[expect(clippy::cast_precision_loss, reason = "a number of steps")]
         let mean = losses[losses.len() - last..].iter().sum::<f64>() / last as f64;
-        eprintln!(
+        crate::tell!(
             "rate {}: loss {}{}",
             significant(*rate, 3),
             significant(mean, 4),

@@ -37,7 +37,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Ok(());
     }
     for note in notes {
-        eprintln!("note: {output}: {note}");
+        crate::tell!("note: {output}: {note}");
     }
     writeln!(out, "{output}: {} surfaces", lens.surfaces.len())?;
     Ok(())

@@ -104,7 +104,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let started = Instant::now();
     let settings = Settings::new(args.quick, args.seed, args.photos.clone());
     let task = &settings.task;
-    eprintln!("about {} on two cores", if args.quick { "50 seconds" } else { "9 minutes" });
+    crate::tell!("about {} on two cores", if args.quick { "40 seconds" } else { "5 minutes" });
     let start = task.lens(crate::glasses::all())?;
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
     let stages = memory::of_design(task)?.max(memory::of_training(task)?);

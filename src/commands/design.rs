@@ -176,7 +176,7 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
     };
     let own = parts.len() - 1;
     for (k, part) in parts[..own].iter().enumerate().filter(|(k, _)| k + 1 >= reached.begun) {
-        eprintln!("stage {} of {}", k + 1, parts.len());
+        crate::tell!("stage {} of {}", k + 1, parts.len());
         let inside = stages::folder_of(folder, k);
         let designing = if k < reached.begun {
             Designing::resume(&inside, device)?
@@ -189,7 +189,7 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
         let quiet: &mut dyn Write = if told.json { &mut std::io::sink() } else { &mut *out };
         driven(designing, Told { validate: None, ..told }, quiet)?;
     }
-    eprintln!("stage {} of {}", parts.len(), parts.len());
+    crate::tell!("stage {} of {}", parts.len(), parts.len());
     let prepared = fresh(&parts[own], None, own)?;
     let network = network(task.base_width, task.inputs, task.seed, device)?;
     let textures = task.textures()?;
@@ -216,9 +216,9 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     crate::memory::limit().allow("the design", bytes, INSTEAD)?;
     crate::memory::tell(bytes);
     if designing.stage().steps() > 0 {
-        eprintln!("resumed at step {}", designing.stage().steps());
+        crate::tell!("resumed at step {}", designing.stage().steps());
     }
-    designing.device().iter().for_each(|line| eprintln!("{line}"));
+    designing.device().iter().for_each(|line| crate::tell!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
     let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
@@ -239,7 +239,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     bar.done(format!("{} steps", designing.stage().steps()));
     if matches!(designed, Err(Error::Interrupted)) {
         let run = folder.display();
-        eprintln!("stopped at step {}; go on with: isoplanat design --resume -o {run}", designing.stage().steps());
+        crate::tell!("stopped at step {}; go on with: isoplanat design --resume -o {run}", designing.stage().steps());
     }
     designed?;
     let joint = &designing.stage().joint;
@@ -352,16 +352,16 @@ fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
     }
     if let Some(best) = &prepared.best_built {
         let [least, first] = best.spots_mm.map(|mm| 1e3 * mm);
-        eprintln!(
+        crate::tell!(
             "spots first: of {} lenses that the search found number {} is the best as built: nine in ten within {least:.1} µm rms, of number 1 within {first:.1} µm",
             best.of,
             best.rank + 1
         );
     }
     if prepared.warm.is_some() && !prepared.taken {
-        eprintln!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
+        crate::tell!("spots first: through that lens no light reaches the frame's corner; the start is taken as it is");
     } else if let Some(warm) = &prepared.warm {
-        eprintln!(
+        crate::tell!(
             "spots first: {:.1} µm rms -> {:.1} µm in {:.2} s ({})",
             1e3 * warm.rms_mm[0],
             1e3 * warm.rms_mm[1],

@@ -197,7 +197,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         } else {
             "a family that no training uses"
         };
-        eprintln!("no --photos: {SCENES} built-in {family} scenes, {known}");
+        crate::tell!("no --photos: {SCENES} built-in {family} scenes, {known}");
     }
     if let Some(folder) = &args.drawn {
         return drawn(args, &run, &pictures, folder, out);
@@ -332,7 +332,9 @@ impl Judged {
 
     /// The bytes that judging it takes, allowed.
     fn allow(&self, pictures: &Pictures, sheets: bool) -> Result<u64> {
-        let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, sheets)?;
+        let frame = self.subject.frame()?;
+        let frame = [frame.columns, frame.rows];
+        let bytes = memory::of_evaluation(self.network.config(), pictures, &self.settings, Some(frame), sheets)?;
         let instead = "a smaller --patch, smaller photographs, or no --pictures";
         crate::memory::limit().allow("the evaluation", bytes, instead)?;
         Ok(bytes)

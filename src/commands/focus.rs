@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::Error;
-use isoplanat::interchange::{Form, text_of};
+use isoplanat::interchange::{Form, reopened, text_of};
 use isoplanat::lens::paraxial::first_order;
 use isoplanat::optimize::refocused;
 use isoplanat::optimize::spec::Spec;
@@ -50,6 +50,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.lens)?;
     let named = |e: Error| crate::input::in_lens(e, &lens, &args.lens);
     let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip()).map_err(named)?;
+    let placed = reopened(&args.lens, placed, crate::glasses::all())?;
     // Light that does not come together says nothing of where to stand.
     let image = first_order(&placed, placed.wavelengths.primary_nm).paraxial_image_distance;
     if !(image > 0.0 && image < FARTHEST_MM) {
@@ -72,7 +73,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{value:#}")?;
         return Ok(());
     }
-    notes.iter().for_each(|note| eprintln!("note: {output}: {note}"));
+    notes.iter().for_each(|note| crate::tell!("note: {output}: {note}"));
     let [before, after, rms, least] = [(before, 8), (after, 8), (rms, 4), (least, 4)].map(|(v, n)| significant(v, n));
     writeln!(out, "sensor from last vertex  {before} mm, now {after}")?;
     writeln!(out, "spots, rms               {rms} µm at {} mm, now {least}", args.depth_mm)?;

@@ -26,10 +26,10 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
     let toml = Path::new(name_or_path).extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.
-        eprintln!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
+        crate::tell!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
     }
     for warning in overlapping_rims(&lens, name_or_path) {
-        eprintln!("warning: {warning}");
+        crate::tell!("warning: {warning}");
     }
     Ok(lens)
 }
@@ -67,7 +67,7 @@ impl FNumber {
             let allowed = format!("{} or more: the stop's surface is clear up to {clear} mm", significant(least, 5));
             return refuse(format!("{number}, a stop of {} mm", significant(radius, 5)), allowed);
         }
-        eprintln!(
+        crate::tell!(
             "note: {argument}: f/{number} for this run: the stop's semi-diameter is {} mm in place of {}",
             significant(radius, 6),
             significant(first.stop_semi_diameter, 6)
@@ -82,7 +82,7 @@ impl FNumber {
 pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) -> Result<()> {
     density.require(lens).map_err(|e| in_lens(e, lens, argument))?;
     for [from, to] in density.left_out_nm() {
-        eprintln!(
+        crate::tell!(
             "note: {argument}: {from:.2} to {to:.2} nm are left out: the sensor sees less than {SEEN} of its peak there"
         );
     }
@@ -94,7 +94,7 @@ pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) ->
         .map(|(nm, _)| nm.to_string())
         .collect();
     if !unseen.is_empty() {
-        eprintln!(
+        crate::tell!(
             "warning: {argument}: wavelengths.nm: {} nm: the picture shows {short} to {long} nm, what the sensor responds to",
             unseen.join(", ")
         );
@@ -120,7 +120,7 @@ pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
     }
     let measured = MeasuredLens::load(folder)?;
     for note in measured.notes()? {
-        eprintln!("note: {name_or_path}: {note}");
+        crate::tell!("note: {name_or_path}: {note}");
     }
     Ok(Subject::Measured(Box::new(measured)))
 }

@@ -4,6 +4,16 @@
 //! stderr. To add a command: a file beside this one with `Args` and `run`, a variant of [`Command`], a line in
 //! [`dispatch`]; one that needs a feature has a second variant over [`missing::Args`] for builds without it.
 
+/// Where memory is refused, one line and exit code 2.
+#[global_allocator]
+static MEMORY: isoplanat::refusing::Refusing = isoplanat::refusing::Refusing;
+
+/// Says something on stderr; what would steer a terminal is escaped ([`isoplanat::terminal`]).
+macro_rules! tell {
+    ($($words:tt)*) => { eprintln!("{}", isoplanat::terminal::printable(&format!($($words)*))) };
+}
+pub(crate) use tell;
+
 mod accuracy;
 mod analyses;
 #[cfg(feature = "calibrate")]
@@ -54,12 +64,15 @@ mod train;
 mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
+use std::sync::Mutex;
 
 use clap::Parser;
 use isoplanat::Error;
 use isoplanat::interchange::Reading;
 use isoplanat::math::simd::check_environment;
+use isoplanat::terminal::Printable;
 
 /// Designs a camera lens and its reconstruction network together, and runs the result on real captures.
 #[derive(Parser)]
@@ -270,9 +283,26 @@ fn main() -> ExitCode {
     if let Some(code) = isoplanat::deploy::serve_child() {
         return code;
     }
+    std::panic::set_hook(Box::new(|panic| {
+        if let Ok(mut text) = PANIC.lock() {
+            *text = panic.to_string().replace('\n', " ");
+        }
+    }));
+    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
+        let text = PANIC.lock().map(|t| t.clone()).unwrap_or_default();
+        tell!("error: internal: {text}");
+        ExitCode::FAILURE
+    })
+}
+
+/// What a panic had to say: the hook keeps it off the screen, so that one line can be made of it, and none where somebody catches it.
+static PANIC: Mutex<String> = Mutex::new(String::new());
+
+/// Reads the command line and runs its command.
+fn run() -> ExitCode {
     let Cli { command, memory_gib, glass, glass_for, strict, configuration } = Cli::parse();
     glasses::set_reading(Reading { strict, configuration });
-    let mut out = BufWriter::new(std::io::stdout().lock());
+    let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
     let ready =
         check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
@@ -283,6 +313,6 @@ fn main() -> ExitCode {
     if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) {
         return ExitCode::SUCCESS;
     }
-    eprintln!("error: {}", format!("{error:#}").replace('\n', " "));
+    crate::tell!("error: {}", format!("{error:#}").replace('\n', " "));
     ExitCode::from(error.downcast_ref::<Error>().map_or(1, Error::exit_code))
 }

@@ -119,7 +119,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
     let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
-    spec.notes(&lens, &file)?.iter().for_each(|note| eprintln!("note: {file}: {note}"));
+    spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
     // Ctrl-C asks for an end; the best lens so far is written.
     let asked = crate::interrupt::asked()?;
@@ -161,7 +161,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     };
     bar.done(format!("rms {:.4} µm", outcome.rms_mm[1] * 1e3));
     if asked() {
-        eprintln!("stopped on request: the best lens so far is kept");
+        crate::tell!("stopped on request: the best lens so far is kept");
     }
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
     crate::output::put(&better, Some(&args.output), out)?;

@@ -14,7 +14,7 @@ impl Bar {
         bar.set_style(style);
         bar.set_prefix(what.to_owned());
         if bar.is_hidden() {
-            eprintln!("{what} …");
+            crate::tell!("{what} …");
         }
         Self(bar)
     }
@@ -29,7 +29,7 @@ impl Bar {
     /// Ends the bar with a message.
     pub(crate) fn done(self, message: String) {
         if self.0.is_hidden() {
-            eprintln!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
+            crate::tell!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
         }
         self.0.finish_with_message(message);
     }

@@ -154,7 +154,7 @@ impl Way {
             .map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
-            eprintln!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
+            crate::tell!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
         }
         if planned < count && !args.everything {
             #[expect(clippy::cast_precision_loss, reason = "a share")]

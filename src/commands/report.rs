@@ -127,7 +127,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     for report in &reports {
         for missing in &report.missing {
-            eprintln!("note: {}: {missing}", report.lens.name);
+            crate::tell!("note: {}: {missing}", report.lens.name);
         }
         let seconds: f64 = report.seconds.iter().map(|(_, s)| s).sum();
         writeln!(out, "{}: {seconds:.2} s", report.lens.name)?;

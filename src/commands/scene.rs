@@ -63,6 +63,9 @@ fn cut(frame: &Frame, [col, row, columns, rows]: [usize; 4]) -> Result<Frame> {
     Frame::centred(columns, rows, frame.pitch_mm)?.with_axis(axis_px)
 }
 
+/// Texels that a pixel may see, at most.
+const MOST_TEXELS: f64 = 1000.0;
+
 /// What takes less memory.
 pub(crate) const SMALLER: &str = "a smaller frame (--columns, --rows, --crop), larger pixels or a smaller scene";
 
@@ -103,6 +106,10 @@ pub(crate) struct Placed {
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
     pub(crate) fn stage(&self, argument: &str) -> Result<Stage> {
+        if let Some(texels) = self.texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= MOST_TEXELS)) {
+            let allowed = format!("a positive number, at most {MOST_TEXELS}");
+            return Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), allowed));
+        }
         let lens = self.applied(self.f_number.applied(input::lens(argument)?, argument)?, argument)?;
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
@@ -153,9 +160,12 @@ impl SceneArgs {
         };
         let part =
             [start(frame.axis_px[0], frame.columns, columns), start(frame.axis_px[1], frame.rows, rows), columns, rows];
-        eprintln!(
+        crate::tell!(
             "the frame is large: only its part --crop {},{},{},{} is looked at",
-            part[0], part[1], part[2], part[3]
+            part[0],
+            part[1],
+            part[2],
+            part[3]
         );
         Ok(Placed { frame: cut(frame, part)?, ..placed })
     }

@@ -52,13 +52,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let sheets = Sheets { lens: &lens, made: &made, tolerances: &tolerances, files: &files };
     atomic::write_folder(&args.output, MARKER, args.force, |folder| fill(folder, &sheets, &forms))?;
     for fault in &made.faults {
-        eprintln!("warning: {}: {fault}", args.lens);
+        crate::tell!("warning: {}: {fault}", args.lens);
     }
     for note in &made.notes {
-        eprintln!("note: {}: {note}", args.lens);
+        crate::tell!("note: {}: {note}", args.lens);
     }
     for (name, form) in forms.iter().filter(|(_, f)| f.text.is_none()) {
-        eprintln!("note: {}: {}", args.output.join(name).display(), form.words());
+        crate::tell!("note: {}: {}", args.output.join(name).display(), form.words());
     }
     if args.json {
         writeln!(out, "{:#}", sheets.json())?;

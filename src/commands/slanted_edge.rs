@@ -90,7 +90,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     }
     let first = measured.iter().position(|m| m.name == names[first]).unwrap_or(0);
-    refused.iter().for_each(|(_, why)| eprintln!("warning: {why}"));
+    refused.iter().for_each(|(_, why)| crate::tell!("warning: {why}"));
     let image = args.image.display().to_string();
     let listing = Listing { first, measured, refused, source: picture.source, image };
     if let Some(path) = &args.csv {
@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         write!(out, "{listing}")?;
     }
     for (name, warning) in listing.warnings() {
-        eprintln!("warning: {}: {name}: {warning}", listing.image);
+        crate::tell!("warning: {}: {name}: {warning}", listing.image);
     }
     Ok(())
 }

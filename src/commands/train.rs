@@ -72,9 +72,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         }
     };
     crate::memory::tell(memory::of_training(training.task())?);
-    training.describe().iter().for_each(|line| eprintln!("{line}"));
+    training.describe().iter().for_each(|line| crate::tell!("{line}"));
     if args.resume {
-        eprintln!("resumed at step {}", training.step());
+        crate::tell!("resumed at step {}", training.step());
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = crate::interrupt::asked()?;
@@ -82,13 +82,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let trained = to_the_end(&mut training, "training", &asked, &mut |status| last = Some(*status));
     if matches!(trained, Err(Error::Interrupted)) {
         let run = args.output.display();
-        eprintln!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
+        crate::tell!("stopped at step {}; go on with: isoplanat train --resume -o {run}", training.step());
     }
     trained?;
     let judged = judged(&training, &args.output);
     let (steps, skipped, returned) = (training.step(), training.skipped(), training.returned());
     if returned > 0 {
-        eprintln!(
+        crate::tell!(
             "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.rate would have cost less"
         );
     }

@@ -196,7 +196,7 @@ fn put(board: &Board, made: Result<String>, after: Option<u64>) -> Option<u64> {
     };
     let told = error.clone();
     if board.change(after, |s| s.error = Some(error)).is_some() {
-        eprintln!("error: {told}");
+        crate::tell!("error: {told}");
     }
     None
 }

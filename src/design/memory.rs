@@ -94,7 +94,9 @@ pub fn of_training(task: &Task) -> Result<u64> {
 
 /// Bytes of what is said of a network at the end, beside the textures that are still held.
 fn of_verdict(task: &Task, network: &UnetConfig) -> Result<u64> {
-    let judged = of_evaluation(network, &verdict::held_out(task)?, &verdict::settings(vec![f64::INFINITY]), false)?;
+    let frame = task.sensor.as_ref().map(|s| [s.columns, s.rows]);
+    let settings = verdict::settings(vec![f64::INFINITY]);
+    let judged = of_evaluation(network, &verdict::held_out(task)?, &settings, frame, false)?;
     Ok(judged.saturating_add(textures(task)?))
 }
 
@@ -109,13 +111,21 @@ pub fn of_retraining(network: &UnetConfig, task: &Task, [captures, side, batch]:
     Ok(all.iter().fold(0, |a, b| a.saturating_add(*b)))
 }
 
-/// Bytes of `isoplanat evaluate`; with `sheets`, of the pictures it shows too.
+/// Bytes of `isoplanat evaluate` on a frame of `[columns, rows]`, where that is known; with `sheets`, of the pictures it shows too.
 ///
 /// # Errors
 /// A photograph that cannot be read.
-pub fn of_evaluation(network: &UnetConfig, pictures: &Pictures, settings: &Settings, sheets: bool) -> Result<u64> {
-    // The lens's own filters look at what lies around.
-    let side = settings.patch + 2 * CONTEXT + 2 * Filters::WIDEST;
+pub fn of_evaluation(
+    network: &UnetConfig,
+    pictures: &Pictures,
+    settings: &Settings,
+    frame: Option<[usize; 2]>,
+    sheets: bool,
+) -> Result<u64> {
+    // Around a patch lies what the network sees, and what the lens's own filters look at, as far as the frame goes.
+    let most = frame.map_or(usize::MAX, |[columns, rows]| columns.max(rows));
+    let seen = settings.patch + 2 * CONTEXT;
+    let side = (seen + 2 * Filters::WIDEST).min(most);
     // A picture as it is read: its samples, its planes, and the scene made of it.
     let picture = product(&[pictures.largest()?, 3 * (2 * size_of::<f32>() + 4)]);
     let region = product(&[side, side, REGION]);
@@ -123,5 +133,5 @@ pub fn of_evaluation(network: &UnetConfig, pictures: &Pictures, settings: &Setti
     let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 4 * 3 * 2 * size_of::<f32>()]);
     let shown = if sheets { shown.saturating_mul(product(&[settings.patch, settings.patch])) } else { 0 };
     let inputs = Inputs { wiener: true, ..network.inputs };
-    Ok(sum(&[picture, region, network.forward_bytes(side), shown, guide(inputs)]))
+    Ok(sum(&[picture, region, network.forward_bytes(seen), shown, guide(inputs)]))
 }

@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 
 use super::html::Page;
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, significant};
+use super::table::{Table, csv_cell, significant};
 
 /// One way to make the picture, what it cost and how far off it was.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -99,11 +99,10 @@ impl Accuracy {
             "method,ladder,settings,psnr_db,psnr_low_db,psnr_high_db,relative_l2,energy,worst_pixel,seconds,peak_bytes,pareto\n",
         );
         for r in &self.rows {
-            let quoted = |text: &str| format!("\"{}\"", text.replace('"', "\"\""));
             let cells = [
-                quoted(&r.method),
-                quoted(&r.ladder),
-                quoted(&r.settings),
+                csv_cell(&r.method),
+                csv_cell(&r.ladder),
+                csv_cell(&r.settings),
                 r.psnr_db.to_string(),
                 r.psnr_db_interval[0].to_string(),
                 r.psnr_db_interval[1].to_string(),

@@ -12,7 +12,7 @@ use super::evaluation::{Evaluation, Figure, Row};
 use super::html::{Fact, Page, Picture};
 use super::paired::against;
 use super::plot::{Mark, Plot, Series};
-use super::table::{Table, significant};
+use super::table::{Table, csv_cell, significant};
 use isoplanat_base::error::Result;
 
 pub use edges::EdgesAt;
@@ -204,9 +204,8 @@ impl Comparison {
             if out.is_empty() {
                 let _ = writeln!(out, "lens,network,{heading}");
             }
-            let quoted = |t: &str| format!("\"{}\"", t.replace('"', "\"\""));
             for line in lines {
-                let _ = writeln!(out, "{},{},{line}", quoted(&e.name), quoted(&e.network));
+                let _ = writeln!(out, "{},{},{line}", csv_cell(&e.name), csv_cell(&e.network));
             }
         }
         out

@@ -4,7 +4,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, significant};
+use super::table::{Table, csv_cell, significant};
 
 /// One setting.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -61,7 +61,7 @@ impl GradientAccuracy {
         let mut out = String::from("ladder,setting,relative_error,seconds,planning_seconds\n");
         for r in &self.rows {
             let (e, s, p) = (r.relative_error, r.seconds, r.planning_seconds);
-            out.push_str(&format!("\"{}\",\"{}\",{e},{s},{p}\n", r.ladder, r.setting));
+            out.push_str(&format!("{},{},{e},{s},{p}\n", csv_cell(&r.ladder), csv_cell(&r.setting)));
         }
         out
     }

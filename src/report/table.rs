@@ -29,10 +29,7 @@ impl Table {
 
     /// The same as comma-separated values, the heading first; cells with commas or quotes are quoted.
     pub fn csv(&self) -> String {
-        let cell = |c: &String| {
-            if c.contains([',', '"', '\n']) { format!("\"{}\"", c.replace('"', "\"\"")) } else { c.clone() }
-        };
-        let line = |row: &Vec<String>| row.iter().map(cell).collect::<Vec<_>>().join(",") + "\n";
+        let line = |row: &Vec<String>| row.iter().map(|c| csv_cell(c)).collect::<Vec<_>>().join(",") + "\n";
         std::iter::once(&self.heading).chain(&self.rows).map(line).collect()
     }
 
@@ -62,8 +59,31 @@ impl fmt::Display for Table {
     }
 }
 
+/// A cell of comma-separated values: with commas, quotes or ends of line in quotes; a text that a spreadsheet would run (`=`, `+`, `-`, `@` and no number) behind an apostrophe.
+pub fn csv_cell(text: &str) -> String {
+    let runs = text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
+    let text = if runs { format!("'{text}") } else { text.to_owned() };
+    if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text }
+}
+
 #[cfg(test)]
 mod tests {
+    /// What a file calls itself is a text to a spreadsheet, numbers stay numbers.
+    #[test]
+    fn cells_are_not_run() {
+        for (text, cell) in [
+            ("=cmd|'/c calc'!A1", "'=cmd|'/c calc'!A1"),
+            ("@SUM(1,2)", "\"'@SUM(1,2)\""),
+            ("-1.5e-3", "-1.5e-3"),
+            ("+2", "+2"),
+            ("-inf", "-inf"),
+            ("-1+1", "'-1+1"),
+            ("a-b", "a-b"),
+        ] {
+            assert_eq!(csv_cell(text), cell);
+        }
+    }
+
     use super::*;
 
     #[test]

@@ -545,11 +545,14 @@ fn evaluate_judges_a_run_by_field_and_depth() {
         }
     }
     let csv = std::fs::read_to_string(place.path("a.csv")).expect("written");
-    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(30)), "{csv}");
+    assert_eq!((csv.lines().count(), csv.lines().next().map(|l| l.split(',').count())), (7, Some(36)), "{csv}");
     assert!(std::fs::read_to_string(place.path("a.svg")).expect("written").contains("800 mm"));
     let sheet = place.path("sheets").join("depth-800mm-field-2.png");
     let sheet = isoplanat::imaging::files::read_linear(&sheet).expect("a picture");
-    assert_eq!(sheet.dim(), (3, 2 * 32 + 8, 3 * 32 + 16));
+    // Two pictures below the names of four columns.
+    assert_eq!(sheet.dim(), (3, 20 + 2 * 32 + 6, 4 * 32 + 3 * 6));
+    let verdicts = json["verdicts"].as_array().expect("a verdict a distance");
+    assert!(verdicts.len() == 2 && verdicts.iter().all(|v| v["over_wiener"]["psnr_db"]["mean"].is_number()), "{json}");
     // The same numbers again; built-in scenes say so.
     assert_eq!(read_json(&place.run(command).done()), json);
     // Against itself nothing differs; of two pictures no interval is known. By field angle, with means to some.

@@ -22,6 +22,7 @@ mod golden;
 mod gradients;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod guided;
+mod hostile;
 mod layering;
 mod lens_files;
 mod library;

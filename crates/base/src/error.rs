@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{file}: {place}: {found}; {allowed}")]
+    #[error("{}{found}; {allowed}", before(&[file, place]))]
     BadInput {
         /// File (or the argument's name) the value stands in.
         file: String,
@@ -40,6 +40,11 @@ pub enum Error {
     /// The user pressed Ctrl-C.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// What stands before a value: the parts that there are, with colons.
+fn before(parts: &[&str]) -> String {
+    parts.iter().filter(|part| !part.is_empty()).map(|part| format!("{part}: ")).collect()
 }
 
 /// The library's result.
@@ -85,7 +90,7 @@ impl Error {
 
     /// The error as part of a sentence: without the place of a file that nobody has named.
     pub fn words(&self) -> String {
-        self.to_string().trim_start_matches(": ").to_owned()
+        self.to_string()
     }
 
     /// The program's exit code for this error.

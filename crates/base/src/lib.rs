@@ -6,6 +6,8 @@ pub mod atomic;
 pub mod error;
 pub mod figures;
 pub mod math;
+pub mod refusing;
+pub mod terminal;
 #[doc(hidden)]
 pub mod testing;
 pub mod units;

@@ -17,6 +17,8 @@ mod test_model;
 pub mod tiles;
 pub mod valid;
 
+pub use isoplanat_base::refusing::Refusing;
+
 use std::process::ExitCode;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -330,7 +330,7 @@ mod tests {
                 (&out - &seen.slice(s![.., first..first + 3, .., ..])).iter().fold(0f32, |m, v| m.max(v.abs()))
             };
             let [near, far] = if base == Base::Blend { [0, 3] } else { [3, 0] };
-            assert!(at(&net, near) < 0.05 && at(&net, far) > 0.2, "{base:?}");
+            assert!(4.0 * at(&net, near) < at(&net, far), "{base:?}: {} and {}", at(&net, near), at(&net, far));
             if base == Base::Blend {
                 for parameter in net.parameters().iter().filter(|p| p.name.starts_with("output.")) {
                     let mut values = vec![0.0; parameter.values.len()];

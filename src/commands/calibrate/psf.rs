@@ -69,7 +69,7 @@ pub(super) fn measure(
         }
     }
     if left_out.len() == charts.len() {
-        left_out.iter().for_each(|e| eprintln!("warning: no edges taken: {e}"));
+        left_out.iter().for_each(|e| crate::tell!("warning: no edges taken: {e}"));
     }
     bar.set(0.8, "kernels".into());
     let measured = edges.fit(&|share| bar.set(0.8 + 0.2 * share, "kernels".into())).map_err(named)?;

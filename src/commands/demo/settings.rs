@@ -50,13 +50,13 @@ impl Settings {
         let mut task = Task::demo();
         task.seed = seed;
         task.photos = photos;
-        task.steps = Some(600);
+        task.steps = Some(2000);
         let train = &mut task.train;
         train.scales = 3;
         // Two networks of equal steps, both from the joint design's: one sees the capture alone, one is told of its lens. Designed with a told
         // network in the same minutes the lens was worse (benches/results/guided.md).
         train.inputs = Inputs::TOLD;
-        (train.steps, train.constant_epochs, train.decay_epochs) = (Some(1600), 1.0, 2.0);
+        (train.steps, train.constant_epochs, train.decay_epochs) = (Some(1400), 1.0, 2.0);
         (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
         (train.rate, train.loss) = (2e-3, "l1".into());
         // The demo's camera has its sensor's own noise, and no haze.
@@ -78,7 +78,7 @@ impl Settings {
     fn quick(mut self) -> Self {
         self.task.sensor = Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
         self.task.scenes = 12;
-        (self.task.steps, self.task.patch_px, self.task.batch) = (Some(100), 96, 1);
+        (self.task.steps, self.task.patch_px, self.task.batch) = (Some(200), 96, 1);
         let train = &mut self.task.train;
         train.steps = Some(300);
         (train.pairs, train.region_px, train.patch_px) = (40, 160, 128);

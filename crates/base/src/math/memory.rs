@@ -2,6 +2,9 @@
 
 use std::path::{Path, PathBuf};
 
+#[cfg(unix)]
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+
 use crate::error::{Error, Result};
 
 /// Bytes of a gibibyte.
@@ -10,6 +13,9 @@ pub const GIB: u64 = 1 << 30;
 pub const BASE: u64 = 32 << 20;
 /// Part of the available memory that may be used, in hundredths.
 const PART: u64 = 80;
+/// Addresses beside the limit: code and libraries loaded later, and what a thread's allocator and stack reserve without using it.
+const RESERVED: u64 = GIB;
+const RESERVED_THREAD: u64 = 160 << 20;
 /// The limit where the system does not tell what is available.
 const UNKNOWN: u64 = 8 * GIB;
 
@@ -39,15 +45,32 @@ impl Limit {
         Ok(Self { bytes })
     }
 
-    /// Four fifths of the memory that this process can still get: of `MemAvailable`, and of what its control groups leave it.
+    /// Four fifths of the memory that this process can still get: of `MemAvailable`, and of what its control groups and its own limit on addresses leave it.
     /// 8 GiB where the system does not tell.
     pub fn of_process() -> Self {
         let system = std::fs::read_to_string("/proc/meminfo").ok().and_then(|text| available(&text));
         let groups = std::fs::read_to_string("/proc/self/cgroup").ok();
         let group = groups.and_then(|text| left_in_groups(&text, Path::new("/sys/fs/cgroup")));
-        let least = system.into_iter().chain(group).min();
+        let least = system.into_iter().chain(group).chain(left_of_addresses()).min();
         Self { bytes: least.map_or(UNKNOWN, |bytes| bytes / 100 * PART) }
     }
+
+    /// Has the system refuse what goes beyond it, as far as it can: addresses beyond those that the process has now, with room for what its threads reserve and
+    /// do not use. An estimate that was too low then ends the work in place of the machine's memory.
+    #[cfg(unix)]
+    pub fn hold(&self) {
+        let Some(used) = addresses() else { return };
+        let room = RESERVED.saturating_add(RESERVED_THREAD.saturating_mul(threads() as u64));
+        let most = used.saturating_add(self.bytes).saturating_add(room);
+        let now = getrlimit(Resource::As);
+        let most = now.current.map_or(most, |current| current.min(most));
+        // A system that takes no limit has none.
+        let _ = setrlimit(Resource::As, Rlimit { current: Some(most), maximum: now.maximum });
+    }
+
+    /// Nothing, where the system knows no such limit.
+    #[cfg(not(unix))]
+    pub fn hold(&self) {}
 
     /// Refuses `what` if it takes more than `bytes`; `instead` says what would take less.
     ///
@@ -77,6 +100,24 @@ pub fn product(factors: &[usize]) -> u64 {
 /// Threads that work at a time.
 pub fn threads() -> usize {
     rayon::current_num_threads()
+}
+
+/// What the limit on the process's addresses leaves, bytes; `None` where there is none.
+#[cfg(unix)]
+fn left_of_addresses() -> Option<u64> {
+    Some(getrlimit(Resource::As).current?.saturating_sub(addresses()?))
+}
+
+/// Bytes of addresses that the process has; `None` where the system does not tell.
+#[cfg(unix)]
+fn addresses() -> Option<u64> {
+    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
+    statm.split_whitespace().next()?.parse::<u64>().ok()?.checked_mul(rustix::param::page_size() as u64)
+}
+
+#[cfg(not(unix))]
+fn left_of_addresses() -> Option<u64> {
+    None
 }
 
 /// `MemAvailable` of a `/proc/meminfo`, bytes.

@@ -53,7 +53,7 @@ impl<'a> Batch<'a> {
     }
 
     fn note(&self, capture: &Path, text: &str) {
-        self.bar.suspend(|| eprintln!("isoplanat-camera: {}: {text}", capture.display()));
+        self.bar.suspend(|| crate::program::tell!("isoplanat-camera: {}: {text}", capture.display()));
     }
 
     /// Moves the bar to a share of the capture `k` of `n`; it is shown once there is something to wait for.

@@ -90,7 +90,7 @@ fn target(arguments: &Arguments, outputs: &[PathBuf]) -> Result<Target> {
 
 fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let Some(kit) = kit else {
-        eprintln!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
+        crate::program::tell!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
         let mut camera = Camera::plain();
         if let Some(path) = &arguments.corrections.distortion {
             camera = camera.straightening(&MeasuredDistortion::load(path)?)?;
@@ -116,9 +116,9 @@ fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
     let camera = Camera::with_kit_apart(kit, steps, &options, &apart)?;
     let camera = camera.without(arguments.corrections.glare.unwrap_or_default())?;
     match camera.network() {
-        None => eprintln!("isoplanat-camera: --no-network: no network is applied"),
+        None => crate::program::tell!("isoplanat-camera: --no-network: no network is applied"),
         Some(network) if matches!(network.runtime(), Runtime::Tract { .. }) => {
-            eprintln!("isoplanat-camera: the network runs in {}", network.runtime());
+            crate::program::tell!("isoplanat-camera: the network runs in {}", network.runtime());
         }
         Some(_) => {}
     }

@@ -1,5 +1,11 @@
 //! The program `isoplanat-camera`: RAW captures in, pictures out, through a kit's network. [`main`] is all that its binary calls.
 
+/// Says something on stderr; what would steer a terminal is escaped ([`isoplanat_base::terminal`]).
+macro_rules! tell {
+    ($($words:tt)*) => { eprintln!("{}", isoplanat_base::terminal::printable(&format!($($words)*))) };
+}
+pub(crate) use tell;
+
 mod arguments;
 mod batch;
 mod bench;
@@ -32,8 +38,12 @@ pub fn main() -> ExitCode {
     let arguments = arguments::Arguments::parse();
     let code = catch_unwind(AssertUnwindSafe(|| command::run(&arguments))).unwrap_or_else(|_| {
         let text = PANIC.lock().map(|t| t.clone()).unwrap_or_default();
-        eprintln!("isoplanat-camera: internal error: {text}");
+        crate::program::tell!("isoplanat-camera: internal error: {text}");
         1
     });
+    if code == 0 && say::lost() {
+        tell!("isoplanat-camera: standard output: what was to be printed could not be written");
+        return ExitCode::FAILURE;
+    }
     ExitCode::from(code)
 }

@@ -87,6 +87,15 @@ impl MeasuredDistortion {
             return refuse("k, centre_px", format!("{:?}, {:?}", self.k, self.centre_px), "finite numbers below 1e9");
         }
         Frame::centred(self.columns, self.rows, 1.0).map_err(|e| e.in_file(Path::new(file)))?;
+        for (axis, (at, count)) in ["x", "y"].into_iter().zip(self.centre_px.into_iter().zip([self.columns, self.rows]))
+        {
+            let size = count as f64;
+            if !(-size..=2.0 * size).contains(&at) {
+                let allowed =
+                    format!("no farther from the frame than its own size: {} to {} px in {axis}", -size, 2.0 * size);
+                return refuse("centre_px", at.to_string(), &allowed);
+            }
+        }
         if self.camera().folds(self.max_slope).is_some() {
             return refuse("k", "image height stops growing".into(), "a model that grows up to max_slope");
         }

@@ -1,6 +1,7 @@
 //! The one reader of pictures: whatever a file holds as interleaved samples of one or three channels, then as linear light.
 
 use std::io::Read;
+use std::panic::catch_unwind;
 use std::path::Path;
 
 use image::{DynamicImage, ImageDecoder, ImageError, ImageReader};
@@ -12,6 +13,10 @@ use super::{npy, tiff_file};
 use crate::develop::color::linear_from_srgb;
 use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::{Limit, product};
+
+/// Bytes a pixel that a picture takes beside what its decoder gives: samples of one kind, three planes.
+const PIXEL: usize = 3 * (2 + 8);
 
 /// What the numbers of an integer picture stand for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -209,8 +214,15 @@ fn kind(path: &Path) -> Result<Kind> {
     })
 }
 
-/// What a file holds.
+/// What a file holds. A decoder that gives up in the middle of a form that it does not know is refused as any.
 fn content(path: &Path) -> Result<Content> {
+    catch_unwind(|| decoded_content(path)).unwrap_or_else(|_| {
+        let file = path.display().to_string();
+        Err(Error::bad(file, "picture", "a form that its decoder gives up on", ALLOWED))
+    })
+}
+
+fn decoded_content(path: &Path) -> Result<Content> {
     match kind(path)? {
         Kind::Array => npy::read(path),
         // Forms that the `image` crate knows too go its way: palettes, CMYK, bilevel.
@@ -224,6 +236,7 @@ fn picture(path: &Path) -> Result<Content> {
     let refused = |e| refused(path, e);
     let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
     let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
+    room(path, &decoder)?;
     let orientation = decoder.orientation().map_err(refused)?.to_exif();
     let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
     let (rows, cols) = (picture.height() as usize, picture.width() as usize);
@@ -240,6 +253,14 @@ fn picture(path: &Path) -> Result<Content> {
         (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
     };
     Ok(Content { rows, cols, channels, samples, orientation })
+}
+
+/// Refuses a picture whose pixels there is no memory for, before they are asked for: as the decoder gives them, as they are converted, and the planes that are made of them.
+fn room(path: &Path, decoder: &impl ImageDecoder) -> Result<()> {
+    let (cols, rows) = decoder.dimensions();
+    let bytes = product(&[rows as usize, cols as usize, PIXEL]).saturating_add(decoder.total_bytes());
+    let picture = format!("{}, {cols} × {rows} pixels", path.display());
+    Limit::of_process().allow(&picture, bytes, "a smaller picture")
 }
 
 fn refused(path: &Path, e: ImageError) -> Error {

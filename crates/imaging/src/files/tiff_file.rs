@@ -44,6 +44,10 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     let bad = |found: String, allowed: &str| Error::bad(path.display().to_string(), "picture", found, allowed);
     let mut decoder = open(path)?;
     let (cols, rows) = decoder.dimensions().map_err(refused)?;
+    let fill = decoder.find_tag_unsigned::<u16>(Tag::FillOrder).map_err(refused)?;
+    if fill.is_some_and(|order| order != 1) {
+        return Err(bad("bits in reverse order (FillOrder 2)".into(), "FillOrder 1"));
+    }
     let (bits, bands) = match decoder.colortype().map_err(refused)? {
         ColorType::Gray(bits) => (bits, 1),
         ColorType::GrayA(bits) => (bits, 2),

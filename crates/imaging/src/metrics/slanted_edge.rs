@@ -33,7 +33,7 @@ use isoplanat_base::error::{Error, Result};
 use line::Line;
 use refine::Fitted;
 use samples::Sample;
-use shade::{Blend, Shade};
+use shade::{Blend, Kind, Shade};
 use transfer::Transfer;
 
 pub use find::find_region;
@@ -245,33 +245,34 @@ struct Edge {
     light: Option<Shade>,
 }
 
-/// The edge under even light, or under light with slopes along it, or across it too, where that tells the samples better (Akaike's criterion, a sample). A slope across has to be
-/// certain besides: the tails of a spread function look much alike.
+/// The edge under even light, or under light with slopes or bends along it, or across it too, where that tells the samples better (the Bayesian criterion, a
+/// sample). What changes across has to be certain besides: the tails of a spread function look much alike.
 fn edge(samples: &[Sample], region: Rectangle, sites: Sites) -> Result<Edge> {
     let (even, share) = fitted(samples, region, sites)?;
     let score = |e: &Edge| {
         let (spread, more) = (&e.fitted.spread, e.light.as_ref().map_or(0, Shade::numbers) as f64);
         let n = spread.samples;
-        (spread.residual / n).max(f64::MIN_POSITIVE).ln() + 2.0 * (spread.freedom() + more) / n
+        (spread.residual / n).max(f64::MIN_POSITIVE).ln() + (2.0 * spread.freedom() + n.ln() * more) / n
     };
-    let uneven = |even: &Fitted, across: bool| {
+    let uneven = |even: &Fitted, kind: Kind| {
         let (spread, points) = refine::narrow(samples, &even.line, even.width)?;
         let blend = Blend::Logistic(even.width);
-        let mut light = Shade::none(even.line, blend, &spread, across).improved(&spread, &points)?;
+        let mut light = Shade::none(even.line, blend, &spread, kind).improved(&spread, &points)?;
         let mut last = None;
         for _ in 0..LIGHTS {
             let (fitted, share) = fitted(&light.taken_off(samples), region, sites).ok()?;
             light = light.improved(&fitted.spread, &fitted.points)?.about(fitted.line, &fitted.spread);
             last = Some((fitted, share));
         }
-        last.map(|(fitted, share)| Edge { fitted, share, light: Some(light) })
+        let edge = last.map(|(fitted, share)| Edge { fitted, share, light: Some(light) })?;
+        let certain = edge.light.as_ref().is_some_and(|l| {
+            !l.is_across() || l.certainty_across(&edge.fitted.spread, &edge.fitted.points) > CERTAIN_LIGHT
+        });
+        certain.then_some(edge)
     };
-    let certain = |e: &Edge| {
-        e.light.as_ref().is_some_and(|l| l.certainty_across(&e.fitted.spread, &e.fitted.points) > CERTAIN_LIGHT)
-    };
-    let [along, both] = [false, true].map(|across| uneven(&even, across));
+    let others: Vec<Edge> = Kind::ALL.into_iter().filter_map(|kind| uneven(&even, kind)).collect();
     let mut best = Edge { fitted: even, share, light: None };
-    for other in along.into_iter().chain(both.filter(certain)) {
+    for other in others {
         if score(&other) < score(&best) {
             best = other;
         }

@@ -51,6 +51,9 @@ pub fn spot(landings: &[Landing], dz: f64) -> Option<Spot> {
     Some(Spot { centroid, rms: (square[0] + square[1]).sqrt(), rms_along: DVec2::from(square.map(f64::sqrt)), radius })
 }
 
+/// Slopes are parallel where they differ by less than this, rms.
+const PARALLEL: f64 = 1e-11;
+
 /// Shifts of the image plane (mm along the light) at which the rms along x, along y and of both is least: the plane's distance from
 /// the sagittal, the tangential and the medial focus of all rays. None where all rays are parallel.
 pub fn best_focus(landings: &[Landing]) -> Option<[f64; 3]> {
@@ -60,6 +63,10 @@ pub fn best_focus(landings: &[Landing]) -> Option<[f64; 3]> {
         let (p, s) = (l.at - DVec2::new(m.x, m.y), l.slope - DVec2::new(m.z, m.w));
         [p.x * s.x, p.y * s.y, s.x * s.x, s.y * s.y]
     })?;
+    // Slopes that differ by rounding alone are parallel.
+    if c[2].min(c[3]) < PARALLEL * PARALLEL {
+        return None;
+    }
     let shifts = [-c[0] / c[2], -c[1] / c[3], -(c[0] + c[1]) / (c[2] + c[3])];
     shifts.iter().all(|s| s.is_finite()).then_some(shifts)
 }

@@ -30,6 +30,7 @@ use std::path::Path;
 
 use crate::lens::catalogue::{Glasses, decoded};
 use crate::lens::{Lens, builtin, prescription};
+use crate::trace::apertures::{self, Beam};
 use isoplanat_base::error::{Error, Result};
 
 pub use text::on_one_axis;
@@ -191,6 +192,28 @@ pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> 
         return Ok(Imported { lens: builtin::lens(name_or_path)?, notes: Vec::new() });
     }
     load_as(path, glasses, reading)
+}
+
+/// `lens`, made of the one of `name_or_path` by a change, with the clear semi-diameters that its file leaves out as the beams need them now: they belong to the lens as it
+/// is, not to the one that was read. Of shipped lenses and files of other programs nothing is left out.
+///
+/// # Errors
+/// As [`load_as`].
+pub fn reopened(name_or_path: &str, lens: Lens, glasses: &Glasses) -> Result<Lens> {
+    let path = Path::new(name_or_path);
+    let own = path.extension().is_none_or(|e| e.eq_ignore_ascii_case("toml"));
+    if !own || !path.exists() {
+        return Ok(lens);
+    }
+    let text = isoplanat_base::atomic::read_text(path, LARGEST)?;
+    let marked = own::left_out(&text, name_or_path, glasses)?;
+    if marked.len() != lens.surfaces.len() || !marked.contains(&true) {
+        return Ok(lens);
+    }
+    lens.changed(|l| {
+        let beams = Beam::over_field(l);
+        apertures::open(l, &marked, &beams);
+    })
 }
 
 #[cfg(test)]

@@ -8,6 +8,14 @@ use crate::lens::{Aperture, Lens, clearance, paraxial};
 use crate::trace::apertures::{self, Beam};
 use isoplanat_base::error::{Error, Result};
 
+/// Which clear semi-diameters the lens of a text leaves out.
+///
+/// # Errors
+/// As [`read`].
+pub(super) fn left_out(text: &str, file: &str, glasses: &Glasses) -> Result<Vec<bool>> {
+    Ok(prescription::read(text, file, glasses)?.marked)
+}
+
 /// The lens of a text; `file` names it in errors.
 pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported> {
     let Read { mut numbers, marked } = prescription::read(text, file, glasses)?;

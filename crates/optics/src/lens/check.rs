@@ -129,12 +129,17 @@ impl Prescription {
             let found = format!("{:?}", s.axis_px);
             return Err(Error::bad(file, "sensor.axis_px", found, "two finite numbers of pixels"));
         }
-        if !s.pitch_um.is_finite() || s.pitch_um <= 0.0 {
-            return Err(Error::bad(file, "sensor.pitch_um", s.pitch_um.to_string(), "a positive number"));
+        if !(LEAST_PITCH_UM..=MOST_PITCH_UM).contains(&s.pitch_um) {
+            let allowed = format!("{LEAST_PITCH_UM} to {MOST_PITCH_UM} µm");
+            return Err(Error::bad(file, "sensor.pitch_um", s.pitch_um.to_string(), allowed));
         }
         Ok(())
     }
 }
+
+/// Pixels that light can tell apart, and more: a twentieth of a wavelength, a metre.
+const LEAST_PITCH_UM: f64 = 0.02;
+const MOST_PITCH_UM: f64 = 1e6;
 
 /// What a table of indices must be.
 fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {

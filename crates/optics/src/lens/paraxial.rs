@@ -109,7 +109,8 @@ pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let (parallel, skew) = (sweep(lens, &n, 1.0, 0.0), sweep(lens, &n, 0.0, 1.0));
     let [yk, wk] = parallel[last];
     let n_last = n[last];
-    let efl = -1.0 / wk;
+    // Of a lens without power on either side of infinity the same.
+    let efl = if wk == 0.0 { f64::INFINITY } else { -1.0 / wk };
     // Height at the stop, of the parallel ray and of the ray through the first vertex.
     let (a, b) = (parallel[lens.stop][0], skew[lens.stop][0]);
     let stop = stop_from(lens, [a, b], efl);

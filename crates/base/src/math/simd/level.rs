@@ -73,7 +73,8 @@ impl Level {
 
 /// What the environment names.
 fn named() -> Result<Option<Level>> {
-    std::env::var_os(VARIABLE).map_or(Ok(None), |text| parse(&text.to_string_lossy()).map(Some))
+    let set = std::env::var_os(VARIABLE).filter(|text| !text.is_empty());
+    set.map_or(Ok(None), |text| parse(&text.to_string_lossy()).map(Some))
 }
 
 fn parse(text: &str) -> Result<Level> {
@@ -85,7 +86,7 @@ fn parse(text: &str) -> Result<Level> {
     }
 }
 
-/// Whether `ISOPLANAT_SIMD` is unset or names an instruction set; [`Level::detect`] takes no notice of anything else.
+/// Whether `ISOPLANAT_SIMD` is unset, empty, or names an instruction set; [`Level::detect`] takes no notice of anything else.
 ///
 /// # Errors
 /// It says something else.

@@ -21,6 +21,9 @@ pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
     draft.title = whole.get("info").and_then(|i| i.value.as_str()).unwrap_or_default().chars().take(200).collect();
     draft.wavelengths = COLOURS_NM.map(|nm| (nm, 1.0)).into();
     draft.primary = 1;
+    if let Some(doe) = whole.get("DOE").filter(|d| !d.value.is_null()) {
+        return Err(doe.refused("a diffractive surface", "refracting surfaces"));
+    }
     let surfaces = whole.need("surfaces")?.items()?;
     if surfaces.len() > MAX_SURFACES {
         return Err(whole.refused(format!("{} surfaces", surfaces.len()), "at most 400"));
@@ -79,8 +82,14 @@ fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
     }
     stage.semi_diameter = part.get("r").map(|r| r.number()).transpose()?.filter(|r| *r > 0.0);
     stage.thickness = part.get("d_next").map(|d| d.number()).transpose()?.unwrap_or(f64::NAN);
-    let name = part.need("mat2")?.text()?;
-    stage.medium = medium(name);
+    // A stop stands in air.
+    let name = part.get("mat2").map(|m| m.text().map(str::to_owned)).transpose()?;
+    let name = match name {
+        None if stage.stop => "air".to_owned(),
+        None => part.need("mat2")?.text()?.to_owned(),
+        Some(name) => name,
+    };
+    stage.medium = medium(&name);
     if matches!(&stage.medium, Stated::Glass(_)) && notes.iter().all(|n| !n.starts_with("glasses by name")) {
         notes.push("glasses by name are those of the catalogues, which DeepLens approximates in part".into());
     }

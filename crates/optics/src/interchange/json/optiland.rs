@@ -13,7 +13,7 @@ pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
     let whole = Part::new(value, file);
     let mut draft = Draft::new("Optiland file");
     draft.title = whole.get("name").and_then(|n| n.value.as_str()).unwrap_or_default().chars().take(200).collect();
-    aperture(&whole.need("aperture")?, &mut draft)?;
+    let stop_mm = aperture(&whole.need("aperture")?, &mut draft)?;
     fields(&whole.need("fields")?, &mut draft)?;
     for (i, w) in whole.need("wavelengths")?.need("wavelengths")?.items()?.iter().enumerate() {
         let unit = match w.get("unit").map(|u| u.text()).transpose()?.unwrap_or("um") {
@@ -35,10 +35,15 @@ pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
         }
     }
     surfaces(&whole.need("surface_group")?.need("surfaces")?, &mut draft)?;
+    // The size of the stop stands with the aperture where it is what is stated.
+    if let Some(stop) = draft.surfaces.iter_mut().find(|s| s.stop) {
+        stop.semi_diameter = stop_mm.map(|diameter| 0.5 * diameter).or(stop.semi_diameter);
+    }
     Ok(draft)
 }
 
-fn aperture(part: &Part, draft: &mut Draft) -> Result<()> {
+/// Takes the aperture; of one that is the stop's, its diameter, mm.
+fn aperture(part: &Part, draft: &mut Draft) -> Result<Option<f64>> {
     let kind = part.get("type").or_else(|| part.get("ap_type"));
     let kind = kind.ok_or_else(|| part.refused("no key `type`", "EPD, imageFNO, objectNA, float_by_stop_size"))?;
     let value = part.need("value")?.number()?;
@@ -52,11 +57,14 @@ fn aperture(part: &Part, draft: &mut Draft) -> Result<()> {
     if part.is_true("object_space_telecentric") {
         draft.notes.push("telecentric object space: rays are aimed at the stop instead".into());
     }
-    Ok(())
+    let stop = matches!(draft.aperture, Some(Size::Stop)) && value > 0.0;
+    Ok(stop.then_some(value))
 }
 
 fn fields(part: &Part, draft: &mut Draft) -> Result<()> {
-    let mut kind = part.get("field_type").map(|k| k.text().map(str::to_owned)).transpose()?;
+    // Newer files name the type by its class.
+    let stated = part.get("field_definition").and_then(|d| d.get("field_type")).or_else(|| part.get("field_type"));
+    let mut kind = stated.map(|k| k.text().map(str::to_owned)).transpose()?;
     let list = part.need("fields")?.items()?;
     for f in &list {
         let number = |key: &str| f.get(key).map(|x| x.number()).transpose().map(|x| x.unwrap_or(0.0));
@@ -71,10 +79,10 @@ fn fields(part: &Part, draft: &mut Draft) -> Result<()> {
         kind = kind.or(own);
     }
     draft.field = match kind.as_deref() {
-        None | Some("angle") => FieldKind::Angle,
-        Some("object_height") => FieldKind::ObjectHeight,
-        Some("paraxial_image_height") => FieldKind::ParaxialImageHeight,
-        Some("real_image_height") => FieldKind::ImageHeight,
+        None | Some("angle" | "AngleField") => FieldKind::Angle,
+        Some("object_height" | "ObjectHeightField") => FieldKind::ObjectHeight,
+        Some("paraxial_image_height" | "ParaxialImageHeightField") => FieldKind::ParaxialImageHeight,
+        Some("real_image_height" | "RealImageHeightField") => FieldKind::ImageHeight,
         Some(other) => {
             return Err(part.refused(
                 format!("field type {}", shown(other)),
@@ -129,8 +137,19 @@ fn surface(part: &Part) -> Result<Stage> {
                 .refused(format!("{key} = {moved}"), "surfaces on one axis; tilts and decentres go in a TOML file"));
         }
     }
-    if part.is_true("is_reflective") {
+    // What a surface does to light stands with it, or in newer files in a part of its own.
+    let interaction = part.get("interaction_model");
+    if part.is_true("is_reflective") || interaction.as_ref().is_some_and(|i| i.is_true("is_reflective")) {
         return Err(part.refused("a mirror", "refracting surfaces"));
+    }
+    for does in [part.get("surface_type"), interaction.as_ref().and_then(|i| i.get("type"))].into_iter().flatten() {
+        let name = does.value.as_str().unwrap_or_default();
+        if !["", "standard", "RefractiveReflectiveModel", "refractive_reflective"].contains(&name) {
+            return Err(does.refused(format!("`{}`", shown(name)), "refracting surfaces"));
+        }
+    }
+    if let Some(coating) = interaction.as_ref().and_then(|i| i.get("bsdf")).filter(|b| !b.value.is_null()) {
+        return Err(coating.refused("scattering", "surfaces that refract alone"));
     }
     stage.stop = part.is_true("is_stop");
     stage.curvature = geometry.get("radius").map(|r| r.any_number()).transpose()?.map_or(0.0, f64::recip);

@@ -229,6 +229,17 @@ impl Reader<'_> {
             "PWL" => self.private = Some(few(line)?),
             _ => {
                 let wavelengths = self.private.clone().unwrap_or_default();
+                // A formula's letters stand before its coefficients: such a glass is refused where a surface names it.
+                if let Some(formula) = line.words.first().filter(|w| w.chars().all(|c| c.is_ascii_alphabetic())) {
+                    let name = name.trim_matches('\'');
+                    self.draft.notes.push(format!(
+                        "private glass {}: the formula {} is not read",
+                        shown(name),
+                        shown(formula)
+                    ));
+                    self.glasses.push((name.to_owned(), Stated::Glass(format!("PRIVATE/{name}"))));
+                    return Ok(());
+                }
                 let indices = few(line)?;
                 if wavelengths.is_empty() || wavelengths.len() != indices.len() {
                     let found = format!("{} indices of `{}`", indices.len(), shown(name));

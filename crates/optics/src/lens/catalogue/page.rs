@@ -1,5 +1,6 @@
 //! Pages of refractiveindex.info: `DATA` with a formula and its coefficients (λ in µm), or a table of indices.
 
+use yaml_rust2::parser::{Event, EventReceiver, Parser};
 use yaml_rust2::{Yaml, YamlLoader};
 
 use super::{Entry, finite, glass};
@@ -22,10 +23,43 @@ fn formula(number: &str) -> Option<Formula> {
     })
 }
 
+/// Parts of a page, at most: that of a long table of indices has a handful.
+const PARTS: usize = 100_000;
+
+/// Refuses what the loader would make more of than the page holds: anchors and aliases, and pages of more parts than any has.
+fn plain(text: &str) -> std::result::Result<(), String> {
+    struct Looked {
+        shared: bool,
+        parts: usize,
+    }
+    impl EventReceiver for Looked {
+        fn on_event(&mut self, event: Event) {
+            self.parts += 1;
+            self.shared |= match event {
+                Event::Alias(_) => true,
+                Event::Scalar(_, _, anchor, _) | Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
+                    anchor > 0
+                }
+                _ => false,
+            };
+        }
+    }
+    let mut looked = Looked { shared: false, parts: 0 };
+    Parser::new_from_str(text).load(&mut looked, true).map_err(|e| e.to_string().replace('\n', " "))?;
+    if looked.shared {
+        return Err("anchors and aliases, which such a page has none of".into());
+    }
+    if looked.parts > PARTS {
+        return Err(format!("{} parts, more than {PARTS}", looked.parts));
+    }
+    Ok(())
+}
+
 /// The glass of the page `text`, called `name`; `file` names it.
 pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
     let refuse = |place: &str, found: String, allowed: &str| Error::bad(file, place, found, allowed);
     let form = "a page of refractiveindex.info with a list DATA";
+    plain(text).map_err(|found| refuse("form", found, form))?;
     let pages = YamlLoader::load_from_str(text).map_err(|e| refuse("form", e.to_string().replace('\n', " "), form))?;
     let page = pages.first().unwrap_or(&Yaml::BadValue);
     let blocks = page["DATA"].as_vec().ok_or_else(|| refuse("DATA", "no list".into(), form))?;

@@ -1,0 +1,76 @@
+//! What is printed: texts of files cannot steer a terminal.
+
+use std::borrow::Cow;
+use std::io::{Result, Write};
+
+/// Whether a terminal would do something else than show it: control characters but ends of line and tabs, and marks that turn the direction of a text.
+fn steers(c: char) -> bool {
+    (c.is_control() && c != '\n' && c != '\t')
+        || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+/// The text with what would steer a terminal as escapes, `\u{1b}`.
+pub fn printable(text: &str) -> Cow<'_, str> {
+    if !text.contains(steers) {
+        return Cow::Borrowed(text);
+    }
+    let escaped = text.chars().map(|c| if steers(c) { c.escape_unicode().to_string() } else { c.to_string() });
+    Cow::Owned(escaped.collect())
+}
+
+/// A writer to a terminal, or what may be shown on one, of [`printable`] text. Characters that come in two writes are put together.
+#[derive(Debug)]
+pub struct Printable<W: Write> {
+    inner: W,
+    /// The beginning of a character.
+    begun: Vec<u8>,
+}
+
+impl<W: Write> Printable<W> {
+    /// Around `inner`.
+    pub fn new(inner: W) -> Self {
+        Self { inner, begun: Vec::new() }
+    }
+}
+
+impl<W: Write> Write for Printable<W> {
+    fn write(&mut self, bytes: &[u8]) -> Result<usize> {
+        self.begun.extend_from_slice(bytes);
+        let whole = match std::str::from_utf8(&self.begun) {
+            Ok(text) => text.len(),
+            // What is no text at all goes on as it is marked by the decoder.
+            Err(e) if e.error_len().is_some() => self.begun.len(),
+            Err(e) => e.valid_up_to(),
+        };
+        let rest = self.begun.split_off(whole);
+        let text = String::from_utf8_lossy(&self.begun);
+        self.inner.write_all(printable(&text).as_bytes())?;
+        self.begun = rest;
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        self.inner.flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_steers_is_shown() {
+        assert_eq!(printable("a\tµ\n"), "a\tµ\n");
+        assert!(matches!(printable("Cooke triplet, 50 mm"), Cow::Borrowed(_)));
+        assert_eq!(printable("\u{1b}]0;x\u{7}\r\u{202e}b"), "\\u{1b}]0;x\\u{7}\\u{d}\\u{202e}b");
+        let text = "µm \u{1b}[2K – ende\u{9b}";
+        for size in 1..5 {
+            let mut out = Vec::new();
+            let mut to = Printable::new(&mut out);
+            for part in text.as_bytes().chunks(size) {
+                to.write_all(part).expect("in memory");
+            }
+            assert_eq!(String::from_utf8(out).expect("text"), "µm \\u{1b}[2K – ende\\u{9b}", "{size}");
+        }
+    }
+}
