@@ -22,7 +22,7 @@ mod read;
 mod rename;
 mod sweep;
 mod temporary;
-#[cfg(test)]
+#[cfg(all(test, unix))]
 mod tests;
 
 pub use check::{check_folder, check_kind, check_target};

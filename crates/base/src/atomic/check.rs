@@ -1,5 +1,6 @@
 //! Outputs are tested before the work begins: what would be refused after it is refused at once.
 
+use std::io::ErrorKind;
 use std::path::Path;
 
 use super::entries::FolderKind;
@@ -48,7 +49,15 @@ pub fn check_kind(folder: &Path, kind: &FolderKind, replace: Replace) -> Result<
     let target = folder::target(folder)?;
     sweep::sweep(&target);
     kind.allows(folder, &target, replace)?;
-    // Folders around it are made with it: the next one that is there has to take them.
-    let around = target.ancestors().find(|p| p.parent().is_none_or(Path::is_dir)).unwrap_or(&target);
-    Temporary::beside(around).map(drop).map_err(|e| Error::writing(folder, e))
+    // Folders around it are made with it: the next one that is there has to take them and their names.
+    let failed = |e| Error::writing(folder, e);
+    let missing: Vec<&Path> = target.ancestors().take_while(|p| p.parent().is_some() && !p.is_dir()).collect();
+    let around = missing.last().copied().unwrap_or(&target);
+    for name in missing.iter().filter_map(|p| p.file_name()) {
+        match around.with_file_name(name).symlink_metadata() {
+            Err(e) if e.kind() == ErrorKind::InvalidFilename => return Err(failed(e)),
+            _ => {}
+        }
+    }
+    Temporary::beside(around).map(drop).map_err(failed)
 }

@@ -1,6 +1,7 @@
 //! Which entries of a folder are a result's own: those on the list that was written with it, and those of names that its kind has.
 
 use std::collections::BTreeSet;
+use std::ffi::OsStr;
 use std::fs::{self, File};
 use std::io::Write;
 use std::path::{Path, PathBuf};
@@ -88,10 +89,10 @@ impl<'a> FolderKind<'a> {
         };
         let mut foreign = Vec::new();
         let tree = Tree::of(target, &|path| patterns.iter().any(|p| p.ends_with("/**") && fits(p, path)))?;
-        for (path, entry) in tree.files.iter().chain(&tree.empty) {
-            let last = entry.file_name().unwrap_or_default();
-            let passing = DESKTOP.iter().any(|d| last == *d) || name::is_temporary(last);
-            if !passing && !ours(path) {
+        for (path, _) in tree.files.iter().chain(&tree.empty) {
+            // What a killed writer within the folder has left is of its making, too.
+            let passing = |n: &str| DESKTOP.contains(&n) || name::is_temporary(OsStr::new(n));
+            if !path.split('/').any(passing) && !ours(path) {
                 foreign.push(path.clone());
             }
         }

@@ -39,9 +39,10 @@ pub(super) fn exclusive_file(from: &Path, to: &Path) -> io::Result<()> {
         Err(e) if e.kind() == ErrorKind::Unsupported => {}
         other => return other,
     }
-    notice::tell("this file system cannot rename without replacing: files get their names by link and unlink");
     match fault::at("link").and_then(|()| fs::hard_link(from, to)) {
-        Ok(()) => {}
+        Ok(()) => {
+            notice::tell("this file system cannot rename without replacing: files get their names by link and unlink")
+        }
         // A network that repeats a request refuses what it has done already.
         Err(e) if e.kind() == ErrorKind::AlreadyExists && same(from, to) => {}
         Err(e) if e.kind() == ErrorKind::AlreadyExists => return Err(e),
@@ -58,6 +59,7 @@ pub(super) fn exclusive_file(from: &Path, to: &Path) -> io::Result<()> {
 
 /// [`exclusive_file`] where there are no second names (FAT): an empty file claims the name and is replaced.
 fn claimed(from: &Path, to: &Path) -> io::Result<()> {
+    notice::tell("this file system can neither rename without replacing nor link: a kill may leave an empty file");
     fault::at("claim")?;
     File::create_new(to)?;
     over(from, to).inspect_err(|_| {

@@ -7,7 +7,7 @@ mod kills;
 
 use std::cell::Cell;
 use std::fs;
-use std::io;
+use std::io::{self, Write};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -29,9 +29,13 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
-/// Writes `text` to a file as the program does.
+/// Writes `text` to a file as the program does, with a fault in its middle.
 fn put(path: &Path, replace: Replace, text: &str) -> Result<()> {
-    publish_file(path, replace, |out| io::Write::write_all(out, text.as_bytes()).map_err(|e| Error::writing(path, e)))
+    publish_file(path, replace, |out| {
+        let (begin, end) = text.as_bytes().split_at(text.len() / 2);
+        let half = out.write_all(begin).and_then(|()| out.flush()).and_then(|()| fault::at("half"));
+        half.and_then(|()| out.write_all(end)).map_err(|e| Error::writing(path, e))
+    })
 }
 
 /// Writes a folder of three files in two folders, all of which hold `text`.

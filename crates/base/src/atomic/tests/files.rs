@@ -6,6 +6,7 @@ use std::os::unix::fs::{FileTypeExt, PermissionsExt, symlink};
 use std::time::Instant;
 
 use super::super::{check_target, distinct, write_cached};
+use super::kills::child_at;
 use super::*;
 
 fn place() -> tempfile::TempDir {
@@ -91,8 +92,11 @@ fn devices_and_pipes_are_written_into() {
     }
     let place = place();
     let pipe = place.path().join("pipe");
-    let (kind, mode) = (rustix::fs::FileType::Fifo, rustix::fs::Mode::RWXU);
-    rustix::fs::mknodat(rustix::fs::CWD, &pipe, kind, mode, 0).expect("a pipe");
+    let made = std::process::Command::new("mkfifo").arg(&pipe).status();
+    if !made.is_ok_and(|s| s.success()) {
+        eprintln!("SKIPPED: there is no mkfifo");
+        return;
+    }
     check_target(&pipe, Replace::Never).expect("may be written, and nobody is waited for");
     let reader = std::thread::spawn({
         let pipe = pipe.clone();
@@ -131,6 +135,39 @@ fn open_descriptors_are_written_on() {
     open.rewind().and_then(|()| open.read_to_string(&mut read).map(drop)).expect("reads");
     assert_eq!(read, "before after");
     assert!(link.is_symlink());
+}
+
+/// The program's own output goes on where it is: nothing before it is lost, and what is printed after it follows.
+#[test]
+fn own_output_is_written_on() {
+    let place = place();
+    let path = place.path().join("out.txt");
+    let mut open = File::create(&path).expect("made");
+    open.write_all(b"before\n").expect("writes");
+    let mut child = child_at("file", Path::new("/dev/stdout"), Replace::Never, "nothing", 0);
+    let ended = child.stdout(open).output().expect("ends");
+    assert!(ended.status.success(), "{}", String::from_utf8_lossy(&ended.stderr));
+    let text = text(&path);
+    let at = |part: &str| text.find(part).unwrap_or_else(|| panic!("{part}: {} bytes", text.len()));
+    let new = "new ".repeat(6_000);
+    assert!(text.starts_with("before\n") && at("running 1 test") < at(&new) && at(&new) < at("test result: ok"));
+    assert_eq!(names(place.path()), ["out.txt"]);
+}
+
+/// One word to the user, however often a file system needs several steps.
+#[test]
+fn what_a_file_system_lacks_is_told_once() {
+    static TOLD: std::sync::Mutex<Vec<String>> = std::sync::Mutex::new(Vec::new());
+    super::super::tell_by(|note| TOLD.lock().expect("whole").push(note.to_owned()));
+    let place = place();
+    let _faults = Faults::without(NFS, Errno::INVAL);
+    for name in ["a", "b"] {
+        put(&place.path().join(name), Replace::Never, "x").expect("written");
+        put_folder(&place.path().join(format!("{name}-run")), Replace::Never, "x").expect("written");
+    }
+    // Another test may have been the first to need several steps.
+    let told = TOLD.lock().expect("whole");
+    assert!(told.len() == 1 && told[0].contains("this file system can"), "{told:?}");
 }
 
 #[test]

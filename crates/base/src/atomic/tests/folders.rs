@@ -65,6 +65,8 @@ fn foreign_entries_are_named_and_kept() {
     fs::remove_file(folder.join("zz\u{1b}[2J")).expect("removed");
     fs::write(folder.join(".DS_Store"), "").expect("writes");
     fs::write(folder.join(".a.abcdefghijkl.partial"), "left by a kill").expect("writes");
+    fs::create_dir(folder.join("sub/.c.abcdefghijkl.partial")).expect("made");
+    fs::write(folder.join("sub/.c.abcdefghijkl.partial/x"), "left by a kill").expect("writes");
     put_folder(&folder, Replace::Always, "new").expect("replaced");
     assert_eq!(text_of(&folder), "new");
     assert_eq!(names(place.path()), ["run"]);
@@ -186,6 +188,7 @@ fn links_around_folders_and_modes() {
     refused(Path::new("/"), "exists already");
     refused(Path::new("/dev/null"), "exists already");
     refused(&at(&"n".repeat(256)), "name too long");
+    refused(&at("none").join("n".repeat(256)).join("run"), "name too long");
     if Path::new("/proc/sys").is_dir() {
         refused(Path::new("/proc/sys/a/run"), "/proc/sys/a/run");
     }

@@ -146,6 +146,53 @@ fn the_next_writing_takes_up_a_replacement() {
     assert_eq!(gaps, 1, "one step is between the two renames");
 }
 
+/// Kills while an earlier kill is being made up for: at each step of the next writing, after one between the two renames and one between
+/// the exchange and the removal.
+#[test]
+fn kills_of_the_next_writer_lose_nothing() {
+    let [old, new] = old_and_new();
+    let mut kills = 0;
+    for (without, first) in [("nfs", "set aside"), ("nothing", "exchange")] {
+        let first = step_after(first, without);
+        for kill_at in 1.. {
+            let place = tempfile::tempdir().expect("a temporary folder");
+            let path = place.path().join("result");
+            put_folder(&path, Replace::Never, &old).expect("the old one");
+            let run = |at| child_at("folder", &path, Replace::Always, without, at).output().expect("starts").status;
+            assert!(is_killed(run(first)));
+            let leftovers = names(place.path()).iter().filter(|n| *n != "result").count();
+            assert!(leftovers >= 2, "{:?}", names(place.path()));
+            let ended = !is_killed(run(kill_at));
+            recover(&path).expect("taken up");
+            let found = text_of(&path);
+            assert!(found == old || found == new, "without {without}, step {kill_at}");
+            assert_eq!(names(place.path()), ["result"], "without {without}, step {kill_at}");
+            if ended {
+                break;
+            }
+            kills += 1;
+        }
+    }
+    eprintln!("{kills} kills");
+    assert!(kills >= 60, "{kills}");
+}
+
+/// The number of the step after the first one called `name` when a folder is replaced.
+fn step_after(name: &str, without: &'static str) -> usize {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let path = place.path().join("result");
+    put_folder(&path, Replace::Never, "old").expect("the old one");
+    let steps = Rc::new(std::cell::RefCell::new(Vec::new()));
+    let seen = steps.clone();
+    let _faults = Faults::set(move |step| {
+        seen.borrow_mut().push(step);
+        (without == "nfs" && NFS.contains(&step)).then(|| Errno::NOSYS.into())
+    });
+    put_folder(&path, Replace::Always, "new").expect("replaced");
+    let steps = steps.borrow();
+    steps.iter().position(|s| *s == name).expect("a step of that name") + 2
+}
+
 /// Kills by the clock, not by a step: the new folder replaces the old one, again and again.
 #[test]
 fn kills_at_any_moment_leave_a_whole_folder() {
