@@ -44,13 +44,17 @@ pub fn check_folder(folder: &Path, marker: &str, replace: bool) -> Result<()> {
 /// Whether [`publish_folder`](super::publish_folder) may put a folder of this kind at `folder`, tried out with a file beside it.
 ///
 /// # Errors
-/// [`Error::Exists`]; entries that are not of this kind, named; a place where nothing can be written, a name that is too long.
+/// [`Error::Exists`]; entries that are not of this kind, named; a folder that cannot be moved away (a mount point); a place where nothing can
+/// be written, a name that is too long.
 pub fn check_kind(folder: &Path, kind: &FolderKind, replace: Replace) -> Result<()> {
     let target = folder::target(folder)?;
     sweep::sweep(&target);
     kind.allows(folder, &target, replace)?;
     // Folders around it are made with it: the next one that is there has to take them and their names.
     let failed = |e| Error::writing(folder, e);
+    if target.symlink_metadata().is_ok() {
+        return folder::check_movable(folder, &target);
+    }
     let missing: Vec<&Path> = target.ancestors().take_while(|p| p.parent().is_some() && !p.is_dir()).collect();
     let around = missing.last().copied().unwrap_or(&target);
     for name in missing.iter().filter_map(|p| p.file_name()) {

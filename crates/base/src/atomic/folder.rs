@@ -163,8 +163,41 @@ impl Move<'_> {
     }
 
     fn failed(&self, error: io::Error) -> Error {
-        Error::writing(self.folder, error)
+        unmoved(self.folder, error)
     }
+}
+
+/// Whether the folder `target`, which `folder` leads to, could be moved away: a mount point or a folder of a lower layer (of a container's
+/// image) could not. A folder never moves onto one that is not empty; what else the system says to that is the reason.
+///
+/// # Errors
+/// That reason; a place where nothing can be written.
+pub(super) fn check_movable(folder: &Path, target: &Path) -> Result<()> {
+    let failed = |e| Error::writing(folder, e);
+    let probe = TemporaryFolder::beside(target).map_err(failed)?;
+    fs::write(probe.path().join("probe"), "").map_err(failed)?;
+    if !cfg!(unix) {
+        return Ok(());
+    }
+    match fault::at("probe").and_then(|()| fs::rename(target, probe.path())) {
+        Err(e) if is_taken(&e) || e.kind() == ErrorKind::NotFound => Ok(()),
+        Err(e) => Err(unmoved(folder, e)),
+        // Against all rules.
+        Ok(()) => fs::rename(probe.path(), target).map_err(failed),
+    }
+}
+
+/// Why a folder could not be moved, in words where the system has only a number's name.
+fn unmoved(folder: &Path, error: io::Error) -> Error {
+    let why = match error.kind() {
+        ErrorKind::CrossesDevices => {
+            "the folder there cannot be moved (it is of a layer below, as in a container's image)"
+        }
+        ErrorKind::ResourceBusy => "the folder there cannot be moved (it is a mount point)",
+        _ => return Error::writing(folder, error),
+    };
+    let text = format!("{why}; remove it or name another output");
+    Error::writing(folder, io::Error::new(error.kind(), text))
 }
 
 /// Takes a free name by an empty folder, which the whole one replaces. Elsewhere than on Unix a folder replaces none: there the move itself is

@@ -41,10 +41,12 @@ pub(super) fn sweep(target: &Path) {
             let (new, old) = (at(Part::Partial), at(Part::Old));
             taken_up(Mark::read(&text), &new, &old, target);
             if !(removed(&new) && removed(&old)) {
+                let _ = lock.unlock();
                 continue;
             }
         }
         let _ = fault::at("remove leftover").and_then(|()| fs::remove_file(entry.path()));
+        let _ = lock.unlock();
     }
 }
 

@@ -53,6 +53,8 @@ impl Drop for Temporary {
         if !self.published {
             let _ = fs::remove_file(&self.path);
         }
+        // A process that another thread is just starting holds the lock, too, until it becomes another program.
+        let _ = self.file.unlock();
     }
 }
 
@@ -150,6 +152,8 @@ impl Drop for TemporaryFolder {
         if !self.left && removed(&self.path) && removed(&self.old) {
             let _ = fs::remove_file(&self.lock_path);
         }
+        // As for a file.
+        let _ = self.lock.unlock();
     }
 }
 

@@ -194,6 +194,30 @@ fn links_around_folders_and_modes() {
     }
 }
 
+/// A folder that cannot be moved away is refused before the work, in words, and stays as it is.
+#[test]
+fn folders_that_cannot_be_moved_are_refused_before_the_work() {
+    let (place, folder) = place();
+    put_folder(&folder, Replace::Never, "old").expect("new");
+    check_folder(&folder, MARKER, true).expect("may be moved");
+    assert_eq!(text_of(&folder), "old");
+    for (errno, said) in
+        [(Errno::XDEV, "container's image"), (Errno::BUSY, "mount point"), (Errno::PERM, "not permitted")]
+    {
+        for step in ["probe", "exchange"] {
+            let _faults = Faults::set(move |at| (at == step).then(|| errno.into()));
+            let error = match step {
+                "probe" => check_folder(&folder, MARKER, true),
+                _ => put_folder(&folder, Replace::Always, "new"),
+            };
+            let text = error.expect_err(step).to_string();
+            assert!(text.contains(said) && text.contains("run: writing: "), "{text}");
+            assert_eq!(text_of(&folder), "old");
+            assert_eq!(names(place.path()), ["run"]);
+        }
+    }
+}
+
 /// The list holds every entry, whatever bytes its name has.
 #[cfg(target_os = "linux")]
 #[test]
