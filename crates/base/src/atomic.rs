@@ -5,9 +5,11 @@
 //! have left is cleared when the next write to the same place begins (`sweep`). Links are followed, devices and pipes are written into
 //! (`place`).
 //!
+//! A folder that gives way holds nothing but a result's own entries (`entries`); outputs are tested before the work begins (`check`).
+//!
 //! What is not promised: file systems that can neither move without replacing nor exchange (NFS, some of FUSE) show no folder for a moment
-//! while one is replaced, which [`tell_by`] hears of; those without locks keep the leftovers of dead writers; after a loss of power counts
-//! what the disk says that it has synced.
+//! while one is replaced, which [`tell_by`] hears of; the next writer or [`recover`] puts it there after a kill in that moment. Those without
+//! locks keep the leftovers of dead writers. After a loss of power counts what the disk says that it has synced.
 
 mod check;
 mod entries;
@@ -24,6 +26,7 @@ mod sweep;
 mod temporary;
 #[cfg(all(test, unix))]
 mod tests;
+mod turn;
 
 pub use check::{check_folder, check_kind, check_target};
 pub use entries::{FolderKind, MANIFEST};

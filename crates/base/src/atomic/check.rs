@@ -48,8 +48,7 @@ pub fn check_folder(folder: &Path, marker: &str, replace: bool) -> Result<()> {
 /// be written, a name that is too long.
 pub fn check_kind(folder: &Path, kind: &FolderKind, replace: Replace) -> Result<()> {
     let target = folder::target(folder)?;
-    sweep::sweep(&target);
-    kind.allows(folder, &target, replace)?;
+    folder::allowed(folder, &target, kind, replace)?;
     // Folders around it are made with it: the next one that is there has to take them and their names.
     let failed = |e| Error::writing(folder, e);
     if target.symlink_metadata().is_ok() {

@@ -84,7 +84,7 @@ fn publish<T>(
             _ => failed(e),
         })?,
     }
-    temporary.published();
+    drop(temporary);
     if alone && let Some(folder) = target.parent() {
         rename::sync_folder(folder).map_err(failed)?;
     }

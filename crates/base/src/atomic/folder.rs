@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use super::entries::{self, FolderKind};
 use super::place::{self, Place};
 use super::temporary::{Mark, TemporaryFolder, removed};
+use super::turn::Turn;
 use super::{Replace, fault, name, notice, rename, sweep};
 use crate::error::{Error, Result};
 
@@ -41,18 +42,20 @@ pub fn publish_folder<T>(
 ) -> Result<T> {
     let failed = |e| Error::writing(folder, e);
     let target = target(folder)?;
-    sweep::sweep(&target);
-    kind.allows(folder, &target, replace)?;
+    allowed(folder, &target, kind, replace)?;
     let around = Around::made(&target).map_err(failed)?;
     let mut temporary = TemporaryFolder::beside(&target).map_err(failed)?;
     fault::at("fill").map_err(failed)?;
-    let value = fill(temporary.path())?;
+    let value = fill(temporary.path()).map_err(|e| named(e, temporary.path(), folder))?;
     let (files, folders) = entries::record(temporary.path())?;
     if !name::in_temporary(&target) {
         rename::sync_all(&files, &folders).map_err(failed)?;
     }
     let move_ = Move { folder, kind, replace, target: &target };
-    move_.go(&mut temporary)?;
+    {
+        let _turn = Turn::beside(&target);
+        move_.go(&mut temporary)?;
+    }
     around.keep();
     if !name::in_temporary(&target)
         && let Some(parent) = target.parent()
@@ -60,6 +63,30 @@ pub fn publish_folder<T>(
         rename::sync_folder(parent).map_err(failed)?;
     }
     Ok(value)
+}
+
+/// Whether a folder of this kind may be put at `target`, which `folder` leads to, now that leftovers are gone.
+///
+/// # Errors
+/// [`Error::Exists`]; entries that are not of this kind.
+pub(super) fn allowed(folder: &Path, target: &Path, kind: &FolderKind, replace: Replace) -> Result<()> {
+    let _turn = Turn::beside(target);
+    sweep::sweep(target);
+    kind.allows(folder, target, replace)
+}
+
+/// The error with places in the temporary folder named as they are to be.
+fn named(error: Error, temporary: &Path, folder: &Path) -> Error {
+    let place = |path: PathBuf| path.strip_prefix(temporary).map(|rest| folder.join(rest)).unwrap_or(path);
+    match error {
+        Error::Io { path, what, reason } => Error::Io { path: place(path), what, reason },
+        Error::Exists(path) => Error::Exists(place(path)),
+        Error::BadInput { file, place: at, found, allowed } => {
+            let file = place(file.into()).display().to_string();
+            Error::BadInput { file, place: at, found, allowed }
+        }
+        other => other,
+    }
 }
 
 /// Where a folder named `folder` is to stand, without links.

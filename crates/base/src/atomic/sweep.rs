@@ -6,6 +6,7 @@ use std::path::Path;
 
 use super::name::{self, Part};
 use super::temporary::{Mark, removed};
+use super::turn::Turn;
 use super::{fault, place};
 use crate::error::Result;
 
@@ -17,7 +18,9 @@ use crate::error::Result;
 /// # Errors
 /// A path that cannot be looked at.
 pub fn recover(path: &Path) -> Result<()> {
-    sweep(&place::resolved(path)?);
+    let target = place::resolved(path)?;
+    let _turn = Turn::beside(&target);
+    sweep(&target);
     Ok(())
 }
 

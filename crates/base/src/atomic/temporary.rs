@@ -11,12 +11,11 @@ use super::{fault, rename};
 /// Names that are tried before it is given up; one is enough unless somebody plants them.
 const TRIES: usize = 32;
 
-/// A file that is being written; it is removed with this value unless it got its name.
+/// A file that is being written; it is removed with this value. Once it got its name there is nothing left to remove.
 pub(super) struct Temporary {
     /// Open for reading and writing, and locked.
     pub(super) file: File,
     path: PathBuf,
-    published: bool,
 }
 
 impl Temporary {
@@ -26,7 +25,7 @@ impl Temporary {
         for _ in 0..TRIES {
             let path = target.with_file_name(name::join(&tag, &name::random(), Part::Partial));
             if let Some(file) = made(&path)? {
-                return Ok(Self { file, path, published: false });
+                return Ok(Self { file, path });
             }
         }
         Err(ErrorKind::AlreadyExists.into())
@@ -41,18 +40,11 @@ impl Temporary {
     pub(super) fn hidden(&self) -> io::Result<()> {
         if cfg!(unix) { fs::remove_file(&self.path) } else { Ok(()) }
     }
-
-    /// Tells that it has its name and stays.
-    pub(super) fn published(mut self) {
-        self.published = true;
-    }
 }
 
 impl Drop for Temporary {
     fn drop(&mut self) {
-        if !self.published {
-            let _ = fs::remove_file(&self.path);
-        }
+        let _ = fs::remove_file(&self.path);
         // A process that another thread is just starting holds the lock, too, until it becomes another program.
         let _ = self.file.unlock();
     }
@@ -199,4 +191,30 @@ fn linked(file: &File) -> io::Result<bool> {
 #[cfg(not(unix))]
 fn linked(_: &File) -> io::Result<bool> {
     Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// What stands under a name is not opened, whatever it is: the name is given up.
+    #[test]
+    fn names_that_are_taken_are_left_alone() {
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let at = |name: &str| place.path().join(name);
+        fs::write(at("file"), "theirs").expect("writes");
+        fs::create_dir(at("folder")).expect("made");
+        for name in ["file", "folder"] {
+            assert!(made(&at(name)).expect("no error").is_none(), "{name}");
+        }
+        #[cfg(unix)]
+        {
+            std::os::unix::fs::symlink("nowhere", at("link")).expect("linked");
+            assert!(made(&at("link")).expect("no error").is_none());
+        }
+        assert_eq!(fs::read_to_string(at("file")).expect("there"), "theirs");
+        let new = made(&at("new")).expect("made").expect("ours");
+        assert!(matches!(File::open(at("new")).expect("opens").try_lock(), Err(TryLockError::WouldBlock)));
+        drop(new);
+    }
 }

@@ -119,6 +119,24 @@ fn devices_and_pipes_are_written_into() {
     assert_eq!(names(place.path()), ["pipe"]);
 }
 
+/// The last bytes of a buffer count, too: what cannot be written of them is told, and the old file stays.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_disk_at_the_end_is_told() {
+    let place = place();
+    let path = place.path().join("a.csv");
+    put(&path, Replace::Never, "old").expect("new");
+    let full = publish_file(&path, Replace::Always, |out| {
+        let device = File::options().write(true).open("/dev/full").map_err(|e| Error::writing(&path, e))?;
+        *out = std::io::BufWriter::new(device);
+        out.write_all(b"new").map_err(|e| Error::writing(&path, e))
+    });
+    let said = full.expect_err("full").to_string();
+    assert!(said.contains("a.csv: writing: No space left"), "{said}");
+    assert_eq!(text(&path), "old");
+    assert_eq!(names(place.path()), ["a.csv"]);
+}
+
 /// A file that is open as a descriptor is written on where it ends; it is not replaced.
 #[cfg(target_os = "linux")]
 #[test]

@@ -218,6 +218,21 @@ fn folders_that_cannot_be_moved_are_refused_before_the_work() {
     }
 }
 
+/// Errors name the place that was asked for, not the one where it is being written.
+#[test]
+fn errors_name_the_final_place() {
+    let (_place, folder) = place();
+    let file = folder.join("none/a");
+    let said = |fill: &dyn Fn(&Path) -> Result<()>| {
+        write_folder(&folder, MARKER, false, fill).expect_err("refused").to_string()
+    };
+    assert!(said(&|at| write_bytes(&at.join("none/a"), b"")).starts_with(&format!("{}: writing: ", file.display())));
+    let bad = |at: &Path| Err(Error::bad(at.join("none/a").display().to_string(), "key", "1", "2"));
+    assert_eq!(said(&bad), format!("{}: key: 1; 2", file.display()));
+    let other = |_: &Path| Err(Error::bad("lens.toml", "key", "1", "2"));
+    assert_eq!(said(&other), "lens.toml: key: 1; 2");
+}
+
 /// The list holds every entry, whatever bytes its name has.
 #[cfg(target_os = "linux")]
 #[test]
