@@ -93,3 +93,31 @@ fn one_of_four_processes_gets_a_new_name() {
         }
     }
 }
+
+/// While a folder is looked through and moved, nobody else does so beside it; the filling waits for nobody.
+#[test]
+fn replacing_folders_takes_turns() {
+    for (without, moves) in [(&[][..], &["exchange"][..]), (NFS, &["set aside", "rename"])] {
+        let place = tempfile::tempdir().expect("a temporary folder");
+        let path = place.path().join("run");
+        put_folder(&path, Replace::Never, "old").expect("the old one");
+        let around = fs::File::open(place.path()).expect("opens");
+        let seen = Rc::new(std::cell::RefCell::new(Vec::new()));
+        let noted = seen.clone();
+        let faults = Faults::set(move |step| {
+            let free = around.try_lock().is_ok();
+            let _ = around.unlock();
+            noted.borrow_mut().push((step, free));
+            without.contains(&step).then(|| Errno::NOSYS.into())
+        });
+        put_folder(&path, Replace::Always, "new").expect("replaced");
+        drop(faults);
+        let seen = seen.borrow();
+        for step in moves {
+            // The files within are published, too, before that: the folder's own step is the last one of the name.
+            let last = seen.iter().rfind(|(s, _)| s == step).unwrap_or_else(|| panic!("no step {step}"));
+            assert!(!last.1, "{step} without a turn");
+        }
+        assert!(seen.contains(&("fill", true)), "{seen:?}");
+    }
+}
