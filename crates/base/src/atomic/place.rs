@@ -1,0 +1,122 @@
+//! What stands at an output's place: links are followed, devices and pipes are told apart, two names of one place are seen.
+
+use std::fs::{self, Metadata};
+use std::io::{self, ErrorKind};
+use std::path::{Component, Path, PathBuf};
+
+use crate::error::{Error, Result};
+
+/// Links that are followed one after the other, as Linux does.
+const LINKS: usize = 40;
+
+/// A place, its path absolute and without links.
+pub(super) enum Place {
+    /// Nothing stands there.
+    Free(PathBuf),
+    /// A file.
+    File(PathBuf, Metadata),
+    /// A folder.
+    Folder(PathBuf),
+    /// A device, a pipe, or a file that is open as one of a process's descriptors (`/dev/stdout`): written into, never replaced. Its path
+    /// is the given one, or the descriptor's.
+    Stream(PathBuf),
+}
+
+/// What stands at `path`.
+///
+/// # Errors
+/// An empty path; links in a circle; a name that is too long; a place that cannot be looked at.
+pub(super) fn of(path: &Path) -> Result<Place> {
+    if path.as_os_str().is_empty() {
+        return Err(Error::bad("", "output", "an empty name", "a file's or a folder's name"));
+    }
+    let failed = |e| Error::writing(path, e);
+    if let Some(descriptor) = descriptor(path) {
+        return Ok(Place::Stream(descriptor));
+    }
+    match fs::metadata(path) {
+        Ok(found) if found.is_dir() => Ok(Place::Folder(fs::canonicalize(path).map_err(failed)?)),
+        Ok(found) if found.is_file() => Ok(Place::File(fs::canonicalize(path).map_err(failed)?, found)),
+        Ok(_) => Ok(Place::Stream(path.to_owned())),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(Place::Free(absolute(path, LINKS).map_err(failed)?)),
+        Err(e) => Err(failed(e)),
+    }
+}
+
+/// `path` absolute and without links, whatever of it is there.
+///
+/// # Errors
+/// As [`of`].
+pub(super) fn resolved(path: &Path) -> Result<PathBuf> {
+    Ok(match of(path)? {
+        Place::Free(path) | Place::File(path, _) | Place::Folder(path) | Place::Stream(path) => path,
+    })
+}
+
+/// Whether all paths are different places: `.`, `..` and links count as what they lead to, of what is not there yet the folders around it.
+///
+/// Devices and pipes may be named twice: nothing is replaced there.
+///
+/// # Errors
+/// A place named twice; a path that cannot be looked at.
+pub fn distinct(paths: &[&Path]) -> Result<()> {
+    let mut seen: Vec<PathBuf> = Vec::new();
+    for path in paths {
+        if matches!(of(path)?, Place::Stream(_)) {
+            continue;
+        }
+        let mut place = resolved(path)?;
+        if cfg!(any(windows, target_vendor = "apple")) {
+            // Their file systems do not tell capitals apart.
+            place = place.to_string_lossy().to_lowercase().into();
+        }
+        if seen.contains(&place) {
+            let file = path.display().to_string();
+            return Err(Error::bad(file, "output", "named for two outputs", "a file of its own for each"));
+        }
+        seen.push(place);
+    }
+    Ok(())
+}
+
+/// `path` absolute and without links, where nothing or a dangling link stands at its end.
+fn absolute(path: &Path, links: usize) -> io::Result<PathBuf> {
+    let mut at = if path.is_absolute() { PathBuf::new() } else { fs::canonicalize(std::env::current_dir()?)? };
+    for component in path.components() {
+        match component {
+            Component::CurDir => {}
+            Component::ParentDir => {
+                at.pop();
+            }
+            Component::Prefix(_) | Component::RootDir => at.push(component),
+            Component::Normal(name) => {
+                at.push(name);
+                if let Ok(leads_to) = fs::read_link(&at) {
+                    let links = links.checked_sub(1).ok_or(ErrorKind::InvalidInput)?;
+                    at.pop();
+                    at = absolute(&at.join(leads_to), links)?;
+                }
+            }
+        }
+    }
+    Ok(at)
+}
+
+/// The open descriptor that `path` leads to by links (`/dev/stdout`, `/dev/fd/3`).
+fn descriptor(path: &Path) -> Option<PathBuf> {
+    if !cfg!(unix) {
+        return None;
+    }
+    let mut at = path.to_owned();
+    for _ in 0..LINKS {
+        let leads_to = fs::read_link(&at).ok();
+        let around = at.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let around = fs::canonicalize(around).ok()?;
+        let of_process = around.starts_with("/proc") && around.ends_with("fd");
+        if of_process || around == Path::new("/dev/fd") {
+            return Some(around.join(at.file_name()?));
+        }
+        at = around.join(leads_to?);
+    }
+    None
+}
