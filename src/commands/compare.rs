@@ -7,6 +7,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::atomic::{self, FolderKind};
 use isoplanat::design::compare::{Place, Placed};
 use isoplanat::design::evaluate::{Settings, judgeable};
 use isoplanat::design::memory;
@@ -24,7 +25,7 @@ use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::{LARGEST, Settings as EdgeSettings};
 use isoplanat::report::table::significant;
-use isoplanat::{Error, Result, atomic};
+use isoplanat::{Error, Result};
 
 use crate::evaluate::{Judged, Protocol};
 
@@ -328,7 +329,12 @@ fn begin(args: &Args, asked_for: &str) -> Result<()> {
         }
         return Ok(());
     }
-    atomic::write_folder(folder, MARKER, args.force, |inside| {
+    // Each camera's folder is a run, or what was made of one.
+    let made = |path: &Path| ["task.toml", FIGURES, EDGES].iter().any(|file| path.join(file).is_file());
+    let runs = std::fs::read_dir(folder).into_iter().flatten().flatten().filter(|entry| made(&entry.path()));
+    let runs: Vec<String> = runs.map(|entry| format!("{}/**", entry.file_name().to_string_lossy())).collect();
+    let entries: Vec<&str> = ["comparison.*", "rate/**"].into_iter().chain(runs.iter().map(String::as_str)).collect();
+    atomic::publish_folder(folder, &FolderKind::new(MARKER, &entries), args.force.into(), |inside| {
         atomic::write_bytes(&inside.join(MARKER), asked_for.as_bytes())
     })
 }

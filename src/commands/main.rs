@@ -302,6 +302,7 @@ static PANIC: Mutex<String> = Mutex::new(String::new());
 fn run() -> ExitCode {
     let Cli { command, memory_gib, glass, glass_for, strict, configuration } = Cli::parse();
     glasses::set_reading(Reading { strict, configuration });
+    isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
     let ready =
         check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));

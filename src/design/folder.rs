@@ -3,7 +3,7 @@
 use std::fs::{self, File, TryLockError};
 use std::path::Path;
 
-use isoplanat_base::atomic;
+use isoplanat_base::atomic::{self, FolderKind};
 use isoplanat_base::error::{Error, Result};
 
 /// The file that makes a folder a run.
@@ -15,12 +15,37 @@ pub const START: &str = "lens-start.toml";
 /// SHA-256 of the list of what it is trained on, in hexadecimal.
 pub(super) const SCENES: &str = "scenes.sha256";
 
+/// What a run's folder holds, or comes to hold.
+const KIND: FolderKind<'static> = FolderKind::new(
+    MARKER,
+    &[
+        "*.part",
+        ".*.partial",
+        "best.safetensors",
+        "cache/**",
+        "design.state",
+        "filters.npz",
+        "history.jsonl",
+        "lens/**",
+        "lens*.toml",
+        "lenses/**",
+        "lock",
+        "log.csv",
+        "network.safetensors",
+        "report.html",
+        "samples/**",
+        SCENES,
+        "stages/**",
+        "tolerances*",
+    ],
+);
+
 /// Whether a run may be put at `folder`: nothing stands there, or with `replace` another run in which nobody works.
 ///
 /// # Errors
 /// [`Error::Exists`]; a run in which another process works.
 pub fn check(folder: &Path, replace: bool) -> Result<()> {
-    atomic::check_folder(folder, MARKER, replace)?;
+    atomic::check_kind(folder, &KIND, replace.into())?;
     if folder.exists() {
         lock(folder)?;
     }
@@ -34,7 +59,7 @@ pub fn check(folder: &Path, replace: bool) -> Result<()> {
 pub(super) fn made(folder: &Path, replace: bool, fill: impl FnOnce(&Path) -> Result<()>) -> Result<File> {
     // The run that gives way must not be worked on elsewhere; its lock goes with it.
     let _old = if folder.exists() { Some(lock(folder)?) } else { None };
-    atomic::write_folder(folder, MARKER, replace, fill)?;
+    atomic::publish_folder(folder, &KIND, replace.into(), fill)?;
     lock(folder)
 }
 

@@ -5,6 +5,7 @@
 //! same bits, and a resumed training sees what an uninterrupted one would have seen.
 
 use std::fs;
+use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
 
 use ndarray::{Array2, Array3, Array4, Axis, s};
@@ -51,6 +52,8 @@ pub fn render_pair(renderer: &Renderer, patch: &Patch) -> Result<Pair> {
 
 /// Bytes of a kept pair's place.
 const PLACE: usize = 16;
+/// Bytes of the checksum behind it.
+const SUM: usize = 8;
 
 /// How a step varies a pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -151,6 +154,13 @@ pub struct PairSettings {
     pub budget: u64,
 }
 
+/// Of a kept pair, against damage: no secret, and told anew by every version.
+fn checksum(bytes: &[u8]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    hasher.write(bytes);
+    hasher.finish()
+}
+
 /// Pairs by number.
 #[derive(Debug)]
 pub struct Pairs {
@@ -171,7 +181,7 @@ impl Pairs {
     /// A lens that cannot be rendered at one of the distances.
     pub fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
         let renderer = subject.renderer(density, &settings.vergences, Settings::TRAINING)?;
-        let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + PLACE as u64;
+        let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + (PLACE + SUM) as u64;
         Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None })
     }
 
@@ -252,7 +262,8 @@ impl Pairs {
             let arrays = [&pair.image, &pair.illumination, &pair.truth];
             let mut bytes: Vec<u8> = arrays.into_iter().flatten().flat_map(|v| v.to_le_bytes()).collect();
             [pair.region.row, pair.region.col].iter().for_each(|v| bytes.extend((*v as i64).to_le_bytes()));
-            atomic::write_bytes(&place, &bytes)?;
+            bytes.extend(checksum(&bytes).to_le_bytes());
+            atomic::write_cached(&place, &bytes)?;
         }
         Ok(pair)
     }
@@ -261,6 +272,11 @@ impl Pairs {
     fn read(&self, place: &Path) -> Option<Pair> {
         let bytes = fs::read(place).ok().filter(|b| b.len() as u64 == self.bytes)?;
         let side = self.settings.region_px;
+        // What a kill or a fault of the disk has damaged is rendered again.
+        let (bytes, sum) = bytes.split_at(bytes.len() - SUM);
+        if sum != checksum(bytes).to_le_bytes() {
+            return None;
+        }
         let (values, place) = bytes.split_at(bytes.len() - PLACE);
         let at = |k: usize| isize::try_from(i64::from_le_bytes(place[8 * k..8 * k + 8].try_into().ok()?)).ok();
         let region = Region { row: at(0)?, col: at(1)?, rows: side, cols: side };
@@ -305,7 +321,7 @@ mod tests {
             at.map_or(Ok(()), |at| pairs.keep_in(at, &textures)).expect("writable");
             pairs
         };
-        let size = 9 * 4 * 32 * 32 + 16;
+        let size = 9 * 4 * 32 * 32 + 24;
         let (kept, fresh) = (open(1, 2 * size, Some(cache.as_path())), open(1, 0, None));
         assert_eq!((kept.kept(), fresh.kept()), (2, 0));
         let files = || fs::read_dir(&cache).expect("there").count() - 1;
@@ -318,6 +334,10 @@ mod tests {
         assert_ne!(fresh.get(&textures, 0).expect("renders"), fresh.get(&textures, 1).expect("renders"));
         // A damaged file is rendered again; another task's are thrown away.
         fs::write(cache.join("0000001.f32"), b"short").expect("written");
+        assert_eq!(kept.get(&textures, 1).expect("renders"), fresh.get(&textures, 1).expect("renders"));
+        let mut damaged = fs::read(cache.join("0000001.f32")).expect("there");
+        damaged[1000] ^= 4;
+        fs::write(cache.join("0000001.f32"), damaged).expect("written");
         assert_eq!(kept.get(&textures, 1).expect("renders"), fresh.get(&textures, 1).expect("renders"));
         drop(open(1, 2 * size, Some(cache.as_path())));
         assert_eq!(files(), 2);

@@ -74,7 +74,9 @@ pub fn ranked(folder: &Path) -> Result<Vec<Ranked>> {
     let mut found = Vec::new();
     for entry in std::fs::read_dir(folder).map_err(failed)? {
         let path = entry.map_err(failed)?.path();
-        if !path.join(MARKER).is_file() {
+        // What a dead writer left is none.
+        let hidden = path.file_name().is_some_and(|n| n.to_string_lossy().starts_with('.'));
+        if hidden || !path.join(MARKER).is_file() {
             continue;
         }
         let history = Judgement::read(&path)?;

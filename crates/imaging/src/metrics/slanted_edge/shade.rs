@@ -1,10 +1,10 @@
-//! Uneven light: the levels on both sides of an edge as curved surfaces instead of constants.
+//! Uneven light: the levels on both sides of an edge as planes instead of constants.
 //!
-//! A sample at the distance `d` from the edge, `t` along it, is `E(d)` and a sum of slopes and bends of the light; `e` is the edge spread function `E` from 0 to 1.
-//! Along the edge each side has its own (`t` and `t²` times `1 − e` and `e`), and within the edge they blend as the levels do. Across
-//! it light that falls unevenly on a chart changes both sides in proportion to their levels: `d E`, `t d E`, `d² E`. The tails of a spread function rise alike on both sides and are no
-//! light: what rises alike goes into `d` and `d |d|`, which are fitted beside and not taken off, so that the light has no part of it. Glare whose slope across the edge is the same
-//! on both sides therefore stays in, and is told (`warnings`). All are fitted together with the spline, so that the spline's covariance has their doubt in it.
+//! A sample at the distance `d` from the edge, `t` along it, is `E(d) + p₁ t (1 − e) + p₂ t e + p₃ d E(d) + p₄ d`, where `e` is the edge
+//! spread function `E` from 0 to 1. Along the edge each side has a slope of its own, and within the edge they blend as the levels do. Across
+//! it light that falls unevenly on a chart makes slopes in proportion to the levels: `p₃`. The tails of a spread function rise alike on both sides and are no
+//! light: what rises alike goes into `p₄`, which is not taken off, so that `p₃` has no part of it. Glare whose slope across the edge is the same
+//! on both sides therefore stays in, and is told (`warnings`). The numbers are fitted together with the spline, so that the spline's covariance has their doubt in it.
 
 use nalgebra::{Cholesky, Const, DMatrix, SMatrix, SVector};
 
@@ -12,37 +12,12 @@ use super::line::Line;
 use super::samples::Sample;
 use super::spread::{Point, Spread};
 
-/// Slopes and bends that may be fitted.
-pub(super) const COUNT: usize = 9;
+/// Slopes that are fitted.
+pub(super) const COUNT: usize = 4;
 /// The first so many run along the edge.
-const ALONG: usize = 4;
+const ALONG: usize = 2;
 /// The first so many are the light's, and taken off.
-const LIGHT: usize = 7;
-
-/// Which of them are fitted.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Kind {
-    /// Across the edge, too.
-    pub(super) across: bool,
-    /// Bends, too.
-    pub(super) bent: bool,
-}
-
-impl Kind {
-    /// All of them, the plainest first.
-    pub(super) const ALL: [Self; 4] = [
-        Self { across: false, bent: false },
-        Self { across: false, bent: true },
-        Self { across: true, bent: false },
-        Self { across: true, bent: true },
-    ];
-
-    fn active(self) -> [bool; COUNT] {
-        let Self { across, bent } = self;
-        let both = across && bent;
-        [true, true, bent, bent, across, both, both, across, both]
-    }
-}
+const LIGHT: usize = 3;
 /// Share of a slope's own curvature that the spline must leave it; below, the samples do not tell them apart.
 const TOLD: f64 = 1e-6;
 
@@ -73,26 +48,20 @@ struct Course {
     blend: Blend,
     /// The dark level over the difference of both.
     dark: f64,
-    kind: Kind,
+    /// Whether there are slopes across the edge.
+    across: bool,
 }
 
 impl Course {
     /// Columns of the slopes at a place; those that there are none of are 0.
     fn columns(&self, d: f64, t: f64) -> [f64; COUNT] {
-        let (e, level) = (self.blend.at(d), self.dark + self.blend.at(d));
-        let all = [
-            t * (1.0 - e),
-            t * e,
-            t * t * (1.0 - e),
-            t * t * e,
-            d * level,
-            t * d * level,
-            d * d * level,
-            d,
-            d * d.abs(),
-        ];
-        let active = self.kind.active();
-        std::array::from_fn(|i| if active[i] { all[i] } else { 0.0 })
+        let (e, across) = (self.blend.at(d), f64::from(u8::from(self.across)));
+        [t * (1.0 - e), t * e, across * d * (self.dark + e), across * d]
+    }
+
+    /// How many slopes there are.
+    fn count(&self) -> usize {
+        if self.across { COUNT } else { ALONG }
     }
 }
 
@@ -101,32 +70,25 @@ impl Course {
 pub(super) struct Shade {
     line: Line,
     course: Course,
-    /// In the order of the columns; the last two are none of the light's, and stay 0.
+    /// `p₁` to `p₄`; the last is none of the light's, and stays 0.
     slopes: SVector<f64, COUNT>,
 }
 
 impl Shade {
-    /// None yet.
-    pub(super) fn none(line: Line, blend: Blend, spread: &Spread, kind: Kind) -> Self {
-        Self { line, course: Course { blend, dark: dark(spread), kind }, slopes: SVector::zeros() }
+    /// None yet, of light that may change `across` the edge, or along it alone.
+    pub(super) fn none(line: Line, blend: Blend, spread: &Spread, across: bool) -> Self {
+        Self { line, course: Course { blend, dark: dark(spread), across }, slopes: SVector::zeros() }
     }
 
     /// How many numbers it takes off.
     pub(super) fn numbers(&self) -> usize {
-        self.course.kind.active()[..LIGHT].iter().filter(|a| **a).count()
+        self.course.count().min(LIGHT)
     }
 
-    /// Whether it changes across the edge.
-    pub(super) fn is_across(&self) -> bool {
-        self.course.kind.across
-    }
-
-    /// The surest of what changes across the edge in its own standard errors.
+    /// Its slope across the edge in its own standard errors.
     pub(super) fn certainty_across(&self, spread: &Spread, points: &[Point]) -> f64 {
-        let Some(beside) = self.beside(spread, points) else { return 0.0 };
-        let inverse = beside.own.inverse();
-        let certainty = |i: usize| self.slopes[i].abs() / (inverse[(i, i)] * spread.variance()).sqrt();
-        (ALONG..LIGHT).filter(|i| self.course.kind.active()[*i]).map(certainty).fold(0.0, f64::max)
+        let own = self.beside(spread, points).map_or(f64::INFINITY, |b| b.own.inverse()[(ALONG, ALONG)]);
+        self.slopes[ALONG].abs() / (own * spread.variance()).sqrt()
     }
 
     /// The samples without it.
@@ -154,7 +116,7 @@ impl Shade {
     /// The same slopes about another line and within another edge.
     pub(super) fn about(self, line: Line, spread: &Spread) -> Self {
         let course =
-            Course { blend: Blend::Spread(Box::new(spread.clone())), dark: dark(spread), kind: self.course.kind };
+            Course { blend: Blend::Spread(Box::new(spread.clone())), dark: dark(spread), across: self.course.across };
         Self { line, course, ..self }
     }
 
@@ -165,15 +127,13 @@ impl Shade {
 
     /// How much a side's level changes over the points, at most, of the contrast.
     pub(super) fn change(&self, points: &[Point], contrast: f64) -> f64 {
-        let side = |sign: f64| {
-            let of = points.iter().filter(|q| sign * q.d >= 0.0).map(|q| {
-                let columns = self.course.columns(q.d, q.t);
-                (0..LIGHT).map(|i| columns[i] * self.slopes[i]).sum::<f64>()
-            });
+        let p = self.slopes;
+        let side = |sign: f64, along: f64, across: f64| {
+            let of = points.iter().filter(|q| sign * q.d >= 0.0).map(|q| along * q.t + across * q.d);
             let (low, high) = of.fold((f64::INFINITY, f64::NEG_INFINITY), |(a, b), v| (a.min(v), b.max(v)));
             (high - low).max(0.0)
         };
-        side(-1.0).max(side(1.0)) / contrast
+        side(-1.0, p[0], p[2] * self.course.dark).max(side(1.0, p[1], p[2] * (self.course.dark + 1.0))) / contrast
     }
 }
 
@@ -209,10 +169,9 @@ impl Beside {
         let solved = spread.solve(&mixed);
         let rest = mixed.transpose() * &solved;
         let mut own = square - SMatrix::from_fn(|i, j| 0.5 * (rest[(i, j)] + rest[(j, i)]));
-        let active = course.kind.active();
-        let told = (0..COUNT).filter(|i| active[*i]).all(|i| own[(i, i)] > TOLD * square[(i, i)]);
-        // Those that there are none of stand apart.
-        (0..COUNT).filter(|i| !active[*i]).for_each(|i| own[(i, i)] = 1.0);
+        let told = (0..course.count()).all(|i| own[(i, i)] > TOLD * square[(i, i)]);
+        // Slopes that there are none of stand apart.
+        (course.count()..COUNT).for_each(|i| own[(i, i)] = 1.0);
         told.then(|| own.cholesky()).flatten().map(|own| Self { course: course.clone(), mixed, solved, own })
     }
 
