@@ -122,3 +122,6 @@ mod tests {
         assert_eq!(super::words(text), expected);
     }
 }
+
+#[cfg(test)]
+mod forms;
