@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use isoplanat::imaging::files::read_linear;
+use isoplanat::imaging::files::{PICTURES, extension, read_linear};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{frame_of, memory};
@@ -221,6 +221,10 @@ impl Stage {
             let fill = (cols as f64 / frame.columns as f64).min(rows as f64 / frame.rows as f64);
             (texture, self.texels_per_pixel.unwrap_or(fill))
         } else {
+            // A name that ends as pictures do is one that is not there.
+            if PICTURES.contains(&extension(path).as_str()) {
+                return Err(Error::reading(path, std::io::ErrorKind::NotFound.into()));
+            }
             let (kind, seed) = name.split_once(':').unwrap_or((name, "1"));
             let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
             let allowed = format!("a picture file, or {} with an optional :SEED", known.join(", "));

@@ -167,3 +167,14 @@ fn refused_memory_is_one_line() {
     assert!(seen > 0, "no limit was met");
     place.run(&format!("{arguments} --memory-gib 4 --force")).done();
 }
+
+/// A picture that is not there is said not to be there, not to be a built-in scene's name.
+#[test]
+fn a_missing_picture_is_told() {
+    let place = Workplace::new();
+    for name in ["none.png", "none/none.JPG", "none.npy"] {
+        let ran = place.run(&format!("render two_element {name} -o x.png"));
+        assert!(ran.code == 2 && ran.err.contains(name) && ran.err.contains("reading"), "{name}: {ran:?}");
+    }
+    place.run("render two_element cats -o x.png").refused(&["cats", "facades"]);
+}
