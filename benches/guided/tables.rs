@@ -63,12 +63,16 @@ pub(crate) fn print(file: &Path) {
                 Some(over(run, &photos, |j| j.output[0]) - over(bare(*seed)?, &photos, |j| j.output[0]))
             })
             .collect();
+        // Without a bare network of that length there is nothing to be held against.
+        let worst = |v: f64| if v.is_finite() { format!("{v:+.2}") } else { "–".into() };
         let told: Vec<String> = ahead.iter().map(|v| format!("{v:+.2}")).collect();
         println!(
-            "| {steps} | {kind} | {} | {:.0} | {} | {to_bare:+.2} | {to_capture:+.2} | {} |",
+            "| {steps} | {kind} | {} | {:.0} | {} | {} | {} | {} |",
             of_kind.len(),
             mean(&|run| run.0),
             cells.join(" | "),
+            worst(to_bare),
+            worst(to_capture),
             told.join(", ")
         );
     }
