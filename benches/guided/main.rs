@@ -1,7 +1,7 @@
 //! Networks that are told of their lens beside ones that see the capture alone, by length of training: the table of `benches/results/guided.md`.
 //!
 //! `cargo bench --bench guided -- train FILE.csv LENS.toml NETWORKS STEPS SEEDS` trains a network of every kind, length and seed on built-in scenes, judges it on whole
-//! frames of scenes that it never met, and adds a line a frame to the file; `-- table FILE.csv` prints what such a file says. `NETWORKS`: any of `bare`, `filtered`
+//! frames of scenes that it never met, and adds a line a frame to the file; `-- try …` judges every third frame only; `-- table FILE.csv` prints what such a file says. `NETWORKS`: any of `bare`, `filtered`
 //! and `blend`, with commas between, `+levels` behind a name for filters of three noise levels, `+field` for the place in the field; `STEPS`, `SEEDS`: numbers.
 
 mod frames;
@@ -52,15 +52,11 @@ fn main() {
     let arguments: Vec<String> = std::env::args().skip(1).filter(|a| a != "--bench").collect();
     let words: Vec<&str> = arguments.iter().map(String::as_str).collect();
     match words[..] {
-        ["train", file, lens, networks, steps, seeds] => {
+        [how @ ("train" | "try"), file, lens, networks, steps, seeds] => {
             let numbers = |text: &str| text.split(',').map(|n| n.parse::<u64>().expect("a number")).collect::<Vec<_>>();
             let kinds: Vec<Kind<'_>> = networks.split(',').map(Kind::of).collect();
-            train(Path::new(file), Path::new(lens), &kinds, [&numbers(steps), &numbers(seeds)], 1);
-        }
-        ["try", file, lens, networks, steps, seeds] => {
-            let numbers = |text: &str| text.split(',').map(|n| n.parse::<u64>().expect("a number")).collect::<Vec<_>>();
-            let kinds: Vec<Kind<'_>> = networks.split(',').map(Kind::of).collect();
-            train(Path::new(file), Path::new(lens), &kinds, [&numbers(steps), &numbers(seeds)], 3);
+            let every = if how == "try" { 3 } else { 1 };
+            train(Path::new(file), Path::new(lens), &kinds, [&numbers(steps), &numbers(seeds)], every);
         }
         ["table", file] => tables::print(Path::new(file)),
         _ => println!(
@@ -87,7 +83,8 @@ fn train(file: &Path, lens: &Path, kinds: &[Kind<'_>], [steps, seeds]: [&[u64]; 
                 (train.scales, train.pairs, train.region_px, train.patch_px) = (3, 160, 256, 192);
                 (train.rate, train.loss, train.noise, train.haze) = (2e-3, "l1".into(), [1.0, 1.0], 0.0);
                 (train.sample_steps, train.checkpoint_seconds) = (0, 3600.0);
-                let config = UnetConfig { base: kind.base, ..UnetConfig::bare(task.base_width, 3).seeing(kind.inputs) };
+                let config =
+                    UnetConfig { base: kind.base, inputs: kind.inputs, ..UnetConfig::bare(task.base_width, 3) };
                 let network = Reconstructor::new(config, seed).expect("valid");
                 let place = tempfile::tempdir().expect("a temporary folder");
                 let textures = task.textures().expect("built in");

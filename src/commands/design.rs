@@ -262,10 +262,8 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
         writeln!(out, "{value}")?;
         return Ok(());
     }
-    match designing.verdicts() {
-        None => {}
-        Some(Ok(all)) => Verdict::lines(all).iter().try_for_each(|line| writeln!(out, "{line}"))?,
-        Some(Err(why)) => writeln!(out, "the network could not be judged: {why}")?,
+    for line in designing.verdicts().into_iter().flat_map(Verdict::told) {
+        writeln!(out, "{line}")?;
     }
     let mut tell = |name: &str, e: Option<&Entry>| -> std::io::Result<()> {
         let Some(e) = e else { return Ok(()) };

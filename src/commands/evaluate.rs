@@ -421,10 +421,7 @@ impl Judged {
                     significant(depth, 6)
                 );
             }
-            atomic::write_bytes(&folder.join(MARKER), text.as_bytes()).map_err(|e| match e {
-                Error::Io { reason, .. } => Error::writing(folder, reason),
-                other => other,
-            })
+            atomic::write_bytes(&folder.join(MARKER), text.as_bytes())
         })
     }
 }

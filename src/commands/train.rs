@@ -103,9 +103,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         if let Some(s) = last {
             writeln!(out, "loss {:.5}  PSNR of training patches {:.2} dB", s.entry.content, s.entry.psnr_db)?;
         }
-        match &judged {
-            Ok(all) => Verdict::lines(all).iter().try_for_each(|line| writeln!(out, "{line}"))?,
-            Err(e) => writeln!(out, "the network could not be judged: {e}")?,
+        for line in Verdict::told(&judged) {
+            writeln!(out, "{line}")?;
         }
         let without =
             if skipped > 0 { format!(", {skipped} of them without a finite gradient") } else { String::new() };

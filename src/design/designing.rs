@@ -465,11 +465,7 @@ impl Designing {
     fn show(&self) -> Result<()> {
         let history = Judgement::of(self.history.text(), "history.jsonl")?;
         let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(entry_of).collect();
-        let verdict = match &self.verdicts {
-            None => Vec::new(),
-            Some(Ok(all)) => Verdict::lines(all),
-            Some(Err(why)) => vec![format!("the network could not be judged: {why}")],
-        };
+        let verdict = self.verdicts.as_ref().map_or_else(Vec::new, Verdict::told);
         let told = Told { held_out: &self.held_out, history: &history, log: &log, verdict: &verdict };
         let html = page(&self.folder, &self.task, &self.stage, &told, &self.first)?;
         atomic::write_bytes(&self.folder.join("report.html"), html.as_bytes())

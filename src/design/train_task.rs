@@ -149,7 +149,13 @@ impl TrainTask {
     }
 
     fn sized(&self, base_width: usize) -> UnetConfig {
-        UnetConfig { base_width, scales: self.scales, inputs: self.inputs, blocks: self.blocks, base: self.base }
+        UnetConfig {
+            base_width,
+            scales: self.scales,
+            inputs: self.inputs,
+            blocks: self.blocks,
+            base: self.base.of(self.inputs),
+        }
     }
 
     /// Paths relative to `folder` become paths below it.
@@ -289,6 +295,21 @@ mod tests {
         for blocks in Blocks::ALL {
             let task: TrainTask = toml::from_str(&text(blocks)).expect("own text");
             assert_eq!(task.config().expect("no start").blocks, blocks);
+        }
+    }
+
+    /// What a checkpoint of a network without filtered captures says is what versions before the choice read.
+    #[test]
+    fn networks_without_filters_have_no_base_to_choose() {
+        for (inputs, chosen) in [
+            (Inputs::BARE, false),
+            (Inputs { field: true, ..Inputs::BARE }, false),
+            (Inputs { wiener: true, ..Inputs::BARE }, true),
+            (Inputs::TOLD, true),
+        ] {
+            let config = TrainTask { inputs, ..TrainTask::default() }.config().expect("no start");
+            let text = serde_json::to_string(&config).expect("text");
+            assert_eq!((config.base == Base::Blend, text.contains("\"base\"")), (chosen, chosen), "{text}");
         }
     }
 

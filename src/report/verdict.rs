@@ -1,5 +1,7 @@
 //! Whether a network is worth its while: against its capture, and against what the lens's own Wiener filters make of that capture without any training.
 
+use std::fmt::Display;
+
 use serde::Serialize;
 
 use super::evaluation::{Evaluation, Figure, Row};
@@ -88,6 +90,14 @@ impl Verdict {
     /// The lines of all distances.
     pub fn lines(all: &[Self]) -> Vec<String> {
         all.iter().map(|v| v.line(all.len() > 1)).collect()
+    }
+
+    /// The lines of a judgement, or why there is none.
+    pub fn told<E: Display>(judged: &Result<Vec<Self>, E>) -> Vec<String> {
+        match judged {
+            Ok(all) => Self::lines(all),
+            Err(why) => vec![format!("the network could not be judged: {why}")],
+        }
     }
 }
 

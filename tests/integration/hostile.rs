@@ -114,8 +114,15 @@ fn names_in_files_do_not_steer_a_terminal() {
     for arguments in ["inspect", "check", "spot", "lenses"] {
         let ran = place.run(&format!("{arguments} {}", folder.join("esc.toml").display()));
         assert!(!steering(&ran.out) && !steering(&ran.err), "{arguments}: {:?} {:?}", ran.out, ran.err);
-        assert!(ran.code == 0 && (ran.out.contains("\\u{1b}") || arguments != "inspect"), "{arguments}: {:?}", ran.out);
+        assert!(ran.code == 0 && (ran.out.contains("\\u001b") || arguments != "inspect"), "{arguments}: {:?}", ran.out);
     }
+    // JSON stays JSON, and says what the file says.
+    let text = std::fs::read_to_string(folder.join("esc.toml")).expect("reads");
+    let name = text.lines().find_map(|l| l.strip_prefix("name = ")).expect("a name");
+    place.write("turned.toml", text.replacen(name, r#""a\u202eb\u007f\u009b""#, 1));
+    let said = place.run("inspect turned.toml --json").done();
+    let json: serde_json::Value = serde_json::from_str(&said).expect("JSON");
+    assert!(!steering(&said) && json["name"] == "a\u{202e}b\u{7f}\u{9b}", "{said:?}");
     place.run(&format!("lenses {} -o d", folder.join("csv.toml").display())).done();
     let csv = std::fs::read_to_string(place.path("d/lenses.csv")).expect("written");
     let line = csv.lines().nth(1).expect("a lens");

@@ -9,12 +9,12 @@ fn steers(c: char) -> bool {
         || matches!(c, '\u{200e}' | '\u{200f}' | '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// The text with what would steer a terminal as escapes, `\u{1b}`.
+/// The text with what would steer a terminal as escapes, `\u001b`: in a string of JSON they are the same characters still.
 pub fn printable(text: &str) -> Cow<'_, str> {
     if !text.contains(steers) {
         return Cow::Borrowed(text);
     }
-    let escaped = text.chars().map(|c| if steers(c) { c.escape_unicode().to_string() } else { c.to_string() });
+    let escaped = text.chars().map(|c| if steers(c) { format!("\\u{:04x}", u32::from(c)) } else { c.to_string() });
     Cow::Owned(escaped.collect())
 }
 
@@ -62,7 +62,7 @@ mod tests {
     fn what_steers_is_shown() {
         assert_eq!(printable("a\tµ\n"), "a\tµ\n");
         assert!(matches!(printable("Cooke triplet, 50 mm"), Cow::Borrowed(_)));
-        assert_eq!(printable("\u{1b}]0;x\u{7}\r\u{202e}b"), "\\u{1b}]0;x\\u{7}\\u{d}\\u{202e}b");
+        assert_eq!(printable("\u{1b}]0;x\u{7}\r\u{202e}b"), "\\u001b]0;x\\u0007\\u000d\\u202eb");
         let text = "µm \u{1b}[2K – ende\u{9b}";
         for size in 1..5 {
             let mut out = Vec::new();
@@ -70,7 +70,7 @@ mod tests {
             for part in text.as_bytes().chunks(size) {
                 to.write_all(part).expect("in memory");
             }
-            assert_eq!(String::from_utf8(out).expect("text"), "µm \\u{1b}[2K – ende\\u{9b}", "{size}");
+            assert_eq!(String::from_utf8(out).expect("text"), "µm \\u001b[2K – ende\\u009b", "{size}");
         }
     }
 }

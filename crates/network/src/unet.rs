@@ -48,6 +48,12 @@ impl Base {
     /// All of them.
     pub const ALL: [Self; 2] = [Self::Filtered, Self::Blend];
 
+    /// This one for a network that sees `inputs`; where none of them is a filtered capture there is nothing to choose, and files say nothing.
+    #[must_use]
+    pub fn of(self, inputs: Inputs) -> Self {
+        if inputs.banks() == 0 { Self::default() } else { self }
+    }
+
     fn is_filtered(&self) -> bool {
         *self == Self::Filtered
     }
@@ -89,7 +95,7 @@ impl UnetConfig {
     /// The same network, fresh, that sees `inputs`.
     #[must_use]
     pub fn seeing(self, inputs: Inputs) -> Self {
-        Self { inputs, base: if inputs.is_bare() { Base::default() } else { Base::NEW }, ..self }
+        Self { inputs, base: Base::NEW.of(inputs), ..self }
     }
 
     /// Refuses sizes that are no network or too large to train.
