@@ -125,7 +125,7 @@ mod tests {
             rows: vec![row("wavelengths", 0.05), row("wavelengths", 0.01), row("kernel size", 0.02)],
         };
         assert_eq!(all.csv().lines().count(), 4);
-        assert!(all.csv().contains("\"wavelengths\",\"a, b\",0.05,0.55,0.1"));
+        assert!(all.csv().contains("wavelengths,\"a, b\",0.05,0.55,0.1"));
         assert!(all.table().to_string().contains("gradient off by"));
         assert_eq!(all.json()["rows"][2]["ladder"], "kernel size");
         let svg = all.svg();

@@ -149,7 +149,8 @@ fn an_identity_restores_nothing() {
     }
     // The sensor stands where the axis is sharpest for a metre; further out the field is curved towards nearer scenes.
     assert!(result.rows[4].capture.psnr_db.mean < result.rows[0].capture.psnr_db.mean);
-    assert_eq!(sheets[0].image.dim(), (3, 2 * 64 + 8, 3 * 64 + 16));
+    // Two rows of four pictures, 6 pixels apart, below the columns' names.
+    assert_eq!(sheets[0].image.dim(), (3, 20 + 2 * 64 + 6, 4 * 64 + 18));
 }
 
 /// Where the margin is the receptive radius a patch is restored as within the whole picture; at the picture's end the margin

@@ -97,7 +97,8 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
     for seed in 0..6 {
         let dx = isoplanat_base::testing::leaning(&gradient, 40 + seed);
         let pulled: f64 = gradient.iter().zip(&dx).map(|(a, b)| a * b).sum();
-        let h = 2e-4;
+        // The loss has a kink wherever a pixel is right, and filters make many so: at 2e-4 the slope over them is 2 % off.
+        let h = 2e-5;
         let mut at = |t: f64| {
             let moved: Vec<f64> = x.iter().zip(&dx).map(|(a, b)| a + t * b).collect();
             loss(&vars.lens(&lens, &moved).expect("a lens")).0
