@@ -224,18 +224,24 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         accuracy.reference_noise_rms
     );
     let files = [(&args.output, accuracy.html()), (&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())];
-    tell(files, if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) }, out)
+    tell(
+        files,
+        args.force,
+        if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) },
+        out,
+    )
 }
 
 /// Writes the files that are asked for, and `text`.
 fn tell<const N: usize>(
     files: [(&Option<PathBuf>, String); N],
+    force: bool,
     text: String,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
     for (path, content) in files {
         if path.is_some() {
-            output::put(&content, path.as_deref(), out)?;
+            output::put(&content, path.as_deref(), force, out)?;
         }
     }
     Ok(writeln!(out, "{text}")?)

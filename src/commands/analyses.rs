@@ -1,10 +1,10 @@
 //! `isoplanat mtf`, `spot` and `distortion`: one analysis of the report by itself.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isoplanat::analysis::overview::Overview;
-use isoplanat::imaging::files::write_atomic;
+use isoplanat::atomic::{Target, write_atomic};
 use isoplanat::lens::Lens;
 use isoplanat::report::lens::{Options, SHIFTS, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
 use isoplanat::report::plot::Plot;
@@ -114,13 +114,13 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
     if let Some(path) = &args.svg {
         let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
-        crate::output::put(&drawing, Some(path), out)?;
+        crate::output::put(&drawing, Some(path), args.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&plots_csv(&curves), Some(path), out)?;
+        crate::output::put(&plots_csv(&curves), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.npz {
-        save(kind, &overview, path)?;
+        save(kind, &overview, Target::new(path, args.force))?;
     }
     if args.json {
         let fields = if kind == Kind::Distortion { Vec::new() } else { fields_json(&overview) };
@@ -188,10 +188,11 @@ impl Kind {
 }
 
 /// Writes the numbers of `kind` under their names.
-fn save(kind: Kind, o: &Overview, path: &Path) -> Result<()> {
+fn save(kind: Kind, o: &Overview, to: Target<'_>) -> Result<()> {
+    let path = to.path;
     let failed = |e: ndarray_npy::WriteNpzError| Error::writing(path, std::io::Error::other(e));
     let angles: Array1<f64> = o.fields.iter().map(|f| f.angle_deg).collect();
-    write_atomic(path, |file| {
+    write_atomic(to, |file| {
         let mut npz = NpzWriter::new(file);
         npz.add_array("schema", &ndarray::arr0(1_i64)).map_err(failed)?;
         match kind {

@@ -7,10 +7,11 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::DVec2;
+use isoplanat::atomic::{Target, write_bytes};
 use isoplanat::calibrate::file::MeasuredDistortion;
 use isoplanat::calibrate::solve::{Fit, Settings, solve};
 use isoplanat::calibrate::{View, chart, doubt};
-use isoplanat::imaging::files::{Encoding, PICTURES, extension, write_bytes, write_picture};
+use isoplanat::imaging::files::{Encoding, PICTURES, extension, write_picture};
 use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
@@ -144,21 +145,21 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let measured = measured(args, size, &charts, &fit);
     // Whatever becomes of the kernels.
     if let Some(path) = &args.out {
-        crate::output::put(&measured.text()?, Some(path), out)?;
+        crate::output::put(&measured.text()?, Some(path), args.force, out)?;
     }
     let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
     let listing = Listing { settings, charts, skipped, fit, doubts };
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), out)?;
+        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), out)?;
+        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
     }
     if let (Some(path), Some(spread)) = (&args.psf, &spread) {
-        write_bytes(path, &spread.measured.psf.to_npz()?)?;
+        write_bytes(Target::new(path, args.force), &spread.measured.psf.to_npz()?)?;
     }
     if let (Some(path), Some(spread)) = (&args.psf_picture, &spread) {
-        write_picture(path, &spread.picture(), Encoding::Srgb)?;
+        write_picture(Target::new(path, args.force), &spread.picture(), Encoding::Srgb)?;
     }
     if args.json {
         let mut all = listing.json();

@@ -88,17 +88,17 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let shading = if args.shading.is_some() { Some(illumination(args, &frames, &camera, &measured)?) } else { None };
     if let Some(path) = &args.out {
         let text = toml::to_string(&sensor).map_err(|e| Error::Internal(format!("sensor to TOML: {e}")))?;
-        crate::output::put(&text, Some(path), out)?;
+        crate::output::put(&text, Some(path), args.force, out)?;
     }
     if let (Some(path), Some(shading)) = (&args.shading, &shading) {
-        crate::output::put(&shading.text()?, Some(path), out)?;
+        crate::output::put(&shading.text()?, Some(path), args.force, out)?;
     }
     let listing = Listing { measured: &measured, camera: &camera, sensor: &sensor, shading: shading.as_ref() };
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), out)?;
+        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), out)?;
+        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{:#}", listing.json())?;

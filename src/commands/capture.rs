@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::atomic::Target;
 use isoplanat::imaging::capture::{CaptureSettings, capture};
 use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::dng::{DngInfo, write_dng};
@@ -78,7 +79,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         lens: lens.name.clone(),
         model: String::new(),
     };
-    write_dng(&args.output, taken.dn.view(), &sensor, &info)?;
+    write_dng(Target::new(&args.output, args.force), taken.dn.view(), &sensor, &info)?;
     if args.json {
         let figures = serde_json::json!({ "schema": 1, "capture": args.output, "columns": frame.columns, "rows": frame.rows,
             "rays": taken.rays, "seconds": taken.seconds, "render_noise": taken.render_noise,

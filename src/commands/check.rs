@@ -32,7 +32,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let report = HealthReport::new(&lens);
     if let Some(path) = &args.csv {
-        crate::output::put(&report.csv(), Some(path), out)?;
+        crate::output::put(&report.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{:#}", report.json())?;

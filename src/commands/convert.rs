@@ -27,7 +27,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let lens = crate::input::lens(&args.input)?;
     let (text, notes) =
         text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.input))?;
-    crate::output::put(&text, Some(&args.output), out)?;
+    crate::output::put(&text, Some(&args.output), args.force, out)?;
     let output = args.output.display();
     if args.json {
         let value = serde_json::json!({

@@ -208,10 +208,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => None,
     };
     if let Some(path) = &args.csv {
-        output::put(&result.csv(), Some(path), out)?;
+        output::put(&result.csv(), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.plot {
-        output::put(&result.svg(), Some(path), out)?;
+        output::put(&result.svg(), Some(path), args.force, out)?;
     }
     if let Some(folder) = &args.pictures {
         run.save(folder, args.force, &sheets, &result, &pictures)?;
@@ -292,7 +292,7 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
         bar.done(String::new());
     }
     if let Some(path) = &args.csv {
-        output::put(&draws.csv(), Some(path), out)?;
+        output::put(&draws.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{}", draws.json())?;

@@ -61,7 +61,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let merit = Spec { fields, ..Spec::default() }.merit("--fields")?;
     let found = refocused(&placed, merit).map_err(named)?;
     let (text, notes) = text_of(&found.lens, form, crate::glasses::all()).map_err(named)?;
-    crate::output::put(&text, Some(&args.output), out)?;
+    crate::output::put(&text, Some(&args.output), args.force, out)?;
     let output = args.output.display();
     let last = |l: &isoplanat::lens::Lens| l.surfaces[l.surfaces.len() - 1].thickness;
     let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));

@@ -39,7 +39,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     lens.require_indices(nm, &args.lens)?;
     let listing = Listing::new(&lens, nm);
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), out)?;
+        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{:#}", listing.json())?;

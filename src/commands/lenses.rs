@@ -44,7 +44,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::write_folder(folder, MARKER, args.force, |folder| fill(folder, &library, &lenses))?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&library.csv(), Some(path), out)?;
+        crate::output::put(&library.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{:#}", library.json())?;

@@ -164,9 +164,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::tell!("stopped on request: the best lens so far is kept");
     }
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
-    crate::output::put(&better, Some(&args.output), out)?;
+    crate::output::put(&better, Some(&args.output), args.force, out)?;
     if let Some(path) = &args.svg {
-        crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), out)?;
+        crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), args.force, out)?;
     }
     if let Some(folder) = &args.best {
         atomic::write_folder(folder, MARKER, args.force, |folder| keep(folder, &found))?;

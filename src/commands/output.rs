@@ -1,28 +1,18 @@
 //! What commands write: nothing is overwritten without `--force`, nothing appears half-written.
 
+use std::collections::HashSet;
 use std::io::Write;
 use std::path::Path;
 
-use isoplanat::{Error, Result};
+use isoplanat::Result;
+use isoplanat::atomic::{self, Target};
 
 /// Whether a result may be put at `path`; asked before the work starts.
 ///
 /// # Errors
-/// [`Error::Exists`] without `force`; a folder that is not there, or a folder in the file's place.
+/// As [`atomic::check_target`].
 pub(crate) fn check_writable(path: &Path, force: bool) -> Result<()> {
-    let refuse = |kind: std::io::ErrorKind, text: &str| Err(Error::writing(path, std::io::Error::new(kind, text)));
-    if path.is_dir() {
-        return refuse(std::io::ErrorKind::IsADirectory, "a folder stands there; name a file");
-    }
-    if path.symlink_metadata().is_ok() && !force {
-        return Err(Error::Exists(path.to_owned()));
-    }
-    match path.parent() {
-        Some(folder) if !folder.as_os_str().is_empty() && !folder.is_dir() => {
-            refuse(std::io::ErrorKind::NotFound, &format!("there is no folder {}", folder.display()))
-        }
-        _ => Ok(()),
-    }
+    atomic::check_target(path, force.into())
 }
 
 /// [`check_writable`] of every output that is asked for, each a file of its own.
@@ -31,27 +21,62 @@ pub(crate) fn check_writable(path: &Path, force: bool) -> Result<()> {
 /// As there; a file named twice.
 pub(crate) fn check_all(paths: &[Option<&Path>], force: bool) -> Result<()> {
     let asked: Vec<&Path> = paths.iter().copied().flatten().collect();
-    for (k, path) in asked.iter().enumerate() {
-        check_writable(path, force)?;
-        if asked[..k].contains(path) {
-            let file = path.display().to_string();
-            return Err(Error::bad(file, "output", "named for two outputs", "a file of its own for each"));
-        }
-    }
-    Ok(())
+    asked.iter().try_for_each(|path| check_writable(path, force))?;
+    atomic::distinct(&asked)
 }
 
-/// Prints `text` to `out`, or puts it into the file at `path`, whole or not at all.
-pub(crate) fn put(text: &str, path: Option<&Path>, out: &mut dyn Write) -> anyhow::Result<()> {
+/// Prints `text` to `out`, or puts it into the file at `path`, whole or not at all and with `force` alone in another's place.
+pub(crate) fn put(text: &str, path: Option<&Path>, force: bool, out: &mut dyn Write) -> anyhow::Result<()> {
     match path {
-        Some(path) => Ok(isoplanat::imaging::files::write_bytes(path, text.as_bytes())?),
+        Some(path) => Ok(atomic::write_bytes(Target::new(path, force), text.as_bytes())?),
         None => Ok(out.write_all(text.as_bytes())?),
     }
+}
+
+/// Names of files without their endings, each once: a stem that no other has stays, others get the number of their place before them.
+///
+/// Capitals do not tell two names apart: not every file system does.
+pub(crate) fn distinct_stems(stems: &[String]) -> Vec<String> {
+    let folded: Vec<String> = stems.iter().map(|s| s.to_lowercase()).collect();
+    let alone = |k: usize| folded.iter().filter(|s| **s == folded[k]).count() == 1;
+    let mut taken: HashSet<String> = (0..stems.len()).filter(|k| alone(*k)).map(|k| folded[k].clone()).collect();
+    let named = |(k, stem): (usize, &String)| {
+        let mut name = stem.clone();
+        while !alone(k) && (name == *stem || !taken.insert(name.to_lowercase())) {
+            name = format!("{:03}-{name}", k + 1);
+        }
+        name
+    };
+    stems.iter().enumerate().map(named).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoplanat::Error;
+
+    /// Whatever the names, there are as many files as scenes.
+    #[test]
+    fn names_are_told_apart() {
+        let names = |stems: &[&str]| distinct_stems(&stems.iter().map(ToString::to_string).collect::<Vec<_>>());
+        assert_eq!(names(&["a", "b"]), ["a", "b"]);
+        assert_eq!(names(&["a", "a", "b"]), ["001-a", "002-a", "b"]);
+        assert_eq!(names(&["a", "a", "001-a"]), ["001-001-a", "002-a", "001-a"]);
+        assert_eq!(
+            names(&["a", "A", "002-a", "002-A", "001-A"]),
+            ["001-001-a", "002-A", "003-002-a", "004-002-A", "001-A"]
+        );
+        let rng = &mut fastrand::Rng::with_seed(3);
+        for _ in 0..300 {
+            let stems: Vec<String> = (0..12)
+                .map(|_| ["", "001-", "002-001-", "012-"][rng.usize(..4)].to_owned() + ["a", "A", "b"][rng.usize(..3)])
+                .collect();
+            let found = distinct_stems(&stems);
+            let different: HashSet<String> = found.iter().map(|n| n.to_lowercase()).collect();
+            assert_eq!(different.len(), 12, "{stems:?} {found:?}");
+            assert!(found.iter().zip(&stems).all(|(n, s)| n.ends_with(s.as_str())));
+        }
+    }
 
     #[test]
     fn existing_files_need_force_and_folders_must_exist() {

@@ -3,7 +3,8 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::imaging::files::{write_atomic, write_png8};
+use isoplanat::atomic::{Target, write_atomic};
+use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
@@ -67,11 +68,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(Path::new(&args.lens));
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
-    save(&kernels, &args.output)?;
+    save(&kernels, Target::new(&args.output, args.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
         let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?.kernels;
-        write_png8(path, &atlas::picture(&colours, columns, atlas::Style::default()))?;
+        write_png8(Target::new(path, args.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let rows = rows(&kernels);
     if let Some(path) = &args.csv {
@@ -79,7 +80,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         for row in &rows {
             table.row(row.map(|v| v.to_string()));
         }
-        crate::output::put(&table.csv(), Some(path), out)?;
+        crate::output::put(&table.csv(), Some(path), args.force, out)?;
     }
     let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
     let count = request.depth_mm.len() * kernels.request.fields;
@@ -158,10 +159,11 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
 }
 
 /// Writes every array of `set` under its name.
-fn save(set: &atlas::KernelSet, path: &Path) -> Result<()> {
+fn save(set: &atlas::KernelSet, to: Target<'_>) -> Result<()> {
+    let path = to.path;
     let failed = |e: ndarray_npy::WriteNpzError| Error::writing(path, std::io::Error::other(e));
     let meta = &set.request;
-    write_atomic(path, |file| {
+    write_atomic(to, |file| {
         let mut npz = NpzWriter::new(file);
         npz.add_array("kernels", &set.kernels).map_err(failed)?;
         for (name, array) in [("relative_illumination", &set.relative_illumination), ("outside", &set.outside)] {

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
+use isoplanat::atomic::Target;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, extension, write_annotated};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
@@ -90,9 +91,9 @@ impl Args {
     }
 
     /// Writes a picture.
-    fn write(&self, path: &Path, image: &Array3<f32>) -> Result<()> {
+    fn write<'a>(&self, to: impl Into<Target<'a>>, image: &Array3<f32>) -> Result<()> {
         let depth = if self.float { Depth::Float } else { Depth::Sixteen };
-        write_annotated(path, image, Encoding::Srgb, depth, &Annotation::default())
+        write_annotated(to, image, Encoding::Srgb, depth, &Annotation::default())
     }
 
     fn request(&self) -> Result<Request> {
@@ -104,19 +105,15 @@ impl Args {
         }
     }
 
-    /// Names of the pictures of several scenes: the scenes' own, numbered where they repeat.
+    /// Names of the pictures of several scenes: the scenes' own, with numbers where they repeat.
     fn names(&self) -> Vec<String> {
         let stem = |scene: &String| match Path::new(scene).file_stem() {
             Some(stem) if Path::new(scene).exists() => stem.to_string_lossy().into_owned(),
             _ => scene.replace(':', "-"),
         };
         let stems: Vec<String> = self.scenes.iter().map(stem).collect();
-        let repeated = |k: usize| stems.iter().filter(|s| **s == stems[k]).count() > 1;
         let ending = if self.float { "tif" } else { "png" };
-        let name = |(k, s): (usize, &String)| {
-            if repeated(k) { format!("{:03}-{s}.{ending}", k + 1) } else { format!("{s}.{ending}") }
-        };
-        stems.iter().enumerate().map(name).collect()
+        output::distinct_stems(&stems).iter().map(|s| format!("{s}.{ending}")).collect()
     }
 }
 
@@ -249,7 +246,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         })?;
     } else {
         let made = one(0, &args.scenes[0])?;
-        args.write(&args.output, &made.image)?;
+        args.write(Target::new(&args.output, args.force), &made.image)?;
         all.push((args.output.display().to_string(), made.figures));
     }
     bar.done(String::new());

@@ -110,10 +110,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         });
     }
     if let Some(path) = &args.output {
-        crate::output::put(&html(&reports)?, Some(path), out)?;
+        crate::output::put(&html(&reports)?, Some(path), args.force, out)?;
     }
     if let (Some(path), [report]) = (&args.csv, &reports[..]) {
-        crate::output::put(&report.csv(), Some(path), out)?;
+        crate::output::put(&report.csv(), Some(path), args.force, out)?;
     }
     if args.json {
         match &reports[..] {

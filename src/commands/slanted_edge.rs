@@ -94,10 +94,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let image = args.image.display().to_string();
     let listing = Listing { first, measured, refused, source: picture.source, image };
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), out)?;
+        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), out)?;
+        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
     }
     if args.json {
         writeln!(out, "{:#}", listing.json())?;

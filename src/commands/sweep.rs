@@ -3,6 +3,7 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::atomic::Target;
 use isoplanat::design::sweep::{ranked, varied};
 use isoplanat::design::task::Task;
 use isoplanat::report::drawing::lens_svg;
@@ -62,7 +63,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     design::designed(task, &lens, &file, &run, args.force, args.json, out)
 }
 
-/// The best designs first.
+/// Ranks the runs of a folder: on the screen, and on a page.
 fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(folder) = &args.runs else {
         return Err(Error::bad("sweep report", "folder", "missing", "the folder of the runs").into());
@@ -71,6 +72,11 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::output::check_writable(path, args.force)?;
     }
     let found = ranked(folder)?;
+    let table = ranking(&found);
+    if let Some(path) = &args.output {
+        let html = page(folder, &found, &table)?;
+        atomic::write_bytes(Target::new(path, args.force), html.as_bytes())?;
+    }
     if args.json {
         let rows: Vec<_> = found
             .iter()
@@ -82,6 +88,12 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(out, "{}", serde_json::json!({ "schema": 1, "runs": rows }))?;
         return Ok(());
     }
+    writeln!(out, "{table}")?;
+    Ok(())
+}
+
+/// The best designs first.
+fn ranking(found: &[isoplanat::design::sweep::Ranked]) -> Table {
     let mut table =
         Table::new(["rank", "run", "ranked by, dB", "held out dB", "capture dB", "at step", "of", "minutes"]);
     for (k, r) in found.iter().enumerate() {
@@ -96,12 +108,7 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             format!("{:.1}", r.last.seconds / 60.0),
         ]);
     }
-    writeln!(out, "{table}")?;
-    if let Some(path) = &args.output {
-        let html = page(folder, &found, &table)?;
-        atomic::write_bytes(path, html.as_bytes())?;
-    }
-    Ok(())
+    table
 }
 
 fn page(folder: &Path, found: &[isoplanat::design::sweep::Ranked], table: &Table) -> Result<String> {

@@ -88,10 +88,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let limit_mm = args.limit_um.map(|um| 1e-3 * um);
     let report = AsBuiltReport { lens: &lens, file: &file, seed: args.seed, limit_mm, figures: &figures };
     if let Some(path) = &args.csv {
-        output::put(&report.csv(), Some(path), out)?;
+        output::put(&report.csv(), Some(path), args.force, out)?;
     }
     if let Some(path) = &args.output {
-        output::put(&report.to_html(), Some(path), out)?;
+        output::put(&report.to_html(), Some(path), args.force, out)?;
     }
     if let Some(folder) = &args.lenses {
         atomic::write_folder(folder, MARKER, args.force, |inside| -> Result<()> {

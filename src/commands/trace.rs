@@ -44,5 +44,5 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let _ = args.json;
     let mut json = serde_json::to_string_pretty(&answer)?;
     json.push('\n');
-    crate::output::put(&json, args.output.as_deref(), out)
+    crate::output::put(&json, args.output.as_deref(), args.force, out)
 }

@@ -266,7 +266,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Subject::Lens(name) => page(&args.view.lens(name)?, &options, false)?,
             Subject::Page(file) => std::fs::read_to_string(file).map_err(|e| Error::reading(file, e))?,
         };
-        crate::output::put(&text, Some(path), out)?;
+        crate::output::put(&text, Some(path), args.force, out)?;
         if args.json {
             writeln!(out, "{}", serde_json::json!({ "schema": 1, "file": path }))?;
         }

@@ -30,12 +30,14 @@ mod turn;
 
 pub use check::{check_folder, check_kind, check_target};
 pub use entries::{FolderKind, MANIFEST};
-pub use file::{publish_file, write_atomic, write_bytes, write_cached};
+pub use file::{publish_file, publish_path, write_atomic, write_bytes, write_cached};
 pub use folder::{publish_folder, write_folder};
 pub use notice::tell_by;
 pub use place::distinct;
 pub use read::{of_schema, read_bounded, read_text, regular, sha256_hex};
 pub use sweep::recover;
+
+use std::path::Path;
 
 /// Whether what stands at an output's place gives way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,6 +46,28 @@ pub enum Replace {
     Never,
     /// A file is replaced; a folder where it is one of the same kind with nothing else in it.
     Always,
+}
+
+/// A file to be: its path, and whether it takes the place of another. A path alone does: what belongs to a folder of one's own is written anew.
+#[derive(Debug, Clone, Copy)]
+pub struct Target<'a> {
+    /// Where it is to be.
+    pub path: &'a Path,
+    /// Whether it takes the place of another.
+    pub replace: Replace,
+}
+
+impl<'a> Target<'a> {
+    /// A file that a user names, and whether he lets it take another's place.
+    pub fn new(path: &'a Path, replace: impl Into<Replace>) -> Self {
+        Self { path, replace: replace.into() }
+    }
+}
+
+impl<'a, P: AsRef<Path> + ?Sized> From<&'a P> for Target<'a> {
+    fn from(path: &'a P) -> Self {
+        Self { path: path.as_ref(), replace: Replace::Always }
+    }
 }
 
 impl From<bool> for Replace {

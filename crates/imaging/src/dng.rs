@@ -17,7 +17,7 @@ use tiff::tags::Tag;
 use crate::develop::color::{XYZ_FROM_SRGB, inverse, product};
 use crate::exif::{Exif, Undefined, ascii};
 use crate::sensor::Sensor;
-use isoplanat_base::atomic::write_atomic;
+use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 
 /// Denominator of matrix entries, levels and neutral.
@@ -40,7 +40,14 @@ pub struct DngInfo {
 ///
 /// # Shapes
 /// `mosaic_dn`: `[row, col]`, in DN of `sensor`.
-pub fn write_dng(path: &Path, mosaic_dn: ArrayView2<'_, u16>, sensor: &Sensor, info: &DngInfo) -> Result<()> {
+pub fn write_dng<'a>(
+    to: impl Into<Target<'a>>,
+    mosaic_dn: ArrayView2<'_, u16>,
+    sensor: &Sensor,
+    info: &DngInfo,
+) -> Result<()> {
+    let to = to.into();
+    let path = to.path;
     let (rows, cols) = mosaic_dn.dim();
     let sides = u32::try_from(rows).ok().zip(u32::try_from(cols).ok());
     // Classic TIFF counts bytes with 32 bits.
@@ -50,7 +57,7 @@ pub fn write_dng(path: &Path, mosaic_dn: ArrayView2<'_, u16>, sensor: &Sensor, i
         return Err(Error::bad(file, "mosaic", found, "1 to 2147483647 pixels"));
     };
     let camera_from_xyz = camera_from_xyz(&sensor.srgb_from_camera, sensor.neutral_response, &sensor.name)?;
-    write_atomic(path, |out| {
+    write_atomic(to, |out| {
         write_tags(out, sides, mosaic_dn, sensor, info, &camera_from_xyz).map_err(|e| unwritten(path, e))
     })
 }
@@ -92,13 +99,15 @@ pub struct CameraColour {
 ///
 /// # Errors
 /// A picture without pixels or too large for the format, colours without an inverse, a file that cannot be written.
-pub fn write_linear_dng(
-    path: &Path,
+pub fn write_linear_dng<'a>(
+    to: impl Into<Target<'a>>,
     image: &Array3<f32>,
     colour: &CameraColour,
     info: &DngInfo,
     exif: &Exif,
 ) -> Result<()> {
+    let to = to.into();
+    let path = to.path;
     let (channels, rows, cols) = image.dim();
     let sides = u32::try_from(rows).ok().zip(u32::try_from(cols).ok());
     let fits = |(h, w): &(u32, u32)| channels == 3 && (1..(1 << 32) / 6).contains(&(u64::from(*h) * u64::from(*w)));
@@ -141,7 +150,7 @@ pub fn write_linear_dng(
         write_area(&mut dng, (height, width))?;
         dng.finish()
     };
-    write_atomic(path, |out| write(out).map_err(|e| unwritten(path, e)))
+    write_atomic(to, |out| write(out).map_err(|e| unwritten(path, e)))
 }
 
 type Directory<'a, W> = DirectoryEncoder<'a, W, TiffKindStandard>;

@@ -25,7 +25,7 @@ use tiff::tags::Tag;
 use crate::develop::color::srgb_from_linear;
 use crate::develop::gamut::Gamut;
 use crate::exif::{Exif, Undefined};
-pub use isoplanat_base::atomic::{write_atomic, write_bytes};
+use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 pub use read::{
     Encoding, Planes, Stored, picture_size, read_linear, read_picture, read_planes, read_sensor_planes, read_stored,
@@ -150,13 +150,14 @@ impl Annotation {
 }
 
 /// Writes linear RGB as a PNG of 8 or 16 bits.
-fn write_png<S: Sample>(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
+fn write_png<S: Sample>(to: Target<'_>, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
 where
     Rgb<S>: image::PixelWithColorType + image::Pixel<Subpixel = S>,
     [S]: image::EncodableLayout,
 {
+    let path = to.path;
     let samples = interleaved::<S>(image, encoding).map_err(|e| e.in_file(path))?;
-    write_atomic(path, |out| {
+    write_atomic(to, |out| {
         let mut encoder = PngEncoder::new(out);
         beside.put(&mut encoder, encoding)?;
         samples.write_with_encoder(encoder).map_err(|e| unwritten(path, e))
@@ -164,17 +165,18 @@ where
 }
 
 /// Writes linear RGB as an 8-bit sRGB PNG.
-pub fn write_png8(path: &Path, image: &Array3<f32>) -> Result<()> {
-    write_png::<u8>(path, image, Encoding::Srgb, &Annotation::default())
+pub fn write_png8<'a>(to: impl Into<Target<'a>>, image: &Array3<f32>) -> Result<()> {
+    write_png::<u8>(to.into(), image, Encoding::Srgb, &Annotation::default())
 }
 
 /// Writes linear RGB as an uncompressed TIFF of samples of a form, strip by strip.
-fn write_tiff<C>(path: &Path, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
+fn write_tiff<C>(to: Target<'_>, image: &Array3<f32>, encoding: Encoding, beside: &Annotation) -> Result<()>
 where
     C: colortype::ColorType,
     C::Inner: Sample,
     [C::Inner]: tiff::encoder::TiffValue,
 {
+    let path = to.path;
     let (width, height) = sides(image).map_err(|e| e.in_file(path))?;
     let profile = beside.profile(encoding)?;
     let write = |out: &mut std::io::BufWriter<std::fs::File>| {
@@ -198,7 +200,7 @@ where
         }
         picture.finish()
     };
-    write_atomic(path, |out| {
+    write_atomic(to, |out| {
         write(out).map_err(|e| match e {
             TiffError::IoError(e) => Error::writing(path, e),
             e => Error::bad(path.display().to_string(), "picture", e.to_string(), "a size the format can hold"),
@@ -207,9 +209,10 @@ where
 }
 
 /// Writes linear RGB as a JPEG of the given quality, 1 to 100.
-fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8, beside: &Annotation) -> Result<()> {
+fn write_jpeg(to: Target<'_>, image: &Array3<f32>, quality: u8, beside: &Annotation) -> Result<()> {
+    let path = to.path;
     let samples = interleaved::<u8>(image, Encoding::Srgb).map_err(|e| e.in_file(path))?;
-    write_atomic(path, |out| {
+    write_atomic(to, |out| {
         let mut encoder = JpegEncoder::new_with_quality(out, quality.clamp(1, 100));
         beside.put(&mut encoder, Encoding::Srgb)?;
         samples.write_with_encoder(encoder).map_err(|e| unwritten(path, e))
@@ -219,35 +222,37 @@ fn write_jpeg(path: &Path, image: &Array3<f32>, quality: u8, beside: &Annotation
 /// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`, `.npy`.
 ///
 /// JPEG has the sRGB curve always, `.npy` linear light.
-pub fn write_picture(path: &Path, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
-    write_annotated(path, image, encoding, Depth::Sixteen, &Annotation::default())
+pub fn write_picture<'a>(to: impl Into<Target<'a>>, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
+    write_annotated(to, image, encoding, Depth::Sixteen, &Annotation::default())
 }
 
 /// The same with what stands beside the pixels, and as deep as is asked for.
 ///
 /// # Errors
 /// An ending or a size that is none, floating point in a format that has none, a file that cannot be written.
-pub fn write_annotated(
-    path: &Path,
+pub fn write_annotated<'a>(
+    to: impl Into<Target<'a>>,
     image: &Array3<f32>,
     encoding: Encoding,
     depth: Depth,
     beside: &Annotation,
 ) -> Result<()> {
+    let to = to.into();
+    let path = to.path;
     match (extension(path).as_str(), depth) {
         ("npy", _) => {
             sides(image).map_err(|e| e.in_file(path))?;
-            npy::write(path, image)
+            npy::write(to, image)
         }
-        ("tif" | "tiff", Depth::Float) => write_tiff::<colortype::RGB32Float>(path, image, Encoding::Linear, beside),
-        ("tif" | "tiff", _) => write_tiff::<colortype::RGB16>(path, image, encoding, beside),
+        ("tif" | "tiff", Depth::Float) => write_tiff::<colortype::RGB32Float>(to, image, Encoding::Linear, beside),
+        ("tif" | "tiff", _) => write_tiff::<colortype::RGB16>(to, image, encoding, beside),
         (other @ ("png" | "jpg" | "jpeg"), Depth::Float) => {
             let found = format!("floating point as `.{other}`");
             Err(Error::bad(path.display().to_string(), "file name", found, ".tif, .tiff or .npy for floating point"))
         }
-        ("png", Depth::Sixteen) => write_png::<u16>(path, image, encoding, beside),
-        ("png", Depth::Eight) => write_png::<u8>(path, image, encoding, beside),
-        ("jpg" | "jpeg", _) => write_jpeg(path, image, JPEG_QUALITY, beside),
+        ("png", Depth::Sixteen) => write_png::<u16>(to, image, encoding, beside),
+        ("png", Depth::Eight) => write_png::<u8>(to, image, encoding, beside),
+        ("jpg" | "jpeg", _) => write_jpeg(to, image, JPEG_QUALITY, beside),
         (other, _) => {
             let (file, found) = (path.display().to_string(), format!("`.{other}`"));
             let allowed = "a picture's name ends in .png, .tif, .tiff, .jpg, .jpeg or .npy";
@@ -380,7 +385,7 @@ mod tests {
         let webp = folder.path().join("x.webp");
         assert!(write_picture(&webp, &picture(), Encoding::Srgb).expect_err("webp").to_string().contains("x.webp"));
         let kept = folder.path().join("kept.txt");
-        write_bytes(&kept, b"old").expect("writes");
+        isoplanat_base::atomic::write_bytes(&kept, b"old").expect("writes");
         let failed = write_atomic(&kept, |_| Err(Error::Interrupted));
         assert!(failed.is_err() && fs::read(&kept).expect("reads") == b"old");
         assert_eq!(fs::read_dir(folder.path()).expect("lists").count(), 2);

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
 
+use isoplanat_base::atomic::{Replace, publish_path};
 use isoplanat_base::error::{Error, Result};
 
 /// The metadata entry that holds our facts.
@@ -49,18 +50,10 @@ pub(super) fn write(path: &Path, facts: &BTreeMap<String, String>, tensors: &[Na
         return Err(Error::Internal(format!("{} is not finite; nothing was saved", bad.name)));
     }
     let facts = serde_json::to_string(facts).map_err(|e| Error::Internal(format!("metadata: {e}")))?;
-    let mut name = path.file_name().unwrap_or_default().to_owned();
-    name.push(format!(".{}.part", std::process::id()));
-    let beside = path.with_file_name(name);
     let entries = tensors.iter().map(|t| (t.name.as_str(), t));
-    let written = serialize_to_file(entries, Some(HashMap::from([(KEY.to_owned(), facts)])), &beside)
-        .map_err(|e| std::io::Error::other(e.to_string()))
-        .and_then(|()| fs::File::open(&beside)?.sync_all())
-        .and_then(|()| fs::rename(&beside, path));
-    written.map_err(|e| {
-        // The half-written file is of no use; the first error is the one to report.
-        let _ = fs::remove_file(&beside);
-        Error::writing(path, e)
+    publish_path(path, Replace::Always, |at| {
+        serialize_to_file(entries, Some(HashMap::from([(KEY.to_owned(), facts)])), at)
+            .map_err(|e| Error::writing(path, std::io::Error::other(e.to_string())))
     })
 }
 

@@ -82,5 +82,5 @@ pub(super) fn run(args: &Args, placed: &Placed, density: &SpectralDensity, out: 
         accuracy.noise
     );
     let text = if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) };
-    tell([(&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())], text, out)
+    tell([(&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())], args.force, text, out)
 }

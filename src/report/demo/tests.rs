@@ -84,7 +84,8 @@ fn the_page_holds_everything_and_loads_nothing() {
         assert!(page.contains(text), "{text}");
     }
     // Pictures come first, then the lens, then curves.
-    let places = ["<h2>Pictures<", "<figcaption>Before<", "<h2>Training<"].map(|heading| page.find(heading).expect(heading));
+    let places =
+        ["<h2>Pictures<", "<figcaption>Before<", "<h2>Training<"].map(|heading| page.find(heading).expect(heading));
     assert!(places.is_sorted(), "{places:?}");
     assert!(DemoReport::default().verdict().is_none());
     DemoReport::default().to_html().expect("an empty report is a page, too");

@@ -5,18 +5,23 @@ use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
 use super::place::{self, Place};
-use super::temporary::Temporary;
-use super::{Replace, fault, name, rename, sweep};
+use super::temporary::{Temporary, TemporaryFolder};
+use super::{Replace, Target, fault, name, rename, sweep};
 use crate::error::{Error, Result};
 
-/// Bytes put into a file in place of whatever file was there, whole or not at all: [`publish_file`] with [`Replace::Always`].
-pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
-    write_atomic(path, |out| out.write_all(bytes).map_err(|e| Error::writing(path, e)))
+/// Bytes put into a file, whole or not at all: [`publish_file`].
+pub fn write_bytes<'a>(to: impl Into<Target<'a>>, bytes: &[u8]) -> Result<()> {
+    let to = to.into();
+    write_atomic(to, |out| out.write_all(bytes).map_err(|e| Error::writing(to.path, e)))
 }
 
-/// A file that `fill` writes in place of whatever file was there: [`publish_file`] with [`Replace::Always`].
-pub fn write_atomic(path: &Path, fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
-    publish_file(path, Replace::Always, fill)
+/// A file that `fill` writes: [`publish_file`].
+pub fn write_atomic<'a>(
+    to: impl Into<Target<'a>>,
+    fill: impl FnOnce(&mut BufWriter<File>) -> Result<()>,
+) -> Result<()> {
+    let Target { path, replace } = to.into();
+    publish_file(path, replace, fill)
 }
 
 /// Bytes put into a file that can be made again: whole or not at all for readers, in place of whatever was there. They are not synced (a
@@ -43,6 +48,45 @@ pub fn publish_file<T>(
     fill: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
 ) -> Result<T> {
     publish(path, replace, true, fill)
+}
+
+/// [`publish_file`] for writers that open their file themselves: `fill` gets the path of a file that is not there yet, in a folder of its own.
+///
+/// # Errors
+/// As [`publish_file`].
+pub fn publish_path<T>(path: &Path, replace: Replace, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
+    let failed = |e| Error::writing(path, e);
+    let (target, before) = match allowed(path, replace)? {
+        Place::File(target, found) => (target, Some(found.permissions())),
+        Place::Free(target) | Place::Folder(target) => (target, None),
+        Place::Stream(stream) => {
+            let folder = TemporaryFolder::beside(&std::env::temp_dir().join("isoplanat")).map_err(failed)?;
+            let at = folder.path().join("output");
+            let value = fill(&at)?;
+            File::open(&at).and_then(|file| poured(&file, &stream)).map_err(failed)?;
+            return Ok(value);
+        }
+    };
+    let alone = !name::in_temporary(&target);
+    if alone {
+        sweep::sweep(&target);
+    }
+    let folder = TemporaryFolder::beside(&target).map_err(failed)?;
+    let at = folder.path().join(target.file_name().unwrap_or_default());
+    fault::at("fill").map_err(failed)?;
+    let value = fill(&at)?;
+    let file = File::options().write(true).open(&at).map_err(failed)?;
+    if let Some(before) = before {
+        keep_mode(&file, &before).map_err(failed)?;
+    }
+    if alone {
+        fault::at("sync file").and_then(|()| file.sync_all()).map_err(failed)?;
+    }
+    drop(file);
+    moved(path, &at, &target, replace)?;
+    drop(folder);
+    synced(path, &target, alone)?;
+    Ok(value)
 }
 
 fn publish<T>(
@@ -77,18 +121,30 @@ fn publish<T>(
     if alone {
         fault::at("sync file").and_then(|()| temporary.file.sync_all()).map_err(failed)?;
     }
-    match replace {
-        Replace::Always => rename::over(temporary.path(), &target).map_err(failed)?,
-        Replace::Never => rename::exclusive_file(temporary.path(), &target).map_err(|e| match e.kind() {
-            io::ErrorKind::AlreadyExists => Error::Exists(path.to_owned()),
-            _ => failed(e),
-        })?,
-    }
+    moved(path, temporary.path(), &target, replace)?;
     drop(temporary);
-    if alone && let Some(folder) = target.parent() {
-        rename::sync_folder(folder).map_err(failed)?;
-    }
+    synced(path, &target, alone)?;
     Ok(value)
+}
+
+/// Gives a written file its name.
+fn moved(path: &Path, from: &Path, target: &Path, replace: Replace) -> Result<()> {
+    let to = match replace {
+        Replace::Always => rename::over(from, target),
+        Replace::Never => rename::exclusive_file(from, target),
+    };
+    to.map_err(|e| match (e.kind(), replace) {
+        (io::ErrorKind::AlreadyExists, Replace::Never) => Error::Exists(path.to_owned()),
+        _ => Error::writing(path, e),
+    })
+}
+
+/// Has the disk know the new name, unless the folder around it is synced later.
+fn synced(path: &Path, target: &Path, alone: bool) -> Result<()> {
+    match target.parent() {
+        Some(folder) if alone => rename::sync_folder(folder).map_err(|e| Error::writing(path, e)),
+        _ => Ok(()),
+    }
 }
 
 /// What stands at `path` where a file may be put there; its folder is there.

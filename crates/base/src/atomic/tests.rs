@@ -13,7 +13,7 @@ use std::rc::Rc;
 
 use rustix::io::Errno;
 
-use super::{FolderKind, Replace, fault, publish_file, publish_folder, write_bytes};
+use super::{FolderKind, Replace, fault, publish_file, publish_folder, publish_path, write_bytes};
 use crate::error::{Error, Result};
 
 /// What a folder of the tests is known by.
@@ -36,6 +36,30 @@ fn put(path: &Path, replace: Replace, text: &str) -> Result<()> {
         let half = out.write_all(begin).and_then(|()| out.flush()).and_then(|()| fault::at("half"));
         half.and_then(|()| out.write_all(end)).map_err(|e| Error::writing(path, e))
     })
+}
+
+/// The same by a writer that opens its file itself.
+fn put_path(path: &Path, replace: Replace, text: &str) -> Result<()> {
+    publish_path(path, replace, |at| {
+        fs::write(at, text).and_then(|()| fault::at("half")).map_err(|e| Error::writing(path, e))
+    })
+}
+
+/// Writes a result of one of three forms: `file`, `path`, `folder`.
+fn write(what: &str, path: &Path, replace: Replace, text: &str) -> Result<()> {
+    match what {
+        "file" => put(path, replace, text),
+        "path" => put_path(path, replace, text),
+        _ => put_folder(path, replace, text),
+    }
+}
+
+/// The text of such a result, which is whole.
+fn read(what: &str, path: &Path) -> String {
+    match what {
+        "file" | "path" => fs::read_to_string(path).expect("whole"),
+        _ => text_of(path),
+    }
 }
 
 /// Writes a folder of three files in two folders, all of which hold `text`.

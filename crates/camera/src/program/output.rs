@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use crate::raw::has_raw_name;
 use crate::reconstruct::Picture;
 use clap::ValueEnum;
+use isoplanat_base::atomic::{self, Target};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::gamut::Gamut;
 use isoplanat_imaging::dng::{DngInfo, write_linear_dng};
@@ -137,29 +138,22 @@ impl Pictures {
         if captures.iter().any(|c| same(c, path)) {
             return Err(Error::bad(path.display().to_string(), "-o", "is a capture", "another file"));
         }
-        if path.is_dir() {
-            return Err(Error::bad(path.display().to_string(), "-o", "is a folder", "a file"));
-        }
-        if path.exists() && !self.force {
-            return Err(Error::Exists(path.to_owned()));
-        }
-        Ok(())
+        // A folder that is not there yet is made before pictures are.
+        let awaits = path.parent().is_some_and(|folder| !folder.as_os_str().is_empty() && !folder.exists());
+        if awaits { Ok(()) } else { atomic::check_target(path, self.force.into()) }
     }
 
     /// Writes a picture in the format its name asks for: PNG with 8 bits (16 if linear), TIFF and DNG with 16, JPEG, `.npy`; colours and the exposure's facts beside
     /// the pixels.
     pub(crate) fn write(&self, path: &Path, picture: &Picture) -> Result<()> {
-        if path.exists() && !self.force {
-            // It was not there when the program started.
-            return Err(Error::Exists(path.to_owned()));
-        }
+        let to = Target::new(path, self.force);
         let software = format!("isoplanat-camera {}", env!("CARGO_PKG_VERSION"));
         let mut exif = picture.exif.clone();
         exif.set(Directory::Picture, tags::SOFTWARE, Value::Text(software.clone()));
         if is_dng(path) {
             let model = picture.camera.clone();
             let info = DngInfo { software, description: String::new(), lens: String::new(), model };
-            return write_linear_dng(path, &picture.image, &picture.colour, &info, &exif);
+            return write_linear_dng(to, &picture.image, &picture.colour, &info, &exif);
         }
         let encoding = if self.linear || self.float { Encoding::Linear } else { Encoding::Srgb };
         let depth = match (self.float, self.linear) {
@@ -168,7 +162,7 @@ impl Pictures {
             (false, false) => Depth::Eight,
         };
         let beside = Annotation { gamut: Some(self.gamut), exif };
-        files::write_annotated(path, &picture.image, encoding, depth, &beside)
+        files::write_annotated(to, &picture.image, encoding, depth, &beside)
     }
 }
 

@@ -6,7 +6,7 @@ use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
 use super::content::{Content, Samples, finite};
-use isoplanat_base::atomic::write_atomic;
+use isoplanat_base::atomic::{Target, write_atomic};
 use isoplanat_base::error::{Error, Result};
 
 /// The first bytes of a file.
@@ -85,8 +85,9 @@ fn view<S: Copy + ViewElement + ReadableElement>(
 }
 
 /// Writes linear channels, `[channel, row, col]`, as float32: `[row, col, 3]`, or `[row, col]` for one channel.
-pub(super) fn write(path: &Path, image: &Array3<f32>) -> Result<()> {
-    write_atomic(path, |out| {
+pub(super) fn write(to: Target<'_>, image: &Array3<f32>) -> Result<()> {
+    let path = to.path;
+    write_atomic(to, |out| {
         let written = if image.dim().0 == 1 {
             let plane: Array2<f32> = image.index_axis(Axis(0), 0).as_standard_layout().into_owned();
             plane.write_npy(out)

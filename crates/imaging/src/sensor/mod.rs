@@ -97,9 +97,9 @@ impl Sensor {
     }
 
     /// Writes this sensor as a `sensor.toml`, whole or not at all.
-    pub fn save(&self, path: &Path) -> Result<()> {
+    pub fn save<'a>(&self, to: impl Into<atomic::Target<'a>>) -> Result<()> {
         let text = toml::to_string(self).map_err(|e| Error::Internal(format!("sensor to TOML: {e}")))?;
-        atomic::write_bytes(path, text.as_bytes())
+        atomic::write_bytes(to, text.as_bytes())
     }
 
     /// Refuses values that mean nothing; `file` names their file.

@@ -405,9 +405,9 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
     }
 }
 
-/// Writes the canonical form beside `path`, then renames it there.
-pub fn save(lens: &Lens, path: &Path) -> Result<()> {
-    isoplanat_base::atomic::write_bytes(path, to_toml(lens).as_bytes())
+/// Writes the canonical form, whole or not at all.
+pub fn save<'a>(lens: &Lens, to: impl Into<isoplanat_base::atomic::Target<'a>>) -> Result<()> {
+    isoplanat_base::atomic::write_bytes(to, to_toml(lens).as_bytes())
 }
 
 #[cfg(test)]

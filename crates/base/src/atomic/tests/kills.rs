@@ -51,7 +51,7 @@ fn child() {
     while go.as_ref().is_some_and(|go| !go.exists()) {
         std::thread::yield_now();
     }
-    let done = if var("ATOMIC_WHAT") == "file" { put(&path, replace, &new) } else { put_folder(&path, replace, &new) };
+    let done = write(&var("ATOMIC_WHAT"), &path, replace, &new);
     // The last place for a kill: all is done.
     let _ = fault::at("end");
     done.unwrap_or_else(|e| panic!("{e}"));
@@ -60,25 +60,17 @@ fn child() {
 /// Kills a child at its first step, its second one and so on until it comes to its end; how many kills that were.
 fn each_step(what: &str, replace: Replace, without: &str) -> usize {
     let [old, new] = old_and_new();
-    let read = |path: &Path| match what {
-        "file" => fs::read_to_string(path).expect("whole"),
-        _ => text_of(path),
-    };
-    let write = |path: &Path, replace, text: &str| match what {
-        "file" => put(path, replace, text),
-        _ => put_folder(path, replace, text),
-    };
     for kill_at in 1.. {
         let place = tempfile::tempdir().expect("a temporary folder");
         let path = place.path().join("result");
         if replace == Replace::Always {
-            write(&path, Replace::Never, &old).expect("the old one");
+            write(what, &path, Replace::Never, &old).expect("the old one");
         }
         let status = child_at(what, &path, replace, without, kill_at).output().expect("starts").status;
         let told = format!("{what}, {replace:?}, without {without}, killed at step {kill_at}");
         if !is_killed(status) {
             assert!(status.success(), "{told}: {status}");
-            assert_eq!(read(&path), new, "{told}");
+            assert_eq!(read(what, &path), new, "{told}");
             assert_eq!(names(place.path()), ["result"], "{told}");
             return kill_at - 1;
         }
@@ -87,14 +79,14 @@ fn each_step(what: &str, replace: Replace, without: &str) -> usize {
         // An empty file may hold the name where there are neither such renames nor links.
         let claimed = without == "fat" && fs::metadata(&path).is_ok_and(|m| m.len() == 0);
         if there && !claimed {
-            let found = read(&path);
+            let found = read(what, &path);
             assert!(found == new || found == old && replace == Replace::Always, "{told}: another text");
         }
         assert!(there || replace == Replace::Never, "{told}: neither the old nor the new");
         assert!(names(place.path()).iter().all(|n| n == "result"), "{told}: {:?}", names(place.path()));
         if !claimed {
-            write(&path, Replace::Always, "after\n").unwrap_or_else(|e| panic!("{told}: {e}"));
-            assert_eq!(read(&path), "after\n", "{told}");
+            write(what, &path, Replace::Always, "after\n").unwrap_or_else(|e| panic!("{told}: {e}"));
+            assert_eq!(read(what, &path), "after\n", "{told}");
         }
     }
     unreachable!("a child comes to its end")
@@ -105,11 +97,11 @@ fn kills_at_each_step_leave_the_old_or_the_new_file() {
     let mut kills = 0;
     for without in ["nothing", "nfs", "fat"] {
         for replace in [Replace::Never, Replace::Always] {
-            kills += each_step("file", replace, without);
+            kills += each_step("file", replace, without) + each_step("path", replace, without);
         }
     }
     eprintln!("{kills} kills");
-    assert!(kills >= 50, "{kills}");
+    assert!(kills >= 100, "{kills}");
 }
 
 #[test]
@@ -218,26 +210,27 @@ fn errors_at_each_step_leave_the_old_or_the_new() {
     let [old, new] = old_and_new();
     let mut faults = 0;
     let nothing: &[&str] = &[];
-    let cases = [("file", nothing), ("file", NFS), ("file", FAT), ("folder", nothing), ("folder", NFS)];
+    let cases = [
+        ("file", nothing),
+        ("file", NFS),
+        ("file", FAT),
+        ("path", nothing),
+        ("path", FAT),
+        ("folder", nothing),
+        ("folder", NFS),
+    ];
     for ((what, without), replace) in cases.into_iter().flat_map(|c| [(c, false), (c, true)]) {
-        let write = |path: &Path, replace, text: &str| match what {
-            "file" => put(path, replace, text),
-            _ => put_folder(path, replace, text),
-        };
         for at in 1.. {
             let place = tempfile::tempdir().expect("a temporary folder");
             let path = place.path().join("result");
             if replace {
-                write(&path, Replace::Never, &old).expect("the old one");
+                write(what, &path, Replace::Never, &old).expect("the old one");
             }
             let (hook, steps) = Faults::nth(at, Errno::NOSPC, without);
-            let done = write(&path, replace.into(), &new);
+            let done = write(what, &path, replace.into(), &new);
             drop(hook);
             let told = format!("{what}, {replace}, without {without:?}, step {at}: {done:?}");
-            let found = path.symlink_metadata().is_ok().then(|| match what {
-                "file" => fs::read_to_string(&path).expect("whole"),
-                _ => text_of(&path),
-            });
+            let found = path.symlink_metadata().is_ok().then(|| read(what, &path));
             match &done {
                 Ok(()) => assert_eq!(found.as_ref(), Some(&new), "{told}"),
                 Err(e) => {
@@ -246,7 +239,7 @@ fn errors_at_each_step_leave_the_old_or_the_new() {
                     assert!(found.as_ref() == before || found.as_ref() == Some(&new), "{told}");
                 }
             }
-            write(&path, Replace::Always, "after\n").unwrap_or_else(|e| panic!("{told}: {e}"));
+            write(what, &path, Replace::Always, "after\n").unwrap_or_else(|e| panic!("{told}: {e}"));
             assert_eq!(names(place.path()), ["result"], "{told}");
             if steps.get() < at {
                 break;
