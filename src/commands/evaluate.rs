@@ -249,7 +249,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// The run's network behind the lenses of a folder that `isoplanat tolerance` wrote.
 fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mut dyn Write) -> anyhow::Result<()> {
     let list = folder.join(tolerance::MARKER);
-    let text = std::fs::read_to_string(&list).map_err(|e| Error::reading(&list, e))?;
+    let text = atomic::read_text(&list, 64 << 20)?;
     let count = text.lines().count().saturating_sub(1);
     if count == 0 {
         let allowed = "a folder of lenses, as `isoplanat tolerance --lenses` writes it";

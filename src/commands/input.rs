@@ -1,6 +1,5 @@
 //! What commands read: texts from a file or from stdin, and the lens behind `LENS`; stderr is told what is doubtful about it.
 
-use std::io::Read;
 use std::path::Path;
 
 #[cfg(feature = "train")]
@@ -13,7 +12,7 @@ use isoplanat::lens::paraxial::first_order;
 use isoplanat::lens::{Aperture, Lens};
 use isoplanat::report::table::significant;
 use isoplanat::trace::rims::overlapping_rims;
-use isoplanat::{Error, Result};
+use isoplanat::{Error, Result, atomic};
 
 use crate::glasses;
 
@@ -153,14 +152,16 @@ pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
     }
 }
 
+/// Bytes of such a text at most.
+const LARGEST: u64 = 256 << 20;
+
 /// The text of the file at `path`, or of stdin where that is `-`, with the name errors give it.
 pub(crate) fn text(path: &Path) -> Result<(String, String)> {
     if path == Path::new("-") {
-        let mut text = String::new();
         let name = Path::new("<stdin>");
-        std::io::stdin().read_to_string(&mut text).map_err(|e| Error::reading(name, e))?;
+        let text = atomic::as_text(atomic::read_at_most(std::io::stdin(), name, LARGEST)?, name)?;
         return Ok((text, name.display().to_string()));
     }
-    let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+    let text = atomic::read_text(path, LARGEST)?;
     Ok((text, path.display().to_string()))
 }

@@ -48,6 +48,9 @@ const FIRST_SHIFTS: u32 = 1;
 /// Least time between two signs of life on a stream of events.
 const ALIVE: Duration = Duration::from_secs(10);
 
+/// Bytes of a design's page at most.
+const LARGEST: u64 = 256 << 20;
+
 /// Connections at once; more are refused.
 const MOST: usize = 64;
 /// Bytes of a request's body that are read; none is wanted.
@@ -224,7 +227,7 @@ impl Watch {
     fn show(&self) {
         let name = match &self.subject {
             Subject::Page(file) => {
-                put(&self.board, std::fs::read_to_string(file).map_err(|e| Error::reading(file, e)), None);
+                put(&self.board, isoplanat::atomic::read_text(file, LARGEST), None);
                 return;
             }
             Subject::Lens(name) => name,
@@ -264,7 +267,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::output::check_writable(path, args.force)?;
         let text = match &subject {
             Subject::Lens(name) => page(&args.view.lens(name)?, &options, false)?,
-            Subject::Page(file) => std::fs::read_to_string(file).map_err(|e| Error::reading(file, e))?,
+            Subject::Page(file) => isoplanat::atomic::read_text(file, LARGEST)?,
         };
         crate::output::put(&text, Some(path), args.force, out)?;
         if args.json {
@@ -276,7 +279,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     // A first page, or the reason why there is none, before anything is served.
     let first = match &subject {
         Subject::Lens(name) => page(&args.view.lens(name)?, &options, true)?,
-        Subject::Page(file) => std::fs::read_to_string(file).map_err(|e| Error::reading(file, e))?,
+        Subject::Page(file) => isoplanat::atomic::read_text(file, LARGEST)?,
     };
     put(&board, Ok(first), None);
     let server = Server::http(("127.0.0.1", args.port))

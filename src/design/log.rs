@@ -1,6 +1,5 @@
 //! The log of a training: averages over a few steps, as CSV, written whole at every checkpoint.
 
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -98,6 +97,9 @@ pub(super) struct Log {
     text: String,
 }
 
+/// Bytes of a log at most: some ten million lines.
+pub(super) const LARGEST: u64 = 1 << 30;
+
 impl Log {
     /// A new log, or the file's lines up to `step`, which each begins with: what a kill has lost is trained again and logged again.
     pub(super) fn open(path: &Path, header: &str, step: u64) -> Result<Self> {
@@ -107,7 +109,8 @@ impl Log {
     /// [`Self::open`] of lines whose step `of` finds.
     pub(super) fn open_with(path: &Path, header: &str, step: u64, of: fn(&str) -> Option<u64>) -> Result<Self> {
         let mut text = header.to_owned();
-        if let Ok(old) = fs::read_to_string(path) {
+        if path.exists() {
+            let old = atomic::read_text(path, LARGEST)?;
             for line in old.lines().skip(header.lines().count()).filter(|l| of(l).is_some_and(|s| s <= step)) {
                 text += line;
                 text.push('\n');

@@ -204,7 +204,7 @@ impl Pairs {
         );
         let key = sha256_hex(facts.as_bytes());
         let file = folder.join("key.txt");
-        if fs::read_to_string(&file).ok().as_deref() != Some(key.as_str()) {
+        if atomic::read_text(&file, 1 << 10).ok().as_deref() != Some(key.as_str()) {
             let failed = |e| Error::writing(folder, e);
             if folder.exists() {
                 fs::remove_dir_all(folder).map_err(failed)?;
@@ -270,7 +270,7 @@ impl Pairs {
 
     /// A kept pair; `None` where there is none, or not of the size a pair has.
     fn read(&self, place: &Path) -> Option<Pair> {
-        let bytes = fs::read(place).ok().filter(|b| b.len() as u64 == self.bytes)?;
+        let bytes = atomic::read_bounded(place, self.bytes).ok().filter(|b| b.len() as u64 == self.bytes)?;
         let side = self.settings.region_px;
         // What a kill or a fault of the disk has damaged is rendered again.
         let (bytes, sum) = bytes.split_at(bytes.len() - SUM);

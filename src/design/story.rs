@@ -14,6 +14,7 @@ use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
 use crate::report::lens_view::LensView;
 use crate::report::table::significant;
+use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::{Lens, prescription};
 
@@ -70,11 +71,7 @@ impl Judgement {
     /// A history that cannot be read.
     pub fn read(folder: &Path) -> Result<Vec<Self>> {
         let path = folder.join("history.jsonl");
-        let text = match std::fs::read_to_string(&path) {
-            Ok(text) => text,
-            Err(e) if e.kind() == std::io::ErrorKind::NotFound => String::new(),
-            Err(e) => return Err(Error::reading(&path, e)),
-        };
+        let text = if path.exists() { atomic::read_text(&path, super::log::LARGEST)? } else { String::new() };
         Self::of(&text, &path.display().to_string())
     }
 

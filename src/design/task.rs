@@ -14,6 +14,7 @@ use super::stated::Stated;
 use super::subject::Subject;
 use super::sweep_task::SweepTask;
 use super::train_task::TrainTask;
+use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::calibrate::lens::MeasuredLens;
 use isoplanat_imaging::guide::Inputs;
@@ -38,6 +39,9 @@ pub use isoplanat_models::TASKS as SHIPPED;
 
 /// The form of task files this program reads.
 pub const SCHEMA: u32 = 1;
+
+/// Bytes of a task at most.
+const LARGEST: u64 = 1 << 20;
 
 /// A task; every key but `schema` and `lens` has a default.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -296,7 +300,7 @@ impl Task {
                 let allowed = format!("a task file, or one of {}", names.join(", "));
                 return Err(Error::bad(path.display().to_string(), "task", "no such file", allowed));
             }
-            None => std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?,
+            None => atomic::read_text(path, LARGEST)?,
         };
         let file = path.display().to_string();
         let mut task: Self =

@@ -479,7 +479,7 @@ pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result
     let inputs = network.config().inputs;
     let path = folder.join(guide::FILE);
     let facts = if inputs.knows_lens() {
-        let bytes = fs::read(&path).map_err(|e| Error::reading(&path, e))?;
+        let bytes = atomic::read_bounded(&path, guide::LARGEST)?;
         Facts::from_npz(&bytes, &path)?
     } else {
         Facts::default()

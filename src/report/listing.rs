@@ -5,6 +5,7 @@ use std::fmt;
 use serde_json::{Value, json};
 
 use super::table::{Table, significant};
+use isoplanat_base::terminal::cut;
 use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
 use isoplanat_optics::lens::{Aperture, Lens, Medium};
@@ -219,6 +220,9 @@ fn radius(curvature: f64) -> f64 {
     1.0 / (curvature + 0.0)
 }
 
+/// Characters of what a file says of itself, at most.
+const LONGEST: usize = 2000;
+
 /// A first-order number: infinity has no side, and what a lens does not have is a dash.
 fn stated(value: f64) -> String {
     if value.is_nan() {
@@ -230,7 +234,7 @@ fn stated(value: f64) -> String {
 impl fmt::Display for Listing<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let lens = self.lens;
-        writeln!(f, "{}\n{}\n", lens.name, lens.source)?;
+        writeln!(f, "{}\n{}\n", cut(&lens.name, LONGEST), cut(&lens.source, LONGEST))?;
         let listed = |list: &[f64], digits| list.iter().map(|x| significant(*x, digits)).collect::<Vec<_>>().join(", ");
         let (nm, weights) = (listed(&lens.wavelengths.nm, 7), listed(&lens.wavelengths.weights, 4));
         writeln!(f, "wavelengths {nm} nm, weights {weights}; data at {} nm", significant(self.wavelength_nm, 7))?;

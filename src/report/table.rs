@@ -3,6 +3,10 @@
 use std::fmt;
 
 pub use isoplanat_base::figures::significant;
+use isoplanat_base::terminal::cut;
+
+/// Characters of a cell on a terminal at most.
+const WIDEST: usize = 200;
 
 /// A table of text cells; every row has as many cells as the heading.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -46,11 +50,13 @@ impl fmt::Display for Table {
     /// Columns two spaces apart, numbers to the right, texts to the left, no blanks at line ends.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let width = |i: usize| {
-            std::iter::once(&self.heading).chain(&self.rows).map(|r| r[i].chars().count()).max().unwrap_or(0)
+            let cells = std::iter::once(&self.heading).chain(&self.rows).map(|r| cut(&r[i], WIDEST).chars().count());
+            cells.max().unwrap_or(0)
         };
         let columns: Vec<(usize, bool)> = (0..self.heading.len()).map(|i| (width(i), self.is_numeric(i))).collect();
         for row in std::iter::once(&self.heading).chain(&self.rows) {
             let cells = row.iter().zip(&columns).map(|(cell, (width, numeric))| {
+                let cell = cut(cell, WIDEST);
                 if *numeric { format!("{cell:>width$}") } else { format!("{cell:<width$}") }
             });
             writeln!(f, "{}", cells.collect::<Vec<_>>().join("  ").trim_end())?;

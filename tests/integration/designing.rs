@@ -361,5 +361,7 @@ fn a_sweep_is_designs_by_number() {
     assert!(table.contains("00000") && table.contains("00001"), "{table}");
     let page = std::fs::read_to_string(place.path("page.html")).expect("a page");
     assert!(page.contains("run 00001"));
+    place.run("sweep report runs -o again.html --json").done();
+    assert_eq!(std::fs::read_to_string(place.path("again.html")).expect("a page"), page);
     place.run("sweep report nothing").refused(&["nothing"]);
 }

@@ -283,6 +283,21 @@ fn only_tests_leave_the_check_of_a_lens_out() {
     assert_eq!(found, ["crates/optics/src/lens/mod.rs"], "the function itself and no other");
 }
 
+/// Files have no end that their name tells: whole ones are read up to a size, by `atomic`'s readers.
+#[test]
+fn files_are_read_up_to_a_size() {
+    // What the system says of itself.
+    let own = ["crates/base/src/math/memory.rs", "src/commands/peak.rs"];
+    let named = |(file, text): (String, String)| {
+        let code = code(&text);
+        let body = code.split("#[cfg(test)]").next().unwrap_or_default();
+        let tests = file.ends_with("tests.rs") || file.contains("/tests/") || own.contains(&file.as_str());
+        (!tests && (body.contains("fs::read(") || body.contains("fs::read_to_string("))).then_some(file)
+    };
+    let found: Vec<String> = own_sources().into_iter().filter_map(named).collect();
+    assert!(found.is_empty(), "read by `atomic::read_bounded` or `read_text`: {found:?}");
+}
+
 #[test]
 fn no_file_is_long_without_a_reason() {
     let all = own_sources().into_iter().chain(sources("tests")).chain(sources("benches"));

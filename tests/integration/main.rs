@@ -15,6 +15,8 @@ mod comparing;
 mod designing;
 mod diffraction;
 mod extremes;
+#[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
+mod faults;
 mod from_scratch;
 #[cfg(feature = "deploy")]
 mod glare;
@@ -31,6 +33,7 @@ mod measured_lens;
 mod memory;
 mod one_way;
 mod optimize;
+mod outputs;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod parity;
 mod picture;

@@ -2,12 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::terminal::cut;
+
 /// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{}{found}; {allowed}", before(&[file, place]))]
+    #[error("{}{}; {allowed}", before(&[file, cut(place, MOST).as_ref()]), cut(found, MOST))]
     BadInput {
         /// File (or the argument's name) the value stands in.
         file: String,
@@ -46,6 +48,9 @@ pub enum Error {
 fn before(parts: &[&str]) -> String {
     parts.iter().filter(|part| !part.is_empty()).map(|part| format!("{part}: ")).collect()
 }
+
+/// Characters of a place and of a value in a message at most.
+const MOST: usize = 400;
 
 /// The library's result.
 pub type Result<T, E = Error> = std::result::Result<T, E>;

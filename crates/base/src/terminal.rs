@@ -18,6 +18,14 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     Cow::Owned(escaped.collect())
 }
 
+/// The text, or its beginning and an ellipsis where it has more than `most` characters: facts of files have any length.
+pub fn cut(text: &str, most: usize) -> Cow<'_, str> {
+    match text.char_indices().nth(most) {
+        None => Cow::Borrowed(text),
+        Some(_) => Cow::Owned(text.chars().take(most.saturating_sub(1)).chain(['…']).collect()),
+    }
+}
+
 /// A writer to a terminal, or what may be shown on one, of [`printable`] text. Characters that come in two writes are put together.
 #[derive(Debug)]
 pub struct Printable<W: Write> {
@@ -57,6 +65,13 @@ impl<W: Write> Write for Printable<W> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn long_texts_are_cut_between_characters() {
+        assert!(matches!(cut("µµµ", 3), Cow::Borrowed("µµµ")));
+        assert_eq!(cut("µµµµ", 3), "µµ…");
+        assert_eq!(cut("a", 0), "…");
+    }
 
     #[test]
     fn what_steers_is_shown() {

@@ -7,6 +7,7 @@
 //! appear whole or not at all.
 
 mod content;
+mod jpeg;
 mod npy;
 mod read;
 mod tiff_file;

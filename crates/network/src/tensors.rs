@@ -4,12 +4,11 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
 
-use isoplanat_base::atomic::{Replace, publish_path};
+use isoplanat_base::atomic::{Replace, publish_path, read_bounded};
 use isoplanat_base::error::{Error, Result};
 
 /// The metadata entry that holds our facts.
@@ -44,6 +43,9 @@ impl View for &Named<'_> {
     }
 }
 
+/// Bytes of a file of weights at most.
+const LARGEST: u64 = 16 << 30;
+
 /// Writes `tensors` and `facts` to `path`, whole or not at all. Refuses values that are not finite.
 pub(super) fn write(path: &Path, facts: &BTreeMap<String, String>, tensors: &[Named<'_>]) -> Result<()> {
     if let Some(bad) = tensors.iter().find(|t| t.values.iter().any(|v| !v.is_finite())) {
@@ -67,7 +69,7 @@ pub(super) struct TensorFile {
 impl TensorFile {
     /// Reads and checks a file; `allowed` says in errors what was wanted.
     pub(super) fn read(path: &Path, allowed: &str) -> Result<Self> {
-        let bytes = fs::read(path).map_err(|e| Error::reading(path, e))?;
+        let bytes = read_bounded(path, LARGEST)?;
         let bad = |found: String| Error::bad(path.display().to_string(), "header", found, allowed);
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| bad(e.to_string()))?;
         let facts = match header.metadata().as_ref().and_then(|m| m.get(KEY)) {

@@ -103,7 +103,7 @@ fn absolute(path: &Path, links: usize) -> io::Result<PathBuf> {
 }
 
 /// The open descriptor that `path` leads to by links (`/dev/stdout`, `/dev/fd/3`).
-fn descriptor(path: &Path) -> Option<PathBuf> {
+pub(super) fn descriptor(path: &Path) -> Option<PathBuf> {
     if !cfg!(unix) {
         return None;
     }

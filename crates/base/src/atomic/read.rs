@@ -8,9 +8,12 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
+use super::place;
 use crate::error::{Error, Result};
 
 /// Refuses what is no file: opening a pipe waits for its writer, a device may have no end.
+///
+/// [`read_bounded`] takes a pipe that is open already (`/dev/stdin`, a shell's `<(…)`), too.
 ///
 /// # Errors
 /// [`Error::Io`] for what is not there, [`Error::BadInput`] for a folder, a pipe, a device.
@@ -28,13 +31,36 @@ pub fn regular(path: &Path) -> Result<()> {
 /// # Errors
 /// As [`regular`]; a larger file; [`Error::Io`].
 pub fn read_bounded(path: &Path, most: u64) -> Result<Vec<u8>> {
-    regular(path)?;
+    if !is_open_pipe(path) {
+        regular(path)?;
+    }
+    read_at_most(File::open(path).map_err(|e| Error::reading(path, e))?, path, most)
+}
+
+/// Whether `path` leads to a descriptor of this process behind which a pipe is.
+fn is_open_pipe(path: &Path) -> bool {
+    #[cfg(unix)]
+    {
+        use std::os::unix::fs::FileTypeExt;
+        fs::metadata(path).is_ok_and(|m| m.file_type().is_fifo()) && place::descriptor(path).is_some()
+    }
+    #[cfg(not(unix))]
+    {
+        let _ = path;
+        false
+    }
+}
+
+/// The bytes of a reader that gives at most `most` bytes; `name` is what errors call it.
+///
+/// # Errors
+/// More bytes; what the reader says.
+pub fn read_at_most(from: impl Read, name: &Path, most: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
-    let file = File::open(path).map_err(|e| Error::reading(path, e))?;
-    file.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| Error::reading(path, e))?;
+    from.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(|e| Error::reading(name, e))?;
     if bytes.len() as u64 > most {
         let found = format!("more than {most} bytes");
-        return Err(Error::bad(path.display().to_string(), "size", found, format!("at most {most} bytes")));
+        return Err(Error::bad(name.display().to_string(), "size", found, format!("at most {most} bytes")));
     }
     Ok(bytes)
 }
@@ -49,9 +75,17 @@ pub fn sha256_hex(bytes: &[u8]) -> String {
 /// # Errors
 /// As [`read_bounded`]; what is not UTF-8.
 pub fn read_text(path: &Path, most: u64) -> Result<String> {
-    String::from_utf8(read_bounded(path, most)?).map_err(|e| {
+    as_text(read_bounded(path, most)?, path)
+}
+
+/// Bytes as the text that they are; `name` is what errors call it.
+///
+/// # Errors
+/// What is not UTF-8.
+pub fn as_text(bytes: Vec<u8>, name: &Path) -> Result<String> {
+    String::from_utf8(bytes).map_err(|e| {
         let found = format!("no text at byte {}", e.utf8_error().valid_up_to());
-        Error::bad(path.display().to_string(), "text", found, "UTF-8")
+        Error::bad(name.display().to_string(), "text", found, "UTF-8")
     })
 }
 

@@ -6,7 +6,7 @@ use ndarray::{Array2, Array3, ArrayViewD, Axis};
 use ndarray_npy::{ReadableElement, ViewElement, ViewNpyError, ViewNpyExt, WriteNpyError, WriteNpyExt};
 
 use super::content::{Content, Samples, finite};
-use isoplanat_base::atomic::{Target, write_atomic};
+use isoplanat_base::atomic::{Target, read_bounded, write_atomic};
 use isoplanat_base::error::{Error, Result};
 
 /// The first bytes of a file.
@@ -31,6 +31,9 @@ fn shape(path: &Path, shape: &[usize]) -> Result<[usize; 3]> {
     }
 }
 
+/// Bytes of an array at most.
+const LARGEST: u64 = 4 << 30;
+
 /// Rows and columns.
 pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
     read(path).map(|content| [content.rows, content.cols])
@@ -38,7 +41,7 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
 
 /// The array of a file.
 pub(super) fn read(path: &Path) -> Result<Content> {
-    let file = std::fs::read(path).map_err(|e| Error::reading(path, e))?;
+    let file = read_bounded(path, LARGEST)?;
     // A view never makes room for what a header promises and the file has not; it asks for numbers on their boundaries.
     let mut room = vec![0u8; file.len() + ALIGNMENT];
     let start = room.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT);

@@ -9,7 +9,7 @@ use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 use super::content::{ALLOWED, Content, Samples, finite};
-use super::{npy, tiff_file};
+use super::{jpeg, npy, tiff_file};
 use crate::develop::color::linear_from_srgb;
 use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
@@ -203,6 +203,7 @@ enum Kind {
 
 /// By the first bytes; by name what is an array by name alone, so that its reader says what is wrong.
 fn kind(path: &Path) -> Result<Kind> {
+    isoplanat_base::atomic::regular(path)?;
     let file = std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
     let mut start = Vec::new();
     file.take(6).read_to_end(&mut start).map_err(|e| Error::reading(path, e))?;
@@ -234,8 +235,16 @@ fn decoded_content(path: &Path) -> Result<Content> {
 /// A picture that the `image` crate reads.
 fn picture(path: &Path) -> Result<Content> {
     let refused = |e| refused(path, e);
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let mut decoder = reader.map_err(|e| Error::reading(path, e))?.into_decoder().map_err(refused)?;
+    let failed = |e| Error::reading(path, e);
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format).map_err(failed)?;
+    if reader.format() == Some(image::ImageFormat::Jpeg) {
+        let file = std::fs::File::open(path).map_err(failed)?;
+        if !jpeg::has_end(&mut std::io::BufReader::new(file)).map_err(failed)? {
+            let found = "it ends before its end marker: a part of the picture is missing";
+            return Err(Error::bad(path.display().to_string(), "picture", found, "a whole JPEG"));
+        }
+    }
+    let mut decoder = reader.into_decoder().map_err(refused)?;
     room(path, &decoder)?;
     let orientation = decoder.orientation().map_err(refused)?.to_exif();
     let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;

@@ -19,6 +19,8 @@ use isoplanat_base::math::npz;
 
 /// The name of such a file, in a run's folder and in a kit.
 pub const FILE: &str = "filters.npz";
+/// Bytes of that file at most.
+pub const LARGEST: u64 = 1 << 30;
 
 /// The noise that filters are for, over the sensor's: the lens's own, and the two of [`Inputs::levels`].
 const NOISE: [f64; 3] = [1.0, 0.1, 10.0];

@@ -14,7 +14,7 @@ mod tests;
 use ndarray::{Array3, ArrayView3, s};
 
 pub use adjoint::Record;
-pub use facts::{FILE, Facts};
+pub use facts::{FILE, Facts, LARGEST};
 pub use filters::Filters;
 pub use isoplanat_card::Inputs;
 pub use spread::Spread;

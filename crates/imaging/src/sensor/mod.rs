@@ -19,6 +19,9 @@ use isoplanat_base::error::{Error, Result};
 /// The form of `sensor.toml` this version reads and writes.
 const SCHEMA: u32 = 1;
 
+/// Bytes of a sensor's file at most.
+const LARGEST: u64 = 1 << 20;
+
 /// A sensor.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -79,7 +82,7 @@ impl Sensor {
 
     /// Reads a `sensor.toml`.
     pub fn load(path: &Path) -> Result<Self> {
-        let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+        let text = atomic::read_text(path, LARGEST)?;
         Self::parse(&text, &path.display().to_string())
     }
 

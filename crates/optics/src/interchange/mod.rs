@@ -121,11 +121,7 @@ pub fn load_as(path: &Path, glasses: &Glasses, reading: Reading) -> Result<Impor
     // A lens without an ending is TOML, as it always was.
     let form = if path.extension().is_none() { Form::Toml } else { Form::of(path)? };
     let file = path.display().to_string();
-    let size = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
-    if size > LARGEST {
-        return Err(Error::bad(file, "size", format!("{size} bytes"), format!("at most {LARGEST}")));
-    }
-    let bytes = std::fs::read(path).map_err(|e| Error::reading(path, e))?;
+    let bytes = isoplanat_base::atomic::read_bounded(path, LARGEST)?;
     if form == Form::Toml {
         reading.of_one(&file)?;
         let text = String::from_utf8(bytes)

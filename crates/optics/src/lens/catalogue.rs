@@ -192,11 +192,7 @@ impl Glasses {
         let file = path.display().to_string();
         let allowed = "an AGF catalogue (.agf), a page of refractiveindex.info (.yml, .yaml), or a folder of them";
         let kind = kind(path).ok_or_else(|| Error::bad(file.as_str(), "name", "another ending", allowed))?;
-        let size = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?.len();
-        if size > LARGEST {
-            return Err(Error::bad(file.as_str(), "size", format!("{size} bytes"), format!("at most {LARGEST}")));
-        }
-        let text = decoded(&std::fs::read(path).map_err(|e| Error::reading(path, e))?);
+        let text = decoded(&isoplanat_base::atomic::read_bounded(path, LARGEST)?);
         let name = stem(path);
         match kind {
             Kind::Agf => {

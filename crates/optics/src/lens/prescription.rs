@@ -173,9 +173,12 @@ struct FileTableGlass {
     index: Vec<f64>,
 }
 
+/// Bytes of a lens file at most.
+const LARGEST: u64 = 16 << 20;
+
 /// Reads and checks a lens file; glasses are those of the shipped catalogue.
 pub fn load(path: &Path) -> Result<Lens> {
-    let text = std::fs::read_to_string(path).map_err(|e| Error::reading(path, e))?;
+    let text = isoplanat_base::atomic::read_text(path, LARGEST)?;
     from_toml(&text, &path.display().to_string())
 }
 
