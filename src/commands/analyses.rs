@@ -4,14 +4,14 @@ use std::io::Write;
 use std::path::PathBuf;
 
 use isoplanat::analysis::overview::Overview;
-use isoplanat::atomic::{Target, write_atomic};
+use isoplanat::atomic::Target;
 use isoplanat::lens::Lens;
+use isoplanat::math::npz;
 use isoplanat::report::lens::{Options, SHIFTS, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
 use isoplanat::report::plot::Plot;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use ndarray::{Array1, Array2, Array4};
-use ndarray_npy::NpzWriter;
 use serde_json::{Value, json};
 
 /// Which analysis.
@@ -189,25 +189,22 @@ impl Kind {
 
 /// Writes the numbers of `kind` under their names.
 fn save(kind: Kind, o: &Overview, to: Target<'_>) -> Result<()> {
-    let path = to.path;
-    let failed = |e: ndarray_npy::WriteNpzError| Error::writing(path, std::io::Error::other(e));
     let angles: Array1<f64> = o.fields.iter().map(|f| f.angle_deg).collect();
-    write_atomic(to, |file| {
-        let mut npz = NpzWriter::new(file);
-        npz.add_array("schema", &ndarray::arr0(1_i64)).map_err(failed)?;
+    npz::write(to, |npz| {
+        npz.add_array("schema", &ndarray::arr0(1_i64))?;
         match kind {
             Kind::Mtf => {
                 let shape = (o.shifts_mm.len(), o.fields.len(), o.cycles_per_mm.len(), 2);
                 let mtf = Array4::from_shape_fn(shape, |(z, f, k, d)| o.fields[f].through_focus[z][k][d]);
-                npz.add_array("mtf", &mtf).map_err(failed)?;
+                npz.add_array("mtf", &mtf)?;
                 let waves = |(z, f, k, d): (usize, usize, usize, usize)| {
                     let found = o.fields[f].diffraction.as_ref().and_then(|m| m.as_ref().ok());
                     found.and_then(|m| m.curves[d].modulus(z, k)).unwrap_or(f64::NAN)
                 };
-                npz.add_array("mtf_diffraction", &Array4::from_shape_fn(shape, waves)).map_err(failed)?;
-                npz.add_array("shift_mm", &Array1::from(o.shifts_mm.clone())).map_err(failed)?;
-                npz.add_array("cycles_per_mm", &Array1::from(o.cycles_per_mm.clone())).map_err(failed)?;
-                npz.add_array("field_angle_deg", &angles).map_err(failed)?;
+                npz.add_array("mtf_diffraction", &Array4::from_shape_fn(shape, waves))?;
+                npz.add_array("shift_mm", &Array1::from(o.shifts_mm.clone()))?;
+                npz.add_array("cycles_per_mm", &Array1::from(o.cycles_per_mm.clone()))?;
+                npz.add_array("field_angle_deg", &angles)?;
             }
             Kind::Spot => {
                 // Rays that do not arrive have no place, and no light.
@@ -223,20 +220,20 @@ fn save(kind: Kind, o: &Overview, to: Target<'_>) -> Result<()> {
                     }
                 };
                 let rays = Array4::from_shape_fn((o.fields.len(), o.colours.len(), most, 5), ray);
-                npz.add_array("rays", &rays).map_err(failed)?;
+                npz.add_array("rays", &rays)?;
                 let nm: Array1<f64> = o.colours.iter().map(|c| c.0).collect();
-                npz.add_array("wavelength_nm", &nm).map_err(failed)?;
-                npz.add_array("weight", &o.colours.iter().map(|c| c.1).collect::<Array1<f64>>()).map_err(failed)?;
-                npz.add_array("field_angle_deg", &angles).map_err(failed)?;
+                npz.add_array("wavelength_nm", &nm)?;
+                npz.add_array("weight", &o.colours.iter().map(|c| c.1).collect::<Array1<f64>>())?;
+                npz.add_array("field_angle_deg", &angles)?;
             }
             Kind::Distortion => {
                 let row = |r: &isoplanat::analysis::curves::FieldRow| [r.angle_deg, r.height, r.distortion_percent];
                 let rows: Vec<[f64; 3]> = o.curve.iter().map(row).collect();
-                npz.add_array("angle_height_percent", &Array2::from(rows)).map_err(failed)?;
+                npz.add_array("angle_height_percent", &Array2::from(rows))?;
                 let focal: Array1<f64> = o.curve.iter().map(|r| r.distortion_of_focal_length).collect();
-                npz.add_array("percent_of_focal_length", &focal).map_err(failed)?;
+                npz.add_array("percent_of_focal_length", &focal)?;
             }
         }
-        npz.finish().map(drop).map_err(failed)
+        Ok(())
     })
 }

@@ -3,17 +3,17 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use isoplanat::atomic::{Target, write_atomic};
+use isoplanat::atomic::Target;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
+use isoplanat::math::npz;
 use isoplanat::report::atlas;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use ndarray::ArrayView1;
-use ndarray_npy::NpzWriter;
 use serde_json::{Value, json};
 
 /// Arguments of `psf`.
@@ -160,27 +160,24 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
 
 /// Writes every array of `set` under its name.
 fn save(set: &atlas::KernelSet, to: Target<'_>) -> Result<()> {
-    let path = to.path;
-    let failed = |e: ndarray_npy::WriteNpzError| Error::writing(path, std::io::Error::other(e));
     let meta = &set.request;
-    write_atomic(to, |file| {
-        let mut npz = NpzWriter::new(file);
-        npz.add_array("kernels", &set.kernels).map_err(failed)?;
+    npz::write(to, |npz| {
+        npz.add_array("kernels", &set.kernels)?;
         for (name, array) in [("relative_illumination", &set.relative_illumination), ("outside", &set.outside)] {
-            npz.add_array(name, array).map_err(failed)?;
+            npz.add_array(name, array)?;
         }
         let places =
             [("sensor_radius_mm", &set.radius_mm), ("object_slope", &set.slope), ("field_angle_deg", &set.angle_deg)];
         for (name, array) in places {
-            npz.add_array(name, array).map_err(failed)?;
+            npz.add_array(name, array)?;
         }
-        npz.add_array("polychromatic", &set.polychromatic_kernels()).map_err(failed)?;
+        npz.add_array("polychromatic", &set.polychromatic_kernels())?;
         let lists = [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];
         for (name, values) in lists {
-            npz.add_array(name, &ArrayView1::from(values)).map_err(failed)?;
+            npz.add_array(name, &ArrayView1::from(values))?;
         }
-        npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm)).map_err(failed)?;
-        npz.add_array("schema", &ndarray::arr0(1_i64)).map_err(failed)?;
-        npz.finish().map(drop).map_err(failed)
+        npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm))?;
+        npz.add_array("schema", &ndarray::arr0(1_i64))?;
+        Ok(())
     })
 }

@@ -11,6 +11,8 @@ mod cli;
 mod commands;
 #[cfg(feature = "train")]
 mod comparing;
+#[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
+mod costs;
 #[cfg(feature = "train")]
 mod designing;
 mod diffraction;

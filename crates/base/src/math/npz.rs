@@ -1,8 +1,12 @@
-//! Archives of arrays (NumPy's `.npz`) that come from others: what they promise is looked at before anybody makes room for it.
+//! Archives of arrays (NumPy's `.npz`): of those that come from others, what they promise is looked at before anybody makes room for it.
+
+mod write;
 
 use std::io::{Cursor, Read};
 
 use zip::{CompressionMethod, ZipArchive};
+
+pub use write::{Archive, Held, write};
 
 /// Bytes of an array's header at most; NumPy's own take 128.
 const HEADER: usize = 1 << 10;
