@@ -4,6 +4,8 @@
 //! model runs in tract, which is part of this program, and [`Session::runtime`] says so and why. Both give the same
 //! picture to 1e-5.
 
+mod model;
+
 use std::collections::{BTreeMap, HashMap};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -18,12 +20,6 @@ use tract_onnx::prelude::{
 use crate::lock;
 use crate::onnxruntime::{Candidate, candidates, own_folder, python, version_of};
 use isoplanat_base::error::{Error, Result};
-
-/// Operators that the exporter writes.
-const OPERATORS: [&str; 10] =
-    ["Add", "Cast", "Concat", "Conv", "ConvTranspose", "MaxPool", "Mul", "PRelu", "Slice", "Split"];
-/// Nodes of a graph at most: the exporter's largest networks have some hundreds.
-const MOST_NODES: usize = 20_000;
 
 /// How often slower tract was than ONNX Runtime, per thread, on U-Nets of three scales (32 to 128 channels).
 const TRACT_SLOWDOWN: &str = "3 to 4";
@@ -159,13 +155,13 @@ impl Prepared {
     /// No ONNX model with one image in and one out, a runtime that refuses it, or a named library that cannot be used.
     pub fn open(self, bytes: &[u8], file: &Path) -> Result<Session> {
         let Self { onnxruntime, options } = self;
-        let proto = read_proto(bytes, file)?;
-        let metadata = metadata_of(&proto);
+        let proto = model::read(bytes, file)?;
+        let metadata = model::metadata(&proto);
         let threads = options.thread_count();
         match onnxruntime.and_then(|()| environment()) {
             Ok((Library { version, library, origin }, environment)) => {
-                let session =
-                    guarded(|| onnxruntime_session(&environment, bytes, threads)).map_err(|e| bad_model(file, &e))?;
+                let session = guarded(|| onnxruntime_session(&environment, &model::bytes(&proto), threads))
+                    .map_err(|e| model::bad(file, &e))?;
                 let runtime = Runtime::OnnxRuntime { version, library, origin };
                 Ok(Session { engine: Engine::OnnxRuntime(Mutex::new(session)), runtime, metadata, threads })
             }
@@ -241,7 +237,7 @@ impl Session {
 /// # Errors
 /// Bytes that are no ONNX model with one image in and one out.
 pub fn metadata(bytes: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
-    Ok(metadata_of(&read_proto(bytes, file)?))
+    Ok(model::metadata(&model::read(bytes, file)?))
 }
 
 /// Runs what may panic inside a runtime; errors become their first line.
@@ -251,38 +247,6 @@ fn guarded<T>(work: impl FnOnce() -> std::result::Result<T, String>) -> std::res
         Ok(Err(message)) => Err(message.lines().next().unwrap_or_default().chars().take(300).collect()),
         Err(_) => Err("the runtime gave up".into()),
     }
-}
-
-fn bad_model(file: &Path, reason: &str) -> Error {
-    Error::bad(file.display().to_string(), "model", reason, "an ONNX model that takes and returns an image")
-}
-
-/// Reads the file's structure and checks that it takes one image and returns one.
-fn read_proto(model: &[u8], file: &Path) -> Result<Proto> {
-    let read = || tract_onnx::onnx().proto_model_for_read(&mut &model[..]).map_err(|e| e.to_string());
-    let proto = guarded(read).map_err(|_| bad_model(file, "cannot be read as ONNX"))?;
-    let Some(graph) = &proto.graph else { return Err(bad_model(file, "holds no graph")) };
-    // Loops have no end, and files elsewhere are not the kit's.
-    let foreign = |op: &str, domain: &str| !(domain.is_empty() && OPERATORS.contains(&op));
-    if let Some(node) = graph.node.iter().find(|n| foreign(&n.op_type, &n.domain)) {
-        let allowed = format!("the operators that `isoplanat export` writes: {}", OPERATORS.join(", "));
-        let found: String = node.op_type.chars().take(60).collect();
-        return Err(Error::bad(file.display().to_string(), "operator", found, allowed));
-    }
-    if graph.node.len() > MOST_NODES || graph.initializer.iter().any(|t| !t.external_data.is_empty()) {
-        let found = format!("{} nodes, or weights in other files", graph.node.len());
-        return Err(bad_model(file, &found));
-    }
-    let weights: Vec<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
-    let inputs = graph.input.iter().filter(|i| !weights.contains(&i.name.as_str())).count();
-    if inputs != 1 || graph.output.len() != 1 {
-        return Err(bad_model(file, &format!("has {inputs} inputs and {} outputs", graph.output.len())));
-    }
-    Ok(proto)
-}
-
-fn metadata_of(proto: &Proto) -> BTreeMap<String, String> {
-    proto.metadata_props.iter().map(|entry| (entry.key.clone(), entry.value.clone())).collect()
 }
 
 /// ONNX Runtime's library, loaded.
