@@ -154,7 +154,7 @@ fn write_line(out: &mut impl Write, reply: &Reply) -> std::io::Result<()> {
 /// # Errors
 /// What [`raw::decode`] refuses, samples beyond the memory, and a child that failed, was stopped by a limit, or could not be started or held.
 pub fn decode(helper: &Helper, path: &Path, memory: Limit) -> Result<(RawCapture, Confinement)> {
-    let limits = Limits { memory_bytes: memory.addresses(Start::few_threads()).min(MEMORY), time: TIME };
+    let limits = Limits { memory_bytes: memory.bytes.min(MEMORY), time: TIME };
     decode_within(helper, path, limits, memory)
 }
 

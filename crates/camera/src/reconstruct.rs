@@ -3,6 +3,8 @@
 //! The order is [`isoplanat_imaging::develop`]'s. Without a kit the capture is developed from what its own file says, and
 //! no network is applied.
 
+mod memory;
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 

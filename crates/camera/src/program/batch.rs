@@ -99,6 +99,10 @@ impl<'a> Batch<'a> {
             (raw, Some(confinement))
         };
         let decode = started.elapsed();
+        let (rows, columns) = raw.size();
+        let needed = camera.bytes_needed(&raw, self.pictures.bytes_a_pixel(out));
+        let instead = "a smaller picture, or a larger limit";
+        self.means.memory.allow(&format!("{}: {columns} × {rows} pixels", capture.display()), needed, instead)?;
         let (make, model) = (raw.make.clone(), raw.model.clone());
         let picture =
             camera.reconstruct(raw, capture, &|done, all| self.show((k, n), capture, done as f64 / all as f64))?;

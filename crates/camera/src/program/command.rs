@@ -29,16 +29,17 @@ pub(crate) fn run(arguments: &Arguments) -> u8 {
 
 fn work(arguments: &Arguments) -> Result<u8> {
     isoplanat_base::math::simd::check_environment()?;
+    if arguments.running.threads > 0 {
+        // Fails only if the pool is in use already.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
+    }
     let memory = arguments.running.memory_gib.map_or_else(|| Ok(Limit::of_process()), Limit::gib)?;
+    memory.hold();
     let means = Means { helper: Helper::current()?, memory };
     let kit = arguments.kit.as_deref().map(Kit::load).transpose()?;
     if let (true, Some(kit)) = (arguments.show_kit, &kit) {
         show::show_kit(kit, arguments.json)?;
         return Ok(0);
-    }
-    if arguments.running.threads > 0 {
-        // Fails only if the pool is in use already.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
     }
     let pictures = arguments.pictures();
     let told = Told { json: arguments.json, bench: arguments.bench };
