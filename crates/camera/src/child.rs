@@ -11,7 +11,7 @@ mod helper;
 mod limits;
 mod sandbox;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 
 use std::process::{Child, Command, Stdio};
 

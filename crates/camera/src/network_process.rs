@@ -5,23 +5,27 @@
 //! then it is given the model's bytes. It answers with one line, and then answers tiles, as many at a time as its runtime takes. Numbers are in this machine's byte
 //! order.
 
+mod wire;
+
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use ndarray::{Array4, ArrayView4};
-use serde::{Deserialize, Serialize};
 
-use super::child::{self, Confinement, Helper, Limits, Start};
+use super::child::{Confinement, Helper, Limits, Start};
 use super::lock;
 use super::onnxruntime::{self, Candidate};
-use super::session::{Choice, Options, Prepared, Runtime, Session};
+use super::session::{Options, Prepared, Runtime, Session};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{GIB, Limit, words as in_words};
+use wire::{
+    Answer, Asked, Opened, Refused, Said, line, line_of, read_answer, read_tile, words, write_answer, write_tile,
+};
 
 /// First argument that makes the program a child that runs a network.
 pub const COMMAND: &str = "run-network-child";
@@ -31,10 +35,6 @@ const MEMORY: u64 = 8 * GIB;
 const MEMORY_A_THREAD: u64 = GIB;
 /// Time for a tile, and for opening a model.
 const TIME: Duration = Duration::from_secs(600);
-/// Samples of a tile that the child takes at most: 256 channels of the largest.
-const MOST_SAMPLES: u64 = 256 << 26;
-/// Bytes of what is said in words at most.
-const MOST_WORDS: u64 = 1 << 20;
 
 /// How a network is run apart.
 #[derive(Clone, Debug)]
@@ -100,7 +100,7 @@ impl Network {
     pub fn confinement(&self) -> Option<Confinement> {
         match self {
             Self::Here(_) => None,
-            Self::Apart(process) => Some(process.opened.confinement),
+            Self::Apart(process) => Some(lock(&process.live).confinement),
         }
     }
 
@@ -133,67 +133,6 @@ impl Network {
     }
 }
 
-/// What a child is told first; the model's bytes follow once it is ready for them.
-#[derive(Serialize, Deserialize)]
-struct Asked {
-    file: PathBuf,
-    model_bytes: u64,
-    onnxruntime: Option<PathBuf>,
-    /// Where the runtime may lie, where nobody named it.
-    candidates: Vec<Candidate>,
-    threads: usize,
-    choice: Choice,
-}
-
-/// What a child says, a line each, before it answers tiles.
-#[derive(Serialize, Deserialize)]
-enum Said {
-    /// None of the candidates is a runtime: are there more? A line of them is the answer.
-    Look,
-    /// The runtime is loaded, the sandbox entered: the model may come.
-    Ready,
-    /// It could not be held to its limits, or not enter its sandbox.
-    Unheld(String),
-    /// What became of the model.
-    Opened(std::result::Result<Opened, Refused>),
-}
-
-/// A model that runs.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Opened {
-    runtime: Runtime,
-    workers: usize,
-    confinement: Confinement,
-}
-
-/// An error on its way.
-#[derive(Debug, Serialize, Deserialize)]
-struct Refused {
-    file: String,
-    place: String,
-    found: String,
-    allowed: String,
-}
-
-impl Refused {
-    fn of(error: Error) -> Self {
-        match error {
-            Error::BadInput { file, place, found, allowed } => Self { file, place, found, allowed },
-            other => {
-                let allowed = "a model that takes and returns an image".to_owned();
-                Self { file: "model.onnx".into(), place: "inference".into(), found: other.to_string(), allowed }
-            }
-        }
-    }
-
-    fn error(self) -> Error {
-        Error::bad(self.file, self.place, self.found, self.allowed)
-    }
-}
-
-/// A tile's result, and the time within the runtime.
-type Answer = std::result::Result<(Array4<f32>, Duration), Refused>;
-
 /// The child's side: loads the runtime that it is told to on `input`, gives up what it does not need any more by `seal`, opens the model, and answers tiles on
 /// `out` until there are no more.
 ///
@@ -216,7 +155,7 @@ pub(crate) fn serve(
         Ok(confinement) => confinement,
         Err(why) => return unheld(out, why),
     };
-    words(out, &Said::Ready)?;
+    words(out, &Said::Ready(confinement))?;
     let mut model = Vec::new();
     input.take(asked.model_bytes).read_to_end(&mut model)?;
     let opened = prepared.open(&model, &asked.file);
@@ -226,7 +165,7 @@ pub(crate) fn serve(
         Err(error) => return words(out, &Said::Opened(Err(Refused::of(error)))),
     };
     let workers = session.parallel_tiles();
-    words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers, confinement })))?;
+    words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers })))?;
     let out = Mutex::new(out);
     let (sender, receiver) = mpsc::sync_channel::<(u64, Array4<f32>)>(1);
     let receiver = Mutex::new(receiver);
@@ -260,89 +199,6 @@ pub(crate) fn unheld(out: &mut impl Write, why: String) -> std::io::Result<()> {
     words(out, &Said::Unheld(why))
 }
 
-/// One line of JSON.
-fn words(out: &mut (impl Write + ?Sized), what: &impl Serialize) -> std::io::Result<()> {
-    serde_json::to_writer(&mut *out, what)?;
-    out.write_all(b"\n")?;
-    out.flush()
-}
-
-/// What a line of JSON says.
-fn line<T: for<'a> Deserialize<'a>>(input: &mut (impl BufRead + ?Sized)) -> std::io::Result<T> {
-    let mut line = Vec::new();
-    input.take(MOST_WORDS).read_until(b'\n', &mut line)?;
-    Ok(serde_json::from_slice(&line)?)
-}
-
-/// A tile: its number, its shape, its samples.
-fn write_tile(out: &mut (impl Write + ?Sized), id: u64, tile: ArrayView4<'_, f32>) -> std::io::Result<()> {
-    out.write_all(&id.to_ne_bytes())?;
-    for n in tile.shape() {
-        out.write_all(&(*n as u64).to_ne_bytes())?;
-    }
-    out.write_all(bytemuck::cast_slice(tile.as_standard_layout().as_slice().unwrap_or_default()))?;
-    out.flush()
-}
-
-fn number(input: &mut impl Read) -> std::io::Result<u64> {
-    let mut bytes = [0; 8];
-    input.read_exact(&mut bytes)?;
-    Ok(u64::from_ne_bytes(bytes))
-}
-
-/// The samples after a tile's number, `most` of them.
-fn read_samples(input: &mut impl Read, most: u64) -> std::io::Result<Array4<f32>> {
-    let bad = || std::io::Error::new(std::io::ErrorKind::InvalidData, "a tile that is none");
-    let mut shape = [0_usize; 4];
-    let mut count = 1_u64;
-    for n in &mut shape {
-        let side = number(input)?;
-        count = count.checked_mul(side).filter(|c| *c <= most).ok_or_else(bad)?;
-        *n = usize::try_from(side).map_err(|_| bad())?;
-    }
-    let samples = child::read_samples(input, usize::try_from(count).map_err(|_| bad())?)?;
-    Array4::from_shape_vec(shape, samples).map_err(|_| bad())
-}
-
-/// The next tile; `None` when there are no more.
-fn read_tile(input: &mut impl BufRead) -> std::io::Result<Option<(u64, Array4<f32>)>> {
-    if input.fill_buf()?.is_empty() {
-        return Ok(None);
-    }
-    let id = number(input)?;
-    Ok(Some((id, read_samples(input, MOST_SAMPLES)?)))
-}
-
-/// What became of a tile: a byte, nanoseconds, its number and samples, or its number and a line.
-fn write_answer(out: &mut (impl Write + ?Sized), id: u64, answer: &Answer) -> std::io::Result<()> {
-    match answer {
-        Ok((tile, took)) => {
-            out.write_all(&[1])?;
-            out.write_all(&u64::try_from(took.as_nanos()).unwrap_or(u64::MAX).to_ne_bytes())?;
-            write_tile(out, id, tile.view())
-        }
-        Err(refused) => {
-            out.write_all(&[0])?;
-            out.write_all(&id.to_ne_bytes())?;
-            words(out, refused)
-        }
-    }
-}
-
-/// The next answer, of as many samples as `most` says once it is there.
-fn read_answer(input: &mut impl BufRead, most: impl Fn() -> u64) -> std::io::Result<(u64, Answer)> {
-    let mut kind = [0];
-    input.read_exact(&mut kind)?;
-    if kind == [1] {
-        let took = Duration::from_nanos(number(input)?);
-        return Ok((number(input)?, Ok((read_samples(input, most())?, took))));
-    }
-    let id = number(input)?;
-    let mut line = String::new();
-    input.take(MOST_WORDS).read_line(&mut line)?;
-    Ok((id, Err(serde_json::from_str(&line)?)))
-}
-
 /// Who waits for which tile, when the child last answered, and why it is no more.
 #[derive(Default)]
 struct Desk {
@@ -360,6 +216,7 @@ struct Live {
     /// Samples of the largest tile so far: no answer is larger.
     largest: Arc<AtomicU64>,
     opened: Opened,
+    confinement: Confinement,
 }
 
 impl Drop for Live {
@@ -466,13 +323,13 @@ impl Live {
         let (input, output) = (child.stdin.take(), child.stdout.take());
         let (write, to_write) = mpsc::channel();
         let (say, said) = mpsc::channel();
-        let confinement = Confinement::default();
         let mut live = Self {
             child: Mutex::new(child),
             to_write: Mutex::new(write.clone()),
             desk: Arc::default(),
             largest: Arc::default(),
-            opened: Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1, confinement },
+            opened: Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 },
+            confinement: Confinement::default(),
         };
         let (Some(input), Some(output)) = (input, output) else {
             return Err(Error::Internal("the network's process has no pipes".into()));
@@ -488,7 +345,10 @@ impl Live {
             match live.answer(&said, limits, "opening the model").map_err(|why| refused(asked, &why, apart))? {
                 // It starts a program, which the child may not.
                 Said::Look => tell(line_of(&onnxruntime::python().into_iter().collect::<Vec<_>>()).map_err(failed)?),
-                Said::Ready => tell(model.to_vec()),
+                Said::Ready(confinement) => {
+                    live.confinement = confinement;
+                    tell(model.to_vec());
+                }
                 Said::Unheld(why) => {
                     return Err(Error::Internal(format!("the network's process was not given the model: {why}")));
                 }
@@ -533,13 +393,6 @@ fn broke_off(limits: Limits) -> String {
 enum Written {
     Words(Vec<u8>),
     Tile(u64, Array4<f32>),
-}
-
-/// A line of JSON.
-fn line_of(what: &impl Serialize) -> std::io::Result<Vec<u8>> {
-    let mut line = Vec::new();
-    words(&mut line, what)?;
-    Ok(line)
 }
 
 /// Hands words and tiles to the child, until there are no more or it is gone.

@@ -1,7 +1,7 @@
 //! RAW decoding in a child process that is held to little memory and time, and sees no file but the one it decodes.
 //!
-//! The helper program is started with [`COMMAND`] as its first argument and the open file as its standard input; that child calls [`serve`], which writes one
-//! line of JSON and then the samples to its standard output. Whatever happens to the child (a panic, an abort, a
+//! The helper program is started with [`COMMAND`] as its first argument and the open file as its standard input; that child calls [`serve`], which writes what
+//! holds it as a line of JSON, reads the file, and writes another line and then the samples to its standard output. Whatever happens to the child (a panic, an abort, a
 //! refused allocation, no end), the parent turns it into one sentence. How it is held: [`super::child`].
 
 use std::fs::File;
@@ -34,13 +34,8 @@ const MOST_WORDS: u64 = 16 << 20;
 /// The line before the samples.
 #[derive(Serialize, Deserialize)]
 enum Reply {
-    Capture(Header),
-    Refused {
-        found: String,
-        allowed: String,
-    },
-    /// The child could not be held to its limits, or not enter its sandbox.
-    Unheld(String),
+    Capture(Box<Header>),
+    Refused { found: String, allowed: String },
 }
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -70,7 +65,6 @@ struct Header {
     model: String,
     exif: Exif,
     notes: Vec<String>,
-    confinement: Confinement,
 }
 
 /// The child's side: gives up what it does not need by `seal`, decodes `file`, and writes the reply to `out`.
@@ -82,10 +76,11 @@ pub(crate) fn serve(
     out: &mut impl Write,
     seal: impl FnOnce() -> std::result::Result<Confinement, String>,
 ) -> std::io::Result<()> {
-    let confinement = match seal() {
-        Ok(confinement) => confinement,
+    // Said before a byte of the file is read: nothing in the file has a word in it.
+    match seal() {
+        Ok(confinement) => write_line(out, &Ok::<_, String>(confinement))?,
         Err(why) => return unheld(out, why),
-    };
+    }
     let mut bytes = Vec::new();
     file.read_to_end(&mut bytes)?;
     drop(file);
@@ -124,9 +119,8 @@ pub(crate) fn serve(
         model: capture.model,
         exif: capture.exif,
         notes: capture.notes,
-        confinement,
     };
-    write_line(out, &Reply::Capture(header))?;
+    write_line(out, &Reply::Capture(Box::new(header)))?;
     if !integer {
         out.write_all(bytemuck::cast_slice(&samples))?;
         return out.flush();
@@ -140,10 +134,10 @@ pub(crate) fn serve(
 
 /// The reply of a child that could not be held to its limits.
 pub(crate) fn unheld(out: &mut impl Write, why: String) -> std::io::Result<()> {
-    write_line(out, &Reply::Unheld(why))
+    write_line(out, &Err::<Confinement, _>(why))
 }
 
-fn write_line(out: &mut impl Write, reply: &Reply) -> std::io::Result<()> {
+fn write_line(out: &mut impl Write, reply: &impl Serialize) -> std::io::Result<()> {
     serde_json::to_writer(&mut *out, reply)?;
     out.write_all(b"\n")?;
     out.flush()
@@ -211,12 +205,14 @@ enum Heard {
 
 /// Reads a whole reply, its samples only where there is memory for them; `None` if it is none.
 fn read(mut pipe: impl BufRead, memory: Limit) -> Option<Heard> {
-    let mut line = Vec::new();
-    pipe.by_ref().take(MOST_WORDS).read_until(b'\n', &mut line).ok()?;
-    let header = match serde_json::from_slice(line.strip_suffix(b"\n")?).ok()? {
+    let held: std::result::Result<Confinement, String> = read_line(&mut pipe)?;
+    let confinement = match held {
+        Ok(confinement) => confinement,
+        Err(why) => return Some(Heard::Unheld(why)),
+    };
+    let header = match read_line(&mut pipe)? {
         Reply::Refused { found, allowed } => return Some(Heard::Refused { found, allowed }),
-        Reply::Unheld(why) => return Some(Heard::Unheld(why)),
-        Reply::Capture(header) => header,
+        Reply::Capture(header) => *header,
     };
     let planes = if matches!(header.kind, Kind::Linear) { 3 } else { 1 };
     let (rows, columns) = (header.rows, header.columns);
@@ -252,7 +248,14 @@ fn read(mut pipe: impl BufRead, memory: Limit) -> Option<Heard> {
         exif: header.exif,
         notes: header.notes,
     };
-    Some(Heard::Capture(Box::new(capture), header.confinement))
+    Some(Heard::Capture(Box::new(capture), confinement))
+}
+
+/// What a line of JSON says; `None` if it is none.
+fn read_line<T: for<'a> Deserialize<'a>>(pipe: &mut impl BufRead) -> Option<T> {
+    let mut line = Vec::new();
+    pipe.take(MOST_WORDS).read_until(b'\n', &mut line).ok()?;
+    serde_json::from_slice(line.strip_suffix(b"\n")?).ok()
 }
 
 /// So many whole numbers of 16 bits.
@@ -327,7 +330,6 @@ mod tests {
     #[cfg(unix)]
     #[test]
     fn children_that_fail_hang_or_babble_become_one_sentence() {
-        use std::os::unix::fs::PermissionsExt;
         let dir = tempfile::tempdir().expect("temporary folder");
         let raw = dir.path().join("a.nef");
         std::fs::write(&raw, "x").expect("writes");
@@ -339,8 +341,7 @@ mod tests {
             ("hangs", "exec sleep 30", "had not finished"),
         ] {
             let program = dir.path().join(name);
-            std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("writes");
-            std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+            crate::child::tests::script(&program, script);
             let error =
                 decode_within(&Helper::at(program), &raw, limits, Limit { bytes: GIB }).expect_err("no picture");
             assert!(error.to_string().contains(words), "{name}: {error}");

@@ -261,7 +261,7 @@ struct Library {
 enum Loading {
     NotTried,
     /// The library is loaded, and nothing of it was run but the question for its version.
-    Library(Library, ort::environment::EnvironmentBuilder),
+    Library(Library, Box<ort::environment::EnvironmentBuilder>),
     Done(Library, ort::environment::Environment),
     /// The binding itself failed; it must not be called again (see [`crate::onnxruntime`]).
     Broken(String),
@@ -309,7 +309,7 @@ fn load(named: Option<&Path>, mut candidates: impl Iterator<Item = Candidate>) -
     };
     match guarded(|| ort::init_from(&library).map_err(|e| e.to_string())) {
         Ok(builder) => {
-            *loading = Loading::Library(Library { version, library, origin }, builder);
+            *loading = Loading::Library(Library { version, library, origin }, Box::new(builder));
             Ok(())
         }
         Err(reason) => {

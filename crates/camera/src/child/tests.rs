@@ -5,6 +5,15 @@ use std::process::{Command, Stdio};
 
 use super::*;
 
+/// Writes a program of the shell. By another process: a child of any test at the same time would hold what this one writes open, and the system does not start
+/// what is open for writing.
+#[cfg(unix)]
+pub(crate) fn script(path: &std::path::Path, text: &str) {
+    let write = "printf '#!/bin/sh\\n%s\\n' \"$2\" > \"$1\" && chmod 755 \"$1\"";
+    let status = Command::new("sh").args(["-c", write, "sh"]).arg(path).arg(text).status().expect("starts");
+    assert!(status.success());
+}
+
 /// This test binary, to be started again as the (ignored) test `name`.
 fn again(name: &str) -> Command {
     let mut command = Command::new(std::env::current_exe().expect("this binary"));
@@ -37,11 +46,9 @@ fn limits_go_through_arguments() {
 #[cfg(target_os = "linux")]
 #[test]
 fn the_environment_is_cleared() {
-    use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().expect("temporary folder");
     let program = dir.path().join("tells");
-    std::fs::write(&program, "#!/bin/sh\n/usr/bin/env\n/usr/bin/printf '%s\\n' \"$@\"\n").expect("writes");
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    script(&program, "/usr/bin/env\n/usr/bin/printf '%s\\n' \"$@\"");
     let helper = Helper::at(&program);
     let limits = Limits { memory_bytes: 1 << 30, time: std::time::Duration::from_secs(3) };
     let start = Start { helper: &helper, command: "do", limits, once: true, input: Stdio::null(), threads: 3 };
@@ -145,7 +152,7 @@ fn sandboxed() {
             std::fs::metadata(&file).map(drop),
             std::fs::rename(&file, folder.join("d")),
             std::os::unix::fs::symlink(&file, folder.join("e")),
-            open.set_permissions(std::fs::Permissions::from(std::os::unix::fs::PermissionsExt::from_mode(0o777))),
+            open.set_permissions(std::os::unix::fs::PermissionsExt::from_mode(0o777)),
             open.set_modified(std::time::SystemTime::UNIX_EPOCH),
             rustix::process::test_kill_process(parent).map_err(Into::into),
             rustix::process::pidfd_open(parent, rustix::process::PidfdFlags::empty()).map(drop).map_err(Into::into),

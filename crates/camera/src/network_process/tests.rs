@@ -1,7 +1,10 @@
 //! Children that answer, refuse, fail and hang.
 
+use super::wire::MOST_SAMPLES;
 use super::*;
+use crate::session::Choice;
 use crate::test_model;
+use std::path::PathBuf;
 
 fn tile(columns: usize, seed: u64) -> Array4<f32> {
     let rng = &mut fastrand::Rng::with_seed(seed);
@@ -25,7 +28,7 @@ fn open() -> std::result::Result<Confinement, String> {
 
 /// What a child says before it answers tiles.
 fn said(out: &mut &[u8]) -> std::result::Result<Opened, Refused> {
-    assert!(matches!(line(out).expect("JSON"), Said::Ready));
+    assert!(matches!(line(out).expect("JSON"), Said::Ready(_)));
     let Said::Opened(opened) = line(out).expect("JSON") else { panic!("it is ready already") };
     opened
 }
@@ -94,10 +97,8 @@ fn a_child_is_held_before_it_reads_the_model() {
 #[cfg(unix)]
 #[test]
 fn children_that_fail_hang_or_babble_become_one_sentence() {
-    use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().expect("temporary folder");
-    let opened =
-        Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1, confinement: Confinement::default() };
+    let opened = Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 };
     let opened = serde_json::to_string(&Said::Opened(Ok(opened))).expect("JSON");
     let busy = "f=$0.times; echo >> \"$f\"; [ $(wc -l < \"$f\") -gt 1 ] && exec sleep 30;";
     let scripts = [
@@ -111,8 +112,7 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     ];
     for (name, script, said) in scripts {
         let program = dir.path().join(name);
-        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("writes");
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+        crate::child::tests::script(&program, &script);
         let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::of(Helper::at(program)) };
         let network = Network::open(&[0; 1 << 20], Path::new("m.onnx"), &Options::default(), Some(&apart));
         // More than a pipe holds, to a child that does not read.
@@ -137,8 +137,7 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     }
     // A child that is stopped while nobody asks it anything: the next tile is told at once.
     let program = dir.path().join("idle");
-    std::fs::write(&program, format!("#!/bin/sh\necho '{opened}'\n")).expect("writes");
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
+    crate::child::tests::script(&program, &format!("echo '{opened}'"));
     let network =
         Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::of(Helper::at(program))));
     std::thread::sleep(Duration::from_millis(300));

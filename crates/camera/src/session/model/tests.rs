@@ -29,6 +29,7 @@ fn attribute(change: impl FnOnce(&mut AttributeProto)) -> impl FnOnce(&mut Model
 }
 
 type Change = Box<dyn FnOnce(&mut ModelProto)>;
+type AttributeChange = Box<dyn FnOnce(&mut AttributeProto)>;
 
 fn changes() -> Vec<(&'static str, Change)> {
     let mut all: Vec<(&'static str, Change)> = vec![
@@ -129,7 +130,7 @@ fn changes() -> Vec<(&'static str, Change)> {
         ),
         ("value `x`: no tensor", Box::new(|m| graph(m).input[0].r#type = Some(TypeProto::default()))),
     ];
-    let attributes: Vec<(&'static str, Box<dyn FnOnce(&mut AttributeProto)>)> = vec![
+    let attributes: Vec<(&'static str, AttributeChange)> = vec![
         ("attribute `kernel_shape`: its data lies in `../secret.bin`", Box::new(|a| a.t = Some(external("t")))),
         ("attribute `kernel_shape`: its data lies in `../secret.bin`", Box::new(|a| a.tensors.push(external("t")))),
         (
