@@ -341,18 +341,25 @@ impl Live {
         // (Nobody hears what could not be sent: the child is gone then, and who waits is told.)
         let tell = |bytes: Vec<u8>| drop(write.send(Written::Words(bytes)));
         tell(line_of(asked).map_err(failed)?);
+        // One question, then its readiness, then what became of the model: once it has read the model, nothing else is taken from it.
+        let (mut asks, mut ready) = (true, false);
         let opened = loop {
             match live.answer(&said, limits, "opening the model").map_err(|why| refused(asked, &why, apart))? {
                 // It starts a program, which the child may not.
-                Said::Look => tell(line_of(&onnxruntime::python().into_iter().collect::<Vec<_>>()).map_err(failed)?),
-                Said::Ready(confinement) => {
+                Said::Look if asks && !ready => {
+                    asks = false;
+                    tell(line_of(&onnxruntime::python().into_iter().collect::<Vec<_>>()).map_err(failed)?);
+                }
+                Said::Ready(confinement) if !ready => {
+                    ready = true;
                     live.confinement = confinement;
                     tell(model.to_vec());
                 }
-                Said::Unheld(why) => {
+                Said::Unheld(why) if !ready => {
                     return Err(Error::Internal(format!("the network's process was not given the model: {why}")));
                 }
-                Said::Opened(opened) => break opened.map_err(Refused::error)?,
+                Said::Opened(opened) if ready => break opened.map_err(Refused::error)?,
+                _ => return Err(refused(asked, &broke_off(limits), apart)),
             }
         };
         live.opened = Opened { workers: opened.workers.clamp(1, asked.threads.max(1)), ..opened };

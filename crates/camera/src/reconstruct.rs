@@ -143,7 +143,7 @@ impl Camera {
         Self::default()
     }
 
-    /// A camera with a kit. The network's runtime is opened here, unless `steps` leaves the network out.
+    /// A camera with a kit. The network's runtime is opened here, unless `steps` leaves the network out: in this process, without limits, for kits of one's own.
     ///
     /// # Errors
     /// A model the runtime refuses, or a named runtime that cannot be used.

@@ -265,14 +265,14 @@ fn programs() -> Result<[BpfProgram; 2], Error> {
 /// Has the kernel refuse them to all threads of this process; whether it can.
 ///
 /// # Errors
-/// A kernel that filters and did not take these filters.
+/// A kernel that filters and did not take these filters for a reason of theirs.
 pub(super) fn refuse() -> Result<bool, Error> {
     for program in programs()? {
         match apply_filter_all_threads(&program) {
             Ok(()) => {}
-            // Kernels without filters say so in one of these ways.
+            // Kernels without filters say so in one of these ways; a container that keeps them to itself, by `EPERM`.
             Err(Error::Prctl(e) | Error::Seccomp(e))
-                if matches!(e.raw_os_error(), Some(libc::ENOSYS | libc::EINVAL)) =>
+                if matches!(e.raw_os_error(), Some(libc::ENOSYS | libc::EINVAL | libc::EPERM)) =>
             {
                 return Ok(false);
             }

@@ -99,12 +99,17 @@ fn a_child_is_held_before_it_reads_the_model() {
 fn children_that_fail_hang_or_babble_become_one_sentence() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let opened = Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 };
-    let opened = serde_json::to_string(&Said::Opened(Ok(opened))).expect("JSON");
+    let ready = serde_json::to_string(&Said::Ready(Confinement::default())).expect("JSON");
+    let look = serde_json::to_string(&Said::Look).expect("JSON");
+    let early = serde_json::to_string(&Said::Opened(Ok(opened.clone()))).expect("JSON");
+    let opened = format!("{ready}\n{early}");
     let busy = "f=$0.times; echo >> \"$f\"; [ $(wc -l < \"$f\") -gt 1 ] && exec sleep 30;";
     let scripts = [
         ("dies", "kill -9 $$".to_owned(), "broke off"),
         ("babbles", "echo hello".to_owned(), "broke off"),
         ("hangs", "exec sleep 30".to_owned(), "opening the model had not come to an end after 0.5 s"),
+        ("opens what it has not", format!("echo '{early}'; exec sleep 30"), "broke off"),
+        ("asks again", format!("echo '{ready}'; echo '{look}'; exec sleep 30"), "broke off"),
         ("opens and dies", format!("echo '{opened}'; sleep 0.1"), "broke off"),
         ("opens and hangs", format!("echo '{opened}'; exec sleep 30"), "a tile had not come to an end after 0.5 s"),
         ("opens and babbles", format!("echo '{opened}'; echo abcdefghijklmnopq; exec sleep 30"), "broke off"),
