@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 
 use isoplanat::calibrate::shading::{self, MeasuredShading};
 use isoplanat::calibrate::transfer::{Frames, Transfer, transfer};
-use isoplanat::deploy::child::Limits;
+use isoplanat::deploy::child::Helper;
 use isoplanat::deploy::raw::{RawCapture, RawPixels};
-use isoplanat::deploy::raw_process::{self, LIMITS};
+use isoplanat::deploy::raw_process;
 use isoplanat::imaging::develop::{IDENTITY, srgb_from_camera};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::cfa::Cfa;
@@ -111,16 +111,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 
 /// Every frame, and what the first one says of its camera; the others have to agree.
 fn read(args: &Args) -> Result<(Frames, Camera)> {
-    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
+    let helper = Helper::current()?;
     let limit = crate::memory::limit();
-    let limits = Limits { memory_bytes: LIMITS.memory_bytes.min(limit.bytes), ..LIMITS };
     let count = args.darks.len() + args.flats.len();
     let bar = Bar::new("frames");
     let mut camera: Option<Camera> = None;
     let mut all = Vec::with_capacity(count);
     for (k, path) in args.darks.iter().chain(&args.flats).enumerate() {
         bar.set(k as f64 / count as f64, path.display().to_string());
-        let raw = raw_process::decode(&program, path, limits)?;
+        let (raw, _) = raw_process::decode(&helper, path, limit)?;
         let found = Camera::of(&raw, path)?;
         match &camera {
             None => {

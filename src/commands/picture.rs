@@ -105,13 +105,11 @@ fn mosaic_channels(mosaic: &ArcArray2<f64>, cfa: Cfa, range: Option<[f64; 2]>) -
 /// A RAW file, decoded in a child process; levels from the file: black 0, white 1.
 #[cfg(feature = "deploy")]
 fn raw(path: &Path) -> Result<Picture> {
-    use isoplanat::deploy::child::Limits;
+    use isoplanat::deploy::child::Helper;
     use isoplanat::deploy::raw::RawPixels;
-    use isoplanat::deploy::raw_process::{self, LIMITS};
+    use isoplanat::deploy::raw_process;
 
-    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
-    let limits = Limits { memory_bytes: LIMITS.memory_bytes.min(crate::memory::limit().bytes), ..LIMITS };
-    let raw = raw_process::decode(&program, path, limits)?;
+    let (raw, _) = raw_process::decode(&Helper::current()?, path, crate::memory::limit())?;
     let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
     let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);
     // Below black is noise, not a cut; the cut lies at the sensor's zero.

@@ -178,6 +178,7 @@ fn of_kit(
     lens: &Lens,
     settings: Settings,
 ) -> isoplanat::Result<Measured> {
+    use isoplanat::deploy::child::Helper;
     use isoplanat::deploy::kit::Kit;
     use isoplanat::deploy::network_process::Apart;
     use isoplanat::deploy::session::Options;
@@ -187,11 +188,10 @@ fn of_kit(
     kit.require(&crate::input::lens(file)?, Path::new(file))?;
     let options = Options { onnxruntime: onnxruntime.map(Path::to_owned), ..Options::default() };
     // A kit may be anybody's.
-    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
     let apart = Apart {
         memory_bytes: Some(crate::memory::limit().bytes),
         hint: "; --memory-gib sets that of memory",
-        ..Apart::of(program)
+        ..Apart::of(Helper::current()?)
     };
     let bar = Bar::new("slanted edges");
     let found = measured(lens, &kit, (&options, Some(&apart)), settings, &mut |share| bar.set(share, String::new()))?;

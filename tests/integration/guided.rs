@@ -287,10 +287,18 @@ fn the_program_runs_it_within_limits(place: &Workplace, pictures: &[Array3<f32>]
     let run = |arguments: &str| {
         let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_isoplanat-camera"));
         let ran = command.args(arguments.split_whitespace()).current_dir(place.path("")).output().expect("starts");
-        (ran.status.code(), String::from_utf8_lossy(&ran.stderr).into_owned())
+        let text = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).into_owned();
+        (ran.status.code(), text(ran.stderr), text(ran.stdout))
     };
-    let (code, err) = run("a.dng --kit kit --linear -o apart.tif");
+    let (code, err, out) = run("a.dng --kit kit --linear -o apart.tif --json");
     assert_eq!(code, Some(0), "{err}");
+    // The network's child is held as the decoder's is, whichever runtime it has loaded, and its memory is limited by itself.
+    let json: serde_json::Value = serde_json::from_str(&out).expect("JSON");
+    let [decoder, network] = ["decoder", "network"].map(|name| &json["pictures"][0]["children"][name]);
+    for part in ["no_new_privs", "landlock_abi", "seccomp"] {
+        assert_eq!(decoder[part], network[part], "{part}: {json}");
+    }
+    assert_eq!(network["memory_bytes"].is_u64(), cfg!(target_os = "linux"), "{json}");
     let apart = read_picture(&place.path("apart.tif"), Encoding::Linear).expect("reads");
     let off = |here: &Array3<f32>| (here - &apart).iter().fold(0f32, |m, v| m.max(v.abs()));
     // 16 bits.
@@ -302,7 +310,7 @@ fn the_program_runs_it_within_limits(place: &Workplace, pictures: &[Array3<f32>]
     // (An address space without limit is the system's affair elsewhere.)
     let memory = cfg!(target_os = "linux").then_some(("--network-memory 16", "more than 16 MiB"));
     for (limit, said) in [("--tile-seconds 1e-7", "had not come to an end")].into_iter().chain(memory) {
-        let (code, err) = run(&format!("a.dng --kit kit {limit} -o none.tif"));
+        let (code, err, _) = run(&format!("a.dng --kit kit {limit} -o none.tif"));
         assert_eq!(code, Some(2), "{limit}: {err}");
         let last = err.lines().last().unwrap_or_default();
         assert!(last.contains("model.onnx: network") && last.contains(said), "{limit}: {err}");

@@ -32,10 +32,12 @@ const ORDER: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 8] = [
+const CRATES: [(&[&str], &[&str]); 10] = [
     (&["calib_targets_chessboard"], &["crates/imaging/src/calibrate/chart.rs"]),
     (&["ort", "tract_onnx"], &["crates/camera/src/session"]),
     (&["rawler"], &["crates/camera/src/raw"]),
+    (&["landlock", "seccompiler"], &["crates/camera/src/child"]),
+    (&["prost"], &["crates/camera/src/session"]),
     (&["image"], &["crates/imaging/src/files"]),
     (&["maud"], &["src/report/html.rs"]),
     (&["tiny_http"], &["src/commands/view.rs"]),

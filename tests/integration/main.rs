@@ -6,6 +6,8 @@ mod calibrate;
 mod calibrate_sensor;
 #[cfg(feature = "deploy")]
 mod camera;
+#[cfg(feature = "deploy")]
+mod children;
 mod circles;
 mod cli;
 mod commands;

@@ -1,35 +1,52 @@
-//! This program once more, as a child with a memory and a time limit: what decodes files and runs models of others.
+//! A program once more, as a child that decodes files or runs models of others and can do little else.
 //!
-//! On Unix the limits of memory and processor time are the shell's `ulimit -v` and `-t`; where the system has no such limit (Windows, macOS) only
-//! the parent's time limit holds. On Linux a child dies with the thread that started it: with its parent, where that is the main one.
+//! In `child/`: the program that is started (`helper.rs`), the limits that the child sets itself first of all (`limits.rs`), the sandbox that it enters before it
+//! reads a byte of others (`sandbox.rs`, `denied.rs`), and what of it is in force (`confinement.rs`). On Linux a child dies with the thread that started it:
+//! with its parent, where that is the main one.
 
-use std::ffi::OsString;
-use std::path::Path;
+mod confinement;
+#[cfg(all(target_os = "linux", any(target_arch = "x86_64", target_arch = "aarch64")))]
+mod denied;
+mod helper;
+mod limits;
+mod sandbox;
+#[cfg(test)]
+pub(crate) mod tests;
+
 use std::process::{Child, Command, Stdio};
-use std::time::Duration;
+
+pub use confinement::Confinement;
+pub use helper::Helper;
+pub(super) use limits::Bounds;
+pub use limits::Limits;
+pub(super) use sandbox::enter;
 
 /// Threads that a child's processor time is counted for at most, and that it gets where nobody says more.
 const WORKERS: usize = 4;
 
-/// What a child may use.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Limits {
-    /// Address space, bytes.
-    pub memory_bytes: u64,
-    /// Time until an answer.
-    pub time: Duration,
-}
+/// Variables of the environment that a child gets from its parent; all others are not for it.
+///
+/// The loader's paths, by which the program itself and ONNX Runtime may have been installed. On Windows `PATH` is the loader's path, and without `SystemRoot`
+/// its own libraries do not load. (Where ONNX Runtime lies, `ORT_DYLIB_PATH` too, the parent looks up and says.)
+const KEPT: &[&str] = if cfg!(windows) {
+    &["PATH", "SystemRoot"]
+} else if cfg!(target_vendor = "apple") {
+    &["DYLD_LIBRARY_PATH", "DYLD_FALLBACK_LIBRARY_PATH"]
+} else {
+    &["LD_LIBRARY_PATH"]
+};
 
 /// How a child is started.
-#[derive(Clone, Copy, Debug)]
+#[derive(Debug)]
 pub(super) struct Start<'a> {
-    pub(super) program: &'a Path,
-    pub(super) arguments: &'a [OsString],
+    pub(super) helper: &'a Helper,
+    /// What it is to do.
+    pub(super) command: &'static str,
     pub(super) limits: Limits,
     /// Whether the time limit is one of processor time too, on each of its threads: for a child that answers once.
     pub(super) once: bool,
-    /// Whether it is written to.
-    pub(super) listens: bool,
+    /// What it reads.
+    pub(super) input: Stdio,
     /// Threads that it may have.
     pub(super) threads: usize,
 }
@@ -40,35 +57,27 @@ impl Start<'_> {
         std::thread::available_parallelism().map_or(1, |n| n.get().min(WORKERS))
     }
 
-    /// Starts it, on Unix through `sh` which sets the limits.
+    /// Starts it, without a shell, and with nothing of the environment but what it needs.
     pub(super) fn spawn(self) -> std::io::Result<Child> {
-        let start = |mut command: Command| {
-            // Ctrl-C in a terminal is the parent's affair.
-            #[cfg(unix)]
-            std::os::unix::process::CommandExt::process_group(&mut command, 0);
-            command
-                // Each allocator arena and each worker's stack reserves address space, which is what is limited.
-                .env("MALLOC_ARENA_MAX", "2")
-                .env("RAYON_NUM_THREADS", self.threads.to_string())
-                .stdin(if self.listens { Stdio::piped() } else { Stdio::null() })
-                .stdout(Stdio::piped())
-                .stderr(Stdio::null())
-                .spawn()
-        };
-        if cfg!(unix) {
-            let mut command = Command::new("sh");
-            let script = "ulimit -c 0 2>/dev/null; ulimit -v \"$1\" 2>/dev/null; ulimit -t \"$2\" 2>/dev/null; shift 2; exec \"$@\"";
-            let seconds = self.limits.time.as_secs().max(1) * WORKERS as u64;
-            let seconds = if self.once { seconds.to_string() } else { "unlimited".to_owned() };
-            command.args(["-c", script, "sh"]).arg((self.limits.memory_bytes >> 10).to_string()).arg(seconds);
-            command.arg(self.program).args(self.arguments);
-            if let Ok(child) = start(command) {
-                return Ok(child);
-            }
-        }
-        let mut command = Command::new(self.program);
-        command.args(self.arguments);
-        start(command)
+        let processor_s = self.once.then(|| self.limits.time.as_secs().max(1) * WORKERS as u64);
+        let mut command = Command::new(self.helper.program());
+        // Ctrl-C in a terminal is the parent's affair.
+        #[cfg(unix)]
+        std::os::unix::process::CommandExt::process_group(&mut command, 0);
+        command
+            .arg(self.command)
+            .args(Bounds { memory_bytes: self.limits.memory_bytes, processor_s }.words())
+            .env_clear()
+            .envs(KEPT.iter().filter_map(|name| Some((name, std::env::var_os(name)?))))
+            // Each allocator arena and each worker's stack reserves address space, which is what is limited.
+            .env("MALLOC_ARENA_MAX", "2")
+            .env("RAYON_NUM_THREADS", self.threads.to_string())
+            // Some builds of ONNX Runtime keep a number of the machine in its user's folder, and tell their makers of their use.
+            .env("ORT_DISABLE_TELEMETRY", "1")
+            .stdin(self.input)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::null())
+            .spawn()
     }
 }
 
@@ -76,6 +85,15 @@ impl Start<'_> {
 pub(super) fn follow_parent() {
     #[cfg(target_os = "linux")]
     let _ = rustix::process::set_parent_process_death_signal(Some(rustix::process::Signal::KILL));
+}
+
+/// The child's side: its standard input as the file that it is, whose length is known.
+pub(super) fn standard_input() -> std::io::Result<std::fs::File> {
+    #[cfg(unix)]
+    let input = std::os::fd::AsFd::as_fd(&std::io::stdin()).try_clone_to_owned()?;
+    #[cfg(windows)]
+    let input = std::os::windows::io::AsHandle::as_handle(&std::io::stdin()).try_clone_to_owned()?;
+    Ok(input.into())
 }
 
 /// Samples read at a time, so that nobody is believed who promises many.

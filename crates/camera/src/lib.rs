@@ -22,23 +22,28 @@ pub use isoplanat_base::refusing::Refusing;
 use std::process::ExitCode;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// What a program does that was started by itself to decode a file or to run a network: all of it is done, and the program ends with this code. `None` where
-/// it was started by somebody else. The first thing in `main`.
+/// What a program does that was started by itself (or by the caller of this library, as a [`child::Helper`]) to decode a file or to run a network: all of it is
+/// done, and the program ends with this code. `None` where it was started for something else. The first thing in `main`.
+///
+/// Limits come first, before anything of others is read; a child that cannot be held to them says why and does nothing.
 pub fn serve_child() -> Option<ExitCode> {
     let mut arguments = std::env::args_os().skip(1);
-    let first = arguments.next()?;
-    let serve: Box<dyn FnOnce() -> std::io::Result<()>> = match (arguments.next(), arguments.next()) {
-        (Some(path), None) if first == raw_process::COMMAND => {
-            Box::new(move || raw_process::serve(std::path::Path::new(&path), &mut std::io::stdout().lock()))
-        }
-        (None, None) if first == network_process::COMMAND => {
-            Box::new(|| network_process::serve(&mut std::io::stdin().lock(), &mut std::io::stdout()))
-        }
-        _ => return None,
-    };
+    let command = arguments.next().filter(|c| c == raw_process::COMMAND || c == network_process::COMMAND)?;
+    let bounds = child::Bounds::parse(&arguments.next()?, &arguments.next()?)?;
+    let held = bounds.hold();
+    child::follow_parent();
     // The parent tells of a panic.
     std::panic::set_hook(Box::new(|_| {}));
-    Some(if serve().is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+    let mut out = std::io::stdout();
+    let served = match (held, command == raw_process::COMMAND) {
+        (Ok(held), true) => {
+            child::standard_input().and_then(|file| raw_process::serve(file, &mut out, || child::enter(held)))
+        }
+        (Ok(held), false) => network_process::serve(&mut std::io::stdin().lock(), &mut out, || child::enter(held)),
+        (Err(why), true) => raw_process::unheld(&mut out, why),
+        (Err(why), false) => network_process::unheld(&mut out, why),
+    };
+    Some(if served.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
 
 /// What `mutex` holds, also after a panic of who held it: what panics here (a runtime, a writer) leaves nothing half done that is asked again.

@@ -1,44 +1,47 @@
-//! A network in a child process with a memory and a time limit, as [`super::raw_process`] decodes files: a model that asks for more memory than there is, or
-//! never ends, is one sentence and not the end of the program.
+//! A network in a child process that is held to a memory and a time limit and sees no file, as [`super::raw_process`] decodes files: a model that asks for more
+//! memory than there is, or never ends, is one sentence and not the end of the program.
 //!
-//! The program starts itself again with [`COMMAND`]. The child is told what to open and the model's bytes on its standard input, answers with one
-//! line, and then answers tiles, as many at a time as its runtime takes. Numbers are in this machine's byte order.
+//! The helper program is started with [`COMMAND`]. The child is told on its standard input which runtime to load, loads it, enters its sandbox, and says so; only
+//! then it is given the model's bytes. It answers with one line, and then answers tiles, as many at a time as its runtime takes. Numbers are in this machine's byte
+//! order.
+
+mod wire;
 
 use std::collections::HashMap;
 use std::io::{BufRead, BufReader, Read, Write};
-use std::path::{Path, PathBuf};
-use std::process::Child;
+use std::path::Path;
+use std::process::{Child, Stdio};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::time::{Duration, Instant};
 
 use ndarray::{Array4, ArrayView4};
-use serde::{Deserialize, Serialize};
 
-use super::child::{self, Limits, Start};
+use super::child::{Confinement, Helper, Limits, Start};
 use super::lock;
-use super::session::{Choice, Options, Runtime, Session};
+use super::onnxruntime::{self, Candidate};
+use super::session::{Options, Prepared, Runtime, Session};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::{GIB, Limit, words as in_words};
+use wire::{
+    Answer, Asked, Opened, Refused, Said, line, line_of, read_answer, read_tile, words, write_answer, write_tile,
+};
 
 /// First argument that makes the program a child that runs a network.
 pub const COMMAND: &str = "run-network-child";
 
-/// Address space where nobody says more: so much, and so much more for each thread.
-const MEMORY: u64 = 8 << 30;
-const MEMORY_A_THREAD: u64 = 1 << 30;
+/// Address space where nobody says more: so much, and so much more for each thread; no more than the machine has.
+const MEMORY: u64 = 8 * GIB;
+const MEMORY_A_THREAD: u64 = GIB;
 /// Time for a tile, and for opening a model.
 const TIME: Duration = Duration::from_secs(600);
-/// Samples of a tile that the child takes at most: 256 channels of the largest.
-const MOST_SAMPLES: u64 = 256 << 26;
-/// Bytes of what is said in words at most.
-const MOST_WORDS: u64 = 1 << 20;
 
 /// How a network is run apart.
 #[derive(Clone, Debug)]
 pub struct Apart {
     /// The program that becomes the child.
-    pub program: PathBuf,
-    /// Most address space, bytes; `None`: 8 GiB and one more for each thread.
+    pub helper: Helper,
+    /// Most address space, bytes; `None`: 8 GiB and one more for each thread, or what the machine has left where that is less.
     pub memory_bytes: Option<u64>,
     /// Most time for a tile, and for opening a model.
     pub time: Duration,
@@ -47,9 +50,9 @@ pub struct Apart {
 }
 
 impl Apart {
-    /// As a child of `program`, within 8 GiB of address space and one more for each thread, ten minutes a tile.
-    pub fn of(program: PathBuf) -> Self {
-        Self { program, memory_bytes: None, time: TIME, hint: "" }
+    /// As a child of `helper`, within what the machine has and at most 8 GiB of address space and one more for each thread, ten minutes a tile.
+    pub fn of(helper: Helper) -> Self {
+        Self { helper, memory_bytes: None, time: TIME, hint: "" }
     }
 }
 
@@ -93,6 +96,14 @@ impl Network {
         }
     }
 
+    /// What the child is held by; `None` for a network that runs here.
+    pub fn confinement(&self) -> Option<Confinement> {
+        match self {
+            Self::Here(_) => None,
+            Self::Apart(process) => Some(lock(&process.live).confinement),
+        }
+    }
+
     /// How many tiles the runtime works on at a time.
     pub fn workers(&self) -> usize {
         match self {
@@ -122,74 +133,39 @@ impl Network {
     }
 }
 
-/// What a child is told first; the model's bytes follow.
-#[derive(Serialize, Deserialize)]
-struct Asked {
-    file: PathBuf,
-    model_bytes: u64,
-    onnxruntime: Option<PathBuf>,
-    threads: usize,
-    choice: Choice,
-}
-
-/// What it answers.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Opened {
-    runtime: Runtime,
-    workers: usize,
-}
-
-/// An error on its way.
-#[derive(Debug, Serialize, Deserialize)]
-struct Refused {
-    file: String,
-    place: String,
-    found: String,
-    allowed: String,
-}
-
-impl Refused {
-    fn of(error: Error) -> Self {
-        match error {
-            Error::BadInput { file, place, found, allowed } => Self { file, place, found, allowed },
-            other => {
-                let allowed = "a model that takes and returns an image".to_owned();
-                Self { file: "model.onnx".into(), place: "inference".into(), found: other.to_string(), allowed }
-            }
-        }
-    }
-
-    fn error(self) -> Error {
-        Error::bad(self.file, self.place, self.found, self.allowed)
-    }
-}
-
-/// A tile's result, and the time within the runtime.
-type Answer = std::result::Result<(Array4<f32>, Duration), Refused>;
-
-/// The child's side: opens what it is told to on `input`, and answers its tiles on `out` until there are no more.
+/// The child's side: loads the runtime that it is told to on `input`, gives up what it does not need any more by `seal`, opens the model, and answers tiles on
+/// `out` until there are no more.
 ///
 /// # Errors
-/// An input that is none, an answer that cannot be written. A model that is refused is an answer.
-pub fn serve(input: &mut impl BufRead, out: &mut (impl Write + Send)) -> std::io::Result<()> {
-    child::follow_parent();
-    let mut line = String::new();
-    input.take(MOST_WORDS).read_line(&mut line)?;
-    let asked: Asked = serde_json::from_str(&line)?;
+/// An input that is none, an answer that cannot be written. A model that is refused is an answer, and so is a sandbox that could not be entered.
+pub(crate) fn serve(
+    input: &mut impl BufRead,
+    out: &mut (impl Write + Send),
+    seal: impl FnOnce() -> std::result::Result<Confinement, String>,
+) -> std::io::Result<()> {
+    let asked: Asked = line(input)?;
+    let options = Options { onnxruntime: asked.onnxruntime, threads: asked.threads, choice: asked.choice };
+    let more = std::iter::once_with(|| -> std::io::Result<Vec<Candidate>> {
+        words(out, &Said::Look)?;
+        line(input)
+    });
+    let candidates = asked.candidates.into_iter().chain(more.flat_map(std::io::Result::unwrap_or_default));
+    let prepared = Prepared::with(&options, candidates);
+    let confinement = match seal() {
+        Ok(confinement) => confinement,
+        Err(why) => return unheld(out, why),
+    };
+    words(out, &Said::Ready(confinement))?;
     let mut model = Vec::new();
     input.take(asked.model_bytes).read_to_end(&mut model)?;
-    let options = Options { onnxruntime: asked.onnxruntime, threads: asked.threads, choice: asked.choice };
-    let opened = Session::open(&model, &asked.file, &options);
+    let opened = prepared.open(&model, &asked.file);
     drop(model);
     let session = match opened {
         Ok(session) => session,
-        Err(error) => {
-            let answer: std::result::Result<Opened, Refused> = Err(Refused::of(error));
-            return words(out, &answer);
-        }
+        Err(error) => return words(out, &Said::Opened(Err(Refused::of(error)))),
     };
     let workers = session.parallel_tiles();
-    words(out, &Ok::<_, Refused>(Opened { runtime: session.runtime().clone(), workers }))?;
+    words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers })))?;
     let out = Mutex::new(out);
     let (sender, receiver) = mpsc::sync_channel::<(u64, Array4<f32>)>(1);
     let receiver = Mutex::new(receiver);
@@ -218,80 +194,9 @@ pub fn serve(input: &mut impl BufRead, out: &mut (impl Write + Send)) -> std::io
     })
 }
 
-/// One line of JSON.
-fn words(out: &mut (impl Write + ?Sized), what: &impl Serialize) -> std::io::Result<()> {
-    serde_json::to_writer(&mut *out, what)?;
-    out.write_all(b"\n")?;
-    out.flush()
-}
-
-/// A tile: its number, its shape, its samples.
-fn write_tile(out: &mut (impl Write + ?Sized), id: u64, tile: ArrayView4<'_, f32>) -> std::io::Result<()> {
-    out.write_all(&id.to_ne_bytes())?;
-    for n in tile.shape() {
-        out.write_all(&(*n as u64).to_ne_bytes())?;
-    }
-    out.write_all(bytemuck::cast_slice(tile.as_standard_layout().as_slice().unwrap_or_default()))?;
-    out.flush()
-}
-
-fn number(input: &mut impl Read) -> std::io::Result<u64> {
-    let mut bytes = [0; 8];
-    input.read_exact(&mut bytes)?;
-    Ok(u64::from_ne_bytes(bytes))
-}
-
-/// The samples after a tile's number, `most` of them.
-fn read_samples(input: &mut impl Read, most: u64) -> std::io::Result<Array4<f32>> {
-    let bad = || std::io::Error::new(std::io::ErrorKind::InvalidData, "a tile that is none");
-    let mut shape = [0_usize; 4];
-    let mut count = 1_u64;
-    for n in &mut shape {
-        let side = number(input)?;
-        count = count.checked_mul(side).filter(|c| *c <= most).ok_or_else(bad)?;
-        *n = usize::try_from(side).map_err(|_| bad())?;
-    }
-    let samples = child::read_samples(input, usize::try_from(count).map_err(|_| bad())?)?;
-    Array4::from_shape_vec(shape, samples).map_err(|_| bad())
-}
-
-/// The next tile; `None` when there are no more.
-fn read_tile(input: &mut impl BufRead) -> std::io::Result<Option<(u64, Array4<f32>)>> {
-    if input.fill_buf()?.is_empty() {
-        return Ok(None);
-    }
-    let id = number(input)?;
-    Ok(Some((id, read_samples(input, MOST_SAMPLES)?)))
-}
-
-/// What became of a tile: a byte, nanoseconds, its number and samples, or its number and a line.
-fn write_answer(out: &mut (impl Write + ?Sized), id: u64, answer: &Answer) -> std::io::Result<()> {
-    match answer {
-        Ok((tile, took)) => {
-            out.write_all(&[1])?;
-            out.write_all(&u64::try_from(took.as_nanos()).unwrap_or(u64::MAX).to_ne_bytes())?;
-            write_tile(out, id, tile.view())
-        }
-        Err(refused) => {
-            out.write_all(&[0])?;
-            out.write_all(&id.to_ne_bytes())?;
-            words(out, refused)
-        }
-    }
-}
-
-/// The next answer, of as many samples as `most` says once it is there.
-fn read_answer(input: &mut impl BufRead, most: impl Fn() -> u64) -> std::io::Result<(u64, Answer)> {
-    let mut kind = [0];
-    input.read_exact(&mut kind)?;
-    if kind == [1] {
-        let took = Duration::from_nanos(number(input)?);
-        return Ok((number(input)?, Ok((read_samples(input, most())?, took))));
-    }
-    let id = number(input)?;
-    let mut line = String::new();
-    input.take(MOST_WORDS).read_line(&mut line)?;
-    Ok((id, Err(serde_json::from_str(&line)?)))
+/// The answer of a child that could not be held to its limits.
+pub(crate) fn unheld(out: &mut impl Write, why: String) -> std::io::Result<()> {
+    words(out, &Said::Unheld(why))
 }
 
 /// Who waits for which tile, when the child last answered, and why it is no more.
@@ -305,12 +210,13 @@ struct Desk {
 /// A child at work; it ends when this is dropped.
 struct Live {
     child: Mutex<Child>,
-    /// Tiles on their way to the child: a child that does not read keeps nobody waiting for longer than the limit.
-    tiles: Mutex<mpsc::Sender<(u64, Array4<f32>)>>,
+    /// What is on its way to the child: a child that does not read keeps nobody waiting for longer than the limit.
+    to_write: Mutex<mpsc::Sender<Written>>,
     desk: Arc<Mutex<Desk>>,
     /// Samples of the largest tile so far: no answer is larger.
     largest: Arc<AtomicU64>,
     opened: Opened,
+    confinement: Confinement,
 }
 
 impl Drop for Live {
@@ -341,14 +247,17 @@ impl std::fmt::Debug for Process {
 impl Process {
     fn open(model: &[u8], file: &Path, options: &Options, apart: &Apart) -> Result<Self> {
         let failed = |e: std::io::Error| Error::Internal(format!("the network's process: {e}"));
+        let folder = apart.helper.program().parent();
         let asked = Asked {
             file: file.to_owned(),
             model_bytes: model.len() as u64,
             onnxruntime: options.onnxruntime.as_deref().map(std::path::absolute).transpose().map_err(failed)?,
+            candidates: onnxruntime::candidates(folder.unwrap_or(Path::new(""))).collect(),
             threads: options.thread_count(),
             choice: options.choice,
         };
         let memory = MEMORY.saturating_add(MEMORY_A_THREAD.saturating_mul(asked.threads as u64));
+        let memory = memory.min(Limit::of_process().addresses(asked.threads));
         let limits = Limits { memory_bytes: apart.memory_bytes.unwrap_or(memory), time: apart.time };
         let live = Live::start(&asked, model, apart, limits)?;
         Ok(Self {
@@ -384,7 +293,7 @@ impl Process {
             desk.waiting.insert(id, sender);
         }
         // (Nobody hears of a tile that could not be sent: the child is gone then, and who waits is told.)
-        let _ = lock(&live.tiles).send((id, tile.to_owned()));
+        let _ = lock(&live.to_write).send(Written::Tile(id, tile.to_owned()));
         let answer = live.answer(&receiver, self.limits, "a tile");
         answer.map_err(|why| refused(&self.asked, &why, &self.apart))?.map_err(Refused::error)
     }
@@ -399,37 +308,60 @@ fn refused(asked: &Asked, why: &str, apart: &Apart) -> Error {
 impl Live {
     fn start(asked: &Asked, model: &[u8], apart: &Apart, limits: Limits) -> Result<Self> {
         let failed = |e: std::io::Error| Error::Internal(format!("the network's process: {e}"));
-        let mut first = Vec::new();
-        words(&mut first, asked).map_err(failed)?;
-        first.extend_from_slice(model);
         let start = Start {
-            program: &apart.program,
-            arguments: &[COMMAND.into()],
+            helper: &apart.helper,
+            command: COMMAND,
             limits,
             once: false,
-            listens: true,
+            input: Stdio::piped(),
             threads: asked.threads,
         };
-        let mut child = start.spawn().map_err(failed)?;
+        let mut child = start.spawn().map_err(|e| {
+            let helper = apart.helper.program().display();
+            Error::Internal(format!("the network's process ({helper}): {e}"))
+        })?;
         let (input, output) = (child.stdin.take(), child.stdout.take());
-        let (tiles, to_write) = mpsc::channel();
-        let (said, opened) = mpsc::channel();
+        let (write, to_write) = mpsc::channel();
+        let (say, said) = mpsc::channel();
         let mut live = Self {
             child: Mutex::new(child),
-            tiles: Mutex::new(tiles),
+            to_write: Mutex::new(write.clone()),
             desk: Arc::default(),
             largest: Arc::default(),
             opened: Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 },
+            confinement: Confinement::default(),
         };
         let (Some(input), Some(output)) = (input, output) else {
             return Err(Error::Internal("the network's process has no pipes".into()));
         };
-        std::thread::spawn(move || pass_on(input, first, &to_write));
+        std::thread::spawn(move || pass_on(input, &to_write));
         let (desk, largest) = (Arc::clone(&live.desk), Arc::clone(&live.largest));
         let gone = broke_off(limits);
-        std::thread::spawn(move || listen(BufReader::new(output), &said, &desk, &largest, gone));
-        let answer = live.answer(&opened, limits, "opening the model");
-        let opened = answer.map_err(|why| refused(asked, &why, apart))?.map_err(Refused::error)?;
+        std::thread::spawn(move || listen(BufReader::new(output), &say, &desk, &largest, gone));
+        // (Nobody hears what could not be sent: the child is gone then, and who waits is told.)
+        let tell = |bytes: Vec<u8>| drop(write.send(Written::Words(bytes)));
+        tell(line_of(asked).map_err(failed)?);
+        // One question, then its readiness, then what became of the model: once it has read the model, nothing else is taken from it.
+        let (mut asks, mut ready) = (true, false);
+        let opened = loop {
+            match live.answer(&said, limits, "opening the model").map_err(|why| refused(asked, &why, apart))? {
+                // It starts a program, which the child may not.
+                Said::Look if asks && !ready => {
+                    asks = false;
+                    tell(line_of(&onnxruntime::python().into_iter().collect::<Vec<_>>()).map_err(failed)?);
+                }
+                Said::Ready(confinement) if !ready => {
+                    ready = true;
+                    live.confinement = confinement;
+                    tell(model.to_vec());
+                }
+                Said::Unheld(why) if !ready => {
+                    return Err(Error::Internal(format!("the network's process was not given the model: {why}")));
+                }
+                Said::Opened(opened) if ready => break opened.map_err(Refused::error)?,
+                _ => return Err(refused(asked, &broke_off(limits), apart)),
+            }
+        };
         live.opened = Opened { workers: opened.workers.clamp(1, asked.threads.max(1)), ..opened };
         Ok(live)
     }
@@ -461,33 +393,36 @@ impl Live {
 }
 
 fn broke_off(limits: Limits) -> String {
-    format!("the process that runs it broke off (more than {} MiB of memory, or stopped)", limits.memory_bytes >> 20)
+    format!("the process that runs it broke off (more than {} of memory, or stopped)", in_words(limits.memory_bytes))
 }
 
-/// Hands what comes first and then tiles to the child, until there are no more or it is gone.
-fn pass_on(mut input: impl Write, first: Vec<u8>, tiles: &mpsc::Receiver<(u64, Array4<f32>)>) {
-    let mut sent = input.write_all(&first);
-    drop(first);
-    while sent.is_ok()
-        && let Ok((id, tile)) = tiles.recv()
-    {
-        sent = write_tile(&mut input, id, tile.view());
+/// What is written to a child.
+enum Written {
+    Words(Vec<u8>),
+    Tile(u64, Array4<f32>),
+}
+
+/// Hands words and tiles to the child, until there are no more or it is gone.
+fn pass_on(mut input: impl Write, to_write: &mpsc::Receiver<Written>) {
+    while let Ok(next) = to_write.recv() {
+        let sent = match next {
+            Written::Words(bytes) => input.write_all(&bytes).and_then(|()| input.flush()),
+            Written::Tile(id, tile) => write_tile(&mut input, id, tile.view()),
+        };
+        if sent.is_err() {
+            return;
+        }
     }
 }
 
 /// Hands the child's answers to who waits for them. When there are no more nobody waits any longer.
-fn listen(
-    mut output: impl BufRead,
-    said: &mpsc::Sender<std::result::Result<Opened, Refused>>,
-    desk: &Mutex<Desk>,
-    largest: &AtomicU64,
-    gone: String,
-) {
-    let mut line = String::new();
-    if output.by_ref().take(MOST_WORDS).read_line(&mut line).is_ok()
-        && let Ok(answer) = serde_json::from_str(&line)
-    {
-        let _ = said.send(answer);
+fn listen(mut output: impl BufRead, say: &mpsc::Sender<Said>, desk: &Mutex<Desk>, largest: &AtomicU64, gone: String) {
+    let mut opened = false;
+    while !opened && let Ok(said) = line(&mut output) {
+        opened = matches!(said, Said::Opened(_));
+        let _ = say.send(said);
+    }
+    if opened {
         while let Ok((id, answer)) = read_answer(&mut output, || largest.load(Ordering::Relaxed)) {
             let mut desk = lock(desk);
             desk.last = Some(Instant::now());

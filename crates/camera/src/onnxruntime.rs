@@ -7,35 +7,52 @@ use std::ffi::{CStr, OsStr, c_char, c_void};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
+use serde::{Deserialize, Serialize};
+
 /// A place to try, in order.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Candidate {
     /// The library: an absolute path, or a bare name for the system's loader.
     pub library: PathBuf,
     /// Who named it, for messages.
-    pub origin: &'static str,
+    pub origin: String,
 }
 
-/// The places to try: `ORT_DYLIB_PATH`, beside the program, the loader's path, the active Python environment, the Python
-/// on the path.
-pub fn candidates() -> impl Iterator<Item = Candidate> {
-    let named = std::env::var_os("ORT_DYLIB_PATH").filter(|v| !v.is_empty());
-    let named = named.map(|v| Candidate { library: PathBuf::from(v), origin: "ORT_DYLIB_PATH" });
-    let folder = std::env::current_exe().ok().and_then(|exe| exe.parent().map(Path::to_owned)).unwrap_or_default();
+impl Candidate {
+    pub(crate) fn new(library: impl Into<PathBuf>, origin: &str) -> Self {
+        Self { library: library.into(), origin: origin.into() }
+    }
+}
+
+/// The places to try: `ORT_DYLIB_PATH`, beside the program that loads it, the loader's path, the active Python environment. What is found is no path that depends
+/// on a working folder.
+pub(crate) fn candidates(folder: &Path) -> impl Iterator<Item = Candidate> {
+    let named = std::env::var_os("ORT_DYLIB_PATH").filter(|v| !v.is_empty()).map(PathBuf::from);
+    // A bare name is the loader's to find.
+    let whole = |p: PathBuf| if p.components().count() == 1 { p } else { std::path::absolute(&p).unwrap_or(p) };
+    let named = named.map(|v| Candidate::new(whole(v), "ORT_DYLIB_PATH"));
     let beside: Vec<PathBuf> = loader_names().iter().map(|n| folder.join(n)).filter(|p| p.exists()).collect();
     // The binding takes a bare name from the program's folder where it lies there.
     let by_name = if beside.is_empty() { loader_names() } else { &[] };
-    let beside = beside.into_iter().map(|library| Candidate { library, origin: "the program's folder" });
-    let loader = by_name.iter().map(|n| Candidate { library: n.into(), origin: "the loader's path" });
+    let beside = beside.into_iter().map(|library| Candidate::new(library, "the program's folder"));
+    let loader = by_name.iter().map(|n| Candidate::new(n, "the loader's path"));
     let environment = std::env::var_os("VIRTUAL_ENV")
         .map(PathBuf::from)
         .into_iter()
         .flat_map(|root| site_packages(&root).into_iter().filter_map(|site| library_in(&site.join("onnxruntime"))));
-    let environment = environment.map(|library| Candidate { library, origin: "VIRTUAL_ENV" });
-    // Last, because it starts a program.
-    let python = std::iter::once_with(|| python_package().and_then(|package| library_in(&package))).flatten();
-    let python = python.map(|library| Candidate { library, origin: "Python's onnxruntime package" });
-    named.into_iter().chain(beside).chain(loader).chain(environment).chain(python)
+    let environment = environment.map(|library| Candidate::new(library, "VIRTUAL_ENV"));
+    named.into_iter().chain(beside).chain(loader).chain(environment)
+}
+
+/// The place to try last, because it starts a program: the package of the Python on the path.
+pub(crate) fn python() -> Option<Candidate> {
+    let library = python_package().and_then(|package| library_in(&package))?;
+    Some(Candidate::new(library, "Python's onnxruntime package"))
+}
+
+/// The folder of the running program.
+pub(crate) fn own_folder() -> PathBuf {
+    std::env::current_exe().ok().and_then(|exe| exe.parent().map(Path::to_owned)).unwrap_or_default()
 }
 
 /// The version text of an ONNX Runtime library, for instance `1.24.0`; the error is a clause that says what it is instead.

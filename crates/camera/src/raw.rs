@@ -13,6 +13,7 @@ mod opcodes;
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::Path;
+use std::sync::Arc;
 
 use ndarray::{Array2, Array3};
 use rawler::decoders::{FormatHint, RawDecodeParams, WellKnownIFD};
@@ -113,24 +114,30 @@ pub fn has_raw_name(path: &Path) -> bool {
 /// Decodes a RAW file in this process.
 ///
 /// # Errors
-/// A file that cannot be read, is cut short, is no RAW, or whose facts contradict each other; a panic of the decoder
-/// becomes an error too. Memory is not limited here.
+/// A file that cannot be read; as [`decode_bytes`].
 pub fn decode(path: &Path) -> Result<RawCapture> {
     let facts = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?;
     if !facts.is_file() {
         return Err(bad(path, "not a file", ALLOWED));
     }
-    if facts.len() == 0 {
+    decode_bytes(std::fs::read(path).map_err(|e| Error::reading(path, e))?, path)
+}
+
+/// Decodes a RAW file's bytes in this process; `path` names them in messages.
+///
+/// # Errors
+/// Bytes that are cut short, are no RAW, or whose facts contradict each other; a panic of the decoder becomes an error too. Memory is not limited here.
+pub fn decode_bytes(bytes: Vec<u8>, path: &Path) -> Result<RawCapture> {
+    if bytes.is_empty() {
         return Err(bad(path, "the file is empty", ALLOWED));
     }
-    // The decoder maps the file; opening it first gives the system's own reason.
-    std::fs::File::open(path).map_err(|e| Error::reading(path, e))?;
+    let length = bytes.len() as u64;
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let source = RawSource::new(path).map_err(|e| Error::reading(path, e))?;
+        let source = RawSource::new_from_shared_vec(Arc::new(bytes)).with_path(path);
         let decoder = rawler::get_decoder(&source).map_err(|e| refused(path, &e.to_string()))?;
         let directory = catch_unwind(AssertUnwindSafe(|| decoder.ifd(WellKnownIFD::Raw).ok().flatten())).ok().flatten();
         if let Some(directory) = &directory {
-            check_extent(path, directory, facts.len())?;
+            check_extent(path, directory, length)?;
         }
         let dng = directory.filter(|_| decoder.format_hint() == FormatHint::DNG);
         if let Some(directory) = &dng {

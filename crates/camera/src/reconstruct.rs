@@ -3,6 +3,8 @@
 //! The order is [`isoplanat_imaging::develop`]'s. Without a kit the capture is developed from what its own file says, and
 //! no network is applied.
 
+mod memory;
+
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -141,7 +143,7 @@ impl Camera {
         Self::default()
     }
 
-    /// A camera with a kit. The network's runtime is opened here, unless `steps` leaves the network out.
+    /// A camera with a kit. The network's runtime is opened here, unless `steps` leaves the network out: in this process, without limits, for kits of one's own.
     ///
     /// # Errors
     /// A model the runtime refuses, or a named runtime that cannot be used.

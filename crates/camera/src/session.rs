@@ -4,6 +4,8 @@
 //! model runs in tract, which is part of this program, and [`Session::runtime`] says so and why. Both give the same
 //! picture to 1e-5.
 
+mod model;
+
 use std::collections::{BTreeMap, HashMap};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
@@ -16,14 +18,8 @@ use tract_onnx::prelude::{
 };
 
 use crate::lock;
-use crate::onnxruntime::{Candidate, candidates, version_of};
+use crate::onnxruntime::{Candidate, candidates, own_folder, python, version_of};
 use isoplanat_base::error::{Error, Result};
-
-/// Operators that the exporter writes.
-const OPERATORS: [&str; 10] =
-    ["Add", "Cast", "Concat", "Conv", "ConvTranspose", "MaxPool", "Mul", "PRelu", "Slice", "Split"];
-/// Nodes of a graph at most: the exporter's largest networks have some hundreds.
-const MOST_NODES: usize = 20_000;
 
 /// How often slower tract was than ONNX Runtime, per thread, on U-Nets of three scales (32 to 128 channels).
 const TRACT_SLOWDOWN: &str = "3 to 4";
@@ -130,26 +126,44 @@ impl std::fmt::Debug for Session {
     }
 }
 
-impl Session {
+/// A runtime that is found, its library loaded: a model may be opened in it, and nothing of the file system is needed for that any more.
+pub struct Prepared {
+    /// Whether ONNX Runtime is there, else why not.
+    onnxruntime: std::result::Result<(), String>,
+    options: Options,
+}
+
+impl Prepared {
+    /// The runtime that the options ask for, looked for at all places.
+    pub fn new(options: &Options) -> Self {
+        let python = std::iter::once_with(python).flatten();
+        Self::with(options, candidates(&own_folder()).chain(python))
+    }
+
+    /// The runtime that the options ask for, from the first of the `candidates` where they name none.
+    pub(crate) fn with(options: &Options, candidates: impl Iterator<Item = Candidate>) -> Self {
+        let onnxruntime = match options.choice {
+            Choice::Tract => Err(String::new()),
+            _ => load(options.onnxruntime.as_deref(), candidates),
+        };
+        Self { onnxruntime, options: options.clone() }
+    }
+
     /// Opens an ONNX model given as bytes; `file` names it in messages.
     ///
     /// # Errors
     /// No ONNX model with one image in and one out, a runtime that refuses it, or a named library that cannot be used.
-    pub fn open(model: &[u8], file: &Path, options: &Options) -> Result<Self> {
-        let proto = read_proto(model, file)?;
-        let metadata = metadata_of(&proto);
+    pub fn open(self, bytes: &[u8], file: &Path) -> Result<Session> {
+        let Self { onnxruntime, options } = self;
+        let proto = model::read(bytes, file)?;
+        let metadata = model::metadata(&proto);
         let threads = options.thread_count();
-        let onnxruntime = match options.choice {
-            Choice::Tract => Err(String::new()),
-            _ => find_environment(options.onnxruntime.as_deref()),
-        };
-        match onnxruntime {
-            Ok(environment) => {
-                let session = guarded(|| onnxruntime_session(&environment.environment, model, threads))
-                    .map_err(|e| bad_model(file, &e))?;
-                let Loaded { version, library, origin, .. } = environment;
-                let runtime = Runtime::OnnxRuntime { version, library, origin: origin.into() };
-                Ok(Self { engine: Engine::OnnxRuntime(Mutex::new(session)), runtime, metadata, threads })
+        match onnxruntime.and_then(|()| environment()) {
+            Ok((Library { version, library, origin }, environment)) => {
+                let session = guarded(|| onnxruntime_session(&environment, &model::bytes(&proto), threads))
+                    .map_err(|e| model::bad(file, &e))?;
+                let runtime = Runtime::OnnxRuntime { version, library, origin };
+                Ok(Session { engine: Engine::OnnxRuntime(Mutex::new(session)), runtime, metadata, threads })
             }
             Err(reason) if options.onnxruntime.is_some() && options.choice != Choice::Tract => {
                 let path = options.onnxruntime.as_deref().unwrap_or(file).display().to_string();
@@ -164,9 +178,19 @@ impl Session {
             }
             Err(reason) => {
                 let engine = Engine::Tract { proto: Box::new(proto), plans: Mutex::default() };
-                Ok(Self { engine, runtime: Runtime::Tract { reason }, metadata, threads })
+                Ok(Session { engine, runtime: Runtime::Tract { reason }, metadata, threads })
             }
         }
+    }
+}
+
+impl Session {
+    /// Opens an ONNX model given as bytes in the runtime that the options ask for; `file` names it in messages.
+    ///
+    /// # Errors
+    /// As [`Prepared::open`].
+    pub fn open(model: &[u8], file: &Path, options: &Options) -> Result<Self> {
+        Prepared::new(options).open(model, file)
     }
 
     /// The runtime in use; its text says why, and what it costs.
@@ -212,8 +236,8 @@ impl Session {
 ///
 /// # Errors
 /// Bytes that are no ONNX model with one image in and one out.
-pub fn metadata(model: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
-    Ok(metadata_of(&read_proto(model, file)?))
+pub fn metadata(bytes: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
+    Ok(model::metadata(&model::read(bytes, file)?))
 }
 
 /// Runs what may panic inside a runtime; errors become their first line.
@@ -225,68 +249,37 @@ fn guarded<T>(work: impl FnOnce() -> std::result::Result<T, String>) -> std::res
     }
 }
 
-fn bad_model(file: &Path, reason: &str) -> Error {
-    Error::bad(file.display().to_string(), "model", reason, "an ONNX model that takes and returns an image")
-}
-
-/// Reads the file's structure and checks that it takes one image and returns one.
-fn read_proto(model: &[u8], file: &Path) -> Result<Proto> {
-    let read = || tract_onnx::onnx().proto_model_for_read(&mut &model[..]).map_err(|e| e.to_string());
-    let proto = guarded(read).map_err(|_| bad_model(file, "cannot be read as ONNX"))?;
-    let Some(graph) = &proto.graph else { return Err(bad_model(file, "holds no graph")) };
-    // Loops have no end, and files elsewhere are not the kit's.
-    let foreign = |op: &str, domain: &str| !(domain.is_empty() && OPERATORS.contains(&op));
-    if let Some(node) = graph.node.iter().find(|n| foreign(&n.op_type, &n.domain)) {
-        let allowed = format!("the operators that `isoplanat export` writes: {}", OPERATORS.join(", "));
-        let found: String = node.op_type.chars().take(60).collect();
-        return Err(Error::bad(file.display().to_string(), "operator", found, allowed));
-    }
-    if graph.node.len() > MOST_NODES || graph.initializer.iter().any(|t| !t.external_data.is_empty()) {
-        let found = format!("{} nodes, or weights in other files", graph.node.len());
-        return Err(bad_model(file, &found));
-    }
-    let weights: Vec<&str> = graph.initializer.iter().map(|t| t.name.as_str()).collect();
-    let inputs = graph.input.iter().filter(|i| !weights.contains(&i.name.as_str())).count();
-    if inputs != 1 || graph.output.len() != 1 {
-        return Err(bad_model(file, &format!("has {inputs} inputs and {} outputs", graph.output.len())));
-    }
-    Ok(proto)
-}
-
-fn metadata_of(proto: &Proto) -> BTreeMap<String, String> {
-    proto.metadata_props.iter().map(|entry| (entry.key.clone(), entry.value.clone())).collect()
-}
-
-/// ONNX Runtime, loaded: one library and one environment for the whole process.
+/// ONNX Runtime's library, loaded.
 #[derive(Clone)]
-struct Loaded {
-    environment: ort::environment::Environment,
+struct Library {
     version: String,
     library: PathBuf,
-    origin: &'static str,
+    origin: String,
 }
 
-/// What became of loading it.
+/// One library and one environment for the whole process.
 enum Loading {
     NotTried,
-    Done(Loaded),
+    /// The library is loaded, and nothing of it was run but the question for its version.
+    Library(Library, Box<ort::environment::EnvironmentBuilder>),
+    Done(Library, ort::environment::Environment),
     /// The binding itself failed; it must not be called again (see [`crate::onnxruntime`]).
     Broken(String),
 }
 
 static LOADING: Mutex<Loading> = Mutex::new(Loading::NotTried);
 
-/// The process's environment, made now if need be; the error is a clause that says why there is none.
-fn find_environment(named: Option<&Path>) -> std::result::Result<Loaded, String> {
+/// Loads the library that is named, or the first of the candidates that is one, if none is loaded; the error is a clause that says why there is none.
+fn load(named: Option<&Path>, mut candidates: impl Iterator<Item = Candidate>) -> std::result::Result<(), String> {
     let named = named.map(std::path::absolute).transpose().map_err(|e| e.to_string())?;
     let mut loading = lock(&LOADING);
     match &*loading {
-        Loading::Done(loaded) => {
+        Loading::Library(loaded, _) | Loading::Done(loaded, _) => {
             return match named {
                 Some(path) if path != loaded.library => {
                     Err(format!("{} is loaded already, and a process holds one", loaded.library.display()))
                 }
-                _ => Ok(loaded.clone()),
+                _ => Ok(()),
             };
         }
         Loading::Broken(reason) => return Err(reason.clone()),
@@ -308,27 +301,43 @@ fn find_environment(named: Option<&Path>) -> std::result::Result<Loaded, String>
         }
     };
     let found = match named.clone() {
-        Some(library) => usable(Candidate { library, origin: "--onnxruntime" }),
-        None => candidates().find_map(usable),
+        Some(library) => usable(Candidate::new(library, "--onnxruntime")),
+        None => candidates.find_map(usable),
     };
     let Some((Candidate { library, origin }, version)) = found else {
         return Err(if failures.is_empty() { "no library was found".into() } else { failures.join("; ") });
     };
-    let environment = guarded(|| {
-        let builder = ort::init_from(&library).map_err(|e| e.to_string())?;
-        builder.with_name("isoplanat").with_telemetry(false).build().map_err(|e| e.to_string())
-    });
-    match environment {
-        Ok(environment) => {
-            let loaded = Loaded { environment, version, library, origin };
-            *loading = Loading::Done(loaded.clone());
-            Ok(loaded)
+    match guarded(|| ort::init_from(&library).map_err(|e| e.to_string())) {
+        Ok(builder) => {
+            *loading = Loading::Library(Library { version, library, origin }, Box::new(builder));
+            Ok(())
         }
         Err(reason) => {
             let reason = format!("{} ({origin}): {reason}", library.display());
             *loading = Loading::Broken(reason.clone());
             Err(reason)
         }
+    }
+}
+
+/// The process's environment, made now if need be in the library that [`load`] loaded: with it the runtime starts to look about and to make threads. The error
+/// is a clause that says why there is none.
+fn environment() -> std::result::Result<(Library, ort::environment::Environment), String> {
+    let mut loading = lock(&LOADING);
+    match std::mem::replace(&mut *loading, Loading::NotTried) {
+        Loading::Library(library, builder) => {
+            let build = || builder.with_name("isoplanat").with_telemetry(false).build().map_err(|e| e.to_string());
+            *loading = match guarded(build) {
+                Ok(environment) => Loading::Done(library, environment),
+                Err(reason) => Loading::Broken(format!("{} ({}): {reason}", library.library.display(), library.origin)),
+            };
+        }
+        before => *loading = before,
+    }
+    match &*loading {
+        Loading::Done(library, environment) => Ok((library.clone(), environment.clone())),
+        Loading::Broken(reason) => Err(reason.clone()),
+        Loading::NotTried | Loading::Library(..) => Err("no library is loaded".into()),
     }
 }
 

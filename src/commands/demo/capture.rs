@@ -3,8 +3,10 @@
 use std::path::Path;
 use std::time::Instant;
 
+use isoplanat::deploy::child::Helper;
 use isoplanat::deploy::kit::Kit;
-use isoplanat::deploy::raw;
+use isoplanat::deploy::network_process::Apart;
+use isoplanat::deploy::raw_process;
 use isoplanat::deploy::reconstruct::{Camera, Steps};
 use isoplanat::deploy::session::Options;
 use isoplanat::deploy::tiles::{self, Tiling};
@@ -71,13 +73,16 @@ pub(crate) fn photograph(
     // The camera, with and without its network.
     let bar = Bar::new(&format!("camera: {}", unseen.name));
     let mut camera = |network: bool| -> Result<Array3<f32>> {
-        let camera = Camera::with_kit(kit.clone(), Steps { network, undistort: true }, options)?;
+        let helper = Helper::current()?;
+        let apart = Apart::of(helper.clone());
+        let camera = Camera::with_kit_apart(kit.clone(), Steps { network, undistort: true }, options, &apart)?;
         if let Some(session) = camera.network() {
             *runtime = session.runtime().to_string();
         }
         #[expect(clippy::cast_precision_loss, reason = "tile counts")]
         let progress = |done: usize, all: usize| bar.set(done as f64 / all.max(1) as f64, String::new());
-        Ok(camera.reconstruct(raw::decode(&dng)?, &dng, &progress)?.image)
+        let (raw, _) = raw_process::decode(&helper, &dng, crate::memory::limit())?;
+        Ok(camera.reconstruct(raw, &dng, &progress)?.image)
     };
     let developed = camera(false)?;
     let reconstruction = camera(true)?;

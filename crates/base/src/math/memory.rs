@@ -60,17 +60,21 @@ impl Limit {
     #[cfg(unix)]
     pub fn hold(&self) {
         let Some(used) = addresses() else { return };
-        let room = RESERVED.saturating_add(RESERVED_THREAD.saturating_mul(threads() as u64));
-        let most = used.saturating_add(self.bytes).saturating_add(room);
-        let now = getrlimit(Resource::As);
-        let most = now.current.map_or(most, |current| current.min(most));
+        let most = used.saturating_add(self.addresses(threads()));
+        let most = getrlimit(Resource::As).current.map_or(most, |current| current.min(most));
         // A system that takes no limit has none.
-        let _ = setrlimit(Resource::As, Rlimit { current: Some(most), maximum: now.maximum });
+        let _ = restrict(Resource::As, most, false);
     }
 
     /// Nothing, where the system knows no such limit.
     #[cfg(not(unix))]
     pub fn hold(&self) {}
+
+    /// Addresses that work within the limit takes on so many threads, with what they reserve and do not use.
+    pub fn addresses(&self, threads: usize) -> u64 {
+        let room = RESERVED.saturating_add(RESERVED_THREAD.saturating_mul(threads as u64));
+        self.bytes.saturating_add(room)
+    }
 
     /// Refuses `what` if it takes more than `bytes`; `instead` says what would take less.
     ///
@@ -83,6 +87,20 @@ impl Limit {
         let allowed = format!("at most {} here (--memory-gib); {instead}", words(self.bytes));
         Err(Error::bad("memory", what, format!("about {} needed", words(bytes)), allowed))
     }
+}
+
+/// Limits a resource of this process to `most`, or to what it may have at most; `for_good`: it cannot be given more later. What then stands.
+///
+/// # Errors
+/// What the system says: a kind that it does not limit, a number that it does not take.
+#[cfg(unix)]
+pub fn restrict(resource: Resource, most: u64, for_good: bool) -> std::io::Result<u64> {
+    let maximum = getrlimit(resource).maximum;
+    let most = maximum.map_or(most, |maximum| maximum.min(most));
+    let maximum = if for_good { Some(most) } else { maximum };
+    setrlimit(resource, Rlimit { current: Some(most), maximum })?;
+    // Some systems take a limit and do not keep it.
+    getrlimit(resource).current.filter(|held| *held <= most).ok_or(std::io::ErrorKind::Unsupported.into())
 }
 
 /// Bytes in words.

@@ -1,7 +1,10 @@
 //! Children that answer, refuse, fail and hang.
 
+use super::wire::MOST_SAMPLES;
 use super::*;
+use crate::session::Choice;
 use crate::test_model;
+use std::path::PathBuf;
 
 fn tile(columns: usize, seed: u64) -> Array4<f32> {
     let rng = &mut fastrand::Rng::with_seed(seed);
@@ -11,11 +14,23 @@ fn tile(columns: usize, seed: u64) -> Array4<f32> {
 fn asked(model: &[u8]) -> Vec<u8> {
     let file = PathBuf::from("k/model.onnx");
     let model_bytes = model.len() as u64;
-    let asked = Asked { file, model_bytes, onnxruntime: None, threads: 3, choice: Choice::Tract };
+    let (onnxruntime, candidates) = (None, Vec::new());
+    let asked = Asked { file, model_bytes, onnxruntime, candidates, threads: 3, choice: Choice::Tract };
     let mut bytes = Vec::new();
     words(&mut bytes, &asked).expect("writes");
     bytes.extend_from_slice(model);
     bytes
+}
+
+fn open() -> std::result::Result<Confinement, String> {
+    Ok(Confinement::default())
+}
+
+/// What a child says before it answers tiles.
+fn said(out: &mut &[u8]) -> std::result::Result<Opened, Refused> {
+    assert!(matches!(line(out).expect("JSON"), Said::Ready(_)));
+    let Said::Opened(opened) = line(out).expect("JSON") else { panic!("it is ready already") };
+    opened
 }
 
 /// The child's side, fed with everything at once: what it answers is what a session says, whatever the order, a tile that the model cannot take among
@@ -31,12 +46,9 @@ fn a_child_answers_as_a_session_does() {
     let wrong = Array4::<f32>::zeros((1, 5, 16, 16));
     write_tile(&mut input, 7, wrong.view()).expect("writes");
     let mut out = Vec::new();
-    serve(&mut &input[..], &mut out).expect("serves");
+    serve(&mut &input[..], &mut out, open).expect("serves");
     let mut out = &out[..];
-    let mut line = String::new();
-    out.read_line(&mut line).expect("a line");
-    let opened: std::result::Result<Opened, Refused> = serde_json::from_str(&line).expect("JSON");
-    assert_eq!(opened.expect("opens").workers, 3);
+    assert_eq!(said(&mut out).expect("opens").workers, 3);
     let options = Options { choice: Choice::Tract, threads: 1, ..Options::default() };
     let session = Session::open(&model, Path::new("m"), &options).expect("opens");
     let mut seen = Vec::new();
@@ -56,30 +68,48 @@ fn a_child_answers_as_a_session_does() {
 #[test]
 fn a_model_that_is_none_is_an_answer() {
     let mut out = Vec::new();
-    serve(&mut &asked(b"no model")[..], &mut out).expect("serves");
-    let opened: std::result::Result<Opened, Refused> = serde_json::from_slice(&out).expect("JSON");
-    let error = opened.expect_err("refused").error().to_string();
+    serve(&mut &asked(b"no model")[..], &mut out, open).expect("serves");
+    let error = said(&mut &out[..]).expect_err("refused").error().to_string();
     assert!(error.starts_with("k/model.onnx: model: cannot be read as ONNX"), "{error}");
     // A shape that overflows, a tile that is cut short, no first line.
     let mut cut = asked(&test_model::unet(4, 9, &[]));
     write_tile(&mut cut, 0, tile(16, 1).view()).expect("writes");
     cut.pop();
-    assert!(serve(&mut &cut[..], &mut Vec::new()).is_err() && serve(&mut &b"{}"[..], &mut Vec::new()).is_err());
+    for bad in [&cut[..], b"{}"] {
+        assert!(serve(&mut &bad[..], &mut Vec::new(), open).is_err());
+    }
     let vast: Vec<u8> = [1_u64, u64::MAX, 2, 3, 4].iter().flat_map(|n| n.to_ne_bytes()).collect();
     assert!(read_tile(&mut &vast[..]).is_err());
+}
+
+/// A child that cannot be held does not read the model; one that finds no runtime asks once for more places.
+#[test]
+fn a_child_is_held_before_it_reads_the_model() {
+    let model = test_model::unet(4, 9, &[]);
+    let mut out = Vec::new();
+    let input = asked(&model);
+    let mut input = &input[..];
+    serve(&mut input, &mut out, || Err("no limits here".into())).expect("serves");
+    assert!(matches!(line(&mut &out[..]).expect("JSON"), Said::Unheld(why) if why == "no limits here"));
+    assert_eq!(input, model);
 }
 
 #[cfg(unix)]
 #[test]
 fn children_that_fail_hang_or_babble_become_one_sentence() {
-    use std::os::unix::fs::PermissionsExt;
     let dir = tempfile::tempdir().expect("temporary folder");
-    let opened = r#"{"Ok":{"runtime":{"Tract":{"reason":""}},"workers":1}}"#;
+    let opened = Opened { runtime: Runtime::Tract { reason: String::new() }, workers: 1 };
+    let ready = serde_json::to_string(&Said::Ready(Confinement::default())).expect("JSON");
+    let look = serde_json::to_string(&Said::Look).expect("JSON");
+    let early = serde_json::to_string(&Said::Opened(Ok(opened.clone()))).expect("JSON");
+    let opened = format!("{ready}\n{early}");
     let busy = "f=$0.times; echo >> \"$f\"; [ $(wc -l < \"$f\") -gt 1 ] && exec sleep 30;";
     let scripts = [
         ("dies", "kill -9 $$".to_owned(), "broke off"),
         ("babbles", "echo hello".to_owned(), "broke off"),
         ("hangs", "exec sleep 30".to_owned(), "opening the model had not come to an end after 0.5 s"),
+        ("opens what it has not", format!("echo '{early}'; exec sleep 30"), "broke off"),
+        ("asks again", format!("echo '{ready}'; echo '{look}'; exec sleep 30"), "broke off"),
         ("opens and dies", format!("echo '{opened}'; sleep 0.1"), "broke off"),
         ("opens and hangs", format!("echo '{opened}'; exec sleep 30"), "a tile had not come to an end after 0.5 s"),
         ("opens and babbles", format!("echo '{opened}'; echo abcdefghijklmnopq; exec sleep 30"), "broke off"),
@@ -87,9 +117,8 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     ];
     for (name, script, said) in scripts {
         let program = dir.path().join(name);
-        std::fs::write(&program, format!("#!/bin/sh\n{script}\n")).expect("writes");
-        std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
-        let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::of(program) };
+        crate::child::tests::script(&program, &script);
+        let apart = Apart { time: Duration::from_millis(500), hint: "; --more", ..Apart::of(Helper::at(program)) };
         let network = Network::open(&[0; 1 << 20], Path::new("m.onnx"), &Options::default(), Some(&apart));
         // More than a pipe holds, to a child that does not read.
         let large = Array4::<f32>::zeros((1, 3, 256, 256));
@@ -113,9 +142,9 @@ fn children_that_fail_hang_or_babble_become_one_sentence() {
     }
     // A child that is stopped while nobody asks it anything: the next tile is told at once.
     let program = dir.path().join("idle");
-    std::fs::write(&program, format!("#!/bin/sh\necho '{opened}'\n")).expect("writes");
-    std::fs::set_permissions(&program, std::fs::Permissions::from_mode(0o755)).expect("executable");
-    let network = Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::of(program)));
+    crate::child::tests::script(&program, &format!("echo '{opened}'"));
+    let network =
+        Network::open(&[0; 8], Path::new("m.onnx"), &Options::default(), Some(&Apart::of(Helper::at(program))));
     std::thread::sleep(Duration::from_millis(300));
     let clock = Instant::now();
     let error = network.expect("opens").run(Array4::zeros((1, 3, 4, 4)).view()).expect_err("gone");

@@ -117,7 +117,10 @@ pub(crate) struct Running {
     /// Threads [default: one for each core].
     #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
     pub(crate) threads: usize,
-    /// Memory that the network's process may take, MiB of address space [default: 8192, and 1024 for each thread].
+    /// Memory that this program may take, GiB, and its decoder's process as much; what needs more is refused [default: four fifths of what the system has left].
+    #[arg(long, value_name = "GIB")]
+    pub(crate) memory_gib: Option<f64>,
+    /// Memory that the network's process may take, MiB of address space [default: 8192, and 1024 for each thread, or what the system has left].
     #[arg(long, value_name = "MIB", requires = "kit", value_parser = clap::value_parser!(u64).range(16..=MOST_MIB))]
     pub(crate) network_memory: Option<u64>,
     /// Time that it may take for a tile, and for opening the model.

@@ -3,12 +3,14 @@
 use std::path::Path;
 use std::time::Instant;
 
+use crate::child::Helper;
 use crate::developed;
 use crate::network_process::Network;
-use crate::raw_process::{self, LIMITS};
+use crate::raw_process;
 use crate::reconstruct::Camera;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::Limit;
 use serde_json::json;
 
 use crate::program::bench::Figures;
@@ -27,6 +29,15 @@ pub(crate) struct Told {
     pub(crate) bench: bool,
 }
 
+/// What captures are developed with.
+#[derive(Clone, Debug)]
+pub(crate) struct Means {
+    /// The program that decodes them.
+    pub(crate) helper: Helper,
+    /// Most memory.
+    pub(crate) memory: Limit,
+}
+
 /// A run over captures.
 pub(crate) struct Batch<'a> {
     /// What is to be written.
@@ -34,12 +45,13 @@ pub(crate) struct Batch<'a> {
     /// What is to be said.
     pub(crate) told: Told,
     camera: &'a Camera,
+    means: Means,
     bar: ProgressBar,
 }
 
 impl<'a> Batch<'a> {
-    pub(crate) fn new(pictures: &'a Pictures, told: Told, camera: &'a Camera) -> Self {
-        Self { pictures, told, camera, bar: ProgressBar::hidden() }
+    pub(crate) fn new(pictures: &'a Pictures, told: Told, camera: &'a Camera, means: Means) -> Self {
+        Self { pictures, told, camera, means, bar: ProgressBar::hidden() }
     }
 
     /// The bar goes.
@@ -76,17 +88,21 @@ impl<'a> Batch<'a> {
     /// Develops the capture `k` of `n` into `out`.
     pub(crate) fn develop(&self, (k, n): (usize, usize), capture: &Path, out: &Path) -> Result<serde_json::Value> {
         let camera = self.camera;
-        let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
         if n > 1 {
             self.show((k, n), capture, 0.0);
         }
         let started = Instant::now();
-        let raw = if developed::is_picture(capture) {
-            developed::read(capture)?
+        let (raw, decoder) = if developed::is_picture(capture) {
+            (developed::read(capture)?, None)
         } else {
-            raw_process::decode(&program, capture, LIMITS)?
+            let (raw, confinement) = raw_process::decode(&self.means.helper, capture, self.means.memory)?;
+            (raw, Some(confinement))
         };
         let decode = started.elapsed();
+        let (rows, columns) = raw.size();
+        let needed = camera.bytes_needed(&raw, self.pictures.bytes_a_pixel(out));
+        let instead = "a smaller picture, or a larger limit";
+        self.means.memory.allow(&format!("{}: {columns} × {rows} pixels", capture.display()), needed, instead)?;
         let (make, model) = (raw.make.clone(), raw.model.clone());
         let picture =
             camera.reconstruct(raw, capture, &|done, all| self.show((k, n), capture, done as f64 / all as f64))?;
@@ -138,6 +154,7 @@ impl<'a> Batch<'a> {
             "outside_fraction": picture.outside_fraction,
             "notes": picture.notes,
             "times": figures.json(),
+            "children": { "decoder": decoder, "network": camera.network().and_then(Network::confinement) },
         }))
     }
 }

@@ -3,17 +3,19 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
+use crate::child::Helper;
 use crate::kit::Kit;
 use crate::network_process::Apart;
 use crate::reconstruct::{Camera, Steps, Target, Veil};
 use crate::session::{Options, Runtime};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::math::memory::Limit;
 use isoplanat_imaging::calibrate::file::MeasuredDistortion;
 use isoplanat_imaging::calibrate::shading::MeasuredShading;
 use serde_json::json;
 
 use crate::program::arguments::{Arguments, Shoulder, Space};
-use crate::program::batch::{Batch, Told};
+use crate::program::batch::{Batch, Means, Told};
 use crate::program::say::{complain, say};
 use crate::program::{output, show, watch};
 
@@ -27,27 +29,30 @@ pub(crate) fn run(arguments: &Arguments) -> u8 {
 
 fn work(arguments: &Arguments) -> Result<u8> {
     isoplanat_base::math::simd::check_environment()?;
+    if arguments.running.threads > 0 {
+        // Fails only if the pool is in use already.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
+    }
+    let memory = arguments.running.memory_gib.map_or_else(|| Ok(Limit::of_process()), Limit::gib)?;
+    memory.hold();
+    let means = Means { helper: Helper::current()?, memory };
     let kit = arguments.kit.as_deref().map(Kit::load).transpose()?;
     if let (true, Some(kit)) = (arguments.show_kit, &kit) {
         show::show_kit(kit, arguments.json)?;
         return Ok(0);
     }
-    if arguments.running.threads > 0 {
-        // Fails only if the pool is in use already.
-        let _ = rayon::ThreadPoolBuilder::new().num_threads(arguments.running.threads).build_global();
-    }
     let pictures = arguments.pictures();
     let told = Told { json: arguments.json, bench: arguments.bench };
     if arguments.watch {
         let out = watch::folders(&pictures)?;
-        let camera =
-            camera(arguments, kit)?.making(target(arguments, &[out.join(output::named("a", pictures.format))])?);
-        return watch::run(&Batch::new(&pictures, told, &camera), out);
+        let camera = camera(arguments, kit, &means)?
+            .making(target(arguments, &[out.join(output::named("a", pictures.format))])?);
+        return watch::run(&Batch::new(&pictures, told, &camera, means), out);
     }
     let captures = output::captures(&arguments.captures)?;
     let outputs = pictures.plan(&captures)?;
-    let camera = camera(arguments, kit)?.making(target(arguments, &outputs)?);
-    let batch = Batch::new(&pictures, told, &camera);
+    let camera = camera(arguments, kit, &means)?.making(target(arguments, &outputs)?);
+    let batch = Batch::new(&pictures, told, &camera, means);
     let mut code = 0;
     let mut results = Vec::new();
     for (k, (capture, out)) in captures.iter().zip(&outputs).enumerate() {
@@ -88,7 +93,7 @@ fn target(arguments: &Arguments, outputs: &[PathBuf]) -> Result<Target> {
     }
 }
 
-fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
+fn camera(arguments: &Arguments, kit: Option<Kit>, means: &Means) -> Result<Camera> {
     let Some(kit) = kit else {
         crate::program::tell!("isoplanat-camera: no --kit: the RAW is developed, no network is applied");
         let mut camera = Camera::plain();
@@ -106,12 +111,11 @@ fn camera(arguments: &Arguments, kit: Option<Kit>) -> Result<Camera> {
         threads: arguments.running.threads,
         ..Options::default()
     };
-    let program = std::env::current_exe().map_err(|e| Error::Internal(format!("the program's own path: {e}")))?;
     let apart = Apart {
         memory_bytes: arguments.running.network_memory.map(|mib| mib << 20),
         time: Duration::from_secs_f64(arguments.running.tile_seconds),
         hint: "; --network-memory and --tile-seconds set them",
-        ..Apart::of(program)
+        ..Apart::of(means.helper.clone())
     };
     let camera = Camera::with_kit_apart(kit, steps, &options, &apart)?;
     let camera = camera.without(arguments.corrections.glare.unwrap_or_default())?;

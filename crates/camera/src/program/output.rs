@@ -143,6 +143,12 @@ impl Pictures {
         if awaits { Ok(()) } else { atomic::check_target(path, self.force.into()) }
     }
 
+    /// Bytes that a pixel takes at most while its file is put together: its numbers, and as much once more as they are packed.
+    pub(crate) fn bytes_a_pixel(&self, path: &Path) -> usize {
+        let eight = !self.linear && !self.float && !is_dng(path) && !matches!(extension(path).as_str(), "tif" | "tiff");
+        if eight { 6 } else { 12 }
+    }
+
     /// Writes a picture in the format its name asks for: PNG with 8 bits (16 if linear), TIFF and DNG with 16, JPEG, `.npy`; colours and the exposure's facts beside
     /// the pixels.
     pub(crate) fn write(&self, path: &Path, picture: &Picture) -> Result<()> {
