@@ -2,10 +2,11 @@
 //!
 //! A small server on the loopback interface for whoever has its address (`server`, `answer`, `token`). What is followed (`watch`) is shown on a board, whose
 //! news the page hears as a stream of events (`board`, `live.js`). A file that is no lens keeps the last good page, with the error on top. Other pages of the
-//! same browser, and other users, can connect as well: none of what they send ends the program, or keeps the page from its user (`room`, `patience`).
+//! same browser, and other users, can connect as well: none of what they send ends the program, or keeps the page from its user (`door`, `room`, `patience`).
 
 mod answer;
 mod board;
+mod door;
 mod patience;
 mod room;
 mod server;
@@ -69,7 +70,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let board = Arc::new(Board::new(&first));
     let server = Server::new(args.port)?;
-    let desk = Desk::new(server.address(), Token::new()?, Arc::clone(&board));
+    let desk = Desk::new(server.address(), Token::new()?, Arc::clone(&board))?;
     let url = desk.url();
     if args.json {
         writeln!(out, "{}", serde_json::json!({ "schema": 1, "url": url }))?;
@@ -78,5 +79,5 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     out.flush()?;
     watch.start(&board);
-    server.run(desk)
+    Ok(server.run(desk)?)
 }

@@ -125,7 +125,8 @@ fn the_page_follows_the_file_and_keeps_the_last_good_one() {
         let event = next(&mut events);
         if event["error"].is_null() && server.page().contains("Cooke triplet") {
             // The event names the page that is served.
-            let name = format!("<meta name=\"isoplanat-page\" content=\"{}\">", event["page"].as_str().expect("a name"));
+            let name =
+                format!("<meta name=\"isoplanat-page\" content=\"{}\">", event["page"].as_str().expect("a name"));
             assert!(server.page().contains(&name) || next(&mut events)["version"].is_u64(), "{name}");
             break;
         }

@@ -55,7 +55,11 @@ fn rest(stream: &mut TcpStream) -> String {
     let mut bytes = Vec::new();
     match stream.read_to_end(&mut bytes) {
         Ok(_) => {}
-        Err(e) => assert_eq!(e.kind(), ErrorKind::ConnectionReset, "after {} bytes", bytes.len()),
+        Err(e) => assert!(
+            matches!(e.kind(), ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted),
+            "{e} after {} bytes",
+            bytes.len()
+        ),
     }
     String::from_utf8(bytes).expect("UTF-8")
 }
@@ -130,7 +134,9 @@ fn long_heads_are_refused() {
 fn bodies_are_not_read() {
     let (_place, server) = served();
     for (method, code) in [("GET", 200), ("POST", 405)] {
-        for promise in ["Content-Length: 1000000000000", "Transfer-Encoding: chunked", "Content-Length: 5\r\nExpect: 100-continue"] {
+        for promise in
+            ["Content-Length: 1000000000000", "Transfer-Encoding: chunked", "Content-Length: 5\r\nExpect: 100-continue"]
+        {
             let begun = Instant::now();
             let answer = server.answer(format!("{}{promise}\r\n\r\n", server.head(method)).as_bytes());
             assert!(answer.starts_with(&format!("HTTP/1.1 {code}")), "{method} {promise}: {answer}");
@@ -139,7 +145,8 @@ fn bodies_are_not_read() {
     }
     // One that does come: all who send it hear why it is not wanted.
     let body = "z".repeat(300_000);
-    let answer = server.answer(format!("{}Content-Length: {}\r\n\r\n{body}", server.head("POST"), body.len()).as_bytes());
+    let answer =
+        server.answer(format!("{}Content-Length: {}\r\n\r\n{body}", server.head("POST"), body.len()).as_bytes());
     assert!(answer.starts_with("HTTP/1.1 405") && answer.ends_with("GET only\n"), "{answer}");
     server.shows_the_page();
 }
@@ -192,14 +199,18 @@ fn two_hundred_idle_connections_do_not_keep_the_page() {
     let parts: [&[u8]; 3] = [b"", b"GET ", b"GET / HTTP/1.1\r\nHost: "];
     let mut idle: Vec<TcpStream> = (0..200).map(|k| server.send(parts[k % 3])).collect();
     eprintln!("the page beside 200 idle connections: {:?}", server.shows_the_page());
-    // The oldest have gone for the newest.
-    assert_eq!(rest(&mut idle[0]), "");
+    // Of those that begin a request the oldest have gone for the newest.
+    let begun = Instant::now();
+    assert_eq!(rest(&mut idle[1]), "");
+    assert!(begun.elapsed() < Duration::from_secs(2), "not by its own end: {:?}", begun.elapsed());
     server.shows_the_page();
 }
 
 #[test]
 fn thousands_of_requests_at_once_do_not_keep_the_page() {
     let (_place, server) = served();
+    #[cfg(target_os = "linux")]
+    let before = server.descriptors();
     let stranger = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", server.address);
     let mut stream = server.send(stranger.repeat(12_000).as_bytes());
     eprintln!("the page beside 12000 requests without a token: {:?}", server.shows_the_page());
@@ -217,7 +228,17 @@ fn thousands_of_requests_at_once_do_not_keep_the_page() {
     for _ in 0..5 {
         eprintln!("the page beside 12000 requests for it: {:?}", server.shows_the_page());
     }
-    drop(sending.join().expect("sent"));
+    let held = sending.join().expect("sent");
+    // Whose place is free after a while, though that end stays open.
+    #[cfg(target_os = "linux")]
+    {
+        let begun = Instant::now();
+        while server.descriptors() > before {
+            assert!(begun.elapsed() < Duration::from_secs(30), "a reader that does not read is kept");
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+    drop(held);
 
     // By whoever takes them: each has its answer, in turn.
     let mut stream = server.send(format!("{}\r\n", server.head("GET")).repeat(20).as_bytes());
@@ -244,7 +265,9 @@ fn streams_of_events_do_not_keep_the_page() {
     eprintln!("the page beside 40 streams: {:?}", server.shows_the_page());
     let _ = begins(0);
     streams[0].set_read_timeout(Some(Duration::from_secs(5))).expect("a time limit");
-    streams[0].read_to_end(&mut Vec::new()).map_or_else(|e| assert_ne!(e.kind(), ErrorKind::WouldBlock, "still open"), |_| ());
+    streams[0]
+        .read_to_end(&mut Vec::new())
+        .map_or_else(|e| assert_ne!(e.kind(), ErrorKind::WouldBlock, "still open"), |_| ());
     #[cfg(target_os = "linux")]
     {
         let with = server.descriptors();
@@ -290,6 +313,45 @@ fn a_want_of_descriptors_ends_nothing() {
     assert_eq!(notes, 1, "said once: {told}");
 }
 
+/// No descriptors at all for a while: the page is served when there are some again, and a file saved meanwhile is read without being saved once more.
+#[cfg(target_os = "linux")]
+#[test]
+fn what_failed_for_want_of_descriptors_is_done_later() {
+    let place = Workplace::new();
+    let text = std::fs::read_to_string(crate::support::root().join("models/lenses/cooke_triplet.toml")).expect("reads");
+    place.write("lens.toml", &text);
+    let mut command = place.command("view lens.toml --rays 200");
+    command.stderr(std::process::Stdio::piped());
+    let mut server = Server::started(command);
+    server.shows_the_page();
+    // Pages are made by threads that stay; what they open once is open by then.
+    std::thread::sleep(Duration::from_secs(2));
+    let allow = |descriptors: u32| {
+        let (process, most) = (server.child.id().to_string(), format!("--nofile={descriptors}:"));
+        std::process::Command::new("prlimit").args(["--pid", &process, &most]).status().is_ok_and(|s| s.success())
+    };
+    if !allow(3) {
+        eprintln!("skipped: no `prlimit` here");
+        return;
+    }
+    place.write("lens.toml", text.replace("Cooke triplet", "Later triplet"));
+    let mut waiting = server.ask(&server.with_token("/"), &server.address);
+    std::thread::sleep(Duration::from_secs(1));
+    assert!(allow(256), "as before");
+    assert!(rest(&mut waiting).starts_with("HTTP/1.1 200"), "it waited, and is answered");
+    let begun = Instant::now();
+    while !server.page().contains("Later triplet") {
+        assert!(begun.elapsed() < Duration::from_secs(20), "the file was not read again");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    let _ = server.child.kill();
+    let mut told = String::new();
+    server.child.stderr.take().expect("piped").read_to_string(&mut told).expect("UTF-8");
+    for (begins, times) in [("error: lens.toml: reading: ", 1), ("note: a connection could not be taken: ", 1)] {
+        assert_eq!(told.lines().filter(|l| l.starts_with(begins)).count(), times, "{begins} in {told}");
+    }
+}
+
 /// 10⁵ hostile requests of four kinds while the page is asked for every 50 ms: its worst latency, and the program's memory.
 #[cfg(target_os = "linux")]
 #[test]
@@ -299,12 +361,12 @@ fn a_hundred_thousand_hostile_requests() {
 
     const EACH: usize = 25_000;
     const PIPELINED: usize = 50;
-    let (_place, server) = served();
-    // The whole page is there, and what made it has done so.
-    while !server.page().contains("id=\"modulation-transfer\"") {
+    let place = Workplace::new();
+    let server = Server::started(place.command("view cooke_triplet"));
+    // The whole page is there, the third version, and what made it has ended.
+    while !server.page().contains("<meta name=\"isoplanat-page\" content=\"3\">") {
         std::thread::sleep(Duration::from_millis(100));
     }
-    std::thread::sleep(Duration::from_secs(2));
     let made = server.status("VmHWM");
     let settled = server.status("VmRSS");
     // From here on the peak is the requests'.

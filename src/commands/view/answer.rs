@@ -16,6 +16,7 @@ use hyper::body::{Bytes, Frame, SizeHint};
 use hyper::header::{self, HeaderMap, HeaderName, HeaderValue};
 use hyper::{Method, Request, Response, StatusCode};
 use isoplanat::report::html::SCRIPT;
+use isoplanat::{Error, Result};
 use sha2::{Digest, Sha256};
 use tokio::sync::watch::Receiver;
 
@@ -34,12 +35,12 @@ pub(super) struct Desk {
     token: Token,
     board: Arc<Board>,
     /// What a page may do.
-    policy: String,
+    policy: HeaderValue,
 }
 
 impl Desk {
-    pub(super) fn new(address: SocketAddr, token: Token, board: Arc<Board>) -> Self {
-        Self { address, token, board, policy: policy() }
+    pub(super) fn new(address: SocketAddr, token: Token, board: Arc<Board>) -> Result<Self> {
+        Ok(Self { address, token, board, policy: policy()? })
     }
 
     /// The address of the page.
@@ -47,35 +48,39 @@ impl Desk {
         format!("http://{}/?token={}", self.address, self.token.as_str())
     }
 
-    /// The answer to a request, and what the request shows of who sent it. Nothing of a body is read, so a request with one is its connection's last; so
+    /// Whether what a connection begins with, as far as it has come, asks with the token.
+    pub(super) fn is_promised(&self, begin: &[u8]) -> bool {
+        let line = begin.split(|byte| *byte == b'\n').next().unwrap_or_default();
+        let target = std::str::from_utf8(line).ok().and_then(|line| line.split(' ').nth(1));
+        target.and_then(|target| target.split_once('?')).is_some_and(|(_, query)| self.token.is_in(query))
+    }
+
+    /// The answer to a request, and what the request shows of who sent it, if it has the token. Nothing of a body is read, so a request with one is its connection's last; so
     /// is one that is refused.
-    pub(super) fn answer<B: hyper::body::Body>(&self, request: &Request<B>) -> (Response<Body>, Kind) {
+    pub(super) fn answer<B: hyper::body::Body>(&self, request: &Request<B>) -> (Response<Body>, Option<Kind>) {
         let (status, kind, form, body) = match self.refusal(request) {
-            Some((status, words)) => (status, Kind::Stranger, TEXT, Body::words(words)),
+            Some((status, words)) => (status, None, TEXT, Body::words(words)),
             None => match request.uri().path() {
                 "/" => {
                     let page = Bytes::from_owner(self.board.page());
-                    (StatusCode::OK, Kind::Known, "text/html; charset=utf-8", Body::Whole(Some(page)))
+                    (StatusCode::OK, Some(Kind::Known), "text/html; charset=utf-8", Body::Whole(Some(page)))
                 }
                 "/events" => {
                     let events = Body::Events(Box::pin(event(self.board.follow(), true)));
-                    (StatusCode::OK, Kind::Stream, "text/event-stream", events)
+                    (StatusCode::OK, Some(Kind::Stream), "text/event-stream", events)
                 }
-                _ => (StatusCode::NOT_FOUND, Kind::Known, TEXT, Body::words("nothing here")),
+                _ => (StatusCode::NOT_FOUND, Some(Kind::Known), TEXT, Body::words("nothing here")),
             },
         };
         let mut response = Response::new(body);
         *response.status_mut() = status;
         let headers = response.headers_mut();
-        let mut put = |name: HeaderName, value: &str| {
-            // All of them are plain texts of this file.
-            HeaderValue::from_str(value).map(|value| headers.insert(name, value)).ok();
-        };
+        headers.insert(header::CONTENT_SECURITY_POLICY, self.policy.clone());
+        let mut put = |name: HeaderName, value| headers.insert(name, HeaderValue::from_static(value));
         put(header::CONTENT_TYPE, form);
         put(header::CACHE_CONTROL, "no-store");
         put(header::REFERRER_POLICY, "no-referrer");
         put(header::X_CONTENT_TYPE_OPTIONS, "nosniff");
-        put(header::CONTENT_SECURITY_POLICY, &self.policy);
         put(HeaderName::from_static("cross-origin-resource-policy"), "same-origin");
         if status == StatusCode::METHOD_NOT_ALLOWED {
             put(header::ALLOW, "GET");
@@ -114,17 +119,18 @@ impl Desk {
 }
 
 /// A page has its styles and pictures in itself and two scripts, known by their hashes; it asks this server alone, and no page frames it.
-fn policy() -> String {
+fn policy() -> Result<HeaderValue> {
     let hash = |script: &str| {
         // A browser takes line ends as one character.
         STANDARD.encode(Sha256::digest(script.replace("\r\n", "\n")))
     };
-    format!(
+    let policy = format!(
         "default-src 'none'; script-src 'sha256-{}' 'sha256-{}'; style-src 'unsafe-inline'; img-src data:; connect-src 'self'; \
          base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
         hash(SCRIPT),
         hash(LIVE)
-    )
+    );
+    HeaderValue::from_str(&policy).map_err(|e| Error::Internal(format!("the page's policy: {e}")))
 }
 
 /// The rest of a stream of events: what is followed, and the bytes of the next one; none after the last.
@@ -191,7 +197,7 @@ mod tests {
     use super::*;
 
     /// A request, and how it is answered.
-    fn asked(desk: &Desk, method: Method, target: &str, hosts: &[&str]) -> (u16, Kind) {
+    fn asked(desk: &Desk, method: Method, target: &str, hosts: &[&str]) -> (u16, Option<Kind>) {
         let mut request = Request::builder().method(method).uri(target);
         for host in hosts {
             request = request.header(header::HOST, *host);
@@ -209,19 +215,19 @@ mod tests {
         let board = Arc::new(Board::new("<head></head>"));
         let desk = |port: u16| {
             let token = Token::new().expect("random numbers");
-            Desk::new(SocketAddr::from(([127, 0, 0, 1], port)), token, Arc::clone(&board))
+            Desk::new(SocketAddr::from(([127, 0, 0, 1], port)), token, Arc::clone(&board)).expect("a policy")
         };
         let own = desk(4000);
         let with = |path: &str| format!("{path}?token={}", own.token.as_str());
         let is = |method, target: &str, hosts: &[&str], status, kind| {
             assert_eq!(asked(&own, method, target, hosts), (status, kind), "{target} {hosts:?}");
         };
-        is(Method::GET, &with("/"), &["127.0.0.1:4000"], 200, Kind::Known);
-        is(Method::GET, &with("/"), &["localhost:4000"], 200, Kind::Known);
-        is(Method::GET, &with("/events"), &["127.0.0.1:4000"], 200, Kind::Stream);
-        is(Method::GET, &with("/else"), &["127.0.0.1:4000"], 404, Kind::Known);
+        is(Method::GET, &with("/"), &["127.0.0.1:4000"], 200, Some(Kind::Known));
+        is(Method::GET, &with("/"), &["localhost:4000"], 200, Some(Kind::Known));
+        is(Method::GET, &with("/events"), &["127.0.0.1:4000"], 200, Some(Kind::Stream));
+        is(Method::GET, &with("/else"), &["127.0.0.1:4000"], 404, Some(Kind::Known));
         for target in ["/", "/events", "/else", "/?token=", "/?token=00000000000000000000000000000000"] {
-            is(Method::GET, target, &["127.0.0.1:4000"], 403, Kind::Stranger);
+            is(Method::GET, target, &["127.0.0.1:4000"], 403, None);
         }
         let others: [&[&str]; 6] = [
             &[],
@@ -232,10 +238,20 @@ mod tests {
             &["127.0.0.1:4000", "127.0.0.1:4000"],
         ];
         for hosts in others {
-            is(Method::GET, &with("/"), hosts, 403, Kind::Stranger);
+            is(Method::GET, &with("/"), hosts, 403, None);
         }
+        for (begin, is) in [
+            (format!("GET {} HTTP/1.1\r\nHost: x", with("/")), true),
+            (format!("GET {} ", with("/")), true),
+            (format!("GET {}", &with("/")[..20]), false),
+            (format!("GET / HTTP/1.1\r\nX: ?token={}", own.token.as_str()), false),
+            (String::new(), false),
+        ] {
+            assert_eq!(own.is_promised(begin.as_bytes()), is, "{begin}");
+        }
+        assert!(!own.is_promised(b"\xff\xff \xff?token="));
         for method in [Method::POST, Method::HEAD, Method::OPTIONS, Method::DELETE] {
-            is(method, &with("/"), &["127.0.0.1:4000"], 405, Kind::Stranger);
+            is(method, &with("/"), &["127.0.0.1:4000"], 405, None);
         }
         let usual = desk(80);
         let target = format!("/?token={}", usual.token.as_str());

@@ -1,0 +1,164 @@
+//! New connections: one thread takes them as fast as they come, and closes the oldest of too many before any work is done for them.
+//!
+//! Were each taken and worked for in turn, a flood would fill the system's queue, and what comes to a full queue is tried again only a second later: the
+//! user's request as well. What a connection has sent by now is looked at, so that those with the token are never among the closed.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::io::{ErrorKind, Result};
+use std::net::{Ipv4Addr, SocketAddr, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::net::TcpSocket;
+use tokio::sync::Notify;
+
+use super::room::{Kind, Room};
+
+/// Connections that the system keeps until they are taken, if it keeps so many.
+const WAITING: u32 = 4096;
+/// Bytes that are looked at: a first line with the token is much shorter.
+pub(super) const BEGIN: usize = 512;
+/// Rest after an error, until descriptors are free again.
+const REST: Duration = Duration::from_millis(5);
+
+/// Connections that have come and are not in the room yet, by kind, the oldest first.
+#[derive(Debug, Default)]
+pub(super) struct Hall {
+    arrived: Mutex<[VecDeque<TcpStream>; Kind::ALL.len()]>,
+    news: Notify,
+}
+
+impl Hall {
+    /// What has come, once there is something; those with the token first.
+    pub(super) async fn arrived(&self) -> Vec<(TcpStream, Kind)> {
+        loop {
+            let mut arrived = std::mem::take(&mut *self.arrived.lock().unwrap_or_else(PoisonError::into_inner));
+            let of = |kind: Kind| std::mem::take(&mut arrived[kind as usize]).into_iter().map(move |s| (s, kind));
+            let all: Vec<_> = [Kind::Known, Kind::Stranger, Kind::Silent].into_iter().flat_map(of).collect();
+            if !all.is_empty() {
+                return all;
+            }
+            self.news.notified().await;
+        }
+    }
+
+    /// Takes a connection in; of its kind the newest stay, and those that have shown the token since they came.
+    fn add(&self, stream: TcpStream, kind: Kind, is_promised: impl Fn(&[u8]) -> bool) {
+        let mut arrived = self.arrived.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut put = |stream, kind: Kind| {
+            let all = &mut arrived[kind as usize];
+            all.push_back(stream);
+            if all.len() > kind.most() { all.pop_front() } else { None }
+        };
+        let mut over = put(stream, kind);
+        if let Some(oldest) = over.take_if(|oldest| self::kind(oldest, is_promised) == Some(Kind::Known)) {
+            over = put(oldest, Kind::Known);
+        }
+        drop(arrived);
+        drop(over);
+        self.news.notify_one();
+    }
+}
+
+/// Listens on the loopback interface; within a runtime.
+///
+/// # Errors
+/// A port that is not free; a system that gives no descriptors.
+pub(super) fn listen(port: u16) -> Result<TcpListener> {
+    let socket = TcpSocket::new_v4()?;
+    // On Unix a port of connections that ended a moment ago is free; on Windows this would let two servers have one port.
+    socket.set_reuseaddr(cfg!(unix))?;
+    socket.bind(SocketAddr::from((Ipv4Addr::LOCALHOST, port)))?;
+    let listener = socket.listen(WAITING)?.into_std()?;
+    listener.set_nonblocking(false)?;
+    Ok(listener)
+}
+
+/// Takes connections for ever; no error ends it.
+pub(super) fn watch(listener: &TcpListener, hall: &Hall, room: &Arc<Room>, is_promised: impl Fn(&[u8]) -> bool) -> ! {
+    let mut told = BTreeSet::new();
+    loop {
+        match listener.accept() {
+            Ok((stream, _)) => {
+                let kind = stream.set_nonblocking(true).ok().and_then(|()| kind(&stream, &is_promised));
+                if let Some(kind) = kind {
+                    hall.add(stream, kind, &is_promised);
+                }
+            }
+            // Whoever it was has gone.
+            Err(e) if [ErrorKind::ConnectionAborted, ErrorKind::ConnectionReset].contains(&e.kind()) => {}
+            Err(e) => {
+                if told.insert(e.raw_os_error()) {
+                    crate::tell!("note: a connection could not be taken: {e}; the page is served on");
+                }
+                // No descriptors, most likely.
+                room.spare();
+                std::thread::sleep(REST);
+            }
+        }
+    }
+}
+
+/// What a connection that is new is by what it has sent; none if it is closed again.
+fn kind(stream: &TcpStream, is_promised: impl Fn(&[u8]) -> bool) -> Option<Kind> {
+    let mut bytes = [0; BEGIN];
+    match stream.peek(&mut bytes) {
+        Ok(0) => None,
+        Ok(n) => Some(if is_promised(&bytes[..n]) { Kind::Known } else { Kind::Stranger }),
+        Err(e) => (e.kind() == ErrorKind::WouldBlock).then_some(Kind::Silent),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::io::{Read, Write};
+
+    use super::*;
+
+    #[test]
+    fn the_newest_come_in_and_the_known_before_all_others() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let listener = runtime.block_on(async { listen(0).expect("a port") });
+        let address = listener.local_addr().expect("an address");
+        let hall = Hall::default();
+        let known = |bytes: &[u8]| bytes == b"known";
+        let come = |words: &str| {
+            let mut stream = TcpStream::connect(address).expect("connects");
+            stream.write_all(words.as_bytes()).expect("writes");
+            let (other, _) = listener.accept().expect("accepts");
+            other.set_nonblocking(true).expect("is set");
+            let kind = kind(&other, known).expect("open");
+            hall.add(other, kind, known);
+            stream
+        };
+        // One that speaks only after it came, before others that do not at all; and more strangers than may be.
+        let mut late = come("");
+        late.write_all(b"known").expect("writes");
+        let (silent, strangers) = (Kind::Silent.most(), Kind::Stranger.most());
+        let mut open: Vec<TcpStream> = (0..strangers + 5).map(|k| come(&format!("stranger {k}"))).collect();
+        open.extend((0..silent).map(|_| come("")));
+        open.push(come("known"));
+        for stream in &mut open[..5] {
+            assert!(!matches!(stream.read(&mut [0]), Ok(1..)), "closed before anybody has asked for it");
+        }
+        let arrived = runtime.block_on(hall.arrived());
+        let mut expected = vec![Kind::Known; 2];
+        expected.extend(std::iter::repeat_n(Kind::Stranger, strangers));
+        expected.extend(std::iter::repeat_n(Kind::Silent, silent));
+        assert_eq!(arrived.iter().map(|(_, kind)| *kind).collect::<Vec<_>>(), expected);
+        let mut bytes = [0; BEGIN];
+        let n = arrived[2].0.peek(&mut bytes).expect("was said");
+        assert_eq!(&bytes[..n], b"stranger 5");
+    }
+
+    #[test]
+    fn who_has_gone_again_is_nobody() {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let listener = runtime.block_on(async { listen(0).expect("a port") });
+        drop(TcpStream::connect(listener.local_addr().expect("an address")).expect("connects"));
+        let (stream, _) = listener.accept().expect("accepts");
+        // The other's end comes on its own way.
+        stream.peek(&mut [0]).expect("comes");
+        assert_eq!(kind(&stream, |_| true), None);
+    }
+}
