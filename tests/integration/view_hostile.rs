@@ -43,6 +43,13 @@ impl Server {
         line.trim().trim_end_matches(" kB").parse().expect("a number")
     }
 
+    /// Threads and open descriptors, once connections that end have ended.
+    #[cfg(target_os = "linux")]
+    fn settled(&self) -> (u64, usize) {
+        std::thread::sleep(Duration::from_secs(1));
+        (self.status("Threads"), self.descriptors())
+    }
+
     /// Open descriptors.
     #[cfg(target_os = "linux")]
     fn descriptors(&self) -> usize {
@@ -174,7 +181,7 @@ fn aborted_requests_leave_nothing_behind() {
     let (_place, server) = served();
     server.shows_the_page();
     #[cfg(target_os = "linux")]
-    let before = (server.status("Threads"), server.descriptors());
+    let before = server.settled();
     for k in 0..1000 {
         let whole = format!("{}\r\n", server.head(if k % 2 == 0 { "GET" } else { "POST" }));
         // Nothing of it, a part, or all; with the page in between that nobody takes.
@@ -185,10 +192,12 @@ fn aborted_requests_leave_nothing_behind() {
     #[cfg(target_os = "linux")]
     {
         let begun = Instant::now();
-        while (server.status("Threads"), server.descriptors()) != before {
-            let now = (server.status("Threads"), server.descriptors());
-            assert!(begun.elapsed() < Duration::from_secs(10), "threads and descriptors: {before:?}, now {now:?}");
-            std::thread::sleep(Duration::from_millis(50));
+        loop {
+            let now = server.settled();
+            if now.0 <= before.0 && now.1 <= before.1 {
+                break;
+            }
+            assert!(begun.elapsed() < Duration::from_secs(20), "threads and descriptors: {before:?}, now {now:?}");
         }
     }
 }
@@ -210,7 +219,7 @@ fn two_hundred_idle_connections_do_not_keep_the_page() {
 fn thousands_of_requests_at_once_do_not_keep_the_page() {
     let (_place, server) = served();
     #[cfg(target_os = "linux")]
-    let before = server.descriptors();
+    let before = server.settled().1;
     let stranger = format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", server.address);
     let mut stream = server.send(stranger.repeat(12_000).as_bytes());
     eprintln!("the page beside 12000 requests without a token: {:?}", server.shows_the_page());
@@ -371,7 +380,7 @@ fn a_hundred_thousand_hostile_requests() {
     let settled = server.status("VmRSS");
     // From here on the peak is the requests'.
     let reset = std::fs::write(format!("/proc/{}/clear_refs", server.child.id()), "5").is_ok();
-    let (threads, descriptors) = (server.status("Threads"), server.descriptors());
+    let (threads, descriptors) = server.settled();
     let done = AtomicUsize::new(0);
     let failed = AtomicUsize::new(0);
     // Ports run out where connections end too fast: then the attack waits, not the page.

@@ -18,21 +18,32 @@ use super::room::{Kind, Room};
 const WAITING: u32 = 4096;
 /// Bytes that are looked at: a first line with the token is much shorter.
 pub(super) const BEGIN: usize = 512;
+/// Strangers that are heard in one turn: what they cost is time that others wait for.
+const HEARD: usize = 16;
 /// Rest after an error, until descriptors are free again.
 const REST: Duration = Duration::from_millis(5);
 
-/// Connections that have come and are not in the room yet, by kind, the oldest first.
+/// Connections by kind, the oldest first.
+type Arrived = [VecDeque<TcpStream>; Kind::ALL.len()];
+
+/// Connections that have come and are not in the room yet.
 #[derive(Debug, Default)]
 pub(super) struct Hall {
-    arrived: Mutex<[VecDeque<TcpStream>; Kind::ALL.len()]>,
+    arrived: Mutex<Arrived>,
     news: Notify,
 }
 
 impl Hall {
     /// What has come, once there is something; those with the token first.
-    pub(super) async fn arrived(&self) -> Vec<(TcpStream, Kind)> {
+    pub(super) async fn arrived(&self, is_promised: impl Fn(&[u8]) -> bool) -> Vec<(TcpStream, Kind)> {
         loop {
             let mut arrived = std::mem::take(&mut *self.arrived.lock().unwrap_or_else(PoisonError::into_inner));
+            // Most have said something by now, or have gone.
+            for stream in std::mem::take(&mut arrived[Kind::Silent as usize]) {
+                if let Some(kind) = kind(&stream, &is_promised) {
+                    let _ = put(&mut arrived, stream, kind);
+                }
+            }
             let of = |kind: Kind| std::mem::take(&mut arrived[kind as usize]).into_iter().map(move |s| (s, kind));
             let all: Vec<_> = [Kind::Known, Kind::Stranger, Kind::Silent].into_iter().flat_map(of).collect();
             if !all.is_empty() {
@@ -45,19 +56,22 @@ impl Hall {
     /// Takes a connection in; of its kind the newest stay, and those that have shown the token since they came.
     fn add(&self, stream: TcpStream, kind: Kind, is_promised: impl Fn(&[u8]) -> bool) {
         let mut arrived = self.arrived.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut put = |stream, kind: Kind| {
-            let all = &mut arrived[kind as usize];
-            all.push_back(stream);
-            if all.len() > kind.most() { all.pop_front() } else { None }
-        };
-        let mut over = put(stream, kind);
+        let mut over = put(&mut arrived, stream, kind);
         if let Some(oldest) = over.take_if(|oldest| self::kind(oldest, is_promised) == Some(Kind::Known)) {
-            over = put(oldest, Kind::Known);
+            over = put(&mut arrived, oldest, Kind::Known);
         }
         drop(arrived);
         drop(over);
         self.news.notify_one();
     }
+}
+
+/// Puts a connection among its kind; the oldest, where they are too many.
+fn put(arrived: &mut Arrived, stream: TcpStream, kind: Kind) -> Option<TcpStream> {
+    let all = &mut arrived[kind as usize];
+    all.push_back(stream);
+    let most = if kind == Kind::Stranger { HEARD } else { kind.most() };
+    if all.len() > most { all.pop_front() } else { None }
 }
 
 /// Listens on the loopback interface; within a runtime.
@@ -134,20 +148,24 @@ mod tests {
         // One that speaks only after it came, before others that do not at all; and more strangers than may be.
         let mut late = come("");
         late.write_all(b"known").expect("writes");
-        let (silent, strangers) = (Kind::Silent.most(), Kind::Stranger.most());
+        let (silent, strangers) = (Kind::Silent.most(), HEARD);
         let mut open: Vec<TcpStream> = (0..strangers + 5).map(|k| come(&format!("stranger {k}"))).collect();
         open.extend((0..silent).map(|_| come("")));
         open.push(come("known"));
         for stream in &mut open[..5] {
             assert!(!matches!(stream.read(&mut [0]), Ok(1..)), "closed before anybody has asked for it");
         }
-        let arrived = runtime.block_on(hall.arrived());
-        let mut expected = vec![Kind::Known; 2];
+        // Two that change their minds at the end.
+        let late = open.len() - 3;
+        drop(open.remove(late));
+        open[late].write_all(b"known").expect("writes");
+        let arrived = runtime.block_on(hall.arrived(known));
+        let mut expected = vec![Kind::Known; 3];
         expected.extend(std::iter::repeat_n(Kind::Stranger, strangers));
-        expected.extend(std::iter::repeat_n(Kind::Silent, silent));
+        expected.extend(std::iter::repeat_n(Kind::Silent, silent - 2));
         assert_eq!(arrived.iter().map(|(_, kind)| *kind).collect::<Vec<_>>(), expected);
         let mut bytes = [0; BEGIN];
-        let n = arrived[2].0.peek(&mut bytes).expect("was said");
+        let n = arrived[3].0.peek(&mut bytes).expect("was said");
         assert_eq!(&bytes[..n], b"stranger 5");
     }
 

@@ -90,7 +90,7 @@ impl Server {
 async fn answer(hall: Arc<Hall>, room: Arc<Room>, desk: Arc<Desk>) {
     let mut id = 0;
     loop {
-        for (stream, kind) in hall.arrived().await {
+        for (stream, kind) in hall.arrived(|begin| desk.is_promised(begin)).await {
             let Ok(stream) = TcpStream::from_std(stream) else { continue };
             id += 1;
             let seat = Seat { room: Arc::clone(&room), id };
