@@ -276,7 +276,8 @@ impl Page {
 }
 
 const STYLE: &str = include_str!("page.css");
-const SCRIPT: &str = include_str!("page.js");
+/// The one script of every page: a server allows it by its hash.
+pub const SCRIPT: &str = include_str!("page.js");
 
 #[cfg(test)]
 mod tests {

@@ -93,7 +93,19 @@ try {
   const address = await new Promise(done => server.stdout.on('data', d => done(String(d).trim())));
   try {
     const page = await browser.newPage({ viewport: { width: 1280, height: 900 } });
+    page.on('pageerror', e => check(false, `view: script: ${e}`));
+    // Whatever the page's policy does not allow, and every request that is refused.
+    page.on('console', m => { if (m.type() === 'error') check(false, `view: ${m.text()}`); });
     await page.goto(address);
+    check(await page.locator('#value').count() === 1, 'the page\'s own script runs');
+    const bare = await fetch(address.split('?')[0]);
+    check(bare.status === 403, `without the token: ${bare.status}`);
+    // A page elsewhere gets no answer it could read, and cannot frame this one.
+    const other = await browser.newPage();
+    await other.setContent(`<iframe src="${address}"></iframe>`);
+    await other.waitForTimeout(500);
+    check((await other.frames()[1].content()).includes('Cooke') === false, 'no frame shows it');
+    await other.close();
     await page.waitForTimeout(4000);
     // A slider that the user set stays, though the page that comes at once has fewer steps.
     const slider = page.locator('#spots .steps input').first();
@@ -115,6 +127,11 @@ try {
     check((await page.textContent('h1')) === 'Edited 4', 'the last good page stays');
     writeFileSync(file, text);
     await page.waitForFunction(() => !document.querySelector('#wrong'));
+    check(await page.locator('#value').count() === 1, 'the page\'s own script runs in later pages, too');
+    await page.reload();
+    await page.waitForFunction(() => document.querySelector('h1')?.textContent.startsWith('Cooke triplet'));
+    // The address is its user's: what a link leads to does not learn it.
+    check(await page.evaluate(() => document.cookie) === '', 'no cookies');
   } finally {
     server.kill();
   }

@@ -32,7 +32,7 @@ const ORDER: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 10] = [
+const CRATES: [(&[&str], &[&str]); 11] = [
     (&["calib_targets_chessboard"], &["crates/imaging/src/calibrate/chart.rs"]),
     (&["ort", "tract_onnx"], &["crates/camera/src/session"]),
     (&["rawler"], &["crates/camera/src/raw"]),
@@ -40,7 +40,8 @@ const CRATES: [(&[&str], &[&str]); 10] = [
     (&["prost"], &["crates/camera/src/session"]),
     (&["image"], &["crates/imaging/src/files"]),
     (&["maud"], &["src/report/html.rs"]),
-    (&["tiny_http"], &["src/commands/view.rs"]),
+    (&["hyper", "hyper_util"], &["src/commands/view/server.rs", "src/commands/view/answer.rs"]),
+    (&["tokio"], &["src/commands/view/"]),
     (&["moxcms"], &["crates/imaging/src/develop/gamut.rs"]),
     (&["tiff"], &["crates/imaging/src/files", "crates/imaging/src/exif.rs", "crates/imaging/src/dng.rs"]),
 ];

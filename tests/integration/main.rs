@@ -57,6 +57,7 @@ mod tolerance;
 #[cfg(feature = "train")]
 mod training;
 mod view;
+mod view_hostile;
 mod vignetting;
 mod white;
 mod white_axis;

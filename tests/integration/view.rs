@@ -1,41 +1,61 @@
-//! `view`: the page follows the file, keeps the last good one, and answers to its own address only.
+//! `view`: the page follows the file, keeps the last good one, and can be exported.
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, Stdio};
+use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::support::{Workplace, root};
 
-/// The running program and where it listens.
-struct Server {
-    child: Child,
-    address: String,
+/// The running program, where it listens, and the token it wants.
+pub(crate) struct Server {
+    pub(crate) child: Child,
+    pub(crate) address: String,
+    pub(crate) token: String,
 }
 
 impl Server {
-    fn start(place: &Workplace, what: &str) -> Self {
-        let mut child =
-            place.command(&format!("view {what} --rays 200")).stdout(Stdio::piped()).spawn().expect("starts");
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("an address");
-        let address = line.trim().trim_start_matches("http://").trim_end_matches('/').to_owned();
-        assert!(address.starts_with("127.0.0.1:"), "{line}");
-        Self { child, address }
+    pub(crate) fn start(place: &Workplace, what: &str) -> Self {
+        Self::started(place.command(&format!("view {what} --rays 200")))
     }
 
-    /// A request for `path` under the name `host`, kept open.
-    fn ask(&self, path: &str, host: &str) -> TcpStream {
+    /// The same by a command of one's own.
+    pub(crate) fn started(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).spawn().expect("starts");
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("an address");
+        let (address, token) = apart(line.trim());
+        Self { child, address, token }
+    }
+
+    /// A path with the token.
+    pub(crate) fn with_token(&self, path: &str) -> String {
+        format!("{path}?token={}", self.token)
+    }
+
+    /// A connection on which these bytes were sent.
+    pub(crate) fn send(&self, bytes: &[u8]) -> TcpStream {
         let mut stream = TcpStream::connect(&self.address).expect("connects");
         stream.set_read_timeout(Some(Duration::from_secs(60))).expect("a time limit");
-        write!(stream, "GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").expect("asks");
+        // A server that has seen enough may have closed it.
+        let _ = stream.write_all(bytes);
         stream
     }
 
-    fn get(&self, path: &str, host: &str) -> String {
+    /// A request for `target` under the name `host`, kept open.
+    pub(crate) fn ask(&self, target: &str, host: &str) -> TcpStream {
+        self.send(format!("GET {target} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n").as_bytes())
+    }
+
+    pub(crate) fn get(&self, target: &str, host: &str) -> String {
         let mut text = String::new();
-        self.ask(path, host).read_to_string(&mut text).expect("answers");
+        self.ask(target, host).read_to_string(&mut text).expect("answers");
         text
+    }
+
+    /// The page as its user sees it.
+    pub(crate) fn page(&self) -> String {
+        self.get(&self.with_token("/"), &self.address)
     }
 }
 
@@ -44,6 +64,15 @@ impl Drop for Server {
         let _ = self.child.kill();
         let _ = self.child.wait();
     }
+}
+
+/// Address and token of a page's whole address.
+fn apart(url: &str) -> (String, String) {
+    let parts = url.strip_prefix("http://").and_then(|rest| rest.split_once("/?token="));
+    let (address, token) = parts.unwrap_or_else(|| panic!("an address with a token: {url}"));
+    assert!(address.starts_with("127.0.0.1:"), "{url}");
+    assert!(token.len() == 32 && token.chars().all(|c| c.is_ascii_hexdigit()), "128 bits: {url}");
+    (address.to_owned(), token.to_owned())
 }
 
 /// The next event of a stream.
@@ -63,14 +92,9 @@ fn the_page_follows_the_file_and_keeps_the_last_good_one() {
     let text = std::fs::read_to_string(root().join("models/lenses/cooke_triplet.toml")).expect("reads");
     place.write("lens.toml", &text);
     let server = Server::start(&place, "lens.toml");
-    let first = server.get("/", &server.address);
+    let first = server.page();
     assert!(first.starts_with("HTTP/1.1 200") && first.contains("Cooke triplet") && first.contains("EventSource"));
-    for (path, host, code) in
-        [("/", "evil.example", 403), ("/", "evil.example:80", 403), ("/etc/passwd", &*server.address, 404)]
-    {
-        assert!(server.get(path, host).starts_with(&format!("HTTP/1.1 {code}")), "{path} {host}");
-    }
-    let mut events = BufReader::new(server.ask("/events", &server.address));
+    let mut events = BufReader::new(server.ask(&server.with_token("/events"), &server.address));
     let start = next(&mut events)["version"].as_u64().expect("a version");
 
     let saved = Instant::now();
@@ -78,7 +102,8 @@ fn the_page_follows_the_file_and_keeps_the_last_good_one() {
     let seen = loop {
         let event = next(&mut events);
         assert!(event["error"].is_null(), "{event}");
-        if server.get("/", &server.address).contains("Another triplet") {
+        let page = server.page();
+        if page.contains("Another triplet") {
             break event["version"].as_u64().expect("a version");
         }
     };
@@ -93,15 +118,48 @@ fn the_page_follows_the_file_and_keeps_the_last_good_one() {
         }
     };
     assert!(wrong.contains("lens.toml"), "{wrong}");
-    assert!(server.get("/", &server.address).contains("Another triplet"), "the last good page");
+    assert!(server.page().contains("Another triplet"), "the last good page");
 
     place.write("lens.toml", &text);
     loop {
         let event = next(&mut events);
-        if event["error"].is_null() && server.get("/", &server.address).contains("Cooke triplet") {
+        if event["error"].is_null() && server.page().contains("Cooke triplet") {
+            // The event names the page that is served.
+            let name =
+                format!("<meta name=\"isoplanat-page\" content=\"{}\">", event["page"].as_str().expect("a name"));
+            assert!(server.page().contains(&name) || next(&mut events)["version"].is_u64(), "{name}");
             break;
         }
     }
+}
+
+/// The folder of a design shows its page, and every run has a token of its own.
+#[test]
+fn a_run_shows_its_page_and_json_has_the_whole_address() {
+    let place = Workplace::new();
+    std::fs::create_dir(place.path("run")).expect("creates");
+    place.run("view cooke_triplet --rays 100 --export run/report.html").done();
+    let server = Server::started(place.command("view run"));
+    assert!(server.page().contains("Cooke triplet"));
+    let mut command = place.command("view run --json");
+    let mut other = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let mut line = String::new();
+    BufReader::new(other.stdout.take().expect("piped")).read_line(&mut line).expect("an address");
+    let told: serde_json::Value = serde_json::from_str(&line).expect("JSON");
+    let (_, token) = apart(told["url"].as_str().expect("an address"));
+    assert_ne!(token, server.token);
+    let _ = (other.kill(), other.wait());
+    let mut told = String::new();
+    other.stderr.take().expect("piped").read_to_string(&mut told).expect("UTF-8");
+    assert_eq!(told, "", "the page is this program's own");
+
+    // A page of another program: its script is not among those that the policy lets run.
+    place.write("run/report.html", "<html><head></head><body>Old<script>alert(1)</script></body></html>");
+    let mut old = place.command("view run").stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    let mut note = String::new();
+    BufReader::new(old.stderr.take().expect("piped")).read_line(&mut note).expect("a note");
+    let _ = (old.kill(), old.wait());
+    assert!(note.starts_with("note: run: ") && note.contains("script"), "{note}");
 }
 
 #[test]
@@ -114,4 +172,7 @@ fn a_page_can_be_exported_and_what_is_neither_lens_nor_run_is_refused() {
     place.run("view none_such").refused(&["none_such"]);
     std::fs::create_dir(place.path("empty")).expect("creates");
     place.run("view empty").refused(&["empty", "report.html"]);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = taken.local_addr().expect("an address").port();
+    place.run(&format!("view cooke_triplet --rays 100 --port {port}")).refused(&["--port", &port.to_string()]);
 }

@@ -1,11 +1,13 @@
 // Keeps the page up to date: an event names the page that is shown now; where it is another than this one, its body takes the place of
-// this one's, sliders stay where they are. One event at a time, only the last one counts.
+// this one's, sliders stay where they are. One event at a time, only the last one counts. The server wants the token of the page's address.
 (() => {
   const name = of => of.querySelector('meta[name=isoplanat-page]')?.content;
-  let shown = name(document), news = null, away = false, busy = false;
+  const at = path => path + location.search;
+  const SILENT = 'The last page: the program that shows it does not answer.';
+  const ANOTHER = 'The last page: the program was started again since, and printed another address.';
+  let shown = name(document), news = null, away = null, busy = false;
   const banner = () => {
-    const text = away ? 'The last page: the program that shows it does not answer.'
-      : news?.error ? `The last good page; the file now: ${news.error}` : null;
+    const text = away ?? (news?.error ? `The last good page; the file now: ${news.error}` : null);
     let box = document.getElementById('wrong');
     if (!text) { if (box) box.remove(); return; }
     if (!box) {
@@ -26,7 +28,7 @@
     if (e.target.matches?.('.steps input')) kept.set(what(e.target), e.target.value / (e.target.max || 1));
   }, true);
   const replace = async () => {
-    const answer = await fetch('/', { cache: 'no-store' });
+    const answer = await fetch(at('/'), { cache: 'no-store' });
     if (!answer.ok) throw new Error(answer.statusText);
     const next = new DOMParser().parseFromString(await answer.text(), 'text/html');
     const [x, y] = [scrollX, scrollY];
@@ -58,15 +60,17 @@
     banner();
   };
   const listen = () => {
-    const source = new EventSource('/events');
+    const source = new EventSource(at('/events'));
     source.onmessage = event => { news = JSON.parse(event.data); follow(); };
-    source.onerror = () => {
-      away = true;
+    source.onerror = async () => {
+      away = SILENT;
       banner();
-      // An answer that is no stream closes it for good.
-      if (source.readyState === EventSource.CLOSED) setTimeout(listen, 1000);
+      if (source.readyState !== EventSource.CLOSED) return;
+      // An answer that is no stream closes it for good; a refusal is another run's, which has another token.
+      const answer = await fetch(at('/'), { cache: 'no-store' }).catch(() => null);
+      if (answer?.status === 403) { away = ANOTHER; banner(); } else setTimeout(listen, 1000);
     };
-    source.onopen = () => { away = false; banner(); };
+    source.onopen = () => { away = null; banner(); };
   };
   listen();
 })();
