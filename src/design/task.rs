@@ -13,7 +13,7 @@ use super::sensor_loss::SensorLoss;
 use super::stated::Stated;
 use super::subject::Subject;
 use super::sweep_task::SweepTask;
-use super::train_task::TrainTask;
+use super::train_task::{MOST_DEPTHS, TrainTask};
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::calibrate::lens::MeasuredLens;
@@ -371,6 +371,9 @@ impl Task {
             && !(0.0..1.0).contains(&v)
         {
             return bad("least_illumination", v.to_string(), "0 or more, below 1");
+        }
+        if self.depths_mm.len() > MOST_DEPTHS {
+            return bad("depths_mm", format!("{} distances", self.depths_mm.len()), &format!("at most {MOST_DEPTHS}"));
         }
         if let Some(d) = self.depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
             return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");

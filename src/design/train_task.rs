@@ -13,6 +13,9 @@ use isoplanat_network::critic::CriticConfig;
 use isoplanat_network::unet::FULL_SCALES;
 use isoplanat_network::{Base, ContentKind, Objective, Reconstructor, UnetConfig};
 
+/// Object distances at most.
+pub(super) const MOST_DEPTHS: usize = 64;
+
 /// The checkpoint in a run's folder.
 pub(super) const NETWORK: &str = "network.safetensors";
 /// Channels of the network's finest scale where the task names none.
@@ -223,6 +226,9 @@ impl TrainTask {
             return bad("noise", format!("{low}, {high}"), "from above 0, or [0, 0] for none");
         }
         within("haze", self.haze, 0.0, 0.9, "0 to 0.9")?;
+        if self.depths_mm.len() > MOST_DEPTHS {
+            return bad("depths_mm", format!("{} distances", self.depths_mm.len()), &format!("at most {MOST_DEPTHS}"));
+        }
         for &d in &self.depths_mm {
             if d.is_nan() || d <= 0.0 {
                 return bad("depths_mm", d.to_string(), "positive distances; inf is allowed");
@@ -333,6 +339,7 @@ mod tests {
         refused(|t| t.noise = [2.0, 1.0], "noise");
         refused(|t| t.haze = 1.0, "haze");
         refused(|t| t.depths_mm = vec![500.0, -1.0], "depths_mm");
+        refused(|t| t.depths_mm = vec![500.0; 65], "depths_mm");
         refused(|t| (t.adversarial, t.discriminator_width) = (true, 0), "discriminator_width");
     }
 }
