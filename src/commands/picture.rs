@@ -110,6 +110,12 @@ fn raw(path: &Path) -> Result<Picture> {
     use isoplanat::deploy::raw_process;
 
     let (raw, _) = raw_process::decode(&Helper::current()?, path, crate::memory::limit())?;
+    let (rows, columns) = raw.size();
+    // Samples as they come, and in double precision.
+    let colours = if matches!(raw.pixels, RawPixels::Linear(_)) { 3 } else { 1 };
+    let bytes = product(&[rows, columns, colours, size_of::<f32>() + size_of::<f64>()]);
+    let what = format!("a RAW file of {columns} × {rows} pixels");
+    crate::memory::limit().allow(&what, bytes, "a smaller frame")?;
     let (black, white) = (raw.black.map(f64::from), raw.white.map(f64::from));
     let level = |v: f32, i: usize| (f64::from(v) - black[i]) / (white[i] - black[i]);
     // Below black is noise, not a cut; the cut lies at the sensor's zero.

@@ -9,6 +9,7 @@ use std::str::FromStr;
 use isoplanat::imaging::files::Encoding;
 use isoplanat::imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, find_region, measure};
 use isoplanat::imaging::sensor::cfa::Cfa;
+use isoplanat::math::memory::product;
 use isoplanat::{Error, Result};
 
 use crate::picture;
@@ -54,6 +55,12 @@ pub(crate) struct Args {
     force: bool,
 }
 
+/// Pixels from which a search for an edge takes more than a moment.
+const LARGE: usize = 50_000_000;
+
+/// Bytes of a pixel while an edge is looked for: its value, means of cells and how far they are from their neighbours.
+const LOOKED_THROUGH: usize = 5 * size_of::<f64>();
+
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref()], args.force)?;
@@ -77,6 +84,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let region = match region {
         Some(region) => region,
         None => {
+            let (rows, columns) = sought.plane.dim();
+            let bytes = product(&[rows, columns, LOOKED_THROUGH]);
+            let what = format!("an edge sought in {columns} × {rows} pixels");
+            crate::memory::limit().allow(&what, bytes, "--region x,y,w,h")?;
+            let _bar = (rows * columns > LARGE).then(|| crate::progress::Bar::new("edge"));
             find_region(sought.plane.view(), sought.sites).map_err(|e| in_channel(e, sought.name).in_file(place))?
         }
     };

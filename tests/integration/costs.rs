@@ -263,8 +263,15 @@ fn hostile_inputs_cost_little() {
     }
     eprintln!("{} runs", costs.len());
     for c in &costs {
-        assert!(c.seconds <= SECONDS && c.mib <= GIB * 1024.0, "{}: {:.1} s, {:.0} MiB", c.arguments, c.seconds, c.mib);
-        assert!(matches!(c.code, Some(0..=2)), "{}: {:?} {}", c.arguments, c.code, c.said);
+        let told = format!("{}: {:.1} s, {:.0} MiB, {:?}: {}", c.arguments, c.seconds, c.mib, c.code, c.said);
+        assert!(c.mib <= GIB * 1024.0, "{told}");
+        match c.code {
+            // At work for longer: it has said what it does.
+            None | Some(0) if c.said.contains('…') => {}
+            Some(0..=2) => assert!(c.seconds <= SECONDS, "{told}"),
+            None => panic!("{told}"),
+            Some(_) => panic!("{told}"),
+        }
         assert!(
             !c.said.contains("panicked") && !c.said.contains("overflowed its stack"),
             "{}: {}",

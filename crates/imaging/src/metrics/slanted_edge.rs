@@ -145,7 +145,7 @@ impl EdgeMeasurement {
 /// # Errors
 /// A value that is no number, a region outside the plane or too small, no edge in it, an edge too near the region's border or
 /// along rows or columns.
-pub fn measure<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, options: &EdgeOptions) -> Result<EdgeMeasurement> {
+pub fn measure<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, options: &EdgeOptions) -> Result<EdgeMeasurement> {
     Rectangle::whole(plane.dim()).check(plane.dim(), LEAST_SIDE)?;
     let region = match options.region {
         Some(region) => region,

@@ -3,7 +3,8 @@
 //! Windows of falling size are laid over the picture, each seen at about forty cells a side. A window will do where one step
 //! across a straight line explains most of it, and a profile across that line nearly all of it but noise.
 
-use ndarray::{Array2, ArrayView2, s};
+use ndarray::{Array2, ArrayView2, Axis, s};
+use rayon::prelude::*;
 
 use super::samples::{Rectangle, Sample, Sites};
 use super::step::{self, Step};
@@ -24,10 +25,11 @@ const SIDE: f64 = 0.12;
 ///
 /// # Errors
 /// A value that is not finite; a picture without such a window.
-pub fn find_region<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites) -> Result<Rectangle> {
+pub fn find_region<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: Sites) -> Result<Rectangle> {
     let (rows, columns) = plane.dim();
     let mosaic = sites != Sites::ALL;
     Rectangle::whole((rows, columns)).check((rows, columns), super::LEAST_SIDE)?;
+    check(plane, sites)?;
     let mut share = 1.0;
     let mut any = false;
     while share == 1.0 || share * rows.max(columns) as f64 >= LEAST as f64 {
@@ -37,21 +39,20 @@ pub fn find_region<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites) 
         let mut side = longer.div_ceil(CELLS).min(rows.min(columns) / LEAST_CELLS).max(1);
         // A cell of a mosaic holds every colour.
         side += usize::from(mosaic && side % 2 == 1);
-        let cells = reduced(plane, sites, side)?;
+        let cells = reduced(plane, sites, side);
         let noise = noise(cells.view());
         let window = size.map(|n| (n / side).max(1));
-        let mut best: Option<(f64, [usize; 2])> = None;
-        for row in starts(cells.nrows(), window[0]) {
-            for column in starts(cells.ncols(), window[1]) {
+        any |= cells.iter().any(|v| *v != cells[[0, 0]]);
+        let columns_of = starts(cells.ncols(), window[1]);
+        let in_row = |row: usize| {
+            let scores = columns_of.iter().filter_map(|&column| {
                 let part = cells.slice(s![row..row + window[0], column..column + window[1]]);
-                any |= part.iter().any(|v| *v != part[[0, 0]]);
-                if let Some(score) = judged(part, noise)
-                    && best.is_none_or(|b| score > b.0)
-                {
-                    best = Some((score, [row, column]));
-                }
-            }
-        }
+                judged(part, noise).map(|score| (score, [row, column]))
+            });
+            scores.reduce(first_best)
+        };
+        let rows_of: Vec<_> = starts(cells.nrows(), window[0]).into_par_iter().map(in_row).collect();
+        let best = rows_of.into_iter().flatten().reduce(first_best);
         if let Some((_, [row, column])) = best {
             if share == 1.0 {
                 return Ok(Rectangle::whole((rows, columns)));
@@ -66,6 +67,11 @@ pub fn find_region<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites) 
     Err(Error::bad("", "picture", found, allowed))
 }
 
+/// The better of two scores, the first of equal ones.
+fn first_best<P>(a: (f64, P), b: (f64, P)) -> (f64, P) {
+    if b.0 > a.0 { b } else { a }
+}
+
 /// Where windows of `size` start on `all` cells: a third of a window apart, the last at the end.
 fn starts(all: usize, size: usize) -> Vec<usize> {
     let last = all.saturating_sub(size);
@@ -75,20 +81,36 @@ fn starts(all: usize, size: usize) -> Vec<usize> {
 }
 
 /// Means of the pixels that count over whole cells of `side` pixels.
-fn reduced<T: Copy + Into<f64>>(plane: ArrayView2<'_, T>, sites: Sites, side: usize) -> Result<Array2<f64>> {
-    let (rows, columns) = (plane.nrows() / side, plane.ncols() / side);
-    let (mut sums, mut counts) = (Array2::zeros((rows, columns)), Array2::<f64>::zeros((rows, columns)));
-    for ((r, c), v) in plane.indexed_iter() {
-        let value: f64 = (*v).into();
-        if sites.has(r, c) && !value.is_finite() {
-            return Err(Error::bad("", format!("pixel at column {c}, row {r}"), value.to_string(), "finite values"));
+fn reduced<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: Sites, side: usize) -> Array2<f64> {
+    let columns = plane.ncols() / side;
+    let mut sums = Array2::zeros((plane.nrows() / side, columns));
+    let bands = sums.axis_iter_mut(Axis(0)).into_par_iter().zip(plane.axis_chunks_iter(Axis(0), side)).enumerate();
+    bands.for_each(|(band, (mut sums, part))| {
+        let mut counts = vec![0.0f64; columns];
+        for (i, row) in part.outer_iter().enumerate() {
+            let r = band * side + i;
+            for (c, v) in row.iter().enumerate().take(columns * side).filter(|(c, _)| sites.has(r, *c)) {
+                sums[c / side] += (*v).into();
+                counts[c / side] += 1.0;
+            }
         }
-        if sites.has(r, c) && r / side < rows && c / side < columns {
-            sums[[r / side, c / side]] += value;
-            counts[[r / side, c / side]] += 1.0;
+        sums.iter_mut().zip(counts).for_each(|(sum, n)| *sum /= n.max(1.0));
+    });
+    sums
+}
+
+/// Refuses values that are not finite, among those that count.
+fn check<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: Sites) -> Result<()> {
+    let wrong = plane.outer_iter().into_par_iter().enumerate().find_map_first(|(r, row)| {
+        let at = row.iter().enumerate().find(|(c, v)| sites.has(r, *c) && !(**v).into().is_finite())?;
+        Some((r, at.0, (*at.1).into()))
+    });
+    match wrong {
+        Some((r, c, value)) => {
+            Err(Error::bad("", format!("pixel at column {c}, row {r}"), value.to_string(), "finite values"))
         }
+        None => Ok(()),
     }
-    Ok(sums / counts.mapv(|n| n.max(1.0)))
 }
 
 /// Standard deviation of a cell's noise: the median difference of a cell from its four neighbours, which edges hardly move.
