@@ -274,3 +274,38 @@ fn constant_indices_are_read_and_written() {
         }
     }
 }
+
+/// A term of any power is written and read again, or refused by its power: none is left out.
+#[test]
+fn no_term_of_an_asphere_is_lost() {
+    let lens = crate::lens::builtin::lens("cooke_triplet").expect("shipped");
+    for form in [Form::Toml, Form::Zmx, Form::Seq] {
+        for power in 2..=crate::lens::shape::HIGHEST_POWER {
+            let terms = lens.changed(|l| {
+                let shape = &mut l.surfaces[1].shape;
+                let (terms, k) = if power % 2 == 0 {
+                    (&mut shape.asphere, power / 2 - 1)
+                } else {
+                    (&mut shape.odd, (power - 3) / 2)
+                };
+                terms.resize(terms.len().max(k + 1), 0.0);
+                terms[k] = 1e-3 * 5f64.powi(-(power as i32));
+            });
+            let Ok(terms) = terms else { continue };
+            match text_of(&terms, form, Glasses::shipped()) {
+                Ok((text, _)) => {
+                    let read = parse(&text, form, "a", Glasses::shipped()).expect("what was written").lens;
+                    let used =
+                        |t: &[f64]| t.iter().rposition(|a| *a != 0.0).map_or(Vec::new(), |last| t[..=last].to_vec());
+                    let (a, b) = (&read.surfaces[1].shape, &terms.surfaces[1].shape);
+                    assert_eq!(
+                        (used(&a.asphere), used(&a.odd)),
+                        (used(&b.asphere), used(&b.odd)),
+                        "{form:?}, r^{power}"
+                    );
+                }
+                Err(e) => assert!(e.to_string().contains(&format!("r^{power}")), "{form:?}: {e}"),
+            }
+        }
+    }
+}

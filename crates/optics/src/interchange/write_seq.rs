@@ -17,11 +17,12 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         let medium = medium(lens, &s.medium, glasses, &mut private);
         let shape = &s.shape;
         let _ = writeln!(body, "S {} {}{medium}", plain(shape.curvature), plain(s.thickness));
-        let a2 = shape.asphere.first().copied().unwrap_or(0.0);
-        if a2 != 0.0 || shape.odd.iter().any(|a| *a != 0.0) {
+        let even = shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * (k + 1));
+        let odd = shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * k + 3);
+        if let Some(power) = even.filter(|p| !(4..=20).contains(p)).chain(odd).next() {
+            let allowed = "even terms from a4 to a20, which an asphere of CODE V has; .zmx and .toml take all";
             let place = format!("surface[{i}].asphere");
-            let allowed = "even terms from a4 to a20, which an asphere of CODE V has";
-            return Err(Error::bad(lens.name.as_str(), place, "an r² term or odd terms", allowed));
+            return Err(Error::bad(lens.name.as_str(), place, format!("a term of r^{power}"), allowed));
         }
         if shape.conic != 0.0 || shape.asphere.iter().any(|a| *a != 0.0) {
             let _ = writeln!(body, "  ASP\n  K {}", plain(shape.conic));

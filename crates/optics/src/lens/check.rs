@@ -5,6 +5,8 @@ use isoplanat_base::error::{Error, Result};
 
 /// Most surfaces that a lens has: the largest published ones have some sixty.
 pub(crate) const MAX_SURFACES: usize = 400;
+/// Most wavelengths that a lens states; other programs take up to 24.
+const MAX_WAVELENGTHS: usize = 100;
 /// Largest object.
 const MAX_HEIGHT_MM: f64 = 1e6;
 /// Largest half field angle. Work on a flat image asks for less than 90.
@@ -106,6 +108,10 @@ impl Prescription {
         if w.nm.is_empty() || w.nm.len() != w.weights.len() {
             let found = format!("{} wavelengths, {} weights", w.nm.len(), w.weights.len());
             return Err(Error::bad(file, "wavelengths", found, "as many weights as wavelengths, at least one"));
+        }
+        if w.nm.len() > MAX_WAVELENGTHS {
+            let (found, allowed) = (format!("{} wavelengths", w.nm.len()), format!("at most {MAX_WAVELENGTHS}"));
+            return Err(Error::bad(file, "wavelengths", found, allowed));
         }
         for nm in w.nm.iter().chain([&w.primary_nm]) {
             if !(200.0..=20_000.0).contains(nm) {
