@@ -28,6 +28,24 @@ fn arguments_without_bounds_are_refused_at_once() {
         let arguments = format!("render two_element text:1 -o x.png --columns 16 --rows 12 --pitch-um={pitch}");
         refused(&place, &arguments, &["pitch_um"]);
     }
+    // More wavelengths than any file states; a folder of glasses without one.
+    let two = include_str!("../../models/lenses/two_element.toml");
+    let many = |what: &str, one: &str| format!("{what} = [{}]", vec![one; 101].join(", "));
+    let waves = two.replace("nm = [486.1327, 587.5618, 656.2725]", &many("nm", "550.0"));
+    place.write("waves.toml", waves.replace("weights = [1.0, 1.0, 1.0]", &many("weights", "1.0")));
+    refused(&place, "spot waves.toml", &["waves.toml", "101 wavelengths", "at most 100"]);
+    std::fs::create_dir(place.path("none")).expect("made");
+    refused(&place, "inspect two_element --glass none", &["none", "no catalogue"]);
+}
+
+#[cfg(feature = "deploy")]
+#[test]
+fn threads_without_bound_are_refused() {
+    let place = Workplace::new();
+    for threads in ["1025", "18446744073709551615", "-1"] {
+        let (code, _, err) = camera(&place, &["--kit", "none", "x.dng", &format!("--threads={threads}")]);
+        assert!(code == 2 && err.contains("threads"), "{code} {err}");
+    }
 }
 
 #[test]

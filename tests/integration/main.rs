@@ -18,6 +18,7 @@ mod costs;
 #[cfg(feature = "train")]
 mod designing;
 mod diffraction;
+mod documents;
 mod extremes;
 #[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod faults;

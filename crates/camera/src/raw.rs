@@ -111,16 +111,15 @@ pub fn has_raw_name(path: &Path) -> bool {
     known.any(|known| known.eq_ignore_ascii_case(&ending))
 }
 
+/// Bytes of a RAW file at most.
+const LARGEST: u64 = 4 << 30;
+
 /// Decodes a RAW file in this process.
 ///
 /// # Errors
 /// A file that cannot be read; as [`decode_bytes`].
 pub fn decode(path: &Path) -> Result<RawCapture> {
-    let facts = std::fs::metadata(path).map_err(|e| Error::reading(path, e))?;
-    if !facts.is_file() {
-        return Err(bad(path, "not a file", ALLOWED));
-    }
-    decode_bytes(std::fs::read(path).map_err(|e| Error::reading(path, e))?, path)
+    decode_bytes(isoplanat_base::atomic::read_bounded(path, LARGEST)?, path)
 }
 
 /// Decodes a RAW file's bytes in this process; `path` names them in messages.

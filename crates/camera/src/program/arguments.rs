@@ -115,7 +115,7 @@ pub(crate) struct Running {
     #[arg(long, value_name = "PATH")]
     pub(crate) onnxruntime: Option<PathBuf>,
     /// Threads [default: one for each core].
-    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true)]
+    #[arg(long, value_name = "N", default_value_t = 0, hide_default_value = true, value_parser = threads)]
     pub(crate) threads: usize,
     /// Memory that this program may take, GiB, and its decoder's process as much; what needs more is refused [default: four fifths of what the system has left].
     #[arg(long, value_name = "GIB")]
@@ -178,6 +178,13 @@ fn exposure(text: &str) -> std::result::Result<f64, String> {
 fn seconds(text: &str) -> std::result::Result<f64, String> {
     let number = text.parse().ok().filter(|v: &f64| *v > 0.0 && *v <= MOST_SECONDS);
     number.ok_or_else(|| format!("seconds, above 0, at most {MOST_SECONDS}"))
+}
+
+/// Threads at most: more than the largest machines have cores.
+const MOST_THREADS: usize = 1024;
+
+fn threads(text: &str) -> std::result::Result<usize, String> {
+    text.parse().ok().filter(|n| *n <= MOST_THREADS).ok_or_else(|| format!("0 (one for each core) to {MOST_THREADS}"))
 }
 
 fn veil(text: &str) -> std::result::Result<Veil, String> {

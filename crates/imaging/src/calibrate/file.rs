@@ -87,15 +87,7 @@ impl MeasuredDistortion {
             return refuse("k, centre_px", format!("{:?}, {:?}", self.k, self.centre_px), "finite numbers below 1e9");
         }
         Frame::centred(self.columns, self.rows, 1.0).map_err(|e| e.in_file(Path::new(file)))?;
-        for (axis, (at, count)) in ["x", "y"].into_iter().zip(self.centre_px.into_iter().zip([self.columns, self.rows]))
-        {
-            let size = count as f64;
-            if !(-size..=2.0 * size).contains(&at) {
-                let allowed =
-                    format!("no farther from the frame than its own size: {} to {} px in {axis}", -size, 2.0 * size);
-                return refuse("centre_px", at.to_string(), &allowed);
-            }
-        }
+        check_centre(file, self.centre_px, [self.columns, self.rows])?;
         if self.camera().folds(self.max_slope).is_some() {
             return refuse("k", "image height stops growing".into(), "a model that grows up to max_slope");
         }
@@ -120,6 +112,19 @@ impl MeasuredDistortion {
         let coefficients_mm = unit.coefficients_mm.map(|b| self.focal_length_px * b);
         Distortion { coefficients_mm, residual_mm: self.rms_px, ..unit }
     }
+}
+
+/// Refuses a centre farther from the frame than its own size: nothing was measured there.
+pub(super) fn check_centre(file: &str, centre_px: [f64; 2], [columns, rows]: [usize; 2]) -> Result<()> {
+    for (axis, at, count) in [("x", centre_px[0], columns), ("y", centre_px[1], rows)] {
+        let size = count as f64;
+        if !(-size..=2.0 * size).contains(&at) {
+            let allowed =
+                format!("no farther from the frame than its own size: {} to {} px in {axis}", -size, 2.0 * size);
+            return Err(Error::bad(file, "centre_px", at.to_string(), allowed));
+        }
+    }
+    Ok(())
 }
 
 #[cfg(test)]

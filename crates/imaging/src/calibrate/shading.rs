@@ -8,6 +8,7 @@ use std::path::Path;
 use ndarray::Array2;
 use serde::{Deserialize, Serialize};
 
+use super::file::check_centre;
 use super::transfer::{Frames, Transfer, ceiling};
 use crate::develop::shading::Shading;
 use crate::frame::Frame;
@@ -96,6 +97,7 @@ impl MeasuredShading {
             other => other,
         };
         measured.frame().map_err(named)?;
+        check_centre(file, measured.centre_px, [measured.columns, measured.rows])?;
         measured.shading().map_err(named)?;
         if !(0.0..=1.0).contains(&measured.rms) {
             return Err(Error::bad(file, "rms", measured.rms.to_string(), "a share from 0 to 1"));
@@ -300,6 +302,7 @@ mod tests {
             ("red = [1.0,", "red = [", "illumination.red"),
             ("blue = [1.0,", "blue = [-1.0,", "illumination.blue"),
             ("centre_px = [40.0", "centre_px = [nan", "centre_px"),
+            ("centre_px = [40.0", "centre_px = [161.0", "-80 to 160 px"),
             ("lens = \"\"", "lens = \"\"\nzoom = 1", "zoom"),
         ] {
             assert!(text.contains(from), "{from} in {text}");

@@ -187,6 +187,10 @@ impl Glasses {
             }
             files.sort();
             let of_kind = |p: &&std::path::PathBuf| kind(p).is_some();
+            if !files.iter().any(|file| of_kind(&file)) {
+                let allowed = "a folder of AGF catalogues (.agf) or pages of refractiveindex.info (.yml, .yaml)";
+                return Err(Error::bad(path.display().to_string(), "folder", "no catalogue in it", allowed));
+            }
             return files.iter().filter(of_kind).try_for_each(|file| self.add(file));
         }
         let file = path.display().to_string();

@@ -1,0 +1,92 @@
+//! What README and manual print is true: their short commands run as printed, their links lead somewhere, and the README stays one that people finish.
+
+use std::path::{Path, PathBuf};
+
+use crate::support::root;
+
+/// README and the pages of the manual.
+fn pages() -> Vec<PathBuf> {
+    let manual = std::fs::read_dir(root().join("docs")).expect("a manual").flatten().map(|e| e.path());
+    let mut pages: Vec<PathBuf> = manual.filter(|p| p.extension().is_some_and(|e| e == "md")).collect();
+    pages.sort();
+    pages.insert(0, root().join("README.md"));
+    pages
+}
+
+fn text(page: &Path) -> String {
+    std::fs::read_to_string(page).expect("readable")
+}
+
+/// Blocks of shell commands that anybody can run at once; others say in their first line what they need.
+fn short_commands(page: &str) -> Vec<&str> {
+    let blocks = page.split("\n```sh\n").skip(1).map(|rest| rest.split("\n```").next().unwrap_or(rest));
+    let other = ["# long", "# your own files", "# installs"];
+    blocks.filter(|block| !other.iter().any(|o| block.lines().next().is_some_and(|l| l.trim() == *o))).collect()
+}
+
+/// Page by page, each in a folder that has the shipped models and nothing else. `demo --quick` runs by itself in `.ci/run`.
+#[cfg(all(unix, feature = "train", feature = "deploy", feature = "calibrate"))]
+#[test]
+fn printed_commands_run_as_printed() {
+    use std::process::Command;
+    let programs = Path::new(env!("CARGO_BIN_EXE_isoplanat")).parent().expect("a folder");
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap_or_default());
+    let mut count = 0;
+    for page in pages() {
+        let text = text(&page);
+        let blocks = short_commands(&text);
+        if blocks.is_empty() {
+            continue;
+        }
+        let place = crate::support::Workplace::new();
+        std::os::unix::fs::symlink(root().join("models"), place.path("models")).expect("linked");
+        let script = blocks.join("\n").replace("isoplanat demo --quick\n", "");
+        count += script.lines().filter(|l| l.starts_with("isoplanat")).count();
+        let mut command = Command::new("sh");
+        command.args(["-e", "-u", "-x", "-c", &script]).current_dir(place.path(".")).env("PATH", &path);
+        let ran = command.output().expect("a shell");
+        let said = String::from_utf8_lossy(&ran.stderr);
+        assert!(ran.status.success(), "{}: {}\n{said}", page.display(), ran.status);
+    }
+    assert!(count > 30, "only {count} commands were found");
+}
+
+/// Pages, pictures and files that are linked are there.
+#[test]
+fn links_lead_somewhere() {
+    let mut count = 0;
+    for page in pages() {
+        let text = text(&page);
+        for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
+            let file = link.split('#').next().unwrap_or(link);
+            if file.is_empty() || file.contains("://") {
+                continue;
+            }
+            let at = page.parent().expect("a folder").join(file);
+            assert!(at.exists(), "{}: {link}", page.display());
+            count += 1;
+        }
+    }
+    assert!(count > 40, "{count}");
+}
+
+/// At most 180 lines and 12 kB, paragraphs of at most 60 words, cells of at most 15.
+#[test]
+fn the_readme_is_one_that_people_finish() {
+    let readme = text(&root().join("README.md"));
+    assert!(readme.lines().count() <= 180 && readme.len() <= 12_000, "{} bytes", readme.len());
+    let words = |t: &str| t.split_whitespace().count();
+    let mut in_block = false;
+    for line in readme.lines() {
+        in_block ^= line.starts_with("```");
+        if in_block {
+            continue;
+        }
+        if line.starts_with('|') {
+            let long = line.split('|').find(|cell| words(cell) > 15);
+            assert_eq!(long, None, "a long cell");
+        } else {
+            assert!(words(line) <= 60, "{} words: {line}", words(line));
+        }
+    }
+}
