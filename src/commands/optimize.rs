@@ -113,6 +113,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.iterations == 0 || args.search == Some(0) {
         return Err(Error::bad("--iterations, --search", "value", "0", "at least 1").into());
     }
+    if let Some(starts) = args.search.filter(|n| *n > MOST_STARTS) {
+        return Err(Error::bad("--search", "value", starts.to_string(), format!("1 to {MOST_STARTS}")).into());
+    }
     let until = Duration::try_from_secs_f64(60.0 * minutes).ok().and_then(|d| Instant::now().checked_add(d));
     let lens = crate::input::lens(&args.lens)?;
     // What the form cannot say is told before the work.
@@ -196,6 +199,9 @@ fn choice(lens: &Lens, patterns: &[String]) -> Result<(Vec<usize>, Pool)> {
     let visible = short <= seen[1] && long >= seen[0];
     Ok((surfaces, if visible { pool.known_over(seen) } else { pool }))
 }
+
+/// Starts of a search at most.
+const MOST_STARTS: usize = 1_000_000;
 
 /// The table of a search's folder; its presence makes the folder one.
 const MARKER: &str = "lenses.csv";

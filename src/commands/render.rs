@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::atomic::Target;
-use isoplanat::imaging::files::{Annotation, Depth, Encoding, extension, write_annotated};
+use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
@@ -206,6 +206,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.float && !many && !["tif", "tiff", "npy"].contains(&extension(&args.output).as_str()) {
         let found = format!("`{}` has no floating point", args.output.display());
         return Err(Error::bad("--float", "output", found, ".tif, .tiff or .npy").into());
+    }
+    let ending = extension(&args.output);
+    if !many && !PICTURES.contains(&ending.as_str()) {
+        let allowed = format!("a name that ends in .{}", PICTURES.join(", ."));
+        return Err(Error::bad(args.output.display().to_string(), "file name", format!("`.{ending}`"), allowed).into());
     }
     if many {
         atomic::check_folder(&args.output, MARKER, args.force)?;

@@ -28,6 +28,16 @@ fn arguments_without_bounds_are_refused_at_once() {
         let arguments = format!("render two_element text:1 -o x.png --columns 16 --rows 12 --pitch-um={pitch}");
         refused(&place, &arguments, &["pitch_um"]);
     }
+    for (arguments, told) in [
+        ("optimize two_element -o x.toml --search 18446744073709551615", "--search"),
+        ("optimize two_element -o x.toml --constraint focal_length=nan", "constraint focal_length"),
+        ("optimize two_element -o x.toml --constraint focal_length=nan..60", "constraint focal_length"),
+        ("optimize two_element -o x.toml --bound surface[*].thickness=5..1", "bound surface[*].thickness"),
+        ("optimize two_element -o x.toml --target focal_length=nan@1", "target focal_length"),
+        ("render no_such_lens text:1 -o x.gif", "`.gif`"),
+    ] {
+        refused(&place, arguments, &[told]);
+    }
     // More wavelengths than any file states; a folder of glasses without one.
     let two = include_str!("../../models/lenses/two_element.toml");
     let many = |what: &str, one: &str| format!("{what} = [{}]", vec![one; 101].join(", "));

@@ -1,5 +1,7 @@
 //! Variables by name and by pattern: `surface[*].curvature`, `surface[2].a4`, `surface[0..3].thickness`.
 
+use std::collections::HashSet;
+
 use crate::lens::{Kind, Lens, Parameter};
 use isoplanat_base::error::{Error, Result};
 
@@ -32,10 +34,23 @@ fn movable(kind: Kind) -> bool {
 
 /// Whether `name` is what `pattern` says.
 pub(super) fn matches(pattern: &str, name: &str) -> bool {
+    // Stars beside each other are one.
+    let mut before = ' ';
+    let one = |c: &char| std::mem::replace(&mut before, *c) != '*' || *c != '*';
+    let pattern: String = pattern.chars().filter(one).collect();
+    fits(&pattern, name, &mut HashSet::new())
+}
+
+/// The same, without what was tried in vain: how much of pattern and name is left says where both stand.
+fn fits(pattern: &str, name: &str, tried: &mut HashSet<(usize, usize)>) -> bool {
     let Some((part, rest)) = pattern.split_once('*') else { return ranged(pattern, name) };
+    if !tried.insert((pattern.len(), name.len())) {
+        return false;
+    }
     // A star takes as much as the rest leaves it; not beyond a bracket it stands in.
     let Some(left) = prefix(part, name) else { return false };
-    (0..=left.len()).any(|n| left.is_char_boundary(n) && !left[..n].contains([']', '.']) && matches(rest, &left[n..]))
+    let end = left.find([']', '.']).unwrap_or(left.len());
+    (0..=end).any(|n| left.is_char_boundary(n) && fits(rest, &left[n..], tried))
 }
 
 /// What is left of `name` behind `part`, of which ranges may stand for numbers.
@@ -62,6 +77,15 @@ fn ranged(pattern: &str, name: &str) -> bool {
 mod tests {
     use super::*;
     use crate::lens::builtin;
+
+    /// Stars without number cost no more than their places times the name's.
+    #[test]
+    fn many_stars_are_matched_at_once() {
+        let stars = "*".repeat(300_000);
+        assert!(matches(&format!("surface[{stars}].curvature"), "surface[3].curvature"));
+        assert!(!matches(&format!("surface[{stars}].curvaturf"), "surface[3].curvature"));
+        assert!(!matches(&"*e".repeat(40), "surface[3].thickness"));
+    }
 
     #[test]
     fn patterns_name_numbers() {
