@@ -1,6 +1,6 @@
 //! RAW decoding in a child process that is held to little memory and time, and sees no file but the one it decodes.
 //!
-//! The helper program is started with [`COMMAND`] as its first argument and the open file as its standard input; that child calls [`serve`], which writes what
+//! The helper program is started with [`COMMAND`] as its first argument and the open file as its standard input; that child calls `serve`, which writes what
 //! holds it as a line of JSON, reads the file, and writes another line and then the samples to its standard output. Whatever happens to the child (a panic, an abort, a
 //! refused allocation, no end), the parent turns it into one sentence. How it is held: [`super::child`].
 
