@@ -18,6 +18,7 @@ fn text(page: &Path) -> String {
 }
 
 /// Blocks of shell commands that anybody can run at once; others say in their first line what they need.
+#[cfg(all(unix, feature = "train", feature = "deploy", feature = "calibrate"))]
 fn short_commands(page: &str) -> Vec<&str> {
     let blocks = page.split("\n```sh\n").skip(1).map(|rest| rest.split("\n```").next().unwrap_or(rest));
     let other = ["# long", "# your own files", "# installs"];
