@@ -67,9 +67,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
     }
     let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(Path::new(&args.lens));
-    let bar = crate::progress::Bar::new("kernels");
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
-    bar.done(String::new());
     save(&kernels, Target::new(&args.output, args.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
