@@ -10,7 +10,11 @@ static MEMORY: isoplanat::refusing::Refusing = isoplanat::refusing::Refusing;
 
 /// Says something on stderr; what would steer a terminal is escaped ([`isoplanat::terminal`]).
 macro_rules! tell {
-    ($($words:tt)*) => { eprintln!("{}", isoplanat::terminal::printable(&format!($($words)*))) };
+    // Where nobody can be told the work goes on.
+    ($($words:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), "{}", isoplanat::terminal::printable(&format!($($words)*)));
+    }};
 }
 pub(crate) use tell;
 

@@ -2,7 +2,11 @@
 
 /// Says something on stderr; what would steer a terminal is escaped ([`isoplanat_base::terminal`]).
 macro_rules! tell {
-    ($($words:tt)*) => { eprintln!("{}", isoplanat_base::terminal::printable(&format!($($words)*))) };
+    // Where nobody can be told the work goes on.
+    ($($words:tt)*) => {{
+        use std::io::Write as _;
+        let _ = writeln!(std::io::stderr(), "{}", isoplanat_base::terminal::printable(&format!($($words)*)));
+    }};
 }
 pub(crate) use tell;
 
