@@ -91,3 +91,15 @@ fn places_where_nothing_can_be_written_are_refused_first() {
     assert_eq!(place.files(), ["there.csv"]);
     assert_eq!(std::fs::read_to_string(place.path("there.csv")).expect("reads"), "kept");
 }
+
+/// Where nobody can be told, the work goes on.
+#[cfg(target_os = "linux")]
+#[test]
+fn a_full_standard_error_ends_nothing() {
+    let place = Workplace::new();
+    let mut command = place.command("render two_element text:1 -o a.png --columns 64 --rows 64");
+    let full = std::fs::File::options().write(true).open("/dev/full").expect("opens");
+    let status = command.stdout(std::process::Stdio::null()).stderr(full).status().expect("runs");
+    assert!(status.success(), "{status}");
+    assert_eq!(place.files(), ["a.png"]);
+}
