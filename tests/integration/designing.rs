@@ -1,31 +1,9 @@
 //! `isoplanat design` and `isoplanat sweep`: killed and resumed, shipped tasks, starts that are no good.
 
-use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{Workplace, repetitions};
-
-/// A design of some seconds: tiny network, checkpoints all the time.
-const TASK: &str = r#"
-schema = 1
-lens = "two_element"
-sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }
-scenes = 2
-base_width = 4
-patch_px = 32
-batch = 1
-steps = 90
-checks = 3
-checkpoint_seconds = 0.02
-"#;
-
-/// Every tensor of a checkpoint, as bytes: what stands behind the header.
-fn tensors(file: &Path) -> Vec<u8> {
-    let bytes = std::fs::read(file).expect("a checkpoint");
-    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
-    bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
-}
+use crate::support::{SMALL_DESIGN as TASK, Workplace, repetitions, tensors};
 
 /// Killed at random and resumed: lens and network of a design in one go, bit for bit, and the same history.
 #[test]

@@ -129,6 +129,29 @@ pub(crate) fn repetitions(few: usize, many: usize) -> usize {
     }
 }
 
+/// A design of some seconds: tiny network, checkpoints all the time.
+#[cfg(feature = "train")]
+pub(crate) const SMALL_DESIGN: &str = r#"
+schema = 1
+lens = "two_element"
+sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }
+scenes = 2
+base_width = 4
+patch_px = 32
+batch = 1
+steps = 90
+checks = 3
+checkpoint_seconds = 0.02
+"#;
+
+/// Every tensor of a checkpoint, as bytes: what stands behind the header.
+#[cfg(feature = "train")]
+pub(crate) fn tensors(file: &Path) -> Vec<u8> {
+    let bytes = std::fs::read(file).expect("a checkpoint");
+    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
+    bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
+}
+
 /// The repository's root.
 pub(crate) fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))

@@ -4,7 +4,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use crate::support::{Workplace, repetitions};
+use crate::support::{self, Workplace, repetitions};
 
 const KILLS: [usize; 2] = [3, 20];
 
@@ -44,11 +44,9 @@ fn to_the_end(arguments: &[&str], folder: &Path) {
     assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
-/// Every tensor of a checkpoint, as bytes: what stands behind the header.
+/// Every tensor of a training's checkpoint.
 fn tensors(folder: &Path) -> Vec<u8> {
-    let bytes = std::fs::read(folder.join("network.safetensors")).expect("a checkpoint");
-    let header = u64::from_le_bytes(bytes[..8].try_into().expect("eight bytes"));
-    bytes[8 + usize::try_from(header).expect("fits")..].to_vec()
+    support::tensors(&folder.join("network.safetensors"))
 }
 
 /// When the last checkpoint was written.
