@@ -30,10 +30,10 @@ fn arguments_without_bounds_are_refused_at_once() {
     }
     for (arguments, told) in [
         ("optimize two_element -o x.toml --search 18446744073709551615", "--search"),
-        ("optimize two_element -o x.toml --constraint focal_length=nan", "constraint focal_length"),
-        ("optimize two_element -o x.toml --constraint focal_length=nan..60", "constraint focal_length"),
-        ("optimize two_element -o x.toml --bound surface[*].thickness=5..1", "bound surface[*].thickness"),
-        ("optimize two_element -o x.toml --target focal_length=nan@1", "target focal_length"),
+        ("optimize two_element -o x.toml --constraint focal_length=nan", "focal_length: NaN to NaN"),
+        ("optimize two_element -o x.toml --constraint focal_length=nan..60", "focal_length: NaN to 60"),
+        ("optimize two_element -o x.toml --bound surface[*].thickness=5..1", "surface[*].thickness: 5 to 1"),
+        ("optimize two_element -o x.toml --target focal_length=nan@1", "focal_length: NaN"),
         ("render no_such_lens text:1 -o x.gif", "`.gif`"),
     ] {
         refused(&place, arguments, &[told]);

@@ -2,7 +2,7 @@
 
 use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use super::place::{self, Place};
 use super::temporary::{Temporary, TemporaryFolder};
@@ -56,10 +56,9 @@ pub fn publish_file<T>(
 /// As [`publish_file`].
 pub fn publish_path<T>(path: &Path, replace: Replace, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
     let failed = |e| Error::writing(path, e);
-    let (target, before) = match allowed(path, replace)? {
-        Place::File(target, found) => (target, Some(found.permissions())),
-        Place::Free(target) | Place::Folder(target) => (target, None),
-        Place::Stream(stream) => {
+    let way = match way(path, replace, true)? {
+        Way::Move(way) => way,
+        Way::Pour(stream) => {
             let folder = TemporaryFolder::beside(&std::env::temp_dir().join("isoplanat")).map_err(failed)?;
             let at = folder.path().join("output");
             let value = fill(&at)?;
@@ -67,25 +66,16 @@ pub fn publish_path<T>(path: &Path, replace: Replace, fill: impl FnOnce(&Path) -
             return Ok(value);
         }
     };
-    let alone = !name::in_temporary(&target);
-    if alone {
-        sweep::sweep(&target);
-    }
-    let folder = TemporaryFolder::beside(&target).map_err(failed)?;
-    let at = folder.path().join(target.file_name().unwrap_or_default());
+    let folder = TemporaryFolder::beside(&way.target).map_err(failed)?;
+    let at = folder.path().join(way.target.file_name().unwrap_or_default());
     fault::at("fill").map_err(failed)?;
     let value = fill(&at)?;
     let file = File::options().write(true).open(&at).map_err(failed)?;
-    if let Some(before) = before {
-        keep_mode(&file, &before).map_err(failed)?;
-    }
-    if alone {
-        fault::at("sync file").and_then(|()| file.sync_all()).map_err(failed)?;
-    }
+    way.keep_mode(&file).and_then(|()| way.sync(&file)).map_err(failed)?;
     drop(file);
-    moved(path, &at, &target, replace)?;
+    moved(path, &at, &way.target, replace)?;
     drop(folder);
-    synced(path, &target, alone)?;
+    way.sync_name().map_err(failed)?;
     Ok(value)
 }
 
@@ -96,9 +86,9 @@ fn publish<T>(
     fill: impl FnOnce(&mut BufWriter<File>) -> Result<T>,
 ) -> Result<T> {
     let failed = |e| Error::writing(path, e);
-    let (target, before) = match allowed(path, replace)? {
-        Place::File(target, found) => (target, Some(found.permissions())),
-        Place::Stream(stream) => {
+    let way = match way(path, replace, sync)? {
+        Way::Move(way) => way,
+        Way::Pour(stream) => {
             // Written at once and without an end that can be sought: what `fill` writes is kept elsewhere until it is whole.
             let temporary = Temporary::beside(&std::env::temp_dir().join("isoplanat")).map_err(failed)?;
             temporary.hidden().map_err(failed)?;
@@ -106,25 +96,64 @@ fn publish<T>(
             (&temporary.file).rewind().and_then(|()| poured(&temporary.file, &stream)).map_err(failed)?;
             return Ok(value);
         }
+    };
+    let temporary = Temporary::beside(&way.target).map_err(failed)?;
+    way.keep_mode(&temporary.file).map_err(failed)?;
+    let value = filled(path, &temporary, fill)?;
+    way.sync(&temporary.file).map_err(failed)?;
+    moved(path, temporary.path(), &way.target, replace)?;
+    drop(temporary);
+    way.sync_name().map_err(failed)?;
+    Ok(value)
+}
+
+/// How what is written gets to its place.
+enum Way {
+    /// Moved there when it is whole.
+    Move(Move),
+    /// Written into what stands there.
+    Pour(PathBuf),
+}
+
+/// A place that a file is moved to.
+struct Move {
+    target: PathBuf,
+    /// The mode of the file that gives way.
+    before: Option<fs::Permissions>,
+    /// Whether it is synced by itself; within a folder that is being published all is cleared and synced with it.
+    alone: bool,
+}
+
+/// The way to `path`, cleared of what dead writers have left there.
+fn way(path: &Path, replace: Replace, sync: bool) -> Result<Way> {
+    let (target, before) = match allowed(path, replace)? {
+        Place::Stream(stream) => return Ok(Way::Pour(stream)),
+        Place::File(target, found) => (target, Some(found.permissions())),
         Place::Free(target) | Place::Folder(target) => (target, None),
     };
-    // Within a folder that is being published all is cleared and synced with it.
     let alone = sync && !name::in_temporary(&target);
     if alone {
         sweep::sweep(&target);
     }
-    let temporary = Temporary::beside(&target).map_err(failed)?;
-    if let Some(before) = before {
-        keep_mode(&temporary.file, &before).map_err(failed)?;
+    Ok(Way::Move(Move { target, before, alone }))
+}
+
+impl Move {
+    fn keep_mode(&self, file: &File) -> io::Result<()> {
+        self.before.as_ref().map_or(Ok(()), |before| keep_mode(file, before))
     }
-    let value = filled(path, &temporary, fill)?;
-    if alone {
-        fault::at("sync file").and_then(|()| temporary.file.sync_all()).map_err(failed)?;
+
+    fn sync(&self, file: &File) -> io::Result<()> {
+        if self.alone { fault::at("sync file").and_then(|()| file.sync_all()) } else { Ok(()) }
     }
-    moved(path, temporary.path(), &target, replace)?;
-    drop(temporary);
-    synced(path, &target, alone)?;
-    Ok(value)
+
+    /// Has the disk know the new name.
+    fn sync_name(&self) -> io::Result<()> {
+        match self.target.parent() {
+            Some(folder) if self.alone => rename::sync_folder(folder),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Gives a written file its name.
@@ -137,14 +166,6 @@ fn moved(path: &Path, from: &Path, target: &Path, replace: Replace) -> Result<()
         (io::ErrorKind::AlreadyExists, Replace::Never) => Error::Exists(path.to_owned()),
         _ => Error::writing(path, e),
     })
-}
-
-/// Has the disk know the new name, unless the folder around it is synced later.
-fn synced(path: &Path, target: &Path, alone: bool) -> Result<()> {
-    match target.parent() {
-        Some(folder) if alone => rename::sync_folder(folder).map_err(|e| Error::writing(path, e)),
-        _ => Ok(()),
-    }
 }
 
 /// What stands at `path` where a file may be put there; its folder is there.

@@ -155,9 +155,7 @@ pub(super) fn read_answer(input: &mut impl BufRead, most: impl Fn() -> u64) -> s
         return Ok((number(input)?, Ok((read_samples(input, most())?, took))));
     }
     let id = number(input)?;
-    let mut line = String::new();
-    input.take(MOST_WORDS).read_line(&mut line)?;
-    Ok((id, Err(serde_json::from_str(&line)?)))
+    Ok((id, Err(line(input)?)))
 }
 
 /// A line of JSON.

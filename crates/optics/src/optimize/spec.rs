@@ -8,6 +8,7 @@ use super::constraint::{Constraint, Quantity, Target};
 use super::merit::{Apertures, Merit, Quality, Reference};
 use super::pattern::parameters;
 use super::problem::Problem;
+use super::standard::check_bounds;
 use crate::lens::{Kind, Lens, Parameter};
 use isoplanat_base::error::{Error, Result};
 
@@ -164,7 +165,6 @@ impl Spec {
             let nearest = merit.depths.iter().map(|d| d[0]).reduce(f64::max);
             constraints.extend(Problem::light(lens, nearest.unwrap_or(lens.object_vergence)));
         }
-        self.check_numbers(file)?;
         let mut targets = Vec::new();
         for (name, Wanted { value, weight }) in &self.targets {
             for quantity in quantities(lens, &merit, "target", name, file)? {
@@ -172,16 +172,20 @@ impl Spec {
                 targets.push(Target { quantity, value: *value, weight: *weight });
             }
         }
+        // What the lens does not have is not held; what is stated is, or is refused below.
+        constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
         for (name, range) in &self.constraints {
             for quantity in quantities(lens, &merit, "constraint", name, file)? {
                 constraints.retain(|c| c.quantity != quantity);
                 constraints.push(Constraint { quantity, bounds: range.bounds() });
             }
         }
-        constraints.retain(|c| c.bounds.iter().any(|b| b.is_finite()));
+        constraints.retain(|c| c.bounds != [f64::NEG_INFINITY, f64::INFINITY]);
         problem = Problem { targets, ..Problem::new(lens, chosen, constraints, merit) };
         for (pattern, range) in &self.bounds {
             let named = parameters(lens, pattern, file)?;
+            // Of numbers that are not moved, too.
+            check_bounds(file, pattern, range.bounds())?;
             for (p, b) in problem.variables.parameters.iter().zip(&mut problem.bounds) {
                 if named.contains(p) {
                     *b = range.bounds();
@@ -193,25 +197,6 @@ impl Spec {
             other => other,
         })?;
         Ok(problem)
-    }
-
-    /// Refuses bounds that hold nothing, and targets that are none.
-    fn check_numbers(&self, file: &str) -> Result<()> {
-        let stated = [("constraint", &self.constraints), ("bound", &self.bounds)];
-        for (what, (name, range)) in stated.into_iter().flat_map(|(what, all)| all.iter().map(move |r| (what, r))) {
-            let [low, high] = range.bounds();
-            if low.is_nan() || high.is_nan() || low > high || low == f64::INFINITY || high == f64::NEG_INFINITY {
-                let allowed = "a number, or a lowest and a highest value, one of which may be infinite";
-                return Err(Error::bad(file, format!("{what} {name}"), format!("{low} to {high}"), allowed));
-            }
-        }
-        for (name, Wanted { value, weight }) in &self.targets {
-            if !value.is_finite() || !(0.0..f64::INFINITY).contains(weight) {
-                let found = format!("{value} with weight {weight}");
-                return Err(Error::bad(file, format!("target {name}"), found, "a number, and a weight from 0"));
-            }
-        }
-        Ok(())
     }
 
     /// What bounds take in that their pattern does not say by name: the distance to the sensor among thicknesses. One line each.

@@ -135,19 +135,13 @@ impl Problem {
         let file = self.lens.name.as_str();
         self.merit.check(file)?;
         for (p, [a, b]) in self.variables.parameters.iter().zip(&self.bounds) {
-            if a.is_nan() || b.is_nan() || a > b {
-                let allowed = "a smallest value not above the largest";
-                return Err(Error::bad(file, p.name(&self.lens), format!("{a} to {b}"), allowed));
-            }
+            check_bounds(file, &p.name(&self.lens), [*a, *b])?;
         }
         for c in &self.constraints {
             let [a, b] = c.bounds;
             let name = c.quantity.name();
             self.known(c.quantity)?;
-            if a.is_nan() || b.is_nan() || a > b || a == f64::INFINITY || b == f64::NEG_INFINITY {
-                let allowed = "a smallest value not above the largest";
-                return Err(Error::bad(file, name, format!("{a} to {b}"), allowed));
-            }
+            check_bounds(file, &name, [a, b])?;
             if matches!(c.quantity, Quantity::WorkingFNumber(_)) && b <= 0.0 {
                 return Err(Error::bad(file, name, b.to_string(), "a largest value above 0"));
             }
@@ -187,6 +181,15 @@ impl Problem {
         let allowed = || format!("surfaces 0 to {}", surfaces - 1);
         if known { Ok(()) } else { Err(Error::bad(&self.lens.name, quantity.name(), "no such surface", allowed())) }
     }
+}
+
+/// Refuses bounds of `place` that no number satisfies.
+pub(super) fn check_bounds(file: &str, place: &str, [low, high]: [f64; 2]) -> Result<()> {
+    if low.is_nan() || high.is_nan() || low > high || low == f64::INFINITY || high == f64::NEG_INFINITY {
+        let allowed = "a smallest value not above the largest";
+        return Err(Error::bad(file, place, format!("{low} to {high}"), allowed));
+    }
+    Ok(())
 }
 
 /// What thicknesses are measured by: the focal length, or the length of an afocal lens, mm.
