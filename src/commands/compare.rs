@@ -67,7 +67,7 @@ pub(crate) struct Args {
     /// Steps of each network's training, in place of the task's: the same work for each
     #[arg(long)]
     steps: Option<u64>,
-    /// Networks of each lens: task (the task's), paper (three scales, sees the capture alone), told (the task's, told of its lens)
+    /// Networks of each lens: task (the task's), paper (three scales, sees the capture alone), guided (the task's, guided: it sees the capture through its lens's own filters, too)
     #[arg(long, value_delimiter = ',', value_name = "KIND,…", default_value = "task")]
     networks: Vec<Kind>,
     /// Focus the other lenses for all distances of the task alike, in place of the first lens's object distance
@@ -103,8 +103,9 @@ enum Kind {
     Task,
     /// Three scales that see the capture alone.
     Paper,
-    /// The task's, told of its lens.
-    Told,
+    /// The task's, guided.
+    #[value(alias = "told")]
+    Guided,
 }
 
 impl Kind {
@@ -114,7 +115,7 @@ impl Kind {
         match self {
             Self::Task => {}
             Self::Paper => (task.train.scales, task.train.inputs) = (3, Inputs::BARE),
-            Self::Told => task.train.inputs = Inputs::TOLD,
+            Self::Guided => task.train.inputs = Inputs::GUIDED,
         }
         task
     }

@@ -71,7 +71,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for s in &report.scenes {
         writeln!(
             out,
-            "{:12} capture {:.2} dB, Wiener {:.2} dB, network of the capture alone {:.2} dB, told of its lens {:.2} dB; SSIM {:.3}, \
+            "{:12} capture {:.2} dB, Wiener {:.2} dB, network of the capture alone {:.2} dB, guided {:.2} dB; SSIM {:.3}, \
              {:.3}, {:.3}, {:.3}; colour shift {:.2}, {:.2}, {:.2}, {:.2}",
             s.name,
             s.capture_quality.psnr_db,
@@ -144,7 +144,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.loss.push(LossCurve { name: "lens and network".into(), points });
     done("Joint design of lens and network", clock, &mut report);
 
-    // The final networks for the finished lens, of equal steps from the same start: of the capture alone, and told of the lens.
+    // The final networks for the finished lens, of equal steps from the same start: of the capture alone, and guided.
     let seen = textures.sha256();
     let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| -> Result<Training> {
         let clock = Instant::now();
@@ -160,7 +160,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let told = joint.network.config().clone().seeing(task.train.inputs);
     let guided = joint.network.deepened(&told, task.seed, Compute::Cpu)?;
     let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
-    let training = finished("network told of its lens", task.train.inputs, guided)?;
+    let training = finished("guided network", task.train.inputs, guided)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();
@@ -213,7 +213,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
     report.summary =
-        "A coarse two-element lens and a small network are designed together; the network, and one that is told of the lens, are then \
+        "A coarse two-element lens and a small network are designed together; the network, and a guided one, which sees the capture through its lens's own filters, too, are then \
                       trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
                       rendered by an independent ray tracer from the sensor."
             .into();

@@ -281,10 +281,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
         )?;
     }
     if let (count @ 1.., seconds) = joint.refreshed {
-        writeln!(
-            out,
-            "what the network is told of the lens made anew {count} times as it moved, in {seconds:.1} s in all"
-        )?;
+        writeln!(out, "filters of the guided network made anew {count} times as it moved, in {seconds:.1} s in all")?;
     }
     for (step, chosen) in &designing.stage().fineness {
         writeln!(out, "rendered from step {step} on: {}", chosen.describe())?;

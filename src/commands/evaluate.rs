@@ -6,9 +6,9 @@ use std::path::{Path, PathBuf};
 use isoplanat::design::evaluate::{
     Built, FINENESS, Judge, Pictures, Retrain, Settings, Sheet, TEXELS_PER_PIXEL, evaluate, measured,
 };
+use isoplanat::design::opened::Run;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
-use isoplanat::design::training::guide_of;
 use isoplanat::design::{folder, memory};
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Guide;
@@ -264,9 +264,9 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
     let built =
         Built { refocused: lens(tolerance::REFOCUSED)?, draws: (1..=count).map(named).collect::<Result<Vec<_>>>()? };
     let bytes = run.allow(pictures, false)?;
-    let task = Task::load(&run.folder.join("task.toml"))?;
+    let task = &run.task;
     if args.retrain.is_some() {
-        let more = memory::of_retraining(run.network.config(), &task, Retrain::SIZE)?;
+        let more = memory::of_retraining(run.network.config(), task, Retrain::SIZE)?;
         crate::memory::limit().allow(
             "the training",
             bytes.saturating_add(more),
@@ -310,6 +310,7 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
 /// A run that is to be judged.
 pub(crate) struct Judged {
     folder: PathBuf,
+    task: Task,
     subject: Subject,
     network: Reconstructor,
     guide: Guide,
@@ -320,14 +321,10 @@ pub(crate) struct Judged {
 impl Judged {
     /// The run in `folder`, by `protocol`, captures `through` another lens where one is named.
     pub(crate) fn new(protocol: &Protocol, through: Option<&str>, folder: &Path) -> Result<Self> {
-        let task = Task::load(&folder.join("task.toml"))?;
-        crate::input::has_network(folder, &task)?;
-        let subject = crate::input::of_run(folder)?;
-        let network = Reconstructor::load(&folder.join("network.safetensors"))?;
-        let guide = guide_of(folder, &network, &subject.frame()?)?;
+        let Run { task, subject, network, guide } = crate::input::run(folder)?;
         let through = through.map(crate::input::subject).transpose()?;
         let settings = Settings { through, ..protocol.settings(&task, &subject) };
-        Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, subject, network, guide, settings })
+        Ok(Self { folder: folder.to_owned(), sensor: task.sensor()?, task, subject, network, guide, settings })
     }
 
     /// The bytes that judging it takes, allowed.

@@ -6,9 +6,8 @@ use std::path::{Path, PathBuf};
 use isoplanat::deploy::kit::{FILE, LensEntry, tile_px};
 use isoplanat::deploy::session::{Options, Session};
 use isoplanat::deploy::valid::Valid;
+use isoplanat::design::opened::Run;
 use isoplanat::design::subject::Subject;
-use isoplanat::design::task::Task;
-use isoplanat::design::training::{guide_of, trained_on};
 use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics::decibel;
@@ -17,7 +16,7 @@ use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::{BASE, product, words};
 use isoplanat::network::card::Weights;
-use isoplanat::network::{Reconstructor, onnx};
+use isoplanat::network::onnx;
 use isoplanat::{Result, atomic};
 use ndarray::{Array4, Axis};
 
@@ -61,18 +60,16 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     args.glare.map(glare::check).transpose().map_err(|e| e.in_file(Path::new("isoplanat")))?;
     let mut valid = Valid::default();
     args.valid.iter().try_for_each(|text| valid.put(text))?;
-    let task = Task::load(&args.run.join("task.toml"))?;
-    crate::input::has_network(&args.run, &task)?;
+    let run = crate::input::run(&args.run)?;
+    let trained_on = run.trained_on(&args.run)?;
+    let Run { task, subject, network, guide } = run;
     if valid.distance_m.is_none() && task.network_depths_mm().len() > 1 {
         // A network of several distances says which.
         let ends = |pick: fn(f64, f64) -> f64, from| 1e-3 * task.network_depths_mm().iter().copied().fold(from, pick);
         valid.distance_m = Some([ends(f64::min, f64::INFINITY), ends(f64::max, 0.0)]);
     }
-    let subject = crate::input::of_run(&args.run)?;
     let lens = LensEntry { name: subject.name().to_owned(), sha256: subject.sha256() };
-    let network = Reconstructor::load(&args.run.join("network.safetensors"))?;
     let (sensor, frame) = (task.sensor()?, subject.frame()?);
-    let guide = guide_of(&args.run, &network, &frame)?;
     let config = network.config();
     // Weights as they are read and encoded; with --f16 the features of two networks over the judged picture.
     let weights = std::fs::metadata(args.run.join("network.safetensors")).map_or(0, |m| m.len());
@@ -80,7 +77,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let bytes = BASE + 8 * weights + if args.f16 { features } else { 0 };
     crate::memory::limit().allow("the kit", bytes, "a smaller network, or weights as f32")?;
     let name = format!("kit for {}", lens.name);
-    let mut card = kit::card(&name, &lens, &network, &sensor, trained_on(&args.run, &task)?);
+    let mut card = kit::card(&name, &lens, &network, &sensor, trained_on);
     let tile = args.tile.map_or_else(|| tile_px(&card, &frame), Ok)?;
     let mut model = onnx::encode(&network, &card)?;
     let cost = if args.f16 {

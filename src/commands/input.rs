@@ -5,6 +5,8 @@ use std::path::Path;
 #[cfg(feature = "train")]
 use isoplanat::calibrate::lens::MeasuredLens;
 #[cfg(feature = "train")]
+use isoplanat::design::opened::Run;
+#[cfg(feature = "train")]
 use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
@@ -27,9 +29,7 @@ pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
         // What another program's file leaves open is no fault of it.
         crate::tell!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
     }
-    for warning in overlapping_rims(&lens, name_or_path) {
-        crate::tell!("warning: {warning}");
-    }
+    doubts(&lens, name_or_path);
     Ok(lens)
 }
 
@@ -118,26 +118,33 @@ pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
         return Ok(lens(name_or_path)?.into());
     }
     let measured = MeasuredLens::load(folder)?;
-    for note in measured.notes()? {
-        crate::tell!("note: {name_or_path}: {note}");
-    }
+    told(&measured, name_or_path)?;
     Ok(Subject::Measured(Box::new(measured)))
 }
 
-/// What stands before the sensor of a run.
+/// The run in a folder; stderr is told what is doubtful about its lens.
 #[cfg(feature = "train")]
-pub(crate) fn of_run(folder: &Path) -> Result<Subject> {
-    let at = Subject::measured_in(folder).unwrap_or_else(|| folder.join("lens.toml"));
-    subject(&at.display().to_string())
+pub(crate) fn run(folder: &Path) -> Result<Run> {
+    let run = Run::open(folder)?;
+    match &run.subject {
+        Subject::Lens(lens) => doubts(lens, &folder.join("lens.toml").display().to_string()),
+        Subject::Measured(lens) => told(lens, &folder.display().to_string())?,
+    }
+    Ok(run)
 }
 
-/// Refuses a run whose network nobody trained: a design by sensor images has none in it.
+/// Tells stderr what is doubtful about a lens that stands in `file`.
+fn doubts(lens: &Lens, file: &str) {
+    for warning in overlapping_rims(lens, file) {
+        crate::tell!("warning: {warning}");
+    }
+}
+
+/// Tells stderr what is doubtful about a measured lens.
 #[cfg(feature = "train")]
-pub(crate) fn has_network(folder: &Path, task: &isoplanat::design::task::Task) -> Result<()> {
-    if task.sensor_loss.is_some() && folder.join("lens-first.toml").is_file() {
-        let allowed = "a run with a trained network: `isoplanat train` with this folder makes one for its lens";
-        let found = "a design by sensor images (sensor_loss), which trains none";
-        return Err(Error::bad(folder.display().to_string(), "network", found, allowed));
+fn told(lens: &MeasuredLens, name: &str) -> Result<()> {
+    for note in lens.notes()? {
+        crate::tell!("note: {name}: {note}");
     }
     Ok(())
 }

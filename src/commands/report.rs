@@ -152,15 +152,9 @@ fn of_lens(lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
 #[cfg(feature = "train")]
 fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<Measured> {
     use isoplanat::design::evaluate::measured;
-    use isoplanat::design::task::Task;
-    use isoplanat::design::training::guide_of;
-    use isoplanat::imaging::render::frame_of;
-    use isoplanat::network::Reconstructor;
+    use isoplanat::design::opened::Run;
 
-    let task = Task::load(&folder.join("task.toml"))?;
-    crate::input::has_network(folder, &task)?;
-    let network = Reconstructor::load(&folder.join("network.safetensors"))?;
-    let guide = guide_of(folder, &network, &frame_of(lens)?)?;
+    let Run { task, network, guide, .. } = Run::open(folder)?;
     let bar = Bar::new("slanted edges");
     let told = (&network, &guide);
     let found = measured(lens, told, &task.sensor()?, settings, &mut |share| bar.set(share, String::new()))

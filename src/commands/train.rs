@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::design::memory;
+use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::{Status, Training};
 use isoplanat::design::verdict::verdicts;
@@ -87,6 +88,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     trained?;
     let judged = judged(&training, &args.output);
     let (steps, skipped, returned) = (training.step(), training.skipped(), training.returned());
+    if training.damaged() > 0 {
+        crate::tell!("{} kept pairs were damaged and were rendered again", training.damaged());
+    }
     if returned > 0 {
         crate::tell!(
             "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.rate would have cost less"
@@ -97,7 +101,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         writeln!(
             out,
             "{}",
-            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "returned": returned, "last": entry, "verdicts": judged.as_ref().ok() })
+            serde_json::json!({ "schema": 1, "steps": steps, "skipped": skipped, "damaged_pairs": training.damaged(), "returned": returned, "last": entry, "verdicts": judged.as_ref().ok() })
         )?;
     } else {
         if let Some(s) = last {
@@ -116,7 +120,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// What the trained network is worth on pictures that it was not trained on.
 fn judged(training: &Training, folder: &Path) -> Result<Vec<Verdict>> {
     let bar = Bar::new("held-out pictures");
-    let (subject, network) = (crate::input::of_run(folder)?, training.network());
+    let (subject, network) = (Subject::of_run(folder)?, training.network());
     let judged =
         verdicts(training.task(), &subject, (&network, training.guide()), &mut |share| bar.set(share, String::new()));
     bar.done(String::new());

@@ -8,16 +8,17 @@
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
-use std::time::Instant;
 
 use super::as_built::{self, BestBuilt};
+use super::bound::Bound;
 use super::data::Textures;
 use super::folder::{MARKER, SCENES, START, check, lock, made, same_scenes, sweep};
+use super::going::{Stepped, Work, run_to_end};
 use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
 use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
-use super::scenery::{Entry, Scenery};
+use super::scenery::{Entry, LOG_HEADER, Scenery};
 use super::state::State;
 use super::story::{Judgement, Told, WORSE_DB, page};
 use super::subject::Subject;
@@ -42,11 +43,6 @@ const STATE: &str = "design.state";
 const BEST: &str = "best.safetensors";
 /// The lens as the stage begins with it.
 const FIRST: &str = "lens-first.toml";
-/// Steps in a row without a finite loss after which the design stops.
-const MOST_SKIPPED: usize = 20;
-
-const HEADER: &str =
-    "step,seconds,loss,input_psnr_db,output_psnr_db,moved_um,signal,penalty,step_seconds,network_seconds\n";
 
 /// How a design stands.
 #[derive(Clone, Debug)]
@@ -207,6 +203,8 @@ pub struct Designing {
     device: Option<String>,
     log: Log,
     history: Log,
+    /// What the last step gave.
+    entry: Option<Entry>,
     judged: Option<Entry>,
     /// What the finished network is worth, or why that could not be said.
     verdicts: Option<std::result::Result<Vec<Verdict>, String>>,
@@ -266,16 +264,14 @@ impl Designing {
     ) -> Result<Self> {
         let device = checked(&mut network, &task)?;
         let held_out = task.held_out()?;
-        // As a resumed design reads it.
-        let text = prescription::to_toml(&prepared.problem.lens);
-        let problem = Problem { lens: prescription::from_toml(&text, FIRST)?, ..prepared.problem.clone() };
+        let problem = prepared.problem.clone();
         let sensor = task.sensor()?;
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;
-            atomic::write_bytes(&inside.join(FIRST), text.as_bytes())?;
+            prescription::save(&problem.lens, &inside.join(FIRST))?;
             atomic::write_bytes(&inside.join(SCENES), textures.sha256().as_bytes())?;
             let path = inside.join("lenses");
             fs::create_dir_all(&path).map_err(|e| Error::writing(&path, e))?;
@@ -311,6 +307,11 @@ impl Designing {
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame, seed: task.seed };
         let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         stage.restore(&scenery, &state)?;
+        // A kill between two renames leaves the lens of the checkpoint before, or its filters.
+        let own = bound(&stage)?.0;
+        if !Bound::there(folder).is_ok_and(|there| own.check(folder, &there).is_ok()) {
+            save(&stage, (state.best, state.seen), folder)?;
+        }
         let stage = (stage, device);
         Self::assemble(folder, locked, task, (textures, held_out, sensor), stage, (state.best, state.seen))
     }
@@ -324,7 +325,7 @@ impl Designing {
         (best, seen): (Option<(f64, usize)>, [f64; 2]),
     ) -> Result<Self> {
         sweep(folder)?;
-        let log = Log::open(&folder.join("log.csv"), HEADER, stage.steps() as u64)?;
+        let log = Log::open(&folder.join("log.csv"), LOG_HEADER, stage.steps() as u64)?;
         let history = Log::open_with(&folder.join("history.jsonl"), "", stage.steps() as u64, step_of)?;
         let folder = folder.to_owned();
         let first = prescription::load(&folder.join(FIRST))?;
@@ -339,6 +340,7 @@ impl Designing {
             device,
             log,
             history,
+            entry: None,
             judged,
             verdicts,
             best,
@@ -379,49 +381,21 @@ impl Designing {
     /// # Errors
     /// [`Error::Stopped`] where lens or network cannot go on, the folder holds their last good state; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status<'_>) -> bool) -> Result<()> {
-        let frame = self.stage.renderer().plan.frame.clone();
-        let seed = self.task.seed;
-        let mut saved = Instant::now();
-        let mut skipped = 0;
-        loop {
-            let before = self.stage.used();
-            let scenery = Scenery { textures: &self.textures, sensor: &self.sensor, frame: frame.clone(), seed };
-            let entry = match self.stage.step(&scenery) {
-                Ok(Some(entry)) => entry,
-                Ok(None) => break,
-                Err(why) => return Err(self.stopped(&why.to_string())),
-            };
-            skipped = if entry.loss.is_finite() { 0 } else { skipped + 1 };
-            if skipped >= MOST_SKIPPED {
-                return Err(self.stopped(&format!("the loss was not finite {MOST_SKIPPED} times in a row")));
-            }
-            if self.stage.steps().is_multiple_of(SMOOTH) {
-                self.log.push(&line(&entry));
-            }
-            let checks = self.task.checks as f64;
-            if (before * checks).floor() < (self.stage.used().min(1.0) * checks).floor() {
-                self.judge()?;
-            }
-            let status = Status {
-                step: self.stage.steps(),
-                total: self.stage.total(),
-                share: self.stage.used().min(1.0),
-                entry,
-                judged: self.judged.as_ref(),
-                active: self.stage.active(),
-            };
-            if !watch(&status) {
-                self.checkpoint()?;
-                return Err(Error::Interrupted);
-            }
-            if saved.elapsed().as_secs_f64() >= self.task.checkpoint_seconds {
-                self.checkpoint()?;
-                saved = Instant::now();
-            }
-        }
-        self.stage.finish();
-        self.checkpoint()?;
+        let every = self.task.checkpoint_seconds;
+        run_to_end(self, every, &mut |design| design.status().is_none_or(|status| watch(&status)))?;
         self.settle()
+    }
+
+    /// How it stands after its last step.
+    fn status(&self) -> Option<Status<'_>> {
+        Some(Status {
+            step: self.stage.steps(),
+            total: self.stage.total(),
+            share: self.stage.used().min(1.0),
+            entry: self.entry.clone()?,
+            judged: self.judged.as_ref(),
+            active: self.stage.active(),
+        })
     }
 
     /// Looks at pictures that it does not train on; the state is kept if it is the best so far.
@@ -432,7 +406,7 @@ impl Designing {
         let better = score.is_finite() && self.best.is_none_or(|(best, _)| score > best);
         if better {
             self.best = Some((score, step));
-            checkpoint_of(&self.stage, (self.best, self.seen), &self.folder.join(BEST))?;
+            checkpoint_of(&self.stage, (self.best, self.seen), &bound(&self.stage)?.0, &self.folder.join(BEST))?;
         }
         let lens = &self.stage.joint.lens;
         let name = format!("lenses/step-{step:07}.toml");
@@ -464,18 +438,11 @@ impl Designing {
     /// Writes the page.
     fn show(&self) -> Result<()> {
         let history = Judgement::of(self.history.text(), "history.jsonl")?;
-        let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(entry_of).collect();
+        let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(Entry::read).collect();
         let verdict = self.verdicts.as_ref().map_or_else(Vec::new, Verdict::told);
         let told = Told { held_out: &self.held_out, history: &history, log: &log, verdict: &verdict };
         let html = page(&self.folder, &self.task, &self.stage, &told, &self.first)?;
         atomic::write_bytes(&self.folder.join("report.html"), html.as_bytes())
-    }
-
-    /// Log and history, then network and lens: what is told is never behind.
-    fn checkpoint(&self) -> Result<()> {
-        self.log.save()?;
-        self.history.save()?;
-        save(&self.stage, (self.best, self.seen), &self.folder)
     }
 
     /// The end: where the last state is worse than the best one, that is the result.
@@ -512,6 +479,43 @@ impl Designing {
         }
         self.show()
     }
+}
+
+impl Work for Designing {
+    fn step(&mut self) -> Result<Option<Stepped>> {
+        let before = self.stage.used();
+        let frame = self.stage.renderer().plan.frame.clone();
+        let scenery = Scenery { textures: &self.textures, sensor: &self.sensor, frame, seed: self.task.seed };
+        let entry = match self.stage.step(&scenery) {
+            Ok(Some(entry)) => entry,
+            Ok(None) => {
+                self.stage.finish();
+                return Ok(None);
+            }
+            Err(why) => return Err(self.stopped(&why.to_string())),
+        };
+        if self.stage.steps().is_multiple_of(SMOOTH) {
+            self.log.push(&entry.line());
+        }
+        let checks = self.task.checks as f64;
+        if (before * checks).floor() < (self.stage.used().min(1.0) * checks).floor() {
+            self.judge()?;
+        }
+        let stepped = if entry.loss.is_finite() { Stepped::Moved } else { Stepped::Skipped };
+        self.entry = Some(entry);
+        Ok(Some(stepped))
+    }
+
+    fn steps(&self) -> u64 {
+        self.stage.steps() as u64
+    }
+
+    /// Log and history, then network and lens: what is told is never behind.
+    fn checkpoint(&mut self) -> Result<()> {
+        self.log.save()?;
+        self.history.save()?;
+        save(&self.stage, (self.best, self.seen), &self.folder)
+    }
 
     /// The last good state is kept; the error says where.
     fn stopped(&mut self, why: &str) -> Error {
@@ -528,56 +532,31 @@ fn step_of(line: &str) -> Option<u64> {
     serde_json::from_str::<serde_json::Value>(line).ok()?.get("step")?.as_u64()
 }
 
-/// The entry of a line of the log.
-fn entry_of(line: &str) -> Option<Entry> {
-    let v: Vec<f64> = line.split(',').map(|t| t.parse().ok()).collect::<Option<_>>()?;
-    let [step, seconds, loss, input_psnr_db, output_psnr_db, moved_um, signal, penalty, step_seconds, network_seconds] =
-        v.try_into().ok()?;
-    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
-    let step = step as usize;
-    Some(Entry {
-        step,
-        seconds,
-        loss,
-        input_psnr_db,
-        output_psnr_db,
-        moved_um,
-        signal,
-        penalty,
-        step_seconds,
-        network_seconds,
-    })
+/// What a checkpoint of `stage` belongs to, and its file of filters.
+fn bound(stage: &Stage) -> Result<(Bound, Option<Vec<u8>>)> {
+    Bound::of(stage.joint.lens.sha256(), &stage.joint.guide)
 }
 
-fn line(e: &Entry) -> String {
-    format!(
-        "{},{:.3},{:.6e},{:.4},{:.4},{:.4e},{:.4},{:.4e},{:.4},{:.4}\n",
-        e.step,
-        e.seconds,
-        e.loss,
-        e.input_psnr_db,
-        e.output_psnr_db,
-        e.moved_um,
-        e.signal,
-        e.penalty,
-        e.step_seconds,
-        e.network_seconds
-    )
-}
-
-fn checkpoint_of(stage: &Stage, (best, seen): (Option<(f64, usize)>, [f64; 2]), path: &Path) -> Result<()> {
+fn checkpoint_of(
+    stage: &Stage,
+    (best, seen): (Option<(f64, usize)>, [f64; 2]),
+    bound: &Bound,
+    path: &Path,
+) -> Result<()> {
     let mut state = stage.state();
     (state.best, state.seen) = (best, seen);
-    let facts = BTreeMap::from([(STATE.to_owned(), state.to_text()?)]);
+    let mut facts = BTreeMap::from([(STATE.to_owned(), state.to_text()?)]);
+    bound.put(&mut facts);
     stage.joint.network.save_with_facts(path, &facts)
 }
 
 /// A checkpoint, with lens and filters as files that other commands read.
 fn save(stage: &Stage, facts: (Option<(f64, usize)>, [f64; 2]), folder: &Path) -> Result<()> {
-    checkpoint_of(stage, facts, &folder.join(NETWORK))?;
+    let (bound, filters) = bound(stage)?;
+    checkpoint_of(stage, facts, &bound, &folder.join(NETWORK))?;
     prescription::save(&stage.joint.lens, &folder.join("lens.toml"))?;
-    if let Some(facts) = stage.joint.guide.facts() {
-        atomic::write_bytes(&folder.join(guide::FILE), &facts.to_npz()?)?;
+    if let Some(filters) = filters {
+        atomic::write_bytes(&folder.join(guide::FILE), &filters)?;
     }
     Ok(())
 }

@@ -8,6 +8,7 @@
 //! [`evaluate`] judges what came out, [`compare`] puts other lenses in its place; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 pub mod as_built;
+mod bound;
 pub mod chain;
 pub mod compare;
 pub mod constraint;
@@ -16,12 +17,14 @@ pub mod designing;
 pub mod distances;
 pub mod evaluate;
 pub mod folder;
+mod going;
 pub mod joint;
 pub mod judge;
 pub mod lens_steps;
 pub mod log;
 pub mod memory;
 pub mod noise;
+pub mod opened;
 pub mod pace;
 pub mod pairs;
 pub mod places;

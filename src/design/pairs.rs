@@ -7,6 +7,7 @@
 use std::fs;
 use std::hash::{DefaultHasher, Hasher};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use ndarray::{Array2, Array3, Array4, Axis, s};
 
@@ -172,6 +173,8 @@ pub struct Pairs {
     cache: Option<PathBuf>,
     /// Bytes a kept pair takes.
     bytes: u64,
+    /// Kept ones that were found damaged.
+    damaged: AtomicU64,
 }
 
 impl Pairs {
@@ -182,7 +185,7 @@ impl Pairs {
     pub fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
         let renderer = subject.renderer(density, &settings.vergences, Settings::TRAINING)?;
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + (PLACE + SUM) as u64;
-        Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None })
+        Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None, damaged: AtomicU64::new(0) })
     }
 
     /// Keeps pairs in `folder` from now on, as many as the budget holds. Pairs of another lens, task or program version found
@@ -250,8 +253,12 @@ impl Pairs {
     /// Pair `index`: read, or rendered and kept.
     pub fn get(&self, textures: &Textures, index: u64) -> Result<Pair> {
         let place = self.cache.as_ref().filter(|_| index < self.kept()).map(|f| f.join(format!("{index:07}.f32")));
-        if let Some(pair) = place.as_ref().and_then(|p| self.read(p)) {
-            return Ok(pair);
+        if let Some(place) = place.as_ref().filter(|p| p.exists()) {
+            match self.read(place) {
+                Some(pair) => return Ok(pair),
+                // It is rendered again.
+                None => self.damaged.fetch_add(1, Ordering::Relaxed),
+            };
         }
         let rng = &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x7061_6972, index));
         let maps = &self.renderer.optics.maps;
@@ -268,7 +275,12 @@ impl Pairs {
         Ok(pair)
     }
 
-    /// A kept pair; `None` where there is none, or not of the size a pair has.
+    /// Kept pairs that were found damaged and were rendered again.
+    pub fn damaged(&self) -> u64 {
+        self.damaged.load(Ordering::Relaxed)
+    }
+
+    /// A kept pair; `None` where it is not as it was written.
     fn read(&self, place: &Path) -> Option<Pair> {
         let bytes = atomic::read_bounded(place, self.bytes).ok().filter(|b| b.len() as u64 == self.bytes)?;
         let side = self.settings.region_px;

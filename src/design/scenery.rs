@@ -41,3 +41,57 @@ pub struct Entry {
     /// Those of them that the network took.
     pub network_seconds: f64,
 }
+
+/// The log's first line.
+pub(super) const HEADER: &str =
+    "step,seconds,loss,input_psnr_db,output_psnr_db,moved_um,signal,penalty,step_seconds,network_seconds\n";
+
+impl Entry {
+    /// That of a line of the log.
+    pub(super) fn read(line: &str) -> Option<Self> {
+        let v: Vec<f64> = line.split(',').map(|t| t.parse().ok()).collect::<Option<_>>()?;
+        let [
+            step,
+            seconds,
+            loss,
+            input_psnr_db,
+            output_psnr_db,
+            moved_um,
+            signal,
+            penalty,
+            step_seconds,
+            network_seconds,
+        ] = v.try_into().ok()?;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
+        let step = step as usize;
+        Some(Self {
+            step,
+            seconds,
+            loss,
+            input_psnr_db,
+            output_psnr_db,
+            moved_um,
+            signal,
+            penalty,
+            step_seconds,
+            network_seconds,
+        })
+    }
+
+    /// Its line of the log.
+    pub(super) fn line(&self) -> String {
+        format!(
+            "{},{:.3},{:.6e},{:.4},{:.4},{:.4e},{:.4},{:.4e},{:.4},{:.4}\n",
+            self.step,
+            self.seconds,
+            self.loss,
+            self.input_psnr_db,
+            self.output_psnr_db,
+            self.moved_um,
+            self.signal,
+            self.penalty,
+            self.step_seconds,
+            self.network_seconds
+        )
+    }
+}

@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::bound::require_agreement;
 use super::data::{TEXTURE, Textures};
 use super::folder::MARKER;
 use super::lens_steps::Steps;
@@ -485,7 +486,7 @@ impl Task {
     /// The task of a run's folder, with the run's lens as it is now.
     ///
     /// # Errors
-    /// As [`Task::load`]; a folder without a lens.
+    /// As [`Task::load`]; a folder without a lens, or with one that is not its checkpoint's.
     pub fn of_run(folder: &Path) -> Result<Self> {
         let lens = Subject::measured_in(folder).unwrap_or_else(|| folder.join("lens.toml"));
         if !lens.exists() {
@@ -493,7 +494,7 @@ impl Task {
                 "a run of `isoplanat design` or `train`, which has a lens.toml or the folder of a measured lens";
             return Err(Error::bad(folder.display().to_string(), "lens.toml", "missing", allowed));
         }
-        // The lens carries its raster and its terms.
+        require_agreement(folder)?;
         let task = Self::load(&folder.join(MARKER))?;
         Ok(Self { lens: lens.display().to_string(), ..task })
     }

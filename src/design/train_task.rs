@@ -311,7 +311,7 @@ mod tests {
             (Inputs::BARE, false),
             (Inputs { field: true, ..Inputs::BARE }, false),
             (Inputs { wiener: true, ..Inputs::BARE }, true),
-            (Inputs::TOLD, true),
+            (Inputs::GUIDED, true),
         ] {
             let config = TrainTask { inputs, ..TrainTask::default() }.config().expect("no start");
             let text = serde_json::to_string(&config).expect("text");

@@ -8,14 +8,17 @@
 mod guard;
 mod state;
 
+use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use ndarray::{Array4, Axis, s};
 
+use super::bound::{Bound, guide_of};
 use super::data::Textures;
-use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, scenes_of, sweep};
+use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
+use super::going::{Stepped, Work, run_to_end};
 use super::log::{Entry, HEADER, Log};
 use super::pairs::{Augmentation, PairSettings, Pairs, cut};
 use super::schedule::Schedule;
@@ -28,8 +31,7 @@ use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::files::write_png8;
-use isoplanat_imaging::frame::Frame;
-use isoplanat_imaging::guide::{self, Facts, Filters, Guide};
+use isoplanat_imaging::guide::{self, Filters, Guide};
 use isoplanat_imaging::metrics::psnr;
 use isoplanat_imaging::plane::Region;
 use isoplanat_imaging::sensor::noise::mixed;
@@ -37,9 +39,6 @@ use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::{Compute, Reconstructor, TrainStep, Trainer};
 use isoplanat_optics::lens::catalogue::Glasses;
 use state::State;
-
-/// Steps in a row without a finite loss and gradient after which training stops.
-const MOST_SKIPPED: u64 = 20;
 
 /// Times a training goes back to its last checkpoint, with half the rate each time, before it stops.
 const MOST_RETURNS: u32 = 6;
@@ -78,14 +77,30 @@ pub struct Training {
     electronics: Electronics,
     pairs: Pairs,
     guide: Guide,
+    bound: Bound,
     /// Held-out inputs and targets.
     samples: Vec<(Array4<f32>, Array4<f32>)>,
     schedule: Schedule,
     state: State,
     guard: Guard,
     log: Log,
+    clock: Clock,
+    /// Averages as of the last step.
+    entry: Option<Entry>,
     /// Held while the training lives, so that no second one works in the folder.
     _lock: File,
+}
+
+/// When this process began with a training, and how fast it goes.
+#[derive(Debug)]
+struct Clock {
+    begun: Instant,
+    /// Seconds before.
+    before: f64,
+    /// Seconds of the last steps: their median is no matter of pairs that are rendered for the first time.
+    pace: Vec<f64>,
+    /// Steps since the last entry of the log.
+    recent: Vec<Entry>,
 }
 
 /// What lens and task make of themselves before the first step.
@@ -125,16 +140,17 @@ impl Training {
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();
+        let (bound, filters) = Bound::of(subject.sha256(), &parts.guide)?;
         let locked = made(folder, replace, |inside| {
             atomic::write_bytes(&inside.join(MARKER), task.to_toml()?.as_bytes())?;
             subject.save(inside)?;
             atomic::write_bytes(&inside.join(SCENES), parts.textures.sha256().as_bytes())?;
-            if let Some(facts) = parts.guide.facts() {
-                atomic::write_bytes(&inside.join(guide::FILE), &facts.to_npz()?)?;
+            if let Some(filters) = &filters {
+                atomic::write_bytes(&inside.join(guide::FILE), filters)?;
             }
-            trainer.save(&inside.join(NETWORK), &state.facts())
+            trainer.save(&inside.join(NETWORK), &facts(&state, &bound))
         })?;
-        Self::assemble(folder, locked, task, trainer, parts, state)
+        Self::assemble(folder, locked, task, trainer, parts, (state, bound))
     }
 
     /// What it was asked for.
@@ -155,14 +171,23 @@ impl Training {
         let (mut trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
         trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
         let state = State::from_facts(&facts, &path)?;
-        let kept = guide_of(folder, trainer.generator(), &subject.frame()?)?;
+        let (kept, filters) = guide_of(folder, trainer.generator().config().inputs, &subject.frame()?)?;
+        let bound = Bound::new(subject.sha256(), filters);
+        Bound::said(&facts).map_or(Ok(()), |said| said.check(folder, &bound))?;
         let textures = task.textures()?;
         same_scenes(folder, &textures.sha256())?;
         let parts = Parts::new(&task, &subject, textures, Some(kept))?;
-        Self::assemble(folder, locked, task, trainer, parts, state)
+        Self::assemble(folder, locked, task, trainer, parts, (state, bound))
     }
 
-    fn assemble(folder: &Path, lock: File, task: Task, trainer: Trainer, parts: Parts, state: State) -> Result<Self> {
+    fn assemble(
+        folder: &Path,
+        lock: File,
+        task: Task,
+        trainer: Trainer,
+        parts: Parts,
+        (state, bound): (State, Bound),
+    ) -> Result<Self> {
         let Parts { textures, electronics, mut pairs, guide, samples } = parts;
         sweep(folder)?;
         pairs.keep_in(&folder.join("cache"), &textures)?;
@@ -177,11 +202,14 @@ impl Training {
             electronics,
             pairs,
             guide,
+            bound,
             samples,
             schedule,
             state,
             guard: Guard::default(),
             log,
+            clock: Clock { begun: Instant::now(), before: 0.0, pace: Vec::new(), recent: Vec::new() },
+            entry: None,
             _lock: lock,
         })
     }
@@ -242,6 +270,11 @@ impl Training {
         self.state.skipped
     }
 
+    /// Kept pairs that were found damaged and were rendered again.
+    pub fn damaged(&self) -> u64 {
+        self.pairs.damaged()
+    }
+
     /// Times that it lost itself and went back to its last checkpoint, with half the rate each time.
     pub fn returned(&self) -> u32 {
         self.state.returned
@@ -254,75 +287,35 @@ impl Training {
     /// # Errors
     /// [`Error::Stopped`] where nothing finite comes any more, or where it lost itself too often; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status) -> bool) -> Result<()> {
-        let (begun, before) = (Instant::now(), self.state.seconds);
-        let mut saved = Instant::now();
-        let mut in_a_row = 0;
-        let mut recent = Vec::new();
-        // Seconds of the last steps. Their median is no matter of pairs that are rendered for the first time.
-        let mut pace: Vec<f64> = Vec::new();
-        loop {
-            self.state.seconds = before + begun.elapsed().as_secs_f64();
-            // After a resume a few steps come first; very long ones do not wait for others.
-            let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 0.1 * self.state.seconds;
-            // What a training goes back to must be sound: every checkpoint on the way is.
-            if known && self.guard.sound() && self.schedule.settle(self.state.step, self.state.seconds, median(&pace)) {
-                // From here on the length is fixed: a kill must not settle it anew.
-                self.state.settled = self.schedule.settled;
-                self.checkpoint()?;
-            }
-            let Some(rate) = self.schedule.at(self.state.step) else { break };
-            let rate = rate * 0.5f64.powi(self.state.returned.cast_signed());
-            let clock = Instant::now();
-            let (step, psnr_db) = self.one_step(rate)?;
-            pace.push(clock.elapsed().as_secs_f64());
-            pace.drain(..pace.len().saturating_sub(PACE));
-            self.state.step += 1;
-            self.state.skipped += u64::from(!step.updated);
-            in_a_row = if step.updated { 0 } else { in_a_row + 1 };
-            if in_a_row >= MOST_SKIPPED {
-                return Err(Error::Stopped(format!(
-                    "training stopped at step {}: the loss or its gradient was not finite {MOST_SKIPPED} times in a row; {} \
-                     holds the network as it was; lower train.rate or look at the pictures",
-                    self.state.step,
-                    self.folder.join(NETWORK).display()
-                )));
-            }
-            self.state.seconds = before + begun.elapsed().as_secs_f64();
-            if self.guard.lost(step.content) {
-                self.go_back(rate)?;
-                (recent, pace, saved) = (Vec::new(), Vec::new(), Instant::now());
-                continue;
-            }
-            recent.push(Entry::of(&step, self.state.step, self.state.seconds, rate, psnr_db));
-            let mut entry = Entry::mean(&recent);
-            if self.state.step.is_multiple_of(SMOOTH) {
-                recent.clear();
-                let every = self.task.train.sample_steps;
-                if every > 0 && self.state.step.is_multiple_of(every.next_multiple_of(SMOOTH)) {
-                    entry.held_out_psnr_db = Some(self.sample()?);
-                }
-                self.log.push(&entry.line());
-            }
-            let go_on = watch(&Status {
-                step: self.state.step,
-                total: self.schedule.total(),
-                share: self.schedule.done(self.state.step, self.state.seconds),
-                seconds: self.state.seconds,
-                entry,
-            });
-            if !go_on {
-                if self.guard.sound() {
-                    self.checkpoint()?;
-                }
-                return Err(Error::Interrupted);
-            }
-            if saved.elapsed().as_secs_f64() >= self.task.train.checkpoint_seconds && self.guard.sound() {
-                self.checkpoint()?;
-                saved = Instant::now();
-            }
-        }
-        self.checkpoint()?;
+        self.clock = Clock { begun: Instant::now(), before: self.state.seconds, pace: Vec::new(), recent: Vec::new() };
+        let every = self.task.train.checkpoint_seconds;
+        run_to_end(self, every, &mut |training| training.status().is_none_or(|status| watch(&status)))?;
         self.pairs.discard();
+        Ok(())
+    }
+
+    /// How it stands after its last step.
+    fn status(&self) -> Option<Status> {
+        Some(Status {
+            step: self.state.step,
+            total: self.schedule.total(),
+            share: self.schedule.done(self.state.step, self.state.seconds),
+            seconds: self.state.seconds,
+            entry: self.entry?,
+        })
+    }
+
+    /// Fixes a length in time as one in steps, once the pace is known.
+    fn settle(&mut self) -> Result<()> {
+        let (pace, seconds) = (&self.clock.pace, self.state.seconds);
+        // After a resume a few steps come first; very long ones do not wait for others.
+        let known = pace.len() >= 11 || pace.iter().sum::<f64>() > 0.1 * seconds;
+        // What a training goes back to must be sound: every checkpoint on the way is.
+        if known && self.guard.sound() && self.schedule.settle(self.state.step, seconds, median(pace)) {
+            // From here on the length is fixed: a kill must not settle it anew.
+            self.state.settled = self.schedule.settled;
+            self.checkpoint()?;
+        }
         Ok(())
     }
 
@@ -372,12 +365,6 @@ impl Training {
         self.checkpoint()
     }
 
-    /// Log, then network: the log is never behind.
-    fn checkpoint(&self) -> Result<()> {
-        self.log.save()?;
-        self.trainer.save(&self.folder.join(NETWORK), &self.state.facts())
-    }
-
     /// A sheet of held-out patches (capture, reconstruction, truth) and the mean PSNR of the reconstructions.
     fn sample(&self) -> Result<f64> {
         let (n, network) = (self.samples.len(), self.trainer.result());
@@ -395,6 +382,80 @@ impl Training {
         write_png8(&folder.join(format!("step-{:07}.png", self.state.step)), &sheet)?;
         Ok(sum / n as f64)
     }
+}
+
+impl Work for Training {
+    fn step(&mut self) -> Result<Option<Stepped>> {
+        self.state.seconds = self.clock.seconds();
+        self.settle()?;
+        let Some(rate) = self.schedule.at(self.state.step) else { return Ok(None) };
+        let rate = rate * 0.5f64.powi(self.state.returned.cast_signed());
+        let began = Instant::now();
+        let (step, psnr_db) = self.one_step(rate)?;
+        self.clock.took(began.elapsed().as_secs_f64());
+        self.state.step += 1;
+        self.state.skipped += u64::from(!step.updated);
+        self.state.seconds = self.clock.seconds();
+        if self.guard.lost(step.content) {
+            self.go_back(rate)?;
+            (self.clock.recent, self.clock.pace) = (Vec::new(), Vec::new());
+            return Ok(Some(Stepped::Returned));
+        }
+        self.clock.recent.push(Entry::of(&step, self.state.step, self.state.seconds, rate, psnr_db));
+        let mut entry = Entry::mean(&self.clock.recent);
+        if self.state.step.is_multiple_of(SMOOTH) {
+            self.clock.recent.clear();
+            let every = self.task.train.sample_steps;
+            if every > 0 && self.state.step.is_multiple_of(every.next_multiple_of(SMOOTH)) {
+                entry.held_out_psnr_db = Some(self.sample()?);
+            }
+            self.log.push(&entry.line());
+        }
+        self.entry = Some(entry);
+        Ok(Some(if step.updated { Stepped::Moved } else { Stepped::Skipped }))
+    }
+
+    fn steps(&self) -> u64 {
+        self.state.step
+    }
+
+    fn sound(&self) -> bool {
+        self.guard.sound()
+    }
+
+    /// Log, then network: the log is never behind.
+    fn checkpoint(&mut self) -> Result<()> {
+        self.log.save()?;
+        self.trainer.save(&self.folder.join(NETWORK), &facts(&self.state, &self.bound))
+    }
+
+    fn stopped(&mut self, why: &str) -> Error {
+        Error::Stopped(format!(
+            "training stopped at step {}: {why}; {} holds the network as it was; lower train.rate or look at the pictures",
+            self.state.step,
+            self.folder.join(NETWORK).display()
+        ))
+    }
+}
+
+impl Clock {
+    /// Seconds of the training so far, those before a resume included.
+    fn seconds(&self) -> f64 {
+        self.before + self.begun.elapsed().as_secs_f64()
+    }
+
+    /// A step took so many seconds.
+    fn took(&mut self, seconds: f64) {
+        self.pace.push(seconds);
+        self.pace.drain(..self.pace.len().saturating_sub(PACE));
+    }
+}
+
+/// What a checkpoint says beside the network: where it stands, and what it belongs to.
+fn facts(state: &State, bound: &Bound) -> BTreeMap<String, String> {
+    let mut facts = state.facts();
+    bound.put(&mut facts);
+    facts
 }
 
 /// At most 120 dB; what is no number stays so.
@@ -469,31 +530,6 @@ fn samples(
             Ok(cut(electronics, guide, &pair, side, Augmentation::NONE, rng))
         })
         .collect()
-}
-
-/// What the network of a run's folder, trained for a lens on `frame`, is told beside the capture.
-///
-/// # Errors
-/// A folder without what the network needs, or with that of another frame.
-pub fn guide_of(folder: &Path, network: &Reconstructor, frame: &Frame) -> Result<Guide> {
-    let inputs = network.config().inputs;
-    let path = folder.join(guide::FILE);
-    let facts = if inputs.knows_lens() {
-        let bytes = atomic::read_bounded(&path, guide::LARGEST)?;
-        Facts::from_npz(&bytes, &path)?
-    } else {
-        Facts::default()
-    };
-    Guide::from_parts(inputs, frame, facts).map_err(|e| e.in_file(&path))
-}
-
-/// What a run was trained on, as a model's card says it, without looking at the pictures again; of a run of a version before, of the task's pictures as they
-/// are now.
-///
-/// # Errors
-/// A file that holds no hash; pictures that are looked for and are not there.
-pub fn trained_on(folder: &Path, task: &Task) -> Result<String> {
-    scenes_of(folder)?.map_or_else(|| Ok(task.textures()?.sha256()), Ok)
 }
 
 /// The network a task begins with.

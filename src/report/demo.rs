@@ -69,7 +69,7 @@ pub struct SceneResult {
     pub wiener: Array3<f32>,
     /// Output of a network that sees the capture alone.
     pub bare: Array3<f32>,
-    /// Output of the network that is told of its lens.
+    /// Output of the guided network.
     pub reconstruction: Array3<f32>,
     /// The scene as an ideal camera sees it.
     pub truth: Array3<f32>,
@@ -79,7 +79,7 @@ pub struct SceneResult {
     pub wiener_quality: Quality,
     /// Of the output of the network that sees the capture alone.
     pub bare_quality: Quality,
-    /// Of the output of the one that is told of its lens.
+    /// Of the output of the guided one.
     pub reconstruction_quality: Quality,
     /// Parts that are shown enlarged.
     pub crops: Vec<Crop>,
@@ -191,7 +191,7 @@ impl SceneResult {
             ("Capture", &self.capture),
             ("Wiener", &self.wiener),
             ("Network, capture alone", &self.bare),
-            ("Network told of its lens", &self.reconstruction),
+            ("Guided network", &self.reconstruction),
             ("Truth", &self.truth),
         ]
     }
@@ -246,7 +246,7 @@ impl DemoReport {
         top
     }
 
-    /// How the network that is told of its lens stands to the others, in a sentence; nothing without pictures.
+    /// How the guided network stands to the others, in a sentence; nothing without pictures.
     pub fn verdict(&self) -> Option<String> {
         let lead = |of: fn(&SceneResult) -> Quality| {
             let own = self.scenes.iter().map(|s| s.reconstruction_quality.psnr_db - of(s).psnr_db);
@@ -263,9 +263,7 @@ impl DemoReport {
             words("the network of the capture alone", lead(|s| s.bare_quality)),
         ];
         let count = self.scenes.len();
-        (count > 0).then(|| {
-            format!("The network that is told of its lens, mean of {count} scenes (least to most): {}.", all.join(", "))
-        })
+        (count > 0).then(|| format!("The guided network, mean of {count} scenes (least to most): {}.", all.join(", ")))
     }
 
     /// The page.
@@ -292,17 +290,11 @@ impl DemoReport {
             facts.push(fact(decibels(average(|s| s.capture_quality.psnr_db)), "capture, mean PSNR"));
             facts.push(fact(decibels(average(|s| s.wiener_quality.psnr_db)), "Wiener, mean PSNR"));
             facts.push(fact(decibels(average(|s| s.bare_quality.psnr_db)), "network of the capture alone, mean PSNR"));
-            facts.push(fact(
-                decibels(average(|s| s.reconstruction_quality.psnr_db)),
-                "network told of its lens, mean PSNR",
-            ));
-            facts.push(fact(
-                format!("{:.3}", average(|s| s.reconstruction_quality.ssim)),
-                "network told of its lens, mean SSIM",
-            ));
+            facts.push(fact(decibels(average(|s| s.reconstruction_quality.psnr_db)), "guided network, mean PSNR"));
+            facts.push(fact(format!("{:.3}", average(|s| s.reconstruction_quality.ssim)), "guided network, mean SSIM"));
             facts.push(fact(
                 format!("{:.2}", average(|s| s.reconstruction_quality.colour_shift)),
-                "network told of its lens, mean colour shift (ΔE)",
+                "guided network, mean colour shift (ΔE)",
             ));
         }
         facts.push(fact(decibels(self.psnr_fast_vs_reference_db), "fast against reference renderer"));

@@ -193,8 +193,8 @@ semi_diameter_mm = 10.0
     place.run("compare window.toml two_element -o other").refused(&["focal length"]);
     assert!(!place.path("other").exists());
     // Two networks a lens, and a rate of two for each.
-    let networks = format!("{} -o two --networks paper,told --rates 1e-3,2e-3", command.replace(" -o cmp", ""));
+    let networks = format!("{} -o two --networks paper,guided --rates 1e-3,2e-3", command.replace(" -o cmp", ""));
     let text = place.run(&networks).done();
-    assert!(text.contains("paper") && text.contains("told"), "{text}");
-    assert!(place.path("two/04-ac254_050_a-told/network/filters.npz").is_file());
+    assert!(text.contains("paper") && text.contains("guided"), "{text}");
+    assert!(place.path("two/04-ac254_050_a-guided/network/filters.npz").is_file());
 }

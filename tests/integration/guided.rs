@@ -1,4 +1,4 @@
-//! Networks that are told of their lens: the same in training, in a kit, and in the camera's tiles; and one clear refusal where
+//! Guided networks: the same in training, in a kit, and in the camera's tiles; and one clear refusal where
 //! filters and model do not belong together.
 
 use std::path::Path;
@@ -89,7 +89,7 @@ fn tiles_of_the_camera_see_what_the_network_was_told_in_training() {
         (Inputs { wiener: true, ..Inputs::BARE }, Blocks::Paper, Base::Blend),
         (Inputs { field: true, ..Inputs::BARE }, Blocks::Paper, Base::Blend),
         (Inputs { psf: true, ..Inputs::BARE }, Blocks::Paper, Base::Filtered),
-        (Inputs::TOLD, Blocks::Paper, Base::Blend),
+        (Inputs::GUIDED, Blocks::Paper, Base::Blend),
         (ALL, Blocks::Paper, Base::Blend),
         (ALL, Blocks::Paper, Base::Filtered),
         (BOTH, Blocks::Separable, Base::Blend),
@@ -198,9 +198,9 @@ fn kits_carry_their_filters_and_refuse_others() {
     refused("filters.depths_mm");
 }
 
-/// A design whose network is told of its lens: the folder has the finished lens's filters, can be judged, and a training goes on from it.
+/// A design of a guided network: the folder has the finished lens's filters, can be judged, and a training goes on from it.
 #[test]
-fn a_told_network_is_designed_with_its_lens() {
+fn a_guided_network_is_designed_with_its_lens() {
     let place = Workplace::new();
     let sensor = "sensor = { columns = 96, rows = 64, pitch_um = 200.0, axis_px = [0.0, 0.0] }";
     let task = |more: &str| {
@@ -210,7 +210,7 @@ fn a_told_network_is_designed_with_its_lens() {
     };
     place.write("design.toml", task("steps = 3\ninputs = [\"wiener\", \"field\"]\n"));
     let said = place.run("design design.toml -o run").done();
-    assert!(said.contains("told of the lens made anew"), "{said}");
+    assert!(said.contains("filters of the guided network made anew"), "{said}");
     let json: serde_json::Value =
         serde_json::from_str(&place.run("evaluate run --json --reference 4 --fields 2 --patch 32").done())
             .expect("JSON");
@@ -228,7 +228,7 @@ fn a_told_network_is_designed_with_its_lens() {
 
 /// From a task to a picture: trained from a network that sees the capture alone, judged, exported, and used on a capture by both runtimes.
 #[test]
-fn a_told_network_goes_from_the_task_to_the_camera() {
+fn a_guided_network_goes_from_the_task_to_the_camera() {
     let place = Workplace::new();
     let task = |inputs: &str, start: &str| {
         format!(

@@ -48,6 +48,8 @@ mod properties;
 mod random_lenses;
 mod renderers;
 mod report;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod runs;
 mod sheets;
 mod skips;
 mod slanted_edge;

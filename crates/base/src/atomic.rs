@@ -34,7 +34,7 @@ pub use file::{publish_file, publish_path, write_atomic, write_bytes, write_cach
 pub use folder::{publish_folder, write_folder};
 pub use notice::tell_by;
 pub use place::distinct;
-pub use read::{as_text, of_schema, read_at_most, read_bounded, read_text, regular, sha256_hex};
+pub use read::{as_text, of_schema, read_at_most, read_bounded, read_text, regular, sha256_hex, sha256_of};
 pub use sweep::recover;
 
 use std::path::Path;

@@ -3,7 +3,7 @@
 //! ```text
 //! KIT/kit.toml     schema = 4: names, hashes, tiles, sensor, frame, distortion, shading, what captures it is for
 //! KIT/model.onnx   the network, its card in the metadata
-//! KIT/filters.npz  what the network is told of its lens, where that is anything: Wiener filters, point spread functions
+//! KIT/filters.npz  what a guided network sees beside the capture: Wiener filters, point spread functions
 //! ```
 //! Kits of schema 1 (without filters) and 2 lack the hash of the calibration; 4 is written where a kit states what it is for, else 3.
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
@@ -72,7 +72,7 @@ pub struct Kit {
     pub filters: Option<(FilterEntry, Vec<u8>)>,
 }
 
-/// What a kit's network is told of its lens: Wiener filters, point spread functions.
+/// What a kit's guided network knows of its lens: Wiener filters, point spread functions.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct FilterEntry {

@@ -330,7 +330,7 @@ mod tests {
 
     #[test]
     fn point_spread_functions_and_levels_stand_in_the_fourth_form() {
-        for inputs in [Inputs { psf: true, ..Inputs::BARE }, Inputs { field: true, ..Inputs::TOLD }] {
+        for inputs in [Inputs { psf: true, ..Inputs::BARE }, Inputs { field: true, ..Inputs::GUIDED }] {
             let card = ModelCard::for_unet("x", 16, 3).seeing(inputs);
             assert_eq!(
                 (ModelCard::from_metadata(&card.to_metadata()).expect("own card"), card.schema),

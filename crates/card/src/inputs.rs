@@ -33,7 +33,7 @@ impl Inputs {
     pub const BARE: Self = Self { wiener: false, levels: false, field: false, psf: false };
 
     /// The capture through filters for three levels of noise.
-    pub const TOLD: Self = Self { wiener: true, levels: true, ..Self::BARE };
+    pub const GUIDED: Self = Self { wiener: true, levels: true, ..Self::BARE };
 
     fn all(self) -> [(bool, usize); NAMES.len()] {
         [(self.wiener, COLOURS), (self.levels, 2 * COLOURS), (self.field, COLOURS), (self.psf, SPREAD)]

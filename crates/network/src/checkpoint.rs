@@ -187,4 +187,27 @@ mod tests {
             assert!(Reconstructor::load(&path).is_err());
         }
     }
+
+    /// Any bit: of a weight, of a moment, of a fact.
+    #[test]
+    fn a_flipped_bit_is_found() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("network.safetensors");
+        let facts = BTreeMap::from([("step".to_owned(), "1234".to_owned())]);
+        model().save_with_facts(&path, &facts).expect("written");
+        let good = fs::read(&path).expect("read");
+        assert_eq!(Reconstructor::load_with_facts(&path, super::super::Compute::Cpu).expect("reads").1["step"], "1234");
+        let step = good.windows(4).position(|w| w == b"1234").expect("the fact");
+        let mut rng = fastrand::Rng::with_seed(5);
+        let header = 8 + usize::try_from(u64::from_le_bytes(good[..8].try_into().expect("eight"))).expect("fits");
+        for k in 0..200 {
+            let mut damaged = good.clone();
+            // The lowest bit of a digit makes another digit.
+            let (at, bit) = if k == 0 { (step, 1) } else { (rng.usize(header..good.len()), 1 << rng.u8(0..8)) };
+            damaged[at] ^= bit;
+            fs::write(&path, damaged).expect("written");
+            let error = Reconstructor::load(&path).expect_err("damaged").to_string();
+            assert!(error.contains("network.safetensors"), "{error}");
+        }
+    }
 }

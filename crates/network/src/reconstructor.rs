@@ -213,12 +213,28 @@ impl Reconstructor {
     /// Reads what [`Reconstructor::save`] wrote; training goes on with the same bits. Of a training that averages its weights, the
     /// average.
     pub fn load(path: &Path) -> Result<Self> {
+        Ok(Self::result_of(path)?.0)
+    }
+
+    /// [`Self::load`], and the facts beside it.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn result_of(path: &Path) -> Result<(Self, BTreeMap<String, String>)> {
         let file = Checkpoint::read(path)?;
         let mut network = Self::from_checkpoint(&file, Compute::Cpu)?;
         if file.has(average::PREFIX) {
             network.restart(file.weights(average::PREFIX, &network.parameters())?.0);
         }
-        Ok(network)
+        Ok((network, file.facts().clone()))
+    }
+
+    /// The facts of a checkpoint.
+    ///
+    /// # Errors
+    /// As [`Self::load`].
+    pub fn facts_of(path: &Path) -> Result<BTreeMap<String, String>> {
+        Ok(Checkpoint::read(path)?.facts().clone())
     }
 
     /// A network of the same kind in the same place with other weights in the order of [`Reconstructor::parameters`].

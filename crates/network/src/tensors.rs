@@ -1,6 +1,7 @@
 //! Files of named f32 tensors (safetensors), read whole and checked, written beside their place and renamed.
 //!
-//! Our own facts stand in one metadata entry, `isoplanat`, as JSON in a fixed order: equal contents give equal bytes.
+//! Our own facts stand in one metadata entry, `isoplanat`, as JSON in a fixed order: equal contents give equal bytes. One of them is the SHA-256 of all that
+//! the file holds: one flipped bit is found.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, HashMap};
@@ -8,11 +9,13 @@ use std::path::{Path, PathBuf};
 
 use safetensors::tensor::{Dtype, SafeTensors, View, serialize_to_file};
 
-use isoplanat_base::atomic::{Replace, publish_path, read_bounded};
+use isoplanat_base::atomic::{Replace, publish_path, read_bounded, sha256_of};
 use isoplanat_base::error::{Error, Result};
 
 /// The metadata entry that holds our facts.
 const KEY: &str = "isoplanat";
+/// The fact that holds the SHA-256 of the rest.
+const SUM: &str = "sha256";
 
 /// A tensor to be written: name, shape, values in row-major order.
 pub(super) struct Named<'a> {
@@ -24,6 +27,17 @@ pub(super) struct Named<'a> {
     pub(super) values: Cow<'a, [f32]>,
 }
 
+impl Named<'_> {
+    /// Its values as they stand in a file.
+    fn bytes(&self) -> Cow<'_, [u8]> {
+        if cfg!(target_endian = "little") {
+            Cow::Borrowed(bytemuck::cast_slice(&self.values))
+        } else {
+            Cow::Owned(self.values.iter().flat_map(|v| v.to_le_bytes()).collect())
+        }
+    }
+}
+
 impl View for &Named<'_> {
     fn dtype(&self) -> Dtype {
         Dtype::F32
@@ -32,11 +46,7 @@ impl View for &Named<'_> {
         &self.shape
     }
     fn data(&self) -> Cow<'_, [u8]> {
-        if cfg!(target_endian = "little") {
-            Cow::Borrowed(bytemuck::cast_slice(&self.values))
-        } else {
-            Cow::Owned(self.values.iter().flat_map(|v| v.to_le_bytes()).collect())
-        }
+        self.bytes()
     }
     fn data_len(&self) -> usize {
         4 * self.values.len()
@@ -51,12 +61,33 @@ pub(super) fn write(path: &Path, facts: &BTreeMap<String, String>, tensors: &[Na
     if let Some(bad) = tensors.iter().find(|t| t.values.iter().any(|v| !v.is_finite())) {
         return Err(Error::Internal(format!("{} is not finite; nothing was saved", bad.name)));
     }
-    let facts = serde_json::to_string(facts).map_err(|e| Error::Internal(format!("metadata: {e}")))?;
+    let mut facts = facts.clone();
+    let parts = tensors.iter().map(|t| (t.name.as_str(), t.shape.as_slice(), t.bytes()));
+    facts.insert(SUM.to_owned(), sum(&facts, parts.collect())?);
+    let facts = json(&facts)?;
     let entries = tensors.iter().map(|t| (t.name.as_str(), t));
     publish_path(path, Replace::Always, |at| {
         serialize_to_file(entries, Some(HashMap::from([(KEY.to_owned(), facts)])), at)
             .map_err(|e| Error::writing(path, std::io::Error::other(e.to_string())))
     })
+}
+
+fn json(facts: &BTreeMap<String, String>) -> Result<String> {
+    serde_json::to_string(facts).map_err(|e| Error::Internal(format!("metadata: {e}")))
+}
+
+/// A tensor's name, shape and bytes.
+type Part<'a> = (&'a str, &'a [usize], Cow<'a, [u8]>);
+
+/// SHA-256 of facts and of tensors by name: names, shapes, values.
+fn sum(facts: &BTreeMap<String, String>, mut tensors: Vec<Part<'_>>) -> Result<String> {
+    tensors.sort_unstable_by_key(|(name, ..)| *name);
+    let mut parts = vec![Cow::Owned(json(facts)?.into_bytes())];
+    for (name, shape, values) in tensors {
+        parts.push(Cow::Owned(format!("{name:?} {shape:?}").into_bytes()));
+        parts.push(values);
+    }
+    Ok(sha256_of(parts))
 }
 
 /// A file in memory.
@@ -72,12 +103,23 @@ impl TensorFile {
         let bytes = read_bounded(path, LARGEST)?;
         let bad = |found: String| Error::bad(path.display().to_string(), "header", found, allowed);
         let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|e| bad(e.to_string()))?;
-        let facts = match header.metadata().as_ref().and_then(|m| m.get(KEY)) {
+        let mut facts: BTreeMap<String, String> = match header.metadata().as_ref().and_then(|m| m.get(KEY)) {
             Some(text) => serde_json::from_str(text).map_err(|e| bad(format!("metadata: {e}")))?,
             None => BTreeMap::new(),
         };
         // Lengths and offsets of every tensor, once; later views cannot fail.
-        SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
+        let tensors = SafeTensors::deserialize(&bytes).map_err(|e| bad(e.to_string()))?;
+        // Files of others have no sum, nor had ours once.
+        if let Some(told) = facts.remove(SUM) {
+            let views = tensors.tensors();
+            let parts = views.iter().map(|(name, view)| (name.as_str(), view.shape(), Cow::Borrowed(view.data())));
+            let found = sum(&facts, parts.collect())?;
+            if found != told {
+                let found =
+                    format!("contents with the SHA-256 {}…, {}… told", &found[..8], told.get(..8).unwrap_or(&told));
+                return Err(Error::bad(path.display().to_string(), "sha256", found, "the file as it was written"));
+            }
+        }
         Ok(Self { path: path.to_owned(), facts, bytes })
     }
 

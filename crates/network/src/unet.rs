@@ -308,7 +308,7 @@ mod tests {
         let old: UnetConfig =
             serde_json::from_str(r#"{"base_width": 16, "scales": 3, "inputs": ["wiener", "field"]}"#).expect("read");
         assert_eq!((old.base, old.base_channel(), old.blended(), old.outputs()), (Base::Filtered, 3, 0, 3));
-        let new = UnetConfig::bare(16, 3).seeing(Inputs::TOLD);
+        let new = UnetConfig::bare(16, 3).seeing(Inputs::GUIDED);
         assert_eq!((new.base, new.base_channel(), new.blended(), new.outputs()), (Base::Blend, 0, 3, 12));
         let text = serde_json::to_string(&new).expect("text");
         assert_eq!((text.contains("blend"), serde_json::from_str::<UnetConfig>(&text).expect("own text")), (true, new));

@@ -53,9 +53,9 @@ impl Settings {
         task.steps = Some(2000);
         let train = &mut task.train;
         train.scales = 3;
-        // Two networks of equal steps, both from the joint design's: one sees the capture alone, one is told of its lens. Designed with a told
+        // Two networks of equal steps, both from the joint design's: one sees the capture alone, one is guided. Designed with a guided
         // network in the same minutes the lens was worse (benches/results/guided.md).
-        train.inputs = Inputs::TOLD;
+        train.inputs = Inputs::GUIDED;
         (train.steps, train.constant_epochs, train.decay_epochs) = (Some(1400), 1.0, 2.0);
         (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
         (train.rate, train.loss) = (2e-3, "l1".into());
@@ -133,7 +133,7 @@ impl Settings {
                 format!("as the joint design left it, trained on for {} steps", self.task.train.steps.unwrap_or(0)),
             ),
             pair(
-                "Network told of its lens",
+                "Guided network",
                 format!(
                     "from the same start, for as many steps; sees the capture through {} as well",
                     told(self.task.train.inputs)

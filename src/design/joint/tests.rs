@@ -29,11 +29,11 @@ fn task() -> Task {
 }
 
 /// Scene → loss through the f32 network: the lens gradient against central differences, 1e-2. The network sees the capture alone,
-/// or is told of its lens by filters that stay while the lens moves.
+/// or is guided by filters that stay while the lens moves.
 #[test]
 fn the_lens_gradient_through_the_network_agrees_with_differences() {
     gradient_agrees(Inputs::BARE, None);
-    gradient_agrees(TOLD, None);
+    gradient_agrees(GUIDED, None);
 }
 
 /// The same through a lens as built, 1 % off in every radius: by the numbers of the lens that was drawn around.
@@ -44,7 +44,7 @@ fn the_gradient_at_a_drawn_lens_is_one_of_the_lens() {
     gradient_agrees(Inputs::BARE, Some(&tolerances));
 }
 
-const TOLD: Inputs = Inputs::TOLD;
+const GUIDED: Inputs = Inputs::GUIDED;
 
 fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
     let task = task();
@@ -131,7 +131,7 @@ fn a_joint_stage_repeats_to_the_bit() {
         let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
         let rate = if steps == Steps::Rays { 2e-3 } else { 1e-3 };
         let settings = JointSettings { steps, lens_rate: rate, lens_share: [0.2, 0.9], ..settings(10, 32) };
-        for inputs in [Inputs::BARE, TOLD] {
+        for inputs in [Inputs::BARE, GUIDED] {
             let run = || {
                 let net = network(4, inputs, 1, Compute::Cpu).expect("valid");
                 joint_stage(&scenery, &prepared.problem, net, settings.clone(), &mut |_, _| {}).expect("runs").0
@@ -154,9 +154,9 @@ fn a_stage_goes_on_from_its_state() {
     let built = || Some(Stated::Keys(toml::from_str(TOLERANCES).expect("keys")));
     for (steps, inputs, tolerances) in [
         (Steps::Rays, Inputs::BARE, None),
-        (Steps::Rays, TOLD, None),
+        (Steps::Rays, GUIDED, None),
         (Steps::Scaled, Inputs::BARE, None),
-        (Steps::Rays, TOLD, built()),
+        (Steps::Rays, GUIDED, built()),
     ] {
         let task = Task { lens_steps: steps, tolerances, ..task() };
         let lens = task.lens(Glasses::shipped()).expect("shipped");
@@ -260,7 +260,7 @@ fn a_patch_may_be_larger_than_the_frame() {
     let textures = Textures::built_in(3, 1, 400);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
     let settings = JointSettings { settings: Some(SETTINGS), lens_share: [0.0, 1.0], ..settings(1, 192) };
-    for inputs in [Inputs::BARE, TOLD] {
+    for inputs in [Inputs::BARE, GUIDED] {
         let net = network(4, inputs, 1, Compute::Cpu).expect("valid");
         let (_, history) =
             joint_stage(&scenery, &problem, net, settings.clone(), &mut |_, e| assert!(e.loss.is_finite()))
@@ -283,7 +283,7 @@ fn a_stage_over_depths_sees_all_of_them() {
     let depth_power = 4.0;
     let settings = JointSettings { vergences, depth_power, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
     let (stage, _) =
-        joint_stage(&scenery, &problem, network(4, TOLD, 1, Compute::Cpu).expect("valid"), settings, &mut |_, _| {})
+        joint_stage(&scenery, &problem, network(4, GUIDED, 1, Compute::Cpu).expect("valid"), settings, &mut |_, _| {})
             .expect("runs");
     assert_eq!(stage.renderer().plan.depths.len(), 3);
     // The power mean of their losses: those above it count more than once, the others less; judged by the worst of them.
