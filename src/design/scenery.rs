@@ -43,7 +43,7 @@ pub struct Entry {
 }
 
 /// The log's first line.
-pub(super) const HEADER: &str =
+pub(super) const LOG_HEADER: &str =
     "step,seconds,loss,input_psnr_db,output_psnr_db,moved_um,signal,penalty,step_seconds,network_seconds\n";
 
 impl Entry {
