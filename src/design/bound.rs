@@ -45,7 +45,7 @@ impl Bound {
     }
 
     /// What a checkpoint says; nothing in those of versions before.
-    pub(super) fn said(facts: &BTreeMap<String, String>) -> Option<Self> {
+    fn said(facts: &BTreeMap<String, String>) -> Option<Self> {
         Some(Self { lens: facts.get(LENS)?.clone(), filters: facts.get(FILTERS).cloned() })
     }
 
@@ -57,19 +57,24 @@ impl Bound {
         }
     }
 
-    /// Refuses a folder whose lens or filters, `found`, are not those of its checkpoint; filters that were not read are not compared.
-    pub(super) fn check(&self, folder: &Path, found: &Self) -> Result<()> {
-        let other = |file: &str, of: &str| {
+    /// Refuses a folder that holds it beside a checkpoint that says, among its `facts`, another lens or other filters; filters that were not read are not
+    /// compared, and checkpoints of versions before say nothing.
+    ///
+    /// # Errors
+    /// What does not belong together.
+    pub(super) fn check(&self, folder: &Path, facts: &BTreeMap<String, String>) -> Result<()> {
+        let Some(said) = Self::said(facts) else { return Ok(()) };
+        let other = |file: &str| {
             let allowed =
                 "as its checkpoint was written: --resume puts a design's right; another lens is a run of its own";
             let found = format!("{file} is not the one of network.safetensors");
-            Err(Error::bad(folder.display().to_string(), of, found, allowed))
+            Err(Error::bad(folder.display().to_string(), "run", found, allowed))
         };
-        if self.lens != found.lens {
-            return other("lens.toml, or what was measured,", "lens");
+        if said.lens != self.lens {
+            return other("lens.toml, or what was measured,");
         }
-        match (&self.filters, &found.filters) {
-            (Some(own), Some(found)) if own != found => other(guide::FILE, "filters"),
+        match (&said.filters, &self.filters) {
+            (Some(said), Some(found)) if said != found => other(guide::FILE),
             _ => Ok(()),
         }
     }
@@ -121,8 +126,7 @@ pub(super) fn require_agreement(folder: &Path) -> Result<()> {
         return Ok(());
     }
     agreed(|| {
-        let said = Bound::said(&Reconstructor::facts_of(&checkpoint)?);
-        let there = Bound::there(folder)?;
-        Ok(said.map_or(Ok(()), |said| said.check(folder, &there)))
+        let facts = Reconstructor::facts_of(&checkpoint)?;
+        Ok(Bound::there(folder)?.check(folder, &facts))
     })
 }

@@ -308,8 +308,7 @@ impl Designing {
         let mut stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         stage.restore(&scenery, &state)?;
         // A kill between two renames leaves the lens of the checkpoint before, or its filters.
-        let own = bound(&stage)?.0;
-        if !Bound::there(folder).is_ok_and(|there| own.check(folder, &there).is_ok()) {
+        if Bound::there(folder).ok() != Some(bound(&stage)?.0) {
             save(&stage, (state.best, state.seen), folder)?;
         }
         let stage = (stage, device);

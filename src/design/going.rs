@@ -80,3 +80,72 @@ pub(super) fn run_to_end<W: Work>(work: &mut W, seconds: f64, watch: &mut dyn Fn
     }
     work.checkpoint()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Steps that were written down beforehand, and what was made of them.
+    #[derive(Default)]
+    struct Told {
+        steps: Vec<Stepped>,
+        done: usize,
+        kept: Vec<usize>,
+        unsound: bool,
+    }
+
+    impl Work for Told {
+        fn step(&mut self) -> Result<Option<Stepped>> {
+            let step = self.steps.get(self.done).copied();
+            self.done += usize::from(step.is_some());
+            Ok(step)
+        }
+        fn steps(&self) -> u64 {
+            self.done as u64
+        }
+        fn sound(&self) -> bool {
+            !self.unsound
+        }
+        fn checkpoint(&mut self) -> Result<()> {
+            self.kept.push(self.done);
+            Ok(())
+        }
+        fn stopped(&mut self, why: &str) -> Error {
+            Error::Stopped(why.into())
+        }
+    }
+
+    /// The work after its end, and that end; somebody asks for one after step `until`.
+    fn done(work: Told, seconds: f64, until: usize) -> (Told, std::result::Result<(), String>) {
+        let mut work = work;
+        let end = run_to_end(&mut work, seconds, &mut |w| w.done < until).map_err(|e| e.to_string());
+        (work, end)
+    }
+
+    #[test]
+    fn a_run_keeps_what_is_sound_and_says_when_nothing_moves() {
+        let of = |steps: &[(Stepped, usize)]| {
+            let steps = steps.iter().flat_map(|(step, n)| std::iter::repeat_n(*step, *n)).collect();
+            Told { steps, ..Told::default() }
+        };
+        let (moved, skipped) = (Stepped::Moved, Stepped::Skipped);
+        let (work, end) = done(of(&[(moved, 5)]), 1e9, 99);
+        assert_eq!((work.kept, end), (vec![5], Ok(())));
+        assert_eq!(done(of(&[(moved, 3)]), 0.0, 99).0.kept, [1, 2, 3, 3]);
+        // An end that is asked for is kept, unless nothing is sound.
+        let (work, end) = done(of(&[(moved, 5)]), 1e9, 2);
+        assert_eq!((work.kept, end), (vec![2], Err(Error::Interrupted.to_string())));
+        let (work, end) = done(Told { unsound: true, ..of(&[(moved, 5)]) }, 0.0, 2);
+        assert!(work.kept.is_empty() && end.is_err());
+        // Twenty in a row, not twenty in all; a return begins anew; nothing is kept of what went wrong.
+        assert_eq!(done(of(&[(moved, 1), (skipped, 19), (moved, 1), (skipped, 19)]), 1e9, 99).1, Ok(()));
+        let back = [(moved, 1), (skipped, 19), (Stepped::Returned, 1), (skipped, 19), (moved, 1)];
+        assert_eq!(done(of(&back), 1e9, 99).1, Ok(()));
+        let (work, end) = done(of(&[(moved, 1), (skipped, 30)]), 1e9, 99);
+        assert!(end.is_err_and(|e| e.contains("20 times in a row")) && work.done == 21 && work.kept.is_empty());
+        // A run too short for that.
+        let (work, end) = done(of(&[(skipped, 3)]), 1e9, 99);
+        assert!(end.is_err_and(|e| e.contains("none of its steps")) && work.kept.is_empty());
+        assert_eq!(done(of(&[(skipped, 2), (moved, 1)]), 1e9, 99).1, Ok(()));
+    }
+}

@@ -35,8 +35,7 @@ impl Run {
             let (network, facts) = Reconstructor::result_of(&folder.join(NETWORK))?;
             let subject = Subject::of_run(folder)?;
             let (guide, filters) = guide_of(folder, network.config().inputs, &subject.frame()?)?;
-            let found = Bound::new(subject.sha256(), filters);
-            let agrees = Bound::said(&facts).map_or(Ok(()), |said| said.check(folder, &found));
+            let agrees = Bound::new(subject.sha256(), filters).check(folder, &facts);
             Ok(agrees.map(|()| (subject, network, guide)))
         })?;
         Ok(Self { task, subject, network, guide })

@@ -49,33 +49,22 @@ pub(super) const LOG_HEADER: &str =
 impl Entry {
     /// That of a line of the log.
     pub(super) fn read(line: &str) -> Option<Self> {
-        let v: Vec<f64> = line.split(',').map(|t| t.parse().ok()).collect::<Option<_>>()?;
-        let [
-            step,
-            seconds,
-            loss,
-            input_psnr_db,
-            output_psnr_db,
-            moved_um,
-            signal,
-            penalty,
-            step_seconds,
-            network_seconds,
-        ] = v.try_into().ok()?;
+        let mut values = line.split(',').map(|text| text.parse::<f64>().ok());
+        let mut next = || values.next().flatten();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
-        let step = step as usize;
-        Some(Self {
-            step,
-            seconds,
-            loss,
-            input_psnr_db,
-            output_psnr_db,
-            moved_um,
-            signal,
-            penalty,
-            step_seconds,
-            network_seconds,
-        })
+        let entry = Self {
+            step: next()? as usize,
+            seconds: next()?,
+            loss: next()?,
+            input_psnr_db: next()?,
+            output_psnr_db: next()?,
+            moved_um: next()?,
+            signal: next()?,
+            penalty: next()?,
+            step_seconds: next()?,
+            network_seconds: next()?,
+        };
+        values.next().is_none().then_some(entry)
     }
 
     /// Its line of the log.
@@ -93,5 +82,22 @@ impl Entry {
             self.step_seconds,
             self.network_seconds
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_of_the_log_is_read_again() {
+        let line = "120,33.125,1.250000e-2,28.5000,31.2500,1.5000e-1,0.3000,0.0000e0,0.2500,0.1250\n";
+        let entry = Entry::read(line.trim_end()).expect("an entry");
+        assert_eq!((entry.step, entry.seconds, entry.network_seconds), (120, 33.125, 0.125));
+        assert_eq!(entry.line(), line);
+        assert_eq!(line.split(',').count(), LOG_HEADER.split(',').count());
+        for bad in ["120,33.125", "120,33.125,x,28.5,31.2,0.1,0.3,0,0.2,0.1", &format!("{},7", line.trim_end())] {
+            assert!(Entry::read(bad).is_none(), "{bad}");
+        }
     }
 }

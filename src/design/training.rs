@@ -173,7 +173,7 @@ impl Training {
         let state = State::from_facts(&facts, &path)?;
         let (kept, filters) = guide_of(folder, trainer.generator().config().inputs, &subject.frame()?)?;
         let bound = Bound::new(subject.sha256(), filters);
-        Bound::said(&facts).map_or(Ok(()), |said| said.check(folder, &bound))?;
+        bound.check(folder, &facts)?;
         let textures = task.textures()?;
         same_scenes(folder, &textures.sha256())?;
         let parts = Parts::new(&task, &subject, textures, Some(kept))?;
@@ -208,7 +208,7 @@ impl Training {
             state,
             guard: Guard::default(),
             log,
-            clock: Clock { begun: Instant::now(), before: 0.0, pace: Vec::new(), recent: Vec::new() },
+            clock: Clock::after(0.0),
             entry: None,
             _lock: lock,
         })
@@ -287,7 +287,7 @@ impl Training {
     /// # Errors
     /// [`Error::Stopped`] where nothing finite comes any more, or where it lost itself too often; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status) -> bool) -> Result<()> {
-        self.clock = Clock { begun: Instant::now(), before: self.state.seconds, pace: Vec::new(), recent: Vec::new() };
+        self.clock = Clock::after(self.state.seconds);
         let every = self.task.train.checkpoint_seconds;
         run_to_end(self, every, &mut |training| training.status().is_none_or(|status| watch(&status)))?;
         self.pairs.discard();
@@ -439,6 +439,11 @@ impl Work for Training {
 }
 
 impl Clock {
+    /// One that begins now, `before` seconds into the training.
+    fn after(before: f64) -> Self {
+        Self { begun: Instant::now(), before, pace: Vec::new(), recent: Vec::new() }
+    }
+
     /// Seconds of the training so far, those before a resume included.
     fn seconds(&self) -> f64 {
         self.before + self.begun.elapsed().as_secs_f64()

@@ -18,7 +18,8 @@ sample_steps = 0
 "#;
 
 /// What reads a run's network, or its lens alone.
-const NETWORK: [&str; 3] = [
+const NETWORK: [&str; 4] = [
+    "report run --rays 64 -o page.html",
     "export run -o kit",
     "evaluate run --fields 1 --patch 32 --json",
     "report run --rays 64 --measure=1 --measure-rays 64 -o page.html",
@@ -61,7 +62,9 @@ fn the_network_of_one_checkpoint_beside_the_lens_of_another_is_refused() {
     place.write("run/filters.npz", file("longer/filters.npz"));
     assert!(file("run/filters.npz") != filters, "a design of other steps has other filters");
     refused("filters.npz", &NETWORK);
-    std::fs::remove_file(place.path("run/lens.toml")).expect("removes");
+    for file in ["run/lens.toml", "run/filters.npz"] {
+        std::fs::remove_file(place.path(file)).expect("removes");
+    }
     place.run("design --resume -o run").done();
     assert!(file("run/lens.toml") == lens && file("run/filters.npz") == filters);
     assert!(tensors(&place.path("run/network.safetensors")) == network);
@@ -79,7 +82,7 @@ fn a_training_whose_lens_was_exchanged_does_not_go_on() {
     let own = std::fs::read_to_string(place.path("run/lens.toml")).expect("a lens");
     let thickness = own.lines().find(|l| l.starts_with("thickness_mm")).expect("a thickness");
     place.write("run/lens.toml", own.replacen(thickness, "thickness_mm = 6.25", 1));
-    for command in ["train --resume -o run", NETWORK[0], NETWORK[1], LENS[0]] {
+    for command in ["train --resume -o run", NETWORK[1], NETWORK[2], LENS[0]] {
         let ran = place.run(command);
         assert_eq!(ran.code, 2, "{command}: {}", ran.err);
         assert!(ran.err.contains("lens.toml") && ran.err.contains("network.safetensors"), "{command}: {}", ran.err);
@@ -92,7 +95,7 @@ fn a_training_whose_lens_was_exchanged_does_not_go_on() {
     let last = bytes.len() - 3;
     bytes[last] ^= 4;
     std::fs::write(&path, bytes).expect("writes");
-    for command in ["train --resume -o run", NETWORK[1], LENS[0]] {
+    for command in ["train --resume -o run", NETWORK[2], LENS[0]] {
         place.run(command).refused(&["network.safetensors", "sha256"]);
     }
 }
