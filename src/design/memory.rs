@@ -123,12 +123,12 @@ pub fn of_evaluation(
     sheets: bool,
 ) -> Result<u64> {
     // Around a patch lies what the network sees, and what the lens's own filters look at, as far as the frame goes.
-    let most = frame.map_or(usize::MAX, |[columns, rows]| columns.max(rows));
     let seen = settings.patch + 2 * CONTEXT;
-    let side = (seen + 2 * Filters::WIDEST).min(most);
+    let side = seen + 2 * Filters::WIDEST;
+    let [columns, rows] = frame.unwrap_or([usize::MAX; 2]).map(|most| side.min(most));
     // A picture as it is read: its samples, its planes, and the scene made of it.
     let picture = product(&[pictures.largest()?, 3 * (2 * size_of::<f32>() + 4)]);
-    let region = product(&[side, side, REGION]);
+    let region = product(&[columns, rows, REGION]);
     // Truth, capture, filtered capture and reconstruction; as strips, as sheets, and as one of them is written.
     let shown = product(&[settings.depths_mm.len(), settings.fields, SHEET, 4 * 3 * 2 * size_of::<f32>()]);
     let shown = if sheets { shown.saturating_mul(product(&[settings.patch, settings.patch])) } else { 0 };
