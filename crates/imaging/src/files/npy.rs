@@ -146,6 +146,8 @@ mod tests {
             (file(">f4", "False", "(2, 3)", &floats), "little-endian"),
             (file("<i4", "False", "(2, 3)", &floats), "another kind"),
             (file("<f4", "False", "(1, 1)", &f32::NAN.to_le_bytes()), "finite"),
+            // A number of 64 bits that 32 do not hold would be read as infinite light.
+            (file("<f8", "False", "(1, 1)", &1e39f64.to_le_bytes()), "finite numbers of 32 bits"),
             (b"\x93NUMPY\x01".to_vec(), "a.npy"),
             (b"no array".to_vec(), "a.npy"),
             (Vec::new(), "a.npy"),
