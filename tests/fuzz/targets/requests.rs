@@ -27,6 +27,7 @@ use tokio::runtime::{Builder, Runtime};
 
 use self::answer::Desk;
 use self::board::Board;
+use self::room::Kind;
 use self::token::Token;
 
 /// Stands for the token, which is another in each run, in inputs.
@@ -34,7 +35,7 @@ const TOKEN: &str = "TTTTTTTTTTTTTTTTTTTTTTTTTTTTTTTT";
 /// A word of the page.
 const SECRET: &str = "what the page shows";
 /// Polls of a connection whose bytes are all there.
-const MOST: usize = 10_000;
+const MOST: usize = 2000;
 
 /// What comes, in parts of some bytes, and what is sent.
 struct Memory<'a> {
@@ -91,14 +92,14 @@ pub(super) fn request(bytes: &[u8]) {
     }
     let _inside = RUNTIME.enter();
     let memory = Memory { rest: &asked, part, sent: Vec::new() };
-    let mut known = false;
-    let heard = std::cell::Cell::new(false);
-    let mut connection = talk::connection(memory, &DESK, |_| heard.set(true));
+    let heard = std::cell::Cell::new(None);
+    let mut connection = talk::connection(memory, &DESK, |kind| heard.set(Some(kind)));
     let context = &mut Context::from_waker(Waker::noop());
     let ended = (0..MOST).any(|_| connection.poll_without_shutdown(context).is_ready());
-    assert!(ended, "a connection whose other end is closed goes on");
+    // A stream of events behind which more was sent goes on until a write fails: nothing of what follows is read meanwhile.
+    assert!(ended || heard.get() == Some(Kind::Stream), "a connection whose other end is closed goes on");
     let sent = connection.into_parts().io.sent;
-    known |= heard.get();
+    let known = heard.get().is_some();
     let holds = |part: &[u8]| sent.windows(part.len()).any(|w| w == part);
     assert!(sent.is_empty() || sent.starts_with(b"HTTP/1."), "{}", String::from_utf8_lossy(&sent));
     assert!(!known || !places.is_empty(), "known without the token");
