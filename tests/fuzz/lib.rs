@@ -1,6 +1,6 @@
 //! The fuzz targets as programs of libFuzzer. `targets/` is shared with the tests; here stands what only the programs do.
 
-pub mod targets;
+mod targets;
 
 use std::panic::{catch_unwind, set_hook};
 use std::path::Path;

@@ -18,17 +18,17 @@ use std::path::PathBuf;
 use isoplanat::{Error, Result};
 
 /// A reader under test.
-pub struct Target {
+pub(crate) struct Target {
     /// What it is called: its program, its corpus, its dictionary.
-    pub name: &'static str,
+    pub(crate) name: &'static str,
     /// Reads bytes; panics where a promise is broken.
-    pub run: fn(&[u8]),
+    pub(crate) run: fn(&[u8]),
     /// Inputs to start from, made of what the program ships and writes.
-    pub starts: fn() -> Vec<Vec<u8>>,
+    pub(crate) starts: fn() -> Vec<Vec<u8>>,
 }
 
 /// All of them.
-pub const TARGETS: [Target; 20] = [
+pub(crate) const TARGETS: [Target; 20] = [
     Target { name: "zmx", run: lenses::zmx, starts: lenses::zmx_starts },
     Target { name: "seq", run: lenses::seq, starts: lenses::seq_starts },
     Target { name: "json", run: lenses::json, starts: lenses::json_starts },
