@@ -64,7 +64,7 @@ pub(super) fn save(
 /// Weights of a network that is made whatever its file holds.
 const SMALL: u64 = 1 << 20;
 /// How many times the weights of a network its count from above may be.
-const LOOSE: u64 = 8;
+const LOOSE: u64 = 32;
 
 /// A checkpoint in memory.
 pub(super) struct Checkpoint(TensorFile);

@@ -98,12 +98,12 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
         };
         let all = numbers("DATA.data", &words(&block["data"]))?;
         let rows: Vec<&[f64]> = all.chunks(columns).collect();
-        let rising = rows.windows(2).all(|w| w[0][0] < w[1][0]);
+        let rising = all.first().is_some_and(|first| *first > 0.0) && rows.windows(2).all(|w| w[0][0] < w[1][0]);
         if rows.is_empty() || rows.iter().any(|r| r.len() != columns || !super::INDICES.contains(&r[1])) || !rising {
             return Err(refuse(
                 "DATA.data",
                 format!("{} numbers", all.len()),
-                "rows of a rising wavelength in µm and an index from 1 to 5",
+                "rows of a rising wavelength in µm, the first above 0, and an index from 1 to 5",
             ));
         }
         let medium = Medium::Table {

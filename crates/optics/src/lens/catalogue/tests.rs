@@ -80,6 +80,7 @@ fn names_are_found_or_refused() {
         ("i.yml", "DATA: [", "a page of refractiveindex.info"),
         ("f.yml", "DATA:\n  - type: formula 11\n    wavelength_range: 0.4 1\n    coefficients: 1 2\n", "formula 11"),
         ("g.yml", "DATA:\n  - type: tabulated n\n    data: |\n      0.5 1.5\n      0.4 1.6\n", "DATA.data"),
+        ("j.yml", "DATA:\n  - type: tabulated n\n    data: |\n      -0.4 1.5\n      0.7 1.4\n", "the first above 0"),
         ("h.txt", "", "another ending"),
     ] {
         let path = folder.path().join(name);
