@@ -6,6 +6,7 @@ use yaml_rust2::{Yaml, YamlLoader};
 use super::{Entry, finite, glass};
 use crate::lens::Medium;
 use crate::lens::dispersion::Formula;
+use crate::lens::glass::TABLE_NM;
 use isoplanat_base::error::{Error, Result};
 
 fn formula(number: &str) -> Option<Formula> {
@@ -98,13 +99,18 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
         };
         let all = numbers("DATA.data", &words(&block["data"]))?;
         let rows: Vec<&[f64]> = all.chunks(columns).collect();
-        let rising = all.first().is_some_and(|first| *first > 0.0) && rows.windows(2).all(|w| w[0][0] < w[1][0]);
+        let rising = rows.windows(2).all(|w| w[0][0] < w[1][0]);
         if rows.is_empty() || rows.iter().any(|r| r.len() != columns || !super::INDICES.contains(&r[1])) || !rising {
             return Err(refuse(
                 "DATA.data",
                 format!("{} numbers", all.len()),
-                "rows of a rising wavelength in µm, the first above 0, and an index from 1 to 5",
+                "rows of a rising wavelength in µm and an index from 1 to 5",
             ));
+        }
+        // A lens takes no others: what a page has beyond (X-rays, radio) is not of lenses.
+        let rows: Vec<&[f64]> = rows.into_iter().filter(|r| TABLE_NM.contains(&(r[0] * 1e3))).collect();
+        if rows.is_empty() {
+            return Err(refuse("DATA.data", "no row from 0.1 to 100 µm".into(), "indices of a lens's light"));
         }
         let medium = Medium::Table {
             wavelength_nm: rows.iter().map(|r| r[0] * 1e3).collect(),
