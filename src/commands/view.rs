@@ -10,6 +10,7 @@ mod door;
 mod patience;
 mod room;
 mod server;
+mod talk;
 mod token;
 mod watch;
 

@@ -40,7 +40,10 @@ const CRATES: [(&[&str], &[&str]); 11] = [
     (&["prost"], &["crates/camera/src/session"]),
     (&["image"], &["crates/imaging/src/files"]),
     (&["maud"], &["src/report/html.rs"]),
-    (&["hyper", "hyper_util"], &["src/commands/view/server.rs", "src/commands/view/answer.rs"]),
+    (
+        &["hyper", "hyper_util"],
+        &["src/commands/view/server.rs", "src/commands/view/talk.rs", "src/commands/view/answer.rs"],
+    ),
     (&["tokio"], &["src/commands/view/"]),
     (&["moxcms"], &["crates/imaging/src/develop/gamut.rs"]),
     (&["tiff"], &["crates/imaging/src/files", "crates/imaging/src/exif.rs", "crates/imaging/src/dng.rs"]),

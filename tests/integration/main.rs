@@ -23,6 +23,8 @@ mod extremes;
 #[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod faults;
 mod from_scratch;
+#[cfg(all(feature = "train", feature = "deploy"))]
+mod fuzz_corpus;
 #[cfg(feature = "deploy")]
 mod glare;
 mod golden;

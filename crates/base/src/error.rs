@@ -1,5 +1,6 @@
 //! The library's one error type: every message names the file, the place, the value and what is allowed.
 
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crate::terminal::cut;
@@ -9,7 +10,7 @@ use crate::terminal::cut;
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{}{}; {allowed}", before(&[file, cut(place, MOST).as_ref()]), cut(found, MOST))]
+    #[error("{}{}; {}", before(&[&one_line(file), &one_line(&cut(place, MOST))]), one_line(&cut(found, MOST)), one_line(allowed))]
     BadInput {
         /// File (or the argument's name) the value stands in.
         file: String,
@@ -47,6 +48,15 @@ pub enum Error {
 /// What stands before a value: the parts that there are, with colons.
 fn before(parts: &[&str]) -> String {
     parts.iter().filter(|part| !part.is_empty()).map(|part| format!("{part}: ")).collect()
+}
+
+/// The text in one line: readers of others say what is wrong in several, and values hold ends of lines.
+fn one_line(text: &str) -> Cow<'_, str> {
+    if !text.contains(['\n', '\r']) {
+        return Cow::Borrowed(text);
+    }
+    let lines = text.split(['\n', '\r']).map(str::trim).filter(|line| !line.is_empty());
+    Cow::Owned(lines.collect::<Vec<_>>().join(" "))
 }
 
 /// Characters of a place and of a value in a message at most.
@@ -105,5 +115,18 @@ impl Error {
             Self::Interrupted => 130,
             _ => 2,
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A message is one line, whatever the words of other readers, keys and values are (found by fuzzing: JPEG and `.npy`).
+    #[test]
+    fn messages_are_one_line() {
+        let error = Error::bad("a\nb", "key\n", "expected 2\n  |\r\n1 | x\n", "a\npicture");
+        assert_eq!(error.to_string(), "a b: key: expected 2 | 1 | x; a picture");
+        assert_eq!(Error::bad("a", "", "x\t y", "z").to_string(), "a: x\t y; z");
     }
 }

@@ -240,6 +240,14 @@ pub fn metadata(bytes: &[u8], file: &Path) -> Result<BTreeMap<String, String>> {
     Ok(model::metadata(&model::read(bytes, file)?))
 }
 
+/// The bytes that a runtime is given in place of a model's own: all that was checked, and nothing beside it.
+///
+/// # Errors
+/// As [`metadata`].
+pub fn rewritten(bytes: &[u8], file: &Path) -> Result<Vec<u8>> {
+    Ok(model::bytes(&model::read(bytes, file)?))
+}
+
 /// Runs what may panic inside a runtime; errors become their first line.
 fn guarded<T>(work: impl FnOnce() -> std::result::Result<T, String>) -> std::result::Result<T, String> {
     match catch_unwind(AssertUnwindSafe(work)) {

@@ -61,6 +61,11 @@ pub(super) fn save(
     write(path, &facts, &tensors)
 }
 
+/// Weights of a network that is made whatever its file holds.
+const SMALL: u64 = 1 << 20;
+/// How many times the weights of a network its count from above may be.
+const LOOSE: u64 = 32;
+
 /// A checkpoint in memory.
 pub(super) struct Checkpoint(TensorFile);
 
@@ -75,12 +80,16 @@ impl Checkpoint {
         }
     }
 
-    /// The network's size.
+    /// The network's size. A network is made before its weights are read, so what its file cannot hold is refused here.
     pub(super) fn config(&self) -> Result<UnetConfig> {
         let text = self.0.fact("config").unwrap_or_default();
         let bad = |found: String| self.0.bad("config", found, "a network's size");
         let config: UnetConfig = serde_json::from_str(text).map_err(|e| bad(e.to_string()))?;
         config.validate().map_err(|e| bad(e.to_string()))?;
+        let (weights, held) = (config.weights(), self.0.numbers());
+        if weights > SMALL && weights / LOOSE > held {
+            return Err(bad(format!("a network of some {weights} weights in a file of {held} numbers")));
+        }
         Ok(config)
     }
 
@@ -127,6 +136,8 @@ impl Checkpoint {
 mod tests {
     use std::fs;
 
+    use isoplanat_card::Blocks;
+
     use super::super::Reconstructor;
     use super::*;
     use ndarray::Array4;
@@ -169,6 +180,34 @@ mod tests {
         let mut model = model();
         model.set_parameter("output.bias", &[0.0, f32::NAN, 0.0]).expect("three");
         assert!(model.save(&path).is_err() && !path.exists());
+    }
+
+    /// A file of a few numbers asks for no network of a milliard.
+    #[test]
+    fn networks_that_their_files_cannot_hold_are_not_made() {
+        let folder = tempfile::tempdir().expect("temporary folder");
+        let path = folder.path().join("network.safetensors");
+        for (config, refused) in [(UnetConfig::bare(4, 2), false), (UnetConfig::bare(128, 5), true)] {
+            let config = serde_json::to_string(&config).expect("JSON");
+            write(&path, &BTreeMap::from([("schema".into(), SCHEMA.into()), ("config".into(), config)]), &[])
+                .expect("written");
+            assert_eq!(Reconstructor::config_of(&path).is_err(), refused);
+            let error = Reconstructor::load(&path).expect_err("no weights").to_string();
+            assert_eq!(error.contains("weights in a file of"), refused, "{error}");
+        }
+        // The count from above is near enough to every network's own.
+        for blocks in [Blocks::Paper, Blocks::Separable, Blocks::Gated] {
+            for (width, scales) in [(32, 3), (16, 5), (64, 1)] {
+                let config = UnetConfig { blocks, ..UnetConfig::bare(width, scales) };
+                let own: usize = Reconstructor::new(config.clone(), 1)
+                    .expect("valid")
+                    .parameters()
+                    .iter()
+                    .map(|p| p.values.len())
+                    .sum();
+                assert!(config.weights() / LOOSE <= own as u64, "{config:?}: {own}");
+            }
+        }
     }
 
     #[test]

@@ -138,6 +138,11 @@ impl TensorFile {
         &self.facts
     }
 
+    /// Numbers that its bytes hold at most.
+    pub(super) fn numbers(&self) -> u64 {
+        self.bytes.len() as u64 / 4
+    }
+
     fn tensors(&self) -> Result<SafeTensors<'_>> {
         SafeTensors::deserialize(&self.bytes).map_err(|e| self.bad("header", e.to_string(), "a safetensors file"))
     }

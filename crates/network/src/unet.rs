@@ -152,7 +152,7 @@ impl UnetConfig {
     }
 
     /// Number of weights, from above.
-    fn weights(&self) -> u64 {
+    pub(super) fn weights(&self) -> u64 {
         let of_scale = |w: usize| match self.blocks {
             // Five 3 × 3 convolutions of a scale's width, or what amounts to fewer.
             Blocks::Paper => product(&[45, w, w]),

@@ -1,19 +1,16 @@
 //! The server: a thread for the door (`door`) and one for all answers, and bounds for all that another end can make long, many or slow.
 //!
-//! hyper on tokio, and not a smaller library, for the sake of those bounds: a time limit on the head of a request, sizes of heads, an accept loop of our
-//! own, which no error ends. It costs nine crates in place of three: 7 s more of one core to build, 0.3 MB of the program.
+//! hyper on tokio, and not a smaller library, for the sake of those bounds: a time limit on the head of a request, sizes of heads (`talk`), an accept loop of
+//! our own, which no error ends. It costs nine crates in place of three: 7 s more of one core to build, 0.3 MB of the program.
 
-use std::convert::Infallible;
-use std::future::{poll_fn, ready};
+use std::future::poll_fn;
 use std::io::{Error as IoError, ErrorKind};
 use std::net::{SocketAddr, TcpListener};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use hyper::server::conn::http1;
-use hyper::service::service_fn;
-use hyper_util::rt::{TokioIo, TokioTimer};
+use hyper_util::rt::TokioIo;
 use isoplanat::{Error, Result};
 use tokio::io::AsyncWrite;
 use tokio::net::TcpStream;
@@ -24,13 +21,8 @@ use super::answer::Desk;
 use super::door::{self, Hall};
 use super::patience::Patient;
 use super::room::{Kind, Room, Seat};
+use super::talk::{self, HEAD};
 
-/// The head of a request is there after so long, whether its connection is new or has been answered before.
-const HEAD: Duration = Duration::from_secs(5);
-/// Bytes of a head, lines and target together.
-const HEAD_BYTES: usize = 16 << 10;
-/// Lines of a head.
-const HEAD_LINES: usize = 64;
 /// So long nothing may be taken of what is sent.
 const PATIENCE: Duration = Duration::from_secs(10);
 /// After the last answer the other end may take it and go: a connection that is closed before all it sent is read loses what it was sent.
@@ -110,19 +102,7 @@ async fn serve(stream: TcpStream, kind: Kind, seat: Seat, desk: Arc<Desk>) {
         let Ok(Ok(n @ 1..)) = timeout(HEAD, stream.peek(&mut begin)).await else { return };
         seat.heard(if desk.is_promised(&begin[..n]) { Kind::Known } else { Kind::Stranger });
     }
-    let service = service_fn(|request| {
-        let (response, kind) = desk.answer(&request);
-        if let Some(kind) = kind {
-            seat.heard(kind);
-        }
-        ready(Ok::<_, Infallible>(response))
-    });
-    let mut connection = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .header_read_timeout(HEAD)
-        .max_buf_size(HEAD_BYTES)
-        .max_headers(HEAD_LINES)
-        .serve_connection(TokioIo::new(Patient::new(stream, PATIENCE)), service);
+    let mut connection = talk::connection(TokioIo::new(Patient::new(stream, PATIENCE)), &desk, |kind| seat.heard(kind));
     // What ends a connection early is its other end's matter.
     let _ = poll_fn(|context| connection.poll_without_shutdown(context)).await;
     part(connection.into_parts().io.into_inner().into_inner()).await;

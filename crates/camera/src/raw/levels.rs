@@ -10,6 +10,9 @@ use std::path::Path;
 
 use super::{ALLOWED, bad};
 
+/// Black, white and steps are within: their sums and differences stay numbers, and a sample has no more bits.
+const LEVELS: std::ops::RangeInclusive<f32> = -4_294_967_296.0..=4_294_967_296.0;
+
 /// Levels of a file.
 pub(super) struct Levels {
     /// As [`super::RawCapture::black`]; the mean of what is to be flattened.
@@ -83,6 +86,10 @@ impl Levels {
         let Some(&first_white) = white_levels.first() else {
             return Err(bad(path, "no white level", ALLOWED));
         };
+        let all = table.levels.iter().chain(&of_rows).chain(&of_columns).chain(&white_levels);
+        if let Some(level) = all.copied().find(|level| !LEVELS.contains(level)) {
+            return Err(bad(path, format!("a level of {level}"), "levels within those of 32 bits"));
+        }
         let colours = image.cpp == 3;
         let cell = if colours { 1 } else { 2 };
         let pixels = BlackOfPixels { table, of_rows, of_columns };
@@ -103,6 +110,14 @@ impl Levels {
                 return Err(bad(path, found, "black below white"));
             }
             white[i] -= top - black[i];
+            // Rounded: of levels that large a step of one is none.
+            if white[i] <= black[i] {
+                return Err(bad(
+                    path,
+                    format!("black level {top} next to white level {}", white[i]),
+                    "black below white",
+                ));
+            }
         }
         let flat = pixels.of_rows.iter().chain(&pixels.of_columns).all(|v| *v == 0.0);
         let black_of_pixels = (!(flat && pixels.table.is_simple(cell))).then_some(pixels);

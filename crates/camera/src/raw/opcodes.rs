@@ -33,6 +33,9 @@ struct Area {
     step: (usize, usize),
 }
 
+/// Gains of a map are within: those of lenses are a few, and products of samples and sums between points stay numbers.
+const GAINS: std::ops::RangeInclusive<f32> = -1e6..=1e6;
+
 /// Gains at points of a grid, linear between them, the outermost beyond.
 #[derive(Clone, Debug, PartialEq)]
 struct GainMap {
@@ -190,7 +193,7 @@ fn gain_map(body: &mut &[u8]) -> Option<What> {
         return None;
     }
     let gains =
-        (0..count).map(|_| take(body).map(f32::from_be_bytes).filter(|g| g.is_finite())).collect::<Option<_>>()?;
+        (0..count).map(|_| take(body).map(f32::from_be_bytes).filter(|g| GAINS.contains(g))).collect::<Option<_>>()?;
     Some(What::Gains(GainMap { points: (rows, columns), spacing, origin, planes, gains }))
 }
 
@@ -263,6 +266,20 @@ mod tests {
         assert_eq!((on(gains, 0, 1, 0.1), on(gains, 3, 0, 0.1)), ([0.1; 9], [0.1; 9]));
         assert_eq!(on(gains, 0, 0, 0.9)[4], 1.0, "cut off at white");
         assert_eq!(parse(&list(), false).expect("whole").others, [4, 8, 9], "the other lists are not applied");
+    }
+
+    /// Gains whose difference is no number would make samples that are none.
+    #[test]
+    fn gains_beyond_all_lenses_are_a_damaged_list() {
+        let (whole, last) = (list(), 5.0f32.to_be_bytes());
+        assert!(whole.ends_with(&last));
+        for (gain, is_read) in [(1e6, true), (2e6, false), (f32::MAX, false), (f32::INFINITY, false), (f32::NAN, false)]
+        {
+            let mut changed = whole.clone();
+            changed.truncate(whole.len() - 4);
+            changed.extend(f32::to_be_bytes(gain));
+            assert_eq!(parse(&changed, true).is_some(), is_read, "{gain}");
+        }
     }
 
     #[test]

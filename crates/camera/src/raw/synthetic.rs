@@ -44,7 +44,8 @@ impl Synthetic {
         file.shorts(33421, &[2, 2]).bytes(33422, &[0, 1, 1, 2]).bytes(50710, &[0, 1, 2]).shorts(50711, &[1])
     }
 
-    fn put(mut self, tag: u16, kind: u16, count: usize, data: Vec<u8>) -> Self {
+    /// An entry of any type of TIFF; `count` values in `data`, little-endian.
+    pub(crate) fn put(mut self, tag: u16, kind: u16, count: usize, data: Vec<u8>) -> Self {
         self.entries.insert(tag, (kind, u32::try_from(count).expect("a small file"), data));
         self
     }
@@ -79,8 +80,13 @@ impl Synthetic {
         self
     }
 
-    /// Writes the file, little-endian.
+    /// Writes the file.
     pub(crate) fn write(&self, path: &Path) {
+        std::fs::write(path, self.file()).expect("writes");
+    }
+
+    /// The bytes of the file, little-endian.
+    pub(crate) fn file(&self) -> Vec<u8> {
         let mut place = 8 + 2 + 12 * self.entries.len() + 4;
         let beside: usize =
             self.entries.values().map(|(_, _, d)| if d.len() > 4 { d.len().next_multiple_of(2) } else { 0 }).sum();
@@ -106,7 +112,7 @@ impl Synthetic {
         head.extend([0; 4]);
         head.extend(after);
         head.extend(self.samples.iter().flat_map(|v| v.to_le_bytes()));
-        std::fs::write(path, head).expect("writes");
+        head
     }
 }
 

@@ -136,6 +136,29 @@ fn black_by_rows_and_columns_is_taken_off() {
     }
 }
 
+/// Samples without a scale (found by fuzzing): levels whose difference is lost in rounding, or is no number.
+#[test]
+fn levels_beyond_all_samples_are_refused() {
+    let base = || file(1, |_, _, _| 0.0, |_, _, _| 1.0);
+    // FLOAT.
+    let floats = |all: &[f32]| all.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+    let stated = |tag: u16, all: &[f32]| base().put(tag, 11, all.len(), floats(all));
+    let mut steps = [0.0; ROWS];
+    steps[0] = -8.5e37;
+    for (wrong, words) in [
+        (stated(50716, &[-8.5e37; ROWS]), "a level of -85"),
+        (stated(50716, &steps), "a level of -85"),
+        (stated(50716, &[-4e9; ROWS]).longs(50717, &[1]), "black"),
+        (base().longs(50714, &[4_294_967_040]).longs(50717, &[4_294_967_041]), "black"),
+    ] {
+        match decoded(&wrong) {
+            Ok(capture) => assert!(capture.black.iter().zip(&capture.white).all(|(b, w)| b < w), "{words}"),
+            Err(error) => assert!(error.to_string().contains(words) && error.exit_code() == 2, "{error}"),
+        }
+    }
+    assert!(decoded(&stated(50716, &[-8.5e37; ROWS])).is_err());
+}
+
 #[test]
 fn gain_maps_are_applied() {
     let all = [0, 0, ROWS as u32, COLUMNS as u32, 0, 1, 1, 1];

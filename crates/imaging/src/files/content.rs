@@ -28,15 +28,20 @@ pub(super) struct Content {
     pub(super) orientation: u8,
 }
 
-/// The content, if all of it are numbers.
+/// The content, if all of it are numbers, also in the 32 bits that pictures are computed in.
 pub(super) fn finite(path: &Path, content: Content) -> Result<Content> {
     let wrong = match &content.samples {
         Samples::F32(v) => v.iter().position(|v| !v.is_finite()),
-        Samples::F64(v) => v.iter().position(|v| !v.is_finite()),
+        Samples::F64(v) => v.iter().position(|v| !(*v as f32).is_finite()),
         _ => None,
     };
     let Some(at) = wrong else { return Ok(content) };
     let pixel = at / content.channels;
     let place = format!("row {}, column {}", pixel / content.cols, pixel % content.cols);
-    Err(Error::bad(path.display().to_string(), place, "a sample that is not a finite number", "finite numbers"))
+    Err(Error::bad(
+        path.display().to_string(),
+        place,
+        "a sample that is not a finite number",
+        "finite numbers of 32 bits",
+    ))
 }

@@ -39,9 +39,22 @@ pub(super) fn size(path: &Path) -> Result<[usize; 2]> {
     read(path).map(|content| [content.rows, content.cols])
 }
 
+/// Whether a file is as long as its array's header says that this is (NumPy's format, versions 1 to 3): its reader makes room for a header before it reads it.
+fn has_header(file: &[u8]) -> bool {
+    let length = match file {
+        [_, _, _, _, _, _, 1, _, a, b, ..] => u64::from(u16::from_le_bytes([*a, *b])),
+        [_, _, _, _, _, _, _, _, a, b, c, d, ..] => u64::from(u32::from_le_bytes([*a, *b, *c, *d])),
+        _ => return false,
+    };
+    length <= file.len() as u64
+}
+
 /// The array of a file.
 pub(super) fn read(path: &Path) -> Result<Content> {
     let file = read_bounded(path, LARGEST)?;
+    if file.starts_with(MAGIC) && !has_header(&file) {
+        return Err(bad(path, "cut off within its header", "a whole NumPy array (.npy)"));
+    }
     // A view never makes room for what a header promises and the file has not; it asks for numbers on their boundaries.
     let mut room = vec![0u8; file.len() + ALIGNMENT];
     let start = room.as_ptr().align_offset(ALIGNMENT).min(ALIGNMENT);
@@ -146,7 +159,11 @@ mod tests {
             (file(">f4", "False", "(2, 3)", &floats), "little-endian"),
             (file("<i4", "False", "(2, 3)", &floats), "another kind"),
             (file("<f4", "False", "(1, 1)", &f32::NAN.to_le_bytes()), "finite"),
+            // A number of 64 bits that 32 do not hold would be read as infinite light.
+            (file("<f8", "False", "(1, 1)", &1e39f64.to_le_bytes()), "finite numbers of 32 bits"),
             (b"\x93NUMPY\x01".to_vec(), "a.npy"),
+            // Found by fuzzing: room for a header of 3.6 GB, asked for before it was read.
+            (b"\x93NUMPY\x03\0\x8a\xff\x84\xd8{'descr': '<f4', }".to_vec(), "within its header"),
             (b"no array".to_vec(), "a.npy"),
             (Vec::new(), "a.npy"),
         ] {

@@ -161,12 +161,21 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
 /// `glasses` names them.
 ///
 /// # Errors
-/// What the form cannot say: freeforms, tilts, a glass without a catalogue.
+/// What the form cannot say: freeforms, tilts, a glass without a catalogue, numbers that its reader refuses.
 pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Vec<String>)> {
+    let readable = |(text, notes): (String, Vec<String>)| match parse(&text, form, "", glasses) {
+        Ok(_) => Ok((text, notes)),
+        Err(e) => Err(Error::bad(
+            lens.name.as_str(),
+            "form",
+            format!("as {form:?} it could not be read again ({e})"),
+            ".toml says all of a lens",
+        )),
+    };
     match form {
         Form::Toml => Ok((prescription::to_toml(lens), Vec::new())),
-        Form::Zmx => write_zmx::write(lens, glasses),
-        Form::Seq => write_seq::write(lens, glasses),
+        Form::Zmx => readable(write_zmx::write(lens, glasses)?),
+        Form::Seq => readable(write_seq::write(lens, glasses)?),
         Form::Json | Form::Txt => Err(Error::bad(
             lens.name.as_str(),
             "form",

@@ -309,3 +309,24 @@ fn no_term_of_an_asphere_is_lost() {
         }
     }
 }
+
+/// What is written in a form of another program is read again, or not written (found by fuzzing: an Abbe number below 1 that DeepLens may state and a
+/// model glass of Zemax may not; a pupil smaller than any that CODE V's reader takes).
+#[test]
+fn what_could_not_be_read_again_is_not_written() {
+    let deeplens = |medium: &str| {
+        format!(
+            r#"{{"info":"a","fnum":5.0,"r_sensor":8.0,"d_sensor":60.0,"surfaces":[
+            {{"type":"Spheric","r":6.0,"roc":40.0,"d":0.0,"d_next":3.0,"mat2":"{medium}"}},
+            {{"type":"Spheric","r":6.0,"roc":-60.0,"d":3.0,"d_next":1.0,"mat2":"air"}},
+            {{"type":"Aperture","r":3.0,"d":4.0,"d_next":55.0}}]}}"#
+        )
+    };
+    let written = |medium: &str| {
+        let lens = parse(&deeplens(medium), Form::Json, "a.json", Glasses::shipped()).expect(medium).lens;
+        text_of(&lens, Form::Zmx, Glasses::shipped())
+    };
+    assert!(written("1.516468/64.2").is_ok());
+    let error = written("1.516468/.2").expect_err("no glass").to_string();
+    assert!(error.contains("could not be read again") && error.contains("V_d") && !error.contains('\n'), "{error}");
+}

@@ -1,5 +1,6 @@
 //! What every lens must be, whether a file states it or a design step made it.
 
+use super::glass::TABLE_NM;
 use super::{Aperture, Field, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
 use isoplanat_base::error::{Error, Result};
 
@@ -154,7 +155,7 @@ fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
         if index.is_empty()
             || index.len() != wavelength_nm.len()
             || !ascending
-            || !wavelength_nm.iter().all(|w| (100.0..=1e5).contains(w))
+            || !wavelength_nm.iter().all(|w| TABLE_NM.contains(w))
         {
             let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
             let allowed = "ascending wavelengths from 100 to 100000 nm, as many indices from 1 to 5";

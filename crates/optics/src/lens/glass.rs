@@ -19,6 +19,9 @@ use super::dispersion::Dispersion;
 use isoplanat_base::error::Result;
 use isoplanat_base::units::um_from_nm;
 
+/// Wavelengths of a table are within, nm.
+pub(crate) const TABLE_NM: std::ops::RangeInclusive<f64> = 100.0..=1e5;
+
 /// Lines of eq. 8, nm.
 const D_NM: f64 = 589.3;
 const F_NM: f64 = 486.1;

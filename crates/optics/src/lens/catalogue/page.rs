@@ -6,6 +6,7 @@ use yaml_rust2::{Yaml, YamlLoader};
 use super::{Entry, finite, glass};
 use crate::lens::Medium;
 use crate::lens::dispersion::Formula;
+use crate::lens::glass::TABLE_NM;
 use isoplanat_base::error::{Error, Result};
 
 fn formula(number: &str) -> Option<Formula> {
@@ -105,6 +106,11 @@ pub(super) fn read(text: &str, name: &str, file: &str) -> Result<Entry> {
                 format!("{} numbers", all.len()),
                 "rows of a rising wavelength in µm and an index from 1 to 5",
             ));
+        }
+        // A lens takes no others: what a page has beyond (X-rays, radio) is not of lenses.
+        let rows: Vec<&[f64]> = rows.into_iter().filter(|r| TABLE_NM.contains(&(r[0] * 1e3))).collect();
+        if rows.is_empty() {
+            return Err(refuse("DATA.data", "no row from 0.1 to 100 µm".into(), "indices of a lens's light"));
         }
         let medium = Medium::Table {
             wavelength_nm: rows.iter().map(|r| r[0] * 1e3).collect(),

@@ -70,6 +70,12 @@ fn names_are_found_or_refused() {
     more.add(&agf("again.agf", "1.3")).expect("read");
     let [a, b] = ["mine/F2", "again/F2"].map(|n| more.find(n, &[]).expect("named").index(550.0));
     assert_eq!(a, b);
+    // Of a table that begins among X-rays (found by fuzzing: a range that began below 0) the part that lenses take.
+    let table = "DATA:\n  - type: tabulated n\n    data: |\n      0.0007 1.9\n      0.5 1.5\n      0.7 1.4\n";
+    std::fs::write(folder.path().join("long.yml"), table).expect("written");
+    poles.add(&folder.path().join("long.yml")).expect("read");
+    let [short, long] = poles.find("page/long", &[]).expect("a glass").range_nm();
+    assert!((490.0..=500.0).contains(&short) && (700.0..=710.0).contains(&long), "{short} to {long}");
     // What is no catalogue.
     for (name, text, expected) in [
         ("a.agf", "hello", "lines NM"),
@@ -80,6 +86,11 @@ fn names_are_found_or_refused() {
         ("i.yml", "DATA: [", "a page of refractiveindex.info"),
         ("f.yml", "DATA:\n  - type: formula 11\n    wavelength_range: 0.4 1\n    coefficients: 1 2\n", "formula 11"),
         ("g.yml", "DATA:\n  - type: tabulated n\n    data: |\n      0.5 1.5\n      0.4 1.6\n", "DATA.data"),
+        (
+            "j.yml",
+            "DATA:\n  - type: tabulated n\n    data: |\n      -0.4 1.5\n      0.07 1.4\n",
+            "no row from 0.1 to 100",
+        ),
         ("h.txt", "", "another ending"),
     ] {
         let path = folder.path().join(name);

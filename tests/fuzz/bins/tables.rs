@@ -1,0 +1,3 @@
+#![no_main]
+
+isoplanat_fuzz::fuzz!();
