@@ -165,7 +165,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let asked_for = asked_for(args, &task, &cameras)?;
     begin(args, &asked_for)?;
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
         crate::tell!("{} of {}: {}", k + 1, cameras.len(), camera.label());

@@ -220,7 +220,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     }
     designing.device().iter().for_each(|line| crate::tell!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
         (true, _) => "network alone",
         (_, true) => "lens by its images",

@@ -273,7 +273,7 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
             "no --retrain, or a smaller network",
         )?;
     }
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut bar = None;
     let told = (&run.network, &run.guide);
     let judge =

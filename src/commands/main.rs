@@ -8,15 +8,7 @@
 #[global_allocator]
 static MEMORY: isoplanat::refusing::Refusing = isoplanat::refusing::Refusing;
 
-/// Says something on stderr; what would steer a terminal is escaped ([`isoplanat::terminal`]).
-macro_rules! tell {
-    // Where nobody can be told the work goes on.
-    ($($words:tt)*) => {{
-        use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), "{}", isoplanat::terminal::printable(&format!($($words)*)));
-    }};
-}
-pub(crate) use tell;
+pub(crate) use isoplanat_program::tell;
 
 mod accuracy;
 mod analyses;
@@ -41,7 +33,6 @@ mod focus;
 mod glasses;
 mod input;
 mod inspect;
-mod interrupt;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
 mod lenses;
@@ -68,9 +59,7 @@ mod train;
 mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
-use std::sync::Mutex;
 
 use clap::Parser;
 use isoplanat::Error;
@@ -287,24 +276,23 @@ fn main() -> ExitCode {
     if let Some(code) = isoplanat::deploy::serve_child() {
         return code;
     }
-    std::panic::set_hook(Box::new(|panic| {
-        if let Ok(mut text) = PANIC.lock() {
-            *text = panic.to_string().replace('\n', " ");
-        }
-    }));
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
-        let text = PANIC.lock().map(|t| t.clone()).unwrap_or_default();
+    if let Err(error) = isoplanat_program::signals::attend() {
+        tell!("error: signals cannot be heard: {error}");
+        return ExitCode::FAILURE;
+    }
+    isoplanat_program::guarded(run).unwrap_or_else(|text| {
         tell!("error: internal: {text}");
         ExitCode::FAILURE
     })
 }
 
-/// What a panic had to say: the hook keeps it off the screen, so that one line can be made of it, and none where somebody catches it.
-static PANIC: Mutex<String> = Mutex::new(String::new());
-
 /// Reads the command line and runs its command.
 fn run() -> ExitCode {
-    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = Cli::parse();
+    let (cli, _) = match isoplanat_program::command_line::asked::<Cli>("error: ") {
+        Ok(both) => both,
+        Err(code) => return ExitCode::from(code),
+    };
+    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = cli;
     glasses::set_reading(Reading { strict, configuration });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));

@@ -125,7 +125,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
     // Ctrl-C asks for an end; the best lens so far is written.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let bar = Bar::new("optimize");
     let started = Instant::now();
     let mut found: Vec<Outcome> = Vec::new();

@@ -72,7 +72,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let lens = crate::input::lens(&args.lens)?;
     let tolerances = Tolerances::load(&args.tolerances)?;
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     // From the first lens on: what cannot be drawn is refused in one line.
     let mut bar = None;
     let settings = Settings { draws: args.draws, seed: args.seed, lenses: args.lenses.is_some() };

@@ -77,7 +77,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::tell!("resumed at step {}", training.step());
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut last = None;
     let trained = to_the_end(&mut training, "training", &asked, &mut |status| last = Some(*status));
     if matches!(trained, Err(Error::Interrupted)) {

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::figures::readable;
 use crate::terminal::cut;
 
 /// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
@@ -9,7 +10,7 @@ use crate::terminal::cut;
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{}{}; {allowed}", before(&[file, cut(place, MOST).as_ref()]), cut(found, MOST))]
+    #[error("{}{}; {}", before(&[file, cut(place, MOST).as_ref()]), cut(&readable(found), MOST), readable(allowed))]
     BadInput {
         /// File (or the argument's name) the value stands in.
         file: String,

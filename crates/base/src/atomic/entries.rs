@@ -118,6 +118,13 @@ pub(super) fn record(folder: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>)> {
     Ok((files, tree.folders))
 }
 
+/// Whether the file `path` is on the list that was published with `folder`; both without links.
+pub(super) fn published(folder: &Path, path: &Path) -> Result<bool> {
+    let Ok(within) = path.strip_prefix(folder) else { return Ok(false) };
+    let names: Vec<String> = within.iter().map(|name| escaped(name.as_encoded_bytes())).collect();
+    Ok(list(folder)?.is_some_and(|listed| listed.contains(&names.join("/"))))
+}
+
 /// The list of a published folder; `None`: it has none.
 fn list(folder: &Path) -> Result<Option<BTreeSet<String>>> {
     let path = folder.join(MANIFEST);
