@@ -53,7 +53,7 @@ pub(crate) struct Args {
     #[arg(conflicts_with = "against")]
     other: Option<String>,
     /// Folder of the comparison
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Lenses beside the first, comma-separated files or shipped names
     #[arg(long, value_delimiter = ',', value_name = "LENS,…", default_values_t = STOCK.map(str::to_owned))]

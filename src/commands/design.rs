@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: lens, network, log, history
-    #[arg(short, long, required_unless_present = "check")]
+    #[arg(short, long, value_name = "OUT_DIR", required_unless_present = "check")]
     output: Option<PathBuf>,
     /// Go on with the run in that folder
     #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed", "tolerance_aware", "worst_of"])]

@@ -20,14 +20,15 @@ use crate::glasses;
 ///
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
-pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
-    let Imported { lens, notes } = interchange::lens_or_file(name_or_path, glasses::all(), glasses::reading())?;
-    let toml = Path::new(name_or_path).extension().is_none_or(|e| e == "toml");
+pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+    let path = name_or_path.as_ref();
+    let Imported { lens, notes } = interchange::lens_or_file(path, glasses::all(), glasses::reading())?;
+    let toml = path.extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.
-        crate::tell!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
+        crate::tell!("{}: {}: {note}", if toml { "warning" } else { "note" }, path.display());
     }
-    for warning in overlapping_rims(&lens, name_or_path) {
+    for warning in overlapping_rims(&lens, &path.display().to_string()) {
         crate::tell!("warning: {warning}");
     }
     Ok(lens)
@@ -112,14 +113,14 @@ pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
 
 /// A lens by its name or file, or a measured one by its folder; stderr is told what is doubtful about it.
 #[cfg(feature = "train")]
-pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
-    let folder = Path::new(name_or_path);
+pub(crate) fn subject(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Subject> {
+    let folder = name_or_path.as_ref();
     if !MeasuredLens::is_at(folder) {
-        return Ok(lens(name_or_path)?.into());
+        return Ok(lens(folder)?.into());
     }
     let measured = MeasuredLens::load(folder)?;
     for note in measured.notes()? {
-        crate::tell!("note: {name_or_path}: {note}");
+        crate::tell!("note: {}: {note}", folder.display());
     }
     Ok(Subject::Measured(Box::new(measured)))
 }
@@ -128,7 +129,7 @@ pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
 #[cfg(feature = "train")]
 pub(crate) fn of_run(folder: &Path) -> Result<Subject> {
     let at = Subject::measured_in(folder).unwrap_or_else(|| folder.join("lens.toml"));
-    subject(&at.display().to_string())
+    subject(&at)
 }
 
 /// Refuses a run whose network nobody trained: a design by sensor images has none in it.

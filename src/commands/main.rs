@@ -39,8 +39,10 @@ mod lenses;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
+mod named;
 mod optimize;
 mod output;
+mod outputs;
 mod peak;
 mod picture;
 mod progress;
@@ -61,7 +63,7 @@ mod view;
 use std::io::{BufWriter, ErrorKind, Write};
 use std::process::ExitCode;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use isoplanat::Error;
 use isoplanat::interchange::Reading;
 use isoplanat::math::simd::check_environment;
@@ -288,7 +290,7 @@ fn main() -> ExitCode {
 
 /// Reads the command line and runs its command.
 fn run() -> ExitCode {
-    let (cli, _) = match isoplanat_program::command_line::asked::<Cli>("error: ") {
+    let (cli, words) = match isoplanat_program::command_line::asked::<Cli>("error: ") {
         Ok(both) => both,
         Err(code) => return ExitCode::from(code),
     };
@@ -296,8 +298,11 @@ fn run() -> ExitCode {
     glasses::set_reading(Reading { strict, configuration });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
-    let ready =
-        check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));
+    let ready = outputs::check(&Cli::command(), &words);
+    let ready = ready
+        .and_then(|()| check_environment())
+        .and_then(|()| memory::set(memory_gib))
+        .and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;

@@ -15,13 +15,14 @@ use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::{Error, Result, atomic};
 
+use crate::named::Named;
 use crate::progress::Bar;
 
 /// Arguments of `optimize`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
-    lens: String,
+    lens: Named,
     /// Where the better lens goes (.toml, .zmx, .seq)
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -75,7 +76,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Folder for the ten best lenses of a search, with drawings
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "OUT_DIR")]
     best: Option<PathBuf>,
     /// Choose real glasses: `*` or patterns such as `surface[2].medium`, and among which, such as `SCHOTT/*,!plastic`; `plastic` lets polymers be
     /// cemented to glass, `obsolete` takes types that are no longer made
@@ -142,7 +143,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.search.is_some() {
         let Some(best) = found.first() else {
             let allowed = "more starts, or constraints that leave room";
-            return Err(Error::bad(args.lens.as_str(), "--search", "no lens keeps the constraints", allowed).into());
+            return Err(Error::bad(&*args.lens, "--search", "no lens keeps the constraints", allowed).into());
         };
         from.lens = best.lens.clone();
     }

@@ -27,7 +27,7 @@ pub(crate) struct Args {
     #[arg(long, required_unless_present = "runs")]
     of: Option<u64>,
     /// Folder of all runs; with `report`: the page
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Go on where this number's run was left; a finished one is left alone
     #[arg(long)]

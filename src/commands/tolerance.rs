@@ -9,6 +9,7 @@ use isoplanat::lens::prescription;
 use isoplanat::report::as_built::AsBuiltReport;
 use isoplanat::{Error, Result, atomic};
 
+use crate::named::Named;
 use crate::output;
 use crate::progress::Bar;
 
@@ -23,7 +24,7 @@ const MOST: usize = 1_000_000;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// File of tolerances, as for `isoplanat sheets` (models/README.md)
     #[arg(long, value_name = "FILE")]
     tolerances: PathBuf,
@@ -40,7 +41,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     limit_um: Option<f64>,
     /// Folder for the drawn lenses, a file each, for `isoplanat evaluate --drawn` and others
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "OUT_DIR")]
     lenses: Option<PathBuf>,
     /// Draws to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]

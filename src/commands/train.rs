@@ -20,7 +20,7 @@ pub(crate) struct Args {
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: network, log, sample pictures.
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Go on with the run in that folder.
     #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial", "depths_mm"])]

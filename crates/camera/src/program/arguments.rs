@@ -160,6 +160,12 @@ impl Arguments {
     pub(crate) fn pictures(&self) -> Pictures {
         Pictures {
             captures: self.captures.clone(),
+            read: [&self.corrections.distortion, &self.corrections.shading, &self.running.onnxruntime]
+                .into_iter()
+                .flatten()
+                .cloned()
+                .collect(),
+            kit: self.kit.clone(),
             out: self.naming.out.clone(),
             format: self.naming.format,
             linear: self.look.linear,
