@@ -56,6 +56,14 @@ impl FNumber {
         let first = first_order(&lens, lens.wavelengths.primary_nm);
         let powerless =
             !(first.f_number.is_finite() && first.f_number > 0.0 && first.effective_focal_length.abs() < 1e9);
+        if powerless && first.effective_focal_length.abs() < 1e9 {
+            let found =
+                format!("given for {argument}, whose entrance pupil lies at infinity (telecentric in object space)");
+            return refuse(
+                found,
+                "a lens with an entrance pupil; the light of this one is its object_na, in its file".into(),
+            );
+        }
         if powerless {
             return refuse(format!("given for {argument}, which has no power"), "a lens with a focal length".into());
         }

@@ -278,10 +278,7 @@ fn main() -> ExitCode {
     if let Some(code) = isoplanat::deploy::serve_child() {
         return code;
     }
-    if let Err(error) = isoplanat_program::signals::attend() {
-        tell!("error: signals cannot be heard: {error}");
-        return ExitCode::FAILURE;
-    }
+    isoplanat_program::signals::attend();
     isoplanat_program::guarded(run).unwrap_or_else(|text| {
         tell!("error: internal: {text}");
         ExitCode::FAILURE

@@ -167,6 +167,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if asked() {
         crate::tell!("stopped on request: the best lens so far is kept");
     }
+    outcome.require(&file)?;
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
     crate::output::put(&better, Some(&args.output), args.force, out)?;
     if let Some(path) = &args.svg {

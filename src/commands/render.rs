@@ -8,6 +8,7 @@ use isoplanat::atomic::Target;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
+use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
@@ -303,6 +304,10 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
     let (render, optics) = (&plan.renderer.plan, &plan.renderer.optics);
     let Fineness { wavelengths, degree, dense, .. } = render.settings;
     let depth = &render.depths[0];
+    let (method, block) = match plan.method {
+        Blur::Cells { block } => ("cells", Some(block)),
+        Blur::Direct => ("direct", None),
+    };
     serde_json::json!({
         "predicted_psnr_db": plan.predicted_db,
         "holds": plan.holds,
@@ -316,7 +321,8 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
         "node_error": depth.node_error,
         "radii_traced": optics.table().spec.radii_mm.len(),
         "rays_traced": optics.table().rays,
-        "method": format!("{:?}", plan.method),
+        "method": method,
+        "block_px": block,
         "pupil_residual": optics.table().residual,
         "traced_pupil_fraction": optics.table().kept(),
         "chief_ray_residual_px": optics.maps[0].residual_mm / render.frame.pitch_mm,

@@ -72,6 +72,11 @@ impl Error {
         Self::Io { path: path.to_owned(), what: "reading", reason }
     }
 
+    /// A program that could not be started as a process of its own: the system lets no more in, or it is not there.
+    pub fn starting(program: &Path, reason: std::io::Error) -> Self {
+        Self::Io { path: program.to_owned(), what: "starting it as a process of its own", reason }
+    }
+
     /// A file that could not be written.
     pub fn writing(path: &Path, reason: std::io::Error) -> Self {
         Self::Io { path: path.to_owned(), what: "writing", reason }

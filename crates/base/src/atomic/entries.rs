@@ -61,8 +61,12 @@ impl<'a> FolderKind<'a> {
         if target.symlink_metadata().is_err() {
             return Ok(());
         }
-        if replace == Replace::Never || !target.join(self.marker).is_file() {
+        if replace == Replace::Never {
             return Err(Error::Exists(folder.to_owned()));
+        }
+        if !target.join(self.marker).is_file() {
+            let found = format!("a folder without {}: of another kind, and not replaced", self.marker);
+            return Err(Error::bad(folder.display().to_string(), "output", found, "another name"));
         }
         let foreign = self.foreign(target)?;
         if foreign.is_empty() {

@@ -21,10 +21,7 @@ pub fn main() -> ExitCode {
     if let Some(code) = serve_child() {
         return code;
     }
-    if let Err(error) = isoplanat_program::signals::attend() {
-        tell!("isoplanat-camera: signals cannot be heard: {error}");
-        return ExitCode::FAILURE;
-    }
+    isoplanat_program::signals::attend();
     let (arguments, _) = match isoplanat_program::command_line::asked::<Arguments>("isoplanat-camera: ") {
         Ok(both) => both,
         Err(code) => return ExitCode::from(code),

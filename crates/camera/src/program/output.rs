@@ -172,7 +172,7 @@ impl Pictures {
             (false, true) => Depth::Sixteen,
             (false, false) => Depth::Eight,
         };
-        let beside = Annotation { gamut: Some(self.gamut), exif };
+        let beside = Annotation { gamut: self.gamut, exif };
         files::write_annotated(to, &picture.image, encoding, depth, &beside)
     }
 }
