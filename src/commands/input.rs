@@ -8,7 +8,7 @@ use isoplanat::calibrate::lens::MeasuredLens;
 use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
-use isoplanat::lens::paraxial::first_order;
+use isoplanat::lens::paraxial::{field_origin, first_order};
 use isoplanat::lens::{Aperture, Lens};
 use isoplanat::report::table::significant;
 use isoplanat::trace::rims::overlapping_rims;
@@ -56,7 +56,7 @@ impl FNumber {
         let first = first_order(&lens, lens.wavelengths.primary_nm);
         let powerless =
             !(first.f_number.is_finite() && first.f_number > 0.0 && first.effective_focal_length.abs() < 1e9);
-        if powerless && first.effective_focal_length.abs() < 1e9 {
+        if field_origin(&lens).telecentric {
             let found =
                 format!("given for {argument}, whose entrance pupil lies at infinity (telecentric in object space)");
             return refuse(

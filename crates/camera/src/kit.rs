@@ -405,7 +405,7 @@ impl Kit {
         if !(finite && d.max_slope > 0.0) {
             let found = format!(
                 "coefficients_mm {}, max_slope {}, residual_mm {}",
-                d.coefficients_mm.iter().map(f64::to_string).collect::<Vec<_>>().join(", "),
+                d.coefficients_mm.iter().map(|c| c.to_string()).collect::<Vec<_>>().join(", "),
                 d.max_slope,
                 d.residual_mm
             );

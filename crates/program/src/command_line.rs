@@ -14,7 +14,7 @@ const BAD_INPUT: u8 = 2;
 /// # Errors
 /// As said.
 pub fn asked<C: CommandFactory + FromArgMatches>(before: &str) -> Result<(C, ArgMatches), u8> {
-    let words: Vec<OsString> = std::env::args_os().collect();
+    let words = joined(std::env::args_os());
     read(&words).map_err(|error| match error.kind() {
         ErrorKind::DisplayHelp | ErrorKind::DisplayVersion | ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand => {
             // A reader that has gone away is no error.
@@ -29,17 +29,29 @@ pub fn asked<C: CommandFactory + FromArgMatches>(before: &str) -> Result<(C, Arg
 }
 
 fn read<C: CommandFactory + FromArgMatches>(words: &[OsString]) -> Result<(C, ArgMatches), Error> {
-    let matches = tuned(C::command()).try_get_matches_from(words)?;
+    let matches = C::command().try_get_matches_from(words)?;
     Ok((C::from_arg_matches(&matches)?, matches))
 }
 
-/// The command with negative numbers as values of all its options: what is wrong with one is said by who knows what is allowed.
-fn tuned(command: Command) -> Command {
-    let numbers = |argument: clap::Arg| {
-        let takes = argument.get_action().takes_values() && !argument.is_positional();
-        if takes { argument.allow_negative_numbers(true) } else { argument }
+/// The words with negative numbers joined to the options before them: `--depth-mm -5` as `--depth-mm=-5`. What is wrong with one is said by who knows what is allowed.
+fn joined(words: impl Iterator<Item = OsString>) -> Vec<OsString> {
+    let option =
+        |word: &OsString| word.to_str().is_some_and(|w| w.len() > 2 && w.starts_with("--") && !w.contains('='));
+    let negative = |word: &OsString| {
+        let number = |part: &str| part.parse::<f64>().is_ok();
+        word.to_str().is_some_and(|w| w.starts_with('-') && w.split(',').all(number))
     };
-    command.mut_args(numbers).mut_subcommands(tuned)
+    let mut out: Vec<OsString> = Vec::new();
+    for word in words {
+        match out.last_mut() {
+            Some(last) if option(last) && negative(&word) => {
+                last.push("=");
+                last.push(word);
+            }
+            _ => out.push(word),
+        }
+    }
+    out
 }
 
 /// A refusal as one line: what is wrong, what is near it.
@@ -86,15 +98,20 @@ mod tests {
     }
 
     fn parsed(words: &[&str]) -> Result<Show, Error> {
-        let words: Vec<OsString> = ["show", "picture"].iter().chain(words).map(Into::into).collect();
+        let words = joined(["show", "picture"].iter().chain(words).map(Into::into));
         assert_eq!(program(&Show::command(), &words), "show picture");
         read(&words).map(|(show, _)| show)
     }
 
     #[test]
     fn negative_numbers_are_values() {
-        let What::Picture { depth_mm, .. } = parsed(&["a", "-o", "b", "--depth-mm", "-5"]).expect("parses").what;
-        assert_eq!(depth_mm, Some(-5.0));
+        for (word, number) in [("-5", -5.0), ("-1e-300", -1e-300), ("-inf", f64::NEG_INFINITY), ("-.5", -0.5)] {
+            let What::Picture { depth_mm, .. } = parsed(&["a", "-o", "b", "--depth-mm", word]).expect("parses").what;
+            assert_eq!(depth_mm, Some(number));
+        }
+        let words = ["a", "--list", "-1,-2", "--flag", "-x", "--depth-mm=1", "-5", "-o", "-5"].map(OsString::from);
+        let wanted = ["a", "--list=-1,-2", "--flag", "-x", "--depth-mm=1", "-5", "-o", "-5"].map(OsString::from);
+        assert_eq!(joined(words.into_iter()), wanted);
     }
 
     #[test]

@@ -89,7 +89,10 @@ pub fn distinct(paths: &[&Path]) -> Result<()> {
 /// An output that is an input, or holds one, or is one of an input's own files.
 pub fn spares(output: &Path, inputs: &[&Path]) -> Result<()> {
     // What cannot be looked at is told where it is written.
-    let Ok(Place::File(place, _) | Place::Folder(place)) = of(output) else { return Ok(()) };
+    let place = match of(output) {
+        Ok(Place::Free(place) | Place::File(place, _) | Place::Folder(place)) => place,
+        Ok(Place::Stream(_)) | Err(_) => return Ok(()),
+    };
     for input in inputs {
         // A name that is no file's is of something else.
         let Ok(read) = fs::canonicalize(input) else { continue };

@@ -186,7 +186,7 @@ mod tests {
         };
         let half = 32768.0 / 65535.0f64;
         let srgb = crate::develop::color::linear_from_srgb(half);
-        let gamma = |info: &mut Info<'static>| info.gama_chunk = Some(ScaledFloat::from_scaled(50_000));
+        let gamma = |info: &mut Info<'static>| info.source_gamma = Some(ScaledFloat::from_scaled(50_000));
         let profile = |info: &mut Info<'static>| info.icc_profile = Some(linear.clone().into());
         let standard = |info: &mut Info<'static>| info.srgb = Some(png::SrgbRenderingIntent::Perceptual);
         let close = |found: Result<f64>, wanted: f64| {

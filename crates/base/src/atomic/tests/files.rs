@@ -97,6 +97,7 @@ fn inputs_are_spared() {
     for (output, inputs) in [
         ("lens.toml", &["lens.toml"][..]),
         ("photos/../lens.toml", &["photos", "lens.toml"]),
+        ("none/../lens.toml", &["lens.toml"]),
         ("link", &["lens.toml"]),
         ("lens.toml", &["link"]),
         ("photos", &["photos/a.png"]),

@@ -7,6 +7,8 @@
 use ndarray::{Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
 
+use super::line::Line;
+use super::refine;
 use super::samples::{Rectangle, Sample, Sites};
 use super::step::{self, Step};
 use isoplanat_base::error::{Error, Result};
@@ -21,9 +23,11 @@ const LEAST: usize = 24;
 const EXPLAINED: [f64; 2] = [0.75, 0.95];
 /// Least share of a window on either side of the edge.
 const SIDE: f64 = 0.12;
-/// Slant of an edge, degrees from rows and columns, and pixels that it crosses of them, from which it is surely slanted: the angle of a step is known to 0.25°.
-const SLANT: f64 = 0.75;
+/// Slant of an edge, degrees from rows and columns, and pixels that it crosses of them, from which it is surely slanted.
+const SLANT: f64 = 0.5;
 const CROSSED: f64 = 2.0;
+/// Windows of one size whose edge is looked at more closely, the best first.
+const TRIED: usize = 64;
 
 /// The largest window with one straight edge among the pixels of `plane` that count; of those with a slanted edge, where there is one.
 ///
@@ -52,22 +56,27 @@ pub fn find_region<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: 
         let in_row = |row: usize| {
             let scores = columns_of.iter().filter_map(|&column| {
                 let part = cells.slice(s![row..row + window[0], column..column + window[1]]);
-                judged(part, noise).map(|(score, angle)| (score, angle, [row, column]))
+                judged(part, noise).map(|(score, line)| (score, line, [row, column]))
             });
             scores.collect::<Vec<_>>()
         };
         let rows_of: Vec<_> = starts(cells.nrows(), window[0]).into_par_iter().map(in_row).collect();
+        let mut fitting: Vec<_> = rows_of.into_iter().flatten().collect();
+        // The first of equal ones.
+        fitting.sort_by(|a, b| b.0.total_cmp(&a.0));
         let [height, width] = window.map(|n| n * side);
-        let (slanted, along): (Vec<_>, Vec<_>) =
-            rows_of.into_iter().flatten().partition(|(_, angle, _)| is_slanted(*angle, [width, height]));
-        let placed = |(_, _, [row, column]): (f64, f64, [usize; 2])| match share == 1.0 {
+        let placed = |[row, column]: [usize; 2]| match share == 1.0 {
             true => Rectangle::whole((rows, columns)),
             false => Rectangle { x: column * side, y: row * side, width, height },
         };
-        if let Some(best) = slanted.into_iter().reduce(first_best) {
-            return Ok(placed(best));
+        let slanted = fitting.iter().take(TRIED).find(|(_, line, [row, column])| {
+            let part = cells.slice(s![*row..row + window[0], *column..column + window[1]]);
+            is_slanted(refine::logistic(&samples(part), *line).0.angle, [width, height])
+        });
+        if let Some((_, _, at)) = slanted {
+            return Ok(placed(*at));
         }
-        straight = straight.or_else(|| along.into_iter().reduce(first_best).map(placed));
+        straight = straight.or_else(|| fitting.first().map(|(_, _, at)| placed(*at)));
         share *= 0.75;
     }
     if let Some(region) = straight {
@@ -84,11 +93,6 @@ fn is_slanted(angle: f64, [columns, rows]: [usize; 2]) -> bool {
     let length = if across > along { rows } else { columns };
     let slant = across.min(along).atan2(across.max(along));
     slant >= SLANT.to_radians() && slant.tan() * length as f64 >= CROSSED
-}
-
-/// The better of two scores, the first of equal ones.
-fn first_best<P>(a: (f64, f64, P), b: (f64, f64, P)) -> (f64, f64, P) {
-    if b.0 > a.0 { b } else { a }
 }
 
 /// Where windows of `size` start on `all` cells: a third of a window apart, the last at the end.
@@ -147,10 +151,14 @@ fn noise(cells: ArrayView2<'_, f64>) -> f64 {
     off.get(off.len() / 2).map_or(0.0, |m| m / (0.6745 * 1.25f64.sqrt()))
 }
 
-/// How well one edge explains a window, and the angle of its normal; `None` where it does not.
-fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<(f64, f64)> {
-    let sample = |((r, c), v): ((usize, usize), &f64)| Sample { x: c as f64, y: r as f64, value: *v };
-    let samples: Vec<Sample> = part.indexed_iter().map(sample).collect();
+/// The cells of a window.
+fn samples(part: ArrayView2<'_, f64>) -> Vec<Sample> {
+    part.indexed_iter().map(|((r, c), v)| Sample { x: c as f64, y: r as f64, value: *v }).collect()
+}
+
+/// How well one edge explains a window, and where it lies roughly; `None` where it does not.
+fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<(f64, Line)> {
+    let samples = samples(part);
     let centre = Rectangle::whole(part.dim()).centre();
     let Step { angle, offset, explained, contrast } = step::find(&samples, centre, 1.0)?;
     let count = samples.len() as f64;
@@ -173,5 +181,5 @@ fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<(f64, f64)> {
     let between: f64 = profile.iter().filter(|b| b[0] > 0.0).map(|b| b[0] * (b[1] / b[0] - mean).powi(2)).sum();
     let bright = samples.iter().filter(|s| place(s) > 0.0).count() as f64 / count;
     let fits = between >= EXPLAINED[1] * signal && (SIDE..=1.0 - SIDE).contains(&bright);
-    fits.then_some((between / total, angle))
+    fits.then_some((between / total, Line { centre, angle, offset, curvature: 0.0 }))
 }
