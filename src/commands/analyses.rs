@@ -113,7 +113,9 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     // Spots and distortion need no waves.
     let options = Options { whole: kind == Kind::Mtf, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
+    let waiting = crate::progress::Waiting::new(kind.name());
     let (overview, missing) = look(&lens, &options);
+    drop(waiting);
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
     if let Some(path) = &args.svg {
         let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
@@ -153,6 +155,15 @@ fn without_empty(mut value: Value) -> Value {
 }
 
 impl Kind {
+    /// What runs.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mtf => "mtf",
+            Self::Spot => "spot",
+            Self::Distortion => "distortion",
+        }
+    }
+
     /// Whether the plot `name` belongs to it.
     fn shows(self, name: &str) -> bool {
         match self {

@@ -74,6 +74,7 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    args.device.require()?;
     if args.check {
         return check(args, out);
     }

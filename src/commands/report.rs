@@ -95,7 +95,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             (false, None) => None,
         };
         let measured = measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(path))).transpose();
+        let waiting = crate::progress::Waiting::new("report");
         let report = LensReport::new(lens, &Options { colour, ..options.clone() });
+        drop(waiting);
         reports.push(match measured {
             Ok(Some(measured)) => report.with_measured(measured),
             Ok(None) => report,

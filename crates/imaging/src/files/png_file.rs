@@ -118,12 +118,13 @@ mod tests {
     use crate::files::{Encoding, read_linear, read_planes};
     use png::{Encoder, ScaledFloat};
 
-    /// A PNG of `samples`, with what `say` puts beside them.
+    /// A PNG of `samples`, with what `say` puts beside them; the transfer function of `cICP` where it is not 0.
     fn written(
         path: &Path,
         size: (u32, u32),
         form: (ColorType, BitDepth),
         samples: &[u8],
+        transfer: u8,
         say: impl FnOnce(&mut Info<'static>),
     ) {
         let mut info = Info::with_size(size.0, size.1);
@@ -131,6 +132,9 @@ mod tests {
         say(&mut info);
         let file = File::create(path).expect("a file");
         let mut writer = Encoder::with_info(file, info).expect("a form").write_header().expect("writes");
+        if transfer > 0 {
+            writer.write_chunk(png::chunk::ChunkType(*b"cICP"), &[1, transfer, 0, 1]).expect("writes");
+        }
         writer.write_image_data(samples).expect("writes");
     }
 
@@ -152,7 +156,7 @@ mod tests {
                 if bits < 8 {
                     samples[row - 1] |= 1;
                 }
-                written(&path, (5, 2), (ColorType::Indexed, depth), &samples, |info| {
+                written(&path, (5, 2), (ColorType::Indexed, depth), &samples, 0, |info| {
                     info.palette = Some(vec![90; 3 * colours].into());
                 });
                 let read = read_linear(&path).map(|image| image.dim());
@@ -173,15 +177,10 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a.png");
         let linear = Gamut::Srgb.icc(true).expect("writes");
-        let points = |transfer_function| png::CodingIndependentCodePoints {
-            color_primaries: 1,
-            transfer_function,
-            matrix_coefficients: 0,
-            is_video_full_range_image: true,
-        };
         // Half of the range, of 16 bits.
-        let light = |say: &dyn Fn(&mut Info<'static>), encoding: Option<Encoding>| {
-            written(&path, (1, 1), (ColorType::Grayscale, BitDepth::Sixteen), &[0x80, 0x00], say);
+        let light = |say: &dyn Fn(&mut Info<'static>), transfer: u8, encoding: Option<Encoding>| {
+            let form = (ColorType::Grayscale, BitDepth::Sixteen);
+            written(&path, (1, 1), form, &[0x80, 0x00], transfer, say);
             read_planes(&path, encoding).map(|planes| planes.values[[0, 0, 0]])
         };
         let half = 32768.0 / 65535.0f64;
@@ -193,25 +192,19 @@ mod tests {
             let found = found.expect("reads");
             assert!((found - wanted).abs() < 1e-6, "{found} {wanted}");
         };
-        close(light(&|_| {}, None), half);
-        close(light(&gamma, None), half.powi(2));
-        close(light(&standard, None), srgb);
-        close(light(&profile, None), half);
-        close(light(&|i| i.coding_independent_code_points = Some(points(13)), None), srgb);
-        close(light(&|i| i.coding_independent_code_points = Some(points(8)), None), half);
-        close(
-            light(
-                &|i| {
-                    standard(i);
-                    i.coding_independent_code_points = Some(points(4))
-                },
-                None,
-            ),
-            half.powf(2.2),
-        );
-        close(light(&standard, Some(Encoding::Linear)), half);
-        close(light(&gamma, Some(Encoding::Srgb)), srgb);
-        let error = light(&|i| i.coding_independent_code_points = Some(points(PQ)), None).expect_err("of high range");
-        assert!(error.to_string().contains("PQ"), "{error}");
+        let nothing = |_: &mut Info<'static>| {};
+        close(light(&nothing, 0, None), half);
+        close(light(&gamma, 0, None), half.powi(2));
+        close(light(&standard, 0, None), srgb);
+        close(light(&profile, 0, None), half);
+        close(light(&nothing, 13, None), srgb);
+        close(light(&nothing, 8, None), half);
+        close(light(&standard, 4, None), half.powf(2.2));
+        close(light(&standard, 0, Some(Encoding::Linear)), half);
+        close(light(&gamma, 0, Some(Encoding::Srgb)), srgb);
+        for (number, name) in [(PQ, "PQ"), (HLG, "HLG")] {
+            let error = light(&nothing, number, None).expect_err("of high range");
+            assert!(error.to_string().contains(name) && error.exit_code() == 2, "{error}");
+        }
     }
 }
