@@ -39,7 +39,7 @@ const CRATES: [(&[&str], &[&str]); 12] = [
     (&["landlock", "seccompiler"], &["crates/camera/src/child"]),
     (&["prost"], &["crates/camera/src/session"]),
     (&["image"], &["crates/imaging/src/files"]),
-    (&["png"], &["crates/imaging/src/files/png_file.rs"]),
+    (&["png"], &["crates/imaging/src/files"]),
     (&["maud"], &["src/report/html.rs"]),
     (&["hyper", "hyper_util"], &["src/commands/view/server.rs", "src/commands/view/answer.rs"]),
     (&["tokio"], &["src/commands/view/"]),

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use super::temporary::removed;
+use super::fault;
 
 /// Temporaries that are not on their way to their places yet, each with its lock where that is another file.
 static LIVING: Mutex<BTreeMap<PathBuf, Option<PathBuf>>> = Mutex::new(BTreeMap::new());
@@ -38,4 +39,15 @@ pub fn abandon() {
         }
     }
     std::mem::forget(living);
+}
+
+/// Removes a file or a folder with all that is in it; links are not followed. Whether nothing is there any more.
+pub(super) fn removed(path: &Path) -> bool {
+    let gone = |e: io::Error| if e.kind() == ErrorKind::NotFound { Ok(()) } else { Err(e) };
+    let done = fault::at("remove").and_then(|()| match path.symlink_metadata() {
+        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
+        Ok(_) => fs::remove_file(path),
+        Err(e) => Err(e),
+    });
+    done.or_else(gone).is_ok()
 }

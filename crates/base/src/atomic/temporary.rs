@@ -6,6 +6,7 @@ use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use super::living;
+pub(super) use super::living::removed;
 use super::name::{self, Part};
 use super::{fault, rename};
 
@@ -169,17 +170,6 @@ impl Drop for TemporaryFolder {
         // As for a file.
         let _ = self.lock.unlock();
     }
-}
-
-/// Removes a file or a folder with all that is in it; links are not followed. Whether nothing is there any more.
-pub(super) fn removed(path: &Path) -> bool {
-    let gone = |e: io::Error| if e.kind() == ErrorKind::NotFound { Ok(()) } else { Err(e) };
-    let done = fault::at("remove").and_then(|()| match path.symlink_metadata() {
-        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
-        Ok(_) => fs::remove_file(path),
-        Err(e) => Err(e),
-    });
-    done.or_else(gone).is_ok()
 }
 
 /// Makes a file and takes its lock; `None`: the name is taken, or a sweep took it for a dead writer's.

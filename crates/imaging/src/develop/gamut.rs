@@ -8,7 +8,6 @@ use moxcms::{ColorProfile, LocalizableString, Matrix3d, ProfileText, ToneReprCur
 use serde::{Deserialize, Serialize};
 
 use super::color::{IDENTITY, XYZ_FROM_SRGB, inverse, product};
-use super::profile::{Curve, Told};
 use isoplanat_base::error::{Error, Result};
 
 /// Linear Display P3 to CIE XYZ: SMPTE EG 432-1 primaries (0.680, 0.320), (0.265, 0.690), (0.150, 0.060), white (0.3127, 0.3290).
@@ -96,15 +95,6 @@ impl Gamut {
     /// Its primaries as XYZ under D50, one a column.
     pub(super) fn primaries(self) -> [[f64; 3]; 3] {
         self.adapted().1
-    }
-
-    /// What a file of its light says.
-    pub(crate) fn told(self) -> Told {
-        let to_srgb = match self {
-            Self::Srgb => None,
-            Self::DisplayP3 => inverse(&self.from_srgb()),
-        };
-        Told { curve: Curve::Linear, to_srgb }
     }
 
     /// From XYZ under D65 to D50, and the primaries there, one a column.

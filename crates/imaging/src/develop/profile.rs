@@ -93,6 +93,12 @@ impl From<Curve> for Told {
 }
 
 impl Told {
+    /// Numbers of `curve` that stand for colours of `gamut`.
+    pub fn of(gamut: Gamut, curve: Curve) -> Self {
+        let to_srgb = if gamut == Gamut::Srgb { None } else { inverse(&gamut.from_srgb()) };
+        Self { curve, to_srgb }
+    }
+
     /// What an ICC profile says; `None`: it is none, or one without curves.
     pub fn by_icc(profile: &[u8]) -> Option<Self> {
         let profile = ColorProfile::new_from_slice(profile).ok()?;

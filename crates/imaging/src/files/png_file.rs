@@ -58,7 +58,7 @@ pub(super) fn told(path: &Path) -> Result<Option<Told>> {
         };
         if let Some(curve) = curve {
             let gamut = if points.color_primaries == P3 { Gamut::DisplayP3 } else { Gamut::Srgb };
-            return Ok(Some(Told { curve, ..gamut.told() }));
+            return Ok(Some(Told::of(gamut, curve)));
         }
     }
     Ok(by_profile(info).or_else(|| by_numbers(info)))
