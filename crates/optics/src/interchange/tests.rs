@@ -2,7 +2,7 @@
 
 use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Medium, paraxial};
+use crate::lens::{Lens, Medium, builtin, paraxial};
 use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
 /// Focal length and sensor distance, mm.

@@ -153,7 +153,7 @@ impl Problem {
             self.known(t.quantity)?;
             let refuse =
                 |found: f64, allowed: &str| Err(Error::bad(file, t.quantity.name(), found.to_string(), allowed));
-            if !(t.value.abs() <= LARGEST) || t.quantity.is_inverse() && t.value == 0.0 {
+            if !(-LARGEST..=LARGEST).contains(&t.value) || t.quantity.is_inverse() && t.value == 0.0 {
                 return refuse(t.value, &format!("{NUMBERS}, of focal length and f-number other than 0"));
             }
             if !(0.0..=LARGEST).contains(&t.weight) {
