@@ -146,7 +146,7 @@ mod tests {
         for (depth, bits) in [(BitDepth::One, 1), (BitDepth::Two, 2), (BitDepth::Four, 4), (BitDepth::Eight, 8)] {
             let colours = if bits == 1 { 1 } else { 3 };
             for bad in [None, Some(0), Some(4), Some(7), Some(9)] {
-                let row = (5 * bits as usize).div_ceil(8);
+                let row = (5 * bits).div_ceil(8);
                 let mut samples = vec![0u8; 2 * row];
                 for pixel in 0..10 {
                     let index = if bad == Some(pixel) { colours } else { pixel % colours };
