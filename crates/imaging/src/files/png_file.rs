@@ -143,7 +143,7 @@ mod tests {
     fn colours_beyond_a_palette_are_refused() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let path = folder.path().join("a.png");
-        for (depth, bits) in [(BitDepth::One, 1), (BitDepth::Two, 2), (BitDepth::Four, 4), (BitDepth::Eight, 8)] {
+        for (depth, bits) in [(BitDepth::One, 1_usize), (BitDepth::Two, 2), (BitDepth::Four, 4), (BitDepth::Eight, 8)] {
             let colours = if bits == 1 { 1 } else { 3 };
             for bad in [None, Some(0), Some(4), Some(7), Some(9)] {
                 let row = (5 * bits).div_ceil(8);
