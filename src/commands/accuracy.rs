@@ -18,6 +18,7 @@ use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
 use ndarray::Array3;
 
 use crate::memory;
+use crate::named::Named;
 use crate::output;
 use crate::peak::measured;
 use crate::progress::Bar;
@@ -27,9 +28,9 @@ use crate::scene::{Placed, SMALLER, SceneArgs};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
-    lens: String,
+    lens: Named,
     /// Picture file, or a built-in scene as KIND or KIND:SEED.
-    scene: String,
+    scene: Named,
     /// Rays a pixel and channel of the reference, in two halves.
     #[arg(long, default_value_t = 512)]
     reference_samples: usize,
@@ -210,7 +211,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let accuracy = Accuracy {
         schema: 1,
         lens: lens.name.clone(),
-        scene: args.scene.clone(),
+        scene: args.scene.to_string(),
         frame: [frame.columns, frame.rows],
         threads: std::thread::available_parallelism().map_or(1, usize::from),
         reference_samples: args.reference_samples,

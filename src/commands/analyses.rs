@@ -1,7 +1,7 @@
 //! `isoplanat mtf`, `spot` and `distortion`: one analysis of the report by itself.
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use isoplanat::analysis::overview::Overview;
 use isoplanat::atomic::Target;
@@ -13,6 +13,8 @@ use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use ndarray::{Array1, Array2, Array4};
 use serde_json::{Value, json};
+
+use crate::named::Named;
 
 /// Which analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -48,9 +50,10 @@ pub(crate) struct View {
 }
 
 impl View {
-    /// The lens `name`, with its object where it was asked for.
-    pub(crate) fn lens(&self, name: &str) -> Result<Lens> {
-        let lens = self.f_number.applied(crate::input::lens(name)?, name)?;
+    /// The lens called `named`, with its object where it was asked for.
+    pub(crate) fn lens(&self, named: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+        let name = &named.as_ref().display().to_string();
+        let lens = self.f_number.applied(crate::input::lens(named)?, name)?;
         match self.depth_mm {
             None => Ok(lens),
             Some(depth) if depth > 0.0 => {
@@ -84,7 +87,7 @@ impl View {
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// The same as a drawing
     #[arg(long, value_name = "OUT.svg")]
     svg: Option<PathBuf>,
@@ -110,7 +113,9 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     // Spots and distortion need no waves.
     let options = Options { whole: kind == Kind::Mtf, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
+    let waiting = crate::progress::Waiting::new(kind.name());
     let (overview, missing) = look(&lens, &options);
+    drop(waiting);
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
     if let Some(path) = &args.svg {
         let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
@@ -150,6 +155,15 @@ fn without_empty(mut value: Value) -> Value {
 }
 
 impl Kind {
+    /// What runs.
+    fn name(self) -> &'static str {
+        match self {
+            Self::Mtf => "mtf",
+            Self::Spot => "spot",
+            Self::Distortion => "distortion",
+        }
+    }
+
     /// Whether the plot `name` belongs to it.
     fn shows(self, name: &str) -> bool {
         match self {

@@ -44,7 +44,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "OUT.npz")]
     psf: Option<PathBuf>,
     /// The point spread functions as a picture: from the centre (left) outwards, which is up
-    #[arg(long, value_name = "OUT.png", requires = "psf")]
+    #[arg(long, value_name = "OUT", requires = "psf")]
     psf_picture: Option<PathBuf>,
     /// Largest move of light that is looked for, pixels [default: 8, or what the squares allow]
     #[arg(long, value_name = "PX", requires = "psf")]

@@ -35,10 +35,10 @@ pub(crate) struct Args {
     #[arg(long, required = true, num_args = 1.., value_name = "FLAT")]
     flats: Vec<PathBuf>,
     /// The sensor, as every command's `--calibration` reads it
-    #[arg(short, long, value_name = "sensor.toml")]
+    #[arg(short, long, value_name = "OUT.toml")]
     out: Option<PathBuf>,
     /// The lens's relative illumination, as `isoplanat-camera --shading` reads it
-    #[arg(long, value_name = "shading.toml")]
+    #[arg(long, value_name = "OUT.toml")]
     shading: Option<PathBuf>,
     /// Centre of the illumination, column and row in pixels [default: the middle]
     #[arg(long, value_name = "COLUMN,ROW", value_parser = place, requires = "shading")]

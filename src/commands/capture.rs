@@ -12,6 +12,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 
 use crate::input;
+use crate::named::Named;
 use crate::output;
 use crate::progress::Bar;
 use crate::scene::{Placed, SMALLER, SceneArgs};
@@ -20,11 +21,11 @@ use crate::scene::{Placed, SMALLER, SceneArgs};
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
-    lens: String,
+    lens: Named,
     /// Picture file, or a built-in scene as KIND or KIND:SEED.
-    scene: String,
+    scene: Named,
     /// DNG to write.
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT.dng")]
     output: PathBuf,
     /// Rays a pixel.
     #[arg(long, default_value_t = 128)]

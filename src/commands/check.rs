@@ -6,11 +6,13 @@ use std::path::PathBuf;
 use isoplanat::report::health::HealthReport;
 use isoplanat::trace::health::Verdict;
 
+use crate::named::Named;
+
 /// Arguments of `check`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// Figures to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,

@@ -53,7 +53,7 @@ pub(crate) struct Args {
     #[arg(conflicts_with = "against")]
     other: Option<String>,
     /// Folder of the comparison
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Lenses beside the first, comma-separated files or shipped names
     #[arg(long, value_delimiter = ',', value_name = "LENS,…", default_values_t = STOCK.map(str::to_owned))]
@@ -166,7 +166,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let asked_for = asked_for(args, &task, &cameras)?;
     begin(args, &asked_for)?;
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut outcomes = Vec::new();
     for (k, camera) in cameras.iter().enumerate() {
         crate::tell!("{} of {}: {}", k + 1, cameras.len(), camera.label());

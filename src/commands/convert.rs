@@ -5,12 +5,15 @@ use std::path::PathBuf;
 
 use isoplanat::interchange::{Form, text_of};
 
+use crate::named::Named;
+
 /// Arguments of `convert`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    input: String,
+    input: Named,
     /// File to write, by its ending: .toml, .zmx (Zemax OpticStudio), .seq (CODE V)
+    #[arg(value_name = "OUT")]
     output: PathBuf,
     /// Machine-readable output: what was written, and the notes on it
     #[arg(long)]
@@ -31,7 +34,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let output = args.output.display();
     if args.json {
         let value = serde_json::json!({
-            "schema": 1, "input": args.input, "output": output.to_string(), "surfaces": lens.surfaces.len(), "notes": notes,
+            "schema": 1, "input": &*args.input, "output": output.to_string(), "surfaces": lens.surfaces.len(), "notes": notes,
         });
         writeln!(out, "{value:#}")?;
         return Ok(());

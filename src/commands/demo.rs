@@ -43,7 +43,7 @@ pub(crate) struct Args {
     #[arg(long)]
     quick: bool,
     /// Folder for run, kit, captures, pictures and report.
-    #[arg(short, long, default_value = "isoplanat-demo")]
+    #[arg(short, long, default_value = "isoplanat-demo", value_name = "OUT_DIR")]
     output: PathBuf,
     /// Train on the photographs of this folder instead of built-in scenes.
     #[arg(long)]

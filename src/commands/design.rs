@@ -32,7 +32,7 @@ pub(crate) struct Args {
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: lens, network, log, history
-    #[arg(short, long, required_unless_present = "check")]
+    #[arg(short, long, value_name = "OUT_DIR", required_unless_present = "check")]
     output: Option<PathBuf>,
     /// Go on with the run in that folder
     #[arg(long, conflicts_with_all = ["force", "check", "minutes", "steps", "photos", "seed", "tolerance_aware", "worst_of"])]
@@ -74,6 +74,7 @@ pub(crate) struct Args {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
+    args.device.require()?;
     if args.check {
         return check(args, out);
     }
@@ -220,7 +221,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     }
     designing.device().iter().for_each(|line| crate::tell!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
         (true, _) => "network alone",
         (_, true) => "lens by its images",

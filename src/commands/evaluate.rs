@@ -46,7 +46,7 @@ pub(crate) struct Args {
     /// Lens file, shipped lens or folder of a measured lens that captures are made through, in place of the run's own lens, which still says what the
     /// ideal picture is and what light is divided out: how good a network is behind a lens that is not quite the one it was trained for.
     #[arg(long, value_name = "LENS")]
-    through: Option<String>,
+    through: Option<crate::named::Named>,
     /// Another run, judged on the same pictures at the same places: differences picture by picture, with 95 % intervals.
     #[arg(long, value_name = "RUN")]
     against: Option<PathBuf>,
@@ -68,7 +68,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
     /// Folder for sheets, one a zone and depth: truth, capture, Wiener filter and reconstruction of the first four pictures.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "OUT_DIR")]
     pictures: Option<PathBuf>,
     /// Overwrite files, and a folder of sheets.
     #[arg(long)]
@@ -186,7 +186,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad("--fields", "value", found, "two zones or more: a dot is no curve").into());
     }
     let pictures = args.protocol.pictures()?;
-    let judged = |folder: &Path| Judged::new(&args.protocol, args.through.as_deref(), folder);
+    let judged = |folder: &Path| Judged::new(&args.protocol, args.through.as_ref(), folder);
     let run = judged(&args.run)?;
     let other = args.against.as_deref().map(judged).transpose()?;
     if args.protocol.photos.is_none() {
@@ -273,7 +273,7 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
             "no --retrain, or a smaller network",
         )?;
     }
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut bar = None;
     let told = (&run.network, &run.guide);
     let judge =
@@ -320,7 +320,7 @@ pub(crate) struct Judged {
 
 impl Judged {
     /// The run in `folder`, by `protocol`, captures `through` another lens where one is named.
-    pub(crate) fn new(protocol: &Protocol, through: Option<&str>, folder: &Path) -> Result<Self> {
+    pub(crate) fn new(protocol: &Protocol, through: Option<&crate::named::Named>, folder: &Path) -> Result<Self> {
         let Run { task, subject, network, guide } = crate::input::run(folder)?;
         let through = through.map(crate::input::subject).transpose()?;
         let settings = Settings { through, ..protocol.settings(&task, &subject) };

@@ -28,7 +28,7 @@ pub(crate) struct Args {
     /// Run folder that `design` or `train` wrote.
     run: PathBuf,
     /// Kit folder to write.
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Store the weights with 16 bits: half the file; says what that costs.
     #[arg(long)]

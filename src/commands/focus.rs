@@ -10,11 +10,13 @@ use isoplanat::optimize::refocused;
 use isoplanat::optimize::spec::Spec;
 use isoplanat::report::table::significant;
 
+use crate::named::Named;
+
 /// Arguments of `focus`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
-    lens: String,
+    lens: Named,
     /// Object distance before the first surface, mm; `inf` is allowed. It becomes the lens's own
     #[arg(long, allow_negative_numbers = true, value_name = "MM")]
     depth_mm: f64,
@@ -67,7 +69,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));
     if args.json {
         let value = serde_json::json!({
-            "schema": 1, "lens": args.lens, "output": output.to_string(), "object_distance_mm": args.depth_mm,
+            "schema": 1, "lens": &*args.lens, "output": output.to_string(), "object_distance_mm": args.depth_mm,
             "sensor_distance_mm": [before, after], "rms_um": [rms, least], "notes": notes,
         });
         writeln!(out, "{value:#}")?;

@@ -10,7 +10,7 @@ use isoplanat::design::opened::Run;
 use isoplanat::design::subject::Subject;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
-use isoplanat::lens::paraxial::first_order;
+use isoplanat::lens::paraxial::{field_origin, first_order};
 use isoplanat::lens::{Aperture, Lens};
 use isoplanat::report::table::significant;
 use isoplanat::trace::rims::overlapping_rims;
@@ -22,14 +22,15 @@ use crate::glasses;
 ///
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
-pub(crate) fn lens(name_or_path: &str) -> Result<Lens> {
-    let Imported { lens, notes } = interchange::lens_or_file(name_or_path, glasses::all(), glasses::reading())?;
-    let toml = Path::new(name_or_path).extension().is_none_or(|e| e == "toml");
+pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+    let path = name_or_path.as_ref();
+    let Imported { lens, notes } = interchange::lens_or_file(path, glasses::all(), glasses::reading())?;
+    let toml = path.extension().is_none_or(|e| e == "toml");
     for note in notes {
         // What another program's file leaves open is no fault of it.
-        crate::tell!("{}: {name_or_path}: {note}", if toml { "warning" } else { "note" });
+        crate::tell!("{}: {}: {note}", if toml { "warning" } else { "note" }, path.display());
     }
-    doubts(&lens, name_or_path);
+    doubts(&lens, &path.display().to_string());
     Ok(lens)
 }
 
@@ -55,6 +56,14 @@ impl FNumber {
         let first = first_order(&lens, lens.wavelengths.primary_nm);
         let powerless =
             !(first.f_number.is_finite() && first.f_number > 0.0 && first.effective_focal_length.abs() < 1e9);
+        if field_origin(&lens).telecentric {
+            let found =
+                format!("given for {argument}, whose entrance pupil lies at infinity (telecentric in object space)");
+            return refuse(
+                found,
+                "a lens with an entrance pupil; the light of this one is its object_na, in its file".into(),
+            );
+        }
         if powerless {
             return refuse(format!("given for {argument}, which has no power"), "a lens with a focal length".into());
         }
@@ -112,13 +121,13 @@ pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
 
 /// A lens by its name or file, or a measured one by its folder; stderr is told what is doubtful about it.
 #[cfg(feature = "train")]
-pub(crate) fn subject(name_or_path: &str) -> Result<Subject> {
-    let folder = Path::new(name_or_path);
+pub(crate) fn subject(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Subject> {
+    let folder = name_or_path.as_ref();
     if !MeasuredLens::is_at(folder) {
-        return Ok(lens(name_or_path)?.into());
+        return Ok(lens(folder)?.into());
     }
     let measured = MeasuredLens::load(folder)?;
-    told(&measured, name_or_path)?;
+    told(&measured, &folder.display().to_string())?;
     Ok(Subject::Measured(Box::new(measured)))
 }
 

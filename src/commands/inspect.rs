@@ -5,11 +5,13 @@ use std::path::PathBuf;
 
 use isoplanat::report::listing::Listing;
 
+use crate::named::Named;
+
 /// Arguments of `inspect`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
-    lens: String,
+    lens: Named,
     /// Wavelength of the first-order data, nm [default: the lens's primary wavelength]
     #[arg(long, allow_negative_numbers = true, value_name = "NM")]
     wavelength_nm: Option<f64>,

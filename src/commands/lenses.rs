@@ -8,6 +8,8 @@ use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::library::Library;
 use isoplanat::{Result, atomic};
 
+use crate::named::Named;
+
 /// The file that tells a folder of this command.
 const MARKER: &str = "lenses.csv";
 
@@ -15,9 +17,9 @@ const MARKER: &str = "lenses.csv";
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens files (.toml, .zmx, .seq, .json, .txt) or names of shipped lenses [default: all shipped lenses]
-    lens: Vec<String>,
+    lens: Vec<Named>,
     /// Folder for the lens files, a drawing (SVG) of each, the table as lenses.csv, and index.html that shows all of it
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: Option<PathBuf>,
     /// The table as comma-separated values, with all digits and whole sources
     #[arg(long, value_name = "OUT.csv")]
@@ -59,10 +61,11 @@ fn shipped() -> Result<Vec<(String, Lens)>> {
 }
 
 /// The named lenses, each called as its file; files of one name are told apart by numbers.
-fn given(names: &[String]) -> Result<Vec<(String, Lens)>> {
+fn given(names: &[Named]) -> Result<Vec<(String, Lens)>> {
     let mut all: Vec<(String, Lens)> = Vec::new();
     for name in names {
-        let stem = Path::new(name).file_stem().map_or_else(|| name.clone(), |s| s.to_string_lossy().into_owned());
+        let path: &Path = name.as_ref();
+        let stem = path.file_stem().map_or_else(|| name.to_string(), |s| s.to_string_lossy().into_owned());
         let taken = |n: &str| all.iter().any(|(other, _)| other.eq_ignore_ascii_case(n));
         let free = (1..).map(|k| if k == 1 { stem.clone() } else { format!("{stem}-{k}") }).find(|n| !taken(n));
         all.push((free.unwrap_or(stem), crate::input::lens(name)?));

@@ -8,15 +8,7 @@
 #[global_allocator]
 static MEMORY: isoplanat::refusing::Refusing = isoplanat::refusing::Refusing;
 
-/// Says something on stderr; what would steer a terminal is escaped ([`isoplanat::terminal`]).
-macro_rules! tell {
-    // Where nobody can be told the work goes on.
-    ($($words:tt)*) => {{
-        use std::io::Write as _;
-        let _ = writeln!(std::io::stderr(), "{}", isoplanat::terminal::printable(&format!($($words)*)));
-    }};
-}
-pub(crate) use tell;
+pub(crate) use isoplanat_program::tell;
 
 mod accuracy;
 mod analyses;
@@ -41,15 +33,16 @@ mod focus;
 mod glasses;
 mod input;
 mod inspect;
-mod interrupt;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod kit;
 mod lenses;
 mod memory;
 #[cfg(any(test, not(all(feature = "train", feature = "deploy"))))]
 mod missing;
+mod named;
 mod optimize;
 mod output;
+mod outputs;
 mod peak;
 mod picture;
 mod progress;
@@ -68,11 +61,9 @@ mod train;
 mod view;
 
 use std::io::{BufWriter, ErrorKind, Write};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::process::ExitCode;
-use std::sync::Mutex;
 
-use clap::Parser;
+use clap::{CommandFactory, Parser};
 use isoplanat::Error;
 use isoplanat::interchange::Reading;
 use isoplanat::math::simd::check_environment;
@@ -287,29 +278,28 @@ fn main() -> ExitCode {
     if let Some(code) = isoplanat::deploy::serve_child() {
         return code;
     }
-    std::panic::set_hook(Box::new(|panic| {
-        if let Ok(mut text) = PANIC.lock() {
-            *text = panic.to_string().replace('\n', " ");
-        }
-    }));
-    catch_unwind(AssertUnwindSafe(run)).unwrap_or_else(|_| {
-        let text = PANIC.lock().map(|t| t.clone()).unwrap_or_default();
+    isoplanat_program::signals::attend();
+    isoplanat_program::guarded(run).unwrap_or_else(|text| {
         tell!("error: internal: {text}");
         ExitCode::FAILURE
     })
 }
 
-/// What a panic had to say: the hook keeps it off the screen, so that one line can be made of it, and none where somebody catches it.
-static PANIC: Mutex<String> = Mutex::new(String::new());
-
 /// Reads the command line and runs its command.
 fn run() -> ExitCode {
-    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = Cli::parse();
+    let (cli, words) = match isoplanat_program::command_line::asked::<Cli>("error: ") {
+        Ok(both) => both,
+        Err(code) => return ExitCode::from(code),
+    };
+    let Cli { command, memory_gib, glass, glass_for, strict, configuration } = cli;
     glasses::set_reading(Reading { strict, configuration });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
-    let ready =
-        check_environment().and_then(|()| memory::set(memory_gib)).and_then(|()| glasses::set(&glass, &glass_for));
+    let ready = outputs::check(&Cli::command(), &words);
+    let ready = ready
+        .and_then(|()| check_environment())
+        .and_then(|()| memory::set(memory_gib))
+        .and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
     let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
         return ExitCode::SUCCESS;

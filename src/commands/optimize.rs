@@ -15,13 +15,14 @@ use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::{Error, Result, atomic};
 
+use crate::named::Named;
 use crate::progress::Bar;
 
 /// Arguments of `optimize`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
-    lens: String,
+    lens: Named,
     /// Where the better lens goes (.toml, .zmx, .seq)
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -75,7 +76,7 @@ pub(crate) struct Args {
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Folder for the ten best lenses of a search, with drawings
-    #[arg(long, value_name = "FOLDER")]
+    #[arg(long, value_name = "OUT_DIR")]
     best: Option<PathBuf>,
     /// Choose real glasses: `*` or patterns such as `surface[2].medium`, and among which, such as `SCHOTT/*,!plastic`; `plastic` lets polymers be
     /// cemented to glass, `obsolete` takes types that are no longer made
@@ -125,7 +126,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));
     let limits = Limits { iterations: args.iterations, until, ..Limits::default() };
     // Ctrl-C asks for an end; the best lens so far is written.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let bar = Bar::new("optimize");
     let started = Instant::now();
     let mut found: Vec<Outcome> = Vec::new();
@@ -142,7 +143,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.search.is_some() {
         let Some(best) = found.first() else {
             let allowed = "more starts, or constraints that leave room";
-            return Err(Error::bad(args.lens.as_str(), "--search", "no lens keeps the constraints", allowed).into());
+            return Err(Error::bad(&*args.lens, "--search", "no lens keeps the constraints", allowed).into());
         };
         from.lens = best.lens.clone();
     }
@@ -166,6 +167,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if asked() {
         crate::tell!("stopped on request: the best lens so far is kept");
     }
+    outcome.require(&file)?;
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
     crate::output::put(&better, Some(&args.output), args.force, out)?;
     if let Some(path) = &args.svg {

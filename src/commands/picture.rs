@@ -62,11 +62,7 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, wa
         crate::memory::limit().allow(&format!("a picture of {columns} × {rows} pixels"), bytes, "a part of it")?;
     }
     let as_seen = way == Way::Seen && cfa.is_none();
-    let Planes { values, bits, encoding } = if as_seen { read_planes } else { read_sensor_planes }(path, encoding)?;
-    let said = match encoding {
-        Encoding::Srgb => "sRGB",
-        Encoding::Linear => "linear",
-    };
+    let Planes { values, bits, taken, .. } = if as_seen { read_planes } else { read_sensor_planes }(path, encoding)?;
     let form = bits.map_or_else(|| "floating point".into(), |b| format!("{b} bits"));
     let range = bits.map(|_| [0.0, 1.0]);
     let mut planes = values.axis_iter(Axis(0)).map(|p| p.to_owned().into_shared()).collect::<Vec<_>>();
@@ -80,7 +76,7 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, wa
             let file = path.display().to_string();
             return Err(Error::bad(file, "picture", "three different channels", "one channel with --cfa"));
         };
-        let source = format!("{form}, taken as {said}, {cfa} mosaic");
+        let source = format!("{form}, taken as {taken}, {cfa} mosaic");
         return Ok(Picture { channels: mosaic_channels(mosaic, cfa, range), source });
     }
     let channels = match &planes[..] {
@@ -93,7 +89,7 @@ pub(crate) fn read(path: &Path, encoding: Option<Encoding>, cfa: Option<Cfa>, wa
         }
         _ => vec![one("grey", &planes[0])],
     };
-    Ok(Picture { channels, source: format!("{form}, taken as {said}") })
+    Ok(Picture { channels, source: format!("{form}, taken as {taken}") })
 }
 
 /// The colours of a mosaic, each at its own pixels.

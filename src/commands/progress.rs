@@ -1,6 +1,10 @@
 //! Progress bars on stderr: what runs, how far, how much longer.
 
-use indicatif::{ProgressBar, ProgressStyle};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// A bar over shares from 0 to 1.
 pub(crate) struct Bar(ProgressBar);
@@ -32,5 +36,46 @@ impl Bar {
             crate::tell!("{} done in {:.1} s {message}", self.0.prefix(), self.0.elapsed().as_secs_f64());
         }
         self.0.finish_with_message(message);
+    }
+}
+
+/// What runs and for how long, of work that cannot say how far it is: shown on a terminal alone, once it takes more than a moment, and gone at its end.
+pub(crate) struct Waiting {
+    bar: ProgressBar,
+    ended: Arc<AtomicBool>,
+}
+
+/// A moment.
+const MOMENT: Duration = Duration::from_secs(1);
+/// Between two looks at the clock.
+const TICK: Duration = Duration::from_millis(200);
+
+impl Waiting {
+    /// For work named `what`.
+    pub(crate) fn new(what: &str) -> Self {
+        let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
+        bar.set_style(ProgressStyle::with_template("{prefix:28} {spinner} {elapsed}").expect("a constant template"));
+        bar.set_prefix(what.to_owned());
+        let ended = Arc::new(AtomicBool::new(false));
+        let (shown, over) = (bar.clone(), Arc::clone(&ended));
+        std::thread::spawn(move || {
+            std::thread::sleep(MOMENT);
+            if !over.load(Ordering::SeqCst) {
+                shown.set_draw_target(ProgressDrawTarget::stderr());
+            }
+            while !over.load(Ordering::SeqCst) {
+                shown.tick();
+                std::thread::sleep(TICK);
+            }
+            shown.finish_and_clear();
+        });
+        Self { bar, ended }
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        self.ended.store(true, Ordering::SeqCst);
+        self.bar.finish_and_clear();
     }
 }

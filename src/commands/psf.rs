@@ -1,7 +1,7 @@
 //! `isoplanat psf`: kernels over depth, field and wavelength as `.npz`, and as one picture.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isoplanat::atomic::Target;
 use isoplanat::imaging::files::write_png8;
@@ -16,11 +16,13 @@ use isoplanat::{Error, Result};
 use ndarray::ArrayView1;
 use serde_json::{Value, json};
 
+use crate::named::Named;
+
 /// Arguments of `psf`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// Where to put the kernels (NumPy `.npz`)
     #[arg(short, long, value_name = "OUT.npz")]
     output: PathBuf,
@@ -66,7 +68,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.png.is_some() {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
     }
-    let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(Path::new(&args.lens));
+    let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(args.lens.as_ref());
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
     save(&kernels, Target::new(&args.output, args.force))?;
     if let Some(path) = &args.png {

@@ -8,6 +8,7 @@ use isoplanat::atomic::Target;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
+use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
@@ -17,6 +18,7 @@ use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
 
 use crate::memory;
+use crate::named::Named;
 use crate::output;
 use crate::progress::Bar;
 use crate::scene::{SMALLER, SceneArgs, Stage};
@@ -34,13 +36,13 @@ enum Method {
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file, or the name of a shipped lens.
-    lens: String,
+    lens: Named,
     /// Picture files (.png, .tif, .jpg, .npy), folders of them, or built-in scenes: dead_leaves, text, fine_texture, slanted_edges, mixed, facades, color_chart (with
     /// :SEED). Several share one plan.
     #[arg(required = true)]
-    scenes: Vec<String>,
+    scenes: Vec<Named>,
     /// Picture to write: .png, .tif, .jpg, .npy (linear light); for several scenes the folder to put them in, as .png.
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
     /// Renderer.
     #[arg(long, value_enum, default_value = "psf-grid")]
@@ -79,10 +81,10 @@ impl Args {
         let mut scenes = Vec::new();
         let mut folders = false;
         for scene in &self.scenes {
-            let path = Path::new(scene);
+            let path: &Path = scene.as_ref();
             if path.is_dir() {
                 folders = true;
-                scenes.extend(Photos::open(path)?.paths().iter().map(|p| p.display().to_string()));
+                scenes.extend(Photos::open(path)?.paths().iter().map(Named::from));
             } else {
                 scenes.push(scene.clone());
             }
@@ -107,8 +109,8 @@ impl Args {
 
     /// Names of the pictures of several scenes: the scenes' own, with numbers where they repeat.
     fn names(&self) -> Vec<String> {
-        let stem = |scene: &String| match Path::new(scene).file_stem() {
-            Some(stem) if Path::new(scene).exists() => stem.to_string_lossy().into_owned(),
+        let stem = |scene: &Named| match (scene.as_ref() as &Path).file_stem() {
+            Some(stem) if (scene.as_ref() as &Path).exists() => stem.to_string_lossy().into_owned(),
             _ => scene.replace(':', "-"),
         };
         let stems: Vec<String> = self.scenes.iter().map(stem).collect();
@@ -166,7 +168,7 @@ impl Way {
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }
 
-    fn make(&self, stage: &Stage, scene: &str, progress: &(dyn Fn(f64) + Sync)) -> Result<Made> {
+    fn make(&self, stage: &Stage, scene: &Named, progress: &(dyn Fn(f64) + Sync)) -> Result<Made> {
         let plane = stage.plane(scene)?;
         match self {
             Self::Grid(plan, planning) => {
@@ -232,8 +234,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let bar = Bar::new("render");
     let count = args.scenes.len();
     #[expect(clippy::cast_precision_loss, reason = "a share")]
-    let one = |k: usize, scene: &str| {
-        let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_owned());
+    let one = |k: usize, scene: &Named| {
+        let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_string());
         way.make(&stage, scene, &progress).map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))
     };
     let mut all = Vec::with_capacity(count);
@@ -302,6 +304,10 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
     let (render, optics) = (&plan.renderer.plan, &plan.renderer.optics);
     let Fineness { wavelengths, degree, dense, .. } = render.settings;
     let depth = &render.depths[0];
+    let (method, block) = match plan.method {
+        Blur::Cells { block } => ("cells", Some(block)),
+        Blur::Direct => ("direct", None),
+    };
     serde_json::json!({
         "predicted_psnr_db": plan.predicted_db,
         "holds": plan.holds,
@@ -315,7 +321,8 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
         "node_error": depth.node_error,
         "radii_traced": optics.table().spec.radii_mm.len(),
         "rays_traced": optics.table().rays,
-        "method": format!("{:?}", plan.method),
+        "method": method,
+        "block_px": block,
         "pupil_residual": optics.table().residual,
         "traced_pupil_fraction": optics.table().kept(),
         "chief_ray_residual_px": optics.maps[0].residual_mm / render.frame.pitch_mm,

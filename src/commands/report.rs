@@ -12,6 +12,7 @@ use isoplanat::report::lens::{LensReport, Options, html};
 use isoplanat::report::measured::{Measured, Settings, by_rays, close};
 
 use crate::analyses::View;
+use crate::named::Named;
 use crate::progress::Bar;
 
 /// Arguments of `report`.
@@ -20,7 +21,7 @@ pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a run, or of a kit with its lens; several are
     /// shown side by side
     #[arg(required = true, num_args = 1..=4, value_name = "LENS|RUN|KIT")]
-    lenses: Vec<String>,
+    lenses: Vec<Named>,
     /// Object distances at which point spread functions are drawn, a row each [default: the lens's own]
     #[arg(long, value_delimiter = ',', value_name = "MM,…", allow_hyphen_values = true)]
     psf_depths_mm: Vec<f64>,
@@ -74,27 +75,29 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let options = Options { psf_depths_mm: args.psf_depths_mm.clone(), ..args.view.options()? };
     let mut reports = Vec::new();
     for name in &args.lenses {
-        let run = Path::new(name).is_dir();
-        let file = if run { Path::new(name).join("lens.toml").display().to_string() } else { name.clone() };
+        let path: &Path = name.as_ref();
+        let run = path.is_dir();
+        let file = if run { path.join("lens.toml") } else { path.to_owned() };
         let lens = args.view.lens(&file)?;
         let colour = in_colour(&lens);
         // What cannot be measured is told before the page is made.
         let settings =
             Settings { places: args.measure.unwrap_or(4) as usize, rays: args.measure_rays as usize, seed: args.seed };
-        let own = Some(Path::new(name)).filter(|folder| folder.join("kit.toml").is_file());
+        let own = Some(path).filter(|folder| folder.join("kit.toml").is_file());
         let kit = args.kit.as_deref().or(own);
         if args.onnxruntime.is_some() && kit.is_none() {
             return Err(Error::bad("--onnxruntime", "kit", "none", "--kit KIT, or the folder of a kit").into());
         }
         let measured = match (run, args.measure) {
             _ if kit.is_some() => kit.map(|kit| of_kit(kit, args.onnxruntime.as_deref(), &file, &lens, settings)),
-            (true, _) => Some(of_run(Path::new(name), &lens, settings)),
+            (true, _) => Some(of_run(path, &lens, settings)),
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
         };
-        let measured =
-            measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(Path::new(name)))).transpose();
+        let measured = measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(path))).transpose();
+        let waiting = crate::progress::Waiting::new("report");
         let report = LensReport::new(lens, &Options { colour, ..options.clone() });
+        drop(waiting);
         reports.push(match measured {
             Ok(Some(measured)) => report.with_measured(measured),
             Ok(None) => report,
@@ -168,7 +171,7 @@ fn of_run(folder: &Path, lens: &Lens, settings: Settings) -> isoplanat::Result<M
 fn of_kit(
     folder: &Path,
     onnxruntime: Option<&Path>,
-    file: &str,
+    file: &Path,
     lens: &Lens,
     settings: Settings,
 ) -> isoplanat::Result<Measured> {
@@ -179,7 +182,7 @@ fn of_kit(
     use isoplanat::report::measured::kit::measured;
 
     let kit = Kit::load(folder)?;
-    kit.require(&crate::input::lens(file)?, Path::new(file))?;
+    kit.require(&crate::input::lens(file)?, file)?;
     let options = Options { onnxruntime: onnxruntime.map(Path::to_owned), ..Options::default() };
     // A kit may be anybody's.
     let apart = Apart {

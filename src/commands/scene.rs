@@ -12,6 +12,7 @@ use isoplanat::psf::table::chief_slopes;
 use isoplanat::{Error, Result};
 
 use crate::input;
+use crate::named::Named;
 
 /// Where the scene stands and what sees it.
 #[derive(Clone, Debug, clap::Args)]
@@ -105,7 +106,7 @@ pub(crate) struct Placed {
 
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
-    pub(crate) fn stage(&self, argument: &str) -> Result<Stage> {
+    pub(crate) fn stage(&self, argument: &Named) -> Result<Stage> {
         if let Some(texels) = self.texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= MOST_TEXELS)) {
             let allowed = format!("a positive number, at most {MOST_TEXELS}");
             return Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), allowed));
@@ -125,15 +126,15 @@ impl SceneArgs {
         if per_pixel.is_nan() || per_pixel <= 0.0 {
             let found = format!("{} of object slope a pixel at {} mm", per_pixel, lens.object_vergence.recip());
             let allowed = "an object's height that grows with the image's; another distance or lens";
-            return Err(Error::bad(argument, "chief rays", found, allowed));
+            return Err(Error::bad(&**argument, "chief rays", found, allowed));
         }
         Ok(Stage { lens, frame, whole, per_pixel, texels_per_pixel: self.texels_per_pixel })
     }
 
     /// The lens and the scene of the command line.
-    pub(crate) fn place(&self, lens: &str, scene: &str) -> Result<Placed> {
+    pub(crate) fn place(&self, lens: &Named, scene: &Named) -> Result<Placed> {
         let stage = self.stage(lens)?;
-        let bytes = stage.generated(&[scene.to_owned()]);
+        let bytes = stage.generated(std::slice::from_ref(scene));
         crate::memory::limit().allow("the scene", bytes, SMALLER)?;
         let plane = stage.plane(scene)?;
         Ok(Placed { lens: stage.lens, frame: stage.frame, plane })
@@ -141,7 +142,7 @@ impl SceneArgs {
 
     /// As [`Self::place`]; a frame of more than `most` pixels that no `--crop` has cut is cut to 768 × 512 pixels half way
     /// between axis and corner, and stderr is told.
-    pub(crate) fn place_within(&self, lens: &str, scene: &str, most: usize) -> Result<Placed> {
+    pub(crate) fn place_within(&self, lens: &Named, scene: &Named, most: usize) -> Result<Placed> {
         let placed = self.place(lens, scene)?;
         let frame = &placed.frame;
         if self.crop.is_some() || frame.columns * frame.rows <= most {
@@ -198,8 +199,8 @@ impl SceneArgs {
 
 impl Stage {
     /// Bytes of a built-in scene that fills the frame, if one of `scenes` is one; a picture file's size shows when it is read.
-    pub(crate) fn generated(&self, scenes: &[String]) -> u64 {
-        if scenes.iter().all(|s| Path::new(s).exists()) {
+    pub(crate) fn generated(&self, scenes: &[Named]) -> u64 {
+        if scenes.iter().all(|s| AsRef::<Path>::as_ref(s).exists()) {
             return 0;
         }
         let zoom = self.texels_per_pixel.unwrap_or(1.0);
@@ -207,12 +208,12 @@ impl Stage {
     }
 
     /// The scene named `name`, placed in front of `lens` so that the axis meets the same relative place of both.
-    pub(crate) fn plane(&self, name: &str) -> Result<Plane> {
+    pub(crate) fn plane(&self, name: &Named) -> Result<Plane> {
         let frame = &self.whole;
-        let path = Path::new(name);
+        let path: &Path = name.as_ref();
         if path.is_dir() {
             let allowed = "one picture of it; `isoplanat render` takes folders of scenes";
-            return Err(Error::bad(name, "scene", "a folder", allowed));
+            return Err(Error::bad(&**name, "scene", "a folder", allowed));
         }
         let (texture, zoom) = if path.exists() {
             let texture = read_linear(path)?;
@@ -225,7 +226,7 @@ impl Stage {
             if PICTURES.contains(&extension(path).as_str()) {
                 return Err(Error::reading(path, std::io::ErrorKind::NotFound.into()));
             }
-            let (kind, seed) = name.split_once(':').unwrap_or((name, "1"));
+            let (kind, seed) = name.split_once(':').unwrap_or((&**name, "1"));
             let known: Vec<&str> = SceneKind::ALL.iter().map(|k| k.name()).collect();
             let allowed = format!("a picture file, or {} with an optional :SEED", known.join(", "));
             let bad = |found: String| Error::bad("SCENE", "argument", found, allowed.clone());

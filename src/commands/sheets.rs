@@ -11,6 +11,8 @@ use isoplanat::lens::Lens;
 use isoplanat::report::sheets::Sheets;
 use isoplanat::{Error, Result, atomic};
 
+use crate::named::Named;
+
 /// The file that tells a folder of this command.
 const MARKER: &str = "sheets.html";
 
@@ -18,9 +20,9 @@ const MARKER: &str = "sheets.html";
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// Folder to make: sheets.html, the lens as .toml, .zmx and .seq, surfaces.csv, sag-surface-N.csv
-    #[arg(short, long, value_name = "DIR")]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Tolerances and mechanical diameters (keys: models/README.md); what it does not state is printed as a dash
     #[arg(long, value_name = "FILE.toml")]

@@ -32,7 +32,7 @@ pub(crate) struct Args {
     /// Where the edge is: column and row of the first pixel, width, height [default: the largest part with one straight edge]
     #[arg(long, value_name = "X,Y,W,H", allow_hyphen_values = true)]
     region: Option<String>,
-    /// What the numbers stand for [default: sRGB for 8 bits, linear for more bits and floating point]
+    /// What the numbers stand for [default: as the file says (profile, sRGB or gAMA chunk), else sRGB for 8 bits and linear for more; floating point is linear]
     #[arg(long, value_enum)]
     encoding: Option<Coding>,
     /// The picture is a mosaic behind this Bayer filter: RGGB, GRBG, GBRG, BGGR

@@ -27,7 +27,7 @@ pub(crate) struct Args {
     #[arg(long, required_unless_present = "runs")]
     of: Option<u64>,
     /// Folder of all runs; with `report`: the page
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT")]
     output: Option<PathBuf>,
     /// Go on where this number's run was left; a finished one is left alone
     #[arg(long)]
@@ -48,6 +48,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let (Some(index), Some(of)) = (args.index, args.of) else {
         return Err(Error::bad("--index, --of", "value", "missing", "a number and how many there are").into());
     };
+    if of == 0 {
+        return Err(Error::bad("--of", "value", "0", "1 or more: how many designs there are").into());
+    }
     if index >= of {
         return Err(Error::bad("--index", "value", index.to_string(), format!("0 to {}", of.saturating_sub(1))).into());
     }

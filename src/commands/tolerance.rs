@@ -9,6 +9,7 @@ use isoplanat::lens::prescription;
 use isoplanat::report::as_built::AsBuiltReport;
 use isoplanat::{Error, Result, atomic};
 
+use crate::named::Named;
 use crate::output;
 use crate::progress::Bar;
 
@@ -23,7 +24,7 @@ const MOST: usize = 1_000_000;
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// File of tolerances, as for `isoplanat sheets` (models/README.md)
     #[arg(long, value_name = "FILE")]
     tolerances: PathBuf,
@@ -40,7 +41,7 @@ pub(crate) struct Args {
     #[arg(long, value_name = "UM", allow_negative_numbers = true)]
     limit_um: Option<f64>,
     /// Folder for the drawn lenses, a file each, for `isoplanat evaluate --drawn` and others
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "OUT_DIR")]
     lenses: Option<PathBuf>,
     /// Draws to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
@@ -72,7 +73,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let lens = crate::input::lens(&args.lens)?;
     let tolerances = Tolerances::load(&args.tolerances)?;
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     // From the first lens on: what cannot be drawn is refused in one line.
     let mut bar = None;
     let settings = Settings { draws: args.draws, seed: args.seed, lenses: args.lenses.is_some() };

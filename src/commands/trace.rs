@@ -5,11 +5,13 @@ use std::path::PathBuf;
 
 use isoplanat::trace::exact;
 
+use crate::named::Named;
+
 /// Arguments of `trace`.
 #[derive(Debug, clap::Args)]
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens
-    lens: String,
+    lens: Named,
     /// Launch rays (JSON, see models/README.md); `-` reads stdin
     #[arg(long, value_name = "RAYS.json")]
     rays: PathBuf,
@@ -23,7 +25,7 @@ pub(crate) struct Args {
     #[arg(long)]
     json: bool,
     /// Write here instead of stdout
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT.json")]
     output: Option<PathBuf>,
     /// Overwrite the output
     #[arg(long)]

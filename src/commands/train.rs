@@ -21,7 +21,7 @@ pub(crate) struct Args {
     #[arg(required_unless_present = "resume", conflicts_with = "resume")]
     task: Option<PathBuf>,
     /// Folder of the run: network, log, sample pictures.
-    #[arg(short, long)]
+    #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Go on with the run in that folder.
     #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial", "depths_mm"])]
@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::tell!("resumed at step {}", training.step());
     }
     // Ctrl-C asks for an end; the step at hand is finished and kept.
-    let asked = crate::interrupt::asked()?;
+    let asked = isoplanat_program::signals::asked();
     let mut last = None;
     let trained = to_the_end(&mut training, "training", &asked, &mut |status| last = Some(*status));
     if matches!(trained, Err(Error::Interrupted)) {

@@ -21,6 +21,7 @@ use std::sync::Arc;
 use isoplanat::report::html::SCRIPT;
 
 use crate::analyses::View;
+use crate::named::Named;
 use answer::Desk;
 use board::Board;
 use server::Server;
@@ -32,7 +33,7 @@ use watch::{Subject, Watch};
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), the name of a shipped lens, or the folder of a design
     #[arg(value_name = "LENS|RUN")]
-    what: String,
+    what: Named,
     /// Port on the loopback interface; 0 takes a free one
     #[arg(long, default_value_t = 0)]
     port: u16,

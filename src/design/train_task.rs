@@ -201,7 +201,7 @@ impl TrainTask {
             return bad("steps, minutes", "both".into(), "one of them, or neither: then epochs count");
         }
         if self.steps.is_some_and(|n| !(1..=1_000_000_000).contains(&n)) {
-            return bad("steps", format!("{:?}", self.steps), "1 to 1000000000");
+            return bad("steps", self.steps.unwrap_or_default().to_string(), "1 to 1000000000");
         }
         if let Some(minutes) = self.minutes {
             within("minutes", minutes, 1e-3, 1e6, "a positive number, at most a million")?;

@@ -116,7 +116,7 @@ fn contradictions_are_refused() {
         ("in -o out --watch --linear --format jpg", "JPEG has 8 bits"),
         ("a.dng -o b.jpg --linear", "JPEG has 8 bits"),
         ("a.dng -o b.png --format tif", "--format"),
-        ("a.dng -o a.dng --force", "is a capture"),
+        ("a.dng -o a.dng --force", "is read by the same command"),
         ("a.dng -o b.png --exposure 11", "steps from -10 to 10"),
         ("a.dng -o b.png --exposure NaN", "steps from -10 to 10"),
         ("a.dng -o b.gif", ".dng or .npy"),
@@ -218,7 +218,7 @@ fn developed_pictures_are_corrected_by_calibrations() {
     }
     for (arguments, words) in [
         ("a.tif -o x.png --float", "--float"),
-        ("a.tif -o a.tif --force", "is a capture"),
+        ("a.tif -o a.tif --force", "is read by the same command"),
         ("d.toml -o x.png", "d.toml"),
     ] {
         let (code, _, err) = run(&place, arguments);

@@ -153,5 +153,8 @@ fn a_caller_of_the_library_names_the_program() {
         assert_eq!(capture, isoplanat::deploy::raw::decode(&file).expect("decodes"));
     }
     let error = raw_process::decode(&Helper::at(place.path("none")), &file, memory).expect_err("no program");
-    assert!(error.to_string().contains("none") && error.to_string().contains("could not be started"), "{error}");
+    assert!(
+        error.to_string().contains("none") && error.to_string().contains("starting it") && error.exit_code() == 2,
+        "{error}"
+    );
 }

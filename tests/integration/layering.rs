@@ -32,20 +32,21 @@ const ORDER: [(&str, &[&str]); 3] = [
 ];
 
 /// Crates, and the only places that may name them.
-const CRATES: [(&[&str], &[&str]); 11] = [
+const CRATES: [(&[&str], &[&str]); 12] = [
     (&["calib_targets_chessboard"], &["crates/imaging/src/calibrate/chart.rs"]),
     (&["ort", "tract_onnx"], &["crates/camera/src/session"]),
     (&["rawler"], &["crates/camera/src/raw"]),
     (&["landlock", "seccompiler"], &["crates/camera/src/child"]),
     (&["prost"], &["crates/camera/src/session"]),
     (&["image"], &["crates/imaging/src/files"]),
+    (&["png"], &["crates/imaging/src/files"]),
     (&["maud"], &["src/report/html.rs"]),
     (
         &["hyper", "hyper_util"],
         &["src/commands/view/server.rs", "src/commands/view/talk.rs", "src/commands/view/answer.rs"],
     ),
     (&["tokio"], &["src/commands/view/"]),
-    (&["moxcms"], &["crates/imaging/src/develop/gamut.rs"]),
+    (&["moxcms"], &["crates/imaging/src/develop/gamut.rs", "crates/imaging/src/develop/profile.rs"]),
     (&["tiff"], &["crates/imaging/src/files", "crates/imaging/src/exif.rs", "crates/imaging/src/dng.rs"]),
 ];
 

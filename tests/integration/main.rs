@@ -10,6 +10,7 @@ mod camera;
 mod children;
 mod circles;
 mod cli;
+mod command_line;
 mod commands;
 #[cfg(feature = "train")]
 mod comparing;

@@ -87,7 +87,7 @@ fn places_where_nothing_can_be_written_are_refused_first() {
     for (output, named) in [("there.csv", "there.csv"), ("none/a.csv", "none"), (long.as_str(), "nnn"), (".", ".")] {
         place.run(&format!("inspect no_such_lens --csv {output}")).refused(&[named]);
     }
-    place.run("psf no_such_lens -o a.npz --csv ./a.npz").refused(&["a.npz", "two outputs"]);
+    place.run("psf no_such_lens -o a --csv ./a").refused(&["a: output", "two outputs"]);
     assert_eq!(place.files(), ["there.csv"]);
     assert_eq!(std::fs::read_to_string(place.path("there.csv")).expect("reads"), "kept");
 }

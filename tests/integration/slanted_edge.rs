@@ -103,7 +103,7 @@ fn the_command_writes_what_it_is_asked_for_and_overwrites_nothing() {
     let place = Workplace::new();
     write_picture(&place.path("edge.png"), &picture(0.1), Encoding::Linear).expect("writes");
     let text = place.run("slanted-edge edge.png --svg edge.svg --csv edge.csv").done();
-    for words in ["16 bits, taken as linear", "luminance", "R lies", "MTF50", "0.50"] {
+    for words in ["16 bits, taken as linear, as the file says", "luminance", "R lies", "MTF50", "0.50"] {
         assert!(text.contains(words), "`{words}` in {text}");
     }
     let csv = std::fs::read_to_string(place.path("edge.csv")).expect("written");
@@ -193,5 +193,30 @@ fn grey_floating_point_is_measured_as_three_channels_are() {
         let path = place.path(name);
         write_annotated(&path, &image, Encoding::Linear, Depth::Float, &Annotation::default()).expect("writes");
         assert_eq!(number(&measured(&path, ""), "mtf50_cy_per_px"), mtf50, "{name}");
+    }
+}
+
+/// A rendered edge is the same edge in every format that is written: 16 bits with the sRGB curve and floating point give one MTF, to the rounding of the samples.
+#[test]
+fn rendered_edges_are_read_as_they_were_written() {
+    let place = Workplace::new();
+    let scene = Array3::from_shape_fn((3, 400, 600), |(_, r, c)| {
+        let d = (c as f32 - 300.0) * 0.9962 + (r as f32 - 200.0) * 0.0872;
+        0.1 + 0.7 * (d + 0.5).clamp(0.0, 1.0)
+    });
+    write_picture(&place.path("scene.npy"), &scene, Encoding::Linear).expect("writes");
+    let measured = |name: &str, more: &str| -> Value {
+        let size = "--columns 300 --rows 200 --depth-mm inf";
+        place.run(&format!("render cooke_triplet scene.npy -o {name} {size}{more}")).done();
+        serde_json::from_str(&place.run(&format!("slanted-edge {name} --json")).done()).expect("JSON")
+    };
+    let exact = measured("a.npy", "");
+    for (name, more) in [("b.tif", " --float"), ("c.tif", ""), ("d.png", "")] {
+        let found = measured(name, more);
+        assert_eq!(found["region_px"], exact["region_px"], "{name}");
+        for (a, b) in found["mtf"].as_array().expect("a curve").iter().zip(exact["mtf"].as_array().expect("a curve")) {
+            let off = number(a, "value") - number(b, "value");
+            assert!(off.abs() < 1e-3, "{name} at {}: {off}", a["frequency_cy_per_px"]);
+        }
     }
 }

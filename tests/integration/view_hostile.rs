@@ -1,6 +1,6 @@
 //! `view` before what other pages and programs may send it: it says no, forgets them, and still shows the page.
 
-use std::io::{ErrorKind, Read, Write};
+use std::io::{BufRead, ErrorKind, Read, Write};
 use std::net::TcpStream;
 use std::time::{Duration, Instant};
 
@@ -54,6 +54,15 @@ impl Server {
     #[cfg(target_os = "linux")]
     fn descriptors(&self) -> usize {
         std::fs::read_dir(format!("/proc/{}/fd", self.child.id())).expect("runs").count()
+    }
+}
+
+/// Whether the other end has closed the connection.
+fn has_ended(stream: &TcpStream) -> bool {
+    stream.set_nonblocking(true).expect("is set");
+    match stream.peek(&mut [0]) {
+        Ok(n) => n == 0,
+        Err(e) => e.kind() != ErrorKind::WouldBlock,
     }
 }
 
@@ -206,12 +215,16 @@ fn aborted_requests_leave_nothing_behind() {
 fn two_hundred_idle_connections_do_not_keep_the_page() {
     let (_place, server) = served();
     let parts: [&[u8]; 3] = [b"", b"GET ", b"GET / HTTP/1.1\r\nHost: "];
-    let mut idle: Vec<TcpStream> = (0..200).map(|k| server.send(parts[k % 3])).collect();
-    eprintln!("the page beside 200 idle connections: {:?}", server.shows_the_page());
-    // Of those that begin a request the oldest have gone for the newest.
     let begun = Instant::now();
-    assert_eq!(rest(&mut idle[1]), "");
-    assert!(begun.elapsed() < Duration::from_secs(2), "not by its own end: {:?}", begun.elapsed());
+    let idle: Vec<TcpStream> = (0..200).map(|k| server.send(parts[k % 3])).collect();
+    eprintln!("the page beside 200 idle connections: {:?}", server.shows_the_page());
+    // Of the 133 that begin a request all but 64, and 16 that wait for a place, have gone for newer ones, long before their own end at five seconds. Which of
+    // them the server heard first is the system's matter.
+    let gone = || idle.iter().filter(|stream| has_ended(stream)).count();
+    while gone() < 133 - 64 - 16 {
+        assert!(begun.elapsed() < Duration::from_secs(4), "only {} have gone: not by their own end", gone());
+        std::thread::sleep(Duration::from_millis(20));
+    }
     server.shows_the_page();
 }
 
@@ -333,6 +346,16 @@ fn what_failed_for_want_of_descriptors_is_done_later() {
     let mut command = place.command("view lens.toml --rays 200");
     command.stderr(std::process::Stdio::piped());
     let mut server = Server::started(command);
+    let stderr = server.child.stderr.take().expect("piped");
+    let told = std::sync::Arc::new(std::sync::Mutex::new(Vec::new()));
+    let listener = {
+        let told = std::sync::Arc::clone(&told);
+        std::thread::spawn(move || {
+            for line in std::io::BufReader::new(stderr).lines() {
+                told.lock().expect("held by nobody").push(line.expect("UTF-8"));
+            }
+        })
+    };
     server.shows_the_page();
     // Pages are made by threads that stay; what they open once is open by then.
     std::thread::sleep(Duration::from_secs(2));
@@ -346,7 +369,13 @@ fn what_failed_for_want_of_descriptors_is_done_later() {
     }
     place.write("lens.toml", text.replace("Cooke triplet", "Later triplet"));
     let mut waiting = server.ask(&server.with_token("/"), &server.address);
-    std::thread::sleep(Duration::from_secs(1));
+    let begins = ["error: lens.toml: reading: ", "note: a connection could not be taken: "];
+    let times = |begin: &str| told.lock().expect("held by nobody").iter().filter(|l| l.starts_with(begin)).count();
+    let begun = Instant::now();
+    while begins.iter().any(|begin| times(begin) == 0) {
+        assert!(begun.elapsed() < Duration::from_secs(30), "both fail: {told:?}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
     assert!(allow(256), "as before");
     assert!(rest(&mut waiting).starts_with("HTTP/1.1 200"), "it waited, and is answered");
     let begun = Instant::now();
@@ -355,10 +384,9 @@ fn what_failed_for_want_of_descriptors_is_done_later() {
         std::thread::sleep(Duration::from_millis(20));
     }
     let _ = server.child.kill();
-    let mut told = String::new();
-    server.child.stderr.take().expect("piped").read_to_string(&mut told).expect("UTF-8");
-    for (begins, times) in [("error: lens.toml: reading: ", 1), ("note: a connection could not be taken: ", 1)] {
-        assert_eq!(told.lines().filter(|l| l.starts_with(begins)).count(), times, "{begins} in {told}");
+    listener.join().expect("heard to the end");
+    for begin in begins {
+        assert_eq!(times(begin), 1, "{begin} in {told:?}");
     }
 }
 

@@ -17,6 +17,7 @@ mod entries;
 pub mod fault;
 mod file;
 mod folder;
+mod living;
 mod name;
 mod notice;
 mod place;
@@ -32,8 +33,9 @@ pub use check::{check_folder, check_kind, check_target};
 pub use entries::{FolderKind, MANIFEST};
 pub use file::{publish_file, publish_path, write_atomic, write_bytes, write_cached};
 pub use folder::{publish_folder, write_folder};
+pub use living::abandon;
 pub use notice::tell_by;
-pub use place::distinct;
+pub use place::{distinct, outside, spares};
 pub use read::{as_text, of_schema, read_at_most, read_bounded, read_text, regular, sha256_hex, sha256_of};
 pub use sweep::recover;
 

@@ -3,6 +3,7 @@
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
+use crate::figures::readable;
 use crate::terminal::cut;
 
 /// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
@@ -10,7 +11,7 @@ use crate::terminal::cut;
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{}{}; {}", before(&[&one_line(file), &one_line(&cut(place, MOST))]), one_line(&cut(found, MOST)), one_line(allowed))]
+    #[error("{}{}; {}", before(&[&one_line(file), &one_line(&cut(place, MOST))]), one_line(&cut(&readable(found), MOST)), one_line(&readable(allowed)))]
     BadInput {
         /// File (or the argument's name) the value stands in.
         file: String,
@@ -79,6 +80,11 @@ impl Error {
     /// A file that could not be read.
     pub fn reading(path: &Path, reason: std::io::Error) -> Self {
         Self::Io { path: path.to_owned(), what: "reading", reason }
+    }
+
+    /// A program that could not be started as a process of its own: the system lets no more in, or it is not there.
+    pub fn starting(program: &Path, reason: std::io::Error) -> Self {
+        Self::Io { path: program.to_owned(), what: "starting it as a process of its own", reason }
     }
 
     /// A file that could not be written.

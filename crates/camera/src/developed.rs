@@ -7,25 +7,29 @@ use crate::raw::{Area, RawCapture, RawPixels, has_raw_name};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::color::{XYZ_FROM_SRGB, inverse};
 use isoplanat_imaging::exif::Exif;
-use isoplanat_imaging::files::{self, Encoding, Stored};
+use isoplanat_imaging::files::{self, Stored};
 
 /// Whether a file's name is that of a developed picture.
 pub fn is_picture(path: &Path) -> bool {
     files::PICTURES.contains(&files::extension(path).as_str()) && !has_raw_name(path)
 }
 
-/// Reads a picture as it is stored (a calibration's places are the sensor's), linear light from 0 to 1, its numbers taken as sRGB.
+/// Reads a picture as it is stored (a calibration's places are the sensor's), linear light from 0 to 1, its numbers taken as the file says, or as sRGB.
 ///
 /// # Errors
 /// A file that cannot be read, or is no picture; one of more than 65536 pixels a side.
 pub fn read(path: &Path) -> Result<RawCapture> {
-    let Stored { image, orientation, bits } = files::read_stored(path, Encoding::Srgb)?;
+    let Stored { image, orientation, bits, told } = files::read_stored(path, None)?;
     let (_, rows, columns) = image.dim();
     if !(1..=65_536).contains(&rows) || !(1..=65_536).contains(&columns) {
         let found = format!("{columns} × {rows} pixels");
         return Err(Error::bad(path.display().to_string(), "picture", found, "1 to 65536 pixels a side"));
     }
-    let taken = if bits.is_some() { "sRGB" } else { "linear sRGB" };
+    let taken = match (bits, told) {
+        (_, true) => "what its profile says",
+        (Some(_), false) => "sRGB",
+        (None, false) => "linear sRGB",
+    };
     Ok(RawCapture {
         pixels: RawPixels::Linear(image),
         black: [0.0; 4],

@@ -403,7 +403,13 @@ impl Kit {
         let d = &self.distortion;
         let finite = d.coefficients_mm.iter().chain([&d.max_slope, &d.residual_mm]).all(|v| v.is_finite());
         if !(finite && d.max_slope > 0.0) {
-            return bad("distortion", format!("{d:?}"), "finite numbers and max_slope above 0".into());
+            let found = format!(
+                "coefficients_mm {}, max_slope {}, residual_mm {}",
+                d.coefficients_mm.iter().map(|c| c.to_string()).collect::<Vec<_>>().join(", "),
+                d.max_slope,
+                d.residual_mm
+            );
+            return bad("distortion", found, "finite numbers and max_slope above 0".into());
         }
         let grows = |i: i32| d.sensor_from_slope_derivative(d.max_slope * f64::from(i) / 256.0) > 0.0;
         if !(0..=256).all(grows) {

@@ -316,10 +316,7 @@ impl Live {
             input: Stdio::piped(),
             threads: asked.threads,
         };
-        let mut child = start.spawn().map_err(|e| {
-            let helper = apart.helper.program().display();
-            Error::Internal(format!("the network's process ({helper}): {e}"))
-        })?;
+        let mut child = start.spawn().map_err(|e| Error::starting(apart.helper.program(), e))?;
         let (input, output) = (child.stdin.take(), child.stdout.take());
         let (write, to_write) = mpsc::channel();
         let (say, said) = mpsc::channel();

@@ -211,7 +211,9 @@ fn capture_from(path: &Path, image: RawImage, orientation: Orientation, dng: Opt
         let fits =
             |start: usize, size: usize, all: usize| size > 0 && start.checked_add(size).is_some_and(|e| e <= all);
         if !(fits(area.p.y, area.d.h, rows) && fits(area.p.x, area.d.w, columns)) {
-            return Err(bad(path, format!("active area {area:?} of {columns} × {rows} pixels"), "an area within it"));
+            let ([x, y], [w, h]) = ([area.p.x, area.p.y], [area.d.w, area.d.h]);
+            let found = format!("active area of {w} × {h} from column {x}, row {y} of {columns} × {rows} pixels");
+            return Err(bad(path, found, "an area within it"));
         }
         (top, left, height, width) = (area.p.y, area.p.x, area.d.h, area.d.w);
     }

@@ -160,10 +160,7 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
     let failed = |found: String| refused(found, ALLOWED.into());
     let threads = Start::few_threads();
     let start = Start { helper, command: COMMAND, limits, once: true, input: file.into(), threads };
-    let mut child = start.spawn().map_err(|e| {
-        let helper = helper.program().display();
-        Error::Internal(format!("the RAW decoder ({helper}) could not be started: {e}"))
-    })?;
+    let mut child = start.spawn().map_err(|e| Error::starting(helper.program(), e))?;
     let pipe = child.stdout.take().ok_or_else(|| Error::Internal("the RAW decoder has no output".into()))?;
     let (sender, receiver) = mpsc::channel();
     let reader = std::thread::spawn(move || {

@@ -380,15 +380,14 @@ impl Calibrated {
     /// The kit's own levels, colour and calibration; white balance as the capture was shot.
     fn development(&self, capture: &RawCapture, file: &Path, notes: &mut Vec<String>) -> Result<Development<'_>> {
         let Kit { sensor, frame, distortion, shading, .. } = &self.kit;
-        of_size(capture, frame, file, "the kit's frame")?;
-        let file = file.display().to_string();
+        let (path, file) = (file, file.display().to_string());
         match capture.pixels {
             RawPixels::Mosaic { cfa, .. } if cfa == sensor.cfa => {}
             RawPixels::Mosaic { cfa, .. } => {
                 return Err(Error::bad(file, "colour filter", cfa.to_string(), format!("{}, the kit's", sensor.cfa)));
             }
             RawPixels::Linear(_) => {
-                let found = "a picture that is demosaicked already";
+                let found = "a picture that is developed or demosaicked already";
                 return Err(Error::bad(file, "RAW", found, "the sensor's mosaic; without --kit it is only developed"));
             }
             RawPixels::Grey(_) => {
@@ -396,6 +395,7 @@ impl Calibrated {
                 return Err(Error::bad(file, "RAW", found, "the sensor's mosaic; without --kit it is only developed"));
             }
         }
+        of_size(capture, frame, path, "the kit's frame")?;
         let mut balance = Balance::from_sensor(sensor);
         let range = balance.white[0] - balance.black[0];
         let far = |a: f32, b: f32| (a - b).abs() > 0.01 * range;

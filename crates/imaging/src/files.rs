@@ -1,14 +1,14 @@
 //! Pictures in and out: PNG, JPEG, TIFF and NumPy's `.npy`. Only this file and those in `files/` name the `image` crate.
 //!
-//! `files/read.rs` is the one reader: 8 and 16 bits, whole numbers of 32 and 64 bits, floating point of 16, 32 and 64 bits, grey or three channels. Whole
-//! numbers are taken as sRGB-encoded unless the caller says they are linear; floating point is linear. Embedded colour profiles are not read: pictures in
-//! wider gamuts look less saturated than they are. Alpha is dropped, grey becomes three equal channels, the orientation in the metadata is applied.
+//! `files/read.rs` is the one reader: 8 and 16 bits, whole numbers of 32 and 64 bits, floating point of 16, 32 and 64 bits, grey or three channels. What
+//! a file says of its whole numbers counts: its ICC profile, in a PNG `cICP`, `sRGB` or `gAMA`; floating point is linear. What is written says it too. Alpha is dropped, grey becomes three equal channels, the orientation in the metadata is applied.
 //! `.npy` holds `[row, col]` or `[row, col, channel]`, linear light from the top row. Outputs are written beside their place and renamed, so that they
 //! appear whole or not at all.
 
 mod content;
 mod jpeg;
 mod npy;
+mod png_file;
 mod read;
 mod tiff_file;
 
@@ -120,27 +120,25 @@ fn sides(image: &Array3<f32>) -> Result<(u32, u32)> {
 /// What stands in a picture's file beside its pixels.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Annotation {
-    /// The colours that the numbers stand for; sRGB without a profile where it is not told.
-    pub gamut: Option<Gamut>,
+    /// The colours that the numbers stand for; a profile says so.
+    pub gamut: Gamut,
     /// Facts of the exposure; none where it is empty.
     pub exif: Exif,
 }
 
 impl Annotation {
-    fn profile(&self, encoding: Encoding) -> Result<Option<Vec<u8>>> {
-        self.gamut.map(|g| g.icc(encoding == Encoding::Linear)).transpose()
+    fn profile(&self, encoding: Encoding) -> Result<Vec<u8>> {
+        self.gamut.icc(encoding == Encoding::Linear)
     }
 
     fn color_space(&self, encoding: Encoding) -> u16 {
-        self.gamut.unwrap_or_default().exif(encoding == Encoding::Linear)
+        self.gamut.exif(encoding == Encoding::Linear)
     }
 
     /// Hands both to an encoder of the `image` crate.
     fn put(&self, encoder: &mut impl ImageEncoder, encoding: Encoding) -> Result<()> {
         let refused = |e: image::error::UnsupportedError| Error::Internal(format!("annotation: {e}"));
-        if let Some(profile) = self.profile(encoding)? {
-            encoder.set_icc_profile(profile).map_err(refused)?;
-        }
+        encoder.set_icc_profile(self.profile(encoding)?).map_err(refused)?;
         if !self.exif.entries().is_empty() {
             let block =
                 self.exif.block(self.color_space(encoding)).map_err(|e| Error::Internal(format!("Exif: {e}")))?;
@@ -186,9 +184,7 @@ where
         let directories =
             if has_exif { Some(beside.exif.write_directories(&mut file, beside.color_space(encoding))?) } else { None };
         let mut picture = file.new_image::<C>(width, height)?;
-        if let Some(profile) = &profile {
-            picture.encoder().write_tag(Tag::IccProfile, Undefined(profile))?;
-        }
+        picture.encoder().write_tag(Tag::IccProfile, Undefined(&profile))?;
         if let Some(directories) = directories {
             beside.exif.write_picture_entries(picture.encoder(), directories)?;
         }
@@ -480,7 +476,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let at = |name: &str| folder.path().join(name);
         let image = picture().mapv(|v| 3.0 * v - 0.25);
-        let beside = Annotation { gamut: Some(Gamut::DisplayP3), exif: Exif::default() };
+        let beside = Annotation { gamut: Gamut::Srgb, exif: Exif::default() };
         for name in ["a.tif", "a.npy"] {
             write_annotated(&at(name), &image, Encoding::Srgb, Depth::Float, &beside).expect("writes");
             assert_eq!(read_linear(&at(name)).expect("reads"), image, "{name}");

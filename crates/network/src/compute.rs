@@ -63,6 +63,14 @@ impl Compute {
         Err(Error::bad("isoplanat", "device", name, allowed))
     }
 
+    /// Whether it is there, before anything is made for it.
+    ///
+    /// # Errors
+    /// A feature this build lacks, or a device that does not answer.
+    pub fn require(self) -> Result<()> {
+        self.device().map(drop)
+    }
+
     /// Its name on the command line.
     pub fn name(self) -> &'static str {
         match self {

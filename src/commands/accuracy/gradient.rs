@@ -70,7 +70,7 @@ pub(super) fn run(args: &Args, placed: &Placed, density: &SpectralDensity, out: 
     let accuracy = GradientAccuracy {
         schema: 1,
         lens: placed.lens.name.clone(),
-        scene: args.scene.clone(),
+        scene: args.scene.to_string(),
         patches: [patches.parts.len(), patches.parts.first().map_or(0, |p| p.1.rows)],
         threads: std::thread::available_parallelism().map_or(1, usize::from),
         noise,

@@ -112,7 +112,7 @@ pub(crate) fn photograph(
     let mut tuned = String::new();
     let wiener = develop::develop(mosaic.view(), sensor.cfa, &development, |input| {
         let best = tune(input.view(), ideal.view(), &psfs)?;
-        tuned = format!("noise to signal {:.1e}, {:?} prior", best.nsr, best.prior);
+        tuned = format!("noise to signal {:.1e}, {} prior", best.nsr, best.prior.name());
         Ok(best.image)
     })?
     .image;

@@ -11,6 +11,7 @@ use isoplanat::{Error, Result};
 
 use super::board::Board;
 use crate::analyses::View;
+use crate::named::Named;
 
 /// How often the file is looked at.
 const LOOK: Duration = Duration::from_millis(8);
@@ -28,23 +29,23 @@ const LARGEST: u64 = 256 << 20;
 #[derive(Clone, Debug)]
 pub(super) enum Subject {
     /// A lens by its file or name.
-    Lens(String),
+    Lens(Named),
     /// The page in a design's folder, written anew by the design itself.
     Page(PathBuf),
 }
 
 impl Subject {
-    pub(super) fn new(what: &str) -> Result<Self> {
-        let folder = Path::new(what);
+    pub(super) fn new(what: &Named) -> Result<Self> {
+        let folder: &Path = what.as_ref();
         if !folder.is_dir() {
-            return Ok(Self::Lens(what.to_owned()));
+            return Ok(Self::Lens(what.clone()));
         }
         let page = folder.join("report.html");
         if page.is_file() {
             return Ok(Self::Page(page));
         }
         Err(Error::bad(
-            what,
+            &**what,
             "report.html",
             "none",
             "the folder of a design, which has one from its first judgement on",
@@ -54,7 +55,7 @@ impl Subject {
     /// The file that is followed; none for a shipped lens.
     fn file(&self) -> Option<&Path> {
         match self {
-            Self::Lens(name) => Some(Path::new(name)).filter(|p| p.is_file()),
+            Self::Lens(name) => Some(name.as_ref()).filter(|p: &&Path| p.is_file()),
             Self::Page(page) => Some(page),
         }
     }

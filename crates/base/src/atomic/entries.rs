@@ -61,8 +61,12 @@ impl<'a> FolderKind<'a> {
         if target.symlink_metadata().is_err() {
             return Ok(());
         }
-        if replace == Replace::Never || !target.join(self.marker).is_file() {
+        if replace == Replace::Never {
             return Err(Error::Exists(folder.to_owned()));
+        }
+        if !target.join(self.marker).is_file() {
+            let found = format!("a folder without {}: of another kind, and not replaced", self.marker);
+            return Err(Error::bad(folder.display().to_string(), "output", found, "another name"));
         }
         let foreign = self.foreign(target)?;
         if foreign.is_empty() {
@@ -116,6 +120,13 @@ pub(super) fn record(folder: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>)> {
         files.push(path);
     }
     Ok((files, tree.folders))
+}
+
+/// Whether the file `path` is on the list that was published with `folder`; both without links.
+pub(super) fn published(folder: &Path, path: &Path) -> Result<bool> {
+    let Ok(within) = path.strip_prefix(folder) else { return Ok(false) };
+    let names: Vec<String> = within.iter().map(|name| escaped(name.as_encoded_bytes())).collect();
+    Ok(list(folder)?.is_some_and(|listed| listed.contains(&names.join("/"))))
 }
 
 /// The list of a published folder; `None`: it has none.

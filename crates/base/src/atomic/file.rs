@@ -71,8 +71,11 @@ pub fn publish_path<T>(path: &Path, replace: Replace, fill: impl FnOnce(&Path) -
     fault::at("fill").map_err(failed)?;
     let value = fill(&at)?;
     let file = File::options().write(true).open(&at).map_err(failed)?;
-    way.keep_mode(&file).and_then(|()| way.sync(&file)).map_err(failed)?;
+    // Writers that take care of secrets make their files for their owner alone.
+    let new = folder.mode().map_err(failed)?;
+    keep_mode(&file, way.before.as_ref().unwrap_or(&new)).and_then(|()| way.sync(&file)).map_err(failed)?;
     drop(file);
+    folder.settle();
     moved(path, &at, &way.target, replace)?;
     drop(folder);
     way.sync_name().map_err(failed)?;
@@ -101,6 +104,7 @@ fn publish<T>(
     way.keep_mode(&temporary.file).map_err(failed)?;
     let value = filled(path, &temporary, fill)?;
     way.sync(&temporary.file).map_err(failed)?;
+    temporary.settle();
     moved(path, temporary.path(), &way.target, replace)?;
     drop(temporary);
     way.sync_name().map_err(failed)?;

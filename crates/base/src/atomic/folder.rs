@@ -54,6 +54,7 @@ pub fn publish_folder<T>(
     let move_ = Move { folder, kind, replace, target: &target };
     {
         let _turn = Turn::beside(&target);
+        temporary.settle();
         move_.go(&mut temporary)?;
     }
     around.keep();

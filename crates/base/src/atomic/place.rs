@@ -4,6 +4,7 @@ use std::fs::{self, Metadata};
 use std::io::{self, ErrorKind};
 use std::path::{Component, Path, PathBuf};
 
+use super::entries;
 use crate::error::{Error, Result};
 
 /// Links that are followed one after the other, as Linux does.
@@ -77,6 +78,51 @@ pub fn distinct(paths: &[&Path]) -> Result<()> {
         seen.push(place);
     }
     Ok(())
+}
+
+/// Whether a file or folder that takes the place of `output` leaves alone what is read from `inputs`: files, folders, and names of other things.
+///
+/// Devices and pipes are written into, and links count as what they lead to. A file that is put into a folder of the inputs is none of them, unless it takes the
+/// place of one that was published with that folder.
+///
+/// # Errors
+/// An output that is an input, or holds one, or is one of an input's own files.
+pub fn spares(output: &Path, inputs: &[&Path]) -> Result<()> {
+    // What cannot be looked at is told where it is written.
+    let place = match of(output) {
+        Ok(Place::Free(place) | Place::File(place, _) | Place::Folder(place)) => place,
+        Ok(Place::Stream(_)) | Err(_) => return Ok(()),
+    };
+    for input in inputs {
+        // A name that is no file's is of something else.
+        let Ok(read) = fs::canonicalize(input) else { continue };
+        let shown = input.display();
+        let found = if place == read {
+            "is read by the same command, and would be overwritten".to_owned()
+        } else if read.starts_with(&place) {
+            format!("holds {shown}, which is read by the same command")
+        } else if entries::published(&read, &place)? {
+            format!("is a file of {shown}, which is read by the same command")
+        } else {
+            continue;
+        };
+        return Err(Error::bad(output.display().to_string(), "output", found, "another name"));
+    }
+    Ok(())
+}
+
+/// Whether `output` lies outside of a `folder` that is read and keeps its own files only.
+///
+/// # Errors
+/// An output in it; a path that cannot be looked at.
+pub fn outside(output: &Path, folder: &Path) -> Result<()> {
+    match fs::canonicalize(folder) {
+        Ok(read) if resolved(output)?.starts_with(&read) => {
+            let found = format!("lies in {}, which is read by the same command", folder.display());
+            Err(Error::bad(output.display().to_string(), "output", found, "a place outside of it"))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// `path` absolute and without links, where nothing or a dangling link stands at its end.

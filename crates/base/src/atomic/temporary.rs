@@ -5,6 +5,8 @@ use std::fs::{self, File, TryLockError};
 use std::io::{self, ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
+use super::living;
+pub(super) use super::living::removed;
 use super::name::{self, Part};
 use super::{fault, rename};
 
@@ -25,6 +27,7 @@ impl Temporary {
         for _ in 0..TRIES {
             let path = target.with_file_name(name::join(&tag, &name::random(), Part::Partial));
             if let Some(file) = made(&path)? {
+                living::began(&path, None);
                 return Ok(Self { file, path });
             }
         }
@@ -36,6 +39,11 @@ impl Temporary {
         &self.path
     }
 
+    /// From here on it is on its way to its place: nobody takes it away.
+    pub(super) fn settle(&self) {
+        living::ended(&self.path);
+    }
+
     /// Takes its name away where that may be done to an open file: nobody else reads it, and no kill leaves it.
     pub(super) fn hidden(&self) -> io::Result<()> {
         if cfg!(unix) { fs::remove_file(&self.path) } else { Ok(()) }
@@ -44,6 +52,7 @@ impl Temporary {
 
 impl Drop for Temporary {
     fn drop(&mut self) {
+        self.settle();
         let _ = fs::remove_file(&self.path);
         // A process that another thread is just starting holds the lock, too, until it becomes another program.
         let _ = self.file.unlock();
@@ -97,7 +106,10 @@ impl TemporaryFolder {
                 fault::at("make folder").and_then(|()| fs::create_dir(&path))
             };
             match folder {
-                Ok(()) => return Ok(Self { lock, lock_path, path, old, left: false }),
+                Ok(()) => {
+                    living::began(&path, Some(&lock_path));
+                    return Ok(Self { lock, lock_path, path, old, left: false });
+                }
                 Err(e) => {
                     let _ = fs::remove_file(&lock_path);
                     if e.kind() != ErrorKind::AlreadyExists {
@@ -112,6 +124,16 @@ impl TemporaryFolder {
     /// Where it is.
     pub(super) fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// As for a file.
+    pub(super) fn settle(&self) {
+        living::ended(&self.path);
+    }
+
+    /// The mode of a new file here: that of the lock.
+    pub(super) fn mode(&self) -> io::Result<fs::Permissions> {
+        self.lock.metadata().map(|found| found.permissions())
     }
 
     /// Where a folder is that gives way to it in several steps.
@@ -141,23 +163,13 @@ impl TemporaryFolder {
 
 impl Drop for TemporaryFolder {
     fn drop(&mut self) {
+        self.settle();
         if !self.left && removed(&self.path) && removed(&self.old) {
             let _ = fs::remove_file(&self.lock_path);
         }
         // As for a file.
         let _ = self.lock.unlock();
     }
-}
-
-/// Removes a file or a folder with all that is in it; links are not followed. Whether nothing is there any more.
-pub(super) fn removed(path: &Path) -> bool {
-    let gone = |e: io::Error| if e.kind() == ErrorKind::NotFound { Ok(()) } else { Err(e) };
-    let done = fault::at("remove").and_then(|()| match path.symlink_metadata() {
-        Ok(found) if found.is_dir() => fs::remove_dir_all(path),
-        Ok(_) => fs::remove_file(path),
-        Err(e) => Err(e),
-    });
-    done.or_else(gone).is_ok()
 }
 
 /// Makes a file and takes its lock; `None`: the name is taken, or a sweep took it for a dead writer's.

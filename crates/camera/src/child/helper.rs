@@ -22,7 +22,7 @@ impl Helper {
     /// # Errors
     /// A system that does not tell where the program lies.
     pub fn current() -> Result<Self> {
-        std::env::current_exe().map(Self::at).map_err(|e| Error::Internal(format!("the program's own path: {e}")))
+        std::env::current_exe().map(Self::at).map_err(|e| Error::reading(Path::new("/proc/self/exe"), e))
     }
 
     /// Where it lies.

@@ -23,7 +23,7 @@ const EXPOSURES: f64 = 10.0;
 #[command(version, name = "isoplanat-camera")]
 pub(crate) struct Arguments {
     /// RAW files (DNG or a camera's own), or folders of them. Pictures (.png, .tif, .jpg, .npy) that a camera or another program developed are
-    /// taken too: their numbers as sRGB, floating point as linear.
+    /// taken too: their numbers as their profile says, or as sRGB, floating point as linear.
     #[arg(value_name = "CAPTURE", required_unless_present = "show_kit")]
     pub(crate) captures: Vec<PathBuf>,
     /// Kit folder, as `isoplanat export` writes it; without it no network is applied.
@@ -160,6 +160,12 @@ impl Arguments {
     pub(crate) fn pictures(&self) -> Pictures {
         Pictures {
             captures: self.captures.clone(),
+            read: [&self.corrections.distortion, &self.corrections.shading, &self.running.onnxruntime]
+                .into_iter()
+                .flatten()
+                .cloned()
+                .collect(),
+            kit: self.kit.clone(),
             out: self.naming.out.clone(),
             format: self.naming.format,
             linear: self.look.linear,

@@ -103,7 +103,9 @@ impl<'a> Batch<'a> {
         let needed = camera.bytes_needed(&raw, self.pictures.bytes_a_pixel(out));
         let instead = "a smaller picture, or a larger limit";
         self.means.memory.allow(&format!("{}: {columns} × {rows} pixels", capture.display()), needed, instead)?;
-        let (make, model) = (raw.make.clone(), raw.model.clone());
+        // Developed pictures name none.
+        let named = format!("{} {}", raw.make, raw.model).trim().to_owned();
+        let named = (!named.is_empty()).then_some(named);
         let picture =
             camera.reconstruct(raw, capture, &|done, all| self.show((k, n), capture, done as f64 / all as f64))?;
         for note in &picture.notes {
@@ -127,7 +129,8 @@ impl<'a> Batch<'a> {
         };
         if !self.told.json {
             self.bar.suspend(|| {
-                say(&format!("{} -> {} ({columns} × {rows}, {make} {model})", capture.display(), out.display()));
+                let of = named.as_ref().map_or_else(String::new, |name| format!(", {name}"));
+                say(&format!("{} -> {} ({columns} × {rows}{of})", capture.display(), out.display()));
                 if self.told.bench {
                     if let Some(network) = camera.network() {
                         say(&format!("runtime             {}", network.runtime()));
@@ -142,7 +145,7 @@ impl<'a> Batch<'a> {
             "picture": out.display().to_string(),
             "columns": columns,
             "rows": rows,
-            "camera": format!("{make} {model}"),
+            "camera": named,
             "exposure": {
                 "lens": exif.lens(),
                 "iso": exif.iso(),

@@ -49,6 +49,10 @@ impl Format {
 pub(crate) struct Pictures {
     /// Files, or folders of them, as named.
     pub(crate) captures: Vec<PathBuf>,
+    /// What else is read: files, and the kit.
+    pub(crate) read: Vec<PathBuf>,
+    /// The kit, which keeps its own files only.
+    pub(crate) kit: Option<PathBuf>,
     /// The file or folder to write, where one is named.
     pub(crate) out: Option<PathBuf>,
     /// Format of pictures that are named after their captures.
@@ -134,9 +138,10 @@ impl Pictures {
     /// As [`Self::plan`].
     pub(crate) fn check(&self, path: &Path, captures: &[PathBuf]) -> Result<()> {
         self.check_format(path)?;
-        let same = |a: &Path, b: &Path| a.canonicalize().ok().zip(b.canonicalize().ok()).is_some_and(|(a, b)| a == b);
-        if captures.iter().any(|c| same(c, path)) {
-            return Err(Error::bad(path.display().to_string(), "-o", "is a capture", "another file"));
+        let read: Vec<&Path> = captures.iter().chain(&self.read).map(PathBuf::as_path).collect();
+        atomic::spares(path, &read)?;
+        if let Some(kit) = &self.kit {
+            atomic::outside(path, kit)?;
         }
         // A folder that is not there yet is made before pictures are.
         let awaits = path.parent().is_some_and(|folder| !folder.as_os_str().is_empty() && !folder.exists());
@@ -167,7 +172,7 @@ impl Pictures {
             (false, true) => Depth::Sixteen,
             (false, false) => Depth::Eight,
         };
-        let beside = Annotation { gamut: Some(self.gamut), exif };
+        let beside = Annotation { gamut: self.gamut, exif };
         files::write_annotated(to, &picture.image, encoding, depth, &beside)
     }
 }

@@ -2,7 +2,6 @@
 
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, SystemTime};
 
 use isoplanat_base::error::{Error, Result};
@@ -13,9 +12,6 @@ use crate::program::say::say;
 
 /// Between two looks.
 const PAUSE: Duration = Duration::from_millis(500);
-
-/// Set by Ctrl-C.
-static STOP: AtomicBool = AtomicBool::new(false);
 
 /// What tells a file that is still being written: its size and when it was changed.
 type State = (u64, SystemTime);
@@ -43,12 +39,7 @@ pub(crate) fn folders(pictures: &Pictures) -> Result<&Path> {
 /// Develops what arrives until Ctrl-C; the exit code of the worst capture. A second Ctrl-C ends the program at once.
 pub(crate) fn run(batch: &Batch<'_>, out: &Path) -> Result<u8> {
     let pictures = batch.pictures;
-    ctrlc::set_handler(|| {
-        if STOP.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })
-    .map_err(|e| Error::Internal(format!("Ctrl-C cannot be heard: {e}")))?;
+    let stop = isoplanat_program::signals::asked();
     let mut done: HashMap<PathBuf, State> = HashMap::new();
     let mut growing: HashMap<PathBuf, State> = HashMap::new();
     // Which capture a picture of this run is of.
@@ -58,7 +49,7 @@ pub(crate) fn run(batch: &Batch<'_>, out: &Path) -> Result<u8> {
         let folders: Vec<String> = pictures.captures.iter().map(|f| f.display().to_string()).collect();
         say(&format!("watching {} until Ctrl-C", folders.join(", ")));
     }
-    while !STOP.load(Ordering::Relaxed) {
+    while !stop() {
         let now = look(&pictures.captures)?;
         // Complete is what has not changed since the last look.
         let complete = now.iter().filter(|(path, state)| growing.get(*path) == Some(*state));
@@ -67,7 +58,7 @@ pub(crate) fn run(batch: &Batch<'_>, out: &Path) -> Result<u8> {
         fresh.sort();
         let all: Vec<PathBuf> = now.keys().cloned().collect();
         for (capture, state) in fresh {
-            if STOP.load(Ordering::Relaxed) {
+            if stop() {
                 break;
             }
             done.insert(capture.clone(), *state);

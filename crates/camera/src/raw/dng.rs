@@ -85,7 +85,11 @@ pub(super) fn crop(path: &Path, directory: &IFD, (rows, columns): (usize, usize)
     let pair = |tag: DngTag, name: &str| match numbers(directory, tag).as_deref() {
         _ if directory.get_entry(tag).is_none() => Ok(None),
         Some([x, y]) if *x >= 0.0 && *y >= 0.0 => Ok(Some([x.round() as usize, y.round() as usize])),
-        other => Err(bad(path, format!("{name} {other:?}"), "two numbers, column and row, from 0")),
+        other => {
+            let words = |list: &[f32]| list.iter().map(|v| v.to_string()).collect::<Vec<_>>().join(", ");
+            let found = other.map_or_else(|| "that is no list of numbers".into(), words);
+            Err(bad(path, format!("{name} {found}"), "two numbers, column and row, from 0"))
+        }
     };
     let origin = pair(DngTag::DefaultCropOrigin, "DefaultCropOrigin")?;
     let size = pair(DngTag::DefaultCropSize, "DefaultCropSize")?;

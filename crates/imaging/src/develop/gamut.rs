@@ -92,6 +92,11 @@ impl Gamut {
         Ok(bytes)
     }
 
+    /// Its primaries as XYZ under D50, one a column.
+    pub(super) fn primaries(self) -> [[f64; 3]; 3] {
+        self.adapted().1
+    }
+
     /// From XYZ under D65 to D50, and the primaries there, one a column.
     fn adapted(self) -> ([[f64; 3]; 3], [[f64; 3]; 3]) {
         let xyz = match self {

@@ -12,6 +12,7 @@ pub mod demosaic;
 pub mod distortion;
 pub mod gamut;
 pub mod glare;
+pub mod profile;
 pub mod shading;
 pub mod simulate;
 pub mod undistort;

@@ -45,7 +45,9 @@ impl Shading {
     pub fn new(radius_mm: Vec<f64>, illumination: [Vec<f64>; 3]) -> Result<Self> {
         let bad = |place: &str, found: String, allowed: &str| Err(Error::bad("", place, found, allowed));
         if radius_mm.first() != Some(&0.0) {
-            return bad("shading.radius_mm", format!("{:?}", radius_mm.first()), "a list that starts at 0");
+            let found =
+                radius_mm.first().map_or_else(|| "an empty list".into(), |first| format!("a list from {first}"));
+            return bad("shading.radius_mm", found, "a list that starts at 0");
         }
         if let Some(w) = radius_mm.windows(2).find(|w| !(w[1] > w[0] && w[1].is_finite())) {
             return bad("shading.radius_mm", format!("{} after {}", w[1], w[0]), "finite radii that grow");

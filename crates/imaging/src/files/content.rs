@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::develop::profile::Told;
 use isoplanat_base::error::{Error, Result};
 
 /// What a picture's file may be.
@@ -26,6 +27,8 @@ pub(super) struct Content {
     pub(super) samples: Samples,
     /// How to turn it upright, as Exif has it.
     pub(super) orientation: u8,
+    /// What it says of its numbers.
+    pub(super) told: Option<Told>,
 }
 
 /// The content, if all of it are numbers, also in the 32 bits that pictures are computed in.

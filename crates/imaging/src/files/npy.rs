@@ -97,7 +97,7 @@ fn view<S: Copy + ViewElement + ReadableElement>(
     }
     // In the order of rows, whatever the file's.
     let samples = samples(array.iter().copied().collect());
-    Ok(Some(Content { rows, cols, channels, samples, orientation: 1 }))
+    Ok(Some(Content { rows, cols, channels, samples, orientation: 1, told: None }))
 }
 
 /// Writes linear channels, `[channel, row, col]`, as float32: `[row, col, 3]`, or `[row, col]` for one channel.

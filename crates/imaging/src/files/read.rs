@@ -9,8 +9,8 @@ use ndarray::{Array3, Axis};
 use rayon::prelude::*;
 
 use super::content::{ALLOWED, Content, Samples, finite};
-use super::{jpeg, npy, tiff_file};
-use crate::develop::color::linear_from_srgb;
+use super::{jpeg, npy, png_file, tiff_file};
+use crate::develop::profile::{Curve, Told};
 use crate::exif::Turn;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{Limit, product};
@@ -34,8 +34,10 @@ pub struct Planes {
     pub values: Array3<f64>,
     /// Bits a sample; `None` for floating point.
     pub bits: Option<u8>,
-    /// What the samples were taken as.
+    /// What the samples were taken as; sRGB too where a profile of the file has another curve.
     pub encoding: Encoding,
+    /// The same in words, and whether the file said so itself.
+    pub taken: &'static str,
 }
 
 /// A picture as it is stored, not turned upright.
@@ -47,14 +49,17 @@ pub struct Stored {
     pub orientation: u8,
     /// Bits a sample; `None` for floating point.
     pub bits: Option<u8>,
+    /// Whether the file said what its numbers stand for.
+    pub told: bool,
 }
 
-/// Reads a picture to linear RGB in `[0, 1]`, taking whole numbers as sRGB-encoded.
+/// Reads a picture to linear sRGB, upright: whole numbers in `[0, 1]`, taken as the file says, or as sRGB-encoded where it says nothing.
 ///
 /// # Shapes
 /// Result `[3, row, col]`.
 pub fn read_linear(path: &Path) -> Result<Array3<f32>> {
-    read_picture(path, Encoding::Srgb)
+    let Stored { image, orientation, .. } = read_stored(path, None)?;
+    Ok(upright(image, orientation))
 }
 
 /// Rows and columns that a picture's file states, either way round; its pixels are not read.
@@ -73,41 +78,90 @@ pub fn picture_size(path: &Path) -> Result<[usize; 2]> {
     }
 }
 
-/// Reads a picture to linear RGB, upright.
+/// Reads a picture to linear RGB, upright; whole numbers are taken as `encoding`, whatever the file says.
 ///
 /// # Shapes
 /// Result `[3, row, col]`.
 pub fn read_picture(path: &Path, encoding: Encoding) -> Result<Array3<f32>> {
-    let Stored { image, orientation, .. } = read_stored(path, encoding)?;
+    let Stored { image, orientation, .. } = read_stored(path, Some(encoding))?;
     Ok(upright(image, orientation))
 }
 
-/// Reads a picture to linear RGB as it is stored.
+/// Reads a picture to linear RGB as it is stored; without `encoding` as the file says, in sRGB's colours (those beyond them at their border), or as sRGB-encoded where
+/// it says nothing.
 ///
 /// # Errors
 /// A file that cannot be read, or is no picture.
-pub fn read_stored(path: &Path, encoding: Encoding) -> Result<Stored> {
+pub fn read_stored(path: &Path, encoding: Option<Encoding>) -> Result<Stored> {
     let content = content(path)?;
+    let taken = Taken::of(encoding, &content, Curve::Srgb);
     let orientation = content.orientation;
-    let (bits, image) = match &content.samples {
-        Samples::F32(v) => (None, planes(&content, 3, v, |v| v)),
-        Samples::F64(v) => (None, planes(&content, 3, v, |v| v as f32)),
-        Samples::Whole(v, bits) => (Some(*bits), planes(&content, 3, v, |v| decoded(v, encoding) as f32)),
+    let single = |v: f64| v as f32;
+    let (bits, mut image) = match &content.samples {
+        Samples::F32(v) => (None, planes(&content, 3, v, |_, v| v)),
+        Samples::F64(v) => (None, planes(&content, 3, v, |_, v| single(v))),
+        Samples::Whole(v, bits) => (Some(*bits), planes(&content, 3, v, |k, v| single(taken.curve.light(k, v)))),
         Samples::U16(v) => {
-            let table: Vec<f32> = table(u16::MAX, encoding).into_iter().map(|v| v as f32).collect();
-            (Some(16), planes(&content, 3, v, |v| table[usize::from(v)]))
+            let table = tables(u16::MAX, &taken.curve, single);
+            (Some(16), planes(&content, 3, v, |k, v| table[k][usize::from(v)]))
         }
         Samples::U8(v) => {
-            let table: Vec<f32> = table(255, encoding).into_iter().map(|v| v as f32).collect();
-            (Some(8), planes(&content, 3, v, |v| table[usize::from(v)]))
+            let table = tables(255, &taken.curve, single);
+            (Some(8), planes(&content, 3, v, |k, v| table[k][usize::from(v)]))
         }
     };
-    Ok(Stored { image, orientation, bits })
+    if let (Some(matrix), 3) = (taken.to_srgb, content.channels) {
+        turn(&mut image, &matrix, bits.is_some());
+    }
+    Ok(Stored { image, orientation, bits, told: taken.told })
+}
+
+/// Colours by a matrix; what leaves `[0, 1]` is put at its border where the samples are whole numbers.
+fn turn(image: &mut Array3<f32>, matrix: &[[f64; 3]; 3], whole: bool) {
+    image.axis_iter_mut(Axis(1)).into_par_iter().for_each(|mut row| {
+        for mut pixel in row.axis_iter_mut(Axis(1)) {
+            let before = [pixel[0], pixel[1], pixel[2]].map(f64::from);
+            for (to, line) in pixel.iter_mut().zip(matrix) {
+                let v: f64 = line.iter().zip(before).map(|(m, v)| m * v).sum();
+                *to = (if whole { v.clamp(0.0, 1.0) } else { v }) as f32;
+            }
+        }
+    });
+}
+
+/// What samples are taken as.
+struct Taken {
+    curve: Curve,
+    to_srgb: Option<[[f64; 3]; 3]>,
+    told: bool,
+}
+
+impl Taken {
+    /// As `encoding` says, else as the file does, else by `usual`.
+    fn of(encoding: Option<Encoding>, content: &Content, usual: Curve) -> Self {
+        match (encoding, &content.told) {
+            (Some(Encoding::Srgb), _) => Self { curve: Curve::Srgb, to_srgb: None, told: false },
+            (Some(Encoding::Linear), _) => Self { curve: Curve::Linear, to_srgb: None, told: false },
+            (None, Some(Told { curve, to_srgb })) => Self { curve: curve.clone(), to_srgb: *to_srgb, told: true },
+            (None, None) => Self { curve: usual, to_srgb: None, told: false },
+        }
+    }
+
+    fn words(&self) -> (Encoding, &'static str) {
+        match (&self.curve, self.told) {
+            (Curve::Linear, false) => (Encoding::Linear, "linear"),
+            (Curve::Linear, true) => (Encoding::Linear, "linear, as the file says"),
+            (Curve::Srgb, false) => (Encoding::Srgb, "sRGB"),
+            (Curve::Srgb, true) => (Encoding::Srgb, "sRGB, as the file says"),
+            (Curve::Own(_), _) => (Encoding::Srgb, "the file's own curve"),
+        }
+    }
 }
 
 /// Reads a picture to linear channels in double precision, upright: grey stays one channel, 16 bits stay exact.
 ///
-/// Without `encoding` 8-bit samples are taken as sRGB and deeper ones as linear; floating point is linear whatever is asked for.
+/// Without `encoding` samples are taken as the file says; where it says nothing, 8 bits as sRGB and deeper ones as linear. Floating point is linear whatever is
+/// asked for. Colours stay the file's own.
 ///
 /// # Shapes
 /// Values `[1 or 3, row, col]`.
@@ -130,35 +184,31 @@ pub fn read_sensor_planes(path: &Path, encoding: Option<Encoding>) -> Result<Pla
 /// Channels as they are stored, and Exif's orientation.
 fn stored_planes(path: &Path, encoding: Option<Encoding>) -> Result<(Planes, u8)> {
     let content = content(path)?;
-    let deep = encoding.unwrap_or(Encoding::Linear);
+    let usual = if matches!(content.samples, Samples::U8(_)) { Curve::Srgb } else { Curve::Linear };
+    let taken = Taken::of(encoding, &content, usual);
     let channels = content.channels;
-    let (bits, encoding, values) = match &content.samples {
-        Samples::F32(v) => (None, Encoding::Linear, planes(&content, channels, v, f64::from)),
-        Samples::F64(v) => (None, Encoding::Linear, planes(&content, channels, v, |v| v)),
-        Samples::Whole(v, bits) => (Some(*bits), deep, planes(&content, channels, v, |v| decoded(v, deep))),
+    let (bits, values) = match &content.samples {
+        Samples::F32(v) => (None, planes(&content, channels, v, |_, v| f64::from(v))),
+        Samples::F64(v) => (None, planes(&content, channels, v, |_, v| v)),
+        Samples::Whole(v, bits) => (Some(*bits), planes(&content, channels, v, |k, v| taken.curve.light(k, v))),
         Samples::U16(v) => {
-            let table = table(u16::MAX, deep);
-            (Some(16), deep, planes(&content, channels, v, |v| table[usize::from(v)]))
+            let table = tables(u16::MAX, &taken.curve, |v| v);
+            (Some(16), planes(&content, channels, v, |k, v| table[k][usize::from(v)]))
         }
         Samples::U8(v) => {
-            let encoding = encoding.unwrap_or(Encoding::Srgb);
-            let table = table(255, encoding);
-            (Some(8), encoding, planes(&content, channels, v, |v| table[usize::from(v)]))
+            let table = tables(255, &taken.curve, |v| v);
+            (Some(8), planes(&content, channels, v, |k, v| table[k][usize::from(v)]))
         }
     };
-    Ok((Planes { values, bits, encoding }, content.orientation))
+    // Floating point is linear.
+    let (encoding, taken) = if bits.is_some() { taken.words() } else { (Encoding::Linear, "linear") };
+    Ok((Planes { values, bits, encoding, taken }, content.orientation))
 }
 
-fn decoded(v: f64, encoding: Encoding) -> f64 {
-    match encoding {
-        Encoding::Srgb => linear_from_srgb(v),
-        Encoding::Linear => v,
-    }
-}
-
-/// Light of all sample values.
-fn table(top: u16, encoding: Encoding) -> Vec<f64> {
-    (0..=top).map(|v| decoded(f64::from(v) / f64::from(top), encoding)).collect()
+/// Light of all sample values of each channel.
+fn tables<T>(top: u16, curve: &Curve, value: impl Fn(f64) -> T) -> [Vec<T>; 3] {
+    let light = |channel: usize| (0..=top).map(move |v| (channel, f64::from(v) / f64::from(top)));
+    [0, 1, 2].map(|k| light(k).map(|(channel, v)| value(curve.light(channel, v))).collect())
 }
 
 /// Channel planes of interleaved samples; a single channel fills all that are asked for.
@@ -166,14 +216,14 @@ fn planes<S: Copy + Sync, T: Copy + Default + Send + Sync>(
     content: &Content,
     channels: usize,
     samples: &[S],
-    value: impl Fn(S) -> T + Sync,
+    value: impl Fn(usize, S) -> T + Sync,
 ) -> Array3<T> {
     let stored = content.channels;
     let mut out = Array3::from_elem((channels, content.rows, content.cols), T::default());
     let rows = samples.par_chunks((stored * content.cols).max(1));
     out.axis_iter_mut(Axis(1)).into_par_iter().zip(rows).for_each(|(mut to, from)| {
         for (c, pixel) in from.chunks_exact(stored).enumerate() {
-            (0..channels).for_each(|k| to[[k, c]] = value(pixel[k.min(stored - 1)]));
+            (0..channels).for_each(|k| to[[k, c]] = value(k, pixel[k.min(stored - 1)]));
         }
     });
     out
@@ -244,15 +294,22 @@ fn picture(path: &Path) -> Result<Content> {
             return Err(Error::bad(path.display().to_string(), "picture", found, "a whole JPEG"));
         }
     }
+    let png = reader.format() == Some(image::ImageFormat::Png);
     let mut decoder = reader.into_decoder().map_err(refused)?;
     room(path, &decoder)?;
+    let told = if png {
+        png_file::check_palette(path)?;
+        png_file::told(path)?
+    } else {
+        decoder.icc_profile().map_err(refused)?.and_then(|profile| Told::by_icc(&profile))
+    };
     let orientation = decoder.orientation().map_err(refused)?.to_exif();
     let picture = DynamicImage::from_decoder(decoder).map_err(refused)?;
     let (rows, cols) = (picture.height() as usize, picture.width() as usize);
     let channels = if picture.color().has_color() { 3 } else { 1 };
     if matches!(picture, DynamicImage::ImageRgb32F(_) | DynamicImage::ImageRgba32F(_)) {
         let samples = picture.into_rgb32f().into_raw();
-        return finite(path, Content { rows, cols, channels, samples: Samples::F32(samples), orientation });
+        return finite(path, Content { rows, cols, channels, samples: Samples::F32(samples), orientation, told });
     }
     let deep = picture.color().bytes_per_pixel() / picture.color().channel_count() > 1;
     let samples = match (deep, channels) {
@@ -261,7 +318,7 @@ fn picture(path: &Path) -> Result<Content> {
         (false, 1) => Samples::U8(picture.into_luma8().into_raw()),
         (false, _) => Samples::U8(picture.into_rgb8().into_raw()),
     };
-    Ok(Content { rows, cols, channels, samples, orientation })
+    Ok(Content { rows, cols, channels, samples, orientation, told })
 }
 
 /// Refuses a picture whose pixels there is no memory for, before they are asked for: as the decoder gives them, as they are converted, and the planes that are made of them.

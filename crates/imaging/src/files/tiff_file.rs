@@ -9,6 +9,7 @@ use tiff::tags::Tag;
 use tiff::{ColorType, TiffError};
 
 use super::content::{ALLOWED, Content, Samples, finite};
+use crate::develop::profile::Told;
 use isoplanat_base::error::{Error, Result};
 
 /// Bytes of a picture at most.
@@ -67,6 +68,8 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
     };
     let orientation = decoder.find_tag_unsigned::<u16>(Tag::Orientation).map_err(refused)?;
     let orientation = orientation.and_then(|v| u8::try_from(v).ok()).filter(|v| (1..=8).contains(v)).unwrap_or(1);
+    let profile = decoder.find_tag(Tag::IccProfile).map_err(refused)?;
+    let told = profile.and_then(|v| v.into_u8_vec().ok()).and_then(|profile| Told::by_icc(&profile));
     let mut result = DecodingResult::U8(Vec::new());
     let layout = decoder.read_image_to_buffer(&mut result).map_err(refused)?;
     if result.as_buffer(0).as_bytes().len() < layout.complete_len {
@@ -87,7 +90,7 @@ pub(super) fn read(path: &Path) -> Result<Option<Content>> {
         }
     };
     let samples = samples.ok_or_else(|| bad("fewer samples than pixels".into(), "a complete file"))?;
-    finite(path, Content { rows: rows as usize, cols: cols as usize, channels, samples, orientation }).map(Some)
+    finite(path, Content { rows: rows as usize, cols: cols as usize, channels, samples, orientation, told }).map(Some)
 }
 
 /// How samples lie.

@@ -67,6 +67,16 @@ pub enum Prior {
     Natural,
 }
 
+impl Prior {
+    /// In a word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::White => "white",
+            Self::Natural => "natural",
+        }
+    }
+}
+
 /// A filter tuned on a known scene.
 #[derive(Clone, Debug)]
 pub struct Tuned {

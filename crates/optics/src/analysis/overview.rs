@@ -9,7 +9,7 @@ use super::beam::{Beam, Landing, stop_points};
 use super::curves::{FieldRow, ZoneRow, object, over_field, over_zones};
 use super::diffraction::{self, Mtf, Plan, directions};
 use super::fan::{Fans, path, reference, transverse};
-use super::spot::{Spot, best_focus, encircled, geometric_mtf, joined, radius_of, spot};
+use super::spot::{Spot, best_focus, encircled, geometric_mtf_multiples, joined, radius_of, spot};
 use super::wavefront::Map;
 use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
@@ -292,12 +292,14 @@ impl View<'_> {
     }
 }
 
-/// Tangential and sagittal geometric MTF; not numbers without light.
+/// Tangential and sagittal geometric MTF at even frequencies from 0; not numbers without light.
 fn mtf(rays: &[Landing], cycles_per_mm: &[f64], dz: f64) -> Vec<Pair> {
     if rays.is_empty() {
         return vec![[f64::NAN; 2]; cycles_per_mm.len()];
     }
-    cycles_per_mm.iter().map(|f| [DVec2::Y, DVec2::X].map(|along| geometric_mtf(rays, along, *f, dz))).collect()
+    let step = cycles_per_mm.get(1).copied().unwrap_or_default();
+    let of = |along| geometric_mtf_multiples(rays, along, step, cycles_per_mm.len(), dz);
+    of(DVec2::Y).into_iter().zip(of(DVec2::X)).map(|(tangential, sagittal)| [tangential, sagittal]).collect()
 }
 
 /// Every so many of a curve's points, the ends included.

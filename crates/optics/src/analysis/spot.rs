@@ -83,6 +83,23 @@ pub fn geometric_mtf(landings: &[Landing], along: DVec2, cycles_per_mm: f64, dz:
     wave.map_or(0.0, |[c, s]| c.hypot(s))
 }
 
+/// [`geometric_mtf`] at `count` frequencies, the multiples of `step` (cycles/mm) from 0 on. The phase of each is that of the one before and once more the first: a turn in
+/// place of a sine and a cosine.
+pub fn geometric_mtf_multiples(landings: &[Landing], along: DVec2, step: f64, count: usize, dz: f64) -> Vec<f64> {
+    let Some(from) = landings.first().map(|l| l.at_focus(dz)) else { return vec![0.0; count] };
+    let (mut sums, mut light) = (vec![DVec2::ZERO; count], 0.0);
+    for l in landings {
+        light += l.weight;
+        let turn = DVec2::from_angle(TAU * step * (l.at_focus(dz) - from).dot(along));
+        let mut wave = DVec2::new(l.weight, 0.0);
+        for sum in &mut sums {
+            *sum += wave;
+            wave = turn.rotate(wave);
+        }
+    }
+    sums.iter().map(|sum| if light > 0.0 { sum.length() / light } else { 0.0 }).collect()
+}
+
 /// Distances from the centroid, rising, with the share of the light within each, `dz` mm behind the image plane.
 pub fn encircled(landings: &[Landing], dz: f64) -> Vec<[f64; 2]> {
     let Some(spot) = spot(landings, dz) else { return Vec::new() };
@@ -144,6 +161,19 @@ mod tests {
                 assert_abs(geometric_mtf(&rays, along, f, 0.0), (2.0 * j1(v) / v).abs(), 2e-4, "MTF of a disc");
             }
         }
+    }
+
+    /// Turns of phases are the sines and cosines of their multiples.
+    #[test]
+    fn multiples_of_a_frequency_are_frequencies() {
+        let rays = cone(3_000);
+        for (along, dz) in [(DVec2::X, 0.0), (DVec2::Y, 0.3)] {
+            let found = geometric_mtf_multiples(&rays, along, 2.5, 81, dz);
+            for (k, value) in found.iter().enumerate() {
+                assert_abs(*value, geometric_mtf(&rays, along, 2.5 * k as f64, dz), 1e-12, "a multiple");
+            }
+        }
+        assert_eq!(geometric_mtf_multiples(&[], DVec2::X, 1.0, 2, 0.0), [0.0, 0.0]);
     }
 
     #[test]

@@ -189,14 +189,23 @@ pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Ve
 ///
 /// # Errors
 /// As [`load_as`]; where neither a file nor a shipped lens has that name, the shipped ones are named.
-pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> Result<Imported> {
-    let path = Path::new(name_or_path);
-    let bare = path.extension().is_none() && path.components().count() == 1;
-    if bare && !path.exists() {
-        reading.of_one(name_or_path)?;
-        return Ok(Imported { lens: builtin::lens(name_or_path)?, notes: Vec::new() });
+pub fn lens_or_file(
+    name_or_path: &(impl AsRef<Path> + ?Sized),
+    glasses: &Glasses,
+    reading: Reading,
+) -> Result<Imported> {
+    let path = name_or_path.as_ref();
+    if path.as_os_str().is_empty() {
+        return Err(Error::bad("", "lens", "an empty name", "a lens file, or the name of a shipped lens"));
     }
-    load_as(path, glasses, reading)
+    let bare = path.extension().is_none() && path.components().count() == 1;
+    match path.to_str().filter(|_| bare && !path.exists()) {
+        Some(name) => {
+            reading.of_one(name)?;
+            Ok(Imported { lens: builtin::lens(name)?, notes: Vec::new() })
+        }
+        None => load_as(path, glasses, reading),
+    }
 }
 
 /// `lens`, made of the one of `name_or_path` by a change, with the clear semi-diameters that its file leaves out as the beams need them now: they belong to the lens as it
@@ -204,14 +213,14 @@ pub fn lens_or_file(name_or_path: &str, glasses: &Glasses, reading: Reading) -> 
 ///
 /// # Errors
 /// As [`load_as`].
-pub fn reopened(name_or_path: &str, lens: Lens, glasses: &Glasses) -> Result<Lens> {
-    let path = Path::new(name_or_path);
+pub fn reopened(name_or_path: &(impl AsRef<Path> + ?Sized), lens: Lens, glasses: &Glasses) -> Result<Lens> {
+    let path = name_or_path.as_ref();
     let own = path.extension().is_none_or(|e| e.eq_ignore_ascii_case("toml"));
     if !own || !path.exists() {
         return Ok(lens);
     }
     let text = isoplanat_base::atomic::read_text(path, LARGEST)?;
-    let marked = own::left_out(&text, name_or_path, glasses)?;
+    let marked = own::left_out(&text, &path.display().to_string(), glasses)?;
     if marked.len() != lens.surfaces.len() || !marked.contains(&true) {
         return Ok(lens);
     }

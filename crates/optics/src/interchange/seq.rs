@@ -29,7 +29,7 @@ const HARMLESS: [&str; 40] = [
 /// Solves that are kept as their value, which stands in the surface.
 const SOLVES: [&str; 6] = ["PIK", "UMY", "IMY", "UCY", "HCY", "CUM"];
 /// Fields and wavelengths at most.
-const MOST: usize = 64;
+const MOST: usize = 128;
 /// Beyond this an object is infinitely far, in the file's unit.
 const INFINITY: f64 = 1e9;
 

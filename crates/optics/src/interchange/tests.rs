@@ -2,7 +2,7 @@
 
 use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
 use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Medium, paraxial};
+use crate::lens::{Lens, Medium, builtin, paraxial};
 use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
 /// Focal length and sensor distance, mm.
@@ -329,4 +329,27 @@ fn what_could_not_be_read_again_is_not_written() {
     assert!(written("1.516468/64.2").is_ok());
     let error = written("1.516468/.2").expect_err("no glass").to_string();
     assert!(error.contains("could not be read again") && error.contains("V_d") && !error.contains('\n'), "{error}");
+}
+
+/// More wavelengths than another program reads are told, the reference one of no weight among them; what is written is all of them.
+#[test]
+fn more_wavelengths_than_a_program_reads_are_told() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    for (form, program, most) in [(Form::Zmx, "OpticStudio", 24), (Form::Seq, "CODE V", 21)] {
+        for (count, apart, told) in
+            [(most, false, false), (most, true, true), (most + 1, false, true), (100, false, true)]
+        {
+            let many = lens.changed(|l| {
+                l.wavelengths.nm = (0..count).map(|k| 450.0 + 200.0 * k as f64 / count as f64).collect();
+                l.wavelengths.weights = vec![1.0; count];
+                l.wavelengths.primary_nm = if apart { 587.5618 } else { l.wavelengths.nm[3] };
+            });
+            let many = many.expect("a lens");
+            let (text, notes) = text_of(&many, form, Glasses::shipped()).expect("writes");
+            let said = notes.iter().any(|n| n.contains(&format!("{program} reads {most} at most")));
+            assert_eq!(said, told, "{form:?} {count} {apart}: {notes:?}");
+            let read = parse(&text, form, "a", Glasses::shipped()).expect("reads").lens;
+            assert_eq!(read.wavelengths.nm.len(), count + usize::from(apart));
+        }
+    }
 }

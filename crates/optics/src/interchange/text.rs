@@ -14,6 +14,15 @@ pub(super) fn object_height(lens: &Lens) -> Option<f64> {
     }
 }
 
+/// What is told of a file with more wavelengths than its own program, which takes `most`, reads.
+pub(super) fn many_wavelengths(count: usize, program: &str, most: usize) -> Option<String> {
+    (count > most).then(|| {
+        format!(
+            "{count} wavelengths are written, and {program} reads {most} at most: there it is a lens for other light"
+        )
+    })
+}
+
 /// The words of one line.
 pub(super) struct Line<'a> {
     pub(super) file: &'a str,

@@ -7,6 +7,9 @@ use crate::lens::catalogue::Glasses;
 use crate::lens::{Aperture, Lens, Medium, paraxial};
 use isoplanat_base::error::{Error, Result};
 
+/// Wavelengths that CODE V takes.
+const MOST_WAVELENGTHS: usize = 21;
+
 /// The file's text, and notes on what it cannot say.
 pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<String>)> {
     super::text::on_one_axis(lens, "a CODE V file")?;
@@ -41,6 +44,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         colours.push((w.primary_nm, 0.0));
         colours.len() - 1
     });
+    notes.extend(super::text::many_wavelengths(colours.len(), "CODE V", MOST_WAVELENGTHS));
     let first = paraxial::first_order(lens, w.primary_nm);
     let list = |number: fn(&(f64, f64)) -> f64| colours.iter().map(|c| plain(number(c))).collect::<Vec<_>>().join(" ");
     let name: String = lens.name.split_whitespace().collect::<Vec<_>>().join(" ").replace('\'', "’");

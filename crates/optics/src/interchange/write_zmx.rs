@@ -8,6 +8,9 @@ use crate::lens::catalogue::Glasses;
 use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};
 use isoplanat_base::error::{Error, Result};
 
+/// Wavelengths that OpticStudio takes.
+const MOST_WAVELENGTHS: usize = 24;
+
 /// The file's text, and notes on what it cannot say.
 pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<String>)> {
     super::text::on_one_axis(lens, "a Zemax file")?;
@@ -50,6 +53,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     for (i, (nm, weight)) in colours.iter().enumerate() {
         let _ = writeln!(out, "WAVM {} {} {}", i + 1, micrometres(*nm), plain(*weight));
     }
+    notes.extend(super::text::many_wavelengths(colours.len(), "OpticStudio", MOST_WAVELENGTHS));
     let _ = writeln!(out, "PWAV {}", primary.unwrap_or(colours.len() - 1) + 1);
     let object = 1.0 / lens.object_vergence;
     let distance = if object.is_finite() { plain(object) } else { "INFINITY".into() };

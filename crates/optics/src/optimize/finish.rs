@@ -4,6 +4,7 @@ use super::constraint::{Quantity, Target};
 use super::problem::{KEPT, Problem, Stop};
 use super::solver::Solved;
 use crate::lens::{Lens, Parameter};
+use isoplanat_base::error::{Error, Result};
 
 /// A number that moved.
 #[derive(Clone, Debug, PartialEq)]
@@ -65,6 +66,22 @@ pub struct Outcome {
     pub wanted: Vec<(Target, f64)>,
     /// Root of the merit, mm, of better numbers that are no lens, and why they are none.
     pub refused: Option<(f64, String)>,
+}
+
+impl Outcome {
+    /// Refuses an outcome in which something that is held has no number: nobody can say how far it is from its bound. `file` names where the problem comes from.
+    ///
+    /// # Errors
+    /// As said, with the constraint.
+    pub fn require(&self, file: &str) -> Result<()> {
+        if self.violation.is_finite() {
+            return Ok(());
+        }
+        let lost = self.held.iter().find(|(_, _, value)| !value.is_finite());
+        let name = lost.map_or_else(|| "constraints".to_owned(), |(quantity, _, _)| quantity.name());
+        let found = "no number in the lens that was found";
+        Err(Error::bad(file, name, found, "a constraint on what the lens has: without it, or from another start"))
+    }
 }
 
 pub(super) struct Spent {

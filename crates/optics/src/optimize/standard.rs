@@ -153,11 +153,11 @@ impl Problem {
             self.known(t.quantity)?;
             let refuse =
                 |found: f64, allowed: &str| Err(Error::bad(file, t.quantity.name(), found.to_string(), allowed));
-            if !t.value.is_finite() || t.quantity.is_inverse() && t.value == 0.0 {
-                return refuse(t.value, "a finite value, of focal length and f-number other than 0");
+            if !(-LARGEST..=LARGEST).contains(&t.value) || t.quantity.is_inverse() && t.value == 0.0 {
+                return refuse(t.value, &format!("{NUMBERS}, of focal length and f-number other than 0"));
             }
-            if !(t.weight.is_finite() && t.weight >= 0.0) {
-                return refuse(t.weight, "a weight from 0 on, mm of rms a unit");
+            if !(0.0..=LARGEST).contains(&t.weight) {
+                return refuse(t.weight, "a weight from 0 to 1e12, mm of rms a unit");
             }
         }
         if self.bounds.len() != self.variables.parameters.len() {
@@ -185,12 +185,20 @@ impl Problem {
 
 /// Refuses bounds of `place` that no number satisfies.
 pub(super) fn check_bounds(file: &str, place: &str, [low, high]: [f64; 2]) -> Result<()> {
+    if let Some(far) = [low, high].into_iter().find(|b| b.is_finite() && b.abs() > LARGEST) {
+        return Err(Error::bad(file, place, far.to_string(), format!("{NUMBERS}, or a side left out (`..`)")));
+    }
     if low.is_nan() || high.is_nan() || low > high || low == f64::INFINITY || high == f64::NEG_INFINITY {
         let allowed = "a smallest value not above the largest";
         return Err(Error::bad(file, place, format!("{low} to {high}"), allowed));
     }
     Ok(())
 }
+
+/// What is held or wanted at most, in its own unit: beyond it what a lens misses has no digits left.
+const LARGEST: f64 = 1e12;
+/// The same in words.
+const NUMBERS: &str = "a number from -1e12 to 1e12";
 
 /// What thicknesses are measured by: the focal length, or the length of an afocal lens, mm.
 fn size(lens: &Lens) -> f64 {

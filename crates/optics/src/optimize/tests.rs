@@ -286,3 +286,42 @@ fn light_is_held_where_nobody_says_what_it_should_be() {
     let error = none.problem(&builtin::lens("two_element").expect("shipped"), "test").expect_err("dark").to_string();
     assert!(error.contains("working_f_number") && error.contains("above 0"), "{error}");
 }
+
+/// Numbers beyond all lenses are refused where they are read: what a lens misses of them has no digits.
+#[test]
+fn numbers_beyond_all_lenses_are_refused() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let names = ["focal_length", "track", "back_focus", "distortion", "edge_glass", "slope", "surface[0].centre"];
+    for name in names {
+        for value in ["1e308", "-1e308", "2e12", "..1e300", "-1e300..5", "nan", "inf", "-inf"] {
+            let range = spec::Range::parse(value, "test").expect("a range");
+            let spec = spec::Spec { constraints: [(name.to_owned(), range)].into(), ..spec::Spec::default() };
+            let error = spec.problem(&lens, "test").expect_err(value);
+            assert!(error.exit_code() == 2 && error.to_string().len() < 200, "{name} {value}: {error}");
+        }
+        for (value, weight) in [(1e308, 1.0), (1.0, 1e308), (f64::NAN, 1.0), (1.0, f64::INFINITY)] {
+            let wanted = spec::Wanted { value, weight };
+            let spec = spec::Spec { targets: [(name.to_owned(), wanted)].into(), ..spec::Spec::default() };
+            assert!(spec.problem(&lens, "test").is_err(), "{name}={value}@{weight}");
+        }
+    }
+    let range = spec::Range::parse("..1e12", "test").expect("a range");
+    let spec = spec::Spec { constraints: [("track".to_owned(), range)].into(), ..spec::Spec::default() };
+    assert!(spec.problem(&lens, "test").is_ok());
+    let range = spec::Range::parse("..1e200", "test").expect("a range");
+    let spec = spec::Spec { bounds: [("surface[0].thickness".to_owned(), range)].into(), ..spec::Spec::default() };
+    assert!(spec.problem(&lens, "test").is_err());
+}
+
+/// What is held and has no number at the end is an error that names it, and so is never a lens without a word.
+#[test]
+fn what_has_no_number_at_the_end_is_named() {
+    let lens = builtin::lens("cooke_triplet").expect("shipped");
+    let problem = Problem::standard(&lens);
+    let mut outcome = optimize(&problem, Limits { iterations: 2, ..Limits::default() }, &mut |_| true).expect("light");
+    outcome.require("test").expect("numbers");
+    outcome.violation = f64::INFINITY;
+    outcome.held.push((Quantity::Track, [1.0, 2.0], f64::NAN));
+    let error = outcome.require("test").expect_err("no number").to_string();
+    assert!(error.contains("test: track: no number"), "{error}");
+}

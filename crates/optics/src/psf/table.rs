@@ -182,7 +182,7 @@ fn failed(lens: &Lens, radius_mm: f64, f: Failure) -> Error {
     Error::bad(
         lens.name.clone(),
         format!("rays from the sensor, {radius_mm:.3} mm from the axis"),
-        format!("no ray gets through: {:?} at surface {} counted from the sensor", f.cause, f.surface),
+        format!("no ray gets through: {} at surface {} counted from the sensor", f.cause.words(), f.surface),
         "a lens whose stop the sensor sees",
     )
 }

@@ -82,14 +82,14 @@ pub fn request_from_json(text: &str, file: &str) -> Result<Request> {
         return Err(Error::bad(file, "wavelength_nm", request.wavelength_nm.to_string(), "200 to 20000 nm"));
     }
     for (i, ray) in request.rays.iter().enumerate() {
-        let d = DVec3::from(ray.direction);
-        if !ray.origin_mm.iter().all(|x| x.is_finite()) || d.try_normalize().is_none() {
-            return Err(Error::bad(
-                file,
-                format!("rays[{i}]"),
-                format!("{ray:?}"),
-                "finite numbers, a direction not zero",
-            ));
+        let refuse = |key: &str, found: [f64; 3], allowed: &str| {
+            Err(Error::bad(file, format!("rays[{i}].{key}"), found.map(|v| v.to_string()).join(", "), allowed))
+        };
+        if !ray.origin_mm.iter().all(|x| x.is_finite()) {
+            return refuse("origin_mm", ray.origin_mm, "three finite numbers");
+        }
+        if DVec3::from(ray.direction).try_normalize().is_none() {
+            return refuse("direction", ray.direction, "three finite numbers, not all 0, whose length is a number");
         }
     }
     Ok(request)

@@ -91,6 +91,16 @@ impl Cause {
             Self::NotConverged => "not_converged",
         }
     }
+
+    /// In words.
+    pub fn words(self) -> &'static str {
+        match self {
+            Self::Missed => "no intersection",
+            Self::Vignetted => "beyond the clear aperture",
+            Self::TotalReflection => "total reflection",
+            Self::NotConverged => "an intersection that was not found",
+        }
+    }
 }
 
 /// A failed ray: cause and surface (counted from 0; the image plane is the last).

@@ -3,9 +3,10 @@
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
 use std::os::unix::fs::{FileTypeExt, PermissionsExt, symlink};
+use std::path::PathBuf;
 use std::time::Instant;
 
-use super::super::{check_target, distinct, write_cached};
+use super::super::{check_target, distinct, outside, spares, write_cached, write_folder};
 use super::kills::child_at;
 use super::*;
 
@@ -53,6 +54,70 @@ fn the_mode_of_a_replaced_file_is_kept() {
         assert_eq!(text(&path), "new");
         fs::remove_file(&path).expect("removed");
     }
+}
+
+/// A writer that makes its file for its owner alone gives it the mode of any new file.
+#[test]
+fn a_file_of_another_writer_has_the_mode_of_a_new_file() {
+    let place = place();
+    let [usual, ours] = ["usual", "ours"].map(|name| place.path().join(name));
+    fs::write(&usual, "new").expect("writes");
+    let mode = |path: &Path| path.metadata().expect("there").permissions().mode() & 0o7777;
+    let fill = |at: &Path| {
+        fs::write(at, "new").expect("writes");
+        fs::set_permissions(at, fs::Permissions::from_mode(0o600)).expect("set");
+        Ok(())
+    };
+    publish_path(&ours, Replace::Never, fill).expect("published");
+    assert_eq!(mode(&ours), mode(&usual));
+    fs::set_permissions(&ours, fs::Permissions::from_mode(0o640)).expect("set");
+    publish_path(&ours, Replace::Always, fill).expect("published");
+    assert_eq!(mode(&ours), 0o640, "that of the file before");
+}
+
+#[test]
+fn inputs_are_spared() {
+    let place = place();
+    let at = |name: &str| place.path().join(name);
+    fs::write(at("lens.toml"), "lens").expect("writes");
+    fs::create_dir(at("photos")).expect("made");
+    fs::write(at("photos/a.png"), "a").expect("writes");
+    symlink(at("lens.toml"), at("link")).expect("linked");
+    fs::hard_link(at("lens.toml"), at("second")).expect("linked");
+    write_folder(&at("run"), "task.toml", false, |folder| {
+        fs::write(folder.join("task.toml"), "task").map_err(|e| Error::writing(folder, e))
+    })
+    .expect("written");
+    fs::write(at("run/own.csv"), "own").expect("writes");
+    let refused = |output: &str, inputs: &[&str]| {
+        let inputs: Vec<PathBuf> = inputs.iter().map(|i| at(i)).collect();
+        let inputs: Vec<&Path> = inputs.iter().map(PathBuf::as_path).collect();
+        spares(&at(output), &inputs).is_err()
+    };
+    for (output, inputs) in [
+        ("lens.toml", &["lens.toml"][..]),
+        ("photos/../lens.toml", &["photos", "lens.toml"]),
+        ("none/../lens.toml", &["lens.toml"]),
+        ("link", &["lens.toml"]),
+        ("lens.toml", &["link"]),
+        ("photos", &["photos/a.png"]),
+        ("photos", &["photos"]),
+        ("run/task.toml", &["run"]),
+    ] {
+        assert!(refused(output, inputs), "{output} {inputs:?}");
+    }
+    for (output, inputs) in [
+        ("new.toml", &["lens.toml"][..]),
+        ("second", &["lens.toml"]),
+        ("photos/new.csv", &["photos", "lens.toml"]),
+        ("run/own.csv", &["run"]),
+        ("run/new.csv", &["run"]),
+        ("lens.toml", &["cooke_triplet", ""]),
+    ] {
+        assert!(!refused(output, inputs), "{output} {inputs:?}");
+    }
+    assert!(spares(Path::new("/dev/null"), &[Path::new("/dev/null")]).is_ok());
+    assert!(outside(&at("run/new.png"), &at("run")).is_err() && outside(&at("new/new.png"), &at("run")).is_ok());
 }
 
 #[test]

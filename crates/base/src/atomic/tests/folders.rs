@@ -27,7 +27,8 @@ fn folders_appear_whole_and_foreign_folders_are_never_replaced() {
         assert_eq!(fs::read(folder.join("mark")).expect("kept"), b"two");
         let foreign = place.path().join("photos");
         fs::create_dir(&foreign).expect("made");
-        assert!(matches!(write_folder(&foreign, "mark", true, fill("x")), Err(Error::Exists(_))));
+        let refused = write_folder(&foreign, "mark", true, fill("x")).expect_err("of another kind").to_string();
+        assert!(refused.contains("without mark") && !refused.contains("--force"), "{refused}");
         assert!(matches!(write_folder(&foreign, "mark", false, fill("x")), Err(Error::Exists(_))));
         let late = place.path().join("late");
         let refused = write_folder(&late, "mark", false, |at| {

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 use std::process::{Command, ExitStatus, Stdio};
 
-use super::super::recover;
+use super::super::{abandon, recover};
 use super::*;
 
 /// What is written before and by the child that is killed; long enough for several writes.
@@ -55,6 +55,31 @@ fn child() {
     // The last place for a kill: all is done.
     let _ = fault::at("end");
     done.unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+#[ignore = "the process of the next test: whoever gives up writes nothing more"]
+fn giving_up() {
+    let place = PathBuf::from(std::env::var_os("ATOMIC_PATH").expect("started by another test"));
+    let kind = FolderKind::listed(MARKER);
+    let _ = publish_folder(&place.join("b"), &kind, Replace::Never, |folder| {
+        fs::write(folder.join(MARKER), "b").map_err(|e| Error::writing(folder, e))?;
+        publish_file(&place.join("a.csv"), Replace::Never, |_| -> Result<()> {
+            assert_eq!(names(&place).len(), 3, "a file, a folder and its lock: {:?}", names(&place));
+            abandon();
+            std::process::exit(7);
+        })
+    });
+}
+
+/// What is being written when a program has to end at once is cleared away.
+#[test]
+fn what_is_given_up_leaves_nothing() {
+    let place = tempfile::tempdir().expect("a temporary folder");
+    let mut command = child_at("", place.path(), Replace::Never, "", 0);
+    let status = command.args(["atomic::tests::kills::giving_up", "--skip", "kills::child"]).status().expect("starts");
+    assert_eq!(status.code(), Some(7));
+    assert!(names(place.path()).is_empty(), "{:?}", names(place.path()));
 }
 
 /// Kills a child at its first step, its second one and so on until it comes to its end; how many kills that were.

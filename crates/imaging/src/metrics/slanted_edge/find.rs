@@ -1,11 +1,14 @@
 //! The largest part of a picture that holds one straight edge and nothing else.
 //!
 //! Windows of falling size are laid over the picture, each seen at about forty cells a side. A window will do where one step
-//! across a straight line explains most of it, and a profile across that line nearly all of it but noise.
+//! across a straight line explains most of it, and a profile across that line nearly all of it but noise. Of a chart the window is taken whose edge is slanted:
+//! one along rows or columns cannot be measured, however large it stands there.
 
 use ndarray::{Array2, ArrayView2, Axis, s};
 use rayon::prelude::*;
 
+use super::line::Line;
+use super::refine;
 use super::samples::{Rectangle, Sample, Sites};
 use super::step::{self, Step};
 use isoplanat_base::error::{Error, Result};
@@ -20,8 +23,13 @@ const LEAST: usize = 24;
 const EXPLAINED: [f64; 2] = [0.75, 0.95];
 /// Least share of a window on either side of the edge.
 const SIDE: f64 = 0.12;
+/// Slant of an edge, degrees from rows and columns, and pixels that it crosses of them, from which it is surely slanted.
+const SLANT: f64 = 0.5;
+const CROSSED: f64 = 2.0;
+/// Windows of one size whose edge is looked at more closely, the best first.
+const TRIED: usize = 64;
 
-/// The largest window with one straight edge among the pixels of `plane` that count.
+/// The largest window with one straight edge among the pixels of `plane` that count; of those with a slanted edge, where there is one.
 ///
 /// # Errors
 /// A value that is not finite; a picture without such a window.
@@ -32,6 +40,7 @@ pub fn find_region<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: 
     check(plane, sites)?;
     let mut share = 1.0;
     let mut any = false;
+    let mut straight = None;
     while share == 1.0 || share * rows.max(columns) as f64 >= LEAST as f64 {
         let longer = (share * rows.max(columns) as f64) as usize;
         let size = [rows, columns].map(|n| n.min(if share == 1.0 { n } else { longer.max(LEAST) }));
@@ -47,29 +56,43 @@ pub fn find_region<T: Copy + Into<f64> + Sync>(plane: ArrayView2<'_, T>, sites: 
         let in_row = |row: usize| {
             let scores = columns_of.iter().filter_map(|&column| {
                 let part = cells.slice(s![row..row + window[0], column..column + window[1]]);
-                judged(part, noise).map(|score| (score, [row, column]))
+                judged(part, noise).map(|(score, line)| (score, line, [row, column]))
             });
-            scores.reduce(first_best)
+            scores.collect::<Vec<_>>()
         };
         let rows_of: Vec<_> = starts(cells.nrows(), window[0]).into_par_iter().map(in_row).collect();
-        let best = rows_of.into_iter().flatten().reduce(first_best);
-        if let Some((_, [row, column])) = best {
-            if share == 1.0 {
-                return Ok(Rectangle::whole((rows, columns)));
-            }
-            let [height, width] = [window[0] * side, window[1] * side];
-            return Ok(Rectangle { x: column * side, y: row * side, width, height });
+        let mut fitting: Vec<_> = rows_of.into_iter().flatten().collect();
+        // The first of equal ones.
+        fitting.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let [height, width] = window.map(|n| n * side);
+        let placed = |[row, column]: [usize; 2]| match share == 1.0 {
+            true => Rectangle::whole((rows, columns)),
+            false => Rectangle { x: column * side, y: row * side, width, height },
+        };
+        let slanted = fitting.iter().take(TRIED).find(|(_, line, [row, column])| {
+            let part = cells.slice(s![*row..row + window[0], *column..column + window[1]]);
+            is_slanted(refine::logistic(&samples(part), *line).0.angle, [width, height])
+        });
+        if let Some((_, _, at)) = slanted {
+            return Ok(placed(*at));
         }
+        straight = straight.or_else(|| fitting.first().map(|(_, _, at)| placed(*at)));
         share *= 0.75;
+    }
+    if let Some(region) = straight {
+        return Ok(region);
     }
     let found = if any { "no single straight edge was found" } else { "all pixels are equal" };
     let allowed = "a picture of a straight edge between two even areas, or a region (x,y,w,h) that holds one";
     Err(Error::bad("", "picture", found, allowed))
 }
 
-/// The better of two scores, the first of equal ones.
-fn first_best<P>(a: (f64, P), b: (f64, P)) -> (f64, P) {
-    if b.0 > a.0 { b } else { a }
+/// Whether an edge whose normal has this angle crosses rows or columns for certain in a window of so many columns and rows.
+fn is_slanted(angle: f64, [columns, rows]: [usize; 2]) -> bool {
+    let [across, along] = [angle.cos().abs(), angle.sin().abs()];
+    let length = if across > along { rows } else { columns };
+    let slant = across.min(along).atan2(across.max(along));
+    slant >= SLANT.to_radians() && slant.tan() * length as f64 >= CROSSED
 }
 
 /// Where windows of `size` start on `all` cells: a third of a window apart, the last at the end.
@@ -128,10 +151,14 @@ fn noise(cells: ArrayView2<'_, f64>) -> f64 {
     off.get(off.len() / 2).map_or(0.0, |m| m / (0.6745 * 1.25f64.sqrt()))
 }
 
-/// How well one edge explains a window; `None` where it does not.
-fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<f64> {
-    let sample = |((r, c), v): ((usize, usize), &f64)| Sample { x: c as f64, y: r as f64, value: *v };
-    let samples: Vec<Sample> = part.indexed_iter().map(sample).collect();
+/// The cells of a window.
+fn samples(part: ArrayView2<'_, f64>) -> Vec<Sample> {
+    part.indexed_iter().map(|((r, c), v)| Sample { x: c as f64, y: r as f64, value: *v }).collect()
+}
+
+/// How well one edge explains a window, and where it lies roughly; `None` where it does not.
+fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<(f64, Line)> {
+    let samples = samples(part);
     let centre = Rectangle::whole(part.dim()).centre();
     let Step { angle, offset, explained, contrast } = step::find(&samples, centre, 1.0)?;
     let count = samples.len() as f64;
@@ -154,5 +181,5 @@ fn judged(part: ArrayView2<'_, f64>, noise: f64) -> Option<f64> {
     let between: f64 = profile.iter().filter(|b| b[0] > 0.0).map(|b| b[0] * (b[1] / b[0] - mean).powi(2)).sum();
     let bright = samples.iter().filter(|s| place(s) > 0.0).count() as f64 / count;
     let fits = between >= EXPLAINED[1] * signal && (SIDE..=1.0 - SIDE).contains(&bright);
-    fits.then_some(between / total)
+    fits.then_some((between / total, Line { centre, angle, offset, curvature: 0.0 }))
 }

@@ -340,3 +340,31 @@ fn strips_are_looked_at() {
         assert!(error.contains("8 x 8 pixels"), "{size:?}: {error}");
     }
 }
+
+/// Of a chart the slanted edge is taken, however small it is beside one along the columns; where there is no other, that one is named as before.
+#[test]
+fn of_several_edges_the_slanted_one_is_found() {
+    let upright = Edge { deg: 0.0, size: [300, 200], ..PLAIN };
+    for deg in [5.0, -11.0] {
+        let edge = Edge { deg, ..PLAIN };
+        let [cos, sin] = edge.normal();
+        // Left of column 90 it is dark; right of it lies a darker square of 90 pixels, turned.
+        let picture = Array2::from_shape_fn((200, 300), |(r, c)| {
+            let (x, y) = (c as f64 - 200.0, r as f64 - 100.0);
+            let (u, v) = (x * cos + y * sin, y * cos - x * sin);
+            let side = |w: f64| edge.at(45.0 + w) * edge.at(45.0 - w);
+            0.1 + 0.6 * upright.at(c as f64 - 90.0) * (1.0 - 0.5 * side(u) * side(v))
+        });
+        let found = measure(picture.view(), &EdgeOptions::default()).expect("a slanted edge");
+        assert!(found.region.x >= 80, "{deg}: {:?}", found.region);
+        let off = (found.angle_deg.abs() - deg.abs()).abs().min((found.angle_deg.abs() - 90.0 + deg.abs()).abs());
+        assert!(off < 0.2, "{deg}: {}", found.angle_deg);
+        let error = found.mtf50.expect("falls").frequency / edge.crossing(0.5) - 1.0;
+        assert!(error.abs() < 0.02, "{deg}: {error}");
+    }
+    let alone = find_region(upright.picture(0.0, 1).view(), Sites::ALL).expect("an edge");
+    assert_eq!(alone, Rectangle::whole((200, 300)));
+    // Half a degree crosses 3.5 of 300 columns: the whole picture is measured.
+    let little = Edge { deg: 0.6, size: [300, 400], ..PLAIN };
+    assert_eq!(find_region(little.picture(0.0, 1).view(), Sites::ALL).expect("an edge"), Rectangle::whole((400, 300)));
+}

@@ -8,8 +8,8 @@ use crate::interchange::draft::{Draft, FieldKind, Point, Size};
 use crate::interchange::text::{Line, shown};
 use isoplanat_base::error::Result;
 
-/// Most field points and wavelengths that a file states.
-const MOST: usize = 64;
+/// Most field points and wavelengths that a file states: more than a lens has, so that what was written is read.
+const MOST: usize = 128;
 /// The d line, nm: what a model glass of `n_d`, `V_d` is stated at.
 const D_LINE_NM: f64 = 587.561_8;
 
