@@ -146,8 +146,8 @@ fn levels_beyond_all_samples_are_refused() {
     let mut steps = [0.0; ROWS];
     steps[0] = -8.5e37;
     for (wrong, words) in [
-        (stated(50716, &[-8.5e37; ROWS]), "a level of -85"),
-        (stated(50716, &steps), "a level of -85"),
+        (stated(50716, &[-8.5e37; ROWS]), "a level of -8.5e37"),
+        (stated(50716, &steps), "a level of -8.5e37"),
         (stated(50716, &[-4e9; ROWS]).longs(50717, &[1]), "black"),
         (base().longs(50714, &[4_294_967_040]).longs(50717, &[4_294_967_041]), "black"),
     ] {
