@@ -74,24 +74,24 @@ impl JointSettings {
     /// # Errors
     /// As [`Task::length`].
     pub fn of(task: &Task) -> Result<Self> {
-        let rate = if task.lens_steps == Steps::Rays { 1e-3 * task.lens_rate_um } else { task.lens_rate };
+        let rate = if task.lens.steps_by == Steps::Rays { 1e-3 * task.lens.rate_um } else { task.lens.rate };
         Ok(Self {
             length: task.length()?,
-            patch: task.patch_px,
-            batch: task.batch,
-            steps: task.lens_steps,
-            lens_rate: if task.freeze_lens { 0.0 } else { rate },
+            patch: task.pictures.patch_px,
+            batch: task.pictures.batch,
+            steps: task.lens.steps_by,
+            lens_rate: if task.lens.freeze { 0.0 } else { rate },
             // Nothing but the lens moves.
-            lens_share: if task.sensor_loss.is_some() { [0.0, 1.0] } else { task.lens_share },
-            network_rate: task.network_rate,
-            epochs: task.epochs,
-            vergences: task.depths_mm.iter().map(|d| d.recip()).collect(),
-            depth_power: task.depth_power,
-            spread: task.spread,
-            least_illumination: task.least_illumination,
-            sensor_loss: task.sensor_loss.clone(),
+            lens_share: if task.loss.sensor.is_some() { [0.0, 1.0] } else { task.lens.share },
+            network_rate: task.network.rate,
+            epochs: task.budget.epochs,
+            vergences: task.pictures.depths_mm.iter().map(|d| d.recip()).collect(),
+            depth_power: task.loss.depth_power,
+            spread: task.pictures.spread,
+            least_illumination: task.lens.least_illumination,
+            sensor_loss: task.loss.sensor.clone(),
             tolerances: task.stated_tolerances()?,
-            worst_of: task.worst_of,
+            worst_of: task.lens.worst_of,
             settings: None,
         })
     }

@@ -27,9 +27,9 @@ const SEED: u64 = 31;
 /// # Errors
 /// A folder of photographs that cannot be listed.
 pub(super) fn held_out(task: &Task) -> Result<Pictures> {
-    match &task.photos {
-        Some(folder) if task.keep_first > 0 => {
-            Ok(Pictures::Photos(Photos::open(folder)?.first(task.keep_first.min(PICTURES))))
+    match &task.pictures.photos {
+        Some(folder) if task.pictures.keep_first > 0 => {
+            Ok(Pictures::Photos(Photos::open(folder)?.first(task.pictures.keep_first.min(PICTURES))))
         }
         _ => Ok(Pictures::BuiltIn(SceneKind::Facades, PICTURES)),
     }

@@ -280,9 +280,10 @@ mod tests {
     /// A stage by images lowers its loss on pictures that it does not train on, repeats to the bit, and leaves its network alone.
     #[test]
     fn a_stage_by_images_moves_the_lens_alone() {
-        let mut task = Task { depths_mm: DEPTHS.to_vec(), sensor_loss: Some(loss()), ..Task::demo() };
-        (task.lens, task.sensor, task.warm_start, task.steps) = ("three_element".into(), None, false, Some(40));
-        (task.patch_px, task.batch, task.lens_rate_um) = (64, 2, 8.0);
+        let mut task = Task::demo();
+        (task.pictures.depths_mm, task.loss.sensor) = (DEPTHS.to_vec(), Some(loss()));
+        (task.lens.file, task.frame.raster, task.lens.warm_start, task.budget.steps) = ("three_element".into(), None, false, Some(40));
+        (task.pictures.patch_px, task.pictures.batch, task.lens.rate_um) = (64, 2, 8.0);
         let lens = small("three_element");
         let problem = prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem;
         let (textures, sensor) = (Textures::built_in(3, 3, 400), Sensor::generic());
