@@ -80,8 +80,10 @@ fn train(file: &Path, lens: &Path, kinds: &[Kind<'_>], [steps, seeds]: [&[u64]; 
                 let train = &mut task.train;
                 (train.network.inputs, train.network.base, train.budget.steps) = (kind.inputs, kind.base, Some(steps));
                 (train.budget.constant_epochs, train.budget.decay_epochs) = (1.0, 2.0);
-                (train.network.scales, train.pairs.count, train.pairs.region_px, train.pairs.patch_px) = (3, 160, 256, 192);
-                (train.budget.rate, train.loss.content, train.pairs.noise, train.pairs.haze) = (2e-3, "l1".into(), [1.0, 1.0], 0.0);
+                (train.network.scales, train.pairs.count, train.pairs.region_px, train.pairs.patch_px) =
+                    (3, 160, 256, 192);
+                (train.budget.rate, train.loss.content, train.pairs.noise, train.pairs.haze) =
+                    (2e-3, "l1".into(), [1.0, 1.0], 0.0);
                 (train.budget.sample_steps, train.budget.checkpoint_seconds) = (0, 3600.0);
                 let config =
                     UnetConfig { base: kind.base, inputs: kind.inputs, ..UnetConfig::bare(task.network.base_width, 3) };

@@ -508,8 +508,11 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
         short.train.budget.steps = whole.map(tenth);
         short.train.budget.minutes = short.train.budget.minutes.filter(|_| whole.is_none()).map(|m| TRIED * m);
         // No trial is all rise.
-        short.train.budget.rise_steps =
-            short.train.budget.steps.map_or(short.train.budget.rise_steps, |n| short.train.budget.rise_steps.min(n / 4));
+        short.train.budget.rise_steps = short
+            .train
+            .budget
+            .steps
+            .map_or(short.train.budget.rise_steps, |n| short.train.budget.rise_steps.min(n / 4));
         let run = folder.join("rate");
         let mut training = Training::create(short, &run, run.exists(), Compute::default(), crate::glasses::all())?;
         let mut losses = Vec::new();

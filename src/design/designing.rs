@@ -188,7 +188,11 @@ fn improved(
 
 /// How the device of a network was found to compute the steps of `task`; of a network that takes none there is nothing to find.
 fn checked(network: &mut Reconstructor, task: &Task) -> Result<Option<String>> {
-    if task.loss.sensor.is_some() { Ok(None) } else { network.check_device(task.pictures.batch, task.pictures.patch_px) }
+    if task.loss.sensor.is_some() {
+        Ok(None)
+    } else {
+        network.check_device(task.pictures.batch, task.pictures.patch_px)
+    }
 }
 
 /// A design under way.

@@ -49,7 +49,8 @@ pub fn of_design(task: &Task) -> Result<u64> {
 }
 
 fn of_part(task: &Task) -> Result<u64> {
-    let network = UnetConfig { base_width: task.network.base_width, ..UnetConfig::default() }.seeing(task.network.inputs);
+    let network =
+        UnetConfig { base_width: task.network.base_width, ..UnetConfig::default() }.seeing(task.network.inputs);
     // Patches of a step, or those that settings are chosen with, which are rendered more finely.
     let side = task.pictures.patch_px.min(JUDGED.1);
     let judged = if task.lens.freeze { 0 } else { product(&[threads(), side, side, 4, REGION]) };
@@ -66,7 +67,8 @@ fn of_part(task: &Task) -> Result<u64> {
     let each = REGION + RECORD * task.network.inputs.banks();
     let patches = product(&[count.max(threads()), seen, seen, each]).max(judged).saturating_add(cuts);
     let step = network.step_bytes(task.pictures.patch_px, batch);
-    let (count, side) = if task.pictures.keep_first > 0 { (task.pictures.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
+    let (count, side) =
+        if task.pictures.keep_first > 0 { (task.pictures.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);
     let design = sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.network.inputs)]);
     let judged = if task.loss.sensor.is_none() { of_verdict(task, &network)?.saturating_add(held_out) } else { 0 };
@@ -85,7 +87,8 @@ pub fn of_training(task: &Task) -> Result<u64> {
     // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
     // moments. VGG-19 as far as conv3_3, on two pictures.
     let d = t.loss.discriminator_width;
-    let critics = if t.loss.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
+    let critics =
+        if t.loss.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
     let vgg = if t.loss.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
     let step = network.step_bytes(t.pairs.patch_px, t.pairs.batch);
     let training = sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]);

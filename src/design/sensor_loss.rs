@@ -50,7 +50,12 @@ impl SensorLoss {
         };
         let count = depths_mm.len();
         if count < 2 {
-            return Err(Error::bad(file, "pictures.depths_mm", format!("{count} distances"), "two or more beside loss.sensor"));
+            return Err(Error::bad(
+                file,
+                "pictures.depths_mm",
+                format!("{count} distances"),
+                "two or more beside loss.sensor",
+            ));
         }
         if !depths_mm.contains(&self.reference_mm) {
             return bad("reference_mm", self.reference_mm.to_string(), format!("one of depths_mm: {depths_mm:?}"));

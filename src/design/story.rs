@@ -132,9 +132,11 @@ pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, f
     let moving = |f: fn(&Entry) -> f64| over(f).into_iter().filter(|p| p[1] > 0.0).collect::<Vec<_>>();
     let (words, notes) = words(task);
     let shown =
-        stage.camera().shown(held_out, task.pictures.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| Shown {
-            caption: format!("held-out patch {} from the axis outwards", k + 1),
-            pictures: notes.iter().cloned().zip(pictures).collect(),
+        stage.camera().shown(held_out, task.pictures.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| {
+            Shown {
+                caption: format!("held-out patch {} from the axis outwards", k + 1),
+                pictures: notes.iter().cloned().zip(pictures).collect(),
+            }
         });
     let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
     let mut facts = Vec::new();
@@ -181,7 +183,8 @@ pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, f
         settings.push(pair("distances", format!("power mean ({}) of the {said}", task.loss.depth_power)));
     }
     let each = task.loss.sensor.as_ref().map_or("", |_| ", each at every distance");
-    settings.push(pair("patches", format!("{} of {} pixels a step{each}", task.pictures.batch, task.pictures.patch_px)));
+    settings
+        .push(pair("patches", format!("{} of {} pixels a step{each}", task.pictures.batch, task.pictures.patch_px)));
     settings.push(match task.loss.sensor {
         Some(_) => {
             pair("network", "none: the lens is judged by its own images; `isoplanat train` makes one for it".into())

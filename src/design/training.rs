@@ -326,7 +326,8 @@ impl Training {
         let mut parts = (Vec::new(), Vec::new());
         for _ in 0..train.pairs.batch {
             let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
-            let (input, target) = cut(&self.electronics, &self.guide, &pair, train.pairs.patch_px, train.augmentation(), rng);
+            let (input, target) =
+                cut(&self.electronics, &self.guide, &pair, train.pairs.patch_px, train.augmentation(), rng);
             parts.0.push(input);
             parts.1.push(target);
         }
@@ -356,7 +357,11 @@ impl Training {
         }
         let compute = self.trainer.compute();
         let (mut trainer, facts) = Trainer::load(&path, &self.task.train.objective(), compute)?;
-        trainer.check_device(&self.task.train.objective(), self.task.train.pairs.batch, self.task.train.pairs.patch_px)?;
+        trainer.check_device(
+            &self.task.train.objective(),
+            self.task.train.pairs.batch,
+            self.task.train.pairs.patch_px,
+        )?;
         let then = State::from_facts(&facts, &path)?;
         self.state = State { returned: lost.returned, seconds: lost.seconds, settled: lost.settled, ..then };
         self.trainer = trainer;
@@ -498,8 +503,11 @@ impl Parts {
         };
         let pairs = Pairs::new(subject, &density, settings)?;
         let guide = guide.map_or_else(|| Guide::new(train.network.inputs, pairs.renderer(), &electronics), Ok)?;
-        let samples =
-            if train.budget.sample_steps > 0 { samples(&pairs, train.pairs.patch_px, &electronics, &guide)? } else { vec![] };
+        let samples = if train.budget.sample_steps > 0 {
+            samples(&pairs, train.pairs.patch_px, &electronics, &guide)?
+        } else {
+            vec![]
+        };
         Ok(Self { textures, electronics, pairs, guide, samples })
     }
 }

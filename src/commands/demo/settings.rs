@@ -76,7 +76,8 @@ impl Settings {
 
     /// The same path on a quarter of the pixels, twice as large, in a minute.
     fn quick(mut self) -> Self {
-        self.task.frame.raster = Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
+        self.task.frame.raster =
+            Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
         self.task.pictures.scenes = 12;
         (self.task.budget.steps, self.task.pictures.patch_px, self.task.pictures.batch) = (Some(200), 96, 1);
         let train = &mut self.task.train;
@@ -130,7 +131,10 @@ impl Settings {
             pair("Networks", format!("U-Nets, three scales, {} channels at the finest", self.task.network.base_width)),
             pair(
                 "Network of the capture alone",
-                format!("as the joint design left it, trained on for {} steps", self.task.train.budget.steps.unwrap_or(0)),
+                format!(
+                    "as the joint design left it, trained on for {} steps",
+                    self.task.train.budget.steps.unwrap_or(0)
+                ),
             ),
             pair(
                 "Guided network",

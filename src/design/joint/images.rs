@@ -282,7 +282,8 @@ mod tests {
     fn a_stage_by_images_moves_the_lens_alone() {
         let mut task = Task::demo();
         (task.pictures.depths_mm, task.loss.sensor) = (DEPTHS.to_vec(), Some(loss()));
-        (task.lens.file, task.frame.raster, task.lens.warm_start, task.budget.steps) = ("three_element".into(), None, false, Some(40));
+        (task.lens.file, task.frame.raster, task.lens.warm_start, task.budget.steps) =
+            ("three_element".into(), None, false, Some(40));
         (task.pictures.patch_px, task.pictures.batch, task.lens.rate_um) = (64, 2, 8.0);
         let lens = small("three_element");
         let problem = prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem;

@@ -127,7 +127,12 @@ impl LossTask {
         refusal.unless(depths_mm.len() >= 2, "loss.depth_power", power, allowed)?;
         let twice = depths_mm.iter().find(|d| depths_mm.iter().filter(|other| other == d).count() > 1);
         let allowed = "each distance once beside depth_power";
-        refusal.unless(twice.is_none(), "pictures.depths_mm", twice.map_or(String::new(), |d| format!("{d} twice")), allowed)
+        refusal.unless(
+            twice.is_none(),
+            "pictures.depths_mm",
+            twice.map_or(String::new(), |d| format!("{d} twice")),
+            allowed,
+        )
     }
 }
 

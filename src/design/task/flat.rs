@@ -85,7 +85,8 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         known.retain(|key| !key.contains('.'));
         known.extend(if below.is_empty() { &["schema", "stages", "train"][..] } else { &[] });
         known.sort_unstable();
-        let found = format!("unknown field `{}`, expected one of `{}`", unknown.trim_start_matches(below), known.join("`, `"));
+        let found =
+            format!("unknown field `{}`, expected one of `{}`", unknown.trim_start_matches(below), known.join("`, `"));
         Error::bad(file, place(text, &unknown), found, ALLOWED)
     })?;
     nested.insert("schema".into(), i64::from(SCHEMA).into());
@@ -175,7 +176,9 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
     let mut inside = Some(table.get_ref());
     for part in key.split('.') {
         let (name, number) = part.split_once('[').map_or((part, None), |(name, rest)| (name, rest.strip_suffix(']')));
-        let Some((key, value)) = inside.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == name)) else { break };
+        let Some((key, value)) = inside.and_then(|table| table.iter().find(|(key, _)| key.get_ref() == name)) else {
+            break;
+        };
         at = Some(key.span().start);
         let mut value = value;
         if let (Some(number), DeValue::Array(array)) = (number.and_then(|n| n.parse::<usize>().ok()), value.get_ref()) {

@@ -207,9 +207,12 @@ impl Task {
         match (self.budget.steps, self.budget.minutes) {
             (Some(n), _) => Ok(Length::Steps(n as u64)),
             (None, Some(m)) => Ok(Length::Seconds(60.0 * m)),
-            (None, None) => {
-                Err(Error::bad("", "budget.steps, budget.minutes", "neither", "exactly one of steps and minutes for a joint design"))
-            }
+            (None, None) => Err(Error::bad(
+                "",
+                "budget.steps, budget.minutes",
+                "neither",
+                "exactly one of steps and minutes for a joint design",
+            )),
         }
     }
 
@@ -312,7 +315,12 @@ impl Task {
     pub fn lens(&self, glasses: &Glasses) -> Result<Lens> {
         if MeasuredLens::is_at(Path::new(&self.lens.file)) {
             let allowed = "a lens with a prescription; `isoplanat train` takes measured ones";
-            return Err(Error::bad(&self.lens.file, "lens.file", "a measured lens, which has no surfaces to move", allowed));
+            return Err(Error::bad(
+                &self.lens.file,
+                "lens.file",
+                "a measured lens, which has no surfaces to move",
+                allowed,
+            ));
         }
         let lens = interchange::lens_or_file(&self.lens.file, glasses, Reading::default())?.lens;
         require_clear(&lens, &self.lens.file)?;
@@ -355,7 +363,9 @@ impl Task {
     /// Photographs that cannot be read.
     pub fn held_out(&self) -> Result<Textures> {
         match &self.pictures.photos {
-            Some(folder) if self.pictures.keep_first > 0 => Textures::photos_of(folder, 0, self.pictures.keep_first.min(24)),
+            Some(folder) if self.pictures.keep_first > 0 => {
+                Textures::photos_of(folder, 0, self.pictures.keep_first.min(24))
+            }
             _ => Ok(Textures::unseen(self.seed.wrapping_mul(1000) ^ 0x6865_6c64, 8, TEXTURE)),
         }
     }

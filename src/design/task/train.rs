@@ -208,7 +208,9 @@ impl TrainTask {
     }
 
     pub(super) fn critics(&self) -> Option<CriticConfig> {
-        self.loss.adversarial.then_some(CriticConfig { width: self.loss.discriminator_width, patch_px: self.pairs.patch_px })
+        self.loss
+            .adversarial
+            .then_some(CriticConfig { width: self.loss.discriminator_width, patch_px: self.pairs.patch_px })
     }
 
     /// What is minimised.

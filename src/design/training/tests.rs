@@ -7,7 +7,8 @@ fn task() -> Task {
     task.frame.raster = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
     task.pictures.scenes = 2;
     let train = &mut task.train;
-    (train.network.base_width, train.network.scales, train.pairs.patch_px, train.pairs.region_px) = (Some(4), 3, 32, 48);
+    (train.network.base_width, train.network.scales, train.pairs.patch_px, train.pairs.region_px) =
+        (Some(4), 3, 32, 48);
     (train.pairs.count, train.budget.steps, train.budget.sample_steps, train.budget.rate) = (3, Some(20), 10, 1e-3);
     task
 }
