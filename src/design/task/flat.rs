@@ -85,8 +85,11 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         known.retain(|key| !key.contains('.'));
         known.extend(if below.is_empty() { &["schema", "stages", "train"][..] } else { &[] });
         known.sort_unstable();
-        let found =
-            format!("unknown field `{}`, expected one of `{}`", unknown.trim_start_matches(below), known.join("`, `"));
+        let found = format!(
+            "unknown field `{}`, expected one of `{}`",
+            unknown.rsplit('.').next().unwrap_or_default(),
+            known.join("`, `")
+        );
         Error::bad(file, place(text, &unknown), found, ALLOWED)
     })?;
     nested.insert("schema".into(), i64::from(SCHEMA).into());
@@ -190,4 +193,224 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
         };
     }
     at.map(|start| 1 + text[..start.min(text.len())].matches('\n').count())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A file of both schemas that says the same is the same task: every key that schema 1 had, each with a value that is not its default.
+    #[test]
+    fn files_of_both_schemas_are_the_same_task() {
+        let flat = r#"
+            schema = 1
+            lens = "heliar"
+            sensor = { columns = 240, rows = 160, pitch_um = 40.0, axis_px = [0.0, 1.0] }
+            calibration = "sensor.toml"
+            photos = "photos"
+            scenes = 7
+            seed = 8
+            steps = 9
+            patch_px = 64
+            batch = 3
+            base_width = 11
+            inputs = ["wiener"]
+            asphere_power = 6
+            focus_all = true
+            search = 12
+            warm_start = false
+            lens_steps = "plain"
+            lens_rate_um = 3.0
+            lens_rate = 0.02
+            lens_share = [0.2, 0.7]
+            epochs = 13
+            least_illumination = 0.4
+            depths_mm = [500.0, inf]
+            depth_power = 5.0
+            sensor_loss = { reference_mm = 500.0, weights = [1.0, 2.0] }
+            tolerances = "tolerances.toml"
+            worst_of = 14
+            spread = "height"
+            keep_first = 15
+            checks = 16
+            checkpoint_seconds = 17.0
+            network_rate = 0.03
+            freeze_lens = true
+            optics = { vary = ["surface[0].conic"] }
+            [train]
+            start = "first"
+            base_width = 18
+            scales = 4
+            inputs = ["field"]
+            blocks = "gated"
+            base = "filtered"
+            patch_px = 32
+            batch = 19
+            pairs = 20
+            region_px = 48
+            cache_mib = 21
+            constant_epochs = 22.0
+            decay_epochs = 23.0
+            minutes = 24.0
+            rate = 0.04
+            rise_steps = 25
+            average = 0.5
+            loss = "l1"
+            vgg = "vgg"
+            adversarial = true
+            discriminator_width = 26
+            flips = false
+            noise = [0.1, 0.2]
+            haze = 0.3
+            depths_mm = [27.0]
+            checkpoint_seconds = 28.0
+            sample_steps = 29
+            [sweep]
+            radii = 0.01
+            [[stages]]
+            steps = 30
+            sensor_loss = { reference_mm = 600.0, weights = [3.0] }
+            optics = { fix = ["surface[1].conic"] }
+        "#;
+        let nested = r#"
+            schema = 2
+            seed = 8
+            [lens]
+            file = "heliar"
+            asphere_power = 6
+            focus_all = true
+            search = 12
+            warm_start = false
+            freeze = true
+            steps_by = "plain"
+            rate_um = 3.0
+            rate = 0.02
+            share = [0.2, 0.7]
+            least_illumination = 0.4
+            tolerances = "tolerances.toml"
+            worst_of = 14
+            [frame]
+            raster = { columns = 240, rows = 160, pitch_um = 40.0, axis_px = [0.0, 1.0] }
+            calibration = "sensor.toml"
+            [pictures]
+            photos = "photos"
+            keep_first = 15
+            scenes = 7
+            depths_mm = [500.0, inf]
+            patch_px = 64
+            batch = 3
+            spread = "height"
+            [network]
+            base_width = 11
+            inputs = ["wiener"]
+            rate = 0.03
+            [loss]
+            depth_power = 5.0
+            sensor = { reference_mm = 500.0, weights = [1.0, 2.0] }
+            [budget]
+            steps = 9
+            epochs = 13
+            checks = 16
+            checkpoint_seconds = 17.0
+            [optics]
+            vary = ["surface[0].conic"]
+            [sweep]
+            radii = 0.01
+            [[stages]]
+            budget.steps = 30
+            loss.sensor = { reference_mm = 600.0, weights = [3.0] }
+            optics.fix = ["surface[1].conic"]
+            [train]
+            start = "first"
+            [train.network]
+            base_width = 18
+            scales = 4
+            inputs = ["field"]
+            blocks = "gated"
+            base = "filtered"
+            [train.pairs]
+            count = 20
+            region_px = 48
+            patch_px = 32
+            batch = 19
+            cache_mib = 21
+            flips = false
+            noise = [0.1, 0.2]
+            haze = 0.3
+            depths_mm = [27.0]
+            [train.loss]
+            content = "l1"
+            vgg = "vgg"
+            adversarial = true
+            discriminator_width = 26
+            [train.budget]
+            constant_epochs = 22.0
+            decay_epochs = 23.0
+            minutes = 24.0
+            rate = 0.04
+            rise_steps = 25
+            average = 0.5
+            checkpoint_seconds = 28.0
+            sample_steps = 29
+        "#;
+        let read = |text| Task::parse(text, "a.toml").expect("a task");
+        assert_eq!(format!("{:?}", read(flat)), format!("{:?}", read(nested)));
+        // What is written is read again.
+        let written = toml::to_string(&read(nested)).expect("text");
+        assert_eq!(format!("{:?}", read(&written)), format!("{:?}", read(nested)));
+        // Each key of the list is in the file above, and says something.
+        let stated = |key: &&(&str, &str)| {
+            let name = key.0.trim_start_matches("train.");
+            flat.contains(&format!("{name} = ")) || flat.contains(&format!("[{name}]"))
+        };
+        let left: Vec<_> = KEYS.iter().filter(|key| !stated(key)).map(|key| key.0).collect();
+        assert!(left.is_empty(), "{left:?}");
+    }
+
+    #[test]
+    fn refusals_are_in_the_words_of_the_file() {
+        let of = |more: &str| format!("schema = 1\nlens = \"two_element\"\n{more}");
+        let parse = |more: &str| Task::parse(&of(more), "a.toml").expect_err(more).to_string();
+        for (more, begins, has) in [
+            ("pach_px = 64", "a.toml: line 3: pach_px: unknown field `pach_px`", "`patch_px`"),
+            ("[train]\npair = 3", "a.toml: line 4: train.pair: unknown field `pair`", "`pairs`"),
+            ("patch_px = \"big\"", "a.toml: line 3: patch_px: invalid type", "usize"),
+            ("[train]\nsteps = -3", "a.toml: line 4: train.steps: invalid value", "u64"),
+            ("sensor = { colums = 3 }", "a.toml: line 3: sensor", "colums"),
+            (
+                "[[stages]]\nsteps = 3\n[[stages]]\npach = 3",
+                "a.toml: line 6: stages[1].pach: unknown field `pach`",
+                "`patch_px`",
+            ),
+            ("train = 3", "a.toml: line 3: train", "invalid type"),
+            ("stages = 3", "a.toml: line 3: stages", "invalid type"),
+            ("lens.file = 3", "a.toml: line 3", "dotted key"),
+        ] {
+            let error = parse(more);
+            assert!(error.starts_with(begins) && error.contains(has) && !error.contains('\n'), "{error}");
+        }
+        let check = |more: &str| {
+            let task = Task::parse(&of(more), "a.toml").expect(more);
+            task.check("a.toml").map_err(in_its_words).expect_err(more).to_string()
+        };
+        for (more, message) in [
+            ("patch_px = 3", "a.toml: patch_px: 3; a multiple of 4 from 32 to 1024"),
+            ("lens_rate_um = -1.0", "a.toml: lens_rate_um: -1; above 0, at most 10000"),
+            ("lens_rate = 2.0", "a.toml: lens_rate: 2; above 0, below 1"),
+            ("steps = 3\nminutes = 3.0", "a.toml: steps, minutes: both; one of steps and minutes"),
+            ("depth_power = 3.0", "a.toml: depth_power: 3; 1 where depths_mm has fewer than two distances"),
+            ("[train]\npatch_px = 3", "a.toml: train.patch_px: 3; a multiple of 64 (for 7 scales) from 16 to 1024"),
+            ("[[stages]]\nlens_rate = 2.0", "a.toml: stages[0].lens_rate: 2; above 0, below 1"),
+        ] {
+            assert_eq!(check(more), message);
+        }
+    }
+
+    #[test]
+    fn other_schemas_are_refused() {
+        for (text, found) in [("schema = 3", "3"), ("lens.file = \"a\"", "none"), ("schema = \"1\"", "\"1\"")] {
+            let error = Task::parse(text, "a.toml").expect_err(text).to_string();
+            assert_eq!(error, format!("a.toml: schema: {found}; 1 or 2"));
+        }
+    }
 }

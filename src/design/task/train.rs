@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::design::pairs::Augmentation;
 use crate::design::schedule::{Length, Schedule};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::Result;
 use isoplanat_card::Blocks;
 use isoplanat_imaging::guide::Inputs;
 use isoplanat_network::critic::CriticConfig;
