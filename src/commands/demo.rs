@@ -9,10 +9,10 @@ use std::time::Instant;
 
 use isoplanat::deploy::kit::LensEntry;
 use isoplanat::deploy::session::Options;
-use isoplanat::design::designing::prepare;
+use isoplanat::design::joint::designing::prepare;
+use isoplanat::design::joint::run::{JointSettings, joint_stage, network};
+use isoplanat::design::joint::scenery::Scenery;
 use isoplanat::design::memory;
-use isoplanat::design::run::{JointSettings, joint_stage, network};
-use isoplanat::design::scenery::Scenery;
 use isoplanat::design::subject::{Calibration, Subject};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;

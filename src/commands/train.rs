@@ -3,11 +3,11 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::design::evaluate::verdict::verdicts;
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::{Status, Training};
-use isoplanat::design::verdict::verdicts;
 use isoplanat::network::Compute;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};

@@ -4,10 +4,10 @@
 //! Discriminators and VGG-19 add their features.
 
 use super::data::{LARGEST, TEXTURE};
+use super::evaluate::verdict;
 use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
-use super::run::JUDGED;
+use super::joint::run::JUDGED;
 use super::task::Task;
-use super::verdict;
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{BASE, product, threads};
 use isoplanat_imaging::guide::{Filters, Inputs};

@@ -1,11 +1,11 @@
 use super::*;
-use crate::design::as_built::AsBuilt;
 use crate::design::data::Textures;
-use crate::design::designing::prepare;
-use crate::design::judge::Camera;
-use crate::design::lens_steps::{LensSteps, Steps};
-use crate::design::run::{JointSettings, Stage, joint_stage, network};
-use crate::design::scenery::Scenery;
+use crate::design::joint::as_built::AsBuilt;
+use crate::design::joint::designing::prepare;
+use crate::design::joint::judge::Camera;
+use crate::design::joint::lens_steps::{LensSteps, Steps};
+use crate::design::joint::run::{JointSettings, Stage, joint_stage, network};
+use crate::design::joint::scenery::Scenery;
 use crate::design::schedule::Length;
 use crate::design::task::Task;
 use crate::design::task::stated::Stated;
@@ -187,7 +187,7 @@ fn a_stage_goes_on_from_its_state() {
             let network = Reconstructor::load(&path).expect("read");
             assert_eq!(network.parameters(), first.joint.network.parameters());
             let mut second = Stage::new(&scenery, &problem, network, settings.clone()).expect("starts");
-            let state = crate::design::state::State::from_text(&text, "state").expect("own text");
+            let state = crate::design::joint::state::State::from_text(&text, "state").expect("own text");
             second.restore(&scenery, &state).expect("goes on");
             assert_eq!(second.joint.lens, first.joint.lens, "{steps:?}, left at {left}");
             assert_eq!(second.renderer().plan, first.renderer().plan, "{steps:?}, left at {left}");

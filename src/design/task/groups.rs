@@ -5,9 +5,9 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::stated::Stated;
-use crate::design::lens_steps::Steps;
+use crate::design::joint::lens_steps::Steps;
+use crate::design::joint::sensor_loss::SensorLoss;
 use crate::design::places::Spread;
-use crate::design::sensor_loss::SensorLoss;
 use isoplanat_imaging::guide::Inputs;
 
 /// `[lens]`: which lens, what is done to it before the joint stage, and how it moves there.

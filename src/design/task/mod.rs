@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use super::bound::require_agreement;
-use super::data::{TEXTURE, Textures};
-use super::folder::MARKER;
-use super::schedule::Length;
-use super::subject::Subject;
+use crate::design::bound::require_agreement;
+use crate::design::data::{TEXTURE, Textures};
+use crate::design::folder::MARKER;
+use crate::design::schedule::Length;
+use crate::design::subject::Subject;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::calibrate::lens::MeasuredLens;

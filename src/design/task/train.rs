@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::design::pairs::Augmentation;
 use crate::design::schedule::{Length, Schedule};
+use crate::design::training::pairs::Augmentation;
 use isoplanat_base::error::Result;
 use isoplanat_card::Blocks;
 use isoplanat_imaging::guide::Inputs;

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::data::Textures;
 use super::run::Stage;
 use super::scenery::Entry;
-use super::task::Task;
+use crate::design::data::Textures;
+use crate::design::task::Task;
 use crate::report::design::{DesignPage, Moment, Shown, Words};
 use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
@@ -23,7 +23,7 @@ const FIELDS: usize = 7;
 const SHOWN: usize = 4;
 
 /// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
-pub(super) const WORSE_DB: f64 = 0.1;
+pub(in crate::design) const WORSE_DB: f64 = 0.1;
 
 /// A judgement, as `history.jsonl` holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -71,12 +71,12 @@ impl Judgement {
     /// A history that cannot be read.
     pub fn read(folder: &Path) -> Result<Vec<Self>> {
         let path = folder.join("history.jsonl");
-        let text = if path.exists() { atomic::read_text(&path, super::log::LARGEST)? } else { String::new() };
+        let text = if path.exists() { atomic::read_text(&path, crate::design::log::LARGEST)? } else { String::new() };
         Self::of(&text, &path.display().to_string())
     }
 
     /// Those of a text; `file` names it.
-    pub(super) fn of(text: &str, file: &str) -> Result<Vec<Self>> {
+    pub(in crate::design) fn of(text: &str, file: &str) -> Result<Vec<Self>> {
         let one = |(k, line): (usize, &str)| {
             serde_json::from_str(line).map_err(|e| {
                 Error::bad(
@@ -101,16 +101,22 @@ impl Judgement {
 
 /// What a page tells beside the state of its design.
 #[derive(Clone, Copy)]
-pub(super) struct Told<'a> {
-    pub(super) held_out: &'a Textures,
-    pub(super) history: &'a [Judgement],
-    pub(super) log: &'a [Entry],
+pub(in crate::design) struct Told<'a> {
+    pub(in crate::design) held_out: &'a Textures,
+    pub(in crate::design) history: &'a [Judgement],
+    pub(in crate::design) log: &'a [Entry],
     /// What the finished network is worth, a line a distance.
-    pub(super) verdict: &'a [String],
+    pub(in crate::design) verdict: &'a [String],
 }
 
 /// The page of a design in `folder`.
-pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, first: &Lens) -> Result<String> {
+pub(in crate::design) fn page(
+    folder: &Path,
+    task: &Task,
+    stage: &Stage,
+    told: &Told<'_>,
+    first: &Lens,
+) -> Result<String> {
     let Told { held_out, history, log, verdict } = *told;
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;

@@ -5,6 +5,8 @@
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
 
+pub mod pairs;
+
 mod guard;
 mod state;
 
@@ -15,16 +17,16 @@ use std::time::Instant;
 
 use ndarray::{Array4, Axis, s};
 
-use super::bound::{Bound, guide_of};
-use super::data::Textures;
-use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
-use super::going::{Stepped, Work, run_to_end};
-use super::log::{Entry, HEADER, Log};
-use super::pairs::{Augmentation, PairSettings, Pairs, cut};
-use super::schedule::Schedule;
-use super::subject::Subject;
-use super::task::Task;
-use super::task::train::NETWORK;
+use self::pairs::{Augmentation, PairSettings, Pairs, cut};
+use crate::design::bound::{Bound, guide_of};
+use crate::design::data::Textures;
+use crate::design::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
+use crate::design::going::{Stepped, Work, run_to_end};
+use crate::design::log::{Entry, HEADER, Log};
+use crate::design::schedule::Schedule;
+use crate::design::subject::Subject;
+use crate::design::task::Task;
+use crate::design::task::train::NETWORK;
 use crate::report::picture_sheet::picture_sheet;
 use guard::Guard;
 use isoplanat_base::atomic;
@@ -539,7 +541,7 @@ fn samples(
             let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
             let patch = unseen.place(rng, frame, &renderer.optics.maps[0], region);
-            let pair = super::pairs::render_pair(renderer, &patch)?;
+            let pair = self::pairs::render_pair(renderer, &patch)?;
             Ok(cut(electronics, guide, &pair, side, Augmentation::NONE, rng))
         })
         .collect()
