@@ -69,7 +69,7 @@ fn train(file: &Path, lens: &Path, kinds: &[Kind<'_>], [steps, seeds]: [&[u64]; 
     let lens = interchange::load(lens, Glasses::shipped()).expect("a lens").lens;
     let subject = Subject::from(lens);
     let mut base = Task::demo();
-    base.sensor = None;
+    base.frame.raster = None;
     let frames = Frames::of(&subject, &base.sensor().expect("generic"), every);
     let mut out = OpenOptions::new().create(true).append(true).open(file).expect("writable");
     for &seed in seeds {
@@ -78,13 +78,15 @@ fn train(file: &Path, lens: &Path, kinds: &[Kind<'_>], [steps, seeds]: [&[u64]; 
                 let mut task = base.clone();
                 task.seed = seed;
                 let train = &mut task.train;
-                (train.inputs, train.base, train.steps) = (kind.inputs, kind.base, Some(steps));
-                (train.constant_epochs, train.decay_epochs) = (1.0, 2.0);
-                (train.scales, train.pairs, train.region_px, train.patch_px) = (3, 160, 256, 192);
-                (train.rate, train.loss, train.noise, train.haze) = (2e-3, "l1".into(), [1.0, 1.0], 0.0);
-                (train.sample_steps, train.checkpoint_seconds) = (0, 3600.0);
+                (train.network.inputs, train.network.base, train.budget.steps) = (kind.inputs, kind.base, Some(steps));
+                (train.budget.constant_epochs, train.budget.decay_epochs) = (1.0, 2.0);
+                (train.network.scales, train.pairs.count, train.pairs.region_px, train.pairs.patch_px) =
+                    (3, 160, 256, 192);
+                (train.budget.rate, train.loss.content, train.pairs.noise, train.pairs.haze) =
+                    (2e-3, "l1".into(), [1.0, 1.0], 0.0);
+                (train.budget.sample_steps, train.budget.checkpoint_seconds) = (0, 3600.0);
                 let config =
-                    UnetConfig { base: kind.base, inputs: kind.inputs, ..UnetConfig::bare(task.base_width, 3) };
+                    UnetConfig { base: kind.base, inputs: kind.inputs, ..UnetConfig::bare(task.network.base_width, 3) };
                 let network = Reconstructor::new(config, seed).expect("valid");
                 let place = tempfile::tempdir().expect("a temporary folder");
                 let textures = task.textures().expect("built in");

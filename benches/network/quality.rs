@@ -44,7 +44,7 @@ pub(crate) fn print(steps: u64) {
         let place = tempfile::tempdir().expect("a temporary folder");
         let run = place.path().join("run");
         let mut task = task.clone();
-        (task.train.base_width, task.train.scales) = (Some(base_width), scales);
+        (task.train.network.base_width, task.train.network.scales) = (Some(base_width), scales);
         let mut training = Training::create(task, &run, false, Compute::Cpu, Glasses::shipped()).expect("a task");
         let clock = Instant::now();
         training.run(&mut |_| true).expect("trains");
@@ -98,8 +98,8 @@ pub(crate) fn print(steps: u64) {
 fn task(steps: u64) -> Task {
     let mut task = Task::demo();
     let train = &mut task.train;
-    (train.patch_px, train.region_px, train.pairs, train.steps) = (128, 192, 100, Some(steps));
-    (train.rate, train.sample_steps, train.haze, train.noise) = (1e-3, 0, 0.0, [1.0, 1.0]);
+    (train.pairs.patch_px, train.pairs.region_px, train.pairs.count, train.budget.steps) = (128, 192, 100, Some(steps));
+    (train.budget.rate, train.budget.sample_steps, train.pairs.haze, train.pairs.noise) = (1e-3, 0, 0.0, [1.0, 1.0]);
     task
 }
 

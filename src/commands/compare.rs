@@ -114,8 +114,8 @@ impl Kind {
         let mut task = task.clone();
         match self {
             Self::Task => {}
-            Self::Paper => (task.train.scales, task.train.inputs) = (3, Inputs::BARE),
-            Self::Guided => task.train.inputs = Inputs::GUIDED,
+            Self::Paper => (task.train.network.scales, task.train.network.inputs) = (3, Inputs::BARE),
+            Self::Guided => task.train.network.inputs = Inputs::GUIDED,
         }
         task
     }
@@ -160,7 +160,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             let bytes = memory::of_evaluation(&camera.task.train.config()?, &pictures, &edges, size, false)?;
             crate::memory::limit().allow("the slanted edges", bytes, "no --edges, or a smaller network")?;
         }
-        let instead = "a smaller train.patch_px, batch or base_width";
+        let instead = "a smaller train.pairs.patch_px, batch or base_width";
         crate::memory::limit().allow("the training", memory::of_training(&camera.task)?, instead)?;
     }
     let asked_for = asked_for(args, &task, &cameras)?;
@@ -227,32 +227,33 @@ fn apart(entrants: &mut [Entrant], cameras: &[Camera]) {
 /// The task, with the command line's changes.
 fn task(args: &Args) -> Result<Task> {
     let mut task = match &args.other {
-        Some(_) => Task { lens: args.subject.display().to_string(), sensor: None, ..Task::demo() },
+        Some(_) => Task::new(args.subject.display().to_string()),
         None if args.subject.is_dir() => Task::of_run(&args.subject)?,
         None => Task::load(&args.subject)?,
     };
     if args.other.is_some() {
         // No task says how: as the shipped ones train.
         let train = &mut task.train;
-        (train.scales, train.base_width, train.loss, train.rate) = (4, Some(16), "l1".into(), 1e-3);
-        (train.patch_px, train.region_px, train.pairs, train.rise_steps) = (192, 256, 240, 50);
-        (train.constant_epochs, train.decay_epochs, train.minutes) = (1.0, 2.0, Some(15.0));
-        (train.noise, train.haze) = ([1.0, 1.0], 0.0);
+        (train.network.scales, train.network.base_width) = (4, Some(16));
+        (train.loss.content, train.budget.rate) = ("l1".into(), 1e-3);
+        (train.pairs.patch_px, train.pairs.region_px, train.pairs.count, train.budget.rise_steps) = (192, 256, 240, 50);
+        (train.budget.constant_epochs, train.budget.decay_epochs, train.budget.minutes) = (1.0, 2.0, Some(15.0));
+        (train.pairs.noise, train.pairs.haze) = ([1.0, 1.0], 0.0);
     }
     if args.minutes.is_some() || args.steps.is_some() {
-        (task.train.minutes, task.train.steps) = (args.minutes, args.steps);
+        (task.train.budget.minutes, task.train.budget.steps) = (args.minutes, args.steps);
     }
     if let Some(photos) = &args.train_photos {
-        task.photos = Some(photos.clone());
+        task.pictures.photos = Some(photos.clone());
     }
     if let Some(rate) = args.rates.first() {
-        task.train.rate = *rate;
+        task.train.budget.rate = *rate;
     }
     if let Some(rate) = args.rates.iter().find(|r| !(**r > 0.0 && **r < 1.0)) {
         return Err(Error::bad("--rates", "value", rate.to_string(), "above 0, below 1"));
     }
     // It is not looked at on its way.
-    task.train.sample_steps = 0;
+    task.train.budget.sample_steps = 0;
     task.check(&args.subject.display().to_string())?;
     Ok(task)
 }
@@ -298,7 +299,8 @@ fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
 fn asked_for(args: &Args, task: &Task, cameras: &[Camera]) -> Result<String> {
     let (textures, sensor) = (task.textures()?.sha256(), task.sensor()?);
     // The lens is among the cameras, as its numbers are.
-    let task = Task { lens: "first".into(), ..task.clone() };
+    let mut task = task.clone();
+    task.lens.file = "first".into();
     let camera = |c: &Camera| {
         let lens = c.lens.as_ref().map_or_else(ToString::to_string, |p| p.lens.sha256());
         [c.named.clone(), c.network.clone(), lens]
@@ -344,13 +346,13 @@ fn begin(args: &Args, asked_for: &str) -> Result<()> {
 fn settings(args: &Args, task: &Task, first: &Lens) -> Vec<[String; 2]> {
     let pair = |a: &str, b: String| [a.to_owned(), b];
     let train = &task.train;
-    let length = match (train.steps, train.minutes) {
+    let length = match (train.budget.steps, train.budget.minutes) {
         (Some(n), _) => format!("{n} steps"),
         (None, Some(m)) => format!("{m} minutes"),
-        (None, None) => format!("{} epochs", train.constant_epochs + train.decay_epochs),
+        (None, None) => format!("{} epochs", train.budget.constant_epochs + train.budget.decay_epochs),
     };
     let rates = match args.rates.as_slice() {
-        [] | [_] => significant(train.rate, 3),
+        [] | [_] => significant(train.budget.rate, 3),
         many => {
             let all: Vec<String> = many.iter().map(|r| significant(*r, 3)).collect();
             format!("the best of {} after a tenth of the steps, for each camera by itself", all.join(", "))
@@ -398,10 +400,11 @@ impl Camera {
         std::fs::create_dir_all(&folder).map_err(|e| Error::writing(&folder, e))?;
         let lens = folder.join("lens.toml");
         prescription::save(&placed.lens, &lens)?;
-        let mut task = Task { lens: lens.display().to_string(), sensor: None, asphere_power: 0, ..self.task.clone() };
+        let mut task = self.task.clone();
+        (task.lens.file, task.lens.asphere_power, task.frame.raster) = (lens.display().to_string(), 0, None);
         let network = folder.join("network");
         if !network.join("task.toml").is_file() && args.rates.len() > 1 {
-            task.train.rate = best_rate(&task, &args.rates, &folder, asked)?;
+            task.train.budget.rate = best_rate(&task, &args.rates, &folder, asked)?;
         }
         let mut training = if network.join("task.toml").is_file() {
             Training::resume(&network, Compute::default())?
@@ -477,7 +480,7 @@ impl Camera {
         notes.push(format!("network of {} scales, width {}, sees {told}", config.scales, config.base_width));
         let run = folder.join("network").join("task.toml");
         if run.is_file() {
-            notes.push(format!("learning rate {}", significant(Task::load(&run)?.train.rate, 3)));
+            notes.push(format!("learning rate {}", significant(Task::load(&run)?.train.budget.rate, 3)));
         }
         let sheets = if outcome.is_ok() { sheets(&folder.join("sheets"))? } else { Vec::new() };
         let (outcome, edges) = match outcome {
@@ -494,7 +497,7 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
     let whole = task.train.schedule().total();
     for rate in rates {
         let mut short = task.clone();
-        short.train.rate = *rate;
+        short.train.budget.rate = *rate;
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
@@ -502,11 +505,14 @@ fn best_rate(task: &Task, rates: &[f64], folder: &Path, asked: &dyn Fn() -> bool
             reason = "a number of steps"
         )]
         let tenth = |n: u64| ((n as f64 * TRIED) as u64).max(FEWEST);
-        short.train.steps = whole.map(tenth);
-        short.train.minutes = short.train.minutes.filter(|_| whole.is_none()).map(|m| TRIED * m);
+        short.train.budget.steps = whole.map(tenth);
+        short.train.budget.minutes = short.train.budget.minutes.filter(|_| whole.is_none()).map(|m| TRIED * m);
         // No trial is all rise.
-        short.train.rise_steps =
-            short.train.steps.map_or(short.train.rise_steps, |n| short.train.rise_steps.min(n / 4));
+        short.train.budget.rise_steps = short
+            .train
+            .budget
+            .steps
+            .map_or(short.train.budget.rise_steps, |n| short.train.budget.rise_steps.min(n / 4));
         let run = folder.join("rate");
         let mut training = Training::create(short, &run, run.exists(), Compute::default(), crate::glasses::all())?;
         let mut losses = Vec::new();

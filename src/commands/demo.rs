@@ -9,10 +9,10 @@ use std::time::Instant;
 
 use isoplanat::deploy::kit::LensEntry;
 use isoplanat::deploy::session::Options;
-use isoplanat::design::designing::prepare;
+use isoplanat::design::joint::designing::prepare;
+use isoplanat::design::joint::run::{JointSettings, joint_stage, network};
+use isoplanat::design::joint::scenery::Scenery;
 use isoplanat::design::memory;
-use isoplanat::design::run::{JointSettings, joint_stage, network};
-use isoplanat::design::scenery::Scenery;
 use isoplanat::design::subject::{Calibration, Subject};
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
@@ -129,7 +129,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     // Lens and network together.
     let clock = Instant::now();
     let bar = Bar::new("lens and network");
-    let fresh = network(task.base_width, task.inputs, task.seed, Compute::Cpu)?;
+    let fresh = network(task.network.base_width, task.network.inputs, task.seed, Compute::Cpu)?;
     let prepared = prepare(task, &start, "demo", &mut |_, _| {})?;
     let (stage, history) =
         joint_stage(&scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
@@ -149,7 +149,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| -> Result<Training> {
         let clock = Instant::now();
         let mut task = task.clone();
-        task.train.inputs = inputs;
+        task.train.network.inputs = inputs;
         let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
         let mut training = Training::begin(task, &Subject::from(lens.clone()), network, textures.clone(), &run, false)?;
         prescription::save(&start, &run.join(isoplanat::design::folder::START))?;
@@ -157,10 +157,10 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         done(&format!("Final training: {name}"), clock, &mut report);
         Ok(training)
     };
-    let told = joint.network.config().clone().seeing(task.train.inputs);
+    let told = joint.network.config().clone().seeing(task.train.network.inputs);
     let guided = joint.network.deepened(&told, task.seed, Compute::Cpu)?;
     let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
-    let training = finished("guided network", task.train.inputs, guided)?;
+    let training = finished("guided network", task.train.network.inputs, guided)?;
 
     // Kit: optics of the whole frame, ONNX model with its card.
     let clock = Instant::now();

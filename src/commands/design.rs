@@ -4,18 +4,18 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::analysis::fabrication::tolerances::Tolerances;
-use isoplanat::design::as_built::round;
 use isoplanat::design::data::Textures;
-use isoplanat::design::designing::{Designing, Prepared, prepare, prepare_after};
 use isoplanat::design::folder;
-use isoplanat::design::judge::validate;
+use isoplanat::design::joint::as_built::round;
+use isoplanat::design::joint::designing::{Designing, Prepared, prepare, prepare_after};
+use isoplanat::design::joint::judge::validate;
+use isoplanat::design::joint::run::{JointSettings, network};
+use isoplanat::design::joint::scenery::{Entry, Scenery};
 use isoplanat::design::memory;
 use isoplanat::design::pace::pace;
-use isoplanat::design::run::{JointSettings, network};
-use isoplanat::design::scenery::{Entry, Scenery};
-use isoplanat::design::stages;
-use isoplanat::design::stated::Stated;
 use isoplanat::design::task::Task;
+use isoplanat::design::task::stages;
+use isoplanat::design::task::stated::Stated;
 use isoplanat::imaging::render::{Settings, frame_of};
 use isoplanat::lens::{Lens, prescription};
 use isoplanat::network::Compute;
@@ -129,7 +129,7 @@ fn start(
     allowed(&parts[0], file)?;
     let first = prepared(&parts[0], lens, file)?;
     if parts.len() == 1 {
-        let network = network(task.base_width, task.inputs, task.seed, device)?;
+        let network = network(task.network.base_width, task.network.inputs, task.seed, device)?;
         let textures = task.textures()?;
         return driven(Designing::create(task, &first, network, textures, told.folder, force)?, told, out);
     }
@@ -137,12 +137,12 @@ fn start(
     for part in &parts[1..] {
         possible(part, file)?;
         prepare_after(part, &first.start, &first.problem.lens, file)?;
-        network(part.base_width, part.inputs, part.seed, Compute::Cpu)?;
+        network(part.network.base_width, part.network.inputs, part.seed, Compute::Cpu)?;
     }
     by_images(&task, told.validate)?;
     told.validate.map(Textures::photos).transpose()?;
     drop((task.textures()?, task.held_out()?));
-    network(parts[0].base_width, parts[0].inputs, parts[0].seed, device)?;
+    network(parts[0].network.base_width, parts[0].network.inputs, parts[0].seed, device)?;
     stages::make(&task, lens, told.folder, force)?;
     go_on(Some(first), device, told, out)
 }
@@ -183,7 +183,7 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
             Designing::resume(&inside, device)?
         } else {
             let prepared = fresh(part, ready.take(), k)?;
-            let network = network(part.base_width, part.inputs, part.seed, device)?;
+            let network = network(part.network.base_width, part.network.inputs, part.seed, device)?;
             Designing::create(part.clone(), &prepared, network, part.textures()?, &inside, false)?
         };
         // JSON is of the result alone.
@@ -192,17 +192,17 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
     }
     crate::tell!("stage {} of {}", parts.len(), parts.len());
     let prepared = fresh(&parts[own], None, own)?;
-    let network = network(task.base_width, task.inputs, task.seed, device)?;
+    let network = network(task.network.base_width, task.network.inputs, task.seed, device)?;
     let textures = task.textures()?;
     driven(Designing::create_within(task, &prepared, network, textures, folder, held)?, told, out)
 }
 
 /// Refuses to judge a network that a task has none of.
 fn by_images(task: &Task, validate_on: Option<&Path>) -> Result<bool> {
-    let by_images = task.sensor_loss.is_some();
+    let by_images = task.loss.sensor.is_some();
     if let Some(folder) = validate_on.filter(|_| by_images) {
         let allowed =
-            "no --validate for a task with sensor_loss, which has no network; `isoplanat train`, then `evaluate`";
+            "no --validate for a task with loss.sensor, which has no network; `isoplanat train`, then `evaluate`";
         return Err(Error::bad("--validate", "value", folder.display().to_string(), allowed));
     }
     Ok(by_images)
@@ -222,7 +222,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     designing.device().iter().for_each(|line| crate::tell!("{line}"));
     // Ctrl-C asks for an end; the step at hand is finished and kept.
     let asked = isoplanat_program::signals::asked();
-    let bar = Bar::new(match (designing.task().freeze_lens, by_images) {
+    let bar = Bar::new(match (designing.task().lens.freeze, by_images) {
         (true, _) => "network alone",
         (_, true) => "lens by its images",
         _ => "lens and network",
@@ -250,7 +250,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
             let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
             let told = (&joint.network, &joint.guide);
-            Some(validate(&scenery, &joint.lens, told, designing.task().patch_px, 48, Settings::TRAINING)?)
+            Some(validate(&scenery, &joint.lens, told, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
         }
         None => None,
     };
@@ -274,7 +274,7 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
     tell("held out", designing.judged())?;
     tell("validation", validated.as_ref())?;
     writeln!(out, "steps of the lens taken back: {}", joint.rejected)?;
-    if designing.task().tolerances.is_some() {
+    if designing.task().lens.tolerances.is_some() {
         writeln!(
             out,
             "pictures through lenses as built; of those that were drawn {} showed nothing",
@@ -305,16 +305,18 @@ const INSTEAD: &str = "a smaller patch_px, batch, base_width or folder";
 fn ready(args: &Args, path: &Path) -> Result<Task> {
     let mut task = Task::load(path)?;
     if args.minutes.is_some() || args.steps.is_some() {
-        (task.minutes, task.steps) = (args.minutes, args.steps);
+        (task.budget.minutes, task.budget.steps) = (args.minutes, args.steps);
         // Of each of its stages.
-        task.stages.iter_mut().for_each(|stage| stage.retain(|key, _| key != "minutes" && key != "steps"));
+        for budget in task.stages.iter_mut().filter_map(|stage| stage.get_mut("budget")?.as_table_mut()) {
+            budget.retain(|key, _| key != "minutes" && key != "steps");
+        }
     }
-    task.photos = args.photos.clone().or(task.photos);
+    task.pictures.photos = args.photos.clone().or(task.pictures.photos);
     task.seed = args.seed.unwrap_or(task.seed);
     if let Some(path) = &args.tolerance_aware {
-        task.tolerances = Some(Stated::read(path)?);
+        task.lens.tolerances = Some(Stated::read(path)?);
     }
-    task.worst_of = args.worst_of.unwrap_or(task.worst_of);
+    task.lens.worst_of = args.worst_of.unwrap_or(task.lens.worst_of);
     task.check(&path.display().to_string())?;
     Ok(task)
 }
@@ -337,7 +339,7 @@ fn possible(task: &Task, file: &str) -> Result<()> {
 }
 
 fn prepared(task: &Task, lens: &Lens, file: &str) -> Result<Prepared> {
-    let bar = (task.search > 0).then(|| Bar::new("spots first"));
+    let bar = (task.lens.search > 0).then(|| Bar::new("spots first"));
     let prepared = prepare(task, lens, file, &mut |share, rms| {
         if let Some(bar) = &bar {
             bar.set(share, format!("rms {:.3} µm", 1e3 * rms));
@@ -405,9 +407,9 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     let textures = task.textures()?;
     let sensor = task.sensor()?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
-    let (batch, side) = (task.batch, task.patch_px);
+    let (batch, side) = (task.pictures.batch, task.pictures.patch_px);
     let fresh = || {
-        let mut network = network(task.base_width, task.inputs, task.seed, args.device)?;
+        let mut network = network(task.network.base_width, task.network.inputs, task.seed, args.device)?;
         network.check_device(batch, side).map(|_| network)
     };
     let pace = pace(&scenery, problem, &fresh, &settings)?;

@@ -113,8 +113,8 @@ pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) ->
 /// Says what is doubtful about the lens of a task, and refuses one made for other light than its sensor's.
 #[cfg(feature = "train")]
 pub(crate) fn of_task(task: &isoplanat::design::task::Task) -> Result<()> {
-    match subject(&task.lens)? {
-        Subject::Lens(read) => in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens),
+    match subject(&task.lens.file)? {
+        Subject::Lens(read) => in_band(&read, &SpectralDensity::new(&task.sensor()?), &task.lens.file),
         Subject::Measured(_) => Ok(()),
     }
 }

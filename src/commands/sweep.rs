@@ -4,7 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::atomic::Target;
-use isoplanat::design::sweep::{ranked, varied};
+use isoplanat::design::joint::sweep::{ranked, varied};
 use isoplanat::design::task::Task;
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::html::Page;
@@ -96,7 +96,7 @@ fn report(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 /// The best designs first.
-fn ranking(found: &[isoplanat::design::sweep::Ranked]) -> Table {
+fn ranking(found: &[isoplanat::design::joint::sweep::Ranked]) -> Table {
     let mut table =
         Table::new(["rank", "run", "ranked by, dB", "held out dB", "capture dB", "at step", "of", "minutes"]);
     for (k, r) in found.iter().enumerate() {
@@ -114,7 +114,7 @@ fn ranking(found: &[isoplanat::design::sweep::Ranked]) -> Table {
     table
 }
 
-fn page(folder: &Path, found: &[isoplanat::design::sweep::Ranked], table: &Table) -> Result<String> {
+fn page(folder: &Path, found: &[isoplanat::design::joint::sweep::Ranked], table: &Table) -> Result<String> {
     let mut page = Page::new("Designs of a sweep", &format!("{} runs, the best first", found.len()));
     page.section("Table").table(table);
     page.section("The best twelve");

@@ -3,11 +3,11 @@
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+use isoplanat::design::evaluate::verdict::verdicts;
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
 use isoplanat::design::task::Task;
 use isoplanat::design::training::{Status, Training};
-use isoplanat::design::verdict::verdicts;
 use isoplanat::network::Compute;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
@@ -93,7 +93,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     if returned > 0 {
         crate::tell!(
-            "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.rate would have cost less"
+            "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.budget.rate would have cost less"
         );
     }
     if args.json {
@@ -150,18 +150,18 @@ pub(crate) fn to_the_end(
 fn task(args: &Args, path: &Path) -> Result<Task> {
     let mut task = if path.is_dir() { Task::of_run(path) } else { Task::load(path) }?;
     if args.minutes.is_some() || args.steps.is_some() {
-        (task.train.minutes, task.train.steps) = (args.minutes, args.steps);
+        (task.train.budget.minutes, task.train.budget.steps) = (args.minutes, args.steps);
     }
     if let Some(start) = &args.start {
         task.train.start = Some(start.clone());
     }
     if let Some(vgg) = &args.vgg {
-        task.train.vgg = Some(vgg.clone());
+        task.train.loss.vgg = Some(vgg.clone());
     }
     if !args.depths_mm.is_empty() {
-        task.train.depths_mm.clone_from(&args.depths_mm);
+        task.train.pairs.depths_mm.clone_from(&args.depths_mm);
     }
-    task.train.adversarial |= args.adversarial;
+    task.train.loss.adversarial |= args.adversarial;
     task.check(&path.display().to_string())?;
     Ok(task)
 }

@@ -8,7 +8,7 @@ use std::path::Path;
 use std::time::Duration;
 
 use super::subject::Subject;
-use super::train_task::NETWORK;
+use super::task::train::NETWORK;
 use isoplanat_base::atomic::{self, sha256_hex};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::frame::Frame;

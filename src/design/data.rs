@@ -86,7 +86,7 @@ impl Textures {
         let photos = Photos::open(folder)?;
         if kept >= photos.len() {
             let found = format!("{kept} of {} photographs kept from training", photos.len());
-            return Err(Error::bad(folder.display().to_string(), "keep_first", found, "fewer than there are"));
+            return Err(Error::bad(folder.display().to_string(), "pictures.keep_first", found, "fewer than there are"));
         }
         let (mut images, mut names) = (Vec::new(), Vec::new());
         for i in (kept..photos.len()).take(count) {

@@ -4,10 +4,10 @@
 //! Discriminators and VGG-19 add their features.
 
 use super::data::{LARGEST, TEXTURE};
+use super::evaluate::verdict;
 use super::evaluate::{CONTEXT, Pictures, SHEET, Settings};
-use super::run::JUDGED;
+use super::joint::run::JUDGED;
 use super::task::Task;
-use super::verdict;
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::{BASE, product, threads};
 use isoplanat_imaging::guide::{Filters, Inputs};
@@ -25,9 +25,9 @@ const PAGE: u64 = 32 << 20;
 
 fn textures(task: &Task) -> Result<u64> {
     // As much again as one picture takes while it is read and cut.
-    Ok(match &task.photos {
+    Ok(match &task.pictures.photos {
         Some(folder) => product(&[Photos::open(folder)?.len() + 8, LARGEST, LARGEST, 3 * size_of::<f32>()]),
-        None => product(&[task.scenes + threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
+        None => product(&[task.pictures.scenes + threads(), TEXTURE, TEXTURE, 3 * size_of::<f32>()]),
     })
 }
 
@@ -49,27 +49,29 @@ pub fn of_design(task: &Task) -> Result<u64> {
 }
 
 fn of_part(task: &Task) -> Result<u64> {
-    let network = UnetConfig { base_width: task.base_width, ..UnetConfig::default() }.seeing(task.inputs);
+    let network =
+        UnetConfig { base_width: task.network.base_width, ..UnetConfig::default() }.seeing(task.network.inputs);
     // Patches of a step, or those that settings are chosen with, which are rendered more finely.
-    let side = task.patch_px.min(JUDGED.1);
-    let judged = if task.freeze_lens { 0 } else { product(&[threads(), side, side, 4, REGION]) };
+    let side = task.pictures.patch_px.min(JUDGED.1);
+    let judged = if task.lens.freeze { 0 } else { product(&[threads(), side, side, 4, REGION]) };
     // Rendered as far as the filters look.
-    let seen = task.patch_px + if task.inputs.is_filtered() { 2 * Filters::WIDEST } else { 0 };
+    let seen = task.pictures.patch_px + if task.network.inputs.is_filtered() { 2 * Filters::WIDEST } else { 0 };
     // By its own images a scene is held at all its distances, one scene at a time, and no network works.
-    let (count, batch) = match &task.sensor_loss {
-        Some(_) => (task.depths_mm.len(), 0),
-        None => (task.batch, task.batch),
+    let (count, batch) = match &task.loss.sensor {
+        Some(_) => (task.pictures.depths_mm.len(), 0),
+        None => (task.pictures.batch, task.pictures.batch),
     };
     // The textures of all of a step's patches are cut out beforehand.
     let cut = seen + seen / 4 + 160;
-    let cuts = product(&[task.batch, task.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
-    let each = REGION + RECORD * task.inputs.banks();
+    let cuts = product(&[task.pictures.batch, task.pictures.depths_mm.len().max(1), cut, cut, 3 * size_of::<f32>()]);
+    let each = REGION + RECORD * task.network.inputs.banks();
     let patches = product(&[count.max(threads()), seen, seen, each]).max(judged).saturating_add(cuts);
-    let step = network.step_bytes(task.patch_px, batch);
-    let (count, side) = if task.keep_first > 0 { (task.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
+    let step = network.step_bytes(task.pictures.patch_px, batch);
+    let (count, side) =
+        if task.pictures.keep_first > 0 { (task.pictures.keep_first.min(24), LARGEST) } else { (8, TEXTURE) };
     let held_out = product(&[count, side, side, 3 * size_of::<f32>()]);
-    let design = sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.inputs)]);
-    let judged = if task.sensor_loss.is_none() { of_verdict(task, &network)?.saturating_add(held_out) } else { 0 };
+    let design = sum(&[textures(task)?, held_out, PAGE, step, patches, guide(task.network.inputs)]);
+    let judged = if task.loss.sensor.is_none() { of_verdict(task, &network)?.saturating_add(held_out) } else { 0 };
     Ok(design.max(judged))
 }
 
@@ -80,21 +82,22 @@ fn of_part(task: &Task) -> Result<u64> {
 pub fn of_training(task: &Task) -> Result<u64> {
     let t = &task.train;
     let network = t.config()?;
-    let pairs = product(&[threads(), t.region_px, t.region_px, REGION]);
-    let pixels = product(&[t.batch, t.patch_px, t.patch_px, size_of::<f32>()]);
+    let pairs = product(&[threads(), t.pairs.region_px, t.pairs.region_px, REGION]);
+    let pixels = product(&[t.pairs.batch, t.pairs.patch_px, t.pairs.patch_px, size_of::<f32>()]);
     // Two discriminators on two pictures: features of layers that halve both sides, kept for the way back; their weights with
     // moments. VGG-19 as far as conv3_3, on two pictures.
-    let d = t.discriminator_width;
-    let critics = if t.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
-    let vgg = if t.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
-    let step = network.step_bytes(t.patch_px, t.batch);
+    let d = t.loss.discriminator_width;
+    let critics =
+        if t.loss.adversarial { pixels.saturating_mul(12 * d as u64) + product(&[d, d, 16 * 200, 24]) } else { 0 };
+    let vgg = if t.loss.vgg.is_some() { pixels.saturating_mul(1000) + (64 << 20) } else { 0 };
+    let step = network.step_bytes(t.pairs.patch_px, t.pairs.batch);
     let training = sum(&[textures(task)?, step, pairs, critics, vgg, guide(network.inputs)]);
     Ok(training.max(of_verdict(task, &network)?))
 }
 
 /// Bytes of what is said of a network at the end, beside the textures that are still held.
 fn of_verdict(task: &Task, network: &UnetConfig) -> Result<u64> {
-    let frame = task.sensor.as_ref().map(|s| [s.columns, s.rows]);
+    let frame = task.frame.raster.as_ref().map(|s| [s.columns, s.rows]);
     let settings = verdict::settings(vec![f64::INFINITY]);
     let judged = of_evaluation(network, &verdict::held_out(task)?, &settings, frame, false)?;
     Ok(judged.saturating_add(textures(task)?))

@@ -1,45 +1,31 @@
-//! Lens and network together.
+//! Lens and network together: three loops, and what they share.
 //!
-//! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
-//! the network and [`lens_steps`] around it, [`sensor_loss`] a loss without one, [`noise`] how well its gradients are known, [`as_built`] lenses within tolerances that pictures are taken through; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
-//! [`run`] is the loop, [`designing`] the loop with its folder, [`state`] where it stands, [`story`] its page, [`sweep`] many of them by number, [`stages`] several one after the other; [`task`] is the file that asks for one. The final network for a finished lens:
-//! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop with a folder,
-//! [`train_task`] its part of the file, [`subject`] what stands before the sensor: a lens, or one that was measured.
-//! [`evaluate`] judges what came out, [`compare`] puts other lenses in its place; [`memory`] and [`pace`] say beforehand what all of it takes.
+//! | room | holds |
+//! |---|---|
+//! | [`task`] | the file that asks for a design, a sweep, a training |
+//! | [`joint`] | lens and network at once: its step, its loop, its folder, its page |
+//! | [`training`] | the final network of a finished lens: its pairs, its loop, its folder |
+//! | [`evaluate`] | how good lens and network are |
+//! | [`compare`] | other lenses in a lens's place |
+//!
+//! Shared: [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`data`] draws patches at [`places`]; [`subject`] is what stands before the sensor, a
+//! lens or a measured one; [`schedule`] sets the pace, `going` is the one loop with checkpoints, `bound` says what a checkpoint belongs to, [`folder`] and [`log`] are a run's, [`opened`] is a run as
+//! others read it; [`memory`] and [`pace`] say beforehand what all of it takes.
 
-pub mod as_built;
 mod bound;
 pub mod chain;
 pub mod compare;
-pub mod constraint;
 pub mod data;
-pub mod designing;
-pub mod distances;
 pub mod evaluate;
 pub mod folder;
 mod going;
 pub mod joint;
-pub mod judge;
-pub mod lens_steps;
 pub mod log;
 pub mod memory;
-pub mod noise;
 pub mod opened;
 pub mod pace;
-pub mod pairs;
 pub mod places;
-pub mod run;
-pub mod scenery;
 pub mod schedule;
-pub mod sensor_loss;
-pub mod stages;
-pub mod state;
-pub mod stated;
-pub mod story;
 pub mod subject;
-pub mod sweep;
-pub mod sweep_task;
 pub mod task;
-pub mod train_task;
 pub mod training;
-pub mod verdict;

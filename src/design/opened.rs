@@ -6,7 +6,7 @@ use super::bound::{Bound, agreed, guide_of};
 use super::folder::{MARKER, scenes_of};
 use super::subject::Subject;
 use super::task::Task;
-use super::train_task::NETWORK;
+use super::task::train::NETWORK;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::guide::Guide;
 use isoplanat_network::Reconstructor;
@@ -53,9 +53,9 @@ impl Run {
 
 /// Refuses a run whose network nobody trained: a design by sensor images has none in it.
 fn require_network(folder: &Path, task: &Task) -> Result<()> {
-    if task.sensor_loss.is_some() && folder.join("lens-first.toml").is_file() {
+    if task.loss.sensor.is_some() && folder.join("lens-first.toml").is_file() {
         let allowed = "a run with a trained network: `isoplanat train` with this folder makes one for its lens";
-        let found = "a design by sensor images (sensor_loss), which trains none";
+        let found = "a design by sensor images (loss.sensor), which trains none";
         return Err(Error::bad(folder.display().to_string(), "network", found, allowed));
     }
     Ok(())

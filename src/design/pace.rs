@@ -1,7 +1,7 @@
 //! How long a design would take here: a few of its own steps, timed.
 
-use super::run::{JointSettings, Stage};
-use super::scenery::Scenery;
+use super::joint::run::{JointSettings, Stage};
+use super::joint::scenery::Scenery;
 use super::schedule::Length;
 use isoplanat_base::error::Result;
 use isoplanat_network::Reconstructor;

@@ -60,7 +60,7 @@ fn wide_blurs_keep_their_light() {
 fn captures_for_training_evaluation_and_design_have_equal_means() {
     use isoplanat::design::chain::{Patch, forward};
     use isoplanat::design::evaluate::FINENESS;
-    use isoplanat::design::pairs::{Augmentation, cut, render_pair};
+    use isoplanat::design::training::pairs::{Augmentation, cut, render_pair};
     use isoplanat::imaging::develop::simulate::Electronics;
     use isoplanat::imaging::scene::{SceneKind, generate};
     use isoplanat::imaging::sensor::cfa::Cfa;

@@ -49,18 +49,18 @@ impl Settings {
     pub(crate) fn new(quick: bool, seed: u64, photos: Option<PathBuf>) -> Self {
         let mut task = Task::demo();
         task.seed = seed;
-        task.photos = photos;
-        task.steps = Some(2000);
+        task.pictures.photos = photos;
+        task.budget.steps = Some(2000);
         let train = &mut task.train;
-        train.scales = 3;
+        train.network.scales = 3;
         // Two networks of equal steps, both from the joint design's: one sees the capture alone, one is guided. Designed with a guided
         // network in the same minutes the lens was worse (benches/results/guided.md).
-        train.inputs = Inputs::GUIDED;
-        (train.steps, train.constant_epochs, train.decay_epochs) = (Some(1400), 1.0, 2.0);
-        (train.pairs, train.region_px, train.patch_px) = (160, 256, 192);
-        (train.rate, train.loss) = (2e-3, "l1".into());
+        train.network.inputs = Inputs::GUIDED;
+        (train.budget.steps, train.budget.constant_epochs, train.budget.decay_epochs) = (Some(1400), 1.0, 2.0);
+        (train.pairs.count, train.pairs.region_px, train.pairs.patch_px) = (160, 256, 192);
+        (train.budget.rate, train.loss.content) = (2e-3, "l1".into());
         // The demo's camera has its sensor's own noise, and no haze.
-        (train.noise, train.haze) = ([1.0, 1.0], 0.0);
+        (train.pairs.noise, train.pairs.haze) = ([1.0, 1.0], 0.0);
         let base = Self {
             fine: Fineness { samples: 1, wavelengths: 9, ..Fineness::FINE },
             wiener_spacing: 64,
@@ -76,12 +76,13 @@ impl Settings {
 
     /// The same path on a quarter of the pixels, twice as large, in a minute.
     fn quick(mut self) -> Self {
-        self.task.sensor = Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
-        self.task.scenes = 12;
-        (self.task.steps, self.task.patch_px, self.task.batch) = (Some(200), 96, 1);
+        self.task.frame.raster =
+            Some(TaskSensor { columns: 480, rows: 320, pitch_um: 40.0, axis_px: Some([0.0, 0.0]) });
+        self.task.pictures.scenes = 12;
+        (self.task.budget.steps, self.task.pictures.patch_px, self.task.pictures.batch) = (Some(200), 96, 1);
         let train = &mut self.task.train;
-        train.steps = Some(300);
-        (train.pairs, train.region_px, train.patch_px) = (40, 160, 128);
+        train.budget.steps = Some(300);
+        (train.pairs.count, train.pairs.region_px, train.pairs.patch_px) = (40, 160, 128);
         self.fine =
             Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
         self.samples = 32;
@@ -106,7 +107,7 @@ impl Settings {
         let pair = |a: &str, b: String| (a.to_owned(), b);
         let frame = &render.frame;
         vec![
-            pair("Lens", format!("models/lenses/{}.toml, object at 1 m", self.task.lens)),
+            pair("Lens", format!("models/lenses/{}.toml, object at 1 m", self.task.lens.file)),
             pair(
                 "Frame",
                 format!(
@@ -127,16 +128,19 @@ impl Settings {
                 "Wavelengths",
                 render.spec.quadrature.nm.iter().map(|w| format!("{w:.0}")).collect::<Vec<_>>().join(", ") + " nm",
             ),
-            pair("Networks", format!("U-Nets, three scales, {} channels at the finest", self.task.base_width)),
+            pair("Networks", format!("U-Nets, three scales, {} channels at the finest", self.task.network.base_width)),
             pair(
                 "Network of the capture alone",
-                format!("as the joint design left it, trained on for {} steps", self.task.train.steps.unwrap_or(0)),
+                format!(
+                    "as the joint design left it, trained on for {} steps",
+                    self.task.train.budget.steps.unwrap_or(0)
+                ),
             ),
             pair(
                 "Guided network",
                 format!(
                     "from the same start, for as many steps; sees the capture through {} as well",
-                    told(self.task.train.inputs)
+                    told(self.task.train.network.inputs)
                 ),
             ),
             pair("Capture", format!("{} rays a pixel from the sensor, 12-bit DNG", self.samples)),

@@ -21,7 +21,9 @@ pub(super) fn settings(fields: usize, patch: usize) -> Settings {
 
 pub(super) fn lens() -> Subject {
     let sensor = Some(TaskSensor { columns: 240, rows: 160, pitch_um: 80.0, axis_px: Some([0.0, 0.0]) });
-    Task { sensor, ..Task::demo() }.subject(Glasses::shipped()).expect("valid")
+    let mut task = Task::demo();
+    task.frame.raster = sensor;
+    task.subject(Glasses::shipped()).expect("valid")
 }
 
 /// A network whose last layer is nought returns its input.

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 use super::{Joint, Report};
 use crate::design::chain::Patch;
 use crate::design::data::{Scale, Textures};
+use crate::design::joint::sensor_loss::SensorLoss;
 use crate::design::places::Places;
-use crate::design::sensor_loss::SensorLoss;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::metrics::decibel;
 use isoplanat_imaging::render::{Rendered, Renderer};
@@ -193,9 +193,9 @@ impl Joint {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::design::designing::prepare;
-    use crate::design::run::{JointSettings, joint_stage, network};
-    use crate::design::scenery::Scenery;
+    use crate::design::joint::designing::prepare;
+    use crate::design::joint::run::{JointSettings, joint_stage, network};
+    use crate::design::joint::scenery::Scenery;
     use crate::design::task::Task;
     use isoplanat_imaging::guide::Inputs;
     use isoplanat_imaging::render::{Settings, frame_of};
@@ -280,9 +280,11 @@ mod tests {
     /// A stage by images lowers its loss on pictures that it does not train on, repeats to the bit, and leaves its network alone.
     #[test]
     fn a_stage_by_images_moves_the_lens_alone() {
-        let mut task = Task { depths_mm: DEPTHS.to_vec(), sensor_loss: Some(loss()), ..Task::demo() };
-        (task.lens, task.sensor, task.warm_start, task.steps) = ("three_element".into(), None, false, Some(40));
-        (task.patch_px, task.batch, task.lens_rate_um) = (64, 2, 8.0);
+        let mut task = Task::demo();
+        (task.pictures.depths_mm, task.loss.sensor) = (DEPTHS.to_vec(), Some(loss()));
+        (task.lens.file, task.frame.raster, task.lens.warm_start, task.budget.steps) =
+            ("three_element".into(), None, false, Some(40));
+        (task.pictures.patch_px, task.pictures.batch, task.lens.rate_um) = (64, 2, 8.0);
         let lens = small("three_element");
         let problem = prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem;
         let (textures, sensor) = (Textures::built_in(3, 3, 400), Sensor::generic());
@@ -296,10 +298,10 @@ mod tests {
             joint_stage(&scenery, &problem, net, settings, &mut |_, _| {}).expect("runs").0
         };
         let (first, last, again) = (run(1), run(40), run(40));
-        let weights = |s: &crate::design::run::Stage| s.joint.network.parameters()[0].values.clone();
+        let weights = |s: &crate::design::joint::run::Stage| s.joint.network.parameters()[0].values.clone();
         assert_eq!(weights(&first), weights(&last), "the network stays");
         assert_eq!(last.joint.lens, again.joint.lens, "to the bit");
-        let judged = |s: &crate::design::run::Stage| s.camera().judged(&held_out, 64, 0..12).expect("judged");
+        let judged = |s: &crate::design::joint::run::Stage| s.camera().judged(&held_out, 64, 0..12).expect("judged");
         let (before, after) = (judged(&first), judged(&last));
         eprintln!("{before:?} {after:?}");
         assert!(after.loss < 0.99 * before.loss, "{} -> {}", before.loss, after.loss);

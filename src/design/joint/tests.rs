@@ -1,14 +1,14 @@
 use super::*;
-use crate::design::as_built::AsBuilt;
 use crate::design::data::Textures;
-use crate::design::designing::prepare;
-use crate::design::judge::Camera;
-use crate::design::lens_steps::{LensSteps, Steps};
-use crate::design::run::{JointSettings, Stage, joint_stage, network};
-use crate::design::scenery::Scenery;
+use crate::design::joint::as_built::AsBuilt;
+use crate::design::joint::designing::prepare;
+use crate::design::joint::judge::Camera;
+use crate::design::joint::lens_steps::{LensSteps, Steps};
+use crate::design::joint::run::{JointSettings, Stage, joint_stage, network};
+use crate::design::joint::scenery::Scenery;
 use crate::design::schedule::Length;
-use crate::design::stated::Stated;
 use crate::design::task::Task;
+use crate::design::task::stated::Stated;
 use isoplanat_imaging::guide::Inputs;
 use isoplanat_imaging::render::{Settings, frame_of};
 use isoplanat_imaging::sensor::Sensor;
@@ -23,7 +23,7 @@ const SETTINGS: Settings = Settings { dense: 300, wavelengths: 3, outside: 1e-2,
 
 fn task() -> Task {
     let mut task = Task::demo();
-    let sensor = task.sensor.as_mut().expect("the demo's");
+    let sensor = task.frame.raster.as_mut().expect("the demo's");
     (sensor.columns, sensor.rows, sensor.pitch_um) = (240, 160, 80.0);
     task
 }
@@ -115,7 +115,8 @@ fn gradient_agrees(inputs: Inputs, tolerances: Option<&Tolerances>) {
 }
 
 fn settings(steps: u64, patch: usize) -> JointSettings {
-    let task = Task { patch_px: patch, batch: 1, steps: Some(1), ..task() };
+    let mut task = task();
+    (task.pictures.patch_px, task.pictures.batch, task.budget.steps) = (patch, 1, Some(1));
     JointSettings { length: Length::Steps(steps), ..JointSettings::of(&task).expect("has a length") }
 }
 
@@ -123,7 +124,8 @@ fn settings(steps: u64, patch: usize) -> JointSettings {
 #[test]
 fn a_joint_stage_repeats_to_the_bit() {
     for steps in [Steps::Rays, Steps::Scaled, Steps::Plain] {
-        let task = Task { lens_steps: steps, ..task() };
+        let mut task = task();
+        task.lens.steps_by = steps;
         let lens = task.lens(Glasses::shipped()).expect("shipped");
         let (prepared, sensor) =
             (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light"), Sensor::generic());
@@ -158,7 +160,8 @@ fn a_stage_goes_on_from_its_state() {
         (Steps::Scaled, Inputs::BARE, None),
         (Steps::Rays, GUIDED, built()),
     ] {
-        let task = Task { lens_steps: steps, tolerances, ..task() };
+        let mut task = task();
+        (task.lens.steps_by, task.lens.tolerances) = (steps, tolerances);
         let lens = task.lens(Glasses::shipped()).expect("shipped");
         let (problem, sensor) =
             (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem, Sensor::generic());
@@ -184,7 +187,7 @@ fn a_stage_goes_on_from_its_state() {
             let network = Reconstructor::load(&path).expect("read");
             assert_eq!(network.parameters(), first.joint.network.parameters());
             let mut second = Stage::new(&scenery, &problem, network, settings.clone()).expect("starts");
-            let state = crate::design::state::State::from_text(&text, "state").expect("own text");
+            let state = crate::design::joint::state::State::from_text(&text, "state").expect("own text");
             second.restore(&scenery, &state).expect("goes on");
             assert_eq!(second.joint.lens, first.joint.lens, "{steps:?}, left at {left}");
             assert_eq!(second.renderer().plan, first.renderer().plan, "{steps:?}, left at {left}");
@@ -272,14 +275,15 @@ fn a_patch_may_be_larger_than_the_frame() {
 /// Depths take turns, and the lens is judged at all of them.
 #[test]
 fn a_stage_over_depths_sees_all_of_them() {
-    let task = Task { depths_mm: vec![700.0, 1000.0, 2000.0], ..task() };
+    let mut task = task();
+    task.pictures.depths_mm = vec![700.0, 1000.0, 2000.0];
     let lens = task.lens(Glasses::shipped()).expect("shipped");
     let (problem, sensor) =
         (prepare(&task, &lens, "task", &mut |_, _| {}).expect("passes light").problem, Sensor::generic());
     assert_eq!(problem.merit.depths.len(), 3);
     let textures = Textures::built_in(3, 3, 400);
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&lens).expect("valid"), seed: 4 };
-    let vergences = task.depths_mm.iter().map(|d| d.recip()).collect();
+    let vergences = task.pictures.depths_mm.iter().map(|d| d.recip()).collect();
     let depth_power = 4.0;
     let settings = JointSettings { vergences, depth_power, settings: Some(SETTINGS), batch: 3, ..settings(4, 32) };
     let (stage, _) =

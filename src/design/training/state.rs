@@ -7,18 +7,18 @@ use isoplanat_base::error::{Error, Result};
 
 /// Where a training stands, as a checkpoint keeps it.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub(super) struct State {
-    pub(super) step: u64,
-    pub(super) seconds: f64,
+pub(in crate::design) struct State {
+    pub(in crate::design) step: u64,
+    pub(in crate::design) seconds: f64,
     /// Steps that moved nothing.
-    pub(super) skipped: u64,
-    pub(super) settled: Option<[u64; 2]>,
+    pub(in crate::design) skipped: u64,
+    pub(in crate::design) settled: Option<[u64; 2]>,
     /// Times it went back, with half the rate each time.
-    pub(super) returned: u32,
+    pub(in crate::design) returned: u32,
 }
 
 impl State {
-    pub(super) fn facts(&self) -> BTreeMap<String, String> {
+    pub(in crate::design) fn facts(&self) -> BTreeMap<String, String> {
         let mut facts = BTreeMap::from([
             ("train.step".to_owned(), self.step.to_string()),
             ("train.seconds".to_owned(), format!("{:.3}", self.seconds)),
@@ -34,7 +34,7 @@ impl State {
         facts
     }
 
-    pub(super) fn from_facts(facts: &BTreeMap<String, String>, path: &Path) -> Result<Self> {
+    pub(in crate::design) fn from_facts(facts: &BTreeMap<String, String>, path: &Path) -> Result<Self> {
         fn number<T: std::str::FromStr>(facts: &BTreeMap<String, String>, key: &str, path: &Path) -> Result<T> {
             let text = facts.get(key).map_or("missing", String::as_str);
             let allowed = "a number, as `isoplanat train` writes it";

@@ -4,11 +4,12 @@ use crate::design::task::TaskSensor;
 /// A task small enough for a test: a coarse sensor behind the two-element lens.
 fn task() -> Task {
     let mut task = Task::demo();
-    task.sensor = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
-    task.scenes = 2;
+    task.frame.raster = Some(TaskSensor { columns: 96, rows: 64, pitch_um: 200.0, axis_px: Some([0.0, 0.0]) });
+    task.pictures.scenes = 2;
     let train = &mut task.train;
-    (train.base_width, train.scales, train.patch_px, train.region_px) = (Some(4), 3, 32, 48);
-    (train.pairs, train.steps, train.sample_steps, train.rate) = (3, Some(20), 10, 1e-3);
+    (train.network.base_width, train.network.scales, train.pairs.patch_px, train.pairs.region_px) =
+        (Some(4), 3, 32, 48);
+    (train.pairs.count, train.budget.steps, train.budget.sample_steps, train.budget.rate) = (3, Some(20), 10, 1e-3);
     task
 }
 
@@ -24,7 +25,7 @@ fn a_training_in_pieces_is_the_training_in_one_go() {
     // What else a checkpoint must keep: averaged weights.
     in_pieces(|| {
         let mut task = task();
-        (task.train.average, task.train.rise_steps) = (0.9, 5);
+        (task.train.budget.average, task.train.budget.rise_steps) = (0.9, 5);
         task
     });
 }
@@ -67,7 +68,7 @@ fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
     let create = |task: Task, folder: &Path| Training::create(task, folder, false, Compute::Cpu, Glasses::shipped());
     create(task(), &first).expect("new").run(&mut |_| true).expect("trains");
     let mut deeper = task();
-    (deeper.train.start, deeper.train.scales, deeper.train.base_width) = (Some(first.clone()), 4, None);
+    (deeper.train.start, deeper.train.network.scales, deeper.train.network.base_width) = (Some(first.clone()), 4, None);
     drop(create(deeper.clone(), &second).expect("deepens"));
     let (a, b) = (weights(&first), weights(&second));
     assert!(b.len() > a.len() && a.iter().all(|w| b.contains(w)), "every weight moved");
@@ -77,10 +78,10 @@ fn a_training_starts_from_another_and_refuses_what_it_cannot_do() {
         let text = create(task, &folder).expect_err(what).to_string();
         assert!(text.contains(what) && !folder.exists(), "{text}");
     };
-    refused(|t| t.train.base_width = Some(6), "starting network");
-    refused(|t| t.train.region_px = 256, "train.region_px");
+    refused(|t| t.train.network.base_width = Some(6), "starting network");
+    refused(|t| t.train.pairs.region_px = 256, "train.pairs.region_px");
     refused(|t| t.train.start = Some("nowhere".into()), "nowhere");
-    refused(|t| t.train.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
+    refused(|t| t.train.loss.vgg = Some("no-weights.safetensors".into()), "no-weights.safetensors");
     assert!(matches!(create(task(), &first).expect_err("there already"), Error::Exists(_)));
 }
 
@@ -89,7 +90,7 @@ fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
     let place = tempfile::tempdir().expect("temporary folder");
     let run = place.path().join("run");
     let mut long = task();
-    (long.train.steps, long.train.checkpoint_seconds) = (Some(100), 0.0);
+    (long.train.budget.steps, long.train.budget.checkpoint_seconds) = (Some(100), 0.0);
     let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
     let ended = training.run(&mut |s| s.step < 5);
     assert!(matches!(ended, Err(Error::Interrupted)));
@@ -105,7 +106,7 @@ fn a_training_without_finite_gradients_ends_and_keeps_what_it_had() {
     assert_eq!(again.step(), 5);
     again.run(&mut |s| s.step < 8).expect_err("stopped");
     // With checkpoints far apart it is the steps that end it, with what to do.
-    again.task.train.checkpoint_seconds = 1e4;
+    again.task.train.budget.checkpoint_seconds = 1e4;
     again.trainer.poison(f32::NAN);
     let ended = again.run(&mut |_| true).expect_err("no finite loss");
     assert!(matches!(&ended, Error::Stopped(text) if text.contains("20 times in a row")), "{ended}");
@@ -119,7 +120,7 @@ fn a_training_that_loses_itself_goes_back() {
     let place = tempfile::tempdir().expect("temporary folder");
     let run = place.path().join("run");
     let mut long = task();
-    (long.train.steps, long.train.checkpoint_seconds) = (Some(120), 0.0);
+    (long.train.budget.steps, long.train.budget.checkpoint_seconds) = (Some(120), 0.0);
     let mut training = Training::create(long, &run, false, Compute::Cpu, Glasses::shipped()).expect("new");
     training.run(&mut |s| s.step < 60).expect_err("stopped");
     let before = weights(&run);
@@ -148,7 +149,7 @@ fn a_training_that_loses_itself_goes_back() {
     drop(training);
     // Over and over.
     let mut endless = task();
-    (endless.train.steps, endless.train.checkpoint_seconds) = (Some(2000), 0.0);
+    (endless.train.budget.steps, endless.train.budget.checkpoint_seconds) = (Some(2000), 0.0);
     let mut training =
         Training::create(endless, &place.path().join("endless"), false, Compute::Cpu, Glasses::shipped());
     let training = training.as_mut().expect("new");

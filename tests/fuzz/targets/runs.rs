@@ -1,8 +1,8 @@
 //! What a run's folder holds: its task, its state, its history, its weights. Each comes back from what is written of it.
 
 use isoplanat::design::folder::same_scenes;
-use isoplanat::design::state::State;
-use isoplanat::design::story::Judgement;
+use isoplanat::design::joint::state::State;
+use isoplanat::design::joint::story::Judgement;
 use isoplanat::design::task::Task;
 use isoplanat::interchange::{Form, text_of};
 use isoplanat::lens::builtin;

@@ -44,13 +44,18 @@ pub struct Slopes {
 
 impl SensorLoss {
     /// Refuses what cannot be meant for a task at `depths_mm` with patches of `patch_px`; `file` is named in the error.
-    pub(super) fn check(&self, depths_mm: &[f64], file: &str) -> Result<()> {
+    pub(in crate::design) fn check(&self, depths_mm: &[f64], file: &str) -> Result<()> {
         let bad = |key: &str, found: String, allowed: String| {
-            Err(Error::bad(file, format!("sensor_loss.{key}"), found, allowed))
+            Err(Error::bad(file, format!("loss.sensor.{key}"), found, allowed))
         };
         let count = depths_mm.len();
         if count < 2 {
-            return Err(Error::bad(file, "depths_mm", format!("{count} distances"), "two or more beside sensor_loss"));
+            return Err(Error::bad(
+                file,
+                "pictures.depths_mm",
+                format!("{count} distances"),
+                "two or more beside loss.sensor",
+            ));
         }
         if !depths_mm.contains(&self.reference_mm) {
             return bad("reference_mm", self.reference_mm.to_string(), format!("one of depths_mm: {depths_mm:?}"));
@@ -83,7 +88,7 @@ impl SensorLoss {
     }
 
     /// Texels to a unit of slope where the task states the texture's width at distance `k`, on a frame of so many columns.
-    pub(super) fn texels_per_slope(&self, k: usize, depth_mm: f64, columns: usize) -> Option<f64> {
+    pub(in crate::design) fn texels_per_slope(&self, k: usize, depth_mm: f64, columns: usize) -> Option<f64> {
         #[expect(clippy::cast_precision_loss, reason = "a raster's size")]
         self.texture_mm.get(k).map(|width| columns as f64 * depth_mm / width)
     }

@@ -5,10 +5,10 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::data::Textures;
 use super::run::Stage;
 use super::scenery::Entry;
-use super::task::Task;
+use crate::design::data::Textures;
+use crate::design::task::Task;
 use crate::report::design::{DesignPage, Moment, Shown, Words};
 use crate::report::drawing::lens_svg;
 use crate::report::html::Fact;
@@ -23,7 +23,7 @@ const FIELDS: usize = 7;
 const SHOWN: usize = 4;
 
 /// A final state must be worse than the best one by so much, dB, to give way to it: less is chance.
-pub(super) const WORSE_DB: f64 = 0.1;
+pub(in crate::design) const WORSE_DB: f64 = 0.1;
 
 /// A judgement, as `history.jsonl` holds it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -71,12 +71,12 @@ impl Judgement {
     /// A history that cannot be read.
     pub fn read(folder: &Path) -> Result<Vec<Self>> {
         let path = folder.join("history.jsonl");
-        let text = if path.exists() { atomic::read_text(&path, super::log::LARGEST)? } else { String::new() };
+        let text = if path.exists() { atomic::read_text(&path, crate::design::log::LARGEST)? } else { String::new() };
         Self::of(&text, &path.display().to_string())
     }
 
     /// Those of a text; `file` names it.
-    pub(super) fn of(text: &str, file: &str) -> Result<Vec<Self>> {
+    pub(in crate::design) fn of(text: &str, file: &str) -> Result<Vec<Self>> {
         let one = |(k, line): (usize, &str)| {
             serde_json::from_str(line).map_err(|e| {
                 Error::bad(
@@ -101,16 +101,22 @@ impl Judgement {
 
 /// What a page tells beside the state of its design.
 #[derive(Clone, Copy)]
-pub(super) struct Told<'a> {
-    pub(super) held_out: &'a Textures,
-    pub(super) history: &'a [Judgement],
-    pub(super) log: &'a [Entry],
+pub(in crate::design) struct Told<'a> {
+    pub(in crate::design) held_out: &'a Textures,
+    pub(in crate::design) history: &'a [Judgement],
+    pub(in crate::design) log: &'a [Entry],
     /// What the finished network is worth, a line a distance.
-    pub(super) verdict: &'a [String],
+    pub(in crate::design) verdict: &'a [String],
 }
 
 /// The page of a design in `folder`.
-pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, first: &Lens) -> Result<String> {
+pub(in crate::design) fn page(
+    folder: &Path,
+    task: &Task,
+    stage: &Stage,
+    told: &Told<'_>,
+    first: &Lens,
+) -> Result<String> {
     let Told { held_out, history, log, verdict } = *told;
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;
@@ -132,9 +138,11 @@ pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, f
     let moving = |f: fn(&Entry) -> f64| over(f).into_iter().filter(|p| p[1] > 0.0).collect::<Vec<_>>();
     let (words, notes) = words(task);
     let shown =
-        stage.camera().shown(held_out, task.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| Shown {
-            caption: format!("held-out patch {} from the axis outwards", k + 1),
-            pictures: notes.iter().cloned().zip(pictures).collect(),
+        stage.camera().shown(held_out, task.pictures.patch_px, SHOWN)?.into_iter().enumerate().map(|(k, pictures)| {
+            Shown {
+                caption: format!("held-out patch {} from the axis outwards", k + 1),
+                pictures: notes.iter().cloned().zip(pictures).collect(),
+            }
         });
     let fact = |value: String, label: &str| Fact { value, label: label.to_owned() };
     let mut facts = Vec::new();
@@ -142,7 +150,7 @@ pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, f
     let told = if over_share { Judgement::of_result(history) } else { history.last() };
     if let Some(told) = told {
         let [before, after] = told.held_out_db;
-        if task.sensor_loss.is_none() {
+        if task.loss.sensor.is_none() {
             facts.push(fact(format!("{:+.2} dB", after - before), "held-out pictures: network less capture"));
         }
         facts.push(fact(format!("{after:.2} dB"), &words.judged[1]));
@@ -174,19 +182,20 @@ pub(super) fn page(folder: &Path, task: &Task, stage: &Stage, told: &Told<'_>, f
     let frame = &stage.renderer().plan.frame;
     settings
         .push(pair("frame", format!("{} × {} pixels of {:.2} µm", frame.columns, frame.rows, 1e3 * frame.pitch_mm)));
-    settings.push(pair("steps of the lens", format!("{:?}, taken back {}", task.lens_steps, stage.joint.rejected)));
-    if task.depth_power > 1.0 {
+    settings.push(pair("steps of the lens", format!("{:?}, taken back {}", task.lens.steps_by, stage.joint.rejected)));
+    if task.loss.depth_power > 1.0 {
         let said =
             "losses of the distances, as running means; judged by the distance with the lowest PSNR behind the network";
-        settings.push(pair("distances", format!("power mean ({}) of the {said}", task.depth_power)));
+        settings.push(pair("distances", format!("power mean ({}) of the {said}", task.loss.depth_power)));
     }
-    let each = task.sensor_loss.as_ref().map_or("", |_| ", each at every distance");
-    settings.push(pair("patches", format!("{} of {} pixels a step{each}", task.batch, task.patch_px)));
-    settings.push(match task.sensor_loss {
+    let each = task.loss.sensor.as_ref().map_or("", |_| ", each at every distance");
+    settings
+        .push(pair("patches", format!("{} of {} pixels a step{each}", task.pictures.batch, task.pictures.patch_px)));
+    settings.push(match task.loss.sensor {
         Some(_) => {
             pair("network", "none: the lens is judged by its own images; `isoplanat train` makes one for it".into())
         }
-        None => pair("network", format!("{} channels at the finest of three scales", task.base_width)),
+        None => pair("network", format!("{} channels at the finest of three scales", task.network.base_width)),
     });
     settings.push(pair("left out", left_out(stage)));
     let page = DesignPage {
@@ -215,7 +224,7 @@ fn sentence(line: &str) -> String {
 
 /// What figures and the pictures of a row are called.
 fn words(task: &Task) -> (Words, Vec<String>) {
-    if task.sensor_loss.is_none() {
+    if task.loss.sensor.is_none() {
         let words = Words {
             judged: ["held-out captures".into(), "behind the network".into()],
             loss: "L1".into(),
@@ -229,7 +238,7 @@ fn words(task: &Task) -> (Words, Vec<String>) {
         shown: "Sensor images of one scene from each distance, without noise and network, and the ideal picture."
             .into(),
     };
-    let at = task.depths_mm.iter().map(|d| format!("from {} mm", significant(*d, 6)));
+    let at = task.pictures.depths_mm.iter().map(|d| format!("from {} mm", significant(*d, 6)));
     (words, at.chain(["ideal".to_owned()]).collect())
 }
 

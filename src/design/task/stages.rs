@@ -5,36 +5,36 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use super::folder::{MARKER, START, check, lock, made};
-use super::task::Task;
-use super::train_task::NETWORK;
+use super::Task;
+use super::train::NETWORK;
+use crate::design::folder::{MARKER, START, check, lock, made};
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::{Lens, prescription};
 
 /// Folder of the stages in that of the design.
 const STAGES: &str = "stages";
-/// What a stage may state, the same keys as of the task.
+/// What a stage may state, the same keys as of the task; `optics` and `loss.sensor` as a whole.
 const KEYS: [&str; 19] = [
-    "asphere_power",
-    "base_width",
-    "batch",
-    "checks",
-    "depth_power",
-    "depths_mm",
-    "epochs",
-    "inputs",
-    "least_illumination",
-    "lens_rate",
-    "lens_rate_um",
-    "lens_share",
-    "lens_steps",
-    "minutes",
-    "network_rate",
+    "budget.checks",
+    "budget.epochs",
+    "budget.minutes",
+    "budget.steps",
+    "lens.asphere_power",
+    "lens.least_illumination",
+    "lens.rate",
+    "lens.rate_um",
+    "lens.share",
+    "lens.steps_by",
+    "loss.depth_power",
+    "loss.sensor",
+    "network.base_width",
+    "network.inputs",
+    "network.rate",
     "optics",
-    "patch_px",
-    "sensor_loss",
-    "steps",
+    "pictures.batch",
+    "pictures.depths_mm",
+    "pictures.patch_px",
 ];
 /// Most stages.
 const MOST: usize = 16;
@@ -49,16 +49,17 @@ impl Task {
         if self.stages.len() > MOST {
             return Err(Error::bad(file, STAGES, self.stages.len().to_string(), format!("at most {MOST}")));
         }
-        if self.freeze_lens && !self.stages.is_empty() {
+        if self.lens.freeze && !self.stages.is_empty() {
             let allowed = "false beside stages: what the next one takes on is the lens";
-            return Err(Error::bad(file, "freeze_lens", "true", allowed));
+            return Err(Error::bad(file, "lens.freeze", "true", allowed));
         }
         let own = Self { stages: Vec::new(), ..self.clone() };
         let mut parts =
             self.stages.iter().enumerate().map(|(k, keys)| own.with(keys, file, k)).collect::<Result<Vec<_>>>()?;
         parts.push(own);
         for later in parts.iter_mut().skip(1) {
-            (later.focus_all, later.warm_start, later.search) = (false, false, 0);
+            let lens = &mut later.lens;
+            (lens.focus_all, lens.warm_start, lens.search) = (false, false, 0);
         }
         Ok(parts)
     }
@@ -72,38 +73,60 @@ impl Task {
     }
 
     /// It with what stage `number` states.
-    fn with(&self, keys: &toml::Table, file: &str, number: usize) -> Result<Self> {
+    fn with(&self, stated: &toml::Table, file: &str, number: usize) -> Result<Self> {
         let internal = |e: toml::ser::Error| Error::Internal(format!("task: {e}"));
+        let place = |key: &str| format!("{STAGES}[{number}].{key}");
         let mut all = toml::Table::try_from(self).map_err(internal)?;
-        for (key, value) in keys {
-            if !KEYS.contains(&key.as_str()) {
+        for (group, key, value) in leaves(stated) {
+            let whole = key.map_or(group.to_owned(), |key| format!("{group}.{key}"));
+            if !KEYS.contains(&&*whole) {
                 let allowed = format!("one of {}", KEYS.join(", "));
-                return Err(Error::bad(file, format!("{STAGES}[{number}]"), key.as_str(), allowed));
+                return Err(Error::bad(file, format!("{STAGES}[{number}]"), whole, allowed));
             }
+            let Some(key) = key else {
+                all.insert(whole, value.clone());
+                continue;
+            };
+            let inside = all.entry(group).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+            let Some(inside) = inside.as_table_mut() else { continue };
             // A length is one of the two.
-            match key.as_str() {
-                "steps" => drop(all.remove("minutes")),
-                "minutes" => drop(all.remove("steps")),
+            match &*whole {
+                "budget.steps" => drop(inside.remove("minutes")),
+                "budget.minutes" => drop(inside.remove("steps")),
                 _ => {}
             }
-            all.insert(key.clone(), value.clone());
+            inside.insert(key.to_owned(), value.clone());
         }
-        if keys.contains_key("steps") && keys.contains_key("minutes") {
-            let place = format!("{STAGES}[{number}].steps, minutes");
-            return Err(Error::bad(file, place, "both", "one of steps and minutes"));
+        let states = |key: &str| stated.get("budget").is_some_and(|budget| budget.get(key).is_some());
+        if states("steps") && states("minutes") {
+            return Err(Error::bad(file, place("budget.steps, budget.minutes"), "both", "one of steps and minutes"));
         }
-        let stage: Self = all.try_into().map_err(|e: toml::de::Error| {
-            let allowed = "the values of models/README.md";
-            Error::bad(file, format!("{STAGES}[{number}]"), e.message().trim().replace('\n', " "), allowed)
+        let stage: Self = serde_path_to_error::deserialize(toml::Value::Table(all)).map_err(|e| {
+            let found = e.inner().message().trim().replace('\n', " ");
+            Error::bad(file, place(&e.path().to_string()), found, "the values of models/README.md")
         })?;
         stage.check(file).map_err(|e| match e {
-            Error::BadInput { file, place, found, allowed } => {
-                Error::BadInput { file, place: format!("{STAGES}[{number}].{place}"), found, allowed }
+            Error::BadInput { file, place: key, found, allowed } => {
+                Error::BadInput { file, place: place(&key), found, allowed }
             }
             other => other,
         })?;
         Ok(stage)
     }
+}
+
+/// What a stage states: group, key in it and value; no key where what is no table stands in a group's place, or all of `optics`.
+fn leaves(stated: &toml::Table) -> Vec<(&str, Option<&str>, &toml::Value)> {
+    let mut all = Vec::new();
+    for (group, value) in stated {
+        match value {
+            toml::Value::Table(inside) if group != "optics" => {
+                all.extend(inside.iter().map(|(key, value)| (&**group, Some(&**key), value)));
+            }
+            _ => all.push((group, None, value)),
+        }
+    }
+    all
 }
 
 /// The folder of stage `number`, from 0, of the design in `folder`.

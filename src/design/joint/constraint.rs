@@ -1,7 +1,7 @@
 //! What keeps a lens buildable while it moves: focal length, centre and edge thickness, air gaps, sensor clearance.
 //!
 //! Each is a squared penalty `w·v²` with `v` the relative (focal length) or absolute violation in mm. Ray failures are
-//! not a penalty: a step whose rays fail is taken back ([`super::joint`]).
+//! not a penalty: a step whose rays fail is taken back ([`super`]).
 
 use serde::{Deserialize, Serialize};
 

@@ -20,7 +20,7 @@ pub struct SweepTask {
 
 impl SweepTask {
     /// Refuses what is no sweep; `file` is named in the error.
-    pub(super) fn check(&self, file: &str) -> Result<()> {
+    pub(in crate::design) fn check(&self, file: &str) -> Result<()> {
         for (key, v) in [("radii", self.radii), ("thicknesses", self.thicknesses)] {
             if !(0.0..1.0).contains(&v) {
                 return Err(Error::bad(file, format!("sweep.{key}"), v.to_string(), "0 or more, below 1"));

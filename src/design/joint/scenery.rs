@@ -1,6 +1,6 @@
 //! What a joint stage is trained on, and an entry of its history.
 
-use super::data::Textures;
+use crate::design::data::Textures;
 use isoplanat_imaging::frame::Frame;
 use isoplanat_imaging::sensor::Sensor;
 
@@ -43,12 +43,12 @@ pub struct Entry {
 }
 
 /// The log's first line.
-pub(super) const LOG_HEADER: &str =
+pub(in crate::design) const LOG_HEADER: &str =
     "step,seconds,loss,input_psnr_db,output_psnr_db,moved_um,signal,penalty,step_seconds,network_seconds\n";
 
 impl Entry {
     /// That of a line of the log.
-    pub(super) fn read(line: &str) -> Option<Self> {
+    pub(in crate::design) fn read(line: &str) -> Option<Self> {
         let mut values = line.split(',').map(|text| text.parse::<f64>().ok());
         let mut next = || values.next().flatten();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
@@ -68,7 +68,7 @@ impl Entry {
     }
 
     /// Its line of the log.
-    pub(super) fn line(&self) -> String {
+    pub(in crate::design) fn line(&self) -> String {
         format!(
             "{},{:.3},{:.6e},{:.4},{:.4},{:.4e},{:.4},{:.4e},{:.4},{:.4}\n",
             self.step,

@@ -11,6 +11,8 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
+pub mod verdict;
+
 mod camera;
 mod draws;
 mod edges;
@@ -19,8 +21,8 @@ mod zones;
 
 use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
-use super::chain::{Patch, forward, forward_of};
-use super::subject::Subject;
+use crate::design::chain::{Patch, forward, forward_of};
+use crate::design::subject::Subject;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use crate::report::picture_sheet::picture_sheet;
 use camera::{Camera, Image};
@@ -60,7 +62,7 @@ const STEP: usize = 4;
 const BUILT_IN: [usize; 2] = [640, 960];
 
 /// Pictures of a sheet.
-pub(super) const SHEET: usize = 4;
+pub(in crate::design) const SHEET: usize = 4;
 
 /// Colours of a picture.
 const CHANNELS: usize = 3;
@@ -102,7 +104,7 @@ impl Pictures {
     }
 
     /// Pixels of the largest.
-    pub(super) fn largest(&self) -> Result<usize> {
+    pub(in crate::design) fn largest(&self) -> Result<usize> {
         match self {
             Self::Photos(photos) => photos.largest(),
             Self::BuiltIn(..) => Ok(BUILT_IN[0] * BUILT_IN[1]),

@@ -66,7 +66,7 @@ pub struct State {
 
 impl State {
     /// A state of these lenses, the rest as `fill` says.
-    pub(super) fn new(lenses: [&Lens; 5], fill: impl FnOnce(&mut Self)) -> Self {
+    pub(in crate::design) fn new(lenses: [&Lens; 5], fill: impl FnOnce(&mut Self)) -> Self {
         let mut state = Self {
             step: 0,
             seconds: 0.0,
@@ -92,17 +92,17 @@ impl State {
     }
 
     /// The lens that drawn ones are around.
-    pub(super) fn around(&self) -> Result<Option<Lens>> {
+    pub(in crate::design) fn around(&self) -> Result<Option<Lens>> {
         self.around.as_ref().map(|text| prescription::from_toml(text, "checkpoint")).transpose()
     }
 
     /// Keeps the lens that drawn ones are around.
-    pub(super) fn keep_around(&mut self, lens: Option<&Lens>) {
+    pub(in crate::design) fn keep_around(&mut self, lens: Option<&Lens>) {
         self.around = lens.map(|l| prescription::to_toml(l));
     }
 
     /// Its lenses.
-    pub(super) fn lenses(&self) -> Result<[Lens; 5]> {
+    pub(in crate::design) fn lenses(&self) -> Result<[Lens; 5]> {
         let read = |text: &String| prescription::from_toml(text, "checkpoint");
         let [a, b, c, d, e] = &self.lenses;
         Ok([read(a)?, read(b)?, read(c)?, read(d)?, read(e)?])

@@ -4,13 +4,13 @@ use std::ops::Range;
 
 use ndarray::{Array3, Axis, s};
 
-use super::chain::{Patch, forward};
-use super::data::Textures;
-use super::joint::images::{Seen, group, look, pictures};
-use super::joint::{l1_and_psnr, middle};
-use super::places::{Places, Spread};
+use super::images::{Seen, group, look, pictures};
 use super::scenery::{Entry, Scenery};
 use super::sensor_loss::SensorLoss;
+use super::{l1_and_psnr, middle};
+use crate::design::chain::{Patch, forward};
+use crate::design::data::Textures;
+use crate::design::places::{Places, Spread};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::frame::Frame;
@@ -27,15 +27,15 @@ const SEED: u64 = 77;
 
 /// All that a picture takes.
 #[derive(Clone, Copy)]
-pub(super) struct Camera<'a> {
-    pub(super) renderer: &'a Renderer,
-    pub(super) electronics: &'a Electronics,
-    pub(super) network: &'a Reconstructor,
-    pub(super) guide: &'a Guide,
+pub(in crate::design) struct Camera<'a> {
+    pub(in crate::design) renderer: &'a Renderer,
+    pub(in crate::design) electronics: &'a Electronics,
+    pub(in crate::design) network: &'a Reconstructor,
+    pub(in crate::design) guide: &'a Guide,
     /// Where the lens is judged by its own images, the network left out.
-    pub(super) sensor_loss: Option<&'a SensorLoss>,
+    pub(in crate::design) sensor_loss: Option<&'a SensorLoss>,
     /// Whether the distance with the lowest PSNR behind the network is what counts, in place of the mean.
-    pub(super) worst: bool,
+    pub(in crate::design) worst: bool,
 }
 
 impl Camera<'_> {
@@ -53,7 +53,7 @@ impl Camera<'_> {
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn judged(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Entry> {
+    pub(in crate::design) fn judged(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Entry> {
         let Some(loss) = self.sensor_loss else {
             return Ok(self.sums(held_out, side, numbers)?.entry(self.worst));
         };
@@ -69,7 +69,7 @@ impl Camera<'_> {
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn sums(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Sums> {
+    pub(in crate::design) fn sums(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Sums> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
         sums(self, numbers, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
@@ -80,7 +80,12 @@ impl Camera<'_> {
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn shown(&self, held_out: &Textures, side: usize, count: usize) -> Result<Vec<Vec<Array3<f32>>>> {
+    pub(in crate::design) fn shown(
+        &self,
+        held_out: &Textures,
+        side: usize,
+        count: usize,
+    ) -> Result<Vec<Vec<Array3<f32>>>> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
         let mut numbers: Vec<(u64, f64)> = (0..count as u64)
@@ -105,7 +110,7 @@ impl Camera<'_> {
 
 /// L1, PSNR before and after the network, added up over patches; by distance PSNR after and before it, and how many they were.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Sums {
+pub(in crate::design) struct Sums {
     all: [f64; 3],
     by_distance: Vec<[f64; 3]>,
 }
@@ -119,7 +124,7 @@ impl Sums {
     }
 
     /// Others to these.
-    pub(super) fn add(&mut self, other: &Self) {
+    pub(in crate::design) fn add(&mut self, other: &Self) {
         self.by_distance.resize(other.by_distance.len().max(self.by_distance.len()), [0.0; 3]);
         self.all.iter_mut().zip(other.all).for_each(|(sum, v)| *sum += v);
         for (sums, others) in self.by_distance.iter_mut().zip(&other.by_distance) {
@@ -128,14 +133,14 @@ impl Sums {
     }
 
     /// Patches of a lens that shows nothing, as numbered: all of the range is wrong.
-    pub(super) fn nothing(numbers: Range<u64>, depths: usize) -> Self {
+    pub(in crate::design) fn nothing(numbers: Range<u64>, depths: usize) -> Self {
         let mut sums = Self::default();
         numbers.for_each(|number| sums.push(((number % depths as u64) as usize, depths), [1.0, 0.0, 0.0]));
         sums
     }
 
     /// Their means; where the worst distance counts, PSNR of the one with the lowest after the network.
-    pub(super) fn entry(&self, worst: bool) -> Entry {
+    pub(in crate::design) fn entry(&self, worst: bool) -> Entry {
         let n = self.by_distance.iter().map(|[.., of]| of).sum::<f64>().max(1.0);
         let [loss, input_psnr_db, output_psnr_db] = self.all.map(|v| v / n);
         let mean = Entry { loss, input_psnr_db, output_psnr_db, ..Entry::default() };
@@ -185,11 +190,11 @@ pub fn validate(
 }
 
 /// How much farther than the frame's corner object points reach, and where they end, degrees.
-pub(super) const MARGIN: f64 = 1.02;
-pub(super) const STEEPEST_DEG: f64 = 85.0;
+pub(in crate::design) const MARGIN: f64 = 1.02;
+pub(in crate::design) const STEEPEST_DEG: f64 = 85.0;
 
 /// The half field angle that the farthest corner of the frame sees, degrees, at the first distance.
-pub(super) fn corner_of(renderer: &Renderer) -> f64 {
+pub(in crate::design) fn corner_of(renderer: &Renderer) -> f64 {
     renderer.optics.maps[0].slope(renderer.plan.frame.max_radius_mm()).abs().atan().to_degrees()
 }
 

@@ -1,8 +1,8 @@
 //! What a finished network is worth on pictures that its training does not see: said at the end of a training and of a design.
 
-use super::evaluate::{FINENESS, Pictures, Settings, TEXELS_PER_PIXEL, evaluate};
-use super::subject::Subject;
-use super::task::Task;
+use super::{FINENESS, Pictures, Settings, TEXELS_PER_PIXEL, evaluate};
+use crate::design::subject::Subject;
+use crate::design::task::Task;
 use crate::report::verdict::Verdict;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::guide::Guide;
@@ -26,17 +26,17 @@ const SEED: u64 = 31;
 ///
 /// # Errors
 /// A folder of photographs that cannot be listed.
-pub(super) fn held_out(task: &Task) -> Result<Pictures> {
-    match &task.photos {
-        Some(folder) if task.keep_first > 0 => {
-            Ok(Pictures::Photos(Photos::open(folder)?.first(task.keep_first.min(PICTURES))))
+pub(in crate::design) fn held_out(task: &Task) -> Result<Pictures> {
+    match &task.pictures.photos {
+        Some(folder) if task.pictures.keep_first > 0 => {
+            Ok(Pictures::Photos(Photos::open(folder)?.first(task.pictures.keep_first.min(PICTURES))))
         }
         _ => Ok(Pictures::BuiltIn(SceneKind::Facades, PICTURES)),
     }
 }
 
 /// How they are judged.
-pub(super) fn settings(depths_mm: Vec<f64>) -> Settings {
+pub(in crate::design) fn settings(depths_mm: Vec<f64>) -> Settings {
     Settings {
         fields: ZONES,
         to_deg: None,

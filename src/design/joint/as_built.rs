@@ -14,8 +14,8 @@ use isoplanat_optics::optimize::sensitivity::Sensitivity;
 use isoplanat_optics::optimize::{Merit, Outcome, residuals_of};
 
 /// Drawn lenses that a judgement's pictures are taken through, and the number of the first, far from those of the steps.
-pub(super) const BUILT: u64 = 6;
-pub(super) const UNSEEN: u64 = 1 << 40;
+pub(in crate::design) const BUILT: u64 = 6;
+pub(in crate::design) const UNSEEN: u64 = 1 << 40;
 
 /// What may deviate in `lens` and leaves it round.
 ///
@@ -34,14 +34,14 @@ pub fn round(tolerances: &Tolerances, lens: &Lens) -> Result<Vec<Deviation>> {
 
 /// Draws of lenses around one.
 #[derive(Clone, Debug)]
-pub(super) struct AsBuilt {
+pub(in crate::design) struct AsBuilt {
     tolerances: Tolerances,
     merit: Merit,
     seed: u64,
     /// Of so many draws the one with the largest spots.
     worst_of: usize,
     /// The lens that deviations and focus are of.
-    pub(super) around: Lens,
+    pub(in crate::design) around: Lens,
     deviations: Vec<Deviation>,
     /// The sensor's place, then all that deviates.
     model: Sensitivity,
@@ -52,7 +52,7 @@ impl AsBuilt {
     ///
     /// # Errors
     /// As [`round`]; rays that fail.
-    pub(super) fn new(
+    pub(in crate::design) fn new(
         tolerances: &Tolerances,
         merit: &Merit,
         lens: &Lens,
@@ -66,7 +66,7 @@ impl AsBuilt {
     }
 
     /// The same around a lens that the design has moved to; one that cannot be looked at leaves it as it was.
-    pub(super) fn follow(&mut self, lens: &Lens) {
+    pub(in crate::design) fn follow(&mut self, lens: &Lens) {
         if let Ok(there) = Self::new(&self.tolerances, &self.merit, lens, (self.seed, self.worst_of)) {
             *self = there;
         }
@@ -89,7 +89,7 @@ impl AsBuilt {
     }
 
     /// `lens` as draw `number` builds it; none where that is no lens.
-    pub(super) fn lens(&self, lens: &Lens, number: u64) -> Option<Lens> {
+    pub(in crate::design) fn lens(&self, lens: &Lens, number: u64) -> Option<Lens> {
         off_by(lens, &self.worst(number)).ok()
     }
 }
@@ -111,7 +111,12 @@ pub struct BestBuilt {
 
 /// Of `found`, the best first, the lens whose spots are least where it is built within `tolerances`: those that nine in ten drawn lenses do not exceed, each refocused by its Jacobian, by
 /// rays: [`isoplanat_optics::analysis::tolerancing`] without tilts and shifts. None where no lens can be judged.
-pub(super) fn best_built(found: &[Outcome], tolerances: &Tolerances, merit: &Merit, seed: u64) -> Option<BestBuilt> {
+pub(in crate::design) fn best_built(
+    found: &[Outcome],
+    tolerances: &Tolerances,
+    merit: &Merit,
+    seed: u64,
+) -> Option<BestBuilt> {
     let spots = |lens: &Lens| -> Option<f64> {
         let built = AsBuilt::new(tolerances, merit, lens, (mixed(seed, 0x7261_6e6b), 1)).ok()?;
         let rms = |number| {
@@ -129,7 +134,7 @@ pub(super) fn best_built(found: &[Outcome], tolerances: &Tolerances, merit: &Mer
 
 /// `lens` rendered with the plan that holds the widest kernels of its own and of lenses drawn around it, and the lens that plan is of: a drawn lens's blur
 /// is not to fall outside windows that are made for `lens`.
-pub(super) fn widest(
+pub(in crate::design) fn widest(
     lens: &Lens,
     as_built: Option<&AsBuilt>,
     planned: impl Fn(&Lens) -> Result<Renderer>,

@@ -10,21 +10,21 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use super::as_built::{self, BestBuilt};
-use super::bound::Bound;
-use super::data::Textures;
-use super::folder::{MARKER, SCENES, START, check, lock, made, same_scenes, sweep};
-use super::going::{Stepped, Work, run_to_end};
 use super::judge::{MARGIN, corner_seen};
 use super::lens_steps::{LensSteps, Steps};
-use super::log::Log;
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, LOG_HEADER, Scenery};
 use super::state::State;
 use super::story::{Judgement, Told, WORSE_DB, page};
-use super::subject::Subject;
-use super::task::Task;
-use super::train_task::NETWORK;
-use super::verdict::verdicts;
+use crate::design::bound::Bound;
+use crate::design::data::Textures;
+use crate::design::evaluate::verdict::verdicts;
+use crate::design::folder::{MARKER, SCENES, START, check, lock, made, same_scenes, sweep};
+use crate::design::going::{Stepped, Work, run_to_end};
+use crate::design::log::Log;
+use crate::design::subject::Subject;
+use crate::design::task::Task;
+use crate::design::task::train::NETWORK;
 use crate::report::verdict::Verdict;
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
@@ -91,7 +91,7 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
     // Light that reaches the corner; where none does, what the lens states.
     let stated = lens.max_field_deg();
     let within = |corner: f64| stated > 0.0 && stated < corner;
-    let focused = task.focus_all.then(|| match focused(task, lens, seen, file) {
+    let focused = task.lens.focus_all.then(|| match focused(task, lens, seen, file) {
         Err(_) if within(seen[0]) => focused(task, lens, [stated, seen[1]], file),
         other => other,
     });
@@ -117,8 +117,8 @@ pub fn prepare_after(task: &Task, start: &Lens, found: &Lens, file: &str) -> Res
     let seen = [corner_seen(&found, &frame, &sensor)?[0], corner_seen(&start, &frame, &sensor)?[1]];
     let mut problem = task.problem(&start, seen, file)?;
     problem.lens = found.changed(|l| l.field = Field::Angle(seen[0]))?;
-    if task.lens_steps == Steps::Rays {
-        LensSteps::new(task.lens_steps, &problem)?;
+    if task.lens.steps_by == Steps::Rays {
+        LensSteps::new(task.lens.steps_by, &problem)?;
     }
     Ok(Prepared { start, problem, warm: None, taken: false, seen, best_built: None })
 }
@@ -145,12 +145,12 @@ fn improved(
     let mut taken = false;
     let mut best_built = None;
     let tolerances = task.stated_tolerances()?;
-    if task.warm_start && !task.freeze_lens {
+    if task.lens.warm_start && !task.lens.freeze {
         let mut from = problem.clone();
         // What the frame's corner sees moves with the distortion. A lens is a start where light reaches its own corner.
         for round in 0..4 {
-            let searched = if task.search > 0 && round == 0 {
-                let plan = Plan { starts: task.search, seed: task.seed, ..Plan::default() };
+            let searched = if task.lens.search > 0 && round == 0 {
+                let plan = Plan { starts: task.lens.search, seed: task.seed, ..Plan::default() };
                 let mut told = |p: Progress| {
                     tell(p.share, p.rms);
                     true
@@ -179,16 +179,20 @@ fn improved(
             from.lens = from.lens.changed(|l| l.field = Field::Angle(field_deg))?;
         }
     }
-    if task.lens_steps == Steps::Rays && !task.freeze_lens {
+    if task.lens.steps_by == Steps::Rays && !task.lens.freeze {
         // Its rays pass, or the reason is told now.
-        LensSteps::new(task.lens_steps, &problem)?;
+        LensSteps::new(task.lens.steps_by, &problem)?;
     }
     Ok(Prepared { start: lens.clone(), problem, warm, taken, seen, best_built })
 }
 
 /// How the device of a network was found to compute the steps of `task`; of a network that takes none there is nothing to find.
 fn checked(network: &mut Reconstructor, task: &Task) -> Result<Option<String>> {
-    if task.sensor_loss.is_some() { Ok(None) } else { network.check_device(task.batch, task.patch_px) }
+    if task.loss.sensor.is_some() {
+        Ok(None)
+    } else {
+        network.check_device(task.pictures.batch, task.pictures.patch_px)
+    }
 }
 
 /// A design under way.
@@ -380,7 +384,7 @@ impl Designing {
     /// # Errors
     /// [`Error::Stopped`] where lens or network cannot go on, the folder holds their last good state; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status<'_>) -> bool) -> Result<()> {
-        let every = self.task.checkpoint_seconds;
+        let every = self.task.budget.checkpoint_seconds;
         run_to_end(self, every, &mut |design| design.status().is_none_or(|status| watch(&status)))?;
         self.settle()
     }
@@ -399,7 +403,7 @@ impl Designing {
 
     /// Looks at pictures that it does not train on; the state is kept if it is the best so far.
     fn judge(&mut self) -> Result<()> {
-        let entry = self.stage.judged(&self.held_out, self.task.patch_px)?;
+        let entry = self.stage.judged(&self.held_out, self.task.pictures.patch_px)?;
         let step = self.stage.steps();
         let score = self.stage.score(&entry);
         let better = score.is_finite() && self.best.is_none_or(|(best, _)| score > best);
@@ -448,7 +452,7 @@ impl Designing {
     fn settle(&mut self) -> Result<()> {
         let Some((best, _)) = self.best.filter(|(_, step)| *step < self.stage.steps()) else { return self.conclude() };
         let path = self.folder.join(BEST);
-        let last = self.stage.judged(&self.held_out, self.task.patch_px)?;
+        let last = self.stage.judged(&self.held_out, self.task.pictures.patch_px)?;
         let last = self.stage.score(&last);
         if (last.is_nan() || last < best - WORSE_DB) && path.exists() {
             // What is left, a judgement and the page, the CPU does.
@@ -463,14 +467,14 @@ impl Designing {
             self.stage.over(&spent);
             save(&self.stage, (self.best, self.seen), &self.folder)?;
             // What is told of the result is the result's.
-            self.judged = Some(self.stage.judged(&self.held_out, self.task.patch_px)?);
+            self.judged = Some(self.stage.judged(&self.held_out, self.task.pictures.patch_px)?);
         }
         self.conclude()
     }
 
     /// Judges the network that is the result, where there is one, and writes the page. A judgement that fails takes nothing from the result.
     fn conclude(&mut self) -> Result<()> {
-        if self.task.sensor_loss.is_none() {
+        if self.task.loss.sensor.is_none() {
             let joint = &self.stage.joint;
             let subject = Subject::from(joint.lens.clone());
             let verdicts = verdicts(&self.task, &subject, (&joint.network, &joint.guide), &mut |_| {});
@@ -496,7 +500,7 @@ impl Work for Designing {
         if self.stage.steps().is_multiple_of(SMOOTH) {
             self.log.push(&entry.line());
         }
-        let checks = self.task.checks as f64;
+        let checks = self.task.budget.checks as f64;
         if (before * checks).floor() < (self.stage.used().min(1.0) * checks).floor() {
             self.judge()?;
         }

@@ -3,16 +3,34 @@
 //!
 //! A step whose rays fail, whose distortion folds or whose loss is not finite is taken back: the lens returns to its
 //! last good numbers and its step is halved.
+//!
+//! To read in this order: [`lens_steps`] (how the lens moves, within [`constraint`]), `images` and [`sensor_loss`] (a step without a network), [`noise`] (how well gradients are known), [`distances`] (how
+//! much each object distance counts), [`as_built`] (lenses within tolerances); [`run`] is the loop, on [`scenery`], looked at by [`judge`]; [`designing`] the loop with its folder, [`state`] where it
+//! stands, [`story`] its page, [`sweep`] many of them by number.
+
+pub mod as_built;
+pub mod constraint;
+pub mod designing;
+pub mod distances;
+pub mod judge;
+pub mod lens_steps;
+pub mod noise;
+pub mod run;
+pub mod scenery;
+pub mod sensor_loss;
+pub mod state;
+pub mod story;
+pub mod sweep;
 
 use std::time::Instant;
 
 use ndarray::{Array3, ArrayView4, Axis, Ix3, SliceInfo, SliceInfoElem, s};
 use rayon::prelude::*;
 
-use super::chain::{Patch, PatchForward, forward, forward_vjp};
-use super::distances::Distances;
-use super::lens_steps::{LensSteps, Stepped};
-use super::noise::Noise;
+use self::distances::Distances;
+use self::lens_steps::{LensSteps, Stepped};
+use self::noise::Noise;
+use crate::design::chain::{Patch, PatchForward, forward, forward_vjp};
 use isoplanat_base::error::Result;
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::guide::{Guide, Record};
@@ -69,7 +87,7 @@ pub struct Report {
 }
 
 /// Mean absolute difference, and PSNR in linear light (dB, at most 120), of two pictures of equal size.
-pub(super) fn l1_and_psnr<'a>(
+pub(in crate::design) fn l1_and_psnr<'a>(
     a: impl ExactSizeIterator<Item = &'a f32>,
     b: impl Iterator<Item = &'a f32>,
 ) -> (f64, f64) {
@@ -84,7 +102,7 @@ pub(super) fn l1_and_psnr<'a>(
 }
 
 /// The part of a patch that the network sees, in what is rendered.
-pub(super) fn middle(patch: &Patch) -> SliceInfo<[SliceInfoElem; 3], Ix3, Ix3> {
+pub(in crate::design) fn middle(patch: &Patch) -> SliceInfo<[SliceInfoElem; 3], Ix3, Ix3> {
     let Patch { region, part, .. } = patch;
     let (row, col) = ((part.row - region.row).unsigned_abs(), (part.col - region.col).unsigned_abs());
     s![.., row..row + part.rows, col..col + part.cols]
@@ -270,7 +288,7 @@ impl Joint {
     }
 }
 
-pub(super) mod images;
+pub(in crate::design) mod images;
 
 #[cfg(test)]
 mod tests;

@@ -1,5 +1,5 @@
 //! The joint stage of a design: lens and network together, step by step. [`Stage`] is the loop without a folder, [`super::designing`] the
-//! one with it. The final network for the finished lens is [`super::training`]'s.
+//! one with it. The final network for the finished lens is [`crate::design::training`]'s.
 //!
 //! Patches, noise and settings depend on the seed and the number of a step alone, so a stage goes on from its [`State`] with the same
 //! bits (same machine, same number of threads). A budget in time becomes one in steps when the lens has moved ([`Schedule`]).
@@ -7,19 +7,19 @@
 use std::time::Instant;
 
 use super::as_built::{AsBuilt, BUILT, UNSEEN, widest};
-use super::chain::Patch;
-use super::data::Textures;
 use super::distances::Distances;
-use super::joint::images::group;
-use super::joint::{Joint, Report};
+use super::images::group;
 use super::judge::{Camera, MARGIN, STEEPEST_DEG, Sums, corner_of};
 use super::lens_steps::{LensSteps, Stepped, Steps};
-use super::places::{Places, Spread};
 use super::scenery::{Entry, Scenery};
-use super::schedule::{Length, Schedule};
 use super::sensor_loss::SensorLoss;
 use super::state::State;
-use super::task::Task;
+use super::{Joint, Report};
+use crate::design::chain::Patch;
+use crate::design::data::Textures;
+use crate::design::places::{Places, Spread};
+use crate::design::schedule::{Length, Schedule};
+use crate::design::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::develop::simulate::Electronics;
 use isoplanat_imaging::guide::{Guide, Inputs};
@@ -74,24 +74,24 @@ impl JointSettings {
     /// # Errors
     /// As [`Task::length`].
     pub fn of(task: &Task) -> Result<Self> {
-        let rate = if task.lens_steps == Steps::Rays { 1e-3 * task.lens_rate_um } else { task.lens_rate };
+        let rate = if task.lens.steps_by == Steps::Rays { 1e-3 * task.lens.rate_um } else { task.lens.rate };
         Ok(Self {
             length: task.length()?,
-            patch: task.patch_px,
-            batch: task.batch,
-            steps: task.lens_steps,
-            lens_rate: if task.freeze_lens { 0.0 } else { rate },
+            patch: task.pictures.patch_px,
+            batch: task.pictures.batch,
+            steps: task.lens.steps_by,
+            lens_rate: if task.lens.freeze { 0.0 } else { rate },
             // Nothing but the lens moves.
-            lens_share: if task.sensor_loss.is_some() { [0.0, 1.0] } else { task.lens_share },
-            network_rate: task.network_rate,
-            epochs: task.epochs,
-            vergences: task.depths_mm.iter().map(|d| d.recip()).collect(),
-            depth_power: task.depth_power,
-            spread: task.spread,
-            least_illumination: task.least_illumination,
-            sensor_loss: task.sensor_loss.clone(),
+            lens_share: if task.loss.sensor.is_some() { [0.0, 1.0] } else { task.lens.share },
+            network_rate: task.network.rate,
+            epochs: task.budget.epochs,
+            vergences: task.pictures.depths_mm.iter().map(|d| d.recip()).collect(),
+            depth_power: task.loss.depth_power,
+            spread: task.pictures.spread,
+            least_illumination: task.lens.least_illumination,
+            sensor_loss: task.loss.sensor.clone(),
             tolerances: task.stated_tolerances()?,
-            worst_of: task.worst_of,
+            worst_of: task.lens.worst_of,
             settings: None,
         })
     }
@@ -118,14 +118,14 @@ fn rise_and_fall(used: f64) -> f64 {
 }
 
 /// Average over this many steps in a history.
-pub(super) const SMOOTH: usize = 10;
+pub(in crate::design) const SMOOTH: usize = 10;
 
 /// Patches of a judgement.
 const PICTURES: u64 = 24;
 /// Steps between plans.
 const REPLAN: usize = 25;
 /// Patches that settings are chosen by, and their side at most, pixels: converged kernels of large ones take much memory.
-pub(super) const JUDGED: (usize, usize) = (6, 96);
+pub(in crate::design) const JUDGED: (usize, usize) = (6, 96);
 /// The step at which settings are chosen again for the first time; then at every doubling.
 const AGAIN: usize = 100;
 /// Share of a length in time after which it becomes one in steps: half, or when the lens has stood still for a while, since steps with
@@ -517,19 +517,19 @@ impl Stage {
     }
 
     /// Seconds of the last step, and of its network.
-    pub(super) fn last_seconds(&self) -> [f64; 2] {
+    pub(in crate::design) fn last_seconds(&self) -> [f64; 2] {
         let network = self.recent.last().map_or(0.0, |r| r.network_seconds);
         [self.pace.last().copied().unwrap_or(0.0), network]
     }
 
     /// Makes a restored stage one that is over as `spent` was.
-    pub(super) fn over(&mut self, spent: &State) {
+    pub(in crate::design) fn over(&mut self, spent: &State) {
         (self.step, self.before, self.started) = (spent.step, spent.seconds, Instant::now());
         self.schedule.settled = spent.settled;
     }
 
     /// What renders it, its electronics, the network and what that is told: all that a picture takes.
-    pub(super) fn camera(&self) -> Camera<'_> {
+    pub(in crate::design) fn camera(&self) -> Camera<'_> {
         let (renderer, electronics) = (&self.renderer, &self.electronics);
         let sensor_loss = self.settings.sensor_loss.as_ref();
         let worst = self.settings.depth_power > 1.0;
@@ -541,7 +541,7 @@ impl Stage {
     ///
     /// # Errors
     /// A network that fails.
-    pub(super) fn judged(&mut self, held_out: &Textures, side: usize) -> Result<Entry> {
+    pub(in crate::design) fn judged(&mut self, held_out: &Textures, side: usize) -> Result<Entry> {
         if self.as_built.is_none() {
             return self.camera().judged(held_out, side, 0..PICTURES);
         }
@@ -562,7 +562,7 @@ impl Stage {
     }
 
     /// How good what was judged is, dB: the more the better.
-    pub(super) fn score(&self, judged: &Entry) -> f64 {
+    pub(in crate::design) fn score(&self, judged: &Entry) -> f64 {
         if self.settings.sensor_loss.is_some() { -20.0 * judged.loss.log10() } else { judged.output_psnr_db }
     }
 }

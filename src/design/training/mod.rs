@@ -5,6 +5,8 @@
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
 
+pub mod pairs;
+
 mod guard;
 mod state;
 
@@ -15,16 +17,16 @@ use std::time::Instant;
 
 use ndarray::{Array4, Axis, s};
 
-use super::bound::{Bound, guide_of};
-use super::data::Textures;
-use super::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
-use super::going::{Stepped, Work, run_to_end};
-use super::log::{Entry, HEADER, Log};
-use super::pairs::{Augmentation, PairSettings, Pairs, cut};
-use super::schedule::Schedule;
-use super::subject::Subject;
-use super::task::Task;
-use super::train_task::NETWORK;
+use self::pairs::{Augmentation, PairSettings, Pairs, cut};
+use crate::design::bound::{Bound, guide_of};
+use crate::design::data::Textures;
+use crate::design::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
+use crate::design::going::{Stepped, Work, run_to_end};
+use crate::design::log::{Entry, HEADER, Log};
+use crate::design::schedule::Schedule;
+use crate::design::subject::Subject;
+use crate::design::task::Task;
+use crate::design::task::train::NETWORK;
 use crate::report::picture_sheet::picture_sheet;
 use guard::Guard;
 use isoplanat_base::atomic;
@@ -137,7 +139,7 @@ impl Training {
     ) -> Result<Self> {
         check(folder, replace)?;
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
-        trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
+        trainer.check_device(&task.train.objective(), task.train.pairs.batch, task.train.pairs.patch_px)?;
         let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();
         let (bound, filters) = Bound::of(subject.sha256(), &parts.guide)?;
@@ -169,7 +171,7 @@ impl Training {
         let subject = Subject::of_run(folder)?;
         let path = folder.join(NETWORK);
         let (mut trainer, facts) = Trainer::load(&path, &task.train.objective(), compute)?;
-        trainer.check_device(&task.train.objective(), task.train.batch, task.train.patch_px)?;
+        trainer.check_device(&task.train.objective(), task.train.pairs.batch, task.train.pairs.patch_px)?;
         let state = State::from_facts(&facts, &path)?;
         let (kept, filters) = guide_of(folder, trainer.generator().config().inputs, &subject.frame()?)?;
         let bound = Bound::new(subject.sha256(), filters);
@@ -288,7 +290,7 @@ impl Training {
     /// [`Error::Stopped`] where nothing finite comes any more, or where it lost itself too often; what the disk says.
     pub fn run(&mut self, watch: &mut dyn FnMut(&Status) -> bool) -> Result<()> {
         self.clock = Clock::after(self.state.seconds);
-        let every = self.task.train.checkpoint_seconds;
+        let every = self.task.train.budget.checkpoint_seconds;
         run_to_end(self, every, &mut |training| training.status().is_none_or(|status| watch(&status)))?;
         self.pairs.discard();
         Ok(())
@@ -324,9 +326,10 @@ impl Training {
         let train = &self.task.train;
         let rng = &mut fastrand::Rng::with_seed(mixed(self.task.seed ^ 0x7374_6570, self.state.step));
         let mut parts = (Vec::new(), Vec::new());
-        for _ in 0..train.batch {
+        for _ in 0..train.pairs.batch {
             let pair = self.pairs.get(&self.textures, self.pairs.draw(rng))?;
-            let (input, target) = cut(&self.electronics, &self.guide, &pair, train.patch_px, train.augmentation(), rng);
+            let (input, target) =
+                cut(&self.electronics, &self.guide, &pair, train.pairs.patch_px, train.augmentation(), rng);
             parts.0.push(input);
             parts.1.push(target);
         }
@@ -337,7 +340,7 @@ impl Training {
         let (input, target) = (batch(&parts.0), batch(&parts.1));
         let step = self.trainer.step(input.view(), target.view(), rate)?;
         let each = step.output.outer_iter().zip(target.outer_iter()).map(|(a, b)| bounded(psnr(a, b)));
-        let psnr_db = each.sum::<f64>() / train.batch as f64;
+        let psnr_db = each.sum::<f64>() / train.pairs.batch as f64;
         Ok((step, psnr_db))
     }
 
@@ -356,7 +359,11 @@ impl Training {
         }
         let compute = self.trainer.compute();
         let (mut trainer, facts) = Trainer::load(&path, &self.task.train.objective(), compute)?;
-        trainer.check_device(&self.task.train.objective(), self.task.train.batch, self.task.train.patch_px)?;
+        trainer.check_device(
+            &self.task.train.objective(),
+            self.task.train.pairs.batch,
+            self.task.train.pairs.patch_px,
+        )?;
         let then = State::from_facts(&facts, &path)?;
         self.state = State { returned: lost.returned, seconds: lost.seconds, settled: lost.settled, ..then };
         self.trainer = trainer;
@@ -405,7 +412,7 @@ impl Work for Training {
         let mut entry = Entry::mean(&self.clock.recent);
         if self.state.step.is_multiple_of(SMOOTH) {
             self.clock.recent.clear();
-            let every = self.task.train.sample_steps;
+            let every = self.task.train.budget.sample_steps;
             if every > 0 && self.state.step.is_multiple_of(every.next_multiple_of(SMOOTH)) {
                 entry.held_out_psnr_db = Some(self.sample()?);
             }
@@ -431,7 +438,7 @@ impl Work for Training {
 
     fn stopped(&mut self, why: &str) -> Error {
         Error::Stopped(format!(
-            "training stopped at step {}: {why}; {} holds the network as it was; lower train.rate or look at the pictures",
+            "training stopped at step {}: {why}; {} holds the network as it was; lower train.budget.rate or look at the pictures",
             self.state.step,
             self.folder.join(NETWORK).display()
         ))
@@ -481,9 +488,9 @@ impl Parts {
         let (train, density) = (&task.train, SpectralDensity::new(&sensor));
         let electronics = Electronics::of(&sensor);
         let largest = frame.rows.min(frame.columns);
-        if train.region_px > largest {
-            let found = format!("{} on a sensor of {} x {}", train.region_px, frame.columns, frame.rows);
-            return Err(Error::bad(MARKER, "train.region_px", found, format!("at most {largest}")));
+        if train.pairs.region_px > largest {
+            let found = format!("{} on a sensor of {} x {}", train.pairs.region_px, frame.columns, frame.rows);
+            return Err(Error::bad(MARKER, "train.pairs.region_px", found, format!("at most {largest}")));
         }
         let vergences = match task.network_depths_mm() {
             [] => vec![subject.vergence()],
@@ -491,15 +498,18 @@ impl Parts {
         };
         let settings = PairSettings {
             seed: task.seed,
-            region_px: train.region_px,
-            count: train.pairs,
-            budget: train.cache_mib << 20,
+            region_px: train.pairs.region_px,
+            count: train.pairs.count,
+            budget: train.pairs.cache_mib << 20,
             vergences,
         };
         let pairs = Pairs::new(subject, &density, settings)?;
-        let guide = guide.map_or_else(|| Guide::new(train.inputs, pairs.renderer(), &electronics), Ok)?;
-        let samples =
-            if train.sample_steps > 0 { samples(&pairs, train.patch_px, &electronics, &guide)? } else { vec![] };
+        let guide = guide.map_or_else(|| Guide::new(train.network.inputs, pairs.renderer(), &electronics), Ok)?;
+        let samples = if train.budget.sample_steps > 0 {
+            samples(&pairs, train.pairs.patch_px, &electronics, &guide)?
+        } else {
+            vec![]
+        };
         Ok(Self { textures, electronics, pairs, guide, samples })
     }
 }
@@ -531,7 +541,7 @@ fn samples(
             let region = Region { row: start(1, frame.rows), col: start(0, frame.columns), rows: side, cols: side };
             let rng = &mut fastrand::Rng::with_seed(mixed(0x7365_656e, i as u64));
             let patch = unseen.place(rng, frame, &renderer.optics.maps[0], region);
-            let pair = super::pairs::render_pair(renderer, &patch)?;
+            let pair = self::pairs::render_pair(renderer, &patch)?;
             Ok(cut(electronics, guide, &pair, side, Augmentation::NONE, rng))
         })
         .collect()

@@ -11,9 +11,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use ndarray::{Array2, Array3, Array4, Axis, s};
 
-use super::chain::Patch;
-use super::data::Textures;
-use super::subject::Subject;
+use crate::design::chain::Patch;
+use crate::design::data::Textures;
+use crate::design::subject::Subject;
 use isoplanat_base::atomic;
 use isoplanat_base::atomic::sha256_hex;
 use isoplanat_base::error::{Error, Result};
@@ -228,7 +228,7 @@ impl Pairs {
     }
 
     /// The lens at all distances.
-    pub(super) fn renderer(&self) -> &Renderer {
+    pub(in crate::design) fn renderer(&self) -> &Renderer {
         &self.renderer
     }
 

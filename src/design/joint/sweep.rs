@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
-use super::folder::MARKER;
 use super::story::Judgement;
-use super::task::Task;
+use crate::design::folder::MARKER;
+use crate::design::task::Task;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::sensor::noise::mixed;
 use isoplanat_optics::lens::catalogue::Glasses;
