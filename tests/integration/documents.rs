@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use crate::support::root;
 
-/// README and the pages of the manual.
+/// README, the pages of the manual, and the decisions.
 fn pages() -> Vec<PathBuf> {
-    let manual = std::fs::read_dir(root().join("docs")).expect("a manual").flatten().map(|e| e.path());
+    let listed = |folder: &str| std::fs::read_dir(root().join(folder)).expect("a manual").flatten().map(|e| e.path());
+    let manual = ["docs", "docs/decisions"].into_iter().flat_map(listed);
     let mut pages: Vec<PathBuf> = manual.filter(|p| p.extension().is_some_and(|e| e == "md")).collect();
     pages.sort();
     pages.insert(0, root().join("README.md"));
@@ -69,6 +70,46 @@ fn links_lead_somewhere() {
         }
     }
     assert!(count > 40, "{count}");
+}
+
+/// What `docs/checks.md` names as the test of a figure is one: a function of a test, or a module of code or tests.
+#[test]
+fn checks_name_tests_that_are_there() {
+    let mut names = std::collections::BTreeSet::new();
+    let mut folders = ["src", "crates", "tests/integration"].map(|f| root().join(f)).to_vec();
+    while let Some(folder) = folders.pop() {
+        for entry in std::fs::read_dir(folder).expect("a folder").flatten().map(|e| e.path()) {
+            if entry.is_dir() {
+                names.extend(entry.file_name().map(|n| n.to_string_lossy().into_owned()));
+                folders.push(entry);
+            } else if entry.extension().is_some_and(|e| e == "rs") {
+                names.extend(entry.file_stem().map(|n| n.to_string_lossy().into_owned()));
+                let code = text(&entry);
+                let begins = ["fn ", "mod "].into_iter().flat_map(|word| code.split(word).skip(1));
+                let word = |rest: &str| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().map(str::to_owned);
+                names.extend(begins.filter_map(word));
+            }
+        }
+    }
+    let page = text(&root().join("docs/checks.md"));
+    let mut count = 0;
+    for row in page.lines().filter(|l| l.starts_with("| ") && !l.starts_with("| what |")) {
+        for name in row.split('|').nth(2).expect("three cells").split('`').skip(1).step_by(2) {
+            let there = if name.contains(['/', '.']) {
+                root().join(name.split(' ').next().expect("a word")).exists()
+            } else {
+                name.split("::").all(|part| names.contains(part))
+            };
+            assert!(there, "{name} in {row}");
+            count += 1;
+        }
+    }
+    assert!(count > 60, "{count}");
+    let decisions = std::fs::read_dir(root().join("docs/decisions")).expect("decisions").flatten();
+    let index = text(&root().join("docs/decisions/README.md"));
+    for name in decisions.map(|e| e.file_name().to_string_lossy().into_owned()).filter(|n| n != "README.md") {
+        assert!(index.contains(&format!("({name})")), "{name} is not in the index");
+    }
 }
 
 /// At most 180 lines and 12 kB, paragraphs of at most 60 words, cells of at most 15.
