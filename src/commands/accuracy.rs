@@ -15,11 +15,13 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::words as in_words;
 use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
+use isoplanat::report::table::value;
 use ndarray::Array3;
 
 use crate::memory;
 use crate::named::Named;
 use crate::output;
+use crate::output::Common;
 use crate::peak::measured;
 use crate::progress::Bar;
 use crate::scene::{Placed, SMALLER, SceneArgs};
@@ -48,12 +50,8 @@ pub(crate) struct Args {
     gradient: bool,
     #[command(flatten)]
     place: SceneArgs,
-    /// Rows as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite files.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// One way to make the picture.
@@ -107,7 +105,7 @@ fn ways() -> Vec<(&'static str, String, Way)> {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    output::check_all(&[args.output.as_deref(), args.svg.as_deref(), args.csv.as_deref()], args.force)?;
+    output::check_all(&[args.output.as_deref(), args.svg.as_deref(), args.csv.as_deref()], args.common.force)?;
     let density = SpectralDensity::new(&Sensor::generic());
     if args.gradient {
         let placed = args.place.place(&args.lens, &args.scene)?;
@@ -227,8 +225,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let files = [(&args.output, accuracy.html()), (&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())];
     tell(
         files,
-        args.force,
-        if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) },
+        args.common.force,
+        if args.common.json { value(&accuracy)?.to_string() } else { format!("{}\n{note}", accuracy.table()) },
         out,
     )
 }

@@ -15,6 +15,7 @@ use ndarray::{Array1, Array2, Array4};
 use serde_json::{Value, json};
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Which analysis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -97,19 +98,15 @@ pub(crate) struct Args {
     /// The numbers as NumPy arrays
     #[arg(long, value_name = "OUT.npz")]
     npz: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     view: View,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; figures go to `out`.
 pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.force)?;
+    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.common.force)?;
     // Spots and distortion need no waves.
     let options = Options { whole: kind == Kind::Mtf, ..args.view.options()? };
     let lens = args.view.lens(&args.lens)?;
@@ -119,15 +116,15 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
     let curves: Vec<(&'static str, Plot)> = plots(&overview).into_iter().filter(|(n, _)| kind.shows(n)).collect();
     if let Some(path) = &args.svg {
         let drawing = if kind == Kind::Spot { spot_svg(&overview) } else { curves[0].1.to_svg() };
-        crate::output::put(&drawing, Some(path), args.force, out)?;
+        crate::output::put(&drawing, Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&plots_csv(&curves), Some(path), args.force, out)?;
+        crate::output::put(&plots_csv(&curves), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.npz {
-        save(kind, &overview, Target::new(path, args.force))?;
+        save(kind, &overview, Target::new(path, args.common.force))?;
     }
-    if args.json {
+    if args.common.json {
         let fields = if kind == Kind::Distortion { Vec::new() } else { fields_json(&overview) };
         let value = json!({ "schema": 1, "name": lens.name, "fields": fields, "plots": plots_json(&curves),
             "missing": missing });

@@ -16,6 +16,7 @@ use isoplanat::imaging::metrics::slanted_edge::Sites;
 use isoplanat::{Error, Result};
 use ndarray::{Array2, ArrayView2};
 
+use crate::output::Common;
 use crate::picture;
 use crate::progress::Bar;
 use listing::{Chart, Listing};
@@ -61,12 +62,8 @@ pub(crate) struct Args {
     /// Every corner as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Where the centre of distortion is.
@@ -93,7 +90,7 @@ fn centre(text: &str) -> std::result::Result<Centre, String> {
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let outputs = [&args.out, &args.svg, &args.csv, &args.psf, &args.psf_picture].map(Option::as_deref);
-    crate::output::check_all(&outputs, args.force)?;
+    crate::output::check_all(&outputs, args.common.force)?;
     if let Some(path) = args.psf_picture.as_ref().filter(|p| !PICTURES.contains(&extension(p).as_str())) {
         let found = path.display().to_string();
         return Err(Error::bad("--psf-picture", "ending", found, PICTURES.join(", ")).into());
@@ -145,23 +142,23 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let measured = measured(args, size, &charts, &fit);
     // Whatever becomes of the kernels.
     if let Some(path) = &args.out {
-        crate::output::put(&measured.text()?, Some(path), args.force, out)?;
+        crate::output::put(&measured.text()?, Some(path), args.common.force, out)?;
     }
     let spread = args.psf.as_ref().map(|_| psf::measure(&charts, &views, &fit, size, args.reach)).transpose()?;
     let listing = Listing { settings, charts, skipped, fit, doubts };
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
+        crate::output::put(&listing.svg(), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
+        crate::output::put(&listing.csv(), Some(path), args.common.force, out)?;
     }
     if let (Some(path), Some(spread)) = (&args.psf, &spread) {
-        write_bytes(Target::new(path, args.force), &spread.measured.psf.to_npz()?)?;
+        write_bytes(Target::new(path, args.common.force), &spread.measured.psf.to_npz()?)?;
     }
     if let (Some(path), Some(spread)) = (&args.psf_picture, &spread) {
-        write_picture(Target::new(path, args.force), &spread.picture(), Encoding::Srgb)?;
+        write_picture(Target::new(path, args.common.force), &spread.picture(), Encoding::Srgb)?;
     }
-    if args.json {
+    if args.common.json {
         let mut all = listing.json();
         if let Some(spread) = &spread {
             all["psf"] = spread.json();

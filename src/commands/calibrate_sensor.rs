@@ -18,6 +18,7 @@ use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
 use serde_json::json;
 
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// Bytes of a pixel of a frame while frames are measured: as it is kept, and its share of one that is read.
@@ -52,12 +53,8 @@ pub(crate) struct Args {
     /// The same as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 fn place(text: &str) -> std::result::Result<[f64; 2], String> {
@@ -81,26 +78,26 @@ struct Camera {
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let outputs = [&args.out, &args.shading, &args.svg, &args.csv].map(Option::as_deref);
-    crate::output::check_all(&outputs, args.force)?;
+    crate::output::check_all(&outputs, args.common.force)?;
     let (frames, camera) = read(args)?;
     let measured = transfer(&frames).map_err(|e| e.in_file(Path::new("calibrate-sensor")))?;
     let sensor = sensor(args, &camera, &measured)?;
     let shading = if args.shading.is_some() { Some(illumination(args, &frames, &camera, &measured)?) } else { None };
     if let Some(path) = &args.out {
         let text = toml::to_string(&sensor).map_err(|e| Error::Internal(format!("sensor to TOML: {e}")))?;
-        crate::output::put(&text, Some(path), args.force, out)?;
+        crate::output::put(&text, Some(path), args.common.force, out)?;
     }
     if let (Some(path), Some(shading)) = (&args.shading, &shading) {
-        crate::output::put(&shading.text()?, Some(path), args.force, out)?;
+        crate::output::put(&shading.text()?, Some(path), args.common.force, out)?;
     }
     let listing = Listing { measured: &measured, camera: &camera, sensor: &sensor, shading: shading.as_ref() };
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
+        crate::output::put(&listing.svg(), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
+        crate::output::put(&listing.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", listing.json())?;
     } else {
         write!(out, "{listing}")?;

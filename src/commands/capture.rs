@@ -14,6 +14,7 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use crate::input;
 use crate::named::Named;
 use crate::output;
+use crate::output::Common;
 use crate::progress::Bar;
 use crate::scene::{Placed, SMALLER, SceneArgs};
 
@@ -44,17 +45,13 @@ pub(crate) struct Args {
     /// Seed of rays and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
-    /// Figures as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    output::check_writable(&args.output, args.force)?;
+    output::check_writable(&args.output, args.common.force)?;
     glare::check(args.glare).map_err(|e| e.in_file(Path::new("isoplanat")))?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
@@ -80,8 +77,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         lens: lens.name.clone(),
         model: String::new(),
     };
-    write_dng(Target::new(&args.output, args.force), taken.dn.view(), &sensor, &info)?;
-    if args.json {
+    write_dng(Target::new(&args.output, args.common.force), taken.dn.view(), &sensor, &info)?;
+    if args.common.json {
         let figures = serde_json::json!({ "schema": 1, "capture": args.output, "columns": frame.columns, "rows": frame.rows,
             "rays": taken.rays, "seconds": taken.seconds, "render_noise": taken.render_noise,
             "sensor_noise": taken.sensor_noise });

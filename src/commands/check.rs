@@ -7,6 +7,7 @@ use isoplanat::report::health::HealthReport;
 use isoplanat::trace::health::Verdict;
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `check`.
 #[derive(Debug, clap::Args)]
@@ -18,25 +19,21 @@ pub(crate) struct Args {
     csv: Option<PathBuf>,
     #[command(flatten)]
     f_number: crate::input::FNumber,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; the result goes to `out`. A failed check is an error (exit code 1) that names the first failure.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
-        crate::output::check_writable(path, args.force)?;
+        crate::output::check_writable(path, args.common.force)?;
     }
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let report = HealthReport::new(&lens);
     if let Some(path) = &args.csv {
-        crate::output::put(&report.csv(), Some(path), args.force, out)?;
+        crate::output::put(&report.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", report.json())?;
     } else {
         write!(out, "{report}")?;

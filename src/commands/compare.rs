@@ -28,6 +28,7 @@ use isoplanat::report::table::significant;
 use isoplanat::{Error, Result};
 
 use crate::evaluate::{Judged, Protocol};
+use crate::output::Common;
 
 /// What makes a folder one of a comparison.
 const MARKER: &str = "compare.json";
@@ -88,12 +89,8 @@ pub(crate) struct Args {
     /// Go on with the comparison in that folder, asked for in the same words
     #[arg(long, conflicts_with = "force")]
     resume: bool,
-    /// Results as JSON
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the folder
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// A network of a comparison.
@@ -197,7 +194,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     put("comparison.html", &comparison.to_html()?)?;
     put("comparison.csv", &comparison.csv())?;
     put("comparison.json", &format!("{json}\n"))?;
-    if args.json {
+    if args.common.json {
         writeln!(out, "{json}")?;
     } else {
         writeln!(out, "{}", comparison.table())?;
@@ -337,7 +334,7 @@ fn begin(args: &Args, asked_for: &str) -> Result<()> {
     let runs = std::fs::read_dir(folder).into_iter().flatten().flatten().filter(|entry| made(&entry.path()));
     let runs: Vec<String> = runs.map(|entry| format!("{}/**", entry.file_name().to_string_lossy())).collect();
     let entries: Vec<&str> = ["comparison.*", "rate/**"].into_iter().chain(runs.iter().map(String::as_str)).collect();
-    atomic::publish_folder(folder, &FolderKind::new(MARKER, &entries), args.force.into(), |inside| {
+    atomic::publish_folder(folder, &FolderKind::new(MARKER, &entries), args.common.force.into(), |inside| {
         atomic::write_bytes(&inside.join(MARKER), asked_for.as_bytes())
     })
 }

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use isoplanat::interchange::{Form, text_of};
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `convert`.
 #[derive(Debug, clap::Args)]
@@ -15,24 +16,20 @@ pub(crate) struct Args {
     /// File to write, by its ending: .toml, .zmx (Zemax OpticStudio), .seq (CODE V)
     #[arg(value_name = "OUT")]
     output: PathBuf,
-    /// Machine-readable output: what was written, and the notes on it
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; a line on what was written goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let form = Form::of(&args.output)?;
-    crate::output::check_writable(&args.output, args.force)?;
+    crate::output::check_writable(&args.output, args.common.force)?;
     let lens = crate::input::lens(&args.input)?;
     let (text, notes) =
         text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.input))?;
-    crate::output::put(&text, Some(&args.output), args.force, out)?;
+    crate::output::put(&text, Some(&args.output), args.common.force, out)?;
     let output = args.output.display();
-    if args.json {
+    if args.common.json {
         let value = serde_json::json!({
             "schema": 1, "input": &*args.input, "output": output.to_string(), "surfaces": lens.surfaces.len(), "notes": notes,
         });

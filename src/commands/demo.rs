@@ -27,6 +27,7 @@ use isoplanat::report::lens_view::LensView;
 use isoplanat::{Result, atomic};
 
 use crate::kit;
+use crate::output::Common;
 use crate::progress::Bar;
 use settings::Settings;
 
@@ -54,18 +55,14 @@ pub(crate) struct Args {
     /// The ONNX Runtime library to use.
     #[arg(long)]
     onnxruntime: Option<PathBuf>,
-    /// Figures as JSON, as in the folder's summary.json.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the folder.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    let report = atomic::write_folder(&args.output, MARKER, args.force, |folder| chain(args, folder))?;
-    if args.json {
+    let report = atomic::write_folder(&args.output, MARKER, args.common.force, |folder| chain(args, folder))?;
+    if args.common.json {
         return Ok(writeln!(out, "{}", report.summary_json())?);
     }
     for s in &report.scenes {

@@ -23,6 +23,7 @@ use isoplanat::optimize::merit_of;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// Joint design of lens and network.
@@ -64,12 +65,8 @@ pub(crate) struct Args {
     /// Judge the result on patches of these photographs too
     #[arg(long)]
     validate: Option<PathBuf>,
-    /// Results as JSON
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the run folder
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command.
@@ -79,13 +76,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return check(args, out);
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
-    let told = Told { folder, validate: args.validate.as_deref(), json: args.json };
+    let told = Told { folder, validate: args.validate.as_deref(), json: args.common.json };
     let Some(path) = &args.task else { return go_on(None, args.device, told, out) };
-    folder::check(folder, args.force)?;
+    folder::check(folder, args.common.force)?;
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let lens = task.first(&file)?.lens(crate::glasses::all())?;
     drawable(args, &lens)?;
-    start(task, &lens, &file, (args.force, args.device), told, out)
+    start(task, &lens, &file, (args.common.force, args.device), told, out)
 }
 
 /// Designs `lens` by `task` (of `file`) in `folder`.
@@ -379,19 +376,19 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     parts.iter().try_for_each(|part| possible(part, &file))?;
     let lens = parts[0].lens(crate::glasses::all())?;
     drawable(args, &lens)?;
-    if !args.json {
+    if !args.common.json {
         writeln!(out, "{file}: nothing was written")?;
     }
     let first = prepared(&parts[0], &lens, &file)?;
     let mut values = Vec::new();
     for (k, part) in parts.iter().enumerate() {
-        if parts.len() > 1 && !args.json {
+        if parts.len() > 1 && !args.common.json {
             writeln!(out, "\nstage {} of {}, with the lens that the first one begins with", k + 1, parts.len())?;
         }
         let later = if k > 0 { Some(prepare_after(part, &first.start, &first.problem.lens, &file)?) } else { None };
         values.push(looked_at(part, later.as_ref().unwrap_or(&first), args, out)?);
     }
-    if args.json {
+    if args.common.json {
         let value = match values.as_slice() {
             [one] => one.clone(),
             all => serde_json::json!({ "schema": 1, "stages": all }),
@@ -414,7 +411,7 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     };
     let pace = pace(&scenery, problem, &fresh, &settings)?;
     let spots = merit_of(&problem.lens, &problem.merit).ok();
-    if args.json {
+    if args.common.json {
         let value = serde_json::json!({ "schema": 1, "variables": problem.variables.parameters.iter().zip(&problem.bounds).map(|(p, b)| {
                 serde_json::json!({ "name": p.name(&problem.lens), "bounds": b.map(|v| v.is_finite().then_some(v)) })
             }).collect::<Vec<_>>(),

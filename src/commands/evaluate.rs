@@ -20,10 +20,11 @@ use isoplanat::report::comparison::EdgesAt;
 use isoplanat::report::evaluation::Evaluation;
 use isoplanat::report::measured::Settings as EdgeSettings;
 use isoplanat::report::paired;
-use isoplanat::report::table::significant;
+use isoplanat::report::table::{significant, value};
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result, atomic};
 
+use crate::output::Common;
 use crate::progress::Bar;
 use crate::{output, tolerance};
 
@@ -61,18 +62,14 @@ pub(crate) struct Args {
     /// Rows to write as comma-separated values.
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Results as JSON.
-    #[arg(long)]
-    json: bool,
     /// Plot to write: PSNR over the field.
     #[arg(long, value_name = "OUT.svg")]
     plot: Option<PathBuf>,
     /// Folder for sheets, one a zone and depth: truth, capture, Wiener filter and reconstruction of the first four pictures.
     #[arg(long, value_name = "OUT_DIR")]
     pictures: Option<PathBuf>,
-    /// Overwrite files, and a folder of sheets.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// On what and how a camera is judged.
@@ -177,9 +174,9 @@ fn kind(text: &str) -> std::result::Result<SceneKind, String> {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    output::check_all(&[args.csv.as_deref(), args.plot.as_deref()], args.force)?;
+    output::check_all(&[args.csv.as_deref(), args.plot.as_deref()], args.common.force)?;
     if let Some(folder) = &args.pictures {
-        atomic::check_folder(folder, MARKER, args.force)?;
+        atomic::check_folder(folder, MARKER, args.common.force)?;
     }
     if args.plot.is_some() && args.protocol.fields < 2 {
         let found = format!("{} with --plot", args.protocol.fields);
@@ -208,17 +205,17 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         None => None,
     };
     if let Some(path) = &args.csv {
-        output::put(&result.csv(), Some(path), args.force, out)?;
+        output::put(&result.csv(), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.plot {
-        output::put(&result.svg(), Some(path), args.force, out)?;
+        output::put(&result.svg(), Some(path), args.common.force, out)?;
     }
     if let Some(folder) = &args.pictures {
-        run.save(folder, args.force, &sheets, &result, &pictures)?;
+        run.save(folder, args.common.force, &sheets, &result, &pictures)?;
     }
     let verdicts = Verdict::of(&result);
-    if args.json {
-        let mut json = result.json();
+    if args.common.json {
+        let mut json = value(&result)?;
         json["verdicts"] = serde_json::to_value(&verdicts)?;
         if let Some(differences) = &differences {
             json["differences"] = serde_json::to_value(differences)?;
@@ -292,9 +289,9 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
         bar.done(String::new());
     }
     if let Some(path) = &args.csv {
-        output::put(&draws.csv(), Some(path), args.force, out)?;
+        output::put(&draws.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{}", draws.json())?;
     } else {
         writeln!(out, "{}", draws.table())?;

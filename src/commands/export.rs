@@ -21,6 +21,7 @@ use isoplanat::{Result, atomic};
 use ndarray::{Array4, Axis};
 
 use crate::kit;
+use crate::output::Common;
 
 /// ONNX model and calibration of a run, for the camera.
 #[derive(Debug, clap::Args)]
@@ -43,12 +44,8 @@ pub(crate) struct Args {
     /// file's Exif facts and tells what does not fit.
     #[arg(long, value_name = "KEY=LOW..HIGH")]
     valid: Vec<String>,
-    /// Figures as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the kit.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Side of the built-in scene that f16 weights are judged on, pixels; a multiple of every network's.
@@ -56,7 +53,7 @@ const JUDGED: usize = 384;
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    atomic::check_folder(&args.output, FILE, args.force)?;
+    atomic::check_folder(&args.output, FILE, args.common.force)?;
     args.glare.map(glare::check).transpose().map_err(|e| e.in_file(Path::new("isoplanat")))?;
     let mut valid = Valid::default();
     args.valid.iter().try_for_each(|text| valid.put(text))?;
@@ -92,10 +89,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut kit = kit::around(model, &card, &lens, &sensor, &frame, &calibration, &guide, tile)?;
     kit.glare = args.glare;
     kit.valid = valid;
-    kit.save(&args.output, args.force)?;
+    kit.save(&args.output, args.common.force)?;
     let residual = calibration.distortion.residual_mm / frame.pitch_mm;
     let seen_mm = calibration.distortion.sensor_from_slope(calibration.distortion.max_slope);
-    if args.json {
+    if args.common.json {
         let figures = serde_json::json!({ "schema": 1, "kit": args.output, "lens_sha256": lens.sha256,
             "distortion_residual_px": residual, "distortion_radius_mm": seen_mm, "corner_mm": frame.max_radius_mm(),
             "memory_bytes": bytes, "f16": cost });

@@ -11,6 +11,7 @@ use isoplanat::optimize::spec::Spec;
 use isoplanat::report::table::significant;
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `focus`.
 #[derive(Debug, clap::Args)]
@@ -26,12 +27,8 @@ pub(crate) struct Args {
     /// Shares of the field that count, comma separated: `0` is the axis alone [default: five from 0 to 1]
     #[arg(long, value_delimiter = ',', value_name = "SHARES")]
     fields: Vec<f64>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Images farther than this behind a lens are none, mm.
@@ -44,7 +41,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let file = args.output.display().to_string();
         return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
     }
-    crate::output::check_writable(&args.output, args.force)?;
+    crate::output::check_writable(&args.output, args.common.force)?;
     if args.depth_mm.is_nan() || args.depth_mm <= 0.0 {
         let found = args.depth_mm.to_string();
         return Err(Error::bad("--depth-mm", "value", found, "a positive distance, or inf").into());
@@ -63,11 +60,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let merit = Spec { fields, ..Spec::default() }.merit("--fields")?;
     let found = refocused(&placed, merit).map_err(named)?;
     let (text, notes) = text_of(&found.lens, form, crate::glasses::all()).map_err(named)?;
-    crate::output::put(&text, Some(&args.output), args.force, out)?;
+    crate::output::put(&text, Some(&args.output), args.common.force, out)?;
     let output = args.output.display();
     let last = |l: &isoplanat::lens::Lens| l.surfaces[l.surfaces.len() - 1].thickness;
     let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));
-    if args.json {
+    if args.common.json {
         let value = serde_json::json!({
             "schema": 1, "lens": &*args.lens, "output": output.to_string(), "object_distance_mm": args.depth_mm,
             "sensor_distance_mm": [before, after], "rms_um": [rms, least], "notes": notes,

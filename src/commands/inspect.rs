@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use isoplanat::report::listing::Listing;
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `inspect`.
 #[derive(Debug, clap::Args)]
@@ -20,18 +21,14 @@ pub(crate) struct Args {
     csv: Option<PathBuf>,
     #[command(flatten)]
     f_number: crate::input::FNumber,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
-        crate::output::check_writable(path, args.force)?;
+        crate::output::check_writable(path, args.common.force)?;
     }
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let nm = args.wavelength_nm.unwrap_or(lens.wavelengths.primary_nm);
@@ -41,9 +38,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     lens.require_indices(nm, &args.lens)?;
     let listing = Listing::new(&lens, nm);
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
+        crate::output::put(&listing.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", listing.json())?;
     } else {
         write!(out, "{listing}")?;

@@ -9,6 +9,7 @@ use isoplanat::report::library::Library;
 use isoplanat::{Result, atomic};
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// The file that tells a folder of this command.
 const MARKER: &str = "lenses.csv";
@@ -24,31 +25,27 @@ pub(crate) struct Args {
     /// The table as comma-separated values, with all digits and whole sources
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the file, replace the folder
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.csv {
-        crate::output::check_writable(path, args.force)?;
+        crate::output::check_writable(path, args.common.force)?;
     }
     if let Some(folder) = &args.output {
-        atomic::check_folder(folder, MARKER, args.force)?;
+        atomic::check_folder(folder, MARKER, args.common.force)?;
     }
     let lenses = if args.lens.is_empty() { shipped()? } else { given(&args.lens)? };
     let library = Library::new(lenses.iter().cloned());
     if let Some(folder) = &args.output {
-        atomic::write_folder(folder, MARKER, args.force, |folder| fill(folder, &library, &lenses))?;
+        atomic::write_folder(folder, MARKER, args.common.force, |folder| fill(folder, &library, &lenses))?;
     }
     if let Some(path) = &args.csv {
-        crate::output::put(&library.csv(), Some(path), args.force, out)?;
+        crate::output::put(&library.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", library.json())?;
     } else {
         write!(out, "{library}")?;

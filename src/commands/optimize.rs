@@ -16,6 +16,7 @@ use isoplanat::report::drawing::lens_svg;
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// Arguments of `optimize`.
@@ -85,12 +86,8 @@ pub(crate) struct Args {
     /// Drawing of the lens before and after
     #[arg(long, value_name = "OUT.svg")]
     svg: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite files
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; the result goes to `out`.
@@ -100,9 +97,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let file = args.output.display().to_string();
         return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
     }
-    crate::output::check_all(&[Some(&*args.output), args.svg.as_deref()], args.force)?;
+    crate::output::check_all(&[Some(&*args.output), args.svg.as_deref()], args.common.force)?;
     if let Some(folder) = &args.best {
-        atomic::check_folder(folder, MARKER, args.force)?;
+        atomic::check_folder(folder, MARKER, args.common.force)?;
     }
     if args.best.is_some() && args.search.is_none() {
         return Err(Error::bad("--best", "value", "given", "together with --search").into());
@@ -169,15 +166,15 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     outcome.require(&file)?;
     let better = text_of(&outcome.lens, form, crate::glasses::all())?.0;
-    crate::output::put(&better, Some(&args.output), args.force, out)?;
+    crate::output::put(&better, Some(&args.output), args.common.force, out)?;
     if let Some(path) = &args.svg {
-        crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), args.force, out)?;
+        crate::output::put(&pair_svg(&lens, &outcome.lens), Some(path), args.common.force, out)?;
     }
     if let Some(folder) = &args.best {
-        atomic::write_folder(folder, MARKER, args.force, |folder| keep(folder, &found))?;
+        atomic::write_folder(folder, MARKER, args.common.force, |folder| keep(folder, &found))?;
     }
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
-    if args.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+    if args.common.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
 }
 
 /// The surfaces whose glass is chosen, all where none is named, and the glasses to choose among. A lens for light that the generic sensor sees is to be

@@ -7,6 +7,17 @@ use std::path::Path;
 use isoplanat::Result;
 use isoplanat::atomic::{self, Target};
 
+/// What every command has that prints a result and writes files.
+#[derive(clap::Args, Clone, Copy, Debug)]
+pub(crate) struct Common {
+    /// The result as JSON on stdout
+    #[arg(long)]
+    pub(crate) json: bool,
+    /// Replace outputs that exist
+    #[arg(long)]
+    pub(crate) force: bool,
+}
+
 /// Whether a result may be put at `path`; asked before the work starts.
 ///
 /// # Errors

@@ -17,6 +17,7 @@ use ndarray::ArrayView1;
 use serde_json::{Value, json};
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `psf`.
 #[derive(Debug, clap::Args)]
@@ -52,17 +53,13 @@ pub(crate) struct Args {
     /// Rows of the summary to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// The summary as JSON
-    #[arg(long)]
-    json: bool,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; a summary goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    crate::output::check_all(&[Some(&*args.output), args.png.as_deref(), args.csv.as_deref()], args.force)?;
+    crate::output::check_all(&[Some(&*args.output), args.png.as_deref(), args.csv.as_deref()], args.common.force)?;
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let request = request(args, &lens)?;
     if args.png.is_some() {
@@ -70,11 +67,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(args.lens.as_ref());
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
-    save(&kernels, Target::new(&args.output, args.force))?;
+    save(&kernels, Target::new(&args.output, args.common.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
         let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?.kernels;
-        write_png8(Target::new(path, args.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
+        write_png8(Target::new(path, args.common.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let rows = rows(&kernels);
     if let Some(path) = &args.csv {
@@ -82,13 +79,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         for row in &rows {
             table.row(row.map(|v| v.to_string()));
         }
-        crate::output::put(&table.csv(), Some(path), args.force, out)?;
+        crate::output::put(&table.csv(), Some(path), args.common.force, out)?;
     }
     let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
     let count = request.depth_mm.len() * kernels.request.fields;
     let drawn = if args.png.is_some() { 4 * atlas::bytes(count, 3, size) } else { 0 };
     let bytes = atlas::bytes(count, nm, size) + drawn;
-    if args.json {
+    if args.common.json {
         let named = |row: &[f64; 5]| {
             COLUMNS.map(String::from).into_iter().zip(row.map(Value::from)).collect::<serde_json::Map<_, _>>()
         };

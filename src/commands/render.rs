@@ -20,6 +20,7 @@ use ndarray::Array3;
 use crate::memory;
 use crate::named::Named;
 use crate::output;
+use crate::output::Common;
 use crate::progress::Bar;
 use crate::scene::{SMALLER, SceneArgs, Stage};
 
@@ -67,12 +68,8 @@ pub(crate) struct Args {
     /// Write linear light as 32-bit floating point (.tif or .npy; for several scenes as .tif).
     #[arg(long)]
     float: bool,
-    /// Figures as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the picture.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 impl Args {
@@ -215,9 +212,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad(args.output.display().to_string(), "file name", format!("`.{ending}`"), allowed).into());
     }
     if many {
-        atomic::check_folder(&args.output, MARKER, args.force)?;
+        atomic::check_folder(&args.output, MARKER, args.common.force)?;
     } else {
-        output::check_writable(&args.output, args.force)?;
+        output::check_writable(&args.output, args.common.force)?;
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
@@ -241,7 +238,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mut all = Vec::with_capacity(count);
     if many {
         let names = args.names();
-        atomic::write_folder(&args.output, MARKER, args.force, |folder| {
+        atomic::write_folder(&args.output, MARKER, args.common.force, |folder| {
             for (k, (scene, name)) in args.scenes.iter().zip(&names).enumerate() {
                 let made = one(k, scene)?;
                 args.write(&folder.join(name), &made.image)?;
@@ -253,7 +250,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         })?;
     } else {
         let made = one(0, &args.scenes[0])?;
-        args.write(Target::new(&args.output, args.force), &made.image)?;
+        args.write(Target::new(&args.output, args.common.force), &made.image)?;
         all.push((args.output.display().to_string(), made.figures));
     }
     bar.done(String::new());
@@ -275,7 +272,7 @@ fn tell(
         _ => None,
     };
     let frame = &stage.frame;
-    if args.json {
+    if args.common.json {
         if let Some(plan) = skips {
             all[0].1["skips"] = serde_json::to_value(&plan.skips)?;
         }

@@ -13,6 +13,7 @@ use isoplanat::report::measured::{Measured, Settings, by_rays, close};
 
 use crate::analyses::View;
 use crate::named::Named;
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// Arguments of `report`.
@@ -47,19 +48,15 @@ pub(crate) struct Args {
     /// Every curve as comma-separated values; of one lens
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Everything as JSON, to stdout
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     view: View,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; figures go to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    if args.output.is_none() && args.csv.is_none() && !args.json {
+    if args.output.is_none() && args.csv.is_none() && !args.common.json {
         return Err(Error::bad("report", "output", "none", "-o OUT.html, --csv OUT.csv or --json").into());
     }
     if args.csv.is_some() && args.lenses.len() > 1 {
@@ -68,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.kit.is_some() && args.lenses.len() > 1 {
         return Err(Error::bad("--kit", "lenses", args.lenses.len().to_string(), "the kit's own").into());
     }
-    crate::output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.force)?;
+    crate::output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.common.force)?;
     if let Some(bad) = args.psf_depths_mm.iter().find(|d| d.is_nan() || **d <= 0.0) {
         return Err(Error::bad("--psf-depths-mm", "value", bad.to_string(), "positive distances, or inf").into());
     }
@@ -113,12 +110,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         });
     }
     if let Some(path) = &args.output {
-        crate::output::put(&html(&reports)?, Some(path), args.force, out)?;
+        crate::output::put(&html(&reports)?, Some(path), args.common.force, out)?;
     }
     if let (Some(path), [report]) = (&args.csv, &reports[..]) {
-        crate::output::put(&report.csv(), Some(path), args.force, out)?;
+        crate::output::put(&report.csv(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         match &reports[..] {
             [one] => writeln!(out, "{}", one.json())?,
             several => {

@@ -12,6 +12,7 @@ use isoplanat::report::sheets::Sheets;
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// The file that tells a folder of this command.
 const MARKER: &str = "sheets.html";
@@ -30,17 +31,13 @@ pub(crate) struct Args {
     /// Camera mount whose flange the last glass is compared with: c, cs, nikon-f, canon-ef, m42, sony-e, mft, leica-m, none
     #[arg(long, value_name = "MOUNT", default_value = "none")]
     mount: String,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Replace the folder
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; what was written goes to `out`, what cannot be made as it stands to stderr too.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    atomic::check_folder(&args.output, MARKER, args.force)?;
+    atomic::check_folder(&args.output, MARKER, args.common.force)?;
     let mount = Mount::named(&args.mount)?;
     let tolerances = args.tolerances.as_deref().map(Tolerances::load).transpose()?.unwrap_or_default();
     let lens = crate::input::lens(&args.lens)?;
@@ -52,7 +49,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         files.push((sag_file(face.surface), format!("sags of face {} at 201 heights, all digits", face.surface)));
     }
     let sheets = Sheets { lens: &lens, made: &made, tolerances: &tolerances, files: &files };
-    atomic::write_folder(&args.output, MARKER, args.force, |folder| fill(folder, &sheets, &forms))?;
+    atomic::write_folder(&args.output, MARKER, args.common.force, |folder| fill(folder, &sheets, &forms))?;
     for fault in &made.faults {
         crate::tell!("warning: {}: {fault}", args.lens);
     }
@@ -62,7 +59,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     for (name, form) in forms.iter().filter(|(_, f)| f.text.is_none()) {
         crate::tell!("note: {}: {}", args.output.join(name).display(), form.words());
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", sheets.json())?;
     } else {
         let (elements, faces) = (made.elements.len(), made.faces().count());

@@ -12,6 +12,7 @@ use isoplanat::imaging::sensor::cfa::Cfa;
 use isoplanat::math::memory::product;
 use isoplanat::{Error, Result};
 
+use crate::output::Common;
 use crate::picture;
 use listing::{Listing, Measured};
 
@@ -47,12 +48,8 @@ pub(crate) struct Args {
     /// The MTF of every channel as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Machine-readable output
-    #[arg(long)]
-    json: bool,
-    /// Overwrite outputs
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Pixels from which a search for an edge takes more than a moment.
@@ -63,7 +60,7 @@ const LOOKED_THROUGH: usize = 5 * size_of::<f64>();
 
 /// Runs the command; the result goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref()], args.force)?;
+    crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref()], args.common.force)?;
     let region = args.region.as_deref().map(rectangle).transpose()?;
     let cfa = args.cfa.as_deref().map(layout).transpose()?;
     let encoding = args.encoding.map(|c| match c {
@@ -106,12 +103,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let image = args.image.display().to_string();
     let listing = Listing { first, measured, refused, source: picture.source, image };
     if let Some(path) = &args.csv {
-        crate::output::put(&listing.csv(), Some(path), args.force, out)?;
+        crate::output::put(&listing.csv(), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.svg {
-        crate::output::put(&listing.svg(), Some(path), args.force, out)?;
+        crate::output::put(&listing.svg(), Some(path), args.common.force, out)?;
     }
-    if args.json {
+    if args.common.json {
         writeln!(out, "{:#}", listing.json())?;
     } else {
         write!(out, "{listing}")?;

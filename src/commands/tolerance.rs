@@ -11,6 +11,7 @@ use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
 use crate::output;
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// What makes a folder one of drawn lenses.
@@ -46,12 +47,8 @@ pub(crate) struct Args {
     /// Draws to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
-    /// Results as JSON
-    #[arg(long)]
-    json: bool,
-    /// Overwrite files, and a folder of lenses
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// The file of draw `k`, counted from 1.
@@ -61,9 +58,9 @@ pub(crate) fn draw(k: usize) -> String {
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
-    output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.force)?;
+    output::check_all(&[args.output.as_deref(), args.csv.as_deref()], args.common.force)?;
     if let Some(folder) = &args.lenses {
-        atomic::check_folder(folder, MARKER, args.force)?;
+        atomic::check_folder(folder, MARKER, args.common.force)?;
     }
     if args.draws > MOST {
         return Err(Error::bad("--draws", "value", args.draws.to_string(), format!("at most {MOST}")).into());
@@ -89,13 +86,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let limit_mm = args.limit_um.map(|um| 1e-3 * um);
     let report = AsBuiltReport { lens: &lens, file: &file, seed: args.seed, limit_mm, figures: &figures };
     if let Some(path) = &args.csv {
-        output::put(&report.csv(), Some(path), args.force, out)?;
+        output::put(&report.csv(), Some(path), args.common.force, out)?;
     }
     if let Some(path) = &args.output {
-        output::put(&report.to_html(), Some(path), args.force, out)?;
+        output::put(&report.to_html(), Some(path), args.common.force, out)?;
     }
     if let Some(folder) = &args.lenses {
-        atomic::write_folder(folder, MARKER, args.force, |inside| -> Result<()> {
+        atomic::write_folder(folder, MARKER, args.common.force, |inside| -> Result<()> {
             // The first is the lens itself, refocused.
             for (k, lens) in lenses.iter().enumerate() {
                 let name = if k == 0 { REFOCUSED.to_owned() } else { draw(k) };
@@ -106,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             atomic::write_bytes(&inside.join(MARKER), report.csv().as_bytes())
         })?;
     }
-    if args.json {
+    if args.common.json {
         return Ok(writeln!(out, "{}", report.json())?);
     }
     writeln!(out, "{}", report.table())?;

@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use isoplanat::trace::exact;
 
 use crate::named::Named;
+use crate::output::Common;
 
 /// Arguments of `trace`.
 #[derive(Debug, clap::Args)]
@@ -21,21 +22,17 @@ pub(crate) struct Args {
     /// Add the derivative of each landing with respect to every number of the lens
     #[arg(long)]
     gradient: bool,
-    /// Machine-readable output: what is written without it too
-    #[arg(long)]
-    json: bool,
     /// Write here instead of stdout
     #[arg(short, long, value_name = "OUT.json")]
     output: Option<PathBuf>,
-    /// Overwrite the output
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command; the result goes to `out` or to the output file.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(path) = &args.output {
-        crate::output::check_writable(path, args.force)?;
+        crate::output::check_writable(path, args.common.force)?;
     }
     let lens = crate::input::lens(&args.lens)?;
     let (text, name) = crate::input::text(&args.rays)?;
@@ -43,8 +40,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     lens.require_indices(request.wavelength_nm, &args.lens)?;
     let answer = exact::answer(&lens, &request, args.clip, args.gradient);
     // Rays have one form: JSON, with `--json` or without.
-    let _ = args.json;
+    let _ = args.common.json;
     let mut json = serde_json::to_string_pretty(&answer)?;
     json.push('\n');
-    crate::output::put(&json, args.output.as_deref(), args.force, out)
+    crate::output::put(&json, args.output.as_deref(), args.common.force, out)
 }

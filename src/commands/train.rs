@@ -12,6 +12,7 @@ use isoplanat::network::Compute;
 use isoplanat::report::verdict::Verdict;
 use isoplanat::{Error, Result};
 
+use crate::output::Common;
 use crate::progress::Bar;
 
 /// The final network for a finished lens.
@@ -47,12 +48,8 @@ pub(crate) struct Args {
     /// Where to compute: cpu, cuda or wgpu.
     #[arg(long, default_value = "cpu")]
     device: Compute,
-    /// The result as JSON.
-    #[arg(long)]
-    json: bool,
-    /// Overwrite the run folder.
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command.
@@ -63,7 +60,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             crate::input::of_task(&task)?;
             let instead = "a smaller patch_px, batch, base_width, region_px or folder";
             crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
-            Training::create(task, &args.output, args.force, args.device, crate::glasses::all())?
+            Training::create(task, &args.output, args.common.force, args.device, crate::glasses::all())?
         }
         None => {
             let training = Training::resume(&args.output, args.device)?;
@@ -96,7 +93,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             "the loss jumped away {returned} times; each time the training went back to its last checkpoint, with half the rate from then on: a lower train.budget.rate would have cost less"
         );
     }
-    if args.json {
+    if args.common.json {
         let entry = last.map(|s| s.entry);
         writeln!(
             out,

@@ -22,6 +22,7 @@ use isoplanat::report::html::SCRIPT;
 
 use crate::analyses::View;
 use crate::named::Named;
+use crate::output::Common;
 use answer::Desk;
 use board::Board;
 use server::Server;
@@ -40,14 +41,10 @@ pub(crate) struct Args {
     /// Write the page to a file and end: the same page, without a server
     #[arg(long, value_name = "OUT.html")]
     export: Option<PathBuf>,
-    /// The address, or the written file, as JSON
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
     view: View,
-    /// Overwrite the file
-    #[arg(long)]
-    force: bool,
+    #[command(flatten)]
+    common: Common,
 }
 
 /// Runs the command until it is interrupted; where the page is goes to `out`.
@@ -55,12 +52,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let options = args.view.options()?;
     let watch = Watch { subject: Subject::new(&args.what)?, view: args.view.clone(), options };
     if let Some(path) = &args.export {
-        crate::output::check_writable(path, args.force)?;
+        crate::output::check_writable(path, args.common.force)?;
         let bar = crate::progress::Bar::new("page");
         let page = watch.page(false)?;
         bar.done(String::new());
-        crate::output::put(&page, Some(path), args.force, out)?;
-        if args.json {
+        crate::output::put(&page, Some(path), args.common.force, out)?;
+        if args.common.json {
             writeln!(out, "{}", serde_json::json!({ "schema": 1, "file": path }))?;
         }
         return Ok(());
@@ -77,7 +74,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let server = Server::new(args.port)?;
     let desk = Desk::new(server.address(), Token::new()?, Arc::clone(&board))?;
     let url = desk.url();
-    if args.json {
+    if args.common.json {
         writeln!(out, "{}", serde_json::json!({ "schema": 1, "url": url }))?;
     } else {
         writeln!(out, "{url}")?;

@@ -1,11 +1,11 @@
 //! Error against run time: rows of `isoplanat accuracy`, as table, CSV, JSON, plot and page.
 
 use serde::Serialize;
-use serde_json::{Value, json};
 
+use super::columns::{Column, csv, table};
 use super::html::Page;
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, csv_cell, significant};
+use super::table::Table;
 
 /// One way to make the picture, what it cost and how far off it was.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -67,61 +67,42 @@ pub fn mark_pareto(rows: &mut [Row]) {
     }
 }
 
+const COLUMNS: [Column<Row>; 14] = [
+    Column::shown("", |r| if r.pareto { "*".into() } else { String::new() }),
+    Column::text("method", "method", |r| r.method.clone()),
+    Column::text("varied", "ladder", |r| r.ladder.clone()),
+    Column::text("settings", "settings", |r| r.settings.clone()),
+    Column::both("PSNR dB", "psnr_db", |r| decibels(r.psnr_db), |r| r.psnr_db.to_string()),
+    Column::both("95 % interval", "psnr_low_db", interval, |r| r.psnr_db_interval[0].to_string()),
+    Column::value("psnr_high_db", |r| r.psnr_db_interval[1].to_string()),
+    Column::figure("rel. L2", "relative_l2", 2, |r| r.relative_l2),
+    Column::both("energy", "energy", |r| format!("{:+.1e}", r.energy), |r| r.energy.to_string()),
+    Column::figure("worst", "worst_pixel", 2, |r| r.worst_pixel),
+    Column::figure("s", "seconds", 3, |r| r.seconds),
+    Column::shown("MiB", |r| r.peak_bytes.map_or("–".into(), mib)),
+    Column::value("peak_bytes", |r| r.peak_bytes.map_or(String::new(), |b| b.to_string())),
+    Column::value("pareto", |r| r.pareto.to_string()),
+];
+
+fn interval(row: &Row) -> String {
+    let [low, high] = row.psnr_db_interval.map(decibels);
+    format!("{low} to {high}")
+}
+
+#[expect(clippy::cast_precision_loss, reason = "bytes for a reader")]
+fn mib(bytes: u64) -> String {
+    format!("{:.0}", bytes as f64 / 1_048_576.0)
+}
+
 impl Accuracy {
     /// The rows as a table.
     pub fn table(&self) -> Table {
-        let head =
-            ["", "method", "varied", "settings", "PSNR dB", "95 % interval", "rel. L2", "energy", "worst", "s", "MiB"];
-        let mut table = Table::new(head);
-        for r in &self.rows {
-            #[expect(clippy::cast_precision_loss, reason = "bytes for a reader")]
-            let mib = r.peak_bytes.map_or("–".into(), |b| format!("{:.0}", b as f64 / 1_048_576.0));
-            table.row([
-                if r.pareto { "*".into() } else { String::new() },
-                r.method.clone(),
-                r.ladder.clone(),
-                r.settings.clone(),
-                decibels(r.psnr_db),
-                format!("{} to {}", decibels(r.psnr_db_interval[0]), decibels(r.psnr_db_interval[1])),
-                significant(r.relative_l2, 2),
-                format!("{:+.1e}", r.energy),
-                significant(r.worst_pixel, 2),
-                significant(r.seconds, 3),
-                mib,
-            ]);
-        }
-        table
+        table(&COLUMNS, &self.rows)
     }
 
     /// The rows as comma-separated values with a heading.
     pub fn csv(&self) -> String {
-        let mut out = String::from(
-            "method,ladder,settings,psnr_db,psnr_low_db,psnr_high_db,relative_l2,energy,worst_pixel,seconds,peak_bytes,pareto\n",
-        );
-        for r in &self.rows {
-            let cells = [
-                csv_cell(&r.method),
-                csv_cell(&r.ladder),
-                csv_cell(&r.settings),
-                r.psnr_db.to_string(),
-                r.psnr_db_interval[0].to_string(),
-                r.psnr_db_interval[1].to_string(),
-                r.relative_l2.to_string(),
-                r.energy.to_string(),
-                r.worst_pixel.to_string(),
-                r.seconds.to_string(),
-                r.peak_bytes.map_or(String::new(), |b| b.to_string()),
-                r.pareto.to_string(),
-            ];
-            out.push_str(&cells.join(","));
-            out.push('\n');
-        }
-        out
-    }
-
-    /// Everything, for machines. Numbers that are not finite are null.
-    pub fn json(&self) -> Value {
-        serde_json::to_value(self).unwrap_or_else(|e| json!({ "error": e.to_string() }))
+        csv(&COLUMNS, &self.rows)
     }
 
     /// PSNR over run time; the Pareto front as a line.
@@ -233,8 +214,9 @@ mod tests {
         };
         assert_eq!(a.csv().lines().count(), 3);
         assert!(a.csv().contains("\"m = 1, \"\"a\"\"\""));
-        assert_eq!(a.json()["rows"][1]["method"], "monte-carlo");
-        assert!(a.json()["rows"][1]["psnr_db_interval"][1].is_null());
+        let json = crate::report::table::value(&a).expect("JSON");
+        assert_eq!(json["rows"][1]["method"], "monte-carlo");
+        assert!(json["rows"][1]["psnr_db_interval"][1].is_null());
         assert!(a.table().to_string().contains("39.0 to inf"));
         assert!(a.svg().contains("Pareto front"));
         assert!(a.html().contains("<svg"));

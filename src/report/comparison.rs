@@ -226,7 +226,7 @@ impl Comparison {
                     json!({ "mean_db": m.mean_db, "within_db": m.within_db, "ssim": m.ssim, "lowest_db": m.lowest_db })
                 });
                 json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": overall, "first_ahead": margin,
-                    "edges": e.edges, "evaluation": own.map(Evaluation::json), "refused": e.outcome.as_ref().err() })
+                    "edges": e.edges, "evaluation": own, "refused": e.outcome.as_ref().err() })
             })
             .collect();
         let settings: serde_json::Map<String, Value> =

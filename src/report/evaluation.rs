@@ -1,10 +1,7 @@
 //! PSNR, SSIM and colour of captures and reconstructions over field and depth: rows of `isoplanat evaluate`, as table, CSV, JSON and
 //! plot.
 
-use std::fmt::Write;
-
 use serde::{Deserialize, Serialize};
-use serde_json::{Value, json};
 
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
@@ -39,10 +36,10 @@ impl Figure {
         [self.mean - half, self.mean + half]
     }
 
-    /// Two cells of a line, with commas before them; an error that is not known stays empty.
-    fn cells(self) -> String {
+    /// It and its error as cells; an error that is not known stays empty.
+    fn cells(self) -> [String; 2] {
         let error = if self.standard_error.is_nan() { String::new() } else { self.standard_error.to_string() };
-        format!(",{},{error}", self.mean)
+        [self.mean.to_string(), error]
     }
 
     /// `27.31 ± 0.42`; the mean alone where the error is not known.
@@ -132,6 +129,39 @@ pub struct Evaluation {
     pub rows: Vec<Row>,
 }
 
+/// What stands in a column of comma-separated values.
+enum Value {
+    /// One cell.
+    Plain(fn(&Row) -> String),
+    /// A cell, and one of its error.
+    Figure(fn(&Row) -> Figure),
+}
+
+const VALUES: [(&str, Value); 22] = [
+    ("depth_mm", Value::Plain(|r| r.depth_mm.to_string())),
+    ("zone", Value::Plain(|r| r.zone.to_string())),
+    ("field_from", Value::Plain(|r| r.field[0].to_string())),
+    ("field_to", Value::Plain(|r| r.field[1].to_string())),
+    ("patches", Value::Plain(|r| r.patches.to_string())),
+    ("patch_px", Value::Plain(|r| r.patch_px.to_string())),
+    ("capture_psnr_db", Value::Figure(|r| r.capture.psnr_db)),
+    ("capture_ssim", Value::Figure(|r| r.capture.ssim)),
+    ("reconstruction_psnr_db", Value::Figure(|r| r.reconstruction.psnr_db)),
+    ("reconstruction_ssim", Value::Figure(|r| r.reconstruction.ssim)),
+    ("gain_db", Value::Figure(|r| r.gain_db)),
+    ("capture_delta_e", Value::Figure(|r| r.capture.delta_e)),
+    ("capture_colour_shift", Value::Figure(|r| r.capture.colour_shift)),
+    ("reconstruction_delta_e", Value::Figure(|r| r.reconstruction.delta_e)),
+    ("reconstruction_colour_shift", Value::Figure(|r| r.reconstruction.colour_shift)),
+    ("angle_from_deg", Value::Plain(|r| r.angle_deg[0].to_string())),
+    ("angle_to_deg", Value::Plain(|r| r.angle_deg[1].to_string())),
+    ("capture_best_gain_psnr_db", Value::Figure(|r| r.capture.best_gain_psnr_db)),
+    ("reconstruction_best_gain_psnr_db", Value::Figure(|r| r.reconstruction.best_gain_psnr_db)),
+    ("wiener_psnr_db", Value::Figure(|r| r.wiener.psnr_db)),
+    ("wiener_ssim", Value::Figure(|r| r.wiener.ssim)),
+    ("over_wiener_db", Value::Figure(|r| r.over_wiener_db)),
+];
+
 impl Evaluation {
     /// The rows as a table.
     pub fn table(&self) -> Table {
@@ -181,40 +211,18 @@ impl Evaluation {
 
     /// The rows as comma-separated values with a heading; a standard error that is not known stays empty.
     pub fn csv(&self) -> String {
-        let mut out = String::from("depth_mm,zone,field_from,field_to,patches,patch_px");
-        for of in ["capture", "reconstruction"] {
-            let _ = write!(out, ",{of}_psnr_db,{of}_psnr_db_error,{of}_ssim,{of}_ssim_error");
+        let names = VALUES.iter().flat_map(|(name, of)| match of {
+            Value::Plain(_) => vec![(*name).to_owned()],
+            Value::Figure(_) => vec![(*name).to_owned(), format!("{name}_error")],
+        });
+        let mut table = Table::new(names);
+        for row in &self.rows {
+            table.row(VALUES.iter().flat_map(|(_, of)| match of {
+                Value::Plain(of) => vec![of(row)],
+                Value::Figure(of) => of(row).cells().to_vec(),
+            }));
         }
-        out.push_str(",gain_db,gain_db_error");
-        for of in ["capture", "reconstruction"] {
-            let _ = write!(out, ",{of}_delta_e,{of}_delta_e_error,{of}_colour_shift,{of}_colour_shift_error");
-        }
-        out.push_str(",angle_from_deg,angle_to_deg,capture_best_gain_psnr_db,capture_best_gain_psnr_db_error");
-        out.push_str(",reconstruction_best_gain_psnr_db,reconstruction_best_gain_psnr_db_error");
-        out.push_str(
-            ",wiener_psnr_db,wiener_psnr_db_error,wiener_ssim,wiener_ssim_error,over_wiener_db,over_wiener_db_error\n",
-        );
-        for r in &self.rows {
-            let _ = write!(out, "{},{},{},{}", r.depth_mm, r.zone, r.field[0], r.field[1]);
-            let _ = write!(out, ",{},{}", r.patches, r.patch_px);
-            let (a, b) = (r.capture, r.reconstruction);
-            let colour = [a.delta_e, a.colour_shift, b.delta_e, b.colour_shift];
-            for f in [a.psnr_db, a.ssim, b.psnr_db, b.ssim, r.gain_db].into_iter().chain(colour) {
-                out += &f.cells();
-            }
-            let _ = write!(out, ",{},{}", r.angle_deg[0], r.angle_deg[1]);
-            let w = r.wiener;
-            for f in [a.best_gain_psnr_db, b.best_gain_psnr_db, w.psnr_db, w.ssim, r.over_wiener_db] {
-                out += &f.cells();
-            }
-            out.push('\n');
-        }
-        out
-    }
-
-    /// Everything, for machines. Numbers that are not finite are null.
-    pub fn json(&self) -> Value {
-        serde_json::to_value(self).unwrap_or_else(|e| json!({ "error": e.to_string() }))
+        table.csv()
     }
 
     /// PSNR over the field: of each depth the reconstruction and, dashed in the same colour, the capture.
@@ -362,10 +370,10 @@ mod tests {
             ]
         );
         assert_eq!((lines[2][7], lines[4][0]), ("", "inf"));
-        let json = e.json();
-        assert_eq!(json["rows"][0]["capture"]["psnr_db"]["mean"], json!(25.0));
-        assert_eq!(json["rows"][0]["capture"]["delta_e"]["mean"], json!(4.0));
-        assert_eq!(json["rows"][3]["depth_mm"], Value::Null);
+        let json = crate::report::table::value(&e).expect("JSON");
+        assert_eq!(json["rows"][0]["capture"]["psnr_db"]["mean"], serde_json::json!(25.0));
+        assert_eq!(json["rows"][0]["capture"]["delta_e"]["mean"], serde_json::json!(4.0));
+        assert_eq!(json["rows"][3]["depth_mm"], serde_json::Value::Null);
     }
 
     #[test]

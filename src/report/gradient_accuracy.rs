@@ -1,10 +1,10 @@
 //! Error of lens gradients against seconds: rows of `isoplanat accuracy --gradient`, as table, CSV, JSON and plot.
 
 use serde::Serialize;
-use serde_json::{Value, json};
 
+use super::columns::{Column, csv, table};
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, csv_cell, significant};
+use super::table::Table;
 
 /// One setting.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -40,35 +40,23 @@ pub struct GradientAccuracy {
     pub rows: Vec<Row>,
 }
 
+const COLUMNS: [Column<Row>; 5] = [
+    Column::text("varied", "ladder", |r| r.ladder.clone()),
+    Column::text("setting", "setting", |r| r.setting.clone()),
+    Column::figure("gradient off by", "relative_error", 2, |r| r.relative_error),
+    Column::figure("s", "seconds", 3, |r| r.seconds),
+    Column::figure("planning, s", "planning_seconds", 3, |r| r.planning_seconds),
+];
+
 impl GradientAccuracy {
     /// The rows as a table.
     pub fn table(&self) -> Table {
-        let mut table = Table::new(["varied", "setting", "gradient off by", "s", "planning, s"]);
-        for r in &self.rows {
-            table.row([
-                r.ladder.clone(),
-                r.setting.clone(),
-                significant(r.relative_error, 2),
-                significant(r.seconds, 3),
-                significant(r.planning_seconds, 3),
-            ]);
-        }
-        table
+        table(&COLUMNS, &self.rows)
     }
 
     /// The rows as comma-separated values with a heading.
     pub fn csv(&self) -> String {
-        let mut out = String::from("ladder,setting,relative_error,seconds,planning_seconds\n");
-        for r in &self.rows {
-            let (e, s, p) = (r.relative_error, r.seconds, r.planning_seconds);
-            out.push_str(&format!("{},{},{e},{s},{p}\n", csv_cell(&r.ladder), csv_cell(&r.setting)));
-        }
-        out
-    }
-
-    /// Everything, for machines. Numbers that are not finite are null.
-    pub fn json(&self) -> Value {
-        serde_json::to_value(self).unwrap_or_else(|e| json!({ "error": e.to_string() }))
+        csv(&COLUMNS, &self.rows)
     }
 
     /// Error over seconds, a series for what is varied, and the patches' own noise.
@@ -127,7 +115,7 @@ mod tests {
         assert_eq!(all.csv().lines().count(), 4);
         assert!(all.csv().contains("wavelengths,\"a, b\",0.05,0.55,0.1"));
         assert!(all.table().to_string().contains("gradient off by"));
-        assert_eq!(all.json()["rows"][2]["ladder"], "kernel size");
+        assert_eq!(crate::report::table::value(&all).expect("JSON")["rows"][2]["ladder"], "kernel size");
         let svg = all.svg();
         assert!(svg.contains("noise of the patches") && svg.contains("kernel size"));
     }

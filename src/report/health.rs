@@ -4,15 +4,38 @@ use std::fmt;
 
 use serde_json::{Value, json};
 
+use super::columns::{Column, csv, table};
 use super::table::{Table, significant};
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::trace::health::{Health, Verdict};
+use isoplanat_optics::trace::health::{Figure, Health, Verdict};
 
 /// What `isoplanat check` shows.
 #[derive(Clone, Debug)]
 pub struct HealthReport<'a> {
     lens: &'a Lens,
     health: Health,
+}
+
+const COLUMNS: [Column<Figure>; 5] = [
+    Column::both("check", "key", |f| f.what.to_owned(), |f| f.key.to_owned()),
+    Column::figure("worst", "value", 3, |f| f.value),
+    Column::both("limit", "limit", limit, |f| f.limit.map_or(String::new(), |l| l.to_string())),
+    Column::both("verdict", "verdict", verdict, |f| format!("{:?}", f.verdict).to_lowercase()),
+    Column::text("where", "place", |f| f.place.clone()),
+];
+
+fn limit(figure: &Figure) -> String {
+    let sign = if figure.at_most { "≤" } else { "≥" };
+    figure.limit.map_or(String::new(), |l| format!("{sign} {}", significant(l, 3)))
+}
+
+fn verdict(figure: &Figure) -> String {
+    match figure.verdict {
+        Verdict::Pass => "pass",
+        Verdict::Fail => "FAIL",
+        Verdict::Info => "",
+    }
+    .to_owned()
 }
 
 impl<'a> HealthReport<'a> {
@@ -44,30 +67,12 @@ impl<'a> HealthReport<'a> {
 
     /// The figures as comma-separated values.
     pub fn csv(&self) -> String {
-        let mut table = Table::new(["key", "value", "limit", "verdict", "place"]);
-        for f in &self.health.figures {
-            let verdict = format!("{:?}", f.verdict).to_lowercase();
-            let limit = f.limit.map_or(String::new(), |l| l.to_string());
-            table.row([f.key.to_owned(), f.value.to_string(), limit, verdict, f.place.clone()]);
-        }
-        table.csv()
+        csv(&COLUMNS, &self.health.figures)
     }
 
     /// What was measured, a figure a row.
     pub fn table(&self) -> Table {
-        let mut table = Table::new(["check", "worst", "limit", "verdict", "where"]);
-        for f in &self.health.figures {
-            let limit = f
-                .limit
-                .map_or(String::new(), |l| format!("{} {}", if f.at_most { "≤" } else { "≥" }, significant(l, 3)));
-            let verdict = match f.verdict {
-                Verdict::Pass => "pass",
-                Verdict::Fail => "FAIL",
-                Verdict::Info => "",
-            };
-            table.row([f.what.to_owned(), significant(f.value, 3), limit, verdict.to_owned(), f.place.clone()]);
-        }
-        table
+        table(&COLUMNS, &self.health.figures)
     }
 
     fn surfaces(&self) -> Table {

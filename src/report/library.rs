@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde_json::{Value, json};
 
+use super::columns::{Column, csv, table};
 use super::drawing::lens_svg_within;
 use super::html::Page;
 use super::table::{Table, significant};
@@ -29,6 +30,22 @@ struct Entry {
     first: FirstOrder,
 }
 
+const COLUMNS: [Column<Entry>; 13] = [
+    Column::text("name", "name", |e| e.key.clone()),
+    Column::value("title", |e| e.lens.name.clone()),
+    Column::figure("f, mm", "effective_focal_length_mm", 5, |e| e.first.effective_focal_length),
+    Column::value("back_focal_length_mm", |e| e.first.back_focal_length.to_string()),
+    Column::figure("f/", "f_number", 3, |e| e.first.f_number),
+    Column::figure("half field, °", "max_field_deg", 3, |e| e.lens.max_field_deg()),
+    Column::text("elements", "elements", |e| elements(&e.lens).to_string()),
+    Column::text("surfaces", "surfaces", |e| e.lens.surfaces.len().to_string()),
+    Column::text("aspheres", "aspheric_surfaces", |e| aspheres(&e.lens).to_string()),
+    Column::figure("length, mm", "length_mm", 5, |e| e.lens.length()),
+    Column::shown("lens", |e| e.lens.name.clone()),
+    Column::shown("source", |e| short(&e.lens.source)),
+    Column::value("source", |e| e.lens.source.clone()),
+];
+
 impl Library {
     /// Of lenses with their names; data at each lens's primary wavelength.
     pub fn new(lenses: impl IntoIterator<Item = (String, Lens)>) -> Self {
@@ -46,66 +63,12 @@ impl Library {
 
     /// A lens a row.
     pub fn table(&self) -> Table {
-        let mut table = Table::new([
-            "name",
-            "f, mm",
-            "f/",
-            "half field, °",
-            "elements",
-            "surfaces",
-            "aspheres",
-            "length, mm",
-            "lens",
-            "source",
-        ]);
-        for e in &self.entries {
-            table.row([
-                e.key.clone(),
-                significant(e.first.effective_focal_length, 5),
-                significant(e.first.f_number, 3),
-                significant(e.lens.max_field_deg(), 3),
-                elements(&e.lens).to_string(),
-                e.lens.surfaces.len().to_string(),
-                aspheres(&e.lens).to_string(),
-                significant(e.lens.length(), 5),
-                e.lens.name.clone(),
-                short(&e.lens.source),
-            ]);
-        }
-        table
+        table(&COLUMNS, &self.entries)
     }
 
     /// The same with all digits and whole sources, as comma-separated values.
     pub fn csv(&self) -> String {
-        let mut table = Table::new([
-            "name",
-            "title",
-            "effective_focal_length_mm",
-            "back_focal_length_mm",
-            "f_number",
-            "max_field_deg",
-            "elements",
-            "surfaces",
-            "aspheric_surfaces",
-            "length_mm",
-            "source",
-        ]);
-        for e in &self.entries {
-            table.row([
-                e.key.clone(),
-                e.lens.name.clone(),
-                e.first.effective_focal_length.to_string(),
-                e.first.back_focal_length.to_string(),
-                e.first.f_number.to_string(),
-                e.lens.max_field_deg().to_string(),
-                elements(&e.lens).to_string(),
-                e.lens.surfaces.len().to_string(),
-                aspheres(&e.lens).to_string(),
-                e.lens.length().to_string(),
-                e.lens.source.clone(),
-            ]);
-        }
-        table.csv()
+        csv(&COLUMNS, &self.entries)
     }
 
     /// All drawings on one page, with first-order data and sources.

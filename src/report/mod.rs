@@ -1,6 +1,6 @@
 //! Results a person looks at: text, tables, drawings, plots, pages. Plain data in, text or pixels out; no physics.
 //!
-//! [`listing`] prints a prescription with its first-order data, [`library`] many lenses beside each other, [`table`] aligns them. [`drawing`] and [`plot`] make SVG
+//! [`listing`] prints a prescription with its first-order data, [`library`] many lenses beside each other, [`table`] aligns them, [`columns`] says what a row is to people and to machines. [`drawing`] and [`plot`] make SVG
 //! that is readable on light and dark pages, [`atlas`] makes one picture of many kernels, [`html`] binds all of it into
 //! one self-contained page, [`sheets`] is a workshop's, [`as_built`] says what tolerances cost, [`demo`] is the page of the demonstration and [`design`] that of a joint design; [`evaluation`] has how good a run is, [`paired`] how much better than another, [`drawn`] how it stands lenses as built, [`comparison`] many beside each other. [`field`] picks the places along the field
 //! that the others show.
@@ -8,6 +8,7 @@
 pub mod accuracy;
 pub mod as_built;
 pub mod atlas;
+pub mod columns;
 pub mod comparison;
 pub mod demo;
 pub mod design;

@@ -2,6 +2,7 @@
 
 use std::fmt;
 
+use isoplanat_base::error::{Error, Result};
 pub use isoplanat_base::figures::significant;
 use isoplanat_base::terminal::cut;
 
@@ -63,6 +64,14 @@ impl fmt::Display for Table {
         }
         Ok(())
     }
+}
+
+/// A result as JSON: the fields of its structs under their names; numbers that are not finite are `null`.
+///
+/// # Errors
+/// A fault of the program: a result that has no form in JSON.
+pub fn value(result: &impl serde::Serialize) -> Result<serde_json::Value> {
+    serde_json::to_value(result).map_err(|e| Error::Internal(format!("a result as JSON: {e}")))
 }
 
 /// A cell of comma-separated values: with commas, quotes or ends of line in quotes; a text that a spreadsheet would run (`=`, `+`, `-`, `@` and no number) behind an apostrophe.

@@ -51,7 +51,7 @@ fn a_lens_by_its_images_is_a_run_like_any_other() {
     place.run("train run -o net").done();
     // The design itself has no network.
     for command in ["evaluate run", "export run -o kit-of-run"] {
-        place.run(command).refused(&["run", "sensor_loss", "isoplanat train"]);
+        place.run(command).refused(&["run", "loss.sensor", "isoplanat train"]);
     }
     // The distances of the task, where nobody says more; one of them where somebody does.
     let rows = |command: &str| {

@@ -86,7 +86,8 @@ fn checks_name_tests_that_are_there() {
                 names.extend(entry.file_stem().map(|n| n.to_string_lossy().into_owned()));
                 let code = text(&entry);
                 let begins = ["fn ", "mod "].into_iter().flat_map(|word| code.split(word).skip(1));
-                let word = |rest: &str| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().map(str::to_owned);
+                let word =
+                    |rest: &str| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().map(str::to_owned);
                 names.extend(begins.filter_map(word));
             }
         }

@@ -6,6 +6,7 @@ use isoplanat::imaging::render::Settings;
 use isoplanat::imaging::render::gradient_error::{CONVERGED, Patches};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::gradient_accuracy::{GradientAccuracy, Row};
+use isoplanat::report::table::value;
 
 use super::{Args, tell};
 use crate::progress::Bar;
@@ -81,6 +82,6 @@ pub(super) fn run(args: &Args, placed: &Placed, density: &SpectralDensity, out: 
         "{count} patches of {side}² pixels; {:.2} of their gradients is not common to them: an error well below that moves no design",
         accuracy.noise
     );
-    let text = if args.json { accuracy.json().to_string() } else { format!("{}\n{note}", accuracy.table()) };
-    tell([(&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())], args.force, text, out)
+    let text = if args.common.json { value(&accuracy)?.to_string() } else { format!("{}\n{note}", accuracy.table()) };
+    tell([(&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())], args.common.force, text, out)
 }
