@@ -187,14 +187,13 @@ impl Pages<'_> {
                 .collect();
             page.stepped(&figures, o.shifts_mm.len() / 2, "focus");
             if o.colours.len() > 1 {
-                let all = std::iter::once((panels(o, 0.0, half, None), "All wavelengths, on the sensor.".to_owned()));
                 let one = |k: usize| {
                     (
                         panels(o, 0.0, half, Some(k)),
                         format!("{} nm alone, on the sensor.", significant(o.colours[k].0, 4)),
                     )
                 };
-                page.stepped(&all.chain((0..o.colours.len()).map(one)).collect::<Vec<_>>(), 0, "wavelength");
+                page.stepped(&(0..o.colours.len()).map(one).collect::<Vec<_>>(), 0, "wavelength");
             }
             page.table(&spot_table(o));
         }
