@@ -7,12 +7,15 @@ use std::io::Write;
 use std::path::PathBuf;
 use std::time::Instant;
 
-use isoplanat::imaging::plane::Region;
+use isoplanat::Result;
+use isoplanat::imaging::frame::Frame;
+use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings as Rays, render, render_halves};
 use isoplanat::imaging::render::{Request, Settings, memory as estimate, plan};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::lens::Lens;
 use isoplanat::math::memory::words as in_words;
 use isoplanat::report::accuracy::{Accuracy, Row, mark_pareto};
 use isoplanat::report::table::value;
@@ -103,6 +106,25 @@ fn ways() -> Vec<(&'static str, String, Way)> {
     ways
 }
 
+/// What every way is held against: rays from the sensor in two independent halves.
+struct Reference {
+    halves: [Rendered; 2],
+    mean: Array3<f32>,
+    seconds: f64,
+}
+
+/// What is pictured, and what a picture of it takes of memory at least.
+struct Subject<'a> {
+    lens: &'a Lens,
+    frame: &'a Frame,
+    plane: &'a Plane,
+    density: &'a SpectralDensity,
+    least: u64,
+}
+
+/// A picture, the method's name and its settings in words.
+type Made = (Array3<f32>, &'static str, String);
+
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_all(&[args.output.as_deref(), args.svg.as_deref(), args.csv.as_deref()], args.common.force)?;
@@ -114,81 +136,78 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     crate::input::in_band(&lens, &density, &args.lens)?;
-    let (_, scene_rows, scene_cols) = plane.texture.dim();
     // Two halves and a picture of every way.
-    let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene([scene_rows, scene_cols]));
+    let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene(texels(&plane)));
     let what = format!("a comparison over {} × {} pixels", frame.columns, frame.rows);
     memory::limit().allow(&what, least, SMALLER)?;
-    let whole = Region::whole(&frame);
-    let rays =
-        |samples: usize, sampling: Sampling, seed: u64| Rays { samples, seed, channels: Channels::All, sampling };
-    let bar = Bar::new("reference");
-    let clock = Instant::now();
-    let halves = render_halves(
-        &lens,
-        &plane,
-        &density,
-        &frame,
-        whole,
-        rays(args.reference_samples, Sampling::Bounded, 1),
-        Some(&|share| bar.set(share, String::new())),
-    )?;
-    let reference_seconds = clock.elapsed().as_secs_f64();
-    bar.done(String::new());
-    let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
-    let ways = ways();
-    let most = Cell::new(least);
-    let bar = Bar::new("methods");
-    let mut rows = Vec::with_capacity(ways.len());
-    for (k, (ladder, words, way)) in ways.iter().enumerate() {
-        #[expect(clippy::cast_precision_loss, reason = "a share")]
-        bar.set(k as f64 / ways.len() as f64, format!("{ladder}: {words}"));
+    let subject = Subject { lens: &lens, frame: &frame, plane: &plane, density: &density, least };
+    let reference = subject.reference(args.reference_samples)?;
+    let rows = subject.rows(&reference)?;
+    let [first, second] = &reference.halves;
+    let half = first.mean.iter().zip(&second.mean).map(|(a, b)| 0.5 * f64::from((a - b).abs()));
+    let accuracy = Accuracy {
+        schema: 1,
+        lens: lens.name.clone(),
+        scene: args.scene.to_string(),
+        frame: [frame.columns, frame.rows],
+        threads: std::thread::available_parallelism().map_or(1, usize::from),
+        reference_samples: args.reference_samples,
+        reference_noise_rms: first.noise_rms().hypot(second.noise_rms()) / 2.0,
+        reference_worst_pixel: half.fold(0.0, f64::max),
+        reference_seconds: reference.seconds,
+        rows,
+    };
+    let note = format!(
+        "* no other row is both faster and nearer; the reference took {:.1} s and has {:.1e} rms of noise",
+        reference.seconds, accuracy.reference_noise_rms
+    );
+    let files = [(&args.output, accuracy.html()), (&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())];
+    let text = if args.common.json { value(&accuracy)?.to_string() } else { format!("{}\n{note}", accuracy.table()) };
+    tell(files, args.common.force, text, out)
+}
+
+/// Rows and columns of a scene's texture.
+fn texels(plane: &Plane) -> [usize; 2] {
+    let (_, rows, columns) = plane.texture.dim();
+    [rows, columns]
+}
+
+fn rays(samples: usize, sampling: Sampling, seed: u64) -> Rays {
+    Rays { samples, seed, channels: Channels::All, sampling }
+}
+
+impl Subject<'_> {
+    fn reference(&self, samples: usize) -> Result<Reference> {
+        let bar = Bar::new("reference");
         let clock = Instant::now();
-        let make = || -> anyhow::Result<(Array3<f32>, &str, String)> {
-            Ok(match way {
-                Way::Grid(request) => {
-                    let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
-                    let bytes = least.saturating_add(plan.bytes([scene_rows, scene_cols]).saturating_mul(1));
-                    memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
-                    most.set(most.get().max(bytes));
-                    let (s, depth) = (plan.renderer.plan.settings, &plan.renderer.plan.depths[0]);
-                    let told = match request {
-                        Request::Psnr(_) => format!(
-                            "{words}: {0} × {0} samples, {1} wavelengths, {2} points, {3} nodes, {4}² kernels",
-                            depth.samples,
-                            s.wavelengths,
-                            s.dense,
-                            depth.grid.len(),
-                            depth.size()
-                        ),
-                        _ => words.clone(),
-                    };
-                    (plan.picture::<f32>(&plane, &|_| ())?.0, "psf-grid", told)
-                }
-                Way::Double(request) => {
-                    let plan = plan(&lens, std::slice::from_ref(&plane), &frame, &density, *request, false)?;
-                    let bytes = least.saturating_add(plan.bytes([scene_rows, scene_cols]).saturating_mul(2));
-                    memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
-                    most.set(most.get().max(bytes));
-                    #[expect(clippy::cast_possible_truncation, reason = "compared in single precision")]
-                    let image = plan.picture::<f64>(&plane, &|_| ())?.0.mapv(|v| v as f32);
-                    (image, "psf-grid", words.clone())
-                }
-                Way::Rays(n, sampling) => {
-                    let r = render(&lens, &plane, &density, &frame, whole, rays(*n, *sampling, 77), None)?;
-                    let name = if *sampling == Sampling::Bounded { "monte-carlo" } else { "monte-carlo, plain" };
-                    (r.mean, name, words.clone())
-                }
-            })
-        };
-        let (made, peak_bytes) = measured(make);
-        let (image, method, settings) = made?;
+        let halves = render_halves(
+            self.lens,
+            self.plane,
+            self.density,
+            self.frame,
+            Region::whole(self.frame),
+            rays(samples, Sampling::Bounded, 1),
+            Some(&|share| bar.set(share, String::new())),
+        )?;
         let seconds = clock.elapsed().as_secs_f64();
-        rows.push(judged(
-            &image,
-            &halves,
-            &mean,
-            Row {
+        bar.done(String::new());
+        let mean = (&halves[0].mean + &halves[1].mean) * 0.5;
+        Ok(Reference { halves, mean, seconds })
+    }
+
+    /// Every way, judged.
+    fn rows(&self, reference: &Reference) -> Result<Vec<Row>> {
+        let ways = ways();
+        let most = Cell::new(self.least);
+        let bar = Bar::new("methods");
+        let mut rows = Vec::with_capacity(ways.len());
+        for (k, (ladder, words, way)) in ways.iter().enumerate() {
+            #[expect(clippy::cast_precision_loss, reason = "a share")]
+            bar.set(k as f64 / ways.len() as f64, format!("{ladder}: {words}"));
+            let clock = Instant::now();
+            let (made, peak_bytes) = measured(|| self.made(ladder, words, way, &most));
+            let (image, method, settings) = made?;
+            let row = Row {
                 method: method.into(),
                 ladder: (*ladder).into(),
                 settings,
@@ -197,38 +216,56 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                 relative_l2: 0.0,
                 energy: 0.0,
                 worst_pixel: 0.0,
-                seconds,
+                seconds: clock.elapsed().as_secs_f64(),
                 peak_bytes,
                 pareto: false,
-            },
-        ));
+            };
+            rows.push(judged(&image, &reference.halves, &reference.mean, row));
+        }
+        bar.done(format!("memory: at most {}", in_words(most.get())));
+        mark_pareto(&mut rows);
+        Ok(rows)
     }
-    bar.done(format!("memory: at most {}", in_words(most.get())));
-    mark_pareto(&mut rows);
-    let half = halves[0].mean.iter().zip(&halves[1].mean).map(|(a, b)| 0.5 * f64::from((a - b).abs()));
-    let accuracy = Accuracy {
-        schema: 1,
-        lens: lens.name.clone(),
-        scene: args.scene.to_string(),
-        frame: [frame.columns, frame.rows],
-        threads: std::thread::available_parallelism().map_or(1, usize::from),
-        reference_samples: args.reference_samples,
-        reference_noise_rms: halves[0].noise_rms().hypot(halves[1].noise_rms()) / 2.0,
-        reference_worst_pixel: half.fold(0.0, f64::max),
-        reference_seconds,
-        rows,
-    };
-    let note = format!(
-        "* no other row is both faster and nearer; the reference took {reference_seconds:.1} s and has {:.1e} rms of noise",
-        accuracy.reference_noise_rms
-    );
-    let files = [(&args.output, accuracy.html()), (&args.svg, accuracy.svg()), (&args.csv, accuracy.csv())];
-    tell(
-        files,
-        args.common.force,
-        if args.common.json { value(&accuracy)?.to_string() } else { format!("{}\n{note}", accuracy.table()) },
-        out,
-    )
+
+    /// A picture one way; `most` is the largest estimate of memory so far.
+    fn made(&self, ladder: &str, words: &str, way: &Way, most: &Cell<u64>) -> Result<Made> {
+        let planned = |request: Request, copies: u64| -> Result<_> {
+            let plan = plan(self.lens, std::slice::from_ref(self.plane), self.frame, self.density, request, false)?;
+            let bytes = self.least.saturating_add(plan.bytes(texels(self.plane)).saturating_mul(copies));
+            memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
+            most.set(most.get().max(bytes));
+            Ok(plan)
+        };
+        Ok(match way {
+            Way::Grid(request) => {
+                let plan = planned(*request, 1)?;
+                let (s, depth) = (plan.renderer.plan.settings, &plan.renderer.plan.depths[0]);
+                let told = match request {
+                    Request::Psnr(_) => format!(
+                        "{words}: {0} × {0} samples, {1} wavelengths, {2} points, {3} nodes, {4}² kernels",
+                        depth.samples,
+                        s.wavelengths,
+                        s.dense,
+                        depth.grid.len(),
+                        depth.size()
+                    ),
+                    _ => words.to_owned(),
+                };
+                (plan.picture::<f32>(self.plane, &|_| ())?.0, "psf-grid", told)
+            }
+            Way::Double(request) => {
+                #[expect(clippy::cast_possible_truncation, reason = "compared in single precision")]
+                let image = planned(*request, 2)?.picture::<f64>(self.plane, &|_| ())?.0.mapv(|v| v as f32);
+                (image, "psf-grid", words.to_owned())
+            }
+            Way::Rays(n, sampling) => {
+                let (whole, how) = (Region::whole(self.frame), rays(*n, *sampling, 77));
+                let r = render(self.lens, self.plane, self.density, self.frame, whole, how, None)?;
+                let name = if *sampling == Sampling::Bounded { "monte-carlo" } else { "monte-carlo, plain" };
+                (r.mean, name, words.to_owned())
+            }
+        })
+    }
 }
 
 /// Writes the files that are asked for, and `text`.

@@ -8,7 +8,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use isoplanat::atomic::{self, FolderKind};
-use isoplanat::design::compare::{Place, Placed};
+use isoplanat::design::compare::{Placed, Specification};
 use isoplanat::design::evaluate::{Settings, judgeable};
 use isoplanat::design::memory;
 use isoplanat::design::subject::Subject;
@@ -257,7 +257,7 @@ fn task(args: &Args) -> Result<Task> {
 
 /// Everybody who takes part, the task's lens first, each with each network.
 fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
-    let place = Place::of(first, if args.focus_all { task.network_depths_mm() } else { &[] })?;
+    let place = Specification::of_lens(first, if args.focus_all { task.network_depths_mm() } else { &[] })?;
     let density = SpectralDensity::new(&task.sensor()?);
     let own = Placed { lens: first.clone(), scale: 1.0, shift_mm: 0.0, rms_mm: [f64::NAN; 2], field_deg: f64::NAN };
     let mut lenses = vec![(args.subject.display().to_string(), Ok(own))];

@@ -9,17 +9,21 @@ use std::time::Instant;
 
 use isoplanat::deploy::kit::LensEntry;
 use isoplanat::deploy::session::Options;
+use isoplanat::design::data::Textures;
+use isoplanat::design::joint::Joint;
 use isoplanat::design::joint::designing::prepare;
 use isoplanat::design::joint::run::{JointSettings, joint_stage, network};
 use isoplanat::design::joint::scenery::Scenery;
 use isoplanat::design::memory;
 use isoplanat::design::subject::{Calibration, Subject};
+use isoplanat::design::task::Task;
 use isoplanat::design::training::Training;
 use isoplanat::imaging::files::write_png8;
 use isoplanat::imaging::guide::Inputs;
+use isoplanat::imaging::render::gradient_error::Chosen;
 use isoplanat::imaging::render::{Renderer, frame_of};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::prescription;
+use isoplanat::lens::{Lens, prescription};
 use isoplanat::math::memory::{product, threads};
 use isoplanat::network::{Compute, Reconstructor};
 use isoplanat::report::demo::{DemoReport, LossCurve};
@@ -111,114 +115,122 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     crate::memory::tell(bytes);
     let density = SpectralDensity::new(&sensor);
     let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
-    let done = |what: &str, since: Instant, report: &mut DemoReport| {
-        report.stages.push((what.to_owned(), since.elapsed().as_secs_f64()));
-    };
 
-    // Scenes to train on.
-    let clock = Instant::now();
-    let bar = Bar::new("training scenes");
-    let textures = task.textures()?;
-    bar.done(format!("{} scenes", textures.len()));
-    done("Training scenes", clock, &mut report);
+    let textures = report.staged("Training scenes", |_| {
+        let bar = Bar::new("training scenes");
+        let textures = task.textures()?;
+        bar.done(format!("{} scenes", textures.len()));
+        Ok(textures)
+    })?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
-
-    // Lens and network together.
-    let clock = Instant::now();
-    let bar = Bar::new("lens and network");
-    let fresh = network(task.network.base_width, task.network.inputs, task.seed, Compute::Cpu)?;
-    let prepared = prepare(task, &start, "demo", &mut |_, _| {})?;
-    let (stage, history) =
-        joint_stage(&scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
-            bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
-        })?;
-    let fineness = stage.fineness.clone();
-    let joint = stage.joint;
-    bar.done(format!("{} steps taken back", joint.rejected));
-    let lens = joint.lens.changed(|l| l.name = format!("{}, designed", start.name))?;
-    #[expect(clippy::cast_precision_loss, reason = "step counts")]
-    let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
-    report.loss.push(LossCurve { name: "lens and network".into(), points });
-    done("Joint design of lens and network", clock, &mut report);
-
-    // The final networks for the finished lens, of equal steps from the same start: of the capture alone, and guided.
-    let seen = textures.sha256();
-    let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| -> Result<Training> {
-        let clock = Instant::now();
-        let mut task = task.clone();
-        task.train.network.inputs = inputs;
-        let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
-        let mut training = Training::begin(task, &Subject::from(lens.clone()), network, textures.clone(), &run, false)?;
-        prescription::save(&start, &run.join(isoplanat::design::folder::START))?;
-        report.loss.push(followed(&mut training, name)?);
-        done(&format!("Final training: {name}"), clock, &mut report);
-        Ok(training)
-    };
-    let told = joint.network.config().clone().seeing(task.train.network.inputs);
-    let guided = joint.network.deepened(&told, task.seed, Compute::Cpu)?;
-    let bare = finished("network of the capture alone", Inputs::BARE, joint.network)?;
-    let training = finished("guided network", task.train.network.inputs, guided)?;
-
-    // Kit: optics of the whole frame, ONNX model with its card.
-    let clock = Instant::now();
-    let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
-    let calibration = Calibration::of_optics(&renderer.optics, &frame)?;
-    let kit = kit::build(
-        "isoplanat demo",
-        &LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
-        &training.network(),
-        &sensor,
-        &frame,
-        &calibration,
-        training.guide(),
-        seen,
-        settings.tile,
-    )?;
-    kit.save(&folder.join("kit"), false)?;
-    done("Kit: ONNX model and calibration", clock, &mut report);
-
-    // Captures of unseen scenes by the reference renderer, and what the camera makes of them.
-    let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
-    let clock = Instant::now();
-    for unseen in settings.unseen() {
-        let result = capture::photograph(
-            folder,
-            &settings,
-            &lens,
-            &kit,
-            &bare.network(),
-            &renderer,
-            &options,
-            unseen,
-            &mut report.runtime,
+    let designed =
+        report.staged("Joint design of lens and network", |report| designed(task, &start, &scenery, report))?;
+    let lens = designed.joint.lens.changed(|l| l.name = format!("{}, designed", start.name))?;
+    let networks = finished(task, [&start, &lens], designed.joint.network, &textures, folder, &mut report)?;
+    let (renderer, kit) = report.staged("Kit: ONNX model and calibration", |_| {
+        let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
+        let kit = kit::build(
+            "isoplanat demo",
+            &LensEntry { name: lens.name.clone(), sha256: lens.sha256() },
+            &networks.guided.network(),
+            &sensor,
+            &frame,
+            &Calibration::of_optics(&renderer.optics, &frame)?,
+            networks.guided.guide(),
+            textures.sha256(),
+            settings.tile,
         )?;
-        write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
-        report.scenes.push(result);
-    }
-    done("Captures, Wiener filter, camera", clock, &mut report);
-
-    // The fast renderer against the reference.
-    let clock = Instant::now();
-    capture::compare(&settings, &lens, &renderer, &density, &mut report)?;
-    done("Fast renderer against the reference", clock, &mut report);
+        kit.save(&folder.join("kit"), false)?;
+        Ok((renderer, kit))
+    })?;
+    // Captures of unseen scenes by the reference renderer, and what the camera makes of them.
+    report.staged("Captures, Wiener filter, camera", |report| {
+        let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
+        for unseen in settings.unseen() {
+            let runtime = &mut report.runtime;
+            let bare = networks.bare.network();
+            let result =
+                capture::photograph(folder, &settings, &lens, &kit, &bare, &renderer, &options, unseen, runtime)?;
+            write_png8(&folder.join(format!("{}-reconstruction.png", result.name)), &result.reconstruction)?;
+            report.scenes.push(result);
+        }
+        Ok(())
+    })?;
+    report.staged("Fast renderer against the reference", |report| {
+        capture::compare(&settings, &lens, &renderer, &density, report)
+    })?;
 
     let depth = 1.0 / lens.object_vergence;
     report.before = Some(LensView::new(&start, depth, settings.atlas, true)?);
     report.after = Some(LensView::new(&lens, depth, settings.atlas, true)?);
     report.settings = settings.describe(&sensor, &renderer.plan);
-    let finer = fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
+    let finer = designed.fineness.iter().map(|(step, c)| (format!("Design from step {step} on"), c.describe()));
     report.settings.extend(finer);
     report.left_out.extend(left_out(&lens, &renderer));
-    report.summary =
-        "A coarse two-element lens and a small network are designed together; the network, and a guided one, which sees the capture through its lens's own filters, too, are then \
-                      trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
-                      rendered by an independent ray tracer from the sensor."
-            .into();
+    report.summary = SUMMARY.into();
     report.seconds_total = started.elapsed().as_secs_f64();
     atomic::write_bytes(&folder.join(MARKER), report.to_html()?.as_bytes())?;
     let summary = format!("{:#}\n", report.summary_json());
     atomic::write_bytes(&folder.join("summary.json"), summary.as_bytes())?;
     Ok(report)
+}
+
+const SUMMARY: &str = "A coarse two-element lens and a small network are designed together; the network, and a guided one, which sees the capture through its lens's own filters, too, are then \
+                      trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
+                      rendered by an independent ray tracer from the sensor.";
+
+/// Lens and network together, and the settings that the design chose, from which step on.
+struct Designed {
+    joint: Joint,
+    fineness: Vec<(usize, Chosen)>,
+}
+
+fn designed(task: &Task, start: &Lens, scenery: &Scenery<'_>, report: &mut DemoReport) -> Result<Designed> {
+    let bar = Bar::new("lens and network");
+    let fresh = network(task.network.base_width, task.network.inputs, task.seed, Compute::Cpu)?;
+    let prepared = prepare(task, start, "demo", &mut |_, _| {})?;
+    let (stage, history) =
+        joint_stage(scenery, &prepared.problem, fresh, JointSettings::of(task)?, &mut |share, e| {
+            bar.set(share, format!("L1 {:.4}  {:.2} → {:.2} dB", e.loss, e.input_psnr_db, e.output_psnr_db));
+        })?;
+    bar.done(format!("{} steps taken back", stage.joint.rejected));
+    #[expect(clippy::cast_precision_loss, reason = "step counts")]
+    let points = history.iter().enumerate().map(|(i, e)| ((i + 1) as f64 * 10.0, e.loss)).collect();
+    report.loss.push(LossCurve { name: "lens and network".into(), points });
+    Ok(Designed { fineness: stage.fineness.clone(), joint: stage.joint })
+}
+
+/// The final networks of the finished lens, of equal steps from the same start.
+struct Networks {
+    bare: Training,
+    guided: Training,
+}
+
+fn finished(
+    task: &Task,
+    [start, lens]: [&Lens; 2],
+    network: Reconstructor,
+    textures: &Textures,
+    folder: &Path,
+    report: &mut DemoReport,
+) -> Result<Networks> {
+    let seen = network.config().clone().seeing(task.train.network.inputs);
+    let guided = network.deepened(&seen, task.seed, Compute::Cpu)?;
+    let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| {
+        report.staged(&format!("Final training: {name}"), |report| {
+            let mut task = task.clone();
+            task.train.network.inputs = inputs;
+            let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
+            let subject = Subject::from(lens.clone());
+            let mut training = Training::begin(task, &subject, network, textures.clone(), &run, false)?;
+            prescription::save(start, &run.join(isoplanat::design::folder::START))?;
+            report.loss.push(followed(&mut training, name)?);
+            Ok(training)
+        })
+    };
+    let bare = finished("network of the capture alone", Inputs::BARE, network)?;
+    let guided = finished("guided network", task.train.network.inputs, guided)?;
+    Ok(Networks { bare, guided })
 }
 
 /// Runs a training under a bar of its own; its losses.

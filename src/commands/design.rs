@@ -76,59 +76,64 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return check(args, out);
     }
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
-    let told = Told { folder, validate: args.validate.as_deref(), json: args.common.json };
-    let Some(path) = &args.task else { return go_on(None, args.device, told, out) };
-    folder::check(folder, args.common.force)?;
+    let Common { json, force } = args.common;
+    let options = RunOptions { folder, force, device: args.device, validate: args.validate.as_deref(), json };
+    let Some(path) = &args.task else { return go_on(None, options, out) };
+    folder::check(folder, force)?;
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let lens = task.first(&file)?.lens(crate::glasses::all())?;
     drawable(args, &lens)?;
-    start(task, &lens, &file, (args.common.force, args.device), told, out)
+    start(task, &lens, &file, options, out)
 }
 
-/// Designs `lens` by `task` (of `file`) in `folder`.
+/// Designs `lens` by `task` (of `file`).
 pub(crate) fn designed(
     task: Task,
     lens: &Lens,
     file: &str,
-    folder: &Path,
-    force: bool,
-    json: bool,
+    options: RunOptions<'_>,
     out: &mut dyn Write,
 ) -> anyhow::Result<()> {
-    folder::check(folder, force)?;
-    start(task, lens, file, (force, Compute::Cpu), Told { folder, validate: None, json }, out)
+    folder::check(options.folder, options.force)?;
+    start(task, lens, file, options, out)
 }
 
-/// Goes on in `folder`.
-pub(crate) fn resumed(folder: &Path, json: bool, out: &mut dyn Write) -> anyhow::Result<()> {
-    go_on(None, Compute::Cpu, Told { folder, validate: None, json }, out)
+/// Goes on in a folder.
+pub(crate) fn resumed(options: RunOptions<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    go_on(None, options, out)
 }
 
-/// What is told, and of which folder.
+/// How a design is run.
 #[derive(Clone, Copy)]
-struct Told<'a> {
-    folder: &'a Path,
+pub(crate) struct RunOptions<'a> {
+    pub(crate) folder: &'a Path,
+    /// Whether another run in that folder is replaced.
+    pub(crate) force: bool,
+    /// Where its network computes.
+    pub(crate) device: Compute,
     /// Photographs that the result is judged on too.
-    validate: Option<&'a Path>,
-    json: bool,
+    pub(crate) validate: Option<&'a Path>,
+    /// Whether the result is told as JSON.
+    pub(crate) json: bool,
+}
+
+impl<'a> RunOptions<'a> {
+    /// A run in `folder` on the CPU, in nobody's place.
+    pub(crate) fn of_folder(folder: &'a Path, json: bool) -> Self {
+        Self { folder, force: false, device: Compute::Cpu, validate: None, json }
+    }
 }
 
 /// A design from its beginning.
-fn start(
-    task: Task,
-    lens: &Lens,
-    file: &str,
-    (force, device): (bool, Compute),
-    told: Told<'_>,
-    out: &mut dyn Write,
-) -> anyhow::Result<()> {
+fn start(task: Task, lens: &Lens, file: &str, options: RunOptions<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let RunOptions { force, device, .. } = options;
     let parts = task.parts(file)?;
     allowed(&parts[0], file)?;
     let first = prepared(&parts[0], lens, file)?;
     if parts.len() == 1 {
         let network = network(task.network.base_width, task.network.inputs, task.seed, device)?;
         let textures = task.textures()?;
-        return driven(Designing::create(task, &first, network, textures, told.folder, force)?, told, out);
+        return run_to_end(Designing::create(task, &first, network, textures, options.folder, force)?, options, out);
     }
     // What a later stage would be refused for is said before the first begins, and before anything is written.
     for part in &parts[1..] {
@@ -136,17 +141,17 @@ fn start(
         prepare_after(part, &first.start, &first.problem.lens, file)?;
         network(part.network.base_width, part.network.inputs, part.seed, Compute::Cpu)?;
     }
-    by_images(&task, told.validate)?;
-    told.validate.map(Textures::photos).transpose()?;
+    by_images(&task, options.validate)?;
+    options.validate.map(Textures::photos).transpose()?;
     drop((task.textures()?, task.held_out()?));
     network(parts[0].network.base_width, parts[0].network.inputs, parts[0].seed, device)?;
-    stages::make(&task, lens, told.folder, force)?;
-    go_on(Some(first), device, told, out)
+    stages::make(&task, lens, options.folder, force)?;
+    go_on(Some(first), options, out)
 }
 
 /// A design from where its folder stands; where its first stage has not begun, from what that was made ready as.
-fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
-    let folder = told.folder;
+fn go_on(mut ready: Option<Prepared>, options: RunOptions<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let RunOptions { folder, device, .. } = options;
     let marker = folder.join(folder::MARKER);
     let file = marker.display().to_string();
     let reached = stages::reached(folder);
@@ -156,7 +161,7 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
         crate::memory::limit().allow("the design", memory::of_design(task)?, INSTEAD)?;
     }
     let Some(task) = task.filter(|task| !task.stages.is_empty() && !reached.own) else {
-        return driven(Designing::resume(folder, device)?, told, out);
+        return run_to_end(Designing::resume(folder, device)?, options, out);
     };
     let parts = task.parts(&file)?;
     let (lens, held) = stages::held(folder)?;
@@ -184,14 +189,14 @@ fn go_on(mut ready: Option<Prepared>, device: Compute, told: Told<'_>, out: &mut
             Designing::create(part.clone(), &prepared, network, part.textures()?, &inside, false)?
         };
         // JSON is of the result alone.
-        let quiet: &mut dyn Write = if told.json { &mut std::io::sink() } else { &mut *out };
-        driven(designing, Told { validate: None, ..told }, quiet)?;
+        let quiet: &mut dyn Write = if options.json { &mut std::io::sink() } else { &mut *out };
+        run_to_end(designing, RunOptions { validate: None, ..options }, quiet)?;
     }
     crate::tell!("stage {} of {}", parts.len(), parts.len());
     let prepared = fresh(&parts[own], None, own)?;
     let network = network(task.network.base_width, task.network.inputs, task.seed, device)?;
     let textures = task.textures()?;
-    driven(Designing::create_within(task, &prepared, network, textures, folder, held)?, told, out)
+    run_to_end(Designing::create_within(task, &prepared, network, textures, folder, held)?, options, out)
 }
 
 /// Refuses to judge a network that a task has none of.
@@ -206,8 +211,8 @@ fn by_images(task: &Task, validate_on: Option<&Path>) -> Result<bool> {
 }
 
 /// Runs a design to its end, and says how it went.
-fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
-    let Told { folder, validate: validate_on, json } = told;
+fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn Write) -> anyhow::Result<()> {
+    let RunOptions { folder, validate: validate_on, json, .. } = options;
     let by_images = by_images(designing.task(), validate_on)?;
     let held_out = validate_on.map(Textures::photos).transpose()?;
     let bytes = memory::of_design(designing.task())?;
@@ -246,8 +251,8 @@ fn driven(mut designing: Designing, told: Told<'_>, out: &mut dyn Write) -> anyh
             let sensor = designing.task().sensor()?;
             let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
-            let told = (&joint.network, &joint.guide);
-            Some(validate(&scenery, &joint.lens, told, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
+            let options = (&joint.network, &joint.guide);
+            Some(validate(&scenery, &joint.lens, options, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
         }
         None => None,
     };

@@ -57,13 +57,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Some(folder) = &args.output else { return Err(Error::bad("--output", "value", "missing", "a folder").into()) };
     let run = folder.join(format!("{index:05}"));
     if args.resume && run.join("task.toml").is_file() {
-        return design::resumed(&run, args.json, out);
+        return design::resumed(design::RunOptions::of_folder(&run, args.json), out);
     }
     let task = Task::load(&args.task)?;
     let file = args.task.display().to_string();
     let (task, lens) = varied(&task, index, crate::glasses::all(), &file)?;
     std::fs::create_dir_all(folder).map_err(|e| Error::writing(folder, e))?;
-    design::designed(task, &lens, &file, &run, args.force, args.json, out)
+    let options = design::RunOptions { force: args.force, ..design::RunOptions::of_folder(&run, args.json) };
+    design::designed(task, &lens, &file, options, out)
 }
 
 /// Ranks the runs of a folder: on the screen, and on a page.

@@ -9,7 +9,7 @@ use isoplanat_optics::trace::rims::require_clear;
 
 /// What every lens of a comparison is made to be.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
+pub struct Specification {
     /// Focal length, mm.
     pub focal_length_mm: f64,
     /// Diameter of the entrance pupil, mm.
@@ -37,12 +37,12 @@ pub struct Placed {
     pub field_deg: f64,
 }
 
-impl Place {
+impl Specification {
     /// That of `lens`, others focused for its object's distance, or where they are named for `distances_mm`.
     ///
     /// # Errors
     /// A lens without a focal length.
-    pub fn of(lens: &Lens, distances_mm: &[f64]) -> Result<Self> {
+    pub fn of_lens(lens: &Lens, distances_mm: &[f64]) -> Result<Self> {
         let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);
         let focal_length_mm = first.effective_focal_length;
         if !(focal_length_mm.is_finite() && focal_length_mm > 0.0) {
@@ -128,9 +128,9 @@ mod tests {
     use isoplanat_base::testing::{assert_abs, assert_rel};
     use isoplanat_optics::lens::builtin;
 
-    fn place() -> Place {
+    fn place() -> Specification {
         let lens = builtin::lens("two_element").expect("shipped");
-        Place::of(&lens, &[]).expect("has a focal length")
+        Specification::of_lens(&lens, &[]).expect("has a focal length")
     }
 
     /// Every shipped lens, or the reason in words: 50 mm, F/4, at 1 m, the sensor where spots are least.

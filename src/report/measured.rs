@@ -66,7 +66,7 @@ impl Default for Settings {
 
 /// One place of the field.
 #[derive(Clone, Debug)]
-pub struct Place {
+pub struct EdgePlace {
     /// Distance of the patch's middle from the axis on the sensor, mm.
     pub height_mm: f64,
     /// Side of the patch, pixels.
@@ -81,7 +81,7 @@ pub struct Place {
 #[derive(Clone, Debug)]
 pub struct Measured {
     /// Places, from the axis.
-    pub places: Vec<Place>,
+    pub places: Vec<EdgePlace>,
     /// Places that could not be photographed, and why.
     pub failed: Vec<String>,
     /// Settings.
@@ -141,7 +141,7 @@ pub fn close(
     let light = Light::new(lens, sensor, (end + SIDE[1] as f64 * frame.pitch_mm).min(frame.max_radius_mm()))?;
     let (mut places, mut failed, mut last) = (Vec::new(), Vec::new(), None);
     for (k, radius) in line.radius_mm.iter().enumerate() {
-        let mut place = || -> Result<Option<Place>> {
+        let mut place = || -> Result<Option<EdgePlace>> {
             let target = Target::new(lens, frame, &light, *radius)?;
             // Of a frame that is little larger than a patch all places are one.
             if last.replace(target.region) == Some(target.region) {
@@ -154,7 +154,7 @@ pub fn close(
                 Ok(edge)
             };
             let edges = [edge(0)?, edge(1)?];
-            Ok(Some(Place { height_mm: target.radius, side: target.region.rows, texels: target.texels, edges }))
+            Ok(Some(EdgePlace { height_mm: target.radius, side: target.region.rows, texels: target.texels, edges }))
         };
         match place() {
             Ok(place) => places.extend(place),
@@ -187,12 +187,12 @@ impl Measured {
         let name = |of: &str, k: usize| format!("{} {of}", NAMES[k]);
         let mut series = Vec::new();
         for k in 0..2 {
-            let over = |value: &dyn Fn(&Place, &Edge) -> f64| -> Vec<[f64; 2]> {
+            let over = |value: &dyn Fn(&EdgePlace, &Edge) -> f64| -> Vec<[f64; 2]> {
                 self.places.iter().map(|p| [p.height_mm, value(p, &p.edges[k])]).collect()
             };
             series.push(Series { name: name("design", k), points: over(&|_, e| middle(&e.design)), mark: Mark::Line });
             for (of, mark) in [("capture", Mark::Dashed), ("reconstruction", Mark::Both)] {
-                let value = |p: &Place, e: &Edge| {
+                let value = |p: &EdgePlace, e: &Edge| {
                     let found = e.all().find(|(name, _)| *name == of).and_then(|(_, found)| found.as_ref().ok());
                     found.map_or(f64::NAN, |found| middle(&curve(found, p.texels, self.pitch_mm)))
                 };
@@ -286,7 +286,7 @@ impl Measured {
 
     /// As JSON: by place and direction the design, and what was measured with its uncertainty.
     pub fn json(&self) -> Value {
-        let measured = |p: &Place, found: &Result<EdgeMeasurement, String>| match found {
+        let measured = |p: &EdgePlace, found: &Result<EdgeMeasurement, String>| match found {
             Ok(e) => json!({
                 "mtf50_cy_per_px": e.mtf50.map(|c| c.frequency),
                 "edge_normal_deg": e.normal_deg,
@@ -295,7 +295,7 @@ impl Measured {
             }),
             Err(why) => json!({ "error": why }),
         };
-        let edge = |p: &Place, k: usize, e: &Edge| {
+        let edge = |p: &EdgePlace, k: usize, e: &Edge| {
             json!({
                 "direction": NAMES[k],
                 "design_cy_per_mm_value": e.design,
@@ -303,7 +303,7 @@ impl Measured {
                 "reconstruction": e.reconstruction.as_ref().map(|r| measured(p, r)),
             })
         };
-        let place = |p: &Place| {
+        let place = |p: &EdgePlace| {
             let edges: Vec<Value> = p.edges.iter().enumerate().map(|(k, e)| edge(p, k, e)).collect();
             json!({ "height_mm": p.height_mm, "side_px": p.side, "edges": edges })
         };

@@ -41,7 +41,7 @@ const SPARED: usize = 8;
 
 /// A connection's task.
 #[derive(Debug)]
-struct Place {
+struct Seated {
     id: u64,
     end: AbortHandle,
 }
@@ -55,7 +55,7 @@ pub(super) struct Room {
 /// Connections of one kind, and how many there may be.
 #[derive(Debug)]
 struct Queue {
-    places: VecDeque<Place>,
+    places: VecDeque<Seated>,
     most: usize,
 }
 
@@ -68,12 +68,12 @@ impl Default for Room {
 impl Room {
     /// Takes the task of a new connection in.
     pub(super) fn enter(&self, id: u64, end: AbortHandle, kind: Kind) {
-        self.add(Place { id, end }, kind);
+        self.add(Seated { id, end }, kind);
     }
 
     /// Ends some connections without the token, from the one heard of longest ago, and lets so many fewer in from now on: descriptors are short.
     pub(super) fn spare(&self) {
-        let ended: Vec<Place> = self.with(|kinds| {
+        let ended: Vec<Seated> = self.with(|kinds| {
             let [silent, strangers, ..] = kinds;
             let more = if silent.places.len() > strangers.places.len() { silent } else { strangers };
             let ended = more.places.drain(..more.places.len().min(SPARED)).collect();
@@ -83,7 +83,7 @@ impl Room {
         ended.iter().for_each(|place| place.end.abort());
     }
 
-    fn add(&self, place: Place, kind: Kind) {
+    fn add(&self, place: Seated, kind: Kind) {
         let over = self.with(|kinds| {
             let Queue { places, most } = &mut kinds[kind as usize];
             places.push_back(place);
@@ -94,7 +94,7 @@ impl Room {
         }
     }
 
-    fn take(&self, id: u64) -> Option<Place> {
+    fn take(&self, id: u64) -> Option<Seated> {
         self.with(|kinds| {
             kinds.iter_mut().find_map(|Queue { places, .. }| {
                 places.iter().position(|p| p.id == id).and_then(|at| places.remove(at))
@@ -171,7 +171,7 @@ mod tests {
             for id in [1, 0] {
                 let task = first[id as usize].abort_handle();
                 drop(room.take(id));
-                room.add(Place { id, end: task }, Kind::Known);
+                room.add(Seated { id, end: task }, Kind::Known);
             }
             let more = sit(&room, 1000..1003).await;
             go(|| first[2].is_finished()).await;

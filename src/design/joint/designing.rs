@@ -15,7 +15,7 @@ use super::lens_steps::{LensSteps, Steps};
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, LOG_HEADER, Scenery};
 use super::state::State;
-use super::story::{Judgement, Told, WORSE_DB, page};
+use super::story::{Judgement, StoryFacts, WORSE_DB, page};
 use crate::design::bound::Bound;
 use crate::design::data::Textures;
 use crate::design::evaluate::verdict::verdicts;
@@ -443,7 +443,7 @@ impl Designing {
         let history = Judgement::of(self.history.text(), "history.jsonl")?;
         let log: Vec<Entry> = self.log.text().lines().skip(1).filter_map(Entry::read).collect();
         let verdict = self.verdicts.as_ref().map_or_else(Vec::new, Verdict::told);
-        let told = Told { held_out: &self.held_out, history: &history, log: &log, verdict: &verdict };
+        let told = StoryFacts { held_out: &self.held_out, history: &history, log: &log, verdict: &verdict };
         let html = page(&self.folder, &self.task, &self.stage, &told, &self.first)?;
         atomic::write_bytes(&self.folder.join("report.html"), html.as_bytes())
     }

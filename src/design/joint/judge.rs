@@ -69,7 +69,7 @@ impl Camera<'_> {
     ///
     /// # Errors
     /// A network that fails.
-    pub(in crate::design) fn sums(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Sums> {
+    pub(in crate::design) fn sums(&self, held_out: &Textures, side: usize, numbers: Range<u64>) -> Result<Tally> {
         let frame = &self.renderer.plan.frame;
         let places = Places::new(frame, side, Spread::Height);
         sums(self, numbers, |number, map| held_out.numbered((SEED, number), &places, frame, map, self.guide.reach()))
@@ -110,12 +110,12 @@ impl Camera<'_> {
 
 /// L1, PSNR before and after the network, added up over patches; by distance PSNR after and before it, and how many they were.
 #[derive(Clone, Debug, Default)]
-pub(in crate::design) struct Sums {
+pub(in crate::design) struct Tally {
     all: [f64; 3],
     by_distance: Vec<[f64; 3]>,
 }
 
-impl Sums {
+impl Tally {
     /// One more patch at a distance of so many.
     fn push(&mut self, (depth, depths): (usize, usize), [loss, input, output]: [f64; 3]) {
         self.by_distance.resize(depths.max(self.by_distance.len()), [0.0; 3]);
@@ -153,8 +153,8 @@ impl Sums {
 }
 
 /// L1 and PSNR before and after the network of the patches that `draw` makes for the object distances of `renderer` in turn.
-fn sums(camera: &Camera<'_>, numbers: Range<u64>, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Sums> {
-    let mut sums = Sums::default();
+fn sums(camera: &Camera<'_>, numbers: Range<u64>, draw: impl Fn(u64, &SensorMap) -> Patch) -> Result<Tally> {
+    let mut sums = Tally::default();
     let maps = &camera.renderer.optics.maps;
     for number in numbers {
         let depth = (number % maps.len() as u64) as usize;

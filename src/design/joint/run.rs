@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::as_built::{AsBuilt, BUILT, UNSEEN, widest};
 use super::distances::Distances;
 use super::images::group;
-use super::judge::{Camera, MARGIN, STEEPEST_DEG, Sums, corner_of};
+use super::judge::{Camera, MARGIN, STEEPEST_DEG, Tally, corner_of};
 use super::lens_steps::{LensSteps, Stepped, Steps};
 use super::scenery::{Entry, Scenery};
 use super::sensor_loss::SensorLoss;
@@ -545,7 +545,7 @@ impl Stage {
         if self.as_built.is_none() {
             return self.camera().judged(held_out, side, 0..PICTURES);
         }
-        let mut all = Sums::default();
+        let mut all = Tally::default();
         for k in 0..BUILT {
             let numbers = k * PICTURES / BUILT..(k + 1) * PICTURES / BUILT;
             match self.built(UNSEEN + k) {
@@ -554,7 +554,7 @@ impl Stage {
                 }
                 None => {
                     self.lost += 1;
-                    all.add(&Sums::nothing(numbers, self.vergences.len()));
+                    all.add(&Tally::nothing(numbers, self.vergences.len()));
                 }
             }
         }

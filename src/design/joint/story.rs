@@ -101,7 +101,7 @@ impl Judgement {
 
 /// What a page tells beside the state of its design.
 #[derive(Clone, Copy)]
-pub(in crate::design) struct Told<'a> {
+pub(in crate::design) struct StoryFacts<'a> {
     pub(in crate::design) held_out: &'a Textures,
     pub(in crate::design) history: &'a [Judgement],
     pub(in crate::design) log: &'a [Entry],
@@ -114,10 +114,10 @@ pub(in crate::design) fn page(
     folder: &Path,
     task: &Task,
     stage: &Stage,
-    told: &Told<'_>,
+    told: &StoryFacts<'_>,
     first: &Lens,
 ) -> Result<String> {
-    let Told { held_out, history, log, verdict } = *told;
+    let StoryFacts { held_out, history, log, verdict } = *told;
     let lens = &stage.joint.lens;
     let distance = 1.0 / lens.object_vergence;
     let view = |lens: &Lens| LensView::new(lens, distance, FIELDS, false).ok();
