@@ -247,8 +247,7 @@ impl<'a> Judge<'a> {
         sheets: bool,
         progress: &mut dyn FnMut(f64),
     ) -> Result<(Evaluation, Vec<Sheet>)> {
-        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, bounds, zones } =
-            self;
+        let Self { subject, told: (_, guide), sensor, pictures, settings, frame, renderer, wiener, zones, .. } = self;
         let maps = &renderer.optics.maps;
         let used: Vec<(usize, &Zone)> = zones.iter().enumerate().filter(|(_, z)| !z.starts.is_empty()).collect();
         let electronics = Electronics::of(sensor);
@@ -300,8 +299,30 @@ impl<'a> Judge<'a> {
                 }
             }
         }
+        let rows = self.rows(&used, &figures);
+        let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
+            let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
+            zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: picture_sheet(&SHOWN, strips) })
+        });
+        let evaluation = Evaluation {
+            schema: 1,
+            lens: camera.describe(subject),
+            pictures: pictures.describe(),
+            count: pictures.len(),
+            empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
+            frame: [frame.columns, frame.rows],
+            context_px: context,
+            seed: settings.seed,
+            rows,
+        };
+        Ok((evaluation, sheets.collect()))
+    }
+
+    /// Rows by depth, then by zone, means over the zones last; `figures` by depth and zone, for each picture.
+    fn rows(&self, used: &[(usize, &Zone)], figures: &[Vec<Vec<[Judged; 3]>>]) -> Vec<Row> {
+        let Self { pictures, settings, frame, renderer, bounds, .. } = self;
         let mut rows = Vec::new();
-        for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(&figures).zip(&renderer.optics.maps) {
+        for ((depth_mm, by_zone), map) in settings.depths_mm.iter().zip(figures).zip(&renderer.optics.maps) {
             let angle = |share: f64| zones::angle_deg(map, frame, share);
             for ((zone, places), values) in used.iter().zip(by_zone) {
                 let field = [bounds[*zone], bounds[zone + 1]];
@@ -329,22 +350,7 @@ impl<'a> Judge<'a> {
                 });
             }
         }
-        let sheets = strips.iter().enumerate().flat_map(|(depth, by_zone)| {
-            let zones = used.iter().zip(by_zone).filter(|(_, strips)| !strips.is_empty());
-            zones.map(move |((zone, _), strips)| Sheet { depth, zone: zone + 1, image: picture_sheet(&SHOWN, strips) })
-        });
-        let evaluation = Evaluation {
-            schema: 1,
-            lens: camera.describe(subject),
-            pictures: pictures.describe(),
-            count: pictures.len(),
-            empty_zones: (1..=zones.len()).filter(|z| zones[z - 1].starts.is_empty()).collect(),
-            frame: [frame.columns, frame.rows],
-            context_px: context,
-            seed: settings.seed,
-            rows,
-        };
-        Ok((evaluation, sheets.collect()))
+        rows
     }
 }
 

@@ -173,6 +173,26 @@ pub(in crate::design) fn page(
             "of it optics",
         ));
     }
+    let page = DesignPage {
+        title: lens.name.clone(),
+        standing,
+        words,
+        facts,
+        lenses: [view(first), view(lens)],
+        variables: names,
+        moments,
+        loss: over(|e| e.loss),
+        moved_um: moving(|e| e.moved_um),
+        signal: moving(|e| e.signal),
+        active: history.last().map(|j| j.active.clone()).unwrap_or_default(),
+        shown: shown.collect(),
+        settings: settings(task, stage),
+    };
+    page.to_html()
+}
+
+/// How the design was done, name and value.
+fn settings(task: &Task, stage: &Stage) -> Vec<[String; 2]> {
     let mut settings: Vec<[String; 2]> = stage
         .fineness
         .iter()
@@ -198,22 +218,7 @@ pub(in crate::design) fn page(
         None => pair("network", format!("{} channels at the finest of three scales", task.network.base_width)),
     });
     settings.push(pair("left out", left_out(stage)));
-    let page = DesignPage {
-        title: lens.name.clone(),
-        standing,
-        words,
-        facts,
-        lenses: [view(first), view(lens)],
-        variables: names,
-        moments,
-        loss: over(|e| e.loss),
-        moved_um: moving(|e| e.moved_um),
-        signal: moving(|e| e.signal),
-        active: history.last().map(|j| j.active.clone()).unwrap_or_default(),
-        shown: shown.collect(),
-        settings,
-    };
-    page.to_html()
+    settings
 }
 
 /// With a capital.
