@@ -10,8 +10,9 @@ use super::places::Places;
 use isoplanat_base::atomic::sha256_hex;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::frame::Frame;
-use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::plane::Region;
 use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::placement::{self, Placement};
 use isoplanat_imaging::scene::{SceneKind, TRAINING, generate};
 use isoplanat_imaging::sensor::noise::mixed;
 use isoplanat_optics::psf::SensorMap;
@@ -177,17 +178,14 @@ impl Textures {
         if rng.bool() {
             texture.swap_axes(1, 2);
         }
-        let centre = region.offset(frame, region.rows / 2, region.cols / 2);
-        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let (zoom, texels_per_slope) = match scale {
+        let (zoom, scale) = match scale {
             Scale::Random => {
                 let zoom = 1.0 + 0.35 * rng.f64();
-                (zoom, zoom / (map.ratio(0.0) * frame.pitch_mm))
+                (zoom, placement::Scale::OnAxis(zoom))
             }
-            Scale::ThereToPixel => (1.0, 1.0 / (map.ratio(radius) * frame.pitch_mm)),
-            Scale::PerSlope(texels) => (1.0, texels),
+            Scale::ThereToPixel => (1.0, placement::Scale::There(1.0)),
+            Scale::PerSlope(texels) => (1.0, placement::Scale::PerSlope(texels)),
         };
-        let scale = map.ratio(radius) * frame.pitch_mm * texels_per_slope;
         // The part of the texture that the region and a margin need, cut out so that a patch stays small.
         let (_, rows, cols) = texture.dim();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a patch's size")]
@@ -199,9 +197,10 @@ impl Textures {
         let (r0, h) = cut(rng, rows, need(region.rows));
         let (c0, w) = cut(rng, cols, need(region.cols));
         let texture = texture.slice(s![.., r0..r0 + h, c0..c0 + w]).to_owned();
-        let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
         let texture = texture.as_standard_layout().to_owned();
-        let scene = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
+        let [x, y] = region.offset(frame, region.rows / 2, region.cols / 2);
+        let pixel = [frame.axis_px[0] + x, frame.axis_px[1] + y];
+        let scene = Placement { texel: [w as f64 / 2.0, h as f64 / 2.0], pixel, scale }.by(map, frame, texture);
         Patch::whole(scene, region, rng.u64(..))
     }
 }

@@ -34,6 +34,7 @@ use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
 use isoplanat_imaging::plane::{Plane, Region, mirrored};
 use isoplanat_imaging::render::{Renderer, Settings as Fineness};
 use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::placement::{Placement, Scale};
 use isoplanat_imaging::scene::{SceneKind, generate};
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::noise::mixed;
@@ -472,14 +473,11 @@ impl Shot<'_> {
             half + rng.f64() * (n - 2.0 * half)
         };
         let texel = [middle(cols), middle(rows)];
-        let centre = [
-            self.region.col as f64 + 0.5 * self.region.cols as f64 - frame.axis_px[0],
-            self.region.row as f64 + 0.5 * self.region.rows as f64 - frame.axis_px[1],
+        let pixel = [
+            self.region.col as f64 + 0.5 * self.region.cols as f64,
+            self.region.row as f64 + 0.5 * self.region.rows as f64,
         ];
-        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let texels_per_slope = texels / (map.ratio(radius) * frame.pitch_mm);
-        let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
-        Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
+        Placement { texel, pixel, scale: Scale::There(texels) }.by(map, frame, picture.clone())
     }
 }
 
