@@ -77,24 +77,22 @@ pub use isoplanat_camera as deploy;
 
 // Lenses as numbers.
 pub use isoplanat_optics::lens::catalogue::Glasses;
-pub use isoplanat_optics::lens::paraxial::{FirstOrder, first_order};
-pub use isoplanat_optics::lens::{
-    Aperture, Field, Lens, LensGradient, Medium, Parameter, Prescription, Shape, Surface, Wavelengths, builtin,
-};
+pub use isoplanat_optics::lens::paraxial::first_order;
+pub use isoplanat_optics::lens::{Lens, LensGradient, Parameter, Prescription, Surface, builtin};
 
 // Lens files.
-pub use isoplanat_optics::interchange::{Form, Imported, lens_or_file};
+pub use isoplanat_optics::interchange::{Imported, lens_or_file};
 
 // Rays through them.
 pub use isoplanat_optics::trace::aim::Aimer;
-pub use isoplanat_optics::trace::sequential::{Hit, HitBar, trace, trace_vjp};
+pub use isoplanat_optics::trace::sequential::{HitBar, trace, trace_vjp};
 pub use isoplanat_optics::trace::{ObjectPoint, Ray, System, SystemGradient};
 
 // Better lenses.
-pub use isoplanat_optics::optimize::{Constraint, Limits, Merit, Outcome, Problem, optimize};
+pub use isoplanat_optics::optimize::{Limits, Merit, Outcome, Problem, optimize};
 
 // Point spread functions.
-pub use isoplanat_optics::psf::{Optics, OpticsBar, SensorMap};
+pub use isoplanat_optics::psf::Optics;
 pub use report::atlas::{KernelRequest, KernelSet};
 
 // Sensors.
@@ -106,11 +104,10 @@ pub use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 // Scenes and pictures of them.
 pub use isoplanat_imaging::capture::{CaptureSettings, capture};
 pub use isoplanat_imaging::files::{Encoding, read_linear, write_picture};
-pub use isoplanat_imaging::render::{Rendered, Renderer, Request, ScenePlan, Settings, plan};
+pub use isoplanat_imaging::render::{Renderer, Request, Settings, frame_of, plan};
 pub use isoplanat_imaging::scene::{SceneKind, fill_frame, generate};
 
-// Captures, developed and judged.
-pub use isoplanat_imaging::develop::{Balance, Development, develop};
+// Captures, and what pictures are worth.
 pub use isoplanat_imaging::dng::{DngInfo, write_dng};
 pub use isoplanat_imaging::metrics::{psnr_linear, ssim};
 
@@ -120,7 +117,7 @@ pub use isoplanat_network::{Reconstructor, UnetConfig};
 
 // Lens and network designed together.
 #[cfg(feature = "train")]
-pub use design::{designing::Designing, opened::Run, subject::Subject, task::Task};
+pub use design::{opened::Run, subject::Subject, task::Task};
 
 // The camera side.
 #[cfg(feature = "deploy")]
