@@ -14,7 +14,7 @@
 mod check;
 mod entries;
 #[doc(hidden)]
-pub mod fault;
+pub(crate) mod fault;
 mod file;
 mod folder;
 mod living;
