@@ -58,6 +58,7 @@ pub use isoplanat_optics::{analysis, interchange, lens, optimize, psf, trace};
 pub use isoplanat_imaging as imaging;
 pub use isoplanat_imaging::calibrate;
 
+#[doc(hidden)]
 pub mod report;
 
 /// The reconstruction network: the contract with the camera without burn; model, training and export behind the feature `train`.

@@ -42,7 +42,7 @@ pub struct Textures {
 
 impl Textures {
     /// `count` built-in scenes of `size × size`, kinds in turn, seeds counted up from `seed`.
-    pub fn built_in(seed: u64, count: usize, size: usize) -> Self {
+    pub(crate) fn built_in(seed: u64, count: usize, size: usize) -> Self {
         let images = (0..count)
             .into_par_iter()
             .map(|i| generate(TRAINING[i % TRAINING.len()], seed.wrapping_add(i as u64), size, size))
@@ -54,7 +54,7 @@ impl Textures {
     }
 
     /// `count` built-in scenes of a kind that training never draws from.
-    pub fn unseen(seed: u64, count: usize, size: usize) -> Self {
+    pub(crate) fn unseen(seed: u64, count: usize, size: usize) -> Self {
         let images = (0..count)
             .into_par_iter()
             .map(|i| generate(SceneKind::Facades, seed.wrapping_add(i as u64), size, size))
@@ -75,7 +75,7 @@ impl Textures {
     ///
     /// # Errors
     /// A folder that has no more than those.
-    pub fn photos_from(folder: &Path, kept: usize) -> Result<Self> {
+    pub(crate) fn photos_from(folder: &Path, kept: usize) -> Result<Self> {
         Self::photos_of(folder, kept, usize::MAX)
     }
 
@@ -83,7 +83,7 @@ impl Textures {
     ///
     /// # Errors
     /// A folder that has no more than those.
-    pub fn photos_of(folder: &Path, kept: usize, count: usize) -> Result<Self> {
+    pub(crate) fn photos_of(folder: &Path, kept: usize, count: usize) -> Result<Self> {
         let photos = Photos::open(folder)?;
         if kept >= photos.len() {
             let found = format!("{kept} of {} photographs kept from training", photos.len());
@@ -120,12 +120,12 @@ impl Textures {
     /// turned at random, 1 to 1.35 texels a pixel on the axis.
     ///
     /// Rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the camera.
-    pub fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
+    pub(crate) fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
         self.draw_within(rng, frame, map, size, 0)
     }
 
     /// [`Self::draw`], rendered `reach` pixels further than the network sees, as far as the frame goes.
-    pub fn draw_within(
+    pub(crate) fn draw_within(
         &self,
         rng: &mut fastrand::Rng,
         frame: &Frame,
@@ -142,7 +142,14 @@ impl Textures {
 
     /// Patch `number` of a design, the same for the same number: at the `number`th of `places`, rendered `reach` pixels further than
     /// the network sees, a texel of the photograph to a pixel there.
-    pub fn numbered(&self, draw: (u64, u64), places: &Places, frame: &Frame, map: &SensorMap, reach: usize) -> Patch {
+    pub(crate) fn numbered(
+        &self,
+        draw: (u64, u64),
+        places: &Places,
+        frame: &Frame,
+        map: &SensorMap,
+        reach: usize,
+    ) -> Patch {
         self.numbered_as(draw, places, frame, map, (reach, Scale::ThereToPixel))
     }
 

@@ -48,7 +48,7 @@ pub use edges::measured;
 pub use retrain::Retrain;
 
 /// Most pixels around a patch that the network sees beside it.
-pub const CONTEXT: usize = 64;
+pub(crate) const CONTEXT: usize = 64;
 
 /// Texels of a picture that a pixel sees at a patch's centre where nobody says more: enough for detail at the pixel's own limit. A picture
 /// too small for the patch is enlarged.
@@ -67,7 +67,7 @@ pub(super) const SHEET: usize = 4;
 const CHANNELS: usize = 3;
 
 /// Columns of a sheet.
-pub const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
+pub(crate) const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
 
 /// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
 pub const FINENESS: Fineness =

@@ -127,7 +127,7 @@ impl Joint {
     }
 
     /// Makes the filters of a guided network anew for the one that `renderer` holds; a lens that has none keeps the old filters.
-    pub fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
+    pub(crate) fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
         if self.guide.facts().is_none() {
             return;
         }

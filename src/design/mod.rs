@@ -7,39 +7,57 @@
 //! [`train_task`] its part of the file, [`subject`] what stands before the sensor: a lens, or one that was measured.
 //! [`evaluate`] judges what came out, [`compare`] puts other lenses in its place; [`memory`] and [`pace`] say beforehand what all of it takes.
 
+#[doc(hidden)]
 pub mod as_built;
 mod bound;
+#[doc(hidden)]
 pub mod chain;
+#[doc(hidden)]
 pub mod compare;
-pub mod constraint;
+pub(crate) mod constraint;
+#[doc(hidden)]
 pub mod data;
 pub mod designing;
+#[doc(hidden)]
 pub mod distances;
 pub mod evaluate;
+#[doc(hidden)]
 pub mod folder;
 mod going;
 pub mod joint;
 pub mod judge;
-pub mod lens_steps;
-pub mod log;
+pub(crate) mod lens_steps;
+pub(crate) mod log;
+#[doc(hidden)]
 pub mod memory;
+#[doc(hidden)]
 pub mod noise;
 pub mod opened;
+#[doc(hidden)]
 pub mod pace;
+#[doc(hidden)]
 pub mod pairs;
+#[doc(hidden)]
 pub mod places;
 pub mod run;
+#[doc(hidden)]
 pub mod scenery;
-pub mod schedule;
-pub mod sensor_loss;
+pub(crate) mod schedule;
+pub(crate) mod sensor_loss;
+#[doc(hidden)]
 pub mod stages;
+#[doc(hidden)]
 pub mod state;
+#[doc(hidden)]
 pub mod stated;
+#[doc(hidden)]
 pub mod story;
 pub mod subject;
+#[doc(hidden)]
 pub mod sweep;
-pub mod sweep_task;
+pub(crate) mod sweep_task;
 pub mod task;
-pub mod train_task;
+pub(crate) mod train_task;
 pub mod training;
+#[doc(hidden)]
 pub mod verdict;

@@ -39,7 +39,7 @@ const MOST_DRAWS: usize = 64;
 pub use isoplanat_models::TASKS as SHIPPED;
 
 /// The form of task files this program reads.
-pub const SCHEMA: u32 = 1;
+pub(crate) const SCHEMA: u32 = 1;
 
 /// Bytes of a task at most.
 const LARGEST: u64 = 1 << 20;
@@ -431,7 +431,7 @@ impl Task {
     ///
     /// # Errors
     /// Keys that are none, values that are not allowed; a file that was not read.
-    pub fn stated_tolerances(&self) -> Result<Option<Tolerances>> {
+    pub(crate) fn stated_tolerances(&self) -> Result<Option<Tolerances>> {
         self.tolerances.as_ref().map(Stated::tolerances).transpose()
     }
 

@@ -246,7 +246,7 @@ impl TrainTask {
     }
 
     /// What is minimised.
-    pub fn objective(&self) -> Objective {
+    pub(crate) fn objective(&self) -> Objective {
         let content = match (&self.vgg, self.loss.as_str()) {
             (_, "l1") => ContentKind::L1,
             (Some(path), _) => ContentKind::Vgg(path.clone()),
@@ -257,7 +257,7 @@ impl TrainTask {
     }
 
     /// How a step varies a pair.
-    pub fn augmentation(&self) -> Augmentation {
+    pub(crate) fn augmentation(&self) -> Augmentation {
         Augmentation { flips: self.flips, noise: self.noise, haze: self.haze }
     }
 

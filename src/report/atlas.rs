@@ -176,7 +176,7 @@ impl KernelSet {
 
     /// The kernel of all wavelengths at once, `[depth, field, row, col]`: the mean of theirs by weight and irradiance, so that it
     /// sums to one less what fell outside. Zero where there is no light.
-    pub fn polychromatic_kernels(&self) -> Array4<f32> {
+    pub(crate) fn polychromatic_kernels(&self) -> Array4<f32> {
         let shares = self.shares();
         let (depths, fields, _, rows, cols) = self.kernels.dim();
         let mut mean = Array4::zeros((depths, fields, rows, cols));
