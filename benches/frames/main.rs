@@ -15,6 +15,7 @@ use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings, render_halves};
 use isoplanat::imaging::render::{Request, frame_of, plan};
+use isoplanat::imaging::scene::placement::Placement;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin, prescription};
@@ -62,17 +63,9 @@ fn corner(lens: &Lens) -> Frame {
 
 /// The texture over the frame: its middle in the frame's.
 fn scene(lens: &Lens, frame: &Frame, texture: Array3<f32>) -> Plane {
-    let near = 1e-3 * frame.max_radius_mm();
-    let slope = |radius: f64| chief_slopes(lens, lens.object_vergence, &[radius]).expect("light")[0];
-    let per_pixel = slope(near) / near * frame.pitch_mm;
     let (_, rows, cols) = texture.dim();
-    let zoom = (cols as f64 / frame.columns as f64).min(rows as f64 / frame.rows as f64);
-    let texels_per_slope = zoom / per_pixel;
-    let off = [0.5 * frame.columns as f64 - frame.axis_px[0], 0.5 * frame.rows as f64 - frame.axis_px[1]];
-    let radius = off[0].hypot(off[1]);
-    let middle = if radius > 0.0 { slope(radius * frame.pitch_mm) / radius * texels_per_slope } else { 0.0 };
-    let axis_texel = [0.5 * cols as f64 - off[0] * middle, 0.5 * rows as f64 - off[1] * middle];
-    Plane { texture, texels_per_slope, axis_texel, vergence: lens.object_vergence }
+    let Placement { scale, .. } = Placement::filling([rows, cols], frame);
+    Placement::centred([rows, cols], frame, scale).before(lens, frame, texture).expect("light")
 }
 
 fn photographs(count: usize) -> Vec<(String, Array3<f32>)> {

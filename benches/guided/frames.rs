@@ -8,8 +8,9 @@ use isoplanat::design::subject::Subject;
 use isoplanat::imaging::develop::simulate::Electronics;
 use isoplanat::imaging::guide::Guide;
 use isoplanat::imaging::metrics;
-use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::scene::photos::Photos;
+use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -62,12 +63,12 @@ impl Frames {
         let frame = &renderer.plan.frame;
         let whole = Region::whole(frame);
         let map = &renderer.optics.maps[0];
-        let texels_per_slope = TEXELS / (map.ratio(0.0) * frame.pitch_mm);
         // From the frame's first row and column on, wherever the axis is.
-        let axis_texel = frame.axis_px.map(|v| v * TEXELS);
+        let texel = frame.axis_px.map(|v| v * TEXELS);
+        let placement = Placement { texel, pixel: frame.axis_px, scale: Scale::OnAxis(TEXELS) };
         let size = [frame.rows, frame.columns].map(|n| (n as f64 * TEXELS * 1.1) as usize);
         let frames = pictures(size).into_iter().enumerate().step_by(every).map(|(i, (name, texture))| {
-            let plane = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
+            let plane = placement.by(map, frame, texture);
             let done =
                 forward::<f32>(&renderer, &electronics, &Patch::whole(plane, whole, 77 + i as u64)).expect("renders");
             let steps = |axis: usize| {

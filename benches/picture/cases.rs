@@ -6,11 +6,11 @@ use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{Request, ScenePlan, frame_of, plan};
+use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
-use isoplanat::psf::table::chief_slopes;
 use ndarray::Array3;
 
 /// The three lenses: blurred, fair, sharp.
@@ -56,14 +56,9 @@ pub(crate) fn part(name: &str, [columns, rows]: [usize; 2]) -> (Lens, Frame) {
 /// `texture` before a part of a lens's frame: a texel a pixel in the middle, middle on middle.
 pub(crate) fn place(name: &str, size: [usize; 2], texture: Array3<f32>) -> Case {
     let (lens, frame) = part(name, size);
-    let v = lens.object_vergence;
-    let middle = [0.5 * size[0] as f64 - frame.axis_px[0], 0.5 * size[1] as f64 - frame.axis_px[1]];
-    let radius = (middle[0].hypot(middle[1]) * frame.pitch_mm).max(0.1);
-    let per_pixel = chief_slopes(&lens, v, &[radius]).expect("traces")[0] / radius * frame.pitch_mm;
-    let scale = 1.0 / per_pixel;
     let (_, rows, cols) = texture.dim();
-    let axis_texel = [0.5 * cols as f64 - middle[0], 0.5 * rows as f64 - middle[1]];
-    let scene = Plane { texture, texels_per_slope: scale, axis_texel, vergence: v };
+    let placement = Placement::centred([rows, cols], &frame, Scale::There(1.0));
+    let scene = placement.before(&lens, &frame, texture).expect("light");
     Case { lens, frame, scene, density: SpectralDensity::new(&Sensor::generic()) }
 }
 

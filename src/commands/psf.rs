@@ -9,11 +9,9 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
-use isoplanat::math::npz;
 use isoplanat::report::atlas;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
-use ndarray::ArrayView1;
 use serde_json::{Value, json};
 
 use crate::named::Named;
@@ -67,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(args.lens.as_ref());
     let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
-    save(&kernels, Target::new(&args.output, args.common.force))?;
+    kernels.save(Target::new(&args.output, args.common.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
         let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?.kernels;
@@ -154,29 +152,5 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
         pitch_mm: pitch_um * 1e-3,
         rays: args.rays as usize,
         memory: crate::memory::limit(),
-    })
-}
-
-/// Writes every array of `set` under its name.
-fn save(set: &atlas::KernelSet, to: Target<'_>) -> Result<()> {
-    let meta = &set.request;
-    npz::write(to, |npz| {
-        npz.add_array("kernels", &set.kernels)?;
-        for (name, array) in [("relative_illumination", &set.relative_illumination), ("outside", &set.outside)] {
-            npz.add_array(name, array)?;
-        }
-        let places =
-            [("sensor_radius_mm", &set.radius_mm), ("object_slope", &set.slope), ("field_angle_deg", &set.angle_deg)];
-        for (name, array) in places {
-            npz.add_array(name, array)?;
-        }
-        npz.add_array("polychromatic", &set.polychromatic_kernels())?;
-        let lists = [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];
-        for (name, values) in lists {
-            npz.add_array(name, &ArrayView1::from(values))?;
-        }
-        npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm))?;
-        npz.add_array("schema", &ndarray::arr0(1_i64))?;
-        Ok(())
     })
 }

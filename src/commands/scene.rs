@@ -6,9 +6,9 @@ use isoplanat::imaging::files::{PICTURES, extension, read_linear};
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{frame_of, memory};
+use isoplanat::imaging::scene::placement::{Placement, Scale, slope_per_mm};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::{Lens, Prescription, SensorRaster};
-use isoplanat::psf::table::chief_slopes;
 use isoplanat::{Error, Result};
 
 use crate::input;
@@ -89,8 +89,6 @@ pub(crate) struct Stage {
     pub(crate) frame: Frame,
     /// The whole frame, which scenes fill.
     whole: Frame,
-    /// Object slope per pixel on the axis.
-    per_pixel: f64,
     texels_per_pixel: Option<f64>,
 }
 
@@ -117,18 +115,10 @@ impl SceneArgs {
             Some(part) => cut(&whole, part)?,
             None => whole.clone(),
         };
-        // The chief ray next to the axis: of a lens with tilts, that of the lens without them.
-        let near = 1e-3 * whole.max_radius_mm();
+        // A lens before which no scene can be placed is refused before anything is made.
         let straight = lens.upright().map_err(|e| input::in_lens(e, &lens, argument))?;
-        let slopes =
-            chief_slopes(&straight, lens.object_vergence, &[near]).map_err(|e| input::in_lens(e, &lens, argument))?;
-        let per_pixel = slopes[0] / near * whole.pitch_mm;
-        if per_pixel.is_nan() || per_pixel <= 0.0 {
-            let found = format!("{} of object slope a pixel at {} mm", per_pixel, lens.object_vergence.recip());
-            let allowed = "an object's height that grows with the image's; another distance or lens";
-            return Err(Error::bad(&**argument, "chief rays", found, allowed));
-        }
-        Ok(Stage { lens, frame, whole, per_pixel, texels_per_pixel: self.texels_per_pixel })
+        slope_per_mm(&straight, 0.0, &whole).map_err(|e| input::in_lens(e, &lens, argument))?;
+        Ok(Stage { lens, frame, whole, texels_per_pixel: self.texels_per_pixel })
     }
 
     /// The lens and the scene of the command line.
@@ -216,11 +206,7 @@ impl Stage {
             return Err(Error::bad(&**name, "scene", "a folder", allowed));
         }
         let (texture, zoom) = if path.exists() {
-            let texture = read_linear(path)?;
-            let (_, rows, cols) = texture.dim();
-            #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-            let fill = (cols as f64 / frame.columns as f64).min(rows as f64 / frame.rows as f64);
-            (texture, self.texels_per_pixel.unwrap_or(fill))
+            (read_linear(path)?, self.texels_per_pixel)
         } else {
             // A name that ends as pictures do is one that is not there.
             if PICTURES.contains(&extension(path).as_str()) {
@@ -233,19 +219,11 @@ impl Stage {
             let kind = SceneKind::from_name(kind).ok_or_else(|| bad(format!("`{name}`")))?;
             let seed = seed.parse().map_err(|_| bad(format!("seed `{seed}`")))?;
             let zoom = self.texels_per_pixel.unwrap_or(1.0);
-            (generate(kind, seed, size(frame.rows, zoom), size(frame.columns, zoom)), zoom)
+            (generate(kind, seed, size(frame.rows, zoom), size(frame.columns, zoom)), Some(zoom))
         };
-        if !(zoom > 0.0 && zoom.is_finite()) {
-            return Err(Error::bad("--texels-per-pixel", "value", zoom.to_string(), "a positive number"));
-        }
         let (_, rows, cols) = texture.dim();
-        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-        let relative = |axis: f64, n: usize, texels: usize| axis / n as f64 * texels as f64;
-        Ok(Plane {
-            axis_texel: [relative(frame.axis_px[0], frame.columns, cols), relative(frame.axis_px[1], frame.rows, rows)],
-            texture,
-            texels_per_slope: zoom / self.per_pixel,
-            vergence: self.lens.object_vergence,
-        })
+        let fill = Placement::filling([rows, cols], frame);
+        let placement = zoom.map_or(fill, |texels| Placement { scale: Scale::OnAxis(texels), ..fill });
+        placement.before(&self.lens, frame, texture)
     }
 }

@@ -76,7 +76,7 @@ fn developed<T: Real>(electronics: &Electronics, patch: &Patch, rendered: Render
 }
 
 /// Pulls cotangents on the developed picture and on the truth back to the optics.
-pub fn forward_vjp<T: Real>(
+pub(crate) fn forward_vjp<T: Real>(
     renderer: &Renderer,
     electronics: &Electronics,
     patch: &Patch,

@@ -10,8 +10,9 @@ use super::places::Places;
 use isoplanat_base::atomic::sha256_hex;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::frame::Frame;
-use isoplanat_imaging::plane::{Plane, Region};
+use isoplanat_imaging::plane::Region;
 use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::placement::{self, Placement};
 use isoplanat_imaging::scene::{SceneKind, TRAINING, generate};
 use isoplanat_imaging::sensor::noise::mixed;
 use isoplanat_optics::psf::SensorMap;
@@ -41,7 +42,7 @@ pub struct Textures {
 
 impl Textures {
     /// `count` built-in scenes of `size × size`, kinds in turn, seeds counted up from `seed`.
-    pub fn built_in(seed: u64, count: usize, size: usize) -> Self {
+    pub(crate) fn built_in(seed: u64, count: usize, size: usize) -> Self {
         let images = (0..count)
             .into_par_iter()
             .map(|i| generate(TRAINING[i % TRAINING.len()], seed.wrapping_add(i as u64), size, size))
@@ -53,7 +54,7 @@ impl Textures {
     }
 
     /// `count` built-in scenes of a kind that training never draws from.
-    pub fn unseen(seed: u64, count: usize, size: usize) -> Self {
+    pub(crate) fn unseen(seed: u64, count: usize, size: usize) -> Self {
         let images = (0..count)
             .into_par_iter()
             .map(|i| generate(SceneKind::Facades, seed.wrapping_add(i as u64), size, size))
@@ -74,7 +75,7 @@ impl Textures {
     ///
     /// # Errors
     /// A folder that has no more than those.
-    pub fn photos_from(folder: &Path, kept: usize) -> Result<Self> {
+    pub(crate) fn photos_from(folder: &Path, kept: usize) -> Result<Self> {
         Self::photos_of(folder, kept, usize::MAX)
     }
 
@@ -82,7 +83,7 @@ impl Textures {
     ///
     /// # Errors
     /// A folder that has no more than those.
-    pub fn photos_of(folder: &Path, kept: usize, count: usize) -> Result<Self> {
+    pub(crate) fn photos_of(folder: &Path, kept: usize, count: usize) -> Result<Self> {
         let photos = Photos::open(folder)?;
         if kept >= photos.len() {
             let found = format!("{kept} of {} photographs kept from training", photos.len());
@@ -119,12 +120,12 @@ impl Textures {
     /// turned at random, 1 to 1.35 texels a pixel on the axis.
     ///
     /// Rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the camera.
-    pub fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
+    pub(crate) fn draw(&self, rng: &mut fastrand::Rng, frame: &Frame, map: &SensorMap, size: usize) -> Patch {
         self.draw_within(rng, frame, map, size, 0)
     }
 
     /// [`Self::draw`], rendered `reach` pixels further than the network sees, as far as the frame goes.
-    pub fn draw_within(
+    pub(crate) fn draw_within(
         &self,
         rng: &mut fastrand::Rng,
         frame: &Frame,
@@ -141,7 +142,14 @@ impl Textures {
 
     /// Patch `number` of a design, the same for the same number: at the `number`th of `places`, rendered `reach` pixels further than
     /// the network sees, a texel of the photograph to a pixel there.
-    pub fn numbered(&self, draw: (u64, u64), places: &Places, frame: &Frame, map: &SensorMap, reach: usize) -> Patch {
+    pub(crate) fn numbered(
+        &self,
+        draw: (u64, u64),
+        places: &Places,
+        frame: &Frame,
+        map: &SensorMap,
+        reach: usize,
+    ) -> Patch {
         self.numbered_as(draw, places, frame, map, (reach, Scale::ThereToPixel))
     }
 
@@ -177,17 +185,14 @@ impl Textures {
         if rng.bool() {
             texture.swap_axes(1, 2);
         }
-        let centre = region.offset(frame, region.rows / 2, region.cols / 2);
-        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let (zoom, texels_per_slope) = match scale {
+        let (zoom, scale) = match scale {
             Scale::Random => {
                 let zoom = 1.0 + 0.35 * rng.f64();
-                (zoom, zoom / (map.ratio(0.0) * frame.pitch_mm))
+                (zoom, placement::Scale::OnAxis(zoom))
             }
-            Scale::ThereToPixel => (1.0, 1.0 / (map.ratio(radius) * frame.pitch_mm)),
-            Scale::PerSlope(texels) => (1.0, texels),
+            Scale::ThereToPixel => (1.0, placement::Scale::There(1.0)),
+            Scale::PerSlope(texels) => (1.0, placement::Scale::PerSlope(texels)),
         };
-        let scale = map.ratio(radius) * frame.pitch_mm * texels_per_slope;
         // The part of the texture that the region and a margin need, cut out so that a patch stays small.
         let (_, rows, cols) = texture.dim();
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a patch's size")]
@@ -199,9 +204,10 @@ impl Textures {
         let (r0, h) = cut(rng, rows, need(region.rows));
         let (c0, w) = cut(rng, cols, need(region.cols));
         let texture = texture.slice(s![.., r0..r0 + h, c0..c0 + w]).to_owned();
-        let axis_texel = [w as f64 / 2.0 - centre[0] * scale, h as f64 / 2.0 - centre[1] * scale];
         let texture = texture.as_standard_layout().to_owned();
-        let scene = Plane { texture, texels_per_slope, axis_texel, vergence: map.vergence };
+        let [x, y] = region.offset(frame, region.rows / 2, region.cols / 2);
+        let pixel = [frame.axis_px[0] + x, frame.axis_px[1] + y];
+        let scene = Placement { texel: [w as f64 / 2.0, h as f64 / 2.0], pixel, scale }.by(map, frame, texture);
         Patch::whole(scene, region, rng.u64(..))
     }
 }

@@ -13,19 +13,26 @@
 //! others read it; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 mod bound;
+#[doc(hidden)]
 pub mod chain;
+#[doc(hidden)]
 pub mod compare;
+#[doc(hidden)]
 pub mod data;
 pub mod evaluate;
+#[doc(hidden)]
 pub mod folder;
 mod going;
 pub mod joint;
-pub mod log;
+pub(crate) mod log;
+#[doc(hidden)]
 pub mod memory;
 pub mod opened;
+#[doc(hidden)]
 pub mod pace;
+#[doc(hidden)]
 pub mod places;
-pub mod schedule;
+pub(crate) mod schedule;
 pub mod subject;
 pub mod task;
 pub mod training;

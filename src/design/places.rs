@@ -26,7 +26,7 @@ const ALONG: usize = 256;
 
 /// The places of patches of one size on a frame.
 #[derive(Clone, Debug)]
-pub struct Places {
+pub(crate) struct Places {
     size: usize,
     /// First row and column, from the axis outwards.
     starts: Vec<[usize; 2]>,
@@ -38,7 +38,7 @@ impl Places {
     /// Places of `size × size` patches; rows and columns start at multiples of 4, so that mosaic and pooling meet the picture as in the
     /// camera. A patch may be larger than the frame: it starts at its first row or column then.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-    pub fn new(frame: &Frame, size: usize, spread: Spread) -> Self {
+    pub(crate) fn new(frame: &Frame, size: usize, spread: Spread) -> Self {
         let along = |n: usize| {
             let last = n.saturating_sub(size) / 4;
             let step = last.div_ceil(ALONG).max(1);
@@ -79,7 +79,7 @@ impl Places {
 
     /// Place `number` of the draws of `seed`.
     #[expect(clippy::cast_precision_loss, reason = "53 bits of a hash, and fractions")]
-    pub fn at(&self, seed: u64, number: u64) -> Region {
+    pub(crate) fn at(&self, seed: u64, number: u64) -> Region {
         const GOLDEN: u64 = 0x9e37_79b9_7f4a_7c15;
         // In fixed point, so that large numbers lose nothing.
         let turned = mixed(seed, 0).wrapping_add(number.wrapping_mul(GOLDEN));

@@ -30,7 +30,7 @@ pub enum Length {
 impl Schedule {
     /// Ends the constant part of a length in time when its time has come; `true` at that moment. `pace`: seconds a step takes.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "steps are below 1e13")]
-    pub fn settle(&mut self, step: u64, seconds: f64, pace: f64) -> bool {
+    pub(crate) fn settle(&mut self, step: u64, seconds: f64, pace: f64) -> bool {
         let Length::Seconds(all) = self.length else { return false };
         let over = self.settled.is_none() && seconds >= self.share * all && step > 0;
         if over {
@@ -63,7 +63,7 @@ impl Schedule {
     }
 
     /// Share done, 0 to 1.
-    pub fn done(&self, step: u64, seconds: f64) -> f64 {
+    pub(crate) fn done(&self, step: u64, seconds: f64) -> f64 {
         match (self.steps(), self.length) {
             (Some((_, all)), _) => step as f64 / all.max(1) as f64,
             (None, Length::Seconds(all)) => seconds / all,

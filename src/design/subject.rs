@@ -40,7 +40,7 @@ impl From<Lens> for Subject {
 
 impl Subject {
     /// The folder of the measured lens that a run's folder has in place of a prescription.
-    pub fn measured_in(folder: &Path) -> Option<PathBuf> {
+    pub(crate) fn measured_in(folder: &Path) -> Option<PathBuf> {
         let inside = folder.join(MEASURED);
         (MeasuredLens::is_at(&inside) && !folder.join(LENS).exists()).then_some(inside)
     }

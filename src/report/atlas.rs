@@ -3,11 +3,13 @@
 //! The field of a kernel set runs upwards from the axis: a kernel stands as it is seen in the upright picture, its
 //! outward direction towards row 0.
 
-use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView3, Axis, s};
+use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView1, ArrayView3, Axis, s};
 
 use super::field::FieldLine;
+use isoplanat_base::atomic::Target;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
+use isoplanat_base::math::npz;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::Spectrum;
 use isoplanat_optics::lens::Lens;
@@ -43,6 +45,24 @@ pub struct KernelRequest {
     pub rays: usize,
     /// What all of it may take.
     pub memory: Limit,
+}
+
+impl KernelRequest {
+    /// Kernels of `lens` as its file states it: its distance, wavelengths and pixels, five field points, 16384 rays each, within the memory that this process can
+    /// get.
+    pub fn of(lens: &Lens) -> Self {
+        let (wavelength_nm, weights) = lens.wavelengths.shares().unzip();
+        Self {
+            depth_mm: vec![1.0 / lens.object_vergence],
+            wavelength_nm,
+            weights,
+            fields: 5,
+            size: None,
+            pitch_mm: lens.sensor.pitch_mm(),
+            rays: 16_384,
+            memory: Limit::of_process(),
+        }
+    }
 }
 
 /// Bytes, from above, of so many kernels in so many channels: as they are made, and once more while they are put together.
@@ -109,6 +129,38 @@ impl KernelSet {
         Ok(set)
     }
 
+    /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_radius_mm`, `object_slope`,
+    /// `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `schema`.
+    ///
+    /// # Errors
+    /// A file that cannot be written.
+    pub fn save<'a>(&self, to: impl Into<Target<'a>>) -> Result<()> {
+        let meta = &self.request;
+        npz::write(to.into(), |npz| {
+            npz.add_array("kernels", &self.kernels)?;
+            for (name, array) in [("relative_illumination", &self.relative_illumination), ("outside", &self.outside)] {
+                npz.add_array(name, array)?;
+            }
+            let places = [
+                ("sensor_radius_mm", &self.radius_mm),
+                ("object_slope", &self.slope),
+                ("field_angle_deg", &self.angle_deg),
+            ];
+            for (name, array) in places {
+                npz.add_array(name, array)?;
+            }
+            npz.add_array("polychromatic", &self.polychromatic_kernels())?;
+            let lists =
+                [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];
+            for (name, values) in lists {
+                npz.add_array(name, &ArrayView1::from(values))?;
+            }
+            npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm))?;
+            npz.add_array("schema", &ndarray::arr0(1_i64))?;
+            Ok(())
+        })
+    }
+
     /// Weights of the wavelengths, which sum to 1.
     fn shares(&self) -> Array1<f64> {
         let weights = Array1::from_vec(self.request.weights.clone());
@@ -124,7 +176,7 @@ impl KernelSet {
 
     /// The kernel of all wavelengths at once, `[depth, field, row, col]`: the mean of theirs by weight and irradiance, so that it
     /// sums to one less what fell outside. Zero where there is no light.
-    pub fn polychromatic_kernels(&self) -> Array4<f32> {
+    pub(crate) fn polychromatic_kernels(&self) -> Array4<f32> {
         let shares = self.shares();
         let (depths, fields, _, rows, cols) = self.kernels.dim();
         let mut mean = Array4::zeros((depths, fields, rows, cols));

@@ -49,7 +49,7 @@ pub struct Comparison {
 
 /// Figures of a camera over all distances.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Overall {
+pub(crate) struct Overall {
     /// PSNR of the reconstruction at the distance where it is lowest, dB.
     pub lowest_db: f64,
     /// The difference to the highest, dB.
@@ -73,7 +73,7 @@ fn means(evaluation: &Evaluation) -> Vec<&Row> {
 impl Overall {
     /// Of a camera that was judged; `None` without rows.
     #[expect(clippy::cast_precision_loss, reason = "a handful of distances")]
-    pub fn of(evaluation: &Evaluation) -> Option<Self> {
+    pub(crate) fn of(evaluation: &Evaluation) -> Option<Self> {
         let rows = means(evaluation);
         if rows.is_empty() {
             return None;
@@ -95,7 +95,7 @@ impl Overall {
 
 /// How much better the first camera is than another, at the distance where the first is least ahead.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Margin {
+pub(crate) struct Margin {
     /// Mean over distances, dB.
     pub mean_db: f64,
     /// Half the width of its 95 % interval over pictures, dB, where they could be paired.
@@ -108,7 +108,7 @@ pub struct Margin {
 
 impl Margin {
     /// `None` where one of them has no rows.
-    pub fn of(first: &Evaluation, other: &Evaluation) -> Option<Self> {
+    pub(crate) fn of(first: &Evaluation, other: &Evaluation) -> Option<Self> {
         let (a, b) = (Overall::of(first)?, Overall::of(other)?);
         Some(Self {
             mean_db: a.mean[1] - b.mean[1],

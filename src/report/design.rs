@@ -10,7 +10,7 @@ use isoplanat_base::error::Result;
 
 /// A lens on the way.
 #[derive(Clone, Debug)]
-pub struct Moment {
+pub(crate) struct Moment {
     /// Steps done.
     pub step: usize,
     /// Drawing (SVG).
@@ -25,7 +25,7 @@ pub struct Moment {
 
 /// A held-out picture: as captured, restored and as it is.
 #[derive(Clone, Debug)]
-pub struct Shown {
+pub(crate) struct Shown {
     /// Where it stands and how good it is.
     pub caption: String,
     /// What they are, and linear RGB `[3, row, col]`: capture, reconstruction, truth.
@@ -34,7 +34,7 @@ pub struct Shown {
 
 /// What the page calls the figures that a design is judged by.
 #[derive(Clone, Debug)]
-pub struct Words {
+pub(crate) struct Words {
     /// The two PSNRs of a judgement.
     pub judged: [String; 2],
     /// The loss.
@@ -45,7 +45,7 @@ pub struct Words {
 
 /// What the page shows.
 #[derive(Clone, Debug)]
-pub struct DesignPage {
+pub(crate) struct DesignPage {
     /// The lens's name.
     pub title: String,
     /// Whether it is still under way, and since when.
@@ -79,7 +79,7 @@ impl DesignPage {
     ///
     /// # Errors
     /// Pictures that are none.
-    pub fn to_html(&self) -> Result<String> {
+    pub(crate) fn to_html(&self) -> Result<String> {
         let mut page = Page::new(&self.title, &self.standing);
         page.facts(&self.facts);
         page.section("The lens over its steps");

@@ -38,7 +38,7 @@ pub fn lens_svg(lens: &Lens) -> String {
 }
 
 /// The same, at most `size` (width, height, px) large, but as wide as its legend.
-pub fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
+pub(crate) fn lens_svg_within(lens: &Lens, size: [f64; 2]) -> String {
     let length = lens.length();
     let vertices = vertices(lens);
     let lead =

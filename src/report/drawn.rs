@@ -72,7 +72,7 @@ const COLUMNS: [Column; 5] = [
 
 impl Draws {
     /// The PSNR that a share of the draws does not reach, dB; draws without a figure reach nothing. NaN without draws.
-    pub fn quantile(&self, share: f64, of: impl Fn(&Aspect) -> f64) -> f64 {
+    pub(crate) fn quantile(&self, share: f64, of: impl Fn(&Aspect) -> f64) -> f64 {
         let figure = |d: &Drawn| d.shown.as_ref().map(&of).filter(|db| !db.is_nan()).unwrap_or(f64::NEG_INFINITY);
         at_share(self.draws.iter().map(figure).collect(), share)
     }

@@ -60,14 +60,6 @@ impl FieldLine {
         let chief = slopes.into_iter().zip(samples).collect();
         Ok(Self { radius_mm, slope, angle_deg, scale_mm, chief })
     }
-
-    /// Image height against that of a distortion-free lens of the same scale on the axis: `(field angle in degrees,
-    /// per cent)` of every chief ray off the axis.
-    pub fn distortion_percent(&self, lens: &Lens, vergence: f64) -> Vec<(f64, f64)> {
-        let scale = slope_per_tangent(lens, vergence);
-        let off_axis = self.chief.iter().filter(|(s, _)| *s > 0.0);
-        off_axis.map(|(s, h)| ((s / scale).atan().to_degrees(), 100.0 * (h / (self.scale_mm * s) - 1.0))).collect()
-    }
 }
 
 /// Object slope at the first vertex per tangent of the field angle at the entrance pupil; 1 for a lens that is telecentric in object
@@ -80,7 +72,7 @@ fn slope_per_tangent(lens: &Lens, vergence: f64) -> f64 {
 }
 
 /// Object slope of the field angle `angle` at the entrance pupil (radians), at most [`STEEPEST`]'s.
-pub fn slope_at(lens: &Lens, vergence: f64, angle: f64) -> f64 {
+pub(crate) fn slope_at(lens: &Lens, vergence: f64, angle: f64) -> f64 {
     // Inside the edge of the light, which is found to a part of its radius.
     let tangent = angle.min((0.97 * STEEPEST).atan()).tan();
     if tangent == 0.0 { 0.0 } else { tangent * slope_per_tangent(lens, vergence) }

@@ -81,18 +81,18 @@ impl Page {
     }
 
     /// Begins a section that stands on a printed page of its own, in smaller type there.
-    pub fn sheet(&mut self, title: &str) -> &mut Self {
+    pub(crate) fn sheet(&mut self, title: &str) -> &mut Self {
         self.sections.push(Section { title: Some(title.to_owned()), sheet: true, body: PreEscaped(String::new()) });
         self
     }
 
     /// A smaller heading.
-    pub fn heading(&mut self, title: &str) -> &mut Self {
+    pub(crate) fn heading(&mut self, title: &str) -> &mut Self {
         self.add(html! { h3 { (title) } })
     }
 
     /// A paragraph of text.
-    pub fn paragraph(&mut self, text: &str) -> &mut Self {
+    pub(crate) fn paragraph(&mut self, text: &str) -> &mut Self {
         self.add(html! { p { (text) } })
     }
 
@@ -126,14 +126,14 @@ impl Page {
     }
 
     /// A drawing and a table below its heading, beside each other where there is room.
-    pub fn drawing_beside(&mut self, svg: &str, heading: &str, table: &Table) -> &mut Self {
+    pub(crate) fn drawing_beside(&mut self, svg: &str, heading: &str, table: &Table) -> &mut Self {
         self.add(html! {
             div.columns { figure { (PreEscaped(svg)) } div { h3 { (heading) } (Self::tabled(table)) } }
         })
     }
 
     /// Columns of tables, each below its heading; beside each other where there is room.
-    pub fn tables_beside(&mut self, columns: &[Vec<(String, Table)>]) -> &mut Self {
+    pub(crate) fn tables_beside(&mut self, columns: &[Vec<(String, Table)>]) -> &mut Self {
         self.add(html! {
             div.columns { @for column in columns { div {
                 @for (heading, table) in column { h3 { (heading) } (Self::tabled(table)) }
@@ -154,7 +154,7 @@ impl Page {
     }
 
     /// Drawings (SVG text of this crate) with captions, side by side where there is room for `min_px` each.
-    pub fn drawings(&mut self, drawings: &[(String, String)], min_px: u32) -> &mut Self {
+    pub(crate) fn drawings(&mut self, drawings: &[(String, String)], min_px: u32) -> &mut Self {
         let figures = html! {
             @for (svg, caption) in drawings {
                 figure { (PreEscaped(svg)) @if !caption.is_empty() { figcaption { (caption) } } }
@@ -174,12 +174,12 @@ impl Page {
     }
 
     /// Drawings with captions of which one is seen, number `first` at first; a slider called `label` steps through them.
-    pub fn stepped(&mut self, drawings: &[(String, String)], first: usize, label: &str) -> &mut Self {
+    pub(crate) fn stepped(&mut self, drawings: &[(String, String)], first: usize, label: &str) -> &mut Self {
         self.add(Self::steps(drawings, first, label))
     }
 
     /// Several of these with one label, beside each other where there is room for `min_px` each.
-    pub fn stepped_beside(
+    pub(crate) fn stepped_beside(
         &mut self,
         each: &[Vec<(String, String)>],
         first: usize,
@@ -270,7 +270,7 @@ impl Page {
     }
 
     /// The whole page, with a list of its sections on top.
-    pub fn finish_with_contents(self) -> String {
+    pub(crate) fn finish_with_contents(self) -> String {
         self.page(true)
     }
 }

@@ -131,7 +131,7 @@ impl<'a> Listing<'a> {
     }
 
     /// Surfaces, one a row, counted from 0.
-    pub fn surface_table(&self) -> Table {
+    pub(crate) fn surface_table(&self) -> Table {
         let mut table =
             Table::new(["surface", "radius/mm", "thickness/mm", "medium", "index", "semi-diameter/mm", "form"]);
         for (i, s) in self.lens.surfaces.iter().enumerate() {
@@ -163,7 +163,7 @@ impl<'a> Listing<'a> {
     }
 
     /// Media other than air, in the order of the light: where their indices come from, and the wavelengths that they hold for.
-    pub fn media_table(&self) -> Table {
+    pub(crate) fn media_table(&self) -> Table {
         let mut table = Table::new(["medium", "index", "known, nm", "source"]);
         // Media of one name may be several: tables of a lens file.
         let mut seen: Vec<&Medium> = Vec::new();
@@ -179,7 +179,7 @@ impl<'a> Listing<'a> {
     }
 
     /// Aberration sums of each surface and, last, of the lens, µm.
-    pub fn seidel_table(&self) -> Table {
+    pub(crate) fn seidel_table(&self) -> Table {
         let mut table = Table::new(std::iter::once("surface").chain(SUMS.iter().map(|(_, s)| *s)));
         let cells = |s: Seidel| s.to_array().map(|v| format!("{:.3}", v * 1e3 + 0.0));
         for (i, s) in self.seidel.iter().enumerate() {
@@ -205,7 +205,7 @@ impl<'a> Listing<'a> {
     }
 
     /// First-order numbers, one a row.
-    pub fn first_order_table(&self) -> Table {
+    pub(crate) fn first_order_table(&self) -> Table {
         let mut table = Table::new(["first-order data", "value", "unit"]);
         for (label, key, value) in self.numbers() {
             let unit = ["mm", "deg"].into_iter().find(|u| key.ends_with(&format!("_{u}"))).unwrap_or("");

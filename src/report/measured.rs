@@ -173,7 +173,7 @@ fn middle<const N: usize>(points: &[[f64; N]]) -> f64 {
 impl Measured {
     /// Largest difference between the capture's MTF and the prediction of any edge up to half a cycle a pixel; nothing where no edge was
     /// measured.
-    pub fn worst(&self) -> Option<f64> {
+    pub(crate) fn worst(&self) -> Option<f64> {
         let edges = self.places.iter().flat_map(|p| p.edges.iter().map(move |e| (p, e)));
         let off = edges.filter_map(|(p, e)| {
             let found = curve(e.capture.as_ref().ok()?, p.texels, self.pitch_mm);
@@ -183,7 +183,7 @@ impl Measured {
     }
 
     /// One plot over the field, and one of each place.
-    pub fn plots(&self) -> Vec<(&'static str, Plot)> {
+    pub(crate) fn plots(&self) -> Vec<(&'static str, Plot)> {
         let name = |of: &str, k: usize| format!("{} {of}", NAMES[k]);
         let mut series = Vec::new();
         for k in 0..2 {

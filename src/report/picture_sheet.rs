@@ -19,7 +19,7 @@ const INK: f32 = 0.05;
 ///
 /// # Panics
 /// Without pictures, or with pictures of several sizes.
-pub fn picture_sheet(columns: &[&str], rows: &[Vec<Array3<f32>>]) -> Array3<f32> {
+pub(crate) fn picture_sheet(columns: &[&str], rows: &[Vec<Array3<f32>>]) -> Array3<f32> {
     let (channels, height, width) = rows[0][0].dim();
     let scale = if width >= WIDE { 2 } else { 1 };
     let top = scale * LETTER + 2 * GAP;

@@ -101,7 +101,7 @@ struct Axis {
 
 impl Plot {
     /// Whether it says more than a number in a sentence would: two points or more are drawn.
-    pub fn is_telling(&self) -> bool {
+    pub(crate) fn is_telling(&self) -> bool {
         self.series.iter().map(|s| self.shown(s).len()).sum::<usize>() > 1
     }
 

@@ -6,7 +6,7 @@
 use std::fmt::Write;
 
 /// Colours of fields and series, in order.
-pub const HUES: [&str; 10] =
+pub(crate) const HUES: [&str; 10] =
     ["#3b82d6", "#2f9e5f", "#d9572b", "#9b6dd0", "#b58900", "#2a9d9d", "#c94f8c", "#7d838b", "#a0703a", "#6f7fe0"];
 
 /// Colours only where the drawing is a document of its own.
@@ -15,7 +15,7 @@ const STYLE: &str = "svg:root{background:#fff;color:#1d2329}\
 
 /// Where a text stands relative to its point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Anchor {
+pub(crate) enum Anchor {
     /// The text begins there.
     Start,
     /// The text is centred there.
@@ -26,7 +26,7 @@ pub enum Anchor {
 
 /// A drawing under construction; coordinates in px, `y` downwards.
 #[derive(Clone, Debug)]
-pub struct Svg {
+pub(crate) struct Svg {
     width: f64,
     height: f64,
     body: String,
@@ -35,12 +35,12 @@ pub struct Svg {
 
 impl Svg {
     /// An empty drawing.
-    pub fn new(width: f64, height: f64) -> Self {
+    pub(crate) fn new(width: f64, height: f64) -> Self {
         Self { width, height, body: String::new(), attributes: String::new() }
     }
 
     /// A line through `points`; those that are not finite are left out. `attributes` are written as they are.
-    pub fn polyline(&mut self, points: &[[f64; 2]], attributes: &str) {
+    pub(crate) fn polyline(&mut self, points: &[[f64; 2]], attributes: &str) {
         let mut list = String::new();
         for [x, y] in points.iter().filter(|p| p[0].is_finite() && p[1].is_finite()) {
             let _ = write!(list, "{x:.2},{y:.2} ");
@@ -49,7 +49,7 @@ impl Svg {
     }
 
     /// Dots of `radius` at `points` as one element; those that are not finite are left out.
-    pub fn dots(&mut self, points: &[[f64; 2]], radius: f64, hue: &str) {
+    pub(crate) fn dots(&mut self, points: &[[f64; 2]], radius: f64, hue: &str) {
         let mut path = String::new();
         for [x, y] in points.iter().filter(|p| p[0].is_finite() && p[1].is_finite()) {
             let _ = write!(path, "M{x:.1} {y:.1}h0");
@@ -61,7 +61,7 @@ impl Svg {
     }
 
     /// A circle of which the line is drawn.
-    pub fn circle(&mut self, at: [f64; 2], radius: f64, attributes: &str) {
+    pub(crate) fn circle(&mut self, at: [f64; 2], radius: f64, attributes: &str) {
         self.add(format_args!(
             "<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius:.2}\" fill=\"none\" {attributes}/>",
             at[0], at[1]
@@ -69,29 +69,29 @@ impl Svg {
     }
 
     /// A closed area.
-    pub fn polygon(&mut self, points: &[[f64; 2]], attributes: &str) {
+    pub(crate) fn polygon(&mut self, points: &[[f64; 2]], attributes: &str) {
         let list: Vec<String> = points.iter().map(|[x, y]| format!("{x:.2},{y:.2}")).collect();
         self.add(format_args!("<polygon points=\"{}\" {attributes}/>", list.join(" ")));
     }
 
     /// A straight line.
-    pub fn line(&mut self, from: [f64; 2], to: [f64; 2], attributes: &str) {
+    pub(crate) fn line(&mut self, from: [f64; 2], to: [f64; 2], attributes: &str) {
         let ([x1, y1], [x2, y2]) = (from, to);
         self.add(format_args!("<line x1=\"{x1:.2}\" y1=\"{y1:.2}\" x2=\"{x2:.2}\" y2=\"{y2:.2}\" {attributes}/>"));
     }
 
     /// A filled dot.
-    pub fn dot(&mut self, at: [f64; 2], radius: f64, fill: &str) {
+    pub(crate) fn dot(&mut self, at: [f64; 2], radius: f64, fill: &str) {
         self.add(format_args!("<circle cx=\"{:.2}\" cy=\"{:.2}\" r=\"{radius}\" fill=\"{fill}\"/>", at[0], at[1]));
     }
 
     /// A text in the page's colour; `size` in px.
-    pub fn text(&mut self, at: [f64; 2], anchor: Anchor, size: f64, text: &str) {
+    pub(crate) fn text(&mut self, at: [f64; 2], anchor: Anchor, size: f64, text: &str) {
         self.turned_text(at, anchor, size, 0.0, text);
     }
 
     /// A text turned by `degrees` clockwise about its point.
-    pub fn turned_text(&mut self, at: [f64; 2], anchor: Anchor, size: f64, degrees: f64, text: &str) {
+    pub(crate) fn turned_text(&mut self, at: [f64; 2], anchor: Anchor, size: f64, degrees: f64, text: &str) {
         let anchor = match anchor {
             Anchor::Start => "start",
             Anchor::Middle => "middle",
@@ -107,23 +107,23 @@ impl Svg {
     }
 
     /// Begins a group of elements; `attributes` are written as they are.
-    pub fn open(&mut self, attributes: &str) {
+    pub(crate) fn open(&mut self, attributes: &str) {
         self.add(format_args!("<g {attributes}>"));
     }
 
     /// Ends the group begun last.
-    pub fn close(&mut self) {
+    pub(crate) fn close(&mut self) {
         self.add(format_args!("</g>"));
     }
 
     /// Attributes of the whole drawing, written as they are.
-    pub fn attributes(&mut self, attributes: &str) {
+    pub(crate) fn attributes(&mut self, attributes: &str) {
         self.attributes.push(' ');
         self.attributes.push_str(attributes);
     }
 
     /// The whole drawing; `title` is read out where pictures are not seen.
-    pub fn finish(self, title: &str) -> String {
+    pub(crate) fn finish(self, title: &str) -> String {
         let Self { width, height, body, attributes } = self;
         let title = escape(title);
         format!(

@@ -39,7 +39,7 @@ impl Table {
     }
 
     /// Whether every filled cell of column `index` starts like a number, so that it is set to the right.
-    pub fn is_numeric(&self, index: usize) -> bool {
+    pub(crate) fn is_numeric(&self, index: usize) -> bool {
         let numeric =
             |c: &str| c == "inf" || c == "–" || c.starts_with(|f: char| f.is_ascii_digit() || "+-−.".contains(f));
         let mut filled = self.rows.iter().map(|r| r[index].as_str()).filter(|c| !c.is_empty()).peekable();
@@ -75,7 +75,7 @@ pub fn value(result: &impl serde::Serialize) -> Result<serde_json::Value> {
 }
 
 /// A cell of comma-separated values: with commas, quotes or ends of line in quotes; a text that a spreadsheet would run (`=`, `+`, `-`, `@` and no number) behind an apostrophe.
-pub fn csv_cell(text: &str) -> String {
+pub(crate) fn csv_cell(text: &str) -> String {
     let runs = text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();
     let text = if runs { format!("'{text}") } else { text.to_owned() };
     if text.contains([',', '"', '\n', '\r']) { format!("\"{}\"", text.replace('"', "\"\"")) } else { text }

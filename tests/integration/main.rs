@@ -20,6 +20,7 @@ mod costs;
 mod designing;
 mod diffraction;
 mod documents;
+mod examples;
 mod extremes;
 #[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod faults;
@@ -47,6 +48,7 @@ mod parity;
 mod picture;
 mod prescriptions;
 mod properties;
+mod public_api;
 #[cfg(unix)]
 mod random_lenses;
 mod renderers;

@@ -6,11 +6,11 @@ use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
 use isoplanat::imaging::render::{Request, ScenePlan, Settings, frame_of, plan};
+use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, builtin};
-use isoplanat::psf::table::chief_slopes;
 use isoplanat::testing::shared;
 use ndarray::Array3;
 
@@ -23,12 +23,10 @@ fn case(name: &str, [columns, rows]: [usize; 2], at: f64, texture: Array3<f32>) 
     let middle = [toward(frame.axis_px[0], frame.columns), toward(frame.axis_px[1], frame.rows)];
     let axis = [0.5 * columns as f64 - middle[0], 0.5 * rows as f64 - middle[1]];
     let frame = Frame::centred(columns, rows, frame.pitch_mm).and_then(|f| f.with_axis(axis)).expect("valid");
-    let v = lens.object_vergence;
-    let radius = (middle[0].hypot(middle[1]) * frame.pitch_mm).max(0.1);
-    let per_pixel = chief_slopes(&lens, v, &[radius]).expect("traces")[0] / radius * frame.pitch_mm;
     let (_, h, w) = texture.dim();
-    let axis_texel = [0.5 * w as f64 - middle[0], 0.5 * h as f64 - middle[1]];
-    (lens, frame, Plane { texture, texels_per_slope: 1.0 / per_pixel, axis_texel, vergence: v })
+    let placement = Placement::centred([h, w], &frame, Scale::There(1.0));
+    let scene = placement.before(&lens, &frame, texture).expect("light");
+    (lens, frame, scene)
 }
 
 fn density() -> SpectralDensity {

@@ -3,10 +3,11 @@
 use std::time::Instant;
 
 use isoplanat::imaging::files::read_linear;
-use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
 use isoplanat::imaging::render::{Renderer, Settings, frame_of};
+use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -26,17 +27,9 @@ fn compare(texture: &Array3<f32>, what: &str) {
     for (row, col) in [(200, 300), (200, 2600)] {
         let region = Region { row, col, rows: 96, cols: 96 };
         // The photograph's middle at the region's middle, a texel a pixel.
-        let scale = 1.0 / (map.ratio(0.0) * frame.pitch_mm);
         let (_, rows, cols) = texture.dim();
-        let middle = [col as f64 + 48.0, row as f64 + 48.0];
-        let slope = map.ratio(frame.radius_mm(middle[0], middle[1])) * frame.pitch_mm;
-        let at = middle.map(|m| m * slope * scale);
-        let scene = Plane {
-            texture: texture.clone(),
-            texels_per_slope: scale,
-            axis_texel: [cols as f64 / 2.0 - at[0], rows as f64 / 2.0 - at[1]],
-            vergence: lens.object_vergence,
-        };
+        let (texel, pixel) = ([cols as f64 / 2.0, rows as f64 / 2.0], [col as f64 + 48.0, row as f64 + 48.0]);
+        let scene = Placement { texel, pixel, scale: Scale::OnAxis(1.0) }.by(map, &frame, texture.clone());
         let clock = Instant::now();
         let fast = renderer.record::<f32>(&scene, 0, region).image;
         let seconds_fast = clock.elapsed().as_secs_f64();

@@ -14,7 +14,7 @@
 mod check;
 mod entries;
 #[doc(hidden)]
-pub mod fault;
+pub(crate) mod fault;
 mod file;
 mod folder;
 mod living;
@@ -61,8 +61,8 @@ pub struct Target<'a> {
 
 impl<'a> Target<'a> {
     /// A file that a user names, and whether he lets it take another's place.
-    pub fn new(path: &'a Path, replace: impl Into<Replace>) -> Self {
-        Self { path, replace: replace.into() }
+    pub fn new(path: &'a (impl AsRef<Path> + ?Sized), replace: impl Into<Replace>) -> Self {
+        Self { path: path.as_ref(), replace: replace.into() }
     }
 }
 

@@ -25,7 +25,7 @@ pub fn significant(value: f64, digits: usize) -> String {
 const MOST_DIGITS: usize = 20;
 
 /// The text with numbers of very many digits as people read them: `1000…0` of 300 digits as `1e300`, `0.000…01` as `1e-12`; digits within names stay.
-pub fn readable(text: &str) -> Cow<'_, str> {
+pub(crate) fn readable(text: &str) -> Cow<'_, str> {
     let of_number = |c: char| c.is_ascii_digit() || c == '.';
     if !text.split(|c: char| !of_number(c)).any(|run| run.len() > MOST_DIGITS) {
         return Cow::Borrowed(text);

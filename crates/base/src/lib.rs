@@ -4,9 +4,12 @@
 
 pub mod atomic;
 pub mod error;
+#[doc(hidden)]
 pub mod figures;
 pub mod math;
+#[doc(hidden)]
 pub mod refusing;
+#[doc(hidden)]
 pub mod terminal;
 #[doc(hidden)]
 pub mod testing;

@@ -10,7 +10,7 @@ use isoplanat_imaging::exif::Exif;
 use isoplanat_imaging::files::{self, Stored};
 
 /// Whether a file's name is that of a developed picture.
-pub fn is_picture(path: &Path) -> bool {
+pub(crate) fn is_picture(path: &Path) -> bool {
     files::PICTURES.contains(&files::extension(path).as_str()) && !has_raw_name(path)
 }
 
@@ -18,7 +18,7 @@ pub fn is_picture(path: &Path) -> bool {
 ///
 /// # Errors
 /// A file that cannot be read, or is no picture; one of more than 65536 pixels a side.
-pub fn read(path: &Path) -> Result<RawCapture> {
+pub(crate) fn read(path: &Path) -> Result<RawCapture> {
     let Stored { image, orientation, bits, told } = files::read_stored(path, None)?;
     let (_, rows, columns) = image.dim();
     if !(1..=65_536).contains(&rows) || !(1..=65_536).contains(&columns) {

@@ -29,7 +29,7 @@ use isoplanat_imaging::sensor::Sensor;
 use isoplanat_optics::lens::Lens;
 
 /// The newest form of `kit.toml`.
-pub const SCHEMA: u32 = 4;
+pub(crate) const SCHEMA: u32 = 4;
 /// Form of a kit that does not state what it is for.
 const WITHOUT_RANGES: u32 = 3;
 /// Largest `kit.toml` and largest other part that are read, bytes.

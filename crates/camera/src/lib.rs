@@ -1,10 +1,10 @@
 //! The camera side: RAW in, picture out. No training code, no gradients.
 
 pub mod child;
-pub mod developed;
+pub(crate) mod developed;
 pub mod kit;
 pub mod network_process;
-pub mod onnxruntime;
+pub(crate) mod onnxruntime;
 pub mod orientation;
 #[doc(hidden)]
 pub mod program;

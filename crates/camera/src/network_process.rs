@@ -28,7 +28,7 @@ use wire::{
 };
 
 /// First argument that makes the program a child that runs a network.
-pub const COMMAND: &str = "run-network-child";
+pub(crate) const COMMAND: &str = "run-network-child";
 
 /// Address space where nobody says more: so much, and so much more for each thread; no more than the machine has.
 const MEMORY: u64 = 8 * GIB;
@@ -70,7 +70,7 @@ impl Network {
     ///
     /// # Errors
     /// As [`Session::open`]; a child that could not be started, or broke off.
-    pub fn open(model: &[u8], file: &Path, options: &Options, apart: Option<&Apart>) -> Result<Self> {
+    pub(crate) fn open(model: &[u8], file: &Path, options: &Options, apart: Option<&Apart>) -> Result<Self> {
         match apart {
             None => Session::open(model, file, options).map(Self::Here),
             Some(apart) => Process::open(model, file, options, apart).map(Self::Apart),
@@ -81,7 +81,7 @@ impl Network {
     ///
     /// # Errors
     /// As [`Self::open`].
-    pub fn ready(&self) -> Result<()> {
+    pub(crate) fn ready(&self) -> Result<()> {
         match self {
             Self::Here(_) => Ok(()),
             Self::Apart(process) => process.ready(),
@@ -97,7 +97,7 @@ impl Network {
     }
 
     /// What the child is held by; `None` for a network that runs here.
-    pub fn confinement(&self) -> Option<Confinement> {
+    pub(crate) fn confinement(&self) -> Option<Confinement> {
         match self {
             Self::Here(_) => None,
             Self::Apart(process) => Some(lock(&process.live).confinement),
@@ -105,7 +105,7 @@ impl Network {
     }
 
     /// How many tiles the runtime works on at a time.
-    pub fn workers(&self) -> usize {
+    pub(crate) fn workers(&self) -> usize {
         match self {
             Self::Here(session) => session.parallel_tiles(),
             Self::Apart(process) => process.opened.workers,
@@ -113,7 +113,7 @@ impl Network {
     }
 
     /// How many tiles to ask for at a time: one more where they have a way to go, so that the runtime need not wait for the next.
-    pub fn parallel_tiles(&self) -> usize {
+    pub(crate) fn parallel_tiles(&self) -> usize {
         match self {
             Self::Here(session) => session.parallel_tiles(),
             Self::Apart(process) => process.opened.workers + 1,

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// A place to try, in order.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Candidate {
+pub(crate) struct Candidate {
     /// The library: an absolute path, or a bare name for the system's loader.
     pub library: PathBuf,
     /// Who named it, for messages.
@@ -58,7 +58,7 @@ pub(crate) fn own_folder() -> PathBuf {
 /// The version text of an ONNX Runtime library, for instance `1.24.0`; the error is a clause that says what it is instead.
 ///
 /// The library stays loaded: it may have started threads, and the binding opens it again.
-pub fn version_of(library: &Path) -> Result<String, String> {
+pub(crate) fn version_of(library: &Path) -> Result<String, String> {
     /// The start of `OrtApiBase` in ONNX Runtime's C header, unchanged since its first version.
     #[repr(C)]
     struct ApiBase {

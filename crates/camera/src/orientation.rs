@@ -21,10 +21,10 @@ impl Default for Orientation {
 
 impl Orientation {
     /// Stored as it is looked at.
-    pub const UPRIGHT: Self = Self(1);
+    pub(crate) const UPRIGHT: Self = Self(1);
 
     /// From the Exif value; anything outside 1 to 8 counts as upright, as in other viewers.
-    pub fn from_exif(value: u16) -> Self {
+    pub(crate) fn from_exif(value: u16) -> Self {
         Self(u8::try_from(value).ok().filter(|v| (1..=8).contains(v)).unwrap_or(1))
     }
 
@@ -34,7 +34,7 @@ impl Orientation {
     }
 
     /// The picture turned upright, `[channel, row, col]`.
-    pub fn apply(self, image: Array3<f32>) -> Array3<f32> {
+    pub(crate) fn apply(self, image: Array3<f32>) -> Array3<f32> {
         let Some(Turn { transpose, flip_rows, flip_columns }) = Turn::of(self.0) else { return image };
         let (channels, rows, columns) = image.dim();
         let mut samples = if image.is_standard_layout() {

@@ -176,7 +176,7 @@ impl Camera {
     ///
     /// # Errors
     /// A frame that is none.
-    pub fn straightening(self, measured: &MeasuredDistortion) -> Result<Self> {
+    pub(crate) fn straightening(self, measured: &MeasuredDistortion) -> Result<Self> {
         let (frame, value, camera) = (measured.frame()?, measured.distortion(), measured.camera.clone());
         Ok(Self { measured: Some(Measured { what: "distortion", frame, value, camera }), ..self })
     }
@@ -185,7 +185,7 @@ impl Camera {
     ///
     /// # Errors
     /// A frame or an illumination that is none.
-    pub fn evening(self, measured: &MeasuredShading) -> Result<Self> {
+    pub(crate) fn evening(self, measured: &MeasuredShading) -> Result<Self> {
         let (frame, value, camera) = (measured.frame()?, measured.shading()?, measured.camera.clone());
         Ok(Self { shading: Some(Measured { what: "illumination", frame, value, camera }), ..self })
     }
@@ -203,7 +203,7 @@ impl Camera {
 
     /// The camera that makes captures into `target`.
     #[must_use]
-    pub fn making(self, target: Target) -> Self {
+    pub(crate) fn making(self, target: Target) -> Self {
         Self { target, ..self }
     }
 

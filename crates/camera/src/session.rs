@@ -49,7 +49,7 @@ pub struct Options {
 
 impl Options {
     /// How many threads those are.
-    pub fn thread_count(&self) -> usize {
+    pub(crate) fn thread_count(&self) -> usize {
         match self.threads {
             0 => std::thread::available_parallelism().map_or(1, std::num::NonZero::get),
             n => n,
@@ -127,7 +127,7 @@ impl std::fmt::Debug for Session {
 }
 
 /// A runtime that is found, its library loaded: a model may be opened in it, and nothing of the file system is needed for that any more.
-pub struct Prepared {
+pub(crate) struct Prepared {
     /// Whether ONNX Runtime is there, else why not.
     onnxruntime: std::result::Result<(), String>,
     options: Options,
@@ -135,7 +135,7 @@ pub struct Prepared {
 
 impl Prepared {
     /// The runtime that the options ask for, looked for at all places.
-    pub fn new(options: &Options) -> Self {
+    pub(crate) fn new(options: &Options) -> Self {
         let python = std::iter::once_with(python).flatten();
         Self::with(options, candidates(&own_folder()).chain(python))
     }
@@ -153,7 +153,7 @@ impl Prepared {
     ///
     /// # Errors
     /// No ONNX model with one image in and one out, a runtime that refuses it, or a named library that cannot be used.
-    pub fn open(self, bytes: &[u8], file: &Path) -> Result<Session> {
+    pub(crate) fn open(self, bytes: &[u8], file: &Path) -> Result<Session> {
         let Self { onnxruntime, options } = self;
         let proto = model::read(bytes, file)?;
         let metadata = model::metadata(&proto);
@@ -204,7 +204,7 @@ impl Session {
     }
 
     /// How many tiles to run at a time: ONNX Runtime uses its threads within a tile, tract one thread a tile.
-    pub fn parallel_tiles(&self) -> usize {
+    pub(crate) fn parallel_tiles(&self) -> usize {
         match self.engine {
             Engine::OnnxRuntime(_) => 1,
             Engine::Tract { .. } => self.threads,

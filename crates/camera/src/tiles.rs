@@ -17,7 +17,7 @@ use isoplanat_imaging::guide::Guide;
 use isoplanat_imaging::plane::{Region, mirrored};
 
 /// Most pixels a picture is mirrored outwards by: beyond, a network sees zeros as it did beyond its training patches.
-pub const BORDER: usize = 64;
+pub(crate) const BORDER: usize = 64;
 
 /// Size of the tiles, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -60,7 +60,7 @@ impl Tiling {
     }
 
     /// Side of a tile.
-    pub fn tile(self) -> usize {
+    pub(crate) fn tile(self) -> usize {
         self.tile
     }
 
@@ -75,7 +75,7 @@ impl Tiling {
     }
 
     /// Share of the network's work that is kept, for a large picture.
-    pub fn efficiency(self) -> f64 {
+    pub(crate) fn efficiency(self) -> f64 {
         (self.core as f64 / self.tile as f64).powi(2)
     }
 

@@ -76,7 +76,7 @@ impl Valid {
     ///
     /// # Errors
     /// A number that is not above 0, or a range that ends before it begins.
-    pub fn check(&self, file: &str) -> Result<()> {
+    pub(crate) fn check(&self, file: &str) -> Result<()> {
         for (key, range, _) in self.rows(&Exif::default()) {
             if let Some([low, high]) = range.filter(|[low, high]| !(*low > 0.0 && low.is_finite() && low <= high)) {
                 let allowed = "from a number above 0 to the same or a higher one";

@@ -38,7 +38,7 @@ impl Blocks {
     ///
     /// # Errors
     /// A name that is none.
-    pub fn of_name(name: &str) -> Result<Self> {
+    pub(crate) fn of_name(name: &str) -> Result<Self> {
         let found = Self::ALL.into_iter().find(|b| b.name() == name);
         found.ok_or_else(|| Error::bad("", "blocks", name, Self::ALL.map(Self::name).join(", ")))
     }
@@ -49,7 +49,7 @@ impl Blocks {
     }
 
     /// 3×3 convolutions one after the other.
-    pub const fn convolutions(self) -> usize {
+    pub(crate) const fn convolutions(self) -> usize {
         match self {
             Self::Paper | Self::Separable => 2,
             Self::Gated => 1,

@@ -84,6 +84,7 @@ pub struct Entry {
 }
 
 /// Numbers of entries that this program itself reads or writes.
+#[doc(hidden)]
 pub mod tags {
     /// Maker of the camera.
     pub const MAKE: u16 = 0x010f;
@@ -230,7 +231,7 @@ impl Exif {
     ///
     /// # Errors
     /// None for what [`Self::set`] took; the writer's own.
-    pub fn block(&self, color_space: u16) -> TiffResult<Vec<u8>> {
+    pub(crate) fn block(&self, color_space: u16) -> TiffResult<Vec<u8>> {
         let mut bytes = std::io::Cursor::new(Vec::new());
         let mut file = TiffEncoder::new(&mut bytes)?;
         let offsets = self.write_directories(&mut file, color_space)?;

@@ -87,7 +87,7 @@ impl Frame {
 
     /// Millimetres of the upright picture from millimetres on the sensor in the lens frame (`+y` up, `z` along the
     /// light, so `+x` is to the right of someone behind the camera). Its own inverse.
-    pub fn upright_from_sensor_mm(sensor_mm: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn upright_from_sensor_mm(sensor_mm: [f64; 2]) -> [f64; 2] {
         [-sensor_mm[0], -sensor_mm[1]]
     }
 
@@ -97,7 +97,7 @@ impl Frame {
     }
 
     /// Landing point in the lens frame of pixel coordinates `[column, row]`.
-    pub fn sensor_mm_from_pixel(&self, pixel: [f64; 2]) -> [f64; 2] {
+    pub(crate) fn sensor_mm_from_pixel(&self, pixel: [f64; 2]) -> [f64; 2] {
         Self::upright_from_sensor_mm(self.mm_from_pixel(pixel))
     }
 

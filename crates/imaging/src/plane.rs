@@ -143,7 +143,7 @@ impl Region {
     /// Smallest and largest distance from the axis, mm, of the region less `inset` pixels on every side: 0 for all of its
     /// points, ½ for its pixels' centres.
     #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-    pub fn radii_mm(self, frame: &Frame, inset: f64) -> [f64; 2] {
+    pub(crate) fn radii_mm(self, frame: &Frame, inset: f64) -> [f64; 2] {
         let ends = |first: isize, count: usize, axis: f64| {
             let (a, b) = (first as f64 + inset - axis, (first + count.cast_signed()) as f64 - inset - axis);
             let nearest = if a <= 0.0 && b >= 0.0 { 0.0 } else { a.abs().min(b.abs()) };

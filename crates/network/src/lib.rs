@@ -26,14 +26,13 @@ mod learner;
 mod ms_ssim;
 pub mod onnx;
 mod perceptual;
-pub mod reconstructor;
+pub(crate) mod reconstructor;
 mod tensors;
 mod tiles;
-pub mod trainer;
+pub(crate) mod trainer;
 pub mod unet;
 
 pub use compute::Compute;
-pub use learner::Parameter;
 pub use reconstructor::{NetworkStep, Reconstructor, Step};
 pub use trainer::{ContentKind, Objective, TrainStep, Trainer};
 pub use unet::{Base, UnetConfig};

@@ -24,6 +24,7 @@ use isoplanat::imaging::reference::{Channels, Sampling, Settings as Reference, r
 use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Channels as Lit, Renderer};
 use isoplanat::imaging::scene::generate;
+use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;
@@ -37,9 +38,9 @@ use crate::progress::Bar;
 
 /// An unseen scene that fills the frame at about one texel a pixel.
 fn scene(frame: &Frame, map: &SensorMap, unseen: Unseen) -> Plane {
-    let texels_per_slope = 1.1 / (map.ratio(0.0) * frame.pitch_mm);
     let texture = generate(unseen.kind, unseen.seed, frame.rows * 13 / 10, frame.columns * 13 / 10);
-    Plane { texture, texels_per_slope, axis_texel: [0.0, 0.0], vergence: map.vergence }
+    // The axis is at the frame's first corner.
+    Placement { texel: [0.0, 0.0], pixel: frame.axis_px, scale: Scale::OnAxis(1.1) }.by(map, frame, texture)
 }
 
 /// Photographs a scene, writes the DNG, and develops it four ways.

@@ -11,6 +11,7 @@
 //! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
+#[doc(hidden)]
 pub mod verdict;
 
 mod camera;
@@ -36,6 +37,7 @@ use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
 use isoplanat_imaging::plane::{Plane, Region, mirrored};
 use isoplanat_imaging::render::{Renderer, Settings as Fineness};
 use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::placement::{Placement, Scale};
 use isoplanat_imaging::scene::{SceneKind, generate};
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::noise::mixed;
@@ -49,7 +51,7 @@ pub use edges::measured;
 pub use retrain::Retrain;
 
 /// Most pixels around a patch that the network sees beside it.
-pub const CONTEXT: usize = 64;
+pub(crate) const CONTEXT: usize = 64;
 
 /// Texels of a picture that a pixel sees at a patch's centre where nobody says more: enough for detail at the pixel's own limit. A picture
 /// too small for the patch is enlarged.
@@ -68,7 +70,7 @@ pub(in crate::design) const SHEET: usize = 4;
 const CHANNELS: usize = 3;
 
 /// Columns of a sheet.
-pub const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
+pub(crate) const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
 
 /// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
 pub const FINENESS: Fineness =
@@ -480,14 +482,11 @@ impl Shot<'_> {
             half + rng.f64() * (n - 2.0 * half)
         };
         let texel = [middle(cols), middle(rows)];
-        let centre = [
-            self.region.col as f64 + 0.5 * self.region.cols as f64 - frame.axis_px[0],
-            self.region.row as f64 + 0.5 * self.region.rows as f64 - frame.axis_px[1],
+        let pixel = [
+            self.region.col as f64 + 0.5 * self.region.cols as f64,
+            self.region.row as f64 + 0.5 * self.region.rows as f64,
         ];
-        let radius = centre[0].hypot(centre[1]) * frame.pitch_mm;
-        let texels_per_slope = texels / (map.ratio(radius) * frame.pitch_mm);
-        let axis_texel = [texel[0] - centre[0] * texels, texel[1] - centre[1] * texels];
-        Plane { texture: picture.clone(), texels_per_slope, axis_texel, vergence: map.vergence }
+        Placement { texel, pixel, scale: Scale::There(texels) }.by(map, frame, picture.clone())
     }
 }
 

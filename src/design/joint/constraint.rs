@@ -10,7 +10,7 @@ use isoplanat_optics::lens::{Lens, LensGradient, paraxial};
 /// Bounds, mm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Constraints {
+pub(crate) struct Constraints {
     /// Effective focal length to keep, mm.
     pub focal_length_mm: f64,
     /// Smallest glass thickness on the axis, mm.
@@ -27,7 +27,7 @@ pub struct Constraints {
 
 impl Constraints {
     /// Bounds for `lens` as it stands: its own focal length, 1 mm of glass, 0.1 mm of air.
-    pub fn of(lens: &Lens) -> Self {
+    pub(crate) fn of(lens: &Lens) -> Self {
         let p = paraxial::first_order(lens, lens.wavelengths.primary_nm);
         Self {
             focal_length_mm: p.effective_focal_length,
@@ -40,7 +40,7 @@ impl Constraints {
     }
 
     /// Penalty of `lens`, its gradient added to `gradient`.
-    pub fn penalty(&self, lens: &Lens, gradient: &mut LensGradient) -> f64 {
+    pub(crate) fn penalty(&self, lens: &Lens, gradient: &mut LensGradient) -> f64 {
         let nm = lens.wavelengths.primary_nm;
         let mut total = 0.0;
         // Focal length: 1 % off costs 0.01.

@@ -24,7 +24,7 @@ impl Distances {
     }
 
     /// Goes on with the losses of `other`, where they are of as many distances.
-    pub fn go_on(&mut self, other: &Self) {
+    pub(crate) fn go_on(&mut self, other: &Self) {
         let sound = other.losses.len() == self.losses.len() && other.losses.iter().all(|l| l.is_finite() && *l >= 0.0);
         if sound {
             self.losses.clone_from(&other.losses);
@@ -45,7 +45,7 @@ impl Distances {
     }
 
     /// Takes in what a picture's loss was at a distance.
-    pub fn see(&mut self, distance: usize, loss: f64) {
+    pub(crate) fn see(&mut self, distance: usize, loss: f64) {
         if loss.is_finite()
             && loss > 0.0
             && let Some(now) = self.losses.get_mut(distance)

@@ -162,7 +162,7 @@ impl Joint {
     ///
     /// # Errors
     /// As [`Joint::step`].
-    pub fn step_by_images(
+    pub(crate) fn step_by_images(
         &mut self,
         renderer: &Renderer,
         loss: &SensorLoss,

@@ -202,7 +202,7 @@ pub(in crate::design) fn corner_of(renderer: &Renderer) -> f64 {
 ///
 /// # Errors
 /// A lens that cannot be traced there.
-pub fn corner_seen(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result<[f64; 2]> {
+pub(crate) fn corner_seen(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result<[f64; 2]> {
     let density = SpectralDensity::new(sensor);
     let renderer = Renderer::planned(lens, frame, &density, &[lens.object_vergence], Settings::DESIGN)?;
     let corner = corner_of(&renderer);

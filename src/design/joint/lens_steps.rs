@@ -106,7 +106,7 @@ impl LensSteps {
     ///
     /// # Errors
     /// A lens through which its rays do not pass; nothing changes then.
-    pub fn look_at(&mut self, lens: &Lens) -> Result<()> {
+    pub(crate) fn look_at(&mut self, lens: &Lens) -> Result<()> {
         if let Way::Rays { descent, .. } = &mut self.0 {
             let problem = Problem { lens: lens.clone(), ..descent.problem().clone() };
             **descent = Descent::new(&problem)?;
@@ -155,7 +155,7 @@ impl LensSteps {
     }
 
     /// Forgets where gradients pointed: after a lens that failed.
-    pub fn forget(&mut self) {
+    pub(crate) fn forget(&mut self) {
         match &mut self.0 {
             Way::Rays { memory, .. } => memory.first.fill(0.0),
             Way::Adam { adam, .. } => adam.first.fill(0.0),
@@ -175,7 +175,7 @@ impl LensSteps {
     }
 
     /// Goes on with what another of the same kind remembered.
-    pub fn remember(&mut self, r: Remembered) {
+    pub(crate) fn remember(&mut self, r: Remembered) {
         match &mut self.0 {
             Way::Rays { memory, .. } => {
                 let second = r.second.first().copied().unwrap_or(0.0);

@@ -8,18 +8,25 @@
 //! much each object distance counts), [`as_built`] (lenses within tolerances); [`run`] is the loop, on [`scenery`], looked at by [`judge`]; [`designing`] the loop with its folder, [`state`] where it
 //! stands, [`story`] its page, [`sweep`] many of them by number.
 
+#[doc(hidden)]
 pub mod as_built;
-pub mod constraint;
+pub(crate) mod constraint;
 pub mod designing;
+#[doc(hidden)]
 pub mod distances;
 pub mod judge;
-pub mod lens_steps;
+pub(crate) mod lens_steps;
+#[doc(hidden)]
 pub mod noise;
 pub mod run;
+#[doc(hidden)]
 pub mod scenery;
-pub mod sensor_loss;
+pub(crate) mod sensor_loss;
+#[doc(hidden)]
 pub mod state;
+#[doc(hidden)]
 pub mod story;
+#[doc(hidden)]
 pub mod sweep;
 
 use std::time::Instant;
@@ -145,7 +152,7 @@ impl Joint {
     }
 
     /// Makes the filters of a guided network anew for the one that `renderer` holds; a lens that has none keeps the old filters.
-    pub fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
+    pub(crate) fn refresh(&mut self, renderer: &Renderer, electronics: &Electronics) {
         if self.guide.facts().is_none() {
             return;
         }

@@ -45,7 +45,7 @@ impl Noise {
     }
 
     /// Begins anew.
-    pub fn clear(&mut self) {
+    pub(crate) fn clear(&mut self) {
         *self = Self::default();
     }
 }

@@ -221,7 +221,7 @@ impl Stage {
     ///
     /// # Errors
     /// Lenses that cannot be rendered.
-    pub fn restore(&mut self, scenery: &Scenery<'_>, state: &State) -> Result<()> {
+    pub(crate) fn restore(&mut self, scenery: &Scenery<'_>, state: &State) -> Result<()> {
         let [at, seen, told, looked_at, lens] = state.lenses()?;
         let chosen = state.settings.unwrap_or(self.renderer.plan.settings);
         let first = Renderer::planned(&at, &scenery.frame, &self.density, &self.vergences, chosen)?;
@@ -290,7 +290,7 @@ impl Stage {
     }
 
     /// Steps in all, where that is known.
-    pub fn total(&self) -> Option<u64> {
+    pub(crate) fn total(&self) -> Option<u64> {
         self.schedule.total()
     }
 
@@ -300,7 +300,7 @@ impl Stage {
     }
 
     /// Share done, 0 to 1.
-    pub fn used(&self) -> f64 {
+    pub(crate) fn used(&self) -> f64 {
         self.schedule.done(self.step as u64, self.seconds())
     }
 
@@ -509,7 +509,7 @@ impl Stage {
     }
 
     /// Brings the network's filters up to the lens: when the stage is over.
-    pub fn finish(&mut self) {
+    pub(crate) fn finish(&mut self) {
         if self.joint.guide.facts().is_some() && self.told != self.joint.lens {
             self.replan();
             self.refresh();

@@ -33,7 +33,7 @@ fn three() -> f64 {
 
 /// A value, and its slopes in the images and in the ideal pictures.
 #[derive(Clone, Debug)]
-pub struct Slopes {
+pub(crate) struct Slopes {
     /// The loss.
     pub loss: f64,
     /// By distance, in the sensor image `[3, row, col]`.
@@ -101,7 +101,7 @@ impl SensorLoss {
     ///
     /// # Panics
     /// Pictures of different shapes.
-    pub fn slopes(&self, images: &[Array3<f64>], ideals: &[Array3<f64>], reference: usize) -> Result<Slopes> {
+    pub(crate) fn slopes(&self, images: &[Array3<f64>], ideals: &[Array3<f64>], reference: usize) -> Result<Slopes> {
         let mut loss = 0.0;
         let mut of_images: Vec<Array3<f64>> = images.iter().map(|i| Array3::zeros(i.dim())).collect();
         let mut of_ideals = of_images.clone();

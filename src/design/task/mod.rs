@@ -6,10 +6,12 @@
 mod check;
 mod flat;
 mod groups;
+#[doc(hidden)]
 pub mod stages;
+#[doc(hidden)]
 pub mod stated;
-pub mod sweep;
-pub mod train;
+pub(crate) mod sweep;
+pub(crate) mod train;
 
 use std::path::{Path, PathBuf};
 
@@ -33,8 +35,9 @@ use isoplanat_optics::optimize::spec::Spec;
 use isoplanat_optics::optimize::{Constraint, Problem, Quantity};
 use isoplanat_optics::trace::rims::require_clear;
 use stated::Stated;
-use sweep::SweepTask;
-use train::TrainTask;
+
+pub use sweep::SweepTask;
+pub use train::{TrainBudget, TrainLoss, TrainNetwork, TrainPairs, TrainTask};
 
 pub use groups::{Budget, FrameTask, LensTask, LossTask, NetworkTask, PictureTask, TaskSensor};
 pub use isoplanat_models::TASKS as SHIPPED;
@@ -44,7 +47,7 @@ const BARREL: f64 = 0.08;
 const SLACK: f64 = 0.02;
 
 /// The form of task files that this program writes; it reads those of schema 1 as well.
-pub const SCHEMA: u32 = 2;
+pub(crate) const SCHEMA: u32 = 2;
 
 /// Bytes of a task at most.
 const LARGEST: u64 = 1 << 20;
@@ -189,7 +192,7 @@ impl Task {
     ///
     /// # Errors
     /// Keys that are none, values that are not allowed; a file that was not read.
-    pub fn stated_tolerances(&self) -> Result<Option<Tolerances>> {
+    pub(crate) fn stated_tolerances(&self) -> Result<Option<Tolerances>> {
         self.lens.tolerances.as_ref().map(Stated::tolerances).transpose()
     }
 

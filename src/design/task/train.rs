@@ -214,7 +214,7 @@ impl TrainTask {
     }
 
     /// What is minimised.
-    pub fn objective(&self) -> Objective {
+    pub(crate) fn objective(&self) -> Objective {
         let content = match (&self.loss.vgg, self.loss.content.as_str()) {
             (_, "l1") => ContentKind::L1,
             (Some(path), _) => ContentKind::Vgg(path.clone()),
@@ -225,7 +225,7 @@ impl TrainTask {
     }
 
     /// How a step varies a pair.
-    pub fn augmentation(&self) -> Augmentation {
+    pub(crate) fn augmentation(&self) -> Augmentation {
         Augmentation { flips: self.pairs.flips, noise: self.pairs.noise, haze: self.pairs.haze }
     }
 

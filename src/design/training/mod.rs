@@ -5,6 +5,7 @@
 //! A step's draws depend on the seed and its number alone, so a resumed training repeats what a kill has lost, bit by bit
 //! on the same machine and number of threads.
 
+#[doc(hidden)]
 pub mod pairs;
 
 mod guard;

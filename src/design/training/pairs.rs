@@ -142,7 +142,7 @@ pub fn cut(
 
 /// What pairs show.
 #[derive(Clone, Debug)]
-pub struct PairSettings {
+pub(crate) struct PairSettings {
     /// Seed of every draw.
     pub seed: u64,
     /// Side of a pair, pixels; a multiple of 4.
@@ -164,7 +164,7 @@ fn checksum(bytes: &[u8]) -> u64 {
 
 /// Pairs by number.
 #[derive(Debug)]
-pub struct Pairs {
+pub(crate) struct Pairs {
     /// What is known of the lens, by its hash.
     known: String,
     settings: PairSettings,
@@ -182,7 +182,7 @@ impl Pairs {
     ///
     /// # Errors
     /// A lens that cannot be rendered at one of the distances.
-    pub fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
+    pub(crate) fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
         let renderer = subject.renderer(density, &settings.vergences, Settings::TRAINING)?;
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + (PLACE + SUM) as u64;
         Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None, damaged: AtomicU64::new(0) })
@@ -193,7 +193,7 @@ impl Pairs {
     ///
     /// # Errors
     /// A folder that cannot be written.
-    pub fn keep_in(&mut self, folder: &Path, textures: &Textures) -> Result<()> {
+    pub(crate) fn keep_in(&mut self, folder: &Path, textures: &Textures) -> Result<()> {
         if self.kept() == 0 {
             return Ok(());
         }
@@ -220,7 +220,7 @@ impl Pairs {
     }
 
     /// Throws the kept pairs away: they can be rendered again.
-    pub fn discard(&mut self) {
+    pub(crate) fn discard(&mut self) {
         if let Some(folder) = self.cache.take() {
             // What stays behind costs space only.
             let _ = fs::remove_dir_all(folder);
@@ -233,17 +233,17 @@ impl Pairs {
     }
 
     /// How many pairs the budget keeps.
-    pub fn kept(&self) -> u64 {
+    pub(crate) fn kept(&self) -> u64 {
         (self.settings.budget / self.bytes.max(1)).min(self.settings.count)
     }
 
     /// How many different pairs there are; `None`: no two alike.
-    pub fn count(&self) -> Option<u64> {
+    pub(crate) fn count(&self) -> Option<u64> {
         (self.settings.count > 0).then_some(self.settings.count)
     }
 
     /// A random pair's number.
-    pub fn draw(&self, rng: &mut fastrand::Rng) -> u64 {
+    pub(crate) fn draw(&self, rng: &mut fastrand::Rng) -> u64 {
         match self.count() {
             Some(n) => rng.u64(0..n),
             None => rng.u64(..),
@@ -251,7 +251,7 @@ impl Pairs {
     }
 
     /// Pair `index`: read, or rendered and kept.
-    pub fn get(&self, textures: &Textures, index: u64) -> Result<Pair> {
+    pub(crate) fn get(&self, textures: &Textures, index: u64) -> Result<Pair> {
         let place = self.cache.as_ref().filter(|_| index < self.kept()).map(|f| f.join(format!("{index:07}.f32")));
         if let Some(place) = place.as_ref().filter(|p| p.exists()) {
             match self.read(place) {
@@ -276,7 +276,7 @@ impl Pairs {
     }
 
     /// Kept pairs that were found damaged and were rendered again.
-    pub fn damaged(&self) -> u64 {
+    pub(crate) fn damaged(&self) -> u64 {
         self.damaged.load(Ordering::Relaxed)
     }
 

@@ -356,7 +356,7 @@ impl LensReport {
     }
 
     /// Every curve under its name.
-    pub fn plots(&self) -> Vec<(&'static str, Plot)> {
+    pub(crate) fn plots(&self) -> Vec<(&'static str, Plot)> {
         let mut plots = curves::all(&self.overview, &self.illumination);
         plots.extend(self.measured.iter().flat_map(Measured::plots));
         plots

@@ -5,14 +5,15 @@ use std::io;
 use std::rc::Rc;
 
 /// What a test does before the named step: nothing, an error in the step's place, or the end of the process.
-pub type Hook = Rc<dyn Fn(&'static str) -> Option<io::Error>>;
+pub(crate) type Hook = Rc<dyn Fn(&'static str) -> Option<io::Error>>;
 
 thread_local! {
     static HOOK: RefCell<Option<Hook>> = const { RefCell::new(None) };
 }
 
 /// Sets the calling thread's hook, or takes it away.
-pub fn set(hook: Option<Hook>) {
+#[cfg(all(test, unix))]
+pub(crate) fn set(hook: Option<Hook>) {
     HOOK.set(hook);
 }
 

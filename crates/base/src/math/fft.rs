@@ -19,7 +19,7 @@ pub struct RealFft2<T: FftNum> {
 }
 
 /// Half spectrum, stored transposed: `[column frequency, row frequency]`, so that both passes run over rows.
-pub type Spectrum<T> = Array2<Complex<T>>;
+pub(crate) type Spectrum<T> = Array2<Complex<T>>;
 
 impl<T: FftNum> RealFft2<T> {
     /// Plans for `rows × cols`, both at least 1.

@@ -68,7 +68,7 @@ impl Limit {
 
     /// Nothing, where the system knows no such limit.
     #[cfg(not(unix))]
-    pub fn hold(&self) {}
+    pub(crate) fn hold(&self) {}
 
     /// Addresses that work within the limit takes on so many threads, with what they reserve and do not use.
     pub fn addresses(&self, threads: usize) -> u64 {

@@ -1,12 +1,17 @@
 //! Numerics without an optical word.
 
+#[doc(hidden)]
 pub mod fft;
+#[doc(hidden)]
 pub mod least_squares;
 pub mod memory;
 pub mod npz;
 pub mod real;
+#[doc(hidden)]
 pub mod simd;
+#[doc(hidden)]
 pub mod ssim;
+#[doc(hidden)]
 pub mod wide;
 
 /// A seed made of a seed and a counter (the output function of SplitMix64), so that neighbours share nothing.

@@ -1,6 +1,6 @@
 //! The program `isoplanat-camera`: RAW captures in, pictures out, through a kit's network. [`main`] is all that its binary calls.
 
-pub(crate) use isoplanat_program::tell;
+pub use isoplanat_program::tell;
 
 mod arguments;
 mod batch;

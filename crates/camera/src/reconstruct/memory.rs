@@ -9,7 +9,7 @@ impl Camera {
     ///
     /// Samples and the picture made of them stand side by side; so do a picture and its next form, where it is restored, straightened or cut; so do the picture
     /// and its file. (It is turned a plane at a time. Tiles are bounded by the kit, and run in a process with a limit of its own.)
-    pub fn bytes_needed(&self, capture: &RawCapture, written: usize) -> u64 {
+    pub(crate) fn bytes_needed(&self, capture: &RawCapture, written: usize) -> u64 {
         const PICTURE: usize = 3 * size_of::<f32>();
         let (rows, columns) = capture.size();
         let whole = Area { row: 0, column: 0, rows, columns };

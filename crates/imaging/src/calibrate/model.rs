@@ -10,11 +10,11 @@ use nalgebra::{SMatrix, SVector};
 use crate::develop::distortion::Distortion;
 
 /// Radial terms at most.
-pub const TERMS: usize = 3;
+pub(crate) const TERMS: usize = 3;
 /// Numbers of the camera: two focal lengths, centre, terms.
-pub const INNER: usize = 4 + TERMS;
+pub(crate) const INNER: usize = 4 + TERMS;
 /// Numbers of a pose: a small turn, a shift.
-pub const OUTER: usize = 6;
+pub(crate) const OUTER: usize = 6;
 
 /// The camera.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -38,7 +38,7 @@ pub struct Pose {
 
 /// What the radial polynomial is of: slopes, as in every file, or angles, by which a fisheye is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Projection {
+pub(crate) enum Projection {
     /// Of the tangent of the field angle.
     Tangent,
     /// Of the field angle itself (equidistant).
@@ -47,7 +47,7 @@ pub enum Projection {
 
 impl Projection {
     /// A slope in what the polynomial is of, and its derivative.
-    pub fn of(self, slope: DVec2) -> (DVec2, DMat2) {
+    pub(crate) fn of(self, slope: DVec2) -> (DVec2, DMat2) {
         if self == Self::Tangent {
             return (slope, DMat2::IDENTITY);
         }
@@ -66,7 +66,7 @@ impl Projection {
 }
 
 /// Derivatives of a landing by the numbers of the camera and of the pose, rows column and row.
-pub type Jacobian = (SMatrix<f64, 2, INNER>, SMatrix<f64, 2, OUTER>);
+pub(crate) type Jacobian = (SMatrix<f64, 2, INNER>, SMatrix<f64, 2, OUTER>);
 
 impl Pinhole {
     /// `1 + k₁ r² + k₂ r⁴ + k₃ r⁶` of a squared slope, and its derivative by that.
@@ -87,7 +87,7 @@ impl Pinhole {
     }
 
     /// The first of 257 slopes from 0 to `most` at which the image's height does not grow.
-    pub fn folds(&self, most: f64) -> Option<f64> {
+    pub(crate) fn folds(&self, most: f64) -> Option<f64> {
         let grows = |r: &f64| self.growth(*r).is_finite() && self.growth(*r) > 0.0;
         (0..=256).map(|i| most * f64::from(i) / 256.0).find(|r| !grows(r))
     }
@@ -118,7 +118,7 @@ impl Pinhole {
     }
 
     /// As [`Self::project`], the polynomial of what `projection` says.
-    pub fn project_by(&self, projection: Projection, board: DVec2, pose: &Pose) -> Option<(DVec2, Jacobian)> {
+    pub(crate) fn project_by(&self, projection: Projection, board: DVec2, pose: &Pose) -> Option<(DVec2, Jacobian)> {
         let turned = pose.turn * board.extend(0.0);
         let at = turned + pose.at;
         if at.z.is_nan() || at.z <= 0.0 {
@@ -157,7 +157,7 @@ impl Pinhole {
 impl Pose {
     /// After a small turn (about the camera's axes) and a shift.
     #[must_use]
-    pub fn moved(&self, step: &SVector<f64, OUTER>) -> Self {
+    pub(crate) fn moved(&self, step: &SVector<f64, OUTER>) -> Self {
         let turn = DVec3::new(step[0], step[1], step[2]);
         let angle = turn.length();
         let by = if angle > 0.0 { DMat3::from_axis_angle(turn / angle, angle) } else { DMat3::IDENTITY };

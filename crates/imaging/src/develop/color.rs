@@ -21,7 +21,7 @@ pub fn srgb_from_linear<T: Real>(v: T) -> T {
 }
 
 /// Linear value of an sRGB one (0 to 1).
-pub fn linear_from_srgb<T: Real>(v: T) -> T {
+pub(crate) fn linear_from_srgb<T: Real>(v: T) -> T {
     if v <= T::real(0.040_45) { v / T::real(12.92) } else { ((v + T::real(0.055)) / T::real(1.055)).powf(T::real(2.4)) }
 }
 

@@ -109,7 +109,7 @@ fn count(cols: usize, parity: usize) -> usize {
 ///
 /// # Shapes
 /// `mosaic`: `[row, col]`; result `[3, row, col]`. Any size, empty ones too.
-pub fn demosaic<T: Real>(mosaic: ArrayView2<'_, T>, cfa: Cfa) -> Array3<T> {
+pub(crate) fn demosaic<T: Real>(mosaic: ArrayView2<'_, T>, cfa: Cfa) -> Array3<T> {
     let (rows, cols) = mosaic.dim();
     let mut rgb = Array3::zeros((3, rows, cols));
     if rows == 0 || cols == 0 {
@@ -156,7 +156,7 @@ pub fn demosaic<T: Real>(mosaic: ArrayView2<'_, T>, cfa: Cfa) -> Array3<T> {
 ///
 /// # Panics
 /// If `rgb_bar` has not three channels.
-pub fn demosaic_vjp<T: Real>(rgb_bar: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
+pub(crate) fn demosaic_vjp<T: Real>(rgb_bar: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
     let (channels, rows, cols) = rgb_bar.dim();
     assert_eq!(channels, 3, "a demosaicked image has three channels");
     let mut mosaic_bar = Array2::zeros((rows, cols));

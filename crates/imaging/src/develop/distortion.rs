@@ -107,7 +107,7 @@ impl Distortion {
 /// Least-squares fit of [`Distortion`] to samples `(slope, sensor radius)`; `slopes` must reach `max_slope > 0`.
 ///
 /// Refuses a fit that is not monotonic over the field.
-pub fn fit(slopes: &[f64], sensor_mm: &[f64]) -> Result<Distortion> {
+pub(crate) fn fit(slopes: &[f64], sensor_mm: &[f64]) -> Result<Distortion> {
     assert_eq!(slopes.len(), sensor_mm.len());
     let max_slope = slopes.iter().copied().fold(0.0, f64::max);
     let rows = operator(slopes, max_slope);

@@ -44,7 +44,7 @@ impl Gamut {
     }
 
     /// How much each of its primaries adds to luminance.
-    pub fn luminance(self) -> [f64; 3] {
+    pub(crate) fn luminance(self) -> [f64; 3] {
         match self {
             Self::Srgb => XYZ_FROM_SRGB[1],
             Self::DisplayP3 => XYZ_FROM_P3[1],
@@ -52,7 +52,7 @@ impl Gamut {
     }
 
     /// What Exif calls it: 1 for sRGB, 65535 for what only the profile tells.
-    pub fn exif(self, linear: bool) -> u16 {
+    pub(crate) fn exif(self, linear: bool) -> u16 {
         if self == Self::Srgb && !linear { 1 } else { u16::MAX }
     }
 
@@ -60,7 +60,7 @@ impl Gamut {
     ///
     /// # Errors
     /// None; the profile writer's own.
-    pub fn icc(self, linear: bool) -> Result<Vec<u8>> {
+    pub(crate) fn icc(self, linear: bool) -> Result<Vec<u8>> {
         let mut profile = match self {
             Self::Srgb => ColorProfile::new_srgb(),
             Self::DisplayP3 => ColorProfile::new_display_p3(),

@@ -8,11 +8,11 @@
 //!    1–4 of the same functions.
 
 pub mod color;
-pub mod demosaic;
+pub(crate) mod demosaic;
 pub mod distortion;
 pub mod gamut;
 pub mod glare;
-pub mod profile;
+pub(crate) mod profile;
 pub mod shading;
 pub mod simulate;
 pub mod undistort;
@@ -55,7 +55,7 @@ impl Balance {
     }
 
     /// Balanced value at which the first channel saturates: 1 where green answers most to neutral.
-    pub fn saturation(&self) -> f64 {
+    pub(crate) fn saturation(&self) -> f64 {
         self.neutral.iter().map(|n| 1.0 / n).fold(f64::INFINITY, f64::min)
     }
 

@@ -11,7 +11,7 @@ use super::gamut::Gamut;
 
 /// From numbers to light, both from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Curve {
+pub(crate) enum Curve {
     /// sRGB (IEC 61966-2-1).
     Srgb,
     /// Proportional to light.
@@ -47,12 +47,12 @@ impl Curve {
     }
 
     /// A power of the number.
-    pub fn power(exponent: f64) -> Self {
+    pub(crate) fn power(exponent: f64) -> Self {
         Self::of(|_, v| v.powf(exponent))
     }
 
     /// That of ITU-R BT.709, which BT.601 and BT.2020 have too.
-    pub fn bt709() -> Self {
+    pub(crate) fn bt709() -> Self {
         Self::of(|_, v| {
             if v < 4.5 * 0.018_053_968_51 {
                 v / 4.5
@@ -63,7 +63,7 @@ impl Curve {
     }
 
     /// The light of a number of a channel.
-    pub fn light(&self, channel: usize, number: f64) -> f64 {
+    pub(crate) fn light(&self, channel: usize, number: f64) -> f64 {
         match self {
             Self::Srgb => linear_from_srgb(number),
             Self::Linear => number,
@@ -79,7 +79,7 @@ impl Curve {
 
 /// What a file says.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Told {
+pub(crate) struct Told {
     /// From numbers to light.
     pub curve: Curve,
     /// From that light to linear sRGB; none where it is that already.
@@ -94,13 +94,13 @@ impl From<Curve> for Told {
 
 impl Told {
     /// Numbers of `curve` that stand for colours of `gamut`.
-    pub fn of(gamut: Gamut, curve: Curve) -> Self {
+    pub(crate) fn of(gamut: Gamut, curve: Curve) -> Self {
         let to_srgb = if gamut == Gamut::Srgb { None } else { inverse(&gamut.from_srgb()) };
         Self { curve, to_srgb }
     }
 
     /// What an ICC profile says; `None`: it is none, or one without curves.
-    pub fn by_icc(profile: &[u8]) -> Option<Self> {
+    pub(crate) fn by_icc(profile: &[u8]) -> Option<Self> {
         let profile = ColorProfile::new_from_slice(profile).ok()?;
         let light = |curve: &Option<ToneReprCurve>| curve.as_ref()?.make_linear_evaluator().ok();
         match profile.color_space {

@@ -7,7 +7,7 @@ use isoplanat_optics::psf::measured::linear;
 
 /// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
 /// than as noise that outshines the picture.
-pub const DARKEST: f64 = 0.01;
+pub(crate) const DARKEST: f64 = 0.01;
 
 /// Relative illumination against the distance from the axis, per channel R, G, B; 1 on the axis.
 ///
@@ -82,7 +82,7 @@ impl Shading {
     }
 
     /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
-    pub fn gain_table(&self, max_radius_mm: f64) -> GainTable {
+    pub(crate) fn gain_table(&self, max_radius_mm: f64) -> GainTable {
         const N: usize = 4096;
         let per_mm = N as f64 / max_radius_mm.max(f64::MIN_POSITIVE);
         let gains = std::array::from_fn(|c| {
@@ -94,14 +94,14 @@ impl Shading {
 
 /// Flat-field gains over the radius; made by [`Shading::gain_table`].
 #[derive(Clone, Debug)]
-pub struct GainTable {
+pub(crate) struct GainTable {
     gains: [Vec<f32>; 3],
     per_mm: f64,
 }
 
 impl GainTable {
     /// Gain of `channel` (0 = R, 1 = G, 2 = B) at `radius_mm` from the axis; constant beyond the table's end.
-    pub fn at(&self, channel: usize, radius_mm: f64) -> f32 {
+    pub(crate) fn at(&self, channel: usize, radius_mm: f64) -> f32 {
         let table = &self.gains[channel];
         let x = (radius_mm * self.per_mm).min((table.len() - 1) as f64);
         let i = (x as usize).min(table.len() - 2);

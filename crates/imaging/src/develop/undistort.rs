@@ -20,7 +20,7 @@ use crate::frame::Frame;
 ///
 /// # Panics
 /// If the image's size is not the frame's.
-pub fn undistort(image: &mut Array3<f32>, frame: &Frame, distortion: &Distortion) -> f64 {
+pub(crate) fn undistort(image: &mut Array3<f32>, frame: &Frame, distortion: &Distortion) -> f64 {
     Map::new(frame, |rho| captured_radius(distortion, rho)).resample(image)
 }
 

@@ -12,13 +12,13 @@ use rayon::prelude::*;
 use crate::develop::color::XYZ_FROM_SRGB;
 
 /// Side of the blocks of [`colour_shift`], pixels.
-pub const BLOCK: usize = 32;
+pub(crate) const BLOCK: usize = 32;
 
 /// L\*, a\*, b\*.
-pub type Lab = [f64; 3];
+pub(crate) type Lab = [f64; 3];
 
 /// L\*a\*b\* of linear sRGB; white is `[100, 0, 0]`.
-pub fn lab(linear: [f64; 3]) -> Lab {
+pub(crate) fn lab(linear: [f64; 3]) -> Lab {
     // The standard's 6/29, where the cube root gives way to its tangent.
     const JOINT: f64 = 6.0 / 29.0;
     let root = |t: f64| if t > JOINT.powi(3) { t.cbrt() } else { t / (3.0 * JOINT * JOINT) + 4.0 / 29.0 };
@@ -41,7 +41,7 @@ fn saturation(chroma: f64) -> f64 {
 }
 
 /// CIE ΔE 2000 of two colours, weights 1.
-pub fn delta_e_2000([l1, a1, b1]: Lab, [l2, a2, b2]: Lab) -> f64 {
+pub(crate) fn delta_e_2000([l1, a1, b1]: Lab, [l2, a2, b2]: Lab) -> f64 {
     let stretch = 1.5 - 0.5 * saturation(0.5 * (a1.hypot(b1) + a2.hypot(b2)));
     let (a1, a2) = (a1 * stretch, a2 * stretch);
     let (c1, c2) = (a1.hypot(b1), a2.hypot(b2));

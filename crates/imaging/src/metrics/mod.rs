@@ -10,6 +10,7 @@
 
 pub mod delta_e;
 pub mod slanted_edge;
+#[doc(hidden)]
 pub mod wiener;
 
 use ndarray::{ArrayView3, s};

@@ -41,7 +41,7 @@ pub use samples::{Rectangle, Sites};
 pub use transfer::{Crossing, MtfPoint};
 
 /// Highest frequency of a curve, cycles a pixel.
-pub const HIGHEST: f64 = 1.0;
+pub(crate) const HIGHEST: f64 = 1.0;
 /// Least side of a region, pixels.
 const LEAST_SIDE: usize = 8;
 /// Least number of samples.

@@ -101,7 +101,7 @@ pub fn wiener(image: ArrayView3<'_, f32>, psfs: &LocalPsfs, nsr: f32) -> Result<
 ///
 /// # Shapes
 /// `image`: `[channel, row, col]`, and so is the result.
-pub fn wiener_with(image: ArrayView3<'_, f32>, psfs: &LocalPsfs, nsr: f32, prior: Prior) -> Result<Array3<f32>> {
+pub(crate) fn wiener_with(image: ArrayView3<'_, f32>, psfs: &LocalPsfs, nsr: f32, prior: Prior) -> Result<Array3<f32>> {
     let (channels, rows, cols) = image.dim();
     let served = psfs.kernels.dim().1;
     if served != 1 && served != channels {

@@ -27,7 +27,7 @@ pub struct Ellipse {
 impl Ellipse {
     /// Area, mm².
     #[inline]
-    pub fn area(&self) -> f64 {
+    pub(crate) fn area(&self) -> f64 {
         std::f64::consts::PI * self.across * self.along
     }
 
@@ -70,7 +70,7 @@ impl Footprints {
 
     /// The same ellipses, so many times as large.
     #[must_use]
-    pub fn grown(mut self, by: f64) -> Self {
+    pub(crate) fn grown(mut self, by: f64) -> Self {
         self.bins.iter_mut().for_each(|e| (e.across, e.along) = (by * e.across, by * e.along));
         self
     }
@@ -87,7 +87,7 @@ impl Footprints {
     }
 
     /// Whether nothing passes from sensor points between two radii, mm.
-    pub fn is_empty_between(&self, radii: [f64; 2]) -> bool {
+    pub(crate) fn is_empty_between(&self, radii: [f64; 2]) -> bool {
         // Rounding may put a pixel's corner into a neighbour.
         let [first, last] = radii.map(|r| self.bin(r));
         let bins = first.saturating_sub(1)..=(last + 1).min(self.bins.len() - 1);

@@ -29,7 +29,7 @@ pub struct Agreement {
 ///
 /// # Panics
 /// If the shapes differ.
-pub fn unbiased_mse(f: ArrayView3<'_, f32>, r1: ArrayView3<'_, f32>, r2: ArrayView3<'_, f32>) -> f64 {
+pub(crate) fn unbiased_mse(f: ArrayView3<'_, f32>, r1: ArrayView3<'_, f32>, r2: ArrayView3<'_, f32>) -> f64 {
     assert_eq!((f.dim(), f.dim()), (r1.dim(), r2.dim()), "pictures of one shape");
     let pairs = f.iter().zip(r1.iter().zip(r2.iter()));
     pairs.map(|(&f, (&a, &b))| f64::from(f - a) * f64::from(f - b)).sum::<f64>() / f.len().max(1) as f64

@@ -14,13 +14,16 @@
 //! of such a lens are those of the same lens without them, a little larger.
 //! Not covered: diffraction, Fresnel losses, depth within a scene. Gradients: [`gradient`].
 
+#[doc(hidden)]
 pub mod bounds;
 mod draw;
 pub mod gradient;
 pub mod halves;
 mod pixels;
+#[doc(hidden)]
 pub mod rear;
 mod sampler;
+#[doc(hidden)]
 pub mod seen;
 mod stream;
 mod tracer;

@@ -140,12 +140,12 @@ impl RearView {
     }
 
     /// Wavelengths of [`Self::program`], nm.
-    pub fn wavelengths_nm(&self) -> &[f64] {
+    pub(crate) fn wavelengths_nm(&self) -> &[f64] {
         &self.nm
     }
 
     /// Both ends of the spectrum and its middle.
-    pub fn probe_colours(&self) -> [Colour; 3] {
+    pub(crate) fn probe_colours(&self) -> [Colour; 3] {
         let last = self.nm.len() - 1;
         [0, last / 2, last].map(|i| self.at(i))
     }
@@ -170,13 +170,13 @@ impl RearView {
 
     /// Whether the ray that `tile` was traced with in `lane` leaves the lens towards the object.
     #[inline]
-    pub fn passed(&self, tile: &Tile, lane: usize) -> bool {
+    pub(crate) fn passed(&self, tile: &Tile, lane: usize) -> bool {
         // A ray that turned back never meets the object.
         tile.status[lane].is_none() && tile.rays.n[lane] > 0.0
     }
 
     /// Which of the rays from `p` through `targets` leave the lens towards the object.
-    pub fn passes(&self, tile: &mut Tile, p: DVec2, targets: &[DVec2], colour: Colour) -> Vec<bool> {
+    pub(crate) fn passes(&self, tile: &mut Tile, p: DVec2, targets: &[DVec2], colour: Colour) -> Vec<bool> {
         let mut passes = Vec::with_capacity(targets.len());
         for targets in targets.chunks(TILE) {
             tile.resize(targets.len());

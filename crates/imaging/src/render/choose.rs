@@ -10,14 +10,14 @@ use crate::render::node_grid::NodeGrid;
 use isoplanat_optics::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
-pub const MARGIN: f64 = 1.5;
+pub(crate) const MARGIN: f64 = 1.5;
 
 /// Share of the asked mean square that the finest step of a ladder may leave: finer ones are not measured then.
 const LEFT: f64 = 5e-3;
 
 /// One step of one approximation's ladder: its setting and, by probe, its differences to the exact values.
 #[derive(Clone, Debug)]
-pub struct Rung<S> {
+pub(crate) struct Rung<S> {
     /// The setting.
     pub setting: S,
     /// Differences, one list a probe.
@@ -26,13 +26,13 @@ pub struct Rung<S> {
 
 impl<S> Rung<S> {
     /// Mean square of the differences.
-    pub fn mean_square(&self) -> f64 {
+    pub(crate) fn mean_square(&self) -> f64 {
         mean_square(&[&self.off]).0
     }
 }
 
 /// All ladders of a scene.
-pub struct Ladders {
+pub(crate) struct Ladders {
     /// Scene samples a pixel.
     pub samples: Vec<Rung<usize>>,
     /// Wavelengths.
@@ -50,7 +50,7 @@ pub struct Ladders {
 impl Ladders {
     /// Predicted mean square error of `settings` with kernels of half-width `half`, where all of their rungs were measured, and
     /// its standard error.
-    pub fn predicted(&self, settings: &Settings, half: usize) -> Option<(f64, f64)> {
+    pub(crate) fn predicted(&self, settings: &Settings, half: usize) -> Option<(f64, f64)> {
         let parts: [&[Values]; 6] = [
             &self.nodes.iter().find(|r| r.setting.0 <= settings.node_error)?.off,
             &self.windows.iter().find(|r| r.setting.1 >= half).or(self.windows.last())?.off,
@@ -64,14 +64,14 @@ impl Ladders {
 }
 
 /// The bound that a measured rung stands for: root of its mean square with standard error and margin.
-pub fn bound(off: &[Values]) -> f64 {
+pub(crate) fn bound(off: &[Values]) -> f64 {
     let (mean, error) = mean_square(&[off]);
     (MARGIN * mean + error).sqrt()
 }
 
 /// Mean square over all values of the sum of `parts` (lists by probe), and its standard error over the probes.
 #[expect(clippy::cast_precision_loss, reason = "small counts")]
-pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
+pub(crate) fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
     let Some(first) = parts.first() else { return (0.0, 0.0) };
     let each: Vec<f64> = (0..first.len())
         .map(|p| {
@@ -88,13 +88,13 @@ pub fn mean_square(parts: &[&[Values]]) -> (f64, f64) {
 
 /// The PSNR to predict, dB in linear light for a range of 1, of a mean square over probes with its standard error: twice the error
 /// is added. Few places of a picture make most of its error, so that the mean over probes is more often too small than too large.
-pub fn told((mean, error): (f64, f64)) -> f64 {
+pub(crate) fn told((mean, error): (f64, f64)) -> f64 {
     decibel(mean + 2.0 * error)
 }
 
 /// What was chosen.
 #[derive(Clone, Debug)]
-pub struct Choice {
+pub(crate) struct Choice {
     /// The settings.
     pub settings: Settings,
     /// Kernel half-width, pixels.
@@ -110,7 +110,7 @@ pub struct Choice {
 }
 
 /// What the ladders are measured with.
-pub struct Measuring<'a, 'b> {
+pub(crate) struct Measuring<'a, 'b> {
     /// The fine lens.
     pub probing: &'a Probing<'b>,
     /// Exact values of a few places.
@@ -124,7 +124,7 @@ pub struct Measuring<'a, 'b> {
 impl Measuring<'_, '_> {
     /// Measures every ladder. `nodes` has been made coarse and is refined until its error is a small part of `budget` (a mean
     /// square), or all of [`Settings::NODE_ERRORS`] are done.
-    pub fn ladders(&self, nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
+    pub(crate) fn ladders(&self, nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
         let wavelength = |(n, rule): &(usize, Quadrature)| Rung {
             setting: *n,
             off: self.each(&|p| self.probing.wavelengths(p, rule)),
@@ -243,7 +243,7 @@ impl Measuring<'_, '_> {
 
 /// The cheapest combination by `cost` (seconds of the settings, half-width and grid) whose mean square error, times
 /// [`MARGIN`] and with its standard error added, is at most `budget`; the best there is, if none holds.
-pub fn cheapest(
+pub(crate) fn cheapest(
     ladders: &Ladders,
     budget: f64,
     base: Settings,

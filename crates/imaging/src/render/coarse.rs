@@ -15,7 +15,7 @@ use isoplanat_base::math::real::Real;
 ///
 /// # Errors
 /// None for a valid frame.
-pub fn raster(frame: &Frame, bin: usize) -> Result<Frame> {
+pub(crate) fn raster(frame: &Frame, bin: usize) -> Result<Frame> {
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     let b = bin as f64;
     Frame::centred(frame.columns.div_ceil(bin), frame.rows.div_ceil(bin), frame.pitch_mm * b)?
@@ -23,7 +23,7 @@ pub fn raster(frame: &Frame, bin: usize) -> Result<Frame> {
 }
 
 /// The cells that the pixels of `region` are interpolated from.
-pub fn cells(region: Region, bin: usize) -> Region {
+pub(crate) fn cells(region: Region, bin: usize) -> Region {
     if bin == 1 {
         return region;
     }
@@ -85,7 +85,7 @@ fn along_vjp<T: Real>(bar: ArrayView2<'_, T>, cells: usize, first_cell: isize, f
 }
 
 /// A picture in cells over [`cells`]`(region, bin)`, at the pixels of `region`.
-pub fn to_pixels<T: Real>(picture: Array3<T>, region: Region, bin: usize) -> Array3<T> {
+pub(crate) fn to_pixels<T: Real>(picture: Array3<T>, region: Region, bin: usize) -> Array3<T> {
     if bin == 1 {
         return picture;
     }
@@ -102,7 +102,7 @@ pub fn to_pixels<T: Real>(picture: Array3<T>, region: Region, bin: usize) -> Arr
 }
 
 /// The transpose of [`to_pixels`].
-pub fn to_pixels_vjp<T: Real>(bar: ArrayView3<'_, T>, region: Region, bin: usize) -> Array3<T> {
+pub(crate) fn to_pixels_vjp<T: Real>(bar: ArrayView3<'_, T>, region: Region, bin: usize) -> Array3<T> {
     if bin == 1 {
         return bar.to_owned();
     }

@@ -7,7 +7,7 @@ use crate::render::node_grid::NodeGrid;
 
 /// Size of a picture's work.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Work {
+pub(crate) struct Work {
     /// Pixels rendered.
     pub region: Region,
     /// Channels of the image.
@@ -42,14 +42,14 @@ fn task<'a>(work: &Work, settings: &Settings, half_width: usize, grid: &'a NodeG
 }
 
 /// Seconds of one thread for the convolution.
-pub fn convolution(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
+pub(crate) fn convolution(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
     let task = task(work, settings, half_width, grid);
     1e-9 * task.cost(task.cheapest())
 }
 
 /// Seconds of one thread for all else: table, kernels, sampling of the scene.
 #[expect(clippy::cast_precision_loss, reason = "counts")]
-pub fn seconds(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
+pub(crate) fn seconds(work: &Work, settings: &Settings, half_width: usize, grid: &NodeGrid) -> f64 {
     let size = (2 * half_width + 1) as f64;
     let m = settings.samples as f64;
     let (waves, dense) = (settings.wavelengths as f64, settings.dense as f64);

@@ -149,13 +149,13 @@ impl<'a> Patches<'a> {
 }
 
 /// Largest error of a design's gradient, relative.
-pub const LARGEST_ERROR: f64 = 0.05;
+pub(crate) const LARGEST_ERROR: f64 = 0.05;
 /// Largest error of a design's gradient, as a part of the patches' noise.
-pub const OF_NOISE: f64 = 0.1;
+pub(crate) const OF_NOISE: f64 = 0.1;
 
 /// Settings of a design, from the coarsest on. The finer ones keep pixels as cells for kernels that are wider: what a cell of two pixels loses on the
 /// axis for the width of the corner's kernels is more than all the other settings win.
-pub const LADDER: [Settings; 6] = [
+pub(crate) const LADDER: [Settings; 6] = [
     Settings { wavelengths: 3, dense: 200, node_error: 0.2, cells: 32, ..Settings::DESIGN },
     Settings { wavelengths: 4, dense: 300, node_error: 0.1, cells: 48, ..Settings::DESIGN },
     Settings::DESIGN,

@@ -68,7 +68,7 @@ impl Light {
     }
 
     /// Multiplies `image` over `region` by the illumination of `channels`.
-    pub fn multiply<T: Real>(&self, frame: &Frame, region: Region, channels: &[usize], image: &mut Array3<T>) {
+    pub(crate) fn multiply<T: Real>(&self, frame: &Frame, region: Region, channels: &[usize], image: &mut Array3<T>) {
         let light: Array3<T> = self.over(frame, region, channels);
         Zip::from(image).and(&light).par_for_each(|a, b| *a *= *b);
     }

@@ -33,26 +33,33 @@
 //! # Ok::<(), isoplanat_base::error::Error>(())
 //! ```
 
+#[doc(hidden)]
 pub mod blur;
-pub mod choose;
-pub mod coarse;
-pub mod cost;
+pub(crate) mod choose;
+pub(crate) mod coarse;
+pub(crate) mod cost;
 mod draft;
 mod explain;
+#[doc(hidden)]
 pub mod gradient_error;
 mod inputs;
+#[doc(hidden)]
 pub mod light;
 mod measure;
+#[doc(hidden)]
 pub mod memory;
-pub mod needs;
+pub(crate) mod needs;
+#[doc(hidden)]
 pub mod node_grid;
-pub mod nodes;
+pub(crate) mod nodes;
 pub mod plan;
 mod planning;
-pub mod probe;
+pub(crate) mod probe;
 pub mod renderer;
-pub mod scene_plan;
+pub(crate) mod scene_plan;
+#[doc(hidden)]
 pub mod source;
+#[doc(hidden)]
 pub mod stands;
 
 pub use inputs::Seen;

@@ -60,7 +60,7 @@ impl Channels {
     }
 
     /// The texture's channels that the sources show.
-    pub fn of_texture(&self, scene: &Plane) -> Vec<usize> {
+    pub(crate) fn of_texture(&self, scene: &Plane) -> Vec<usize> {
         let last = scene.texture.len_of(Axis(0)) - 1;
         self.lit.iter().take(self.sources()).map(|c| (*c).min(last)).collect()
     }
@@ -82,7 +82,7 @@ pub struct Needs {
 ///
 /// # Errors
 /// One of these, with its place.
-pub fn check(scene: &Plane) -> Result<()> {
+pub(crate) fn check(scene: &Plane) -> Result<()> {
     let (channels, rows, cols) = scene.texture.dim();
     if !(channels == 1 || channels == 3) || rows == 0 || cols == 0 {
         let found = format!("{channels} channels of {rows} × {cols} texels");
@@ -115,7 +115,7 @@ impl Needs {
     }
 
     /// The part of the frame `whole` that light can reach which goes `reach` pixels at most.
-    pub fn reached(&self, reach: usize, whole: Region) -> Option<Region> {
+    pub(crate) fn reached(&self, reach: usize, whole: Region) -> Option<Region> {
         self.lit.map(|lit| lit.grown(reach).common(whole)).filter(|r| r.rows > 0 && r.cols > 0)
     }
 

@@ -17,7 +17,7 @@ pub struct NodeGrid {
 
 /// The one or two nodes along an axis whose windows reach a pixel, and the weight of the second.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Between {
+pub(crate) struct Between {
     /// The node before (or the only one).
     pub first: usize,
     /// The node behind; equal to `first` beyond the ends.
@@ -28,7 +28,7 @@ pub struct Between {
 
 impl Between {
     /// Weight of node `k` here; 0 if its window does not reach.
-    pub fn of(self, k: usize) -> f64 {
+    pub(crate) fn of(self, k: usize) -> f64 {
         if self.first == k {
             1.0 - self.weight
         } else if self.second == k {
@@ -88,7 +88,7 @@ impl NodeGrid {
     /// # Panics
     /// If there is no knot.
     #[expect(clippy::cast_precision_loss, reason = "pixel distances")]
-    pub fn between(knots: &[isize], at: isize) -> Between {
+    pub(crate) fn between(knots: &[isize], at: isize) -> Between {
         let after = knots.partition_point(|k| *k <= at);
         if after == 0 {
             return Between { first: 0, second: 0, weight: 0.0 };
@@ -101,7 +101,7 @@ impl NodeGrid {
     }
 
     /// Window of node `n` at the pixel `(row, col)`.
-    pub fn window(&self, n: usize, row: isize, col: isize) -> f64 {
+    pub(crate) fn window(&self, n: usize, row: isize, col: isize) -> f64 {
         let along = |knots: &[isize], k: usize, at: isize| Self::between(knots, at).of(k);
         along(&self.row_knots, n / self.col_knots.len(), row) * along(&self.col_knots, n % self.col_knots.len(), col)
     }

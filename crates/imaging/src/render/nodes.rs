@@ -15,9 +15,9 @@ use crate::render::node_grid::NodeGrid;
 use isoplanat_optics::psf::{KernelForm, Optics, Place};
 
 /// Shortest interval between nodes, cells.
-pub const SHORTEST: usize = 16;
+pub(crate) const SHORTEST: usize = 16;
 /// Longest interval between nodes, cells.
-pub const LONGEST: usize = 512;
+pub(crate) const LONGEST: usize = 512;
 
 /// Points along the side of the kernels that are compared, about.
 const POINTS: usize = 25;
@@ -26,13 +26,13 @@ const POINTS: usize = 25;
 const FLOOR: f64 = 0.05;
 
 /// The place of the centre of cell `(row, col)`.
-pub fn place(raster: &Frame, row: isize, col: isize) -> Place {
+pub(crate) fn place(raster: &Frame, row: isize, col: isize) -> Place {
     let offset = Region { row, col, rows: 1, cols: 1 }.offset(raster, 0, 0);
     Place::at(offset.map(|v| v * raster.pitch_mm))
 }
 
 /// A grid under refinement.
-pub struct Nodes<'a> {
+pub(crate) struct Nodes<'a> {
     optics: &'a Optics,
     depth: usize,
     raster: &'a Frame,
@@ -49,7 +49,7 @@ pub struct Nodes<'a> {
 impl<'a> Nodes<'a> {
     /// One node in the middle if the kernel is the same all over `around` to `tolerance`, else a coarse grid. `size` is the
     /// kernels' in cells of `raster`.
-    pub fn coarse(
+    pub(crate) fn coarse(
         optics: &'a Optics,
         depth: usize,
         raster: &'a Frame,
@@ -98,7 +98,7 @@ impl<'a> Nodes<'a> {
     }
 
     /// Halves intervals until every error is at most `tolerance`, or the interval is the shortest.
-    pub fn refine(&mut self, tolerance: f64) {
+    pub(crate) fn refine(&mut self, tolerance: f64) {
         if self.grid.len() == 1 {
             return;
         }

@@ -184,7 +184,7 @@ impl RenderPlan {
 }
 
 /// Pixels along the side of cells in which a half-width of `half` pixels is at most `cells`.
-pub fn bin_of(half: usize, cells: usize) -> usize {
+pub(crate) fn bin_of(half: usize, cells: usize) -> usize {
     let mut bin = 1;
     while half.div_ceil(bin) > cells && bin < COARSEST {
         bin *= 2;
@@ -231,7 +231,7 @@ pub(super) fn unplaced(
 ///
 /// # Errors
 /// A blur that even the coarsest cells leave wider than any window.
-pub fn depth_plan(
+pub(crate) fn depth_plan(
     optics: &Optics,
     frame: &Frame,
     depth: usize,

@@ -20,16 +20,16 @@ use isoplanat_base::math::wide::{Work, wide};
 use isoplanat_optics::psf::{KernelForm, Optics, Place, Quadrature};
 
 /// Values of a probe's pixels, `[channel][pixel]`, flattened.
-pub type Values = Vec<f32>;
+pub(crate) type Values = Vec<f32>;
 
 /// Kernels by cell, at one sample a cell.
-pub type Cache = HashMap<(isize, isize), Vec<Vec<f32>>>;
+pub(crate) type Cache = HashMap<(isize, isize), Vec<Vec<f32>>>;
 
 /// Dense points of the kernels that tell wavelengths apart.
 const MONO_DENSE: usize = 300;
 
 /// A block of pixels and its exact kernel.
-pub struct Probe {
+pub(crate) struct Probe {
     /// Which scene.
     pub scene: usize,
     /// Its pixels.
@@ -48,7 +48,7 @@ pub struct Probe {
 }
 
 /// Everything a probe is computed from. Pixels are those of `frame`: the sensor's, or cells where kernels are wide.
-pub struct Probing<'a> {
+pub(crate) struct Probing<'a> {
     /// The lens at few wavelengths: enough for what does not depend on colour.
     pub optics: &'a Optics,
     /// The lens at many.
@@ -160,7 +160,7 @@ fn flipped(optics: &Optics, depth: usize, form: &KernelForm, place: Place) -> Ve
 
 impl Probing<'_> {
     /// Kernels of the lit channels of `optics`; made once for many probes.
-    pub fn form(&self, optics: &Optics, dense: usize, samples: usize) -> KernelForm {
+    pub(crate) fn form(&self, optics: &Optics, dense: usize, samples: usize) -> KernelForm {
         let mut form = optics.form(dense, self.size, samples, self.frame.pitch_mm);
         form.weight = self.lit.iter().map(|c| form.weight[*c].clone()).collect();
         form
@@ -204,7 +204,7 @@ impl Probing<'_> {
     }
 
     /// Probes at `stands`, exact in all but the sampling of the scene, which is the coarsest.
-    pub fn probes(&self, stands: &[Stand]) -> Vec<Probe> {
+    pub(crate) fn probes(&self, stands: &[Stand]) -> Vec<Probe> {
         let mono_form = self.mono_form();
         let form = self.form(self.optics, self.dense, 1);
         let of = |Stand { scene, region, weight }: &Stand| {
@@ -231,7 +231,7 @@ impl Probing<'_> {
     }
 
     /// Values with sampling `which` of the scenes' (0, the coarsest, a probe has), by the kernels of `form` at so many samples.
-    pub fn sampled(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
+    pub(crate) fn sampled(&self, probe: &Probe, which: usize, form: &KernelForm) -> Values {
         let patch = Patch::sample(&self.scenes[probe.scene][which], probe.region, self.size);
         let at = self.centre(probe.region);
         let kernels = flipped(self.optics, self.depth, form, at);
@@ -239,14 +239,14 @@ impl Probing<'_> {
     }
 
     /// Values of a probe through the kernels of `form`, at the coarsest sampling.
-    pub fn through(&self, probe: &Probe, form: &KernelForm) -> Values {
+    pub(crate) fn through(&self, probe: &Probe, form: &KernelForm) -> Values {
         let at = self.centre(probe.region);
         let kernels = flipped(self.optics, self.depth, form, at);
         self.values(&probe.patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
     }
 
     /// Differences that windows of `sizes` pixels make.
-    pub fn windows(&self, probe: &Probe, sizes: &[usize]) -> Vec<Values> {
+    pub(crate) fn windows(&self, probe: &Probe, sizes: &[usize]) -> Vec<Values> {
         let light = self.light(self.centre(probe.region));
         let one = |size: &usize| {
             if *size == self.size {
@@ -260,7 +260,7 @@ impl Probing<'_> {
 
     /// Difference that another quadrature over wavelength makes: light between the many wavelengths is interpolated by
     /// cubics.
-    pub fn wavelengths(&self, probe: &Probe, rule: &Quadrature) -> Values {
+    pub(crate) fn wavelengths(&self, probe: &Probe, rule: &Quadrature) -> Values {
         let exact = self.light_of(probe, &self.colours.spec.quadrature);
         probe.less(self.light_of(probe, rule), &exact)
     }
@@ -289,7 +289,7 @@ impl Probing<'_> {
     }
 
     /// Computes the kernels of `optics` that the probes' pixels ask `grid` for.
-    pub fn prepare(&self, probes: &[Probe], optics: &Optics, dense: usize, grid: &NodeGrid, cache: &mut Cache) {
+    pub(crate) fn prepare(&self, probes: &[Probe], optics: &Optics, dense: usize, grid: &NodeGrid, cache: &mut Cache) {
         let form = self.form(optics, dense, 1);
         let mut missing: Vec<(isize, isize)> = probes
             .iter()
@@ -307,7 +307,7 @@ impl Probing<'_> {
 
     /// Difference that interpolation between the nodes of `grid` makes to `values`, those of their kernels at the place
     /// itself; [`Self::prepare`] has filled `cache`.
-    pub fn nodes(&self, probe: &Probe, values: &[f32], grid: &NodeGrid, cache: &Cache) -> Values {
+    pub(crate) fn nodes(&self, probe: &Probe, values: &[f32], grid: &NodeGrid, cache: &Cache) -> Values {
         let region = probe.region;
         let light = self.light(self.centre(region));
         let part = grid.part(region);
@@ -329,7 +329,7 @@ impl Probing<'_> {
 
 impl Probe {
     /// `a − b`, as much as the probe counts for.
-    pub fn less(&self, mut a: Values, b: &[f32]) -> Values {
+    pub(crate) fn less(&self, mut a: Values, b: &[f32]) -> Values {
         a.iter_mut().zip(b).for_each(|(a, b)| *a = self.scale * (*a - b));
         a
     }

@@ -122,7 +122,7 @@ impl Renderer {
     }
 
     /// How `region` is convolved.
-    pub fn method(&self, depth: usize, channels: &Channels, grid: &NodeGrid, region: Region) -> Method {
+    pub(crate) fn method(&self, depth: usize, channels: &Channels, grid: &NodeGrid, region: Region) -> Method {
         let d = &self.plan.depths[depth];
         let task = Task {
             grid,

@@ -203,7 +203,7 @@ impl<'a> WarpedScene<'a> {
 
     /// Writes `[channel, phase, row, col]` of `region`; false if all of it is zero.
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
-    pub fn fill<T: Real>(&self, region: Region, mut out: ArrayViewMut4<'_, T>) -> bool {
+    pub(crate) fn fill<T: Real>(&self, region: Region, mut out: ArrayViewMut4<'_, T>) -> bool {
         let mean = ((self.average * self.average) as f64).recip();
         let (phases, steps) = (self.samples * self.samples, self.steps());
         let (mut lit, mut line) = (false, Line::default());
@@ -228,7 +228,7 @@ impl<'a> WarpedScene<'a> {
     }
 
     /// Pulls a cotangent on [`Self::fill`] back to the map's coefficients (added).
-    pub fn fill_vjp<T: Real>(&self, region: Region, bar: ArrayView4<'_, T>, coefficients_bar: &mut [f64]) {
+    pub(crate) fn fill_vjp<T: Real>(&self, region: Region, bar: ArrayView4<'_, T>, coefficients_bar: &mut [f64]) {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let mean = ((self.average * self.average) as f64).recip();
         // A point's texel moves by `x · pitch · texels_per_slope · ∂ratio`.

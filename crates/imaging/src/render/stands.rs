@@ -6,7 +6,7 @@ use super::source::WarpedScene;
 use crate::plane::Region;
 
 /// Pixels along the side of a probe.
-pub const SIDE: usize = 3;
+pub(crate) const SIDE: usize = 3;
 /// Places that are looked at before probes are drawn, over all scenes.
 const CANDIDATES: usize = 4096;
 /// Share of the draw that is even.

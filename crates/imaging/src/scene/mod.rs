@@ -19,6 +19,7 @@ mod mixed;
 mod noise_tile;
 mod palette;
 pub mod photos;
+pub mod placement;
 mod text;
 mod texture;
 mod view;
@@ -28,6 +29,8 @@ use std::fmt;
 use fastrand::Rng;
 use ndarray::Array3;
 use serde::{Deserialize, Serialize};
+
+pub use placement::fill_frame;
 
 use crate::sensor::noise::mixed as mixed_seed;
 

@@ -23,7 +23,7 @@ impl Cfa {
     /// Green at the first pixel, red to its right.
     pub const GRBG: Self = Self([1, 0, 2, 1]);
     /// Green at the first pixel, blue to its right.
-    pub const GBRG: Self = Self([1, 2, 0, 1]);
+    pub(crate) const GBRG: Self = Self([1, 2, 0, 1]);
 
     /// The layouts there are.
     pub const ALL: [Self; 4] = [Self::RGGB, Self::BGGR, Self::GRBG, Self::GBRG];
@@ -40,7 +40,7 @@ impl Cfa {
     }
 
     /// Mean of each colour of a mosaic `[row, col]`; 0 where there is none.
-    pub fn means(self, mosaic: ArrayView2<'_, f32>) -> [f64; 3] {
+    pub(crate) fn means(self, mosaic: ArrayView2<'_, f32>) -> [f64; 3] {
         let (mut sums, mut counts) = ([0.0; 3], [0usize; 3]);
         for (i, row) in mosaic.outer_iter().enumerate() {
             let mut pair = [0.0; 2];
@@ -93,7 +93,7 @@ impl<'de> Deserialize<'de> for Cfa {
 ///
 /// # Panics
 /// If `rgb` has not three channels.
-pub fn mosaic<T: Copy>(rgb: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
+pub(crate) fn mosaic<T: Copy>(rgb: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
     let (channels, rows, cols) = rgb.dim();
     assert_eq!(channels, 3, "a mosaic is taken from three channels");
     Array2::from_shape_fn((rows, cols), |(r, c)| rgb[[cfa.channel(r, c), r, c]])

@@ -21,7 +21,7 @@ pub fn add_haze(image: &mut Array3<f32>, h: f32) {
 }
 
 /// [`add_haze`] on the whole frame's mosaic, `[row, col]`: each pixel gets the mean of its own colour.
-pub fn add_haze_mosaic(mosaic: &mut Array2<f32>, cfa: Cfa, h: f64) {
+pub(crate) fn add_haze_mosaic(mosaic: &mut Array2<f32>, cfa: Cfa, h: f64) {
     let means = cfa.means(mosaic.view());
     #[expect(clippy::cast_possible_truncation, reason = "light is f32")]
     mosaic.indexed_iter_mut().for_each(|((i, j), v)| {

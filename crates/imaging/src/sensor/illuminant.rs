@@ -27,7 +27,7 @@ const C2: f64 = 1.438_776_877e7;
 
 impl Illuminant {
     /// Refuses temperatures that have no meaning; `place` names where it stands.
-    pub fn check(self, place: &str) -> Result<()> {
+    pub(crate) fn check(self, place: &str) -> Result<()> {
         let refuse = |kelvin: f64, ok: bool, allowed: &str| {
             if ok { Ok(()) } else { Err(Error::bad("illuminant", place, format!("{kelvin} K"), allowed)) }
         };
@@ -42,7 +42,7 @@ impl Illuminant {
     /// Power per wavelength at `nm`, relative to that at 560 nm. Daylight is 0 outside its table, 300 to 830 nm.
     ///
     /// Not finite or not positive where [`Self::check`] refuses the temperature.
-    pub fn relative_power(self, nm: f64) -> f64 {
+    pub(crate) fn relative_power(self, nm: f64) -> f64 {
         match self {
             Self::EqualEnergy => 1.0,
             Self::BlackBody { kelvin } => planck(nm, C2 / kelvin),

@@ -3,8 +3,9 @@
 //! `calibration/README.md` documents the file. The parsed value is checked once, here; the rest of the crate relies on it.
 
 pub mod cfa;
+#[doc(hidden)]
 pub mod haze;
-pub mod illuminant;
+pub(crate) mod illuminant;
 pub mod noise;
 pub mod spectrum;
 

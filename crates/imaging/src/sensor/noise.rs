@@ -53,7 +53,7 @@ impl Noise {
     pub const NONE: Self = Self { shot: 0.0, read: 0.0 };
 
     /// Standard deviation of the signal `y`.
-    pub fn sigma<T: Real>(&self, y: T) -> T {
+    pub(crate) fn sigma<T: Real>(&self, y: T) -> T {
         (T::real(self.shot) * y.max(T::zero()) + T::real(self.read * self.read)).sqrt()
     }
 
@@ -72,7 +72,7 @@ impl Noise {
     ///
     /// # Panics
     /// If the shapes differ.
-    pub fn apply_vjp<T: Real>(
+    pub(crate) fn apply_vjp<T: Real>(
         &self,
         y: ArrayView2<'_, T>,
         eps: ArrayView2<'_, T>,
@@ -90,7 +90,7 @@ impl Noise {
 /// Raw values of a normalised signal: black level added, saturated at the white level, rounded to whole DN.
 ///
 /// A signal that is not a number gives 0.
-pub fn quantise<T: Real>(y: ArrayView2<'_, T>, sensor: &Sensor) -> Array2<u16> {
+pub(crate) fn quantise<T: Real>(y: ArrayView2<'_, T>, sensor: &Sensor) -> Array2<u16> {
     let (black, white) = (sensor.black_level, sensor.white_level);
     y.mapv(|v| (black + v.to_double() * (white - black)).round().clamp(0.0, white.floor()) as u16)
 }

@@ -96,7 +96,7 @@ impl Beam {
 
     /// Part of the asked rays that arrive.
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
-    pub fn open_part(&self) -> f64 {
+    pub(crate) fn open_part(&self) -> f64 {
         self.landings.len() as f64 / self.asked.max(1) as f64
     }
 }

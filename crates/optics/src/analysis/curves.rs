@@ -67,7 +67,7 @@ fn crossing(a: &Landing, b: &Landing, axis: DVec2) -> f64 {
 
 /// Foci of rays close to the chief ray, tangential and sagittal, mm behind the image plane. Apertures are left out. None where such a
 /// ray does not arrive.
-pub fn parabasal_foci(system: &System, object: ObjectPoint) -> Option<[f64; 2]> {
+pub(crate) fn parabasal_foci(system: &System, object: ObjectPoint) -> Option<[f64; 2]> {
     let open = unclipped(system);
     let places = |h: f64| [DVec2::Y * h, DVec2::NEG_Y * h, DVec2::X * h, DVec2::NEG_X * h];
     let points = [places(CLOSE), places(2.0 * CLOSE)].concat();
@@ -134,7 +134,7 @@ pub fn over_field(lens: &Lens, wavelengths_nm: &[f64], angles_deg: &[f64]) -> Ve
 }
 
 /// Foci of `zones` evenly spaced zones from the axis to the stop's rim, an object on the axis.
-pub fn over_zones(lens: &Lens, wavelengths_nm: &[f64], zones: u32) -> Vec<ZoneRow> {
+pub(crate) fn over_zones(lens: &Lens, wavelengths_nm: &[f64], zones: u32) -> Vec<ZoneRow> {
     let systems: Vec<System> = wavelengths_nm.iter().map(|nm| System::new(lens, *nm)).collect();
     let row = |k: u32| {
         let zone = (f64::from(k) / f64::from(zones.max(2) - 1)).max(INNER);

@@ -43,7 +43,7 @@ use chords::Chords;
 use correlate::{largest, overlap};
 use gauss::Rules;
 
-pub use fault::Fault;
+pub(crate) use fault::Fault;
 pub use pupil::Pupil;
 
 /// First zero of the Airy pattern times the cutoff: `r = 0.6098 λ/NA`, cutoff `2 NA/λ`.
@@ -67,7 +67,7 @@ pub struct Plan {
 
 impl Plan {
     /// The most that can be asked for.
-    pub const MOST_POINTS: f64 = Rules::MOST;
+    pub(crate) const MOST_POINTS: f64 = Rules::MOST;
 
     /// The tangential and the sagittal direction of `object`, in focus.
     pub fn new(object: ObjectPoint, frequencies: Vec<f64>) -> Self {
@@ -81,7 +81,7 @@ impl Plan {
 }
 
 /// Tangential and sagittal direction of an object point: in its meridian and across; y and x for one on the axis.
-pub fn directions(object: ObjectPoint) -> [DVec2; 2] {
+pub(crate) fn directions(object: ObjectPoint) -> [DVec2; 2] {
     let across = object.direction.truncate();
     let tangential = if across.length() > 1e-12 { across.normalize() } else { DVec2::Y };
     [tangential, -tangential.perp()]
@@ -135,7 +135,7 @@ pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fau
 ///
 /// # Errors
 /// As [`of_lens`].
-pub fn pupils(lens: &Lens, object: ObjectPoint) -> Result<Vec<(Pupil, f64)>, Fault> {
+pub(crate) fn pupils(lens: &Lens, object: ObjectPoint) -> Result<Vec<(Pupil, f64)>, Fault> {
     let primary = System::new(lens, lens.wavelengths.primary_nm);
     let centre = chief_landing(&Aimer::new(&primary)?, object)?;
     let shares: Vec<(f64, f64)> = lens.wavelengths.shares().collect();

@@ -25,12 +25,12 @@ fn line(count: u32) -> Vec<f64> {
 }
 
 /// Landing of the chief ray, in the image plane: what fans of every wavelength are measured from.
-pub fn reference(system: &System, object: ObjectPoint) -> Option<DVec2> {
+pub(crate) fn reference(system: &System, object: ObjectPoint) -> Option<DVec2> {
     Beam::new(system, object, &[]).chief.map(|l| l.at)
 }
 
 /// Transverse errors, mm: landing less `from`, along y over the stop's y, along x over its x.
-pub fn transverse(system: &System, object: ObjectPoint, from: DVec2, count: u32) -> Fans {
+pub(crate) fn transverse(system: &System, object: ObjectPoint, from: DVec2, count: u32) -> Fans {
     [DVec2::Y, DVec2::X].map(|axis| {
         let points: Vec<DVec2> = line(count).into_iter().map(|t| t * axis).collect();
         let beam = Beam::new(system, object, &points);

@@ -6,6 +6,7 @@
 
 pub mod beam;
 pub mod curves;
+#[doc(hidden)]
 pub mod deviations;
 pub mod diffraction;
 pub mod fabrication;

@@ -75,7 +75,7 @@ pub struct Sampled {
 }
 
 /// The geometric MTF of a field: tangential and sagittal.
-pub type Pair = [f64; 2];
+pub(crate) type Pair = [f64; 2];
 
 /// One field.
 #[derive(Clone, Debug)]

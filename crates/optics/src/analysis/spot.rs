@@ -85,7 +85,13 @@ pub fn geometric_mtf(landings: &[Landing], along: DVec2, cycles_per_mm: f64, dz:
 
 /// [`geometric_mtf`] at `count` frequencies, the multiples of `step` (cycles/mm) from 0 on. The phase of each is that of the one before and once more the first: a turn in
 /// place of a sine and a cosine.
-pub fn geometric_mtf_multiples(landings: &[Landing], along: DVec2, step: f64, count: usize, dz: f64) -> Vec<f64> {
+pub(crate) fn geometric_mtf_multiples(
+    landings: &[Landing],
+    along: DVec2,
+    step: f64,
+    count: usize,
+    dz: f64,
+) -> Vec<f64> {
     let Some(from) = landings.first().map(|l| l.at_focus(dz)) else { return vec![0.0; count] };
     let (mut sums, mut light) = (vec![DVec2::ZERO; count], 0.0);
     for l in landings {
@@ -101,7 +107,7 @@ pub fn geometric_mtf_multiples(landings: &[Landing], along: DVec2, step: f64, co
 }
 
 /// Distances from the centroid, rising, with the share of the light within each, `dz` mm behind the image plane.
-pub fn encircled(landings: &[Landing], dz: f64) -> Vec<[f64; 2]> {
+pub(crate) fn encircled(landings: &[Landing], dz: f64) -> Vec<[f64; 2]> {
     let Some(spot) = spot(landings, dz) else { return Vec::new() };
     let mut rays: Vec<[f64; 2]> = landings.iter().map(|l| [l.at_focus(dz).distance(spot.centroid), l.weight]).collect();
     rays.sort_by(|a, b| a[0].total_cmp(&b[0]));
@@ -115,7 +121,7 @@ pub fn encircled(landings: &[Landing], dz: f64) -> Vec<[f64; 2]> {
 }
 
 /// Distance from the centroid that holds the share `part` (0 to 1) of the light, mm, of [`encircled`].
-pub fn radius_of(encircled: &[[f64; 2]], part: f64) -> Option<f64> {
+pub(crate) fn radius_of(encircled: &[[f64; 2]], part: f64) -> Option<f64> {
     encircled.iter().find(|[_, within]| *within >= part - 1e-12).map(|[radius, _]| *radius)
 }
 

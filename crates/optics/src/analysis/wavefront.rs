@@ -177,7 +177,7 @@ impl Map {
 
     /// Zernike coefficients of the map in wavelengths, over the unit stop, by light; over what is left of a vignetted pupil
     /// ([`zernike`]). `None` where too little is left for so many terms.
-    pub fn zernike(&self, order: Order, terms: usize) -> Option<zernike::Fit> {
+    pub(crate) fn zernike(&self, order: Order, terms: usize) -> Option<zernike::Fit> {
         let of = |f: fn(&Point) -> f64| -> Vec<f64> { self.points.iter().flatten().map(f).collect() };
         let points: Vec<DVec2> = self.points.iter().flatten().map(|p| p.stop).collect();
         zernike::fit(order, terms, &points, &of(|p| p.waves), &of(|p| p.flux))

@@ -158,7 +158,7 @@ pub struct Fit {
 /// Fits the first `terms` polynomials to `values` at `points` of the unit disk, by weighted least squares.
 ///
 /// `None` where the points do not tell the terms apart (too few of them, a sliver), or the set has fewer terms.
-pub fn fit(order: Order, terms: usize, points: &[DVec2], values: &[f64], weights: &[f64]) -> Option<Fit> {
+pub(crate) fn fit(order: Order, terms: usize, points: &[DVec2], values: &[f64], weights: &[f64]) -> Option<Fit> {
     let total: f64 = weights.iter().sum();
     if terms == 0 || points.len() < terms || order.term(terms).is_none() || !(total > 0.0 && total.is_finite()) {
         return None;

@@ -294,7 +294,7 @@ impl Glasses {
     ///
     /// # Errors
     /// As [`Self::find`].
-    pub fn find_own(&self, name: &str) -> Result<Medium> {
+    pub(crate) fn find_own(&self, name: &str) -> Result<Medium> {
         let own = Self::shipped();
         let known = own.catalogues.iter().any(|c| c.entries.iter().any(|e| e.name == name));
         if known && self.stands_for(name).is_none() { own.find(name, &[]) } else { self.find(name, &[]) }
@@ -348,7 +348,7 @@ impl Glasses {
     }
 
     /// Catalogue and name by which a medium is found again; `None` where no catalogue has it.
-    pub fn named_as(&self, medium: &Medium) -> Option<(String, String)> {
+    pub(crate) fn named_as(&self, medium: &Medium) -> Option<(String, String)> {
         let Medium::Glass { name, .. } = medium else { return None };
         let holds = |e: &Entry| e.name == *name && e.medium.as_ref() == Ok(medium);
         let catalogue = self.catalogues.iter().find(|c| c.entries.iter().any(holds))?;

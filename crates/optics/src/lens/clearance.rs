@@ -13,7 +13,7 @@ const STEPS: u32 = 64;
 
 /// Where two neighbouring surfaces overlap near their rims.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Overlap {
+pub(crate) struct Overlap {
     /// The first of the two surfaces.
     pub surface: usize,
     /// The second: the next one that refracts.
@@ -31,7 +31,7 @@ impl Overlap {
     }
 
     /// The error of an overlap that light meets.
-    pub fn refused_in_light(&self, file: &str) -> Error {
+    pub(crate) fn refused_in_light(&self, file: &str) -> Error {
         self.error(file, "a gap of at least 0 where light goes".into())
     }
 
@@ -53,7 +53,7 @@ fn is_dummy(lens: &Prescription, i: usize) -> bool {
 
 /// Overlaps of neighbouring surfaces within the clear semi-diameters that both have. Stops and other surfaces that refract nothing may stand anywhere
 /// between their neighbours and across them: a ray meets them on its straight way, before or behind the face.
-pub fn overlaps(lens: &Prescription) -> Vec<Overlap> {
+pub(crate) fn overlaps(lens: &Prescription) -> Vec<Overlap> {
     among(lens, &(0..lens.surfaces.len()).filter(|i| !is_dummy(lens, *i)).collect::<Vec<_>>())
 }
 

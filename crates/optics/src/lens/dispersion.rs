@@ -260,7 +260,7 @@ impl Dispersion {
     }
 
     /// Adds the pull-back of a cotangent on [`Self::index`] to the coefficients' `bar`.
-    pub fn index_vjp(&self, um: f64, index_bar: f64, bar: &mut Self) {
+    pub(crate) fn index_vjp(&self, um: f64, index_bar: f64, bar: &mut Self) {
         let mut duals: Vec<Dual> = self.coefficients.iter().map(|c| Dual(*c, 0.0)).collect();
         for (k, to) in bar.coefficients.iter_mut().enumerate() {
             duals[k].1 = 1.0;

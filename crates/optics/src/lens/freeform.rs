@@ -9,9 +9,9 @@ use std::collections::BTreeMap;
 use super::sag::Local;
 
 /// Highest Noll index: all terms up to radial order 10.
-pub const MAX_NOLL: usize = 66;
+pub(crate) const MAX_NOLL: usize = 66;
 /// Highest `i + j` of an xy term.
-pub const MAX_XY_DEGREE: usize = 10;
+pub(crate) const MAX_XY_DEGREE: usize = 10;
 
 /// `Σ c_{ij} u^i v^j`, mm, with `u = x/R`, `v = y/R`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -45,7 +45,7 @@ impl Polynomial {
     }
 
     /// `(i, j, coefficient in mm)` of every monomial.
-    pub fn terms(&self) -> &[(usize, usize, f64)] {
+    pub(crate) fn terms(&self) -> &[(usize, usize, f64)] {
         &self.terms
     }
 
@@ -99,7 +99,7 @@ impl Polynomial {
     }
 
     /// An upper bound of the gradient's length for `r ≤ radius`.
-    pub fn steepest(&self, radius: f64) -> f64 {
+    pub(crate) fn steepest(&self, radius: f64) -> f64 {
         let t = radius / self.radius;
         #[expect(
             clippy::cast_precision_loss,
@@ -155,12 +155,12 @@ impl Zernike {
     }
 
     /// Coefficients to change; call [`Self::refresh`] before the surface is used again.
-    pub fn terms_mut(&mut self) -> &mut [f64] {
+    pub(crate) fn terms_mut(&mut self) -> &mut [f64] {
         &mut self.terms
     }
 
     /// Recomputes the polynomial from the coefficients.
-    pub fn refresh(&mut self) {
+    pub(crate) fn refresh(&mut self) {
         let mut sum = BTreeMap::<(usize, usize), f64>::new();
         for (t, basis) in self.terms.iter().zip(&self.basis) {
             for (i, j, c) in basis {
@@ -176,12 +176,12 @@ impl Zernike {
     }
 
     /// Monomials `(i, j, factor)` of entry `term`.
-    pub fn monomials(&self, term: usize) -> &[(usize, usize, f64)] {
+    pub(crate) fn monomials(&self, term: usize) -> &[(usize, usize, f64)] {
         &self.basis[term]
     }
 
     /// Adds the pull-back of cotangents on value and slope at `(x, y)` to the terms of `bar`.
-    pub fn terms_vjp(&self, x: f64, y: f64, h_bar: f64, slope_bar: [f64; 2], bar: &mut Self) {
+    pub(crate) fn terms_vjp(&self, x: f64, y: f64, h_bar: f64, slope_bar: [f64; 2], bar: &mut Self) {
         let monomial = self.sum.monomial(x, y);
         for (b, basis) in bar.terms.iter_mut().zip(&self.basis) {
             for &(i, j, c) in basis {
@@ -234,12 +234,12 @@ impl Xy {
     }
 
     /// Coefficients to change; call [`Self::refresh`] before the surface is used again.
-    pub fn terms_mut(&mut self) -> &mut [f64] {
+    pub(crate) fn terms_mut(&mut self) -> &mut [f64] {
         &mut self.terms
     }
 
     /// Recomputes the polynomial from the coefficients.
-    pub fn refresh(&mut self) {
+    pub(crate) fn refresh(&mut self) {
         let terms = self.orders.iter().zip(&self.terms).map(|((i, j), c)| (*i, *j, *c)).collect();
         self.sum = Polynomial::new(self.radius, terms);
     }
@@ -250,7 +250,7 @@ impl Xy {
     }
 
     /// Adds the pull-back of cotangents on value and slope at `(x, y)` to the terms of `bar`.
-    pub fn terms_vjp(&self, x: f64, y: f64, h_bar: f64, slope_bar: [f64; 2], bar: &mut Self) {
+    pub(crate) fn terms_vjp(&self, x: f64, y: f64, h_bar: f64, slope_bar: [f64; 2], bar: &mut Self) {
         let monomial = self.sum.monomial(x, y);
         for (b, &(i, j)) in bar.terms.iter_mut().zip(&self.orders) {
             let [h, hx, hy] = monomial(i, j);

@@ -125,7 +125,7 @@ impl Medium {
 
     /// Adds the pull-back of a cotangent on [`Self::index`] to the numbers of `bar`, a medium of the same form; wavelengths of
     /// tables are held.
-    pub fn index_vjp(&self, nm: f64, index_bar: f64, bar: &mut Self) {
+    pub(crate) fn index_vjp(&self, nm: f64, index_bar: f64, bar: &mut Self) {
         match (self, bar) {
             (Self::Cauchy { n_d, v_d }, Self::Cauchy { n_d: n_bar, v_d: v_bar }) => {
                 let span = cauchy_span() * (inverse_square(nm) - inverse_square(D_NM));
@@ -150,7 +150,7 @@ impl Medium {
     }
 
     /// `[n_d, v_d]` as the two-number medium has them, at the lines of eq. 8.
-    pub fn pair(&self) -> [f64; 2] {
+    pub(crate) fn pair(&self) -> [f64; 2] {
         let [d, f, c] = [D_NM, F_NM, C_NM].map(|nm| self.index(nm));
         [d, (d - 1.0) / (f - c)]
     }

@@ -22,9 +22,10 @@
 pub mod builtin;
 pub mod catalogue;
 pub(crate) mod check;
-pub mod clearance;
+pub(crate) mod clearance;
+#[doc(hidden)]
 pub mod dispersion;
-pub mod freeform;
+pub(crate) mod freeform;
 pub mod glass;
 pub mod gradient;
 pub mod numbers;
@@ -259,7 +260,7 @@ impl Prescription {
     }
 
     /// Nominal positions of the vertices along the axis, mm from the first.
-    pub fn vertices(&self) -> Vec<f64> {
+    pub(crate) fn vertices(&self) -> Vec<f64> {
         let next = |z: &mut f64, s: &Surface| {
             let here = *z;
             *z += s.thickness;

@@ -91,17 +91,17 @@ impl Kind {
     }
 
     /// Whether it belongs to the form of a surface.
-    pub fn is_shape(self) -> bool {
+    pub(crate) fn is_shape(self) -> bool {
         matches!(self.line().at, At::Shape(..))
     }
 
     /// Whether it belongs to a glass.
-    pub fn is_glass(self) -> bool {
+    pub(crate) fn is_glass(self) -> bool {
         matches!(self.line().at, At::Medium(..))
     }
 
     /// Whether it is a variable of a design.
-    pub fn is_free(self) -> bool {
+    pub(crate) fn is_free(self) -> bool {
         self.line().free
     }
 

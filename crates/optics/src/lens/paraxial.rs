@@ -218,7 +218,7 @@ impl Prescription {
 }
 
 /// The field angle (radians) of an object at `height` (mm) in the object's plane of `lens`.
-pub fn angle_of_height(lens: &Prescription, height: f64) -> f64 {
+pub(crate) fn angle_of_height(lens: &Prescription, height: f64) -> f64 {
     (height * lens.object_vergence / field_origin(lens).object_slope()).abs().atan()
 }
 
@@ -230,13 +230,13 @@ fn stop_heights(lens: &Prescription, nm: f64) -> [f64; 2] {
 
 /// Height and slope before the first vertex of the paraxial chief ray of a point in the object's plane whose light has the slope
 /// `slope` at the first vertex: `(y, u)`.
-pub fn chief_ray(lens: &Prescription, nm: f64, slope: f64) -> [f64; 2] {
+pub(crate) fn chief_ray(lens: &Prescription, nm: f64, slope: f64) -> [f64; 2] {
     let ([a, b], v) = (stop_heights(lens, nm), lens.object_vergence);
     [-b * slope / (a + v * b), slope * a / (a + v * b)]
 }
 
 /// Height at the first vertex of the paraxial marginal ray from the axial object point, mm.
-pub fn marginal_height(lens: &Prescription, nm: f64) -> f64 {
+pub(crate) fn marginal_height(lens: &Prescription, nm: f64) -> f64 {
     let [a, b] = stop_heights(lens, nm);
     first_order(lens, nm).stop_semi_diameter / (a + lens.object_vergence * b).abs()
 }
@@ -247,7 +247,7 @@ pub fn stop_semi_diameter(lens: &Prescription) -> f64 {
 }
 
 /// Heights at which the marginal ray from the axial object point meets every surface, mm.
-pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
+pub(crate) fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
     let (y, v) = (marginal_height(lens, nm), lens.object_vergence);
     let mut heights: Vec<f64> = sweep(lens, &lens.indices(nm), y, v * y).into_iter().map(|[y, _]| y.abs()).collect();
     heights.pop();
@@ -255,7 +255,7 @@ pub fn marginal_heights(lens: &Prescription, nm: f64) -> Vec<f64> {
 }
 
 /// Heights up to which a paraxial beam meets every surface whose object point's light has the slope `slope` at the first vertex, mm.
-pub fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
+pub(crate) fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64> {
     let [y, w] = chief_ray(lens, nm, slope);
     let chief = sweep(lens, &lens.indices(nm), y, w);
     marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()

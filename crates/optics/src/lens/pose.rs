@@ -43,7 +43,7 @@ impl Motion {
 
     /// The same motion seen with z turned round.
     #[must_use]
-    pub fn mirrored(&self) -> Self {
+    pub(crate) fn mirrored(&self) -> Self {
         let m = DMat3::from_diagonal(DVec3::new(1.0, 1.0, -1.0));
         Self { rotation: m * self.rotation * m, shift: m * self.shift }
     }
@@ -70,13 +70,13 @@ impl Pose {
     }
 
     /// The motion of points of the frame.
-    pub fn motion(&self) -> Motion {
+    pub(crate) fn motion(&self) -> Motion {
         let [x, y, z] = rotations(self.tilt);
         Motion { rotation: x[0] * y[0] * z[0], shift: DVec3::new(self.decentre[0], self.decentre[1], 0.0) }
     }
 
     /// Adds the pull-back of a cotangent on [`Self::motion`] to `bar`.
-    pub fn motion_vjp(&self, motion_bar: &Motion, bar: &mut Self) {
+    pub(crate) fn motion_vjp(&self, motion_bar: &Motion, bar: &mut Self) {
         bar.decentre[0] += motion_bar.shift.x;
         bar.decentre[1] += motion_bar.shift.y;
         let [x, y, z] = rotations(self.tilt);
@@ -91,7 +91,7 @@ impl Pose {
 /// first). `vertex[i]` is the nominal position of surface `i` along the axis.
 ///
 /// `None` if nothing states a pose; a pose that is stated and zero counts, for its derivative is wanted.
-pub fn placed(surface: usize, own: Option<&Pose>, elements: &[Element], vertex: &[f64]) -> Option<Motion> {
+pub(crate) fn placed(surface: usize, own: Option<&Pose>, elements: &[Element], vertex: &[f64]) -> Option<Motion> {
     let moving: Vec<&Element> = elements.iter().filter(|e| (e.first..=e.last).contains(&surface)).collect();
     if own.is_none() && moving.is_empty() {
         return None;
@@ -108,7 +108,7 @@ pub fn placed(surface: usize, own: Option<&Pose>, elements: &[Element], vertex: 
 
 /// Adds the pull-back of a cotangent on [`placed`] to the surface's own pose, the elements' and the vertices.
 #[expect(clippy::too_many_arguments, reason = "the forward call's own arguments and four cotangents")]
-pub fn placed_vjp(
+pub(crate) fn placed_vjp(
     surface: usize,
     own: Option<&Pose>,
     elements: &[Element],

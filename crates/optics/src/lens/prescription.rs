@@ -15,7 +15,7 @@ mod freeform;
 pub(super) use freeform::degrees;
 
 /// The newest form this program reads.
-pub const SCHEMA: u32 = 1;
+pub(crate) const SCHEMA: u32 = 1;
 
 #[derive(Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

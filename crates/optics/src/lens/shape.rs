@@ -11,7 +11,7 @@ use super::numbers::Kind;
 pub use super::sag::{Local, Sag};
 
 /// Highest power of `r` among the aspheric terms: published ones go to 38.
-pub const HIGHEST_POWER: usize = 40;
+pub(crate) const HIGHEST_POWER: usize = 40;
 
 /// Shape of a surface; also the type of its own cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -49,11 +49,6 @@ impl Shape {
     /// Whether the surface is rotationally symmetric about its own axis.
     pub fn is_symmetric(&self) -> bool {
         self.zernike.is_none() && self.xy.is_none()
-    }
-
-    /// Whether the surface is a conic with even terms only.
-    pub fn is_even(&self) -> bool {
-        self.is_symmetric() && self.odd.iter().all(|a| *a == 0.0)
     }
 
     /// The rotationally symmetric part at `rho = x² + y²` (mm²); `None` where the conic does not reach (`αρ ≥ 1`).
@@ -151,13 +146,13 @@ impl Shape {
     }
 
     /// An upper bound of `|∇h|` for `r ≤ radius`; infinite where the conic does not reach that far.
-    pub fn steepest(&self, radius: f64) -> f64 {
+    pub(crate) fn steepest(&self, radius: f64) -> f64 {
         self.steepest_of(radius, 64)
     }
 
     /// [`Self::steepest`], ring by ring: the conic's slope is monotonic in `ρ`, and so are the positive and the negative terms of the
     /// polynomials, each for itself. More rings come closer to the largest slope.
-    pub fn steepest_of(&self, radius: f64, rings: u32) -> f64 {
+    pub(crate) fn steepest_of(&self, radius: f64, rings: u32) -> f64 {
         if !radius.is_finite() || radius >= self.reach() {
             let flat = self.curvature == 0.0 && !self.is_aspheric();
             return if flat { 0.0 } else { f64::INFINITY };

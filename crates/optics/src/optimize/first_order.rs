@@ -7,7 +7,7 @@ use crate::lens::{Aperture, Kind, Prescription};
 
 /// A number with its derivatives by the variables.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Value {
+pub(crate) struct Value {
     /// The number.
     pub value: f64,
     /// Its derivative by every scaled variable.
@@ -36,7 +36,7 @@ impl Value {
 
 /// First-order data at the primary wavelength, mm.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FirstOrder {
+pub(crate) struct FirstOrder {
     /// `1/focal length`; 0 of an afocal lens.
     pub power: Value,
     /// `n'u'` behind the lens of the paraxial ray through the first vertex at unit slope.
@@ -70,7 +70,7 @@ fn moved(numbers: &Prescription, variables: &Variables, j: usize) -> (usize, [f6
 
 impl FirstOrder {
     /// Of `numbers` as they stand.
-    pub fn new(numbers: &Prescription, variables: &Variables) -> Self {
+    pub(crate) fn new(numbers: &Prescription, variables: &Variables) -> Self {
         let n = numbers.indices(numbers.wavelengths.primary_nm);
         let count = variables.parameters.len();
         let rays = [sweep(numbers, &n, [1.0, 0.0], None), sweep(numbers, &n, [0.0, 1.0], None)];

@@ -17,7 +17,7 @@ const TRIED: usize = 4;
 ///
 /// # Errors
 /// A surface with air behind it.
-pub fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
+pub(crate) fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
     let name = problem.lens.name.as_str();
     let count = problem.lens.surfaces.len();
     for i in surfaces {

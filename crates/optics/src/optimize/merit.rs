@@ -81,7 +81,7 @@ impl Merit {
     ///
     /// # Errors
     /// The first number that is not allowed.
-    pub fn check(&self, file: &str) -> Result<()> {
+    pub(crate) fn check(&self, file: &str) -> Result<()> {
         let refuse = |place: &str, found: String, allowed: &str| Err(Error::bad(file, place, found, allowed));
         let weights = |list: &[[f64; 2]]| list.iter().all(|[_, w]| w.is_finite() && *w >= 0.0);
         let some = |list: &[[f64; 2]]| list.iter().any(|[_, w]| *w > 0.0);

@@ -31,23 +31,26 @@
 //! # Ok::<(), isoplanat_base::error::Error>(())
 //! ```
 
-pub mod constraint;
+pub(crate) mod constraint;
+#[doc(hidden)]
 pub mod descent;
 mod engine;
 mod finish;
 pub mod first_order;
 pub mod glass;
-pub mod merit;
-pub mod pattern;
+pub(crate) mod merit;
+pub(crate) mod pattern;
+#[doc(hidden)]
 pub mod pool;
 mod problem;
 mod quadratic;
 mod rays;
 mod residuals;
-pub mod sampling;
+pub(crate) mod sampling;
 pub mod search;
 pub mod sensitivity;
 mod solver;
+#[doc(hidden)]
 pub mod spec;
 mod standard;
 

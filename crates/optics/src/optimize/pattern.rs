@@ -11,7 +11,7 @@ use isoplanat_base::error::{Error, Result};
 ///
 /// # Errors
 /// A pattern that names nothing, or numbers that no variable may be.
-pub fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
+pub(crate) fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
     let found: Vec<Parameter> = Parameter::all(lens).filter(|p| matches(pattern, &p.name(lens))).collect();
     if found.is_empty() {
         let mut names: Vec<String> = Parameter::all(lens).filter(|p| movable(p.kind)).map(|p| p.name(lens)).collect();

@@ -5,7 +5,7 @@ use glam::DVec2;
 
 /// A point of the unit pupil with its share of the area.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Node {
+pub(crate) struct Node {
     /// Place, in stop semi-diameters.
     pub at: DVec2,
     /// Share; all shares of a pupil sum to 1.
@@ -14,7 +14,7 @@ pub struct Node {
 
 /// Which part of the pupil stands for the whole.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Part {
+pub(crate) enum Part {
     /// All of it.
     Whole,
     /// The half `x ≥ 0`: enough for a point in the meridian plane of a symmetric lens.
@@ -24,7 +24,7 @@ pub enum Part {
 }
 
 /// `rings` radii with `arms` angles in each half of the pupil.
-pub fn nodes(part: Part, rings: usize, arms: usize) -> Vec<Node> {
+pub(crate) fn nodes(part: Part, rings: usize, arms: usize) -> Vec<Node> {
     let radii: Vec<[f64; 2]> = gauss_legendre(rings).into_iter().map(|[x, w]| [x.sqrt(), w]).collect();
     let ring = |angles: Vec<f64>| -> Vec<Node> {
         #[expect(clippy::cast_precision_loss, reason = "a handful of arms")]

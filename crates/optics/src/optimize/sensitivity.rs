@@ -43,7 +43,7 @@ impl Sensitivity {
 
     /// The same where compensators, numbers `by` of the list, are set to the least rms for every deviation.
     #[must_use]
-    pub fn compensated(&self, by: &[usize]) -> Self {
+    pub(crate) fn compensated(&self, by: &[usize]) -> Self {
         let mut out = self.clone();
         let mut basis: Vec<Vec<f64>> = Vec::new();
         for k in by {

@@ -104,7 +104,7 @@ impl Problem {
     /// The bounds of a number where nobody says more. Thicknesses: glass from 0.02 to 0.3 focal lengths, air from 0.002 on, the last one
     /// from 0.05; each up to 1.5 of the start's where that is more, and down to the start's where that is less. Conics -20 to 20,
     /// indices 1.45 to 1.95, Abbe numbers 18 to 90; the start's own value always lies within.
-    pub fn bounds_of(lens: &Lens, p: Parameter) -> [f64; 2] {
+    pub(crate) fn bounds_of(lens: &Lens, p: Parameter) -> [f64; 2] {
         let own = p.value(&**lens).unwrap_or(0.0);
         let size = size(lens);
         let [low, high] = match p.kind {
@@ -131,7 +131,7 @@ impl Problem {
     ///
     /// # Errors
     /// Bounds or constraints that no number satisfies, named with their place.
-    pub fn check(&self) -> Result<()> {
+    pub(crate) fn check(&self) -> Result<()> {
         let file = self.lens.name.as_str();
         self.merit.check(file)?;
         for (p, [a, b]) in self.variables.parameters.iter().zip(&self.bounds) {

@@ -114,13 +114,13 @@ impl Evaluation {
     }
 
     /// A bound on the length of the gradient at every point.
-    pub fn steepest(&self, coefficients: &[f64]) -> f64 {
+    pub(crate) fn steepest(&self, coefficients: &[f64]) -> f64 {
         let along = |terms: &[f64]| terms.iter().zip(coefficients).map(|(t, c)| t * c.abs()).sum::<f64>();
         along(&self.steepest[0]).hypot(along(&self.steepest[1]))
     }
 
     /// Adds a cotangent on values or derivatives to that of the coefficients.
-    pub fn pull(&self, of: Of, bar: &[f64], coefficients_bar: &mut [f64]) {
+    pub(crate) fn pull(&self, of: Of, bar: &[f64], coefficients_bar: &mut [f64]) {
         for (c, row) in coefficients_bar.iter_mut().zip(self.rows[of as usize].rows()) {
             *c += dot(row.as_slice().unwrap_or_default(), bar);
         }

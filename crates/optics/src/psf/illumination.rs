@@ -50,7 +50,7 @@ pub struct Illumination {
 }
 
 /// Cotangents on [`Illumination::irradiance`].
-pub type IlluminationBar = Vec<Vec<f64>>;
+pub(crate) type IlluminationBar = Vec<Vec<f64>>;
 
 impl Illumination {
     /// At `count + 1` even radii from the axis to `radius_mm`.
@@ -103,7 +103,7 @@ impl Illumination {
     }
 
     /// A zero cotangent.
-    pub fn no_bar(&self) -> IlluminationBar {
+    pub(crate) fn no_bar(&self) -> IlluminationBar {
         vec![vec![0.0; self.radii_mm.len()]; self.irradiance.len()]
     }
 

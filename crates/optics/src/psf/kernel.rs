@@ -105,7 +105,7 @@ struct RaysBar {
 
 /// Cotangents of a pencil, added up over its kernels.
 #[derive(Clone, Debug)]
-pub struct PencilBar {
+pub(crate) struct PencilBar {
     /// By wavelength; empty where the pencil has none.
     rays: Vec<RaysBar>,
     /// `[channel][wavelength]`.
@@ -114,7 +114,7 @@ pub struct PencilBar {
 
 impl PencilBar {
     /// All zero, in the form of `pencil`.
-    pub fn zeros(pencil: &Pencil) -> Self {
+    pub(crate) fn zeros(pencil: &Pencil) -> Self {
         let none = |count: usize| RaysBar { x: vec![0.0; count], y: vec![0.0; count], share: vec![0.0; count] };
         Self {
             rays: pencil.colours.iter().map(|c| none(c.as_ref().map_or(0, |c| c.rays.x.len()))).collect(),
@@ -265,7 +265,7 @@ impl KernelForm {
 
     /// The light that arrives at `radius_mm` from the axis. Beyond the last radius with light that of the last goes on, so that
     /// what is interpolated towards a place in the dark is right up to the edge.
-    pub fn pencil(&self, table: &Table, illumination: &Illumination, map: &SensorMap, radius_mm: f64) -> Pencil {
+    pub(crate) fn pencil(&self, table: &Table, illumination: &Illumination, map: &SensorMap, radius_mm: f64) -> Pencil {
         let radius_mm = illumination.held(radius_mm);
         let taps = table.taps(radius_mm);
         let (shares, levels) = self.shares(illumination, radius_mm);
@@ -282,7 +282,7 @@ impl KernelForm {
     }
 
     /// The light of colours that were measured: this form's weights say which channel sees which. It has no pull-back.
-    pub fn pencil_of(&self, radius_mm: f64, colours: Vec<Rays>) -> Pencil {
+    pub(crate) fn pencil_of(&self, radius_mm: f64, colours: Vec<Rays>) -> Pencil {
         let shares = self.weight.clone();
         let of = |(l, rays): (usize, Rays)| {
             let fed = Self::fed(&shares, l);
@@ -305,7 +305,7 @@ impl KernelForm {
     }
 
     /// Adds the pull-back of cotangents on [`Self::kernels`] to that of the pencil.
-    pub fn kernels_vjp(&self, pencil: &Pencil, outward: [f64; 2], bar: &[f64], to: &mut PencilBar) {
+    pub(crate) fn kernels_vjp(&self, pencil: &Pencil, outward: [f64; 2], bar: &[f64], to: &mut PencilBar) {
         let [c, r] = outward.map(|v| v / self.cell_mm);
         for (l, colour) in pencil.colours.iter().enumerate() {
             let Some(Colour { fed, rays, .. }) = colour else { continue };
@@ -327,7 +327,7 @@ impl KernelForm {
     ///
     /// # Panics
     /// For a pencil of [`Self::pencil_of`].
-    pub fn pencil_vjp(&self, table: &Table, map: &SensorMap, pencil: &Pencil, bar: &PencilBar) -> KernelBar {
+    pub(crate) fn pencil_vjp(&self, table: &Table, map: &SensorMap, pencil: &Pencil, bar: &PencilBar) -> KernelBar {
         let mut back = KernelBar {
             radius_mm: pencil.radius_mm,
             rows: Vec::new(),
@@ -442,7 +442,7 @@ impl Rays {
 
     /// Adds the light of both halves by whole cells of distance from the centre, times `scale`.
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded")]
-    pub fn add_reach(&self, cell_mm: f64, scale: f64, by_distance: &mut Vec<f64>) {
+    pub(crate) fn add_reach(&self, cell_mm: f64, scale: f64, by_distance: &mut Vec<f64>) {
         /// Farther is not told apart.
         const FARTHEST: f64 = 1e4;
         for ((x, y), w) in self.x.iter().zip(&self.y).zip(&self.share) {

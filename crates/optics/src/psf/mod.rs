@@ -7,15 +7,21 @@
 //! [`Optics`] holds in place of rays.
 
 mod fit;
+#[doc(hidden)]
 pub mod illumination;
+#[doc(hidden)]
 pub mod kernel;
 pub mod measured;
 pub mod optics;
-pub mod sensor_map;
+pub(crate) mod sensor_map;
+#[doc(hidden)]
 pub mod splat;
+#[doc(hidden)]
 pub mod stop;
+#[doc(hidden)]
 pub mod table;
 
 pub use kernel::{KernelForm, Place};
 pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};
 pub use sensor_map::SensorMap;
+pub use table::chief_slopes;

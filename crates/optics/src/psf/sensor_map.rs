@@ -99,7 +99,7 @@ impl SensorMap {
     }
 
     /// Adds the pull-back of a cotangent on the coefficients to `bar`.
-    pub fn fit_vjp(&self, table: &Table, coefficients_bar: &[f64], bar: &mut TableBar) {
+    pub(crate) fn fit_vjp(&self, table: &Table, coefficients_bar: &[f64], bar: &mut TableBar) {
         let rows = operator(&table.spec.radii_mm, self.horizon);
         let slopes_bar: Vec<f64> =
             rows.columns().into_iter().map(|c| c.iter().zip(coefficients_bar).map(|(a, b)| a * b).sum()).collect();
@@ -225,7 +225,7 @@ impl SensorMap {
     }
 
     /// Pulls a cotangent on [`Self::point`] back to `u` (returned) and to the coefficients (added); `radius` is the point's.
-    pub fn point_vjp(&self, u: [f64; 2], radius: f64, bar: [f64; 2], coefficients_bar: &mut [f64]) -> [f64; 2] {
+    pub(crate) fn point_vjp(&self, u: [f64; 2], radius: f64, bar: [f64; 2], coefficients_bar: &mut [f64]) -> [f64; 2] {
         let size = u[0].hypot(u[1]);
         let scale = self.ratio(radius).recip();
         if size <= 1e-12 * self.edge[0] {

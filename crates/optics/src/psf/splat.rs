@@ -59,7 +59,7 @@ pub struct Raster {
 
 impl Raster {
     /// Points along a side.
-    pub fn side(&self) -> usize {
+    pub(crate) fn side(&self) -> usize {
         self.size * self.samples
     }
 
@@ -134,7 +134,7 @@ impl Raster {
     ///
     /// # Panics
     /// For other than 1, 2, 4 or 8 samples.
-    pub fn splat_vjp(
+    pub(crate) fn splat_vjp(
         self,
         planes_bar: &[f64],
         scales: &[(usize, f64)],

@@ -26,20 +26,20 @@ const POLE: f64 = 0.99;
 
 impl Part {
     /// All of it.
-    pub const WHOLE: Self = Self::disk(1.0);
+    pub(crate) const WHOLE: Self = Self::disk(1.0);
 
     /// A smaller disk.
-    pub const fn disk(radius: f64) -> Self {
+    pub(crate) const fn disk(radius: f64) -> Self {
         Self { radius, heights: [-radius, radius] }
     }
 
     /// What lies between caps at two heights.
-    pub fn between(heights: [f64; 2]) -> Self {
+    pub(crate) fn between(heights: [f64; 2]) -> Self {
         Self { radius: 1.0, heights }
     }
 
     /// Whether it is all of the stop.
-    pub fn is_whole(self) -> bool {
+    pub(crate) fn is_whole(self) -> bool {
         self == Self::WHOLE
     }
 
@@ -50,7 +50,7 @@ impl Part {
 
     /// What both have.
     #[must_use]
-    pub fn common(self, other: Self) -> Self {
+    pub(crate) fn common(self, other: Self) -> Self {
         let radius = self.radius.min(other.radius);
         let low = self.heights[0].max(other.heights[0]).max(-radius);
         Self { radius, heights: [low, self.heights[1].min(other.heights[1]).min(radius)] }
@@ -58,19 +58,19 @@ impl Part {
 
     /// The least that has all of both.
     #[must_use]
-    pub fn around(self, other: Self) -> Self {
+    pub(crate) fn around(self, other: Self) -> Self {
         let heights = [self.heights[0].min(other.heights[0]), self.heights[1].max(other.heights[1])];
         Self { radius: self.radius.max(other.radius), heights }
     }
 
     /// Turned by half a circle.
     #[must_use]
-    pub fn turned(self) -> Self {
+    pub(crate) fn turned(self) -> Self {
         Self { heights: [-self.heights[1], -self.heights[0]], ..self }
     }
 
     /// Heights of the chord at `x` that lie inside; the first above the second where there are none.
-    pub fn chord(self, x: f64) -> [f64; 2] {
+    pub(crate) fn chord(self, x: f64) -> [f64; 2] {
         let half = (self.radius * self.radius - x * x).max(0.0).sqrt();
         let sag = CAP - (CAP * CAP - x * x).sqrt();
         let [low, high] = self.cut();
@@ -90,7 +90,7 @@ impl Part {
     }
 
     /// Its share of the stop's area, to 1e-3.
-    pub fn share(self) -> f64 {
+    pub(crate) fn share(self) -> f64 {
         const CHORDS: u32 = 200;
         if self.cut() == [false; 2] {
             return self.radius.powi(2);
@@ -113,7 +113,7 @@ impl Part {
     /// Nodes for polynomials of a degree, `x ≥ 0`: rings at Gauss–Lobatto-like radii, the rim included, with half-turns of azimuths symmetric
     /// about y; where there are caps, rows at such heights instead.
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
-    pub fn nodes(self, degree: usize) -> Vec<DVec2> {
+    pub(crate) fn nodes(self, degree: usize) -> Vec<DVec2> {
         let rings = degree / 2 + 2;
         let outwards = |i: usize| (FRAC_PI_2 * (i as f64 + 1.0) / rings as f64).sin();
         if self.cut() == [false; 2] {
@@ -137,7 +137,7 @@ impl Part {
 
 /// Nodes of the stop for polynomials of a degree, and the matrices between them.
 #[derive(Clone, Debug)]
-pub struct StopNodes {
+pub(crate) struct StopNodes {
     /// Degree of the polynomials.
     pub degree: usize,
     /// The nodes, `x ≥ 0`.
@@ -150,7 +150,7 @@ pub struct StopNodes {
 
 impl StopNodes {
     /// For polynomials of `degree` through [`Part::nodes`].
-    pub fn new(degree: usize, part: Part) -> Self {
+    pub(crate) fn new(degree: usize, part: Part) -> Self {
         let nodes = part.nodes(degree);
         let coefficients = [Parity::Even, Parity::Odd].map(|parity| from_nodes(&nodes, degree, parity));
         let at_nodes = [Parity::Even, Parity::Odd].map(|parity| Evaluation::new(&nodes, degree, parity));
@@ -158,7 +158,7 @@ impl StopNodes {
     }
 
     /// Number of even and odd terms.
-    pub fn terms(degree: usize) -> [usize; 2] {
+    pub(crate) fn terms(degree: usize) -> [usize; 2] {
         [Parity::Even, Parity::Odd].map(|parity| terms(degree, parity).len())
     }
 }
@@ -195,7 +195,7 @@ impl StopPoints {
     clippy::cast_sign_loss,
     reason = "small counts"
 )]
-pub fn equal_area_rings(count: usize) -> Vec<DVec2> {
+pub(crate) fn equal_area_rings(count: usize) -> Vec<DVec2> {
     let half = count.div_ceil(2).max(1);
     let rings = ((count as f64 / PI).sqrt().round() as usize).clamp(1, half);
     // Ring by ring; the last takes what is left.

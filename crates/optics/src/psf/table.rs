@@ -327,7 +327,7 @@ impl Table {
     }
 
     /// Adds the cotangent `row_bar` of [`Self::row`] to `bar`.
-    pub fn row_vjp(&self, l: usize, taps: &Taps, row_bar: &[f64], bar: &mut TableBar) {
+    pub(crate) fn row_vjp(&self, l: usize, taps: &Taps, row_bar: &[f64], bar: &mut TableBar) {
         let mut row_bar = std::borrow::Cow::Borrowed(row_bar);
         if self.horizon > 0.0 {
             row_bar.to_mut()[..self.layout.weight().start].iter_mut().for_each(|b| *b /= taps.below);
@@ -344,12 +344,12 @@ impl Table {
     }
 
     /// Object slopes of the reference wavelength's chief rays at the knots, for an object at `vergence`.
-    pub fn chief_slopes(&self, vergence: f64) -> Vec<f64> {
+    pub(crate) fn chief_slopes(&self, vergence: f64) -> Vec<f64> {
         self.chiefs.iter().map(|c| c.slope - vergence * c.entrance).collect()
     }
 
     /// Adds a cotangent on [`Self::chief_slopes`] to `bar`.
-    pub fn chief_slopes_vjp(&self, vergence: f64, slopes_bar: &[f64], bar: &mut TableBar) {
+    pub(crate) fn chief_slopes_vjp(&self, vergence: f64, slopes_bar: &[f64], bar: &mut TableBar) {
         for (to, b) in bar.chiefs.iter_mut().zip(slopes_bar) {
             to[0] -= vergence * b;
             to[1] += b;
@@ -466,23 +466,23 @@ impl Row {
     }
 
     /// Coefficients of `1 − r²/a²` at the table's `k`-th clipping aperture (even).
-    pub fn clip(&self, table: &Table, k: usize) -> &[f64] {
+    pub(crate) fn clip(&self, table: &Table, k: usize) -> &[f64] {
         &self.coefficients[table.layout.clip(k)]
     }
 }
 
 /// A cotangent of a [`Row`] under construction.
 #[derive(Clone, Debug)]
-pub struct RowBar(pub(super) Vec<f64>);
+pub(crate) struct RowBar(pub(super) Vec<f64>);
 
 impl RowBar {
     /// Zero, in the form of `table`.
-    pub fn zeros(table: &Table) -> Self {
+    pub(crate) fn zeros(table: &Table) -> Self {
         Self(vec![0.0; table.layout.len()])
     }
 
     /// Adds a cotangent on [`Row::slope`].
-    pub fn add_slope(&mut self, table: &Table, vergence: f64, bar: [&[f64]; 2]) {
+    pub(crate) fn add_slope(&mut self, table: &Table, vergence: f64, bar: [&[f64]; 2]) {
         let (e, g) = (table.layout.entrance(), table.layout.slope());
         for k in 0..2 {
             self.0[g[k].clone()].iter_mut().zip(bar[k]).for_each(|(a, b)| *a += b);
@@ -491,12 +491,12 @@ impl RowBar {
     }
 
     /// The part that belongs to the étendue.
-    pub fn weight(&mut self, table: &Table) -> &mut [f64] {
+    pub(crate) fn weight(&mut self, table: &Table) -> &mut [f64] {
         &mut self.0[table.layout.weight()]
     }
 
     /// The part that belongs to the `k`-th clipping aperture.
-    pub fn clip(&mut self, table: &Table, k: usize) -> &mut [f64] {
+    pub(crate) fn clip(&mut self, table: &Table, k: usize) -> &mut [f64] {
         &mut self.0[table.layout.clip(k)]
     }
 }

@@ -48,7 +48,7 @@ impl Beam {
     }
 
     /// Whole stops over the field of `lens`.
-    pub fn over_field(lens: &Prescription) -> Vec<Self> {
+    pub(crate) fn over_field(lens: &Prescription) -> Vec<Self> {
         let azimuths: &[f64] = if lens.is_symmetric() { &[0.25] } else { &[0.0, 0.25, 0.5, 0.75] };
         let angle = |share: f64| share * lens.max_field_deg().to_radians();
         [0.0, 0.5, 0.75, 1.0]
@@ -184,7 +184,7 @@ fn follow(
 }
 
 /// Where the chief ray of the field angle `angle` (radians) lands, mm from the axis, primary wavelength; marked surfaces are open.
-pub fn image_height(lens: &Prescription, marked: &[bool], angle: f64) -> Option<f64> {
+pub(crate) fn image_height(lens: &Prescription, marked: &[bool], angle: f64) -> Option<f64> {
     let system = opened(lens, marked, lens.wavelengths.primary_nm, 2.5);
     landing(lens, &Aimer::new(&system).ok()?, angle)
 }
@@ -198,7 +198,7 @@ fn landing(lens: &Prescription, aimer: &Aimer, angle: f64) -> Option<f64> {
 
 /// The field angle (radians) whose chief ray lands at `height` (mm) from the axis, primary wavelength; the farthest
 /// angle with its height where none up to the largest field of a lens (120°) lands so far out. Marked surfaces are open.
-pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<Reached> {
+pub(crate) fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) -> Option<Reached> {
     let wide = Prescription { field: Field::Angle(75.0), ..lens.clone() };
     let system = opened(&wide, marked, lens.wavelengths.primary_nm, 2.5);
     let aimer = Aimer::new(&system).ok()?;
@@ -238,7 +238,7 @@ pub fn angle_of_image_height(lens: &Prescription, marked: &[bool], height: f64) 
 
 /// What chief rays say of an image height.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Reached {
+pub(crate) enum Reached {
     /// The field angle, radians, whose chief ray lands there.
     Angle(f64),
     /// None lands so far out: the angle that lands farthest, radians, and where, mm.

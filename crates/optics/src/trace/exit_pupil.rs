@@ -8,7 +8,7 @@ use super::{System, SystemGradient};
 
 /// The ray from the stop's centre at the image plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExitPupil {
+pub(crate) struct ExitPupil {
     /// Height, mm, for `w = 1` in the stop.
     pub y: f64,
     /// Index times slope.
@@ -34,13 +34,13 @@ fn sweep(system: &System) -> Vec<[f64; 2]> {
 }
 
 /// The exit pupil of `system`.
-pub fn exit_pupil(system: &System) -> ExitPupil {
+pub(crate) fn exit_pupil(system: &System) -> ExitPupil {
     let [y, w] = sweep(system)[system.image() - system.stop];
     ExitPupil { y, w }
 }
 
 /// Pulls a cotangent on [`exit_pupil`] back to the system (added to `out`).
-pub fn exit_pupil_vjp(system: &System, bar: &ExitPupil, out: &mut SystemGradient) {
+pub(crate) fn exit_pupil_vjp(system: &System, bar: &ExitPupil, out: &mut SystemGradient) {
     let states = sweep(system);
     let ExitPupil { y: mut y_bar, w: mut w_bar } = *bar;
     for i in (system.stop + 1..system.surfaces.len()).rev() {

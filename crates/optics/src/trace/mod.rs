@@ -33,19 +33,27 @@
 //! ```
 
 pub mod aim;
+#[doc(hidden)]
 pub mod apertures;
+#[doc(hidden)]
 pub mod differential;
+#[doc(hidden)]
 pub mod exact;
-pub mod exit_pupil;
+pub(crate) mod exit_pupil;
+#[doc(hidden)]
 pub mod first_root;
 pub mod health;
 pub mod intersect;
 mod landing;
+#[doc(hidden)]
 pub mod lanes;
 pub mod object;
+#[doc(hidden)]
 pub mod precise;
-pub mod pupil;
+pub(crate) mod pupil;
+#[doc(hidden)]
 pub mod refract;
+#[doc(hidden)]
 pub mod rims;
 pub mod sequential;
 pub mod system;
@@ -93,7 +101,7 @@ impl Cause {
     }
 
     /// In words.
-    pub fn words(self) -> &'static str {
+    pub(crate) fn words(self) -> &'static str {
         match self {
             Self::Missed => "no intersection",
             Self::Vignetted => "beyond the clear aperture",

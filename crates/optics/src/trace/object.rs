@@ -162,7 +162,7 @@ impl LaunchPlane {
 
     /// Pulls cotangents on [`Self::ray`] back to `p` and to the object. The plane's distance is held: it moves origins
     /// along their rays only.
-    pub fn ray_vjp(&self, ray: &Ray, origin_bar: DVec3, direction_bar: DVec3) -> (DVec2, ObjectBar) {
+    pub(crate) fn ray_vjp(&self, ray: &Ray, origin_bar: DVec3, direction_bar: DVec3) -> (DVec2, ObjectBar) {
         let (d, v) = (self.object.direction, self.object.vergence);
         let (n, length) = self.object.direction_at(ray.origin);
         let g_bar = (direction_bar - n * n.dot(direction_bar)) / length;
@@ -175,13 +175,13 @@ impl LaunchPlane {
     }
 
     /// The point of the plane whose ray runs through `point` (mm, frame of the first vertex).
-    pub fn through(&self, point: DVec3) -> DVec2 {
+    pub(crate) fn through(&self, point: DVec3) -> DVec2 {
         self.towards(point, 1.0)
     }
 
     /// The point of the plane whose ray runs through `point/weight`: a point in homogeneous coordinates, so that one at infinity
     /// (`weight` 0: all rays along `point`) is no special case.
-    pub fn towards(&self, point: DVec3, weight: f64) -> DVec2 {
+    pub(crate) fn towards(&self, point: DVec3, weight: f64) -> DVec2 {
         let (d, v) = (self.object.direction, self.object.vergence);
         let along = (1.0 - v * self.standoff) / (weight + v * d.dot(point));
         along * DVec2::new(self.u.dot(point), self.w.dot(point))
@@ -205,7 +205,7 @@ impl LaunchPlane {
     }
 
     /// Pulls a cotangent on [`Self::path`] back to the ray's origin and the object, its plane's distance held.
-    pub fn path_vjp(&self, ray: &Ray, path_bar: f64) -> (DVec3, ObjectBar) {
+    pub(crate) fn path_vjp(&self, ray: &Ray, path_bar: f64) -> (DVec3, ObjectBar) {
         let v = self.object.vergence;
         let p = ray.origin + self.standoff * self.object.direction;
         let (along, rho) = (1.0 - v * self.standoff, p.length_squared());

@@ -187,7 +187,7 @@ impl<S: Scalar> PreciseSystem<S> {
     }
 
     /// Moves one number by `h`. False for what it cannot move: poses of and thicknesses inside elements, glass formulas.
-    pub fn bump(&mut self, lens: &Lens, number: Number, h: f64) -> bool {
+    pub(crate) fn bump(&mut self, lens: &Lens, number: Number, h: f64) -> bool {
         let h = S::of(h);
         let add = |x: &mut S| *x = *x + h;
         let last = self.surfaces.len() - 1;
@@ -450,7 +450,14 @@ impl<S: Scalar> PreciseSurface<S> {
 
 /// `∂(x, y)/∂number` of a ray's landing by central differences in double-double, step `h` (a natural scale of the number
 /// times about 1e-10). `None` where the number cannot be moved or the ray is lost.
-pub fn derivative(lens: &Lens, system: &System, ray: Ray, hits: &[Hit], number: Number, h: f64) -> Option<[f64; 2]> {
+pub(crate) fn derivative(
+    lens: &Lens,
+    system: &System,
+    ray: Ray,
+    hits: &[Hit],
+    number: Number,
+    h: f64,
+) -> Option<[f64; 2]> {
     let side = |h: f64| {
         let mut moved = PreciseSystem::<DoubleDouble>::new(system);
         moved.bump(lens, number, h).then(|| moved.trace(ray, hits)).flatten()
@@ -461,7 +468,7 @@ pub fn derivative(lens: &Lens, system: &System, ray: Ray, hits: &[Hit], number: 
 }
 
 /// Landing of `ray` in double-double, rounded: point on the image plane and optical path.
-pub fn reference(system: &System, ray: Ray, hits: &[Hit]) -> Option<(DVec3, f64)> {
+pub(crate) fn reference(system: &System, ray: Ray, hits: &[Hit]) -> Option<(DVec3, f64)> {
     let l = PreciseSystem::<DoubleDouble>::new(system).trace(ray, hits)?;
     Some((DVec3::new(l.x.to_f64(), l.y.to_f64(), 0.0), l.path.to_f64()))
 }

@@ -6,7 +6,7 @@
 
 use std::f64::consts::{PI, TAU};
 
-use glam::{DVec2, DVec3};
+use glam::DVec2;
 
 use super::aim::{Aimed, Aimer};
 use super::object::ObjectPoint;
@@ -15,7 +15,7 @@ use super::{Failure, Ray, System};
 
 /// An aimed ray followed to the image.
 #[derive(Clone, Debug, PartialEq)]
-pub struct PupilRay {
+pub(crate) struct PupilRay {
     /// The ray.
     pub aimed: Aimed,
     /// Its hits, as far as it gets; not clipped.
@@ -26,7 +26,7 @@ pub struct PupilRay {
 
 /// One point of the pupil's boundary.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct BoundaryPoint {
+pub(crate) struct BoundaryPoint {
     /// Where it lies in the stop, mm.
     pub target: DVec2,
     /// The ray through it, frame of the first vertex: its origin lies on the launch plane, so that the origins outline
@@ -38,7 +38,7 @@ pub struct BoundaryPoint {
 
 /// The pupil of one object point and wavelength.
 #[derive(Clone, Debug, PartialEq)]
-pub struct FieldPupil {
+pub(crate) struct FieldPupil {
     /// The object.
     pub object: ObjectPoint,
     /// The ray through the stop's centre; it may end in a clear aperture.
@@ -58,7 +58,12 @@ const TOLERANCE: f64 = 1e-10;
 
 impl PupilRay {
     /// Aims at `target` (mm in the stop) and follows the ray.
-    pub fn new(aimer: &Aimer, object: ObjectPoint, target: DVec2, near: Option<&Aimed>) -> Result<Self, Failure> {
+    pub(crate) fn new(
+        aimer: &Aimer,
+        object: ObjectPoint,
+        target: DVec2,
+        near: Option<&Aimed>,
+    ) -> Result<Self, Failure> {
         let aimed = aimer.aim(object, target, near)?;
         let system = aimer.system();
         let mut hits = Vec::with_capacity(system.surfaces.len());
@@ -82,7 +87,7 @@ impl PupilRay {
 
 impl FieldPupil {
     /// The pupil of `object`, its boundary at `azimuths` points (32 give the area to about 3e-3).
-    pub fn new(aimer: &Aimer, object: ObjectPoint, azimuths: u32) -> Self {
+    pub(crate) fn new(aimer: &Aimer, object: ObjectPoint, azimuths: u32) -> Self {
         let radius = aimer.system().stop_semi_diameter;
         let chief = PupilRay::new(aimer, object, DVec2::ZERO, None);
         let near = chief.as_ref().ok().map(|c| c.aimed.clone());
@@ -115,13 +120,15 @@ impl FieldPupil {
     }
 
     /// Whether any ray of the object reaches the image.
-    pub fn is_open(&self) -> bool {
+    #[cfg(test)]
+    pub(crate) fn is_open(&self) -> bool {
         self.centre.is_some()
     }
 
     /// The entrance pupil's middle as the chief ray shows it: the point where it crosses the axis or passes nearest to
     /// it, mm. `None` for a chief ray along the axis, or without one.
-    pub fn entrance_pupil(&self) -> Option<DVec3> {
+    #[cfg(test)]
+    pub(crate) fn entrance_pupil(&self) -> Option<glam::DVec3> {
         let ray = self.chief.as_ref().ok()?.aimed.ray;
         let across = ray.direction.truncate();
         let t = -ray.origin.truncate().dot(across) / across.length_squared();

@@ -52,7 +52,7 @@ fn with_beam(lens: &Lens, overlaps: Vec<Overlap>) -> Vec<(Overlap, f64)> {
 
 /// Largest distance from the axis at which light of any field meets each surface, mm, primary wavelength: rays through the stop's rim
 /// over the field, up to the aperture that stops them.
-pub fn beam_semi_diameters(lens: &Lens) -> Vec<f64> {
+pub(crate) fn beam_semi_diameters(lens: &Lens) -> Vec<f64> {
     let system = System::new(lens, lens.wavelengths.primary_nm);
     let mut heights = vec![0.0f64; system.image()];
     // A stop that cannot be aimed at says nothing: light may go everywhere.

@@ -149,7 +149,7 @@ impl SystemGradient {
     /// # Panics
     /// If a surface's pose has a cotangent: derivatives by tilts are not taken from the sensor.
     #[must_use]
-    pub fn reversed(&self) -> Self {
+    pub(crate) fn reversed(&self) -> Self {
         assert!(self.motions.iter().all(|m| *m == Motion::ZERO), "derivatives by tilts are not taken from the sensor");
         let flipped = |list: &[f64]| list.iter().rev().copied().collect::<Vec<f64>>();
         // The distance before a surface was the one behind it; the first has none.

@@ -158,7 +158,7 @@ impl Wavefront {
     }
 
     /// The differences in wavelengths.
-    pub fn waves(&self) -> Vec<Result<f64, Failure>> {
+    pub(crate) fn waves(&self) -> Vec<Result<f64, Failure>> {
         self.opd.iter().map(|w| w.map(|mm| mm / (self.wavelength_nm * 1e-6))).collect()
     }
 

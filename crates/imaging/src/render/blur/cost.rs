@@ -156,7 +156,7 @@ impl Task<'_> {
     }
 
     /// Sides worth trying: cells in equal parts, and those that fill a transform.
-    pub fn blocks(&self) -> Vec<usize> {
+    pub(crate) fn blocks(&self) -> Vec<usize> {
         let gaps = |k: &[isize]| k.windows(2).map(|w| (w[1] - w[0]).unsigned_abs()).max().unwrap_or(0);
         let cell = gaps(&self.grid.row_knots).max(gaps(&self.grid.col_knots));
         let longest = self.region.rows.max(self.region.cols) + self.size - 1;

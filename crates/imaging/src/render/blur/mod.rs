@@ -9,7 +9,7 @@
 //! are asked for when needed, so a frame larger than memory allows as a whole can be blurred; [`blur_recorded`] keeps
 //! their spectra for the cotangents.
 
-pub mod adjoint;
+pub(crate) mod adjoint;
 mod band;
 mod cells;
 mod correlate;

@@ -166,7 +166,7 @@ impl Face {
     }
 
     /// Sag by the formula alone, mm; `None` where the conic does not reach.
-    pub fn formula_sag(&self, height: f64) -> Option<f64> {
+    pub(crate) fn formula_sag(&self, height: f64) -> Option<f64> {
         self.shape.sag(height * height).map(|s| s.h)
     }
 

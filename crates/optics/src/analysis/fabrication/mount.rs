@@ -22,7 +22,7 @@ pub struct Mount {
 }
 
 /// The mounts that are known.
-pub const MOUNTS: [Mount; 8] = [
+pub(crate) const MOUNTS: [Mount; 8] = [
     thread("c", "C-mount", 17.526, "1\"-32 UN-2A", 25.4),
     thread("cs", "CS-mount", 12.526, "1\"-32 UN-2A", 25.4),
     bayonet("nikon-f", "Nikon F", 46.5),
@@ -80,7 +80,7 @@ impl Clearance {
     }
 
     /// What there is to say about a glass of so many mm diameter; none where it stands before the flange.
-    pub fn fault(&self, mount: &Mount, diameter_mm: f64) -> Option<String> {
+    pub(crate) fn fault(&self, mount: &Mount, diameter_mm: f64) -> Option<String> {
         if self.rearmost_mm >= 0.0 {
             return None;
         }

@@ -154,7 +154,7 @@ impl Tolerances {
     ///
     /// # Errors
     /// Such a table.
-    pub fn require(&self, first: &[usize], faces: &[usize]) -> Result<()> {
+    pub(crate) fn require(&self, first: &[usize], faces: &[usize]) -> Result<()> {
         let file = self.file.as_deref().unwrap_or_default();
         let check = |kind: &str, key: &String, known: &[usize], what: &str| {
             if key == ALL || known.iter().any(|k| k.to_string() == *key) {

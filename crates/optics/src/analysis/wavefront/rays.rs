@@ -37,13 +37,13 @@ pub struct StopRay {
 
 impl StopRay {
     /// Whether no clear aperture clips it.
-    pub fn open(&self) -> bool {
+    pub(crate) fn open(&self) -> bool {
         self.clipped.is_none()
     }
 }
 
 /// Traces rays of one object point.
-pub struct Source<'a> {
+pub(crate) struct Source<'a> {
     aimer: &'a Aimer<'a>,
     object: ObjectPoint,
     chief: Aimed,
@@ -69,7 +69,7 @@ fn whole(system: &System, aimed: &Aimed, path: f64) -> f64 {
 impl<'a> Source<'a> {
     /// Rays of `object`, their paths about `centre` (mm, the image plane's frame). Fails if the chief ray does not reach the
     /// image; it may be clipped.
-    pub fn new(aimer: &'a Aimer<'a>, object: ObjectPoint, centre: DVec3) -> Result<Self, Failure> {
+    pub(crate) fn new(aimer: &'a Aimer<'a>, object: ObjectPoint, centre: DVec3) -> Result<Self, Failure> {
         let chief = aimer.aim(object, DVec2::ZERO, None)?;
         let system = aimer.system();
         let hit = trace(system, chief.ray, system.image(), &mut Vec::new())?;
@@ -79,17 +79,17 @@ impl<'a> Source<'a> {
     }
 
     /// Direction of the chief ray in the image.
-    pub fn chief_direction(&self) -> DVec3 {
+    pub(crate) fn chief_direction(&self) -> DVec3 {
         self.last.0
     }
 
     /// Landing of the chief ray, mm.
-    pub fn chief_landing(&self) -> DVec3 {
+    pub(crate) fn chief_landing(&self) -> DVec3 {
         self.last.1
     }
 
     /// The ray through `stop` of the unit stop, clipped or not.
-    pub fn ray(&self, stop: DVec2) -> Result<StopRay, Failure> {
+    pub(crate) fn ray(&self, stop: DVec2) -> Result<StopRay, Failure> {
         let system = self.aimer.system();
         let radius = system.stop_semi_diameter;
         let aimed = self.aimer.aim(self.object, stop * radius, Some(&self.chief))?;

@@ -90,7 +90,7 @@ impl<'a> Aimer<'a> {
     /// Light that `aimed` brings through a unit of the stop's area, from an object element that radiates by Lambert's law in a plane
     /// perpendicular to the axis (an infinitely far one: evenly over a plane perpendicular to its light). Comparable between rays
     /// of one object point only; not a number where the pupil folds.
-    pub fn flux(&self, aimed: &Aimed) -> f64 {
+    pub(crate) fn flux(&self, aimed: &Aimed) -> f64 {
         let (plane, ray) = (&aimed.plane, &aimed.ray);
         let area = 1.0 / stop_jacobian(self.system, plane, ray, &aimed.hits).determinant().abs();
         if plane.object.vergence == 0.0 {

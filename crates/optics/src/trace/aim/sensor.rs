@@ -153,14 +153,20 @@ impl SensorView {
     ///
     /// # Errors
     /// Where no step from there comes nearer.
-    pub fn aim_from(&self, at: DVec2, target: DVec2, start: DVec2, hits: &mut Vec<Hit>) -> Result<DVec2, Failure> {
+    pub(crate) fn aim_from(
+        &self,
+        at: DVec2,
+        target: DVec2,
+        start: DVec2,
+        hits: &mut Vec<Hit>,
+    ) -> Result<DVec2, Failure> {
         let Solved { p, .. } = solve(&self.system, &SensorPoint(at), target, start, hits)?;
         Ok(p)
     }
 
     /// Rays from `at` through all of `targets` (mm in the stop), aimed together from `starts`; `hits` are those of the ray of
     /// cosines `chief`, whose Jacobian all begin with. Nothing in the place of those that do not arrive.
-    pub fn bundle(
+    pub(crate) fn bundle(
         &self,
         at: DVec2,
         targets: &[DVec2],
@@ -207,7 +213,7 @@ impl SensorView {
 
     /// Where the ray of `cosines` from `at` meets the stop, mm, and how cosines change with that point; zero where that is not known.
     /// `hits` are that ray's.
-    pub fn around(&self, at: DVec2, cosines: DVec2, hits: &[Hit]) -> (DVec2, DMat2) {
+    pub(crate) fn around(&self, at: DVec2, cosines: DVec2, hits: &[Hit]) -> (DVec2, DMat2) {
         let point = SensorPoint(at);
         let inverse = stop_jacobian(&self.system, &point, &point.ray(cosines), hits).inverse();
         (hits[self.system.stop].at.point.truncate(), if inverse.is_finite() { inverse } else { DMat2::ZERO })

@@ -148,7 +148,7 @@ impl Program {
     }
 
     /// Surfaces that every ray meets through lanes, with the record that derivatives need; the others are met ray by ray.
-    pub fn in_lanes(&self) -> usize {
+    pub(crate) fn in_lanes(&self) -> usize {
         self.steps.iter().filter(|s| s.kind != Kind::General).count()
     }
 
