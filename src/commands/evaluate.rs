@@ -378,8 +378,8 @@ impl Judged {
             all.push(match found {
                 Ok(found) => EdgesAt { depth_mm: *depth_mm, missing: found.missing(), curves: found.curves() },
                 // A distance at which nothing can be measured is an outcome.
-                Err(e @ Error::BadInput { .. }) => {
-                    EdgesAt { depth_mm: *depth_mm, missing: vec![e.words()], curves: Vec::new() }
+                Err(e @ Error::BadInput(_)) => {
+                    EdgesAt { depth_mm: *depth_mm, missing: vec![e.to_string()], curves: Vec::new() }
                 }
                 Err(e) => return Err(e),
             });

@@ -160,12 +160,7 @@ fn told(lens: &MeasuredLens, name: &str) -> Result<()> {
 
 /// The same error with the argument that named the lens in place of the lens's own name.
 pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
-    match error {
-        Error::BadInput { file, place, found, allowed } if file == lens.name => {
-            Error::bad(argument, place, found, allowed)
-        }
-        other => other,
-    }
+    if error.bad_input().is_some_and(|bad| bad.file == lens.name) { error.of_file(argument) } else { error }
 }
 
 /// Bytes of such a text at most.

@@ -102,11 +102,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Ok(Some(measured)) => report.with_measured(measured),
             Ok(None) => report,
             // What was not asked for by name does not keep the rest from being shown.
-            Err(Error::BadInput { place, found, allowed, .. })
-                if args.measure.is_none() && args.kit.is_none() && place != "run" =>
+            Err(e)
+                if args.measure.is_none()
+                    && args.kit.is_none()
+                    && e.bad_input().is_some_and(|bad| bad.place.key != "run") =>
             {
                 let mut report = report;
-                report.missing.push(format!("measured MTF: {place}: {found}; {allowed}"));
+                report.missing.push(format!("measured MTF: {}", e.of_file("")));
                 report
             }
             Err(e) => return Err(e.into()),

@@ -90,7 +90,7 @@ fn prescriptions(lens: &Lens, argument: &str) -> Result<Vec<(String, Prescriptio
     let of = |(name, form): (&str, Form)| {
         let written = match text_of(lens, form, crate::glasses::all()) {
             Ok((text, notes)) => Prescription { text: Some(text), notes },
-            Err(e @ Error::BadInput { .. }) => {
+            Err(e @ Error::BadInput(_)) => {
                 Prescription { text: None, notes: vec![crate::input::in_lens(e, lens, argument).to_string()] }
             }
             Err(e) => return Err(e),

@@ -96,12 +96,7 @@ impl Task {
             let allowed = "the values of models/README.md";
             Error::bad(file, format!("{STAGES}[{number}]"), e.message().trim().replace('\n', " "), allowed)
         })?;
-        stage.check(file).map_err(|e| match e {
-            Error::BadInput { file, place, found, allowed } => {
-                Error::BadInput { file, place: format!("{STAGES}[{number}].{place}"), found, allowed }
-            }
-            other => other,
-        })?;
+        stage.check(file).map_err(|e| e.within(format!("{STAGES}[{number}]")))?;
         Ok(stage)
     }
 }

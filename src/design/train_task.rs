@@ -176,10 +176,7 @@ impl TrainTask {
             if v >= low && v <= high { Ok(()) } else { bad(key, v.to_string(), allowed) }
         };
         let config = self.sized(self.base_width.unwrap_or(WIDTH));
-        if let Err(Error::BadInput { place, found, allowed, .. }) = config.validate() {
-            let place = place.replacen("network", "train", 1);
-            return Err(Error::bad(file, place, found, allowed));
-        }
+        config.validate().map_err(|e| e.within("train").in_file(file))?;
         let multiple = config.multiple().max(8);
         if !self.patch_px.is_multiple_of(multiple) || !(16..=1024).contains(&self.patch_px) {
             let allowed = format!("a multiple of {multiple} (for {} scales) from 16 to 1024", self.scales);
@@ -236,7 +233,7 @@ impl TrainTask {
         }
         within("checkpoint_seconds", self.checkpoint_seconds, 0.0, 86_400.0, "0 to 86400")?;
         if let Some(critics) = self.critics() {
-            critics.validate().map_err(|e| e.in_file(Path::new(file)))?;
+            critics.validate().map_err(|e| e.within("train").in_file(file))?;
         }
         Ok(())
     }

@@ -437,10 +437,7 @@ fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> R
 
 /// What the network of `card` is told; what does not fit it is refused.
 fn guide(card: &ModelCard, frame: &Frame, facts: Option<Facts>, file: &str) -> Result<Guide> {
-    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| match e {
-        Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
-        other => other,
-    })
+    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| e.of_file(file))
 }
 
 /// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.

@@ -107,15 +107,9 @@ impl OfLine {
 
     /// The error of an unknown glass, which the line's numbers may stand in for.
     fn or_model(&self, error: Error) -> Error {
-        match (error, self.lines) {
-            (Error::BadInput { file, place, found, allowed }, Some((n_d, v_d))) => {
-                let name = &self.name;
-                let allowed =
-                    format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line; or {allowed}");
-                Error::BadInput { file, place, found, allowed }
-            }
-            (other, _) => other,
-        }
+        let Some((n_d, v_d)) = self.lines else { return error };
+        let name = &self.name;
+        error.or_else_allowed(&format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line"))
     }
 }
 

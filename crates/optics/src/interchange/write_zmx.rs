@@ -6,7 +6,7 @@ use super::model_glass::lines_of;
 use super::text::plain;
 use crate::lens::catalogue::Glasses;
 use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Wavelengths that OpticStudio takes.
 const MOST_WAVELENGTHS: usize = 24;
@@ -85,7 +85,7 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
                 let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
                 return Err(Error::bad(
                     lens.name.as_str(),
-                    format!("surface[{i}].medium"),
+                    Location::surface(i).key("medium"),
                     found,
                     "glasses that one list of catalogues tells apart",
                 ));
@@ -116,7 +116,7 @@ fn surface(
     notes: &mut Vec<String>,
 ) -> Result<String> {
     let refused =
-        |found: &str, allowed: &str| Err(Error::bad(lens.name.as_str(), format!("surface[{i}]"), found, allowed));
+        |found: &str, allowed: &str| Err(Error::bad(lens.name.as_str(), Location::surface(i), found, allowed));
     let mut out = String::new();
     if i == lens.stop {
         out.push_str("  STOP\n");

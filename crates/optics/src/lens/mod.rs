@@ -40,7 +40,7 @@ pub(crate) mod test_lenses;
 pub mod variables;
 
 use isoplanat_base::atomic::sha256_hex;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 pub use freeform::{Xy, Zernike};
 pub use glass::Medium;
@@ -247,7 +247,7 @@ impl Prescription {
             if !(short..=long).contains(&nm) {
                 let found = format!("{} at {nm} nm", s.medium);
                 let allowed = format!("{short} to {long} nm, where its index is known");
-                return Err(Error::bad(file, format!("surface[{i}].medium"), found, allowed));
+                return Err(Error::bad(file, Location::surface(i).key("medium"), found, allowed));
             }
         }
         Ok(())
