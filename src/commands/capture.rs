@@ -1,7 +1,7 @@
 //! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isoplanat::atomic::Target;
 use isoplanat::imaging::capture::{CaptureSettings, capture};
@@ -55,7 +55,7 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.force)?;
-    glare::check(args.glare).map_err(|e| e.in_file(Path::new("isoplanat")))?;
+    glare::check(args.glare).map_err(|e| e.at("value").of_file("--glare"))?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
     input::in_band(&lens, &SpectralDensity::new(&sensor), &args.lens)?;
@@ -71,8 +71,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         noise: true,
         glare: args.glare,
     };
-    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))
-        .map_err(|e| input::in_lens(e, &lens, &args.lens))?;
+    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;
     bar.done(String::new());
     let info = DngInfo {
         software: concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into(),

@@ -204,7 +204,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let (result, sheets) = run.judge(&pictures, args.pictures.is_some())?;
     let differences = match &other {
-        Some(other) => Some(paired::against(&result, &other.judge(&pictures, false)?.0)?),
+        Some(other) => {
+            Some(paired::against(&result, &other.judge(&pictures, false)?.0).map_err(|e| e.in_file(&run.folder))?)
+        }
         None => None,
     };
     if let Some(path) = &args.csv {

@@ -149,8 +149,7 @@ impl Way {
         let (count, planned) = (args.scenes.len(), args.scenes.len().min(PLANNED));
         let scenes =
             (0..planned).map(|k| stage.plane(&args.scenes[k * count / planned])).collect::<Result<Vec<_>>>()?;
-        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)
-            .map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))?;
+        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
             crate::tell!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
@@ -236,7 +235,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     #[expect(clippy::cast_precision_loss, reason = "a share")]
     let one = |k: usize, scene: &Named| {
         let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_string());
-        way.make(&stage, scene, &progress).map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))
+        way.make(&stage, scene, &progress)
     };
     let mut all = Vec::with_capacity(count);
     if many {

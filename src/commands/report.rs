@@ -94,7 +94,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
         };
-        let measured = measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(path))).transpose();
+        let measured = measured.map(|m| m.map_err(|e| e.in_file(path))).transpose();
         let waiting = crate::progress::Waiting::new("report");
         let report = LensReport::new(lens, &Options { colour, ..options.clone() });
         drop(waiting);

@@ -119,9 +119,8 @@ impl SceneArgs {
         };
         // The chief ray next to the axis: of a lens with tilts, that of the lens without them.
         let near = 1e-3 * whole.max_radius_mm();
-        let straight = lens.upright().map_err(|e| input::in_lens(e, &lens, argument))?;
-        let slopes =
-            chief_slopes(&straight, lens.object_vergence, &[near]).map_err(|e| input::in_lens(e, &lens, argument))?;
+        let straight = lens.upright()?;
+        let slopes = chief_slopes(&straight, lens.object_vergence, &[near])?;
         let per_pixel = slopes[0] / near * whole.pitch_mm;
         if per_pixel.is_nan() || per_pixel <= 0.0 {
             let found = format!("{} of object slope a pixel at {} mm", per_pixel, lens.object_vergence.recip());

@@ -162,7 +162,7 @@ pub(crate) fn serve(
     drop(model);
     let session = match opened {
         Ok(session) => session,
-        Err(error) => return words(out, &Said::Opened(Err(of_input(error)))),
+        Err(error) => return words(out, &Said::Opened(Err(of_input(error, &asked.file)))),
     };
     let workers = session.parallel_tiles();
     words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers })))?;
@@ -177,7 +177,7 @@ pub(crate) fn serve(
                         let next = lock(&receiver).recv();
                         let Ok((id, tile)) = next else { return Ok(()) };
                         let started = Instant::now();
-                        let answer = session.run(tile.view()).map_err(of_input);
+                        let answer = session.run(tile.view()).map_err(|e| of_input(e, &asked.file));
                         let answer = answer.map(|tile| (tile, started.elapsed()));
                         write_answer(&mut **lock(&out), id, &answer)?;
                     }

@@ -1,7 +1,7 @@
 //! What parent and child say to each other: lines of JSON, then tiles and answers. Numbers are in this machine's byte order.
 
 use std::io::{BufRead, Read, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ndarray::{Array4, ArrayView4};
@@ -49,9 +49,9 @@ pub(super) struct Opened {
     pub(super) workers: usize,
 }
 
-/// An error as it goes to the parent: of the input, whatever became of the model.
-pub(super) fn of_input(error: Error) -> BadInput {
-    error.into_bad_input("inference", "a model that takes and returns an image").in_file("model.onnx")
+/// An error of the model in `file` as it goes to the parent: of the input, whatever became of the model.
+pub(super) fn of_input(error: Error, file: &Path) -> BadInput {
+    error.into_bad_input("inference", "a model that takes and returns an image").in_file(file)
 }
 
 /// A tile's result, and the time within the runtime.

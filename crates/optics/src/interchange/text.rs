@@ -86,13 +86,13 @@ pub fn on_one_axis(lens: &Lens, what: &str) -> Result<()> {
         if freeform || s.pose.is_some_and(|p| !p.is_nominal()) {
             let found = if freeform { "freeform terms" } else { "a tilt or decentre" };
             let allowed = format!("surfaces of revolution on one axis in {what}; a TOML file takes any");
-            return Err(Error::bad(lens.name.as_str(), Location::surface(i), found, allowed));
+            return Err(Error::bad(lens.file(), Location::surface(i), found, allowed));
         }
     }
     match lens.elements.iter().position(|e| !e.pose.is_nominal()) {
         Some(i) => {
             let allowed = format!("surfaces on one axis in {what}; a TOML file takes any");
-            Err(Error::bad(lens.name.as_str(), format!("element[{i}]"), "a tilt or decentre", allowed))
+            Err(Error::bad(lens.file(), format!("element[{i}]"), "a tilt or decentre", allowed))
         }
         None => Ok(()),
     }

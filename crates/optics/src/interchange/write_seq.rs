@@ -25,7 +25,7 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         if let Some(power) = even.filter(|p| !(4..=20).contains(p)).chain(odd).next() {
             let allowed = "even terms from a4 to a20, which an asphere of CODE V has; .zmx and .toml take all";
             let place = Location::surface(i).key("asphere");
-            return Err(Error::bad(lens.name.as_str(), place, format!("a term of r^{power}"), allowed));
+            return Err(Error::bad(lens.file(), place, format!("a term of r^{power}"), allowed));
         }
         if shape.conic != 0.0 || shape.asphere.iter().any(|a| *a != 0.0) {
             let _ = writeln!(body, "  ASP\n  K {}", plain(shape.conic));

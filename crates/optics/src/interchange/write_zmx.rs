@@ -84,7 +84,7 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
             _ => {
                 let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
                 return Err(Error::bad(
-                    lens.name.as_str(),
+                    lens.file(),
                     Location::surface(i).key("medium"),
                     found,
                     "glasses that one list of catalogues tells apart",
@@ -92,12 +92,7 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
             }
         }
     }
-    Err(Error::bad(
-        lens.name.as_str(),
-        "medium",
-        "glasses of one name",
-        "glasses that one list of catalogues tells apart",
-    ))
+    Err(Error::bad(lens.file(), "medium", "glasses of one name", "glasses that one list of catalogues tells apart"))
 }
 
 /// The number of µm that a reader turns into exactly `nm`.
@@ -115,8 +110,7 @@ fn surface(
     catalogues: &mut Vec<String>,
     notes: &mut Vec<String>,
 ) -> Result<String> {
-    let refused =
-        |found: &str, allowed: &str| Err(Error::bad(lens.name.as_str(), Location::surface(i), found, allowed));
+    let refused = |found: &str, allowed: &str| Err(Error::bad(lens.file(), Location::surface(i), found, allowed));
     let mut out = String::new();
     if i == lens.stop {
         out.push_str("  STOP\n");

@@ -175,18 +175,28 @@ impl SensorRaster {
 
 /// A prescription that passed the check: it has a stop, its numbers are within their bounds, its surfaces leave each other and the
 /// sensor room, its media have an index at its wavelengths.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lens(Prescription);
+#[derive(Clone, Debug)]
+pub struct Lens {
+    numbers: Prescription,
+    file: String,
+}
 
 impl std::ops::Deref for Lens {
     type Target = Prescription;
     fn deref(&self) -> &Prescription {
-        &self.0
+        &self.numbers
+    }
+}
+
+/// The same numbers, wherever they were read.
+impl PartialEq for Lens {
+    fn eq(&self, other: &Self) -> bool {
+        self.numbers == other.numbers
     }
 }
 
 impl Lens {
-    /// The lens of these numbers; `file` names it in errors. The stop's surface is made clear as far as the stop reaches: its size
+    /// The lens of these numbers; `file` names it in errors, these and later ones ([`Self::file`]). The stop's surface is made clear as far as the stop reaches: its size
     /// may follow from an entrance pupil or an f-number. (A file that states less gets less: [`prescription`].)
     ///
     /// # Errors
@@ -195,17 +205,22 @@ impl Lens {
         numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
         clearance::open_stop(&mut numbers);
         numbers.check(file)?;
-        Ok(Self(numbers))
+        Ok(Self { numbers, file: file.to_owned() })
+    }
+
+    /// What errors call it: the file that it was read from, as whoever asked for it named that.
+    pub fn file(&self) -> &str {
+        &self.file
     }
 
     /// This lens with other numbers.
     ///
     /// # Errors
-    /// Numbers that are no lens, under this lens's name.
+    /// Numbers that are no lens, under this lens's file.
     pub fn changed(&self, change: impl FnOnce(&mut Prescription)) -> Result<Self> {
-        let mut numbers = self.0.clone();
+        let mut numbers = self.numbers.clone();
         change(&mut numbers);
-        Self::new(numbers, &self.name)
+        Self::new(numbers, &self.file)
     }
 
     /// This lens without tilts, decentres and freeform terms: the one that has its symmetry.
@@ -228,10 +243,10 @@ impl Lens {
 #[doc(hidden)]
 #[must_use]
 pub fn unchecked(lens: &Lens, change: impl FnOnce(&mut Prescription)) -> Lens {
-    let mut numbers = lens.0.clone();
+    let mut numbers = lens.numbers.clone();
     change(&mut numbers);
     numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
-    Lens(numbers)
+    Lens { numbers, file: lens.file.clone() }
 }
 
 impl Prescription {

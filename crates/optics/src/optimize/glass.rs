@@ -18,7 +18,7 @@ const TRIED: usize = 4;
 /// # Errors
 /// A surface with air behind it.
 pub fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
-    let name = problem.lens.name.as_str();
+    let name = problem.lens.file();
     let count = problem.lens.surfaces.len();
     for i in surfaces {
         if problem.lens.surfaces.get(*i).is_none_or(|s| s.medium == Medium::Air) {
@@ -94,12 +94,7 @@ pub fn choose(
         }
         let Some((trial, outcome)) = chosen else {
             let found = format!("no neighbour of n_d {n:.4}, v_d {v:.1} makes a lens");
-            return Err(Error::bad(
-                problem.lens.name.as_str(),
-                Location::surface(i).key("medium"),
-                found,
-                "other bounds",
-            ));
+            return Err(Error::bad(problem.lens.file(), Location::surface(i).key("medium"), found, "other bounds"));
         };
         (free, best) = (Problem { lens: outcome.lens.clone(), ..trial }, outcome);
     }

@@ -90,7 +90,7 @@ impl Pool {
         let real: Vec<&Medium> = self.candidates.iter().filter(covers).collect();
         if real.is_empty() {
             let allowed = format!("glasses whose index is known from {short} to {long} nm");
-            return Err(Error::bad(lens.name.as_str(), "glasses", "none", allowed));
+            return Err(Error::bad(lens.file(), "glasses", "none", allowed));
         }
         Ok(real)
     }
