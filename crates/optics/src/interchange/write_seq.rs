@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use super::text::plain;
-use crate::lens::catalogue::Glasses;
+use crate::lens::catalogue::{Glasses, Naming};
 use crate::lens::{Aperture, Lens, Medium, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
 
@@ -94,7 +94,7 @@ fn medium(lens: &Lens, medium: &Medium, glasses: &Glasses, private: &mut Vec<(St
     // By its name alone where it is found again without further catalogues; any other glass goes along as a table.
     if let Some((catalogue, name)) = &listed
         && !catalogue.contains(['_', ' '])
-        && Glasses::shipped().find_spelled(&format!("{catalogue}/{name}"), &[]).is_ok_and(|m| m == *medium)
+        && Glasses::shipped().find(&format!("{catalogue}/{name}"), Naming::Foreign(&[])).is_ok_and(|m| m == *medium)
     {
         return format!(" {}_{catalogue}", name.replace('-', ""));
     }

@@ -245,7 +245,7 @@ mod tests {
             for p in Parameter::all(&lens) {
                 let bad = lens.changed(|l| p.kind.list_mut(l, p.of)[p.entry] = f64::NAN);
                 let error = bad.expect_err("not a number").to_string();
-                assert!(error.starts_with(&format!("{}: {}: NaN; ", lens.name, p.key(&lens))), "{error}");
+                assert!(error.starts_with(&format!("{}: {}: NaN; ", lens.file(), p.key(&lens))), "{error}");
                 assert!(p.scale(&lens) > 0.0, "{}", p.name(&lens));
             }
         }

@@ -4,7 +4,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::catalogue::{self, Glasses};
+use super::catalogue::{self, Glasses, Naming};
 use super::dispersion::Formula;
 use super::shape::HIGHEST_POWER;
 use super::{Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
@@ -312,7 +312,9 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let medium = match s.medium {
-        FileMedium::Name(name) => glasses.find_own(&name).map_err(|e| e.within(Location::surface(i)).in_file(file))?,
+        FileMedium::Name(name) => {
+            glasses.find(&name, Naming::Own).map_err(|e| e.within(Location::surface(i)).in_file(file))?
+        }
         FileMedium::Model(FileModelGlass { n_d, v_d }) => Medium::Cauchy { n_d, v_d },
         FileMedium::Formula(FileGlass { name, formula, coefficients, range_nm, source }) => {
             catalogue::glass(&name, &source, formula, coefficients, range_nm).map_err(|why| {
@@ -382,7 +384,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
             Medium::Air => FileMedium::Name("air".into()),
             Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
             // A name says enough where the shipped catalogue says the same of it.
-            Medium::Glass { name, .. } if Medium::named(name).is_ok_and(|m| m == s.medium) => {
+            Medium::Glass { name, .. } if Glasses::shipped().find(name, Naming::Exact).is_ok_and(|m| m == s.medium) => {
                 FileMedium::Name(name.clone())
             }
             Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {
