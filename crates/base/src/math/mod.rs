@@ -4,6 +4,7 @@ pub mod fft;
 pub mod least_squares;
 pub mod memory;
 pub mod npz;
+pub mod raster;
 pub mod real;
 pub mod simd;
 pub mod ssim;
