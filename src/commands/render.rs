@@ -12,6 +12,7 @@ use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
@@ -59,6 +60,10 @@ pub(crate) struct Args {
     /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
     #[arg(long)]
     explain: bool,
+    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
+    /// wavelength of each channel.
+    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
+    illuminant: Illuminant,
     #[command(flatten)]
     place: SceneArgs,
     /// Seed of the rays.
@@ -220,7 +225,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
-    let density = SpectralDensity::new(&Sensor::generic());
+    let density = SpectralDensity::under(&Sensor::generic(), args.illuminant)?;
     crate::input::in_band(&stage.lens, &density, &args.lens)?;
     let least = match args.method {
         Method::PsfGrid => estimate::planes(&stage.frame),
