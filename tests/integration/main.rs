@@ -49,6 +49,7 @@ mod prescriptions;
 mod properties;
 #[cfg(unix)]
 mod random_lenses;
+mod refusals;
 mod renderers;
 mod report;
 #[cfg(all(feature = "train", feature = "deploy"))]
