@@ -121,7 +121,12 @@ impl Prescription {
         }
         if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || w.weights.iter().sum::<f64>() <= 0.0 {
             let found = format!("{:?}", w.weights);
-            return Err(Error::bad(file, "wavelengths.weights", found, "not negative, not all zero"));
+            return Err(Error::bad(
+                file,
+                "wavelengths.weights",
+                found,
+                "weights that are not negative and not all zero",
+            ));
         }
         Ok(())
     }

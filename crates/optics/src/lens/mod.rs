@@ -213,6 +213,19 @@ impl Lens {
         &self.file
     }
 
+    /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
+    pub fn require_symmetry(&self, work: &str) -> Result<()> {
+        if self.is_symmetric() {
+            return Ok(());
+        }
+        Err(Error::bad(
+            self.file(),
+            "surfaces",
+            "tilts, decentres or freeform terms",
+            format!("a rotationally symmetric lens for {work}; `trace`, `inspect`, `check` and `capture` take any"),
+        ))
+    }
+
     /// This lens with other numbers.
     ///
     /// # Errors
@@ -287,19 +300,6 @@ impl Prescription {
     pub fn is_symmetric(&self) -> bool {
         self.surfaces.iter().all(|s| s.shape.is_symmetric() && s.pose.is_none_or(|p| p.is_nominal()))
             && self.elements.iter().all(|e| e.pose.is_nominal())
-    }
-
-    /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
-    pub fn require_symmetry(&self, work: &str) -> Result<()> {
-        if self.is_symmetric() {
-            return Ok(());
-        }
-        Err(Error::bad(
-            self.name.as_str(),
-            "surfaces",
-            "tilts, decentres or freeform terms",
-            format!("a rotationally symmetric lens for {work}; `trace`, `inspect`, `check` and `capture` take any"),
-        ))
     }
 
     /// SHA-256 of the canonical TOML form: names this lens in kits and run folders.
