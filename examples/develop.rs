@@ -17,7 +17,7 @@ fn grey_wall() -> Result<(Kit, RawCapture)> {
     let entry = LensEntry { name: lens.name.clone(), sha256 };
     let kit = Kit::new("k", entry, model, 96, sensor.clone(), frame.clone(), of.distortion, of.shading, None)?;
     let scene = fill_frame(&lens, &frame, Array3::from_elem((3, 2, 2), 0.5))?;
-    let settings = CaptureSettings { samples: 64, seed: 1, exposure: 0.8, noise: false, glare: 0.0 };
+    let settings = CaptureSettings { samples: 64, exposure: 0.8, noise: false, ..CaptureSettings::default() };
     let taken = capture(&lens, &scene, &sensor, &frame, settings, None)?;
     let folder = tempfile::tempdir().map_err(|e| Error::writing(&std::env::temp_dir(), e))?;
     write_dng(&folder.path().join("wall.dng"), taken.dn.view(), &sensor, &DngInfo::default())?;

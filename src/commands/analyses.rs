@@ -57,9 +57,7 @@ impl View {
         let lens = self.f_number.applied(crate::input::lens(named)?, name)?;
         match self.depth_mm {
             None => Ok(lens),
-            Some(depth) if depth > 0.0 => {
-                lens.changed(|l| l.object_vergence = 1.0 / depth).map_err(|e| crate::input::in_lens(e, &lens, name))
-            }
+            Some(depth) if depth > 0.0 => lens.changed(|l| l.object_vergence = 1.0 / depth),
             Some(depth) => Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf")),
         }
     }

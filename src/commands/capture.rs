@@ -1,7 +1,7 @@
 //! `isoplanat capture LENS SCENE -o x.dng`: the virtual camera.
 
 use std::io::Write;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use isoplanat::atomic::Target;
 use isoplanat::imaging::capture::{CaptureSettings, capture};
@@ -9,6 +9,7 @@ use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 
 use crate::input;
@@ -37,6 +38,10 @@ pub(crate) struct Args {
     /// Share of the light that the lens spreads over the whole frame as veiling glare.
     #[arg(long, default_value_t = 0.0)]
     glare: f64,
+    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
+    /// wavelength of each channel.
+    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
+    illuminant: Illuminant,
     /// Sensor calibration; the generic sensor where left out.
     #[arg(long)]
     calibration: Option<PathBuf>,
@@ -52,10 +57,10 @@ pub(crate) struct Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     output::check_writable(&args.output, args.common.force)?;
-    glare::check(args.glare).map_err(|e| e.in_file(Path::new("isoplanat")))?;
+    glare::check(args.glare).map_err(|e| e.at("value").of_file("--glare"))?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
-    input::in_band(&lens, &SpectralDensity::new(&sensor), &args.lens)?;
+    input::in_band(&lens, &SpectralDensity::under(&sensor, args.illuminant)?, &args.lens)?;
     let (_, rows, cols) = plane.texture.dim();
     let bytes = estimate::rays(&frame).saturating_add(estimate::scene([rows, cols]));
     let what = format!("a capture of {} × {} pixels", frame.columns, frame.rows);
@@ -67,9 +72,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         exposure: args.exposure,
         noise: true,
         glare: args.glare,
+        light: args.illuminant,
     };
-    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))
-        .map_err(|e| input::in_lens(e, &lens, &args.lens))?;
+    let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;
     bar.done(String::new());
     let info = DngInfo {
         software: concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into(),

@@ -25,8 +25,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let form = Form::of(&args.output)?;
     crate::output::check_writable(&args.output, args.common.force)?;
     let lens = crate::input::lens(&args.input)?;
-    let (text, notes) =
-        text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.input))?;
+    let (text, notes) = text_of(&lens, form, crate::glasses::all())?;
     crate::output::put(&text, Some(&args.output), args.common.force, out)?;
     let output = args.output.display();
     if args.common.json {

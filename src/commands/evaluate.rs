@@ -201,7 +201,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let (result, sheets) = run.judge(&pictures, args.pictures.is_some())?;
     let differences = match &other {
-        Some(other) => Some(paired::against(&result, &other.judge(&pictures, false)?.0)?),
+        Some(other) => {
+            Some(paired::against(&result, &other.judge(&pictures, false)?.0).map_err(|e| e.in_file(&run.folder))?)
+        }
         None => None,
     };
     if let Some(path) = &args.csv {
@@ -375,8 +377,8 @@ impl Judged {
             all.push(match found {
                 Ok(found) => EdgesAt { depth_mm: *depth_mm, missing: found.missing(), curves: found.curves() },
                 // A distance at which nothing can be measured is an outcome.
-                Err(e @ Error::BadInput { .. }) => {
-                    EdgesAt { depth_mm: *depth_mm, missing: vec![e.words()], curves: Vec::new() }
+                Err(e @ Error::BadInput(_)) => {
+                    EdgesAt { depth_mm: *depth_mm, missing: vec![e.to_string()], curves: Vec::new() }
                 }
                 Err(e) => return Err(e),
             });

@@ -54,7 +54,7 @@ const JUDGED: usize = 384;
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     atomic::check_folder(&args.output, FILE, args.common.force)?;
-    args.glare.map(glare::check).transpose().map_err(|e| e.in_file(Path::new("isoplanat")))?;
+    args.glare.map(glare::check).transpose().map_err(|e| e.at("value").of_file("--glare"))?;
     let mut valid = Valid::default();
     args.valid.iter().try_for_each(|text| valid.put(text))?;
     let run = crate::input::run(&args.run)?;

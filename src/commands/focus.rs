@@ -47,8 +47,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad("--depth-mm", "value", found, "a positive distance, or inf").into());
     }
     let lens = crate::input::lens(&args.lens)?;
-    let named = |e: Error| crate::input::in_lens(e, &lens, &args.lens);
-    let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip()).map_err(named)?;
+    let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip())?;
     let placed = reopened(&args.lens, placed, crate::glasses::all())?;
     // Light that does not come together says nothing of where to stand.
     let image = first_order(&placed, placed.wavelengths.primary_nm).paraxial_image_distance;
@@ -58,8 +57,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     let fields = (!args.fields.is_empty()).then(|| args.fields.clone());
     let merit = Spec { fields, ..Spec::default() }.merit("--fields")?;
-    let found = refocused(&placed, merit).map_err(named)?;
-    let (text, notes) = text_of(&found.lens, form, crate::glasses::all()).map_err(named)?;
+    let found = refocused(&placed, merit)?;
+    let (text, notes) = text_of(&found.lens, form, crate::glasses::all())?;
     crate::output::put(&text, Some(&args.output), args.common.force, out)?;
     let output = args.output.display();
     let last = |l: &isoplanat::lens::Lens| l.surfaces[l.surfaces.len() - 1].thickness;

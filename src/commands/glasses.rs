@@ -29,10 +29,7 @@ pub(crate) fn set(files: &[PathBuf], instead: &[String]) -> Result<()> {
         let Some((name, glass)) = pair.split_once('=').filter(|(n, g)| !n.is_empty() && !g.is_empty()) else {
             return Err(bad(format!("`{pair}`"), "NAME=GLASS, such as SSK4=SSK4A"));
         };
-        all.take_instead(name, glass).map_err(|e| match e {
-            Error::BadInput { found, allowed, .. } => bad(found, &allowed),
-            other => other,
-        })?;
+        all.take_instead(name, glass).map_err(|e| e.at("value").of_file("--glass-for"))?;
     }
     // The first value stays: the program sets it once.
     let _ = GLASSES.set(all);

@@ -81,14 +81,14 @@ impl FNumber {
             significant(first.stop_semi_diameter, 6)
         );
         let changed = lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(radius));
-        changed.map_err(|e| in_lens(e, &lens, argument))
+        changed
     }
 }
 
 /// Refuses a lens that is made for other light than the picture's, and says which of its wavelengths the picture lacks;
 /// `argument` named the lens.
 pub(crate) fn in_band(lens: &Lens, density: &SpectralDensity, argument: &str) -> Result<()> {
-    density.require(lens).map_err(|e| in_lens(e, lens, argument))?;
+    density.require(lens)?;
     for [from, to] in density.left_out_nm() {
         crate::tell!(
             "note: {argument}: {from:.2} to {to:.2} nm are left out: the sensor sees less than {SEEN} of its peak there"
@@ -156,16 +156,6 @@ fn told(lens: &MeasuredLens, name: &str) -> Result<()> {
         crate::tell!("note: {name}: {note}");
     }
     Ok(())
-}
-
-/// The same error with the argument that named the lens in place of the lens's own name.
-pub(crate) fn in_lens(error: Error, lens: &Lens, argument: &str) -> Error {
-    match error {
-        Error::BadInput { file, place, found, allowed } if file == lens.name => {
-            Error::bad(argument, place, found, allowed)
-        }
-        other => other,
-    }
 }
 
 /// Bytes of such a text at most.

@@ -117,7 +117,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let until = Duration::try_from_secs_f64(60.0 * minutes).ok().and_then(|d| Instant::now().checked_add(d));
     let lens = crate::input::lens(&args.lens)?;
     // What the form cannot say is told before the work.
-    text_of(&lens, form, crate::glasses::all()).map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
+    text_of(&lens, form, crate::glasses::all())?;
     let (spec, file) = spec(args)?;
     let problem = spec.problem(&lens, &file)?;
     spec.notes(&lens, &file)?.iter().for_each(|note| crate::tell!("note: {file}: {note}"));

@@ -63,12 +63,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if args.png.is_some() {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
     }
-    let in_lens = |e: Error| crate::input::in_lens(e, &lens, &args.lens).in_file(args.lens.as_ref());
-    let kernels = atlas::KernelSet::compute(&lens, &request).map_err(in_lens)?;
+    let kernels = atlas::KernelSet::compute(&lens, &request)?;
     kernels.save(Target::new(&args.output, args.common.force))?;
     if let Some(path) = &args.png {
         let columns = kernels.request.fields;
-        let colours = atlas::colour_kernels(&lens, &request).map_err(in_lens)?.kernels;
+        let colours = atlas::colour_kernels(&lens, &request)?.kernels;
         write_png8(Target::new(path, args.common.force), &atlas::picture(&colours, columns, atlas::Style::default()))?;
     }
     let rows = rows(&kernels);

@@ -12,6 +12,7 @@ use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
@@ -60,6 +61,10 @@ pub(crate) struct Args {
     /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
     #[arg(long)]
     explain: bool,
+    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
+    /// wavelength of each channel.
+    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
+    illuminant: Illuminant,
     #[command(flatten)]
     place: SceneArgs,
     /// Seed of the rays.
@@ -146,8 +151,7 @@ impl Way {
         let (count, planned) = (args.scenes.len(), args.scenes.len().min(PLANNED));
         let scenes =
             (0..planned).map(|k| stage.plane(&args.scenes[k * count / planned])).collect::<Result<Vec<_>>>()?;
-        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)
-            .map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))?;
+        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
             crate::tell!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
@@ -218,7 +222,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
-    let density = SpectralDensity::new(&Sensor::generic());
+    let density = SpectralDensity::under(&Sensor::generic(), args.illuminant)?;
     crate::input::in_band(&stage.lens, &density, &args.lens)?;
     let least = match args.method {
         Method::PsfGrid => estimate::planes(&stage.frame),
@@ -233,7 +237,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     #[expect(clippy::cast_precision_loss, reason = "a share")]
     let one = |k: usize, scene: &Named| {
         let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_string());
-        way.make(&stage, scene, &progress).map_err(|e| crate::input::in_lens(e, &stage.lens, &args.lens))
+        way.make(&stage, scene, &progress)
     };
     let mut all = Vec::with_capacity(count);
     if many {

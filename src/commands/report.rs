@@ -91,7 +91,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             (false, Some(_)) => Some(of_lens(&lens, settings)),
             (false, None) => None,
         };
-        let measured = measured.map(|m| m.map_err(|e| crate::input::in_lens(e, &lens, name).in_file(path))).transpose();
+        let measured = measured.map(|m| m.map_err(|e| e.in_file(path))).transpose();
         let waiting = crate::progress::Waiting::new("report");
         let report = LensReport::new(lens, &Options { colour, ..options.clone() });
         drop(waiting);
@@ -99,11 +99,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             Ok(Some(measured)) => report.with_measured(measured),
             Ok(None) => report,
             // What was not asked for by name does not keep the rest from being shown.
-            Err(Error::BadInput { place, found, allowed, .. })
-                if args.measure.is_none() && args.kit.is_none() && place != "run" =>
+            Err(e)
+                if args.measure.is_none()
+                    && args.kit.is_none()
+                    && e.bad_input().is_some_and(|bad| bad.place.key != "run") =>
             {
                 let mut report = report;
-                report.missing.push(format!("measured MTF: {place}: {found}; {allowed}"));
+                report.missing.push(format!("measured MTF: {}", e.of_file("")));
                 report
             }
             Err(e) => return Err(e.into()),

@@ -116,8 +116,7 @@ impl SceneArgs {
             None => whole.clone(),
         };
         // A lens before which no scene can be placed is refused before anything is made.
-        let straight = lens.upright().map_err(|e| input::in_lens(e, &lens, argument))?;
-        slope_per_mm(&straight, 0.0, &whole).map_err(|e| input::in_lens(e, &lens, argument))?;
+        slope_per_mm(&lens.upright()?, 0.0, &whole)?;
         Ok(Stage { lens, frame, whole, texels_per_pixel: self.texels_per_pixel })
     }
 

@@ -41,8 +41,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let mount = Mount::named(&args.mount)?;
     let tolerances = args.tolerances.as_deref().map(Tolerances::load).transpose()?.unwrap_or_default();
     let lens = crate::input::lens(&args.lens)?;
-    let made = Fabrication::new(&lens, &tolerances, mount).map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
-    let forms = prescriptions(&lens, &args.lens)?;
+    let made = Fabrication::new(&lens, &tolerances, mount)?;
+    let forms = prescriptions(&lens)?;
     let mut files: Vec<(String, String)> = forms.iter().map(|(name, form)| (name.clone(), form.words())).collect();
     files.push(("surfaces.csv".into(), "one row a surface, all digits".into()));
     for (_, face) in made.faces() {
@@ -83,13 +83,11 @@ impl Prescription {
 }
 
 /// The lens in each form, with why one is not written.
-fn prescriptions(lens: &Lens, argument: &str) -> Result<Vec<(String, Prescription)>> {
+fn prescriptions(lens: &Lens) -> Result<Vec<(String, Prescription)>> {
     let of = |(name, form): (&str, Form)| {
         let written = match text_of(lens, form, crate::glasses::all()) {
             Ok((text, notes)) => Prescription { text: Some(text), notes },
-            Err(e @ Error::BadInput { .. }) => {
-                Prescription { text: None, notes: vec![crate::input::in_lens(e, lens, argument).to_string()] }
-            }
+            Err(e @ Error::BadInput(_)) => Prescription { text: None, notes: vec![e.to_string()] },
             Err(e) => return Err(e),
         };
         Ok((name.to_owned(), written))

@@ -3,9 +3,10 @@
 mod listing;
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
+use isoplanat::error::Location;
 use isoplanat::imaging::files::Encoding;
 use isoplanat::imaging::metrics::slanted_edge::{EdgeOptions, Rectangle, find_region, measure};
 use isoplanat::imaging::sensor::cfa::Cfa;
@@ -86,7 +87,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             let what = format!("an edge sought in {columns} × {rows} pixels");
             crate::memory::limit().allow(&what, bytes, "--region x,y,w,h")?;
             let _bar = (rows * columns > LARGE).then(|| crate::progress::Bar::new("edge"));
-            find_region(sought.plane.view(), sought.sites).map_err(|e| in_channel(e, sought.name).in_file(place))?
+            find_region(sought.plane.view(), sought.sites).map_err(|e| in_channel(e, sought.name, place))?
         }
     };
     let (mut measured, mut refused) = (Vec::new(), Vec::new());
@@ -94,8 +95,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         let options = EdgeOptions { region: Some(region), sites: channel.sites, range: channel.range };
         match measure(channel.plane.view(), &options) {
             Ok(edge) => measured.push(Measured { name: channel.name, edge }),
-            Err(e) if k == first => return Err(in_channel(e, channel.name).in_file(place).into()),
-            Err(e) => refused.push((channel.name, in_channel(e, channel.name).in_file(place).to_string())),
+            Err(e) if k == first => return Err(in_channel(e, channel.name, place).into()),
+            Err(e) => refused.push((channel.name, in_channel(e, channel.name, place).to_string())),
         }
     }
     let first = measured.iter().position(|m| m.name == names[first]).unwrap_or(0);
@@ -119,14 +120,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// The same error with the channel it concerns.
-fn in_channel(error: Error, name: &str) -> Error {
-    match error {
-        Error::BadInput { file, place, found, allowed } if file.is_empty() => {
-            Error::bad(file, format!("channel {name}, {place}"), found, allowed)
-        }
-        other => other,
-    }
+/// The same error with the channel of the picture it concerns.
+fn in_channel(error: Error, name: &str, picture: &Path) -> Error {
+    error.within(Location::called(format!("channel {name}"))).in_file(picture)
 }
 
 /// The rectangle `x,y,w,h`.

@@ -78,7 +78,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         bar.get_or_insert_with(|| Bar::new("lenses drawn")).set(share, String::new());
         !asked()
     });
-    let (figures, lenses) = made.map_err(|e| crate::input::in_lens(e, &lens, &args.lens))?;
+    let (figures, lenses) = made?;
     if let Some(bar) = bar {
         bar.done(format!("{} draws", args.draws));
     }

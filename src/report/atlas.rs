@@ -248,7 +248,12 @@ fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result
                 (0..lines.len()).map(|d| optics.half_widths(&look, d, &[LOST], [0.0, far])[0]).max().unwrap_or(1);
             if 2 * half + 1 > LARGEST {
                 let found = format!("{} pixels to hold 99.9 % of the light", 2 * half + 1);
-                return Err(Error::bad("", "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
+                return Err(Error::bad(
+                    lens.file(),
+                    "kernel size",
+                    found,
+                    format!("state a size; automatic up to {LARGEST}"),
+                ));
             }
             2 * half + 1
         }

@@ -158,7 +158,7 @@ pub fn close(
         };
         match place() {
             Ok(place) => places.extend(place),
-            Err(e) => failed.push(format!("slanted edges {} mm from the axis: {}", significant(*radius, 4), e.words())),
+            Err(e) => failed.push(format!("slanted edges {} mm from the axis: {}", significant(*radius, 4), e)),
         }
     }
     let seconds = begun.elapsed().as_secs_f64();

@@ -51,6 +51,7 @@ mod properties;
 mod public_api;
 #[cfg(unix)]
 mod random_lenses;
+mod refusals;
 mod renderers;
 mod report;
 #[cfg(all(feature = "train", feature = "deploy"))]

@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use glam::DVec3;
 use isoplanat::interchange::{Reading, load, load_as};
-use isoplanat::lens::catalogue::Glasses;
+use isoplanat::lens::catalogue::{Glasses, Naming};
 use isoplanat::lens::paraxial;
 use isoplanat::testing::{assert_abs, shared};
 use isoplanat::trace::sequential::trace;
@@ -43,7 +43,7 @@ impl Stated {
     fn index(&self, nm: f64, catalogues: &[String]) -> f64 {
         let Some(name) = self.glass.first() else { return 1.0 };
         if name != "___BLANK" {
-            return Glasses::shipped().find_spelled(name, catalogues).expect("a shipped glass").index(nm);
+            return Glasses::shipped().find(name, Naming::Foreign(catalogues)).expect("a shipped glass").index(nm);
         }
         let number =
             |i: usize| self.glass.get(i).map_or(0.0, |w: &String| w.replace(',', ".").parse().expect("a number"));

@@ -3,7 +3,7 @@
 use glam::DVec3;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::interchange::{Form, Imported, Reading, load, parse, parse_as, text_of};
-use isoplanat::lens::catalogue::Glasses;
+use isoplanat::lens::catalogue::{Glasses, Naming};
 use isoplanat::lens::{Lens, Medium, paraxial};
 use isoplanat::testing::{assert_abs, assert_rel, shared};
 use isoplanat::trace::rims::overlapping_rims;
@@ -37,7 +37,7 @@ fn efl(lens: &Lens) -> f64 {
 
 /// Focal length of one lens in air of the shipped N-BK7, in closed form.
 fn singlet(c1: f64, c2: f64, thickness: f64) -> f64 {
-    let n = Medium::named("N-BK7").expect("shipped").index(NM);
+    let n = Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(NM);
     let (a, b) = ((n - 1.0) * c1, (1.0 - n) * c2);
     1.0 / (a + b - a * b * thickness / n)
 }
@@ -247,7 +247,7 @@ fn a_glass_may_touch_the_image() {
 fn rims_reach_to_the_radius() {
     let Some(imported) = case("ball") else { return };
     told(&imported, "edge of its conic");
-    let n = Medium::named("N-BK7").expect("shipped").index(NM);
+    let n = Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(NM);
     assert_rel(efl(&imported.lens), n * 4.0 / (2.0 * (n - 1.0)), 1e-12, 0.0, "ball");
     assert!(imported.lens.surfaces.iter().all(|s| s.semi_diameter == 4.0));
     // A ray close to the rim of the ball still passes as Snell's law has it: deflected by twice the difference of its angles.
@@ -315,8 +315,10 @@ fn faces_may_cross_by_less_than_a_bound() {
         assert!(lines.len() == 1 && lines[0].contains(&format!("overlap by {depth:.4}")), "{lines:?}");
         assert!(lines[0].contains("light goes there"), "{lines:?}");
         // Snell's law at a point of each face, whichever comes first along the ray.
-        let (n, m) =
-            (Medium::named("N-BK7").expect("shipped").index(NM), Medium::named("F2").expect("shipped").index(NM));
+        let (n, m) = (
+            Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(NM),
+            Glasses::shipped().find("F2", Naming::Exact).expect("shipped").index(NM),
+        );
         let system = System::new(&lens, NM);
         let mut hits = Vec::new();
         let ray = Ray { origin: DVec3::new(0.0, 1.9, -1.0), direction: DVec3::Z };
@@ -361,7 +363,7 @@ fn a_virtual_image_has_its_first_order_data() {
     let first = paraxial::first_order(&imported.lens, NM);
     assert_rel(first.effective_focal_length, singlet(-0.02, 0.02, 2.0), 1e-12, 0.0, "efl");
     // Back focal length of a thick lens: f (1 − (n − 1) c₁ t / n).
-    let n = Medium::named("N-BK7").expect("shipped").index(NM);
+    let n = Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(NM);
     let expected = first.effective_focal_length * (1.0 - (n - 1.0) * -0.02 * 2.0 / n);
     assert_rel(first.paraxial_image_distance, expected, 1e-12, 0.0, "image");
     assert!(expected < -48.0);
@@ -379,7 +381,7 @@ fn objects_within_glass_and_curved_images_are_told() {
     let imported = read(&text.replace("DISZ INFINITY", water));
     told(&imported, "within a medium");
     let n0 = 1.33306;
-    let (n, c1, c2) = (Medium::named("N-BK7").expect("shipped").index(NM), 0.02, -0.01);
+    let (n, c1, c2) = (Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(NM), 0.02, -0.01);
     let (a, b) = ((n - n0) * c1, (1.0 - n) * c2);
     assert_rel(efl(&imported.lens), 1.0 / (a + b - a * b * 3.0 / n), 1e-12, 0.0, "efl");
     // The field of 2° in water is that of a ray in air that enters it.

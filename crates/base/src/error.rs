@@ -1,4 +1,7 @@
 //! The library's one error type: every message names the file, the place, the value and what is allowed.
+//!
+//! [`BadInput`] holds these four as parts, from where the error arises. Whoever knows more puts a part in ([`Error::in_file`],
+//! [`Error::within`], [`Error::at`]); nobody reads the text.
 
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -6,22 +9,17 @@ use std::path::{Path, PathBuf};
 use crate::figures::readable;
 use crate::terminal::cut;
 
+pub use location::Location;
+
+mod location;
+
 /// What can go wrong. Everything but [`Error::Internal`], [`Error::Stopped`] and [`Error::Interrupted`] is bad input (exit code 2).
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
     /// A value in a file or argument that cannot be used.
-    #[error("{}{}; {}", before(&[&one_line(file), &one_line(&cut(place, MOST))]), one_line(&cut(&readable(found), MOST)), one_line(&readable(allowed)))]
-    BadInput {
-        /// File (or the argument's name) the value stands in.
-        file: String,
-        /// Where in the file: key, surface, line.
-        place: String,
-        /// What was found there.
-        found: String,
-        /// What is allowed.
-        allowed: String,
-    },
+    #[error("{0}")]
+    BadInput(Box<BadInput>),
     /// A file that could not be read or written.
     #[error("{}: {what}: {reason}", path.display())]
     Io {
@@ -44,6 +42,46 @@ pub enum Error {
     /// The user pressed Ctrl-C.
     #[error("interrupted")]
     Interrupted,
+}
+
+/// A value that cannot be used: where it stands, what it is, what is allowed.
+#[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub struct BadInput {
+    /// The file, or the argument's name; empty where whoever found the fault does not know it, until [`Error::in_file`] puts it in.
+    pub file: String,
+    /// Where in the file.
+    pub place: Location,
+    /// What was found there.
+    pub found: String,
+    /// What is allowed.
+    pub allowed: String,
+}
+
+impl std::fmt::Display for BadInput {
+    /// `file: place: found; allowed` in one line.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let place = self.place.to_string();
+        let before = before(&[&one_line(&self.file), &one_line(&cut(&place, MOST))]);
+        let found = readable(&self.found);
+        write!(f, "{before}{}; {}", one_line(&cut(&found, MOST)), one_line(&readable(&self.allowed)))
+    }
+}
+
+impl BadInput {
+    /// The same with the file's name put in where it was not known.
+    #[must_use]
+    pub fn in_file(mut self, path: impl AsRef<Path>) -> Self {
+        if self.file.is_empty() {
+            self.file = path.as_ref().display().to_string();
+        }
+        self
+    }
+}
+
+impl From<BadInput> for Error {
+    fn from(bad: BadInput) -> Self {
+        Self::BadInput(Box::new(bad))
+    }
 }
 
 /// What stands before a value: the parts that there are, with colons.
@@ -70,11 +108,12 @@ impl Error {
     /// A bad value: `file: place: found; allowed`.
     pub fn bad(
         file: impl Into<String>,
-        place: impl Into<String>,
+        place: impl Into<Location>,
         found: impl Into<String>,
         allowed: impl Into<String>,
     ) -> Self {
-        Self::BadInput { file: file.into(), place: place.into(), found: found.into(), allowed: allowed.into() }
+        let (file, place, found, allowed) = (file.into(), place.into(), found.into(), allowed.into());
+        Self::BadInput(Box::new(BadInput { file, place, found, allowed }))
     }
 
     /// A file that could not be read.
@@ -95,23 +134,82 @@ impl Error {
     /// A TOML text that does not parse: its line, and what the parser said.
     pub fn toml(file: &str, text: &str, error: &toml::de::Error, allowed: &str) -> Self {
         let line = error.span().map_or(1, |span| text[..span.start.min(text.len())].matches('\n').count() + 1);
-        Self::bad(file, format!("line {line}"), error.message().trim().replace('\n', " "), allowed)
+        Self::bad(file, Location::line(line), error.message().trim().replace('\n', " "), allowed)
     }
 
-    /// The same error with the file's name put in where it was not known (`file` empty).
+    /// What is bad about the input, where that is the error.
+    pub fn bad_input(&self) -> Option<&BadInput> {
+        if let Self::BadInput(bad) = self { Some(bad) } else { None }
+    }
+
+    /// The error as one of input, as which it goes to another process: what is none becomes the value found at `place`.
     #[must_use]
-    pub fn in_file(self, path: &Path) -> Self {
+    pub fn into_bad_input(self, place: impl Into<Location>, allowed: &str) -> BadInput {
         match self {
-            Self::BadInput { file, place, found, allowed } if file.is_empty() => {
-                Self::BadInput { file: path.display().to_string(), place, found, allowed }
+            Self::BadInput(bad) => *bad,
+            other => {
+                let (place, found) = (place.into(), other.to_string());
+                BadInput { file: String::new(), place, found, allowed: allowed.to_owned() }
             }
+        }
+    }
+
+    /// The same error with a part changed, where it is one of input.
+    #[must_use]
+    fn changed(mut self, change: impl FnOnce(&mut BadInput)) -> Self {
+        if let Self::BadInput(bad) = &mut self {
+            change(bad);
+        }
+        self
+    }
+
+    /// The same error with the file's name put in where it was not known.
+    #[must_use]
+    pub fn in_file(self, path: impl AsRef<Path>) -> Self {
+        match self {
+            Self::BadInput(bad) => bad.in_file(path).into(),
             other => other,
         }
     }
 
-    /// The error as part of a sentence: without the place of a file that nobody has named.
-    pub fn words(&self) -> String {
-        self.to_string()
+    /// The same error of `path`, whatever file it named: a thing that was made of that file has a name of its own.
+    #[must_use]
+    pub fn of_file(self, path: impl AsRef<Path>) -> Self {
+        self.changed(|bad| bad.file = path.as_ref().display().to_string())
+    }
+
+    /// The same error with its files named as `named` does, which is told each.
+    #[must_use]
+    pub fn with_files(self, named: impl Fn(PathBuf) -> PathBuf) -> Self {
+        match self {
+            Self::Io { path, what, reason } => Self::Io { path: named(path), what, reason },
+            Self::Exists(path) => Self::Exists(named(path)),
+            other => other.changed(|bad| bad.file = named(std::mem::take(&mut bad.file).into()).display().to_string()),
+        }
+    }
+
+    /// The same error at `place`, where whoever asked knows the value's place and whoever refused it does not.
+    #[must_use]
+    pub fn at(self, place: impl Into<Location>) -> Self {
+        self.changed(|bad| bad.place = place.into())
+    }
+
+    /// The same error with its place below `outer` ([`Location::within`]).
+    #[must_use]
+    pub fn within(self, outer: impl Into<Location>) -> Self {
+        self.with_place(|place| place.within(outer))
+    }
+
+    /// The same error at the place that `named` makes of its own.
+    #[must_use]
+    pub fn with_place(self, named: impl FnOnce(Location) -> Location) -> Self {
+        self.changed(|bad| bad.place = named(std::mem::take(&mut bad.place)))
+    }
+
+    /// The same error with another way out before those that it names.
+    #[must_use]
+    pub fn or_else_allowed(self, way: &str) -> Self {
+        self.changed(|bad| bad.allowed = format!("{way}; or {}", bad.allowed))
     }
 
     /// The program's exit code for this error.

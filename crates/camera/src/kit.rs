@@ -42,6 +42,8 @@ pub const FILE: &str = "kit.toml";
 /// A kit.
 #[derive(Clone, Debug)]
 pub struct Kit {
+    /// The folder it was loaded from; empty for one that was made here.
+    pub folder: PathBuf,
     /// Name of the kit, for people.
     pub name: String,
     /// The program and version that wrote it.
@@ -192,7 +194,9 @@ impl Kit {
         shading: Shading,
         facts: Option<&Facts>,
     ) -> Result<Self> {
-        let card = ModelCard::from_metadata(&session::metadata(&model, Path::new("model.onnx"))?)?;
+        let model_path = Path::new("model.onnx");
+        let metadata = session::metadata(&model, model_path)?;
+        let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(model_path))?;
         let entry = ModelEntry {
             file: "model.onnx".into(),
             sha256: sha256_hex(&model),
@@ -209,6 +213,7 @@ impl Kit {
         let filters = facts.map(entry_of).transpose()?;
         let created_by = concat!("isoplanat ", env!("CARGO_PKG_VERSION")).into();
         let kit = Self {
+            folder: PathBuf::new(),
             name: name.into(),
             created_by,
             lens,
@@ -264,6 +269,7 @@ impl Kit {
         let guide = guide(&card, &file.frame, facts, &path.display().to_string())?;
         let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
         let kit = Self {
+            folder: folder.to_owned(),
             name: file.name,
             created_by: file.created_by,
             lens: file.lens,
@@ -290,6 +296,11 @@ impl Kit {
             return Err(Error::bad(file, "calibration_sha256", format!("a calibration of {}", short(&found)), allowed));
         }
         Ok(kit)
+    }
+
+    /// The model's file, as errors name it.
+    pub fn model_path(&self) -> PathBuf {
+        self.folder.join(&self.model.file)
     }
 
     /// Writes the kit as a folder, whole or not at all: into a new folder beside, which is then renamed.
@@ -437,10 +448,7 @@ fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> R
 
 /// What the network of `card` is told; what does not fit it is refused.
 fn guide(card: &ModelCard, frame: &Frame, facts: Option<Facts>, file: &str) -> Result<Guide> {
-    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| match e {
-        Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
-        other => other,
-    })
+    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| e.of_file(file))
 }
 
 /// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.

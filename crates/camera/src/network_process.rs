@@ -24,7 +24,7 @@ use super::session::{Options, Prepared, Runtime, Session};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{GIB, Limit, words as in_words};
 use wire::{
-    Answer, Asked, Opened, Refused, Said, line, line_of, read_answer, read_tile, words, write_answer, write_tile,
+    Answer, Asked, Opened, Said, line, line_of, of_input, read_answer, read_tile, words, write_answer, write_tile,
 };
 
 /// First argument that makes the program a child that runs a network.
@@ -162,7 +162,7 @@ pub(crate) fn serve(
     drop(model);
     let session = match opened {
         Ok(session) => session,
-        Err(error) => return words(out, &Said::Opened(Err(Refused::of(error)))),
+        Err(error) => return words(out, &Said::Opened(Err(of_input(error, &asked.file)))),
     };
     let workers = session.parallel_tiles();
     words(out, &Said::Opened(Ok(Opened { runtime: session.runtime().clone(), workers })))?;
@@ -177,7 +177,7 @@ pub(crate) fn serve(
                         let next = lock(&receiver).recv();
                         let Ok((id, tile)) = next else { return Ok(()) };
                         let started = Instant::now();
-                        let answer = session.run(tile.view()).map_err(Refused::of);
+                        let answer = session.run(tile.view()).map_err(|e| of_input(e, &asked.file));
                         let answer = answer.map(|tile| (tile, started.elapsed()));
                         write_answer(&mut **lock(&out), id, &answer)?;
                     }
@@ -295,7 +295,7 @@ impl Process {
         // (Nobody hears of a tile that could not be sent: the child is gone then, and who waits is told.)
         let _ = lock(&live.to_write).send(Written::Tile(id, tile.to_owned()));
         let answer = live.answer(&receiver, self.limits, "a tile");
-        answer.map_err(|why| refused(&self.asked, &why, &self.apart))?.map_err(Refused::error)
+        answer.map_err(|why| refused(&self.asked, &why, &self.apart))?.map_err(Error::from)
     }
 }
 
@@ -355,7 +355,7 @@ impl Live {
                 Said::Unheld(why) if !ready => {
                     return Err(Error::Internal(format!("the network's process was not given the model: {why}")));
                 }
-                Said::Opened(opened) if ready => break opened.map_err(Refused::error)?,
+                Said::Opened(opened) if ready => break opened.map_err(Error::from)?,
                 _ => return Err(refused(asked, &broke_off(limits), apart)),
             }
         };

@@ -17,7 +17,7 @@ use crate::child::{self, Confinement, Helper, Limits, Start};
 use crate::orientation::Orientation;
 use crate::raw::{self, ALLOWED, Area, RawCapture, RawPixels};
 use isoplanat_base::atomic;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{BadInput, Error, Result};
 use isoplanat_base::math::memory::{GIB, Limit, product, words};
 use isoplanat_imaging::exif::Exif;
 use isoplanat_imaging::sensor::cfa::Cfa;
@@ -25,6 +25,8 @@ use isoplanat_imaging::sensor::cfa::Cfa;
 /// First argument that makes the program a decoder child.
 pub const COMMAND: &str = "decode-raw-child";
 
+/// Where errors of a whole file stand.
+const PLACE: &str = "RAW";
 /// What a decoder may use at most: 2 GiB of addresses, and two minutes.
 const MEMORY: u64 = 2 * GIB;
 const TIME: Duration = Duration::from_secs(120);
@@ -35,7 +37,7 @@ const MOST_WORDS: u64 = 16 << 20;
 #[derive(Serialize, Deserialize)]
 enum Reply {
     Capture(Box<Header>),
-    Refused { found: String, allowed: String },
+    Refused(BadInput),
 }
 
 #[derive(Clone, Copy, Serialize, Deserialize)]
@@ -87,13 +89,12 @@ pub(crate) fn serve(
     let capture = match raw::decode_bytes(bytes, Path::new("RAW")) {
         Ok(capture) => capture,
         Err(error) => {
-            // The parent knows the file's name and puts it before the sentence again.
-            let (found, allowed) = match error {
-                Error::BadInput { found, allowed, .. } => (found, allowed),
-                Error::Io { reason, .. } => (reason.to_string(), ALLOWED.into()),
-                other => (other.to_string(), ALLOWED.into()),
+            // The parent knows the file's name and puts it in.
+            let refused = match error {
+                Error::Io { reason, .. } => Error::bad("", PLACE, reason.to_string(), ALLOWED),
+                other => other,
             };
-            return write_line(out, &Reply::Refused { found, allowed });
+            return write_line(out, &Reply::Refused(refused.into_bad_input(PLACE, ALLOWED)));
         }
     };
     let (rows, columns) = capture.size();
@@ -156,8 +157,7 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
     // Said here, the system's own reason reaches the user; what is no file would be waited for.
     atomic::regular(path)?;
     let file = File::open(path).map_err(|e| Error::reading(path, e))?;
-    let refused = |found: String, allowed: String| Error::bad(path.display().to_string(), "RAW", found, allowed);
-    let failed = |found: String| refused(found, ALLOWED.into());
+    let failed = |found: String| Error::bad(path.display().to_string(), PLACE, found, ALLOWED);
     let threads = Start::few_threads();
     let start = Start { helper, command: COMMAND, limits, once: true, input: file.into(), threads };
     let mut child = start.spawn().map_err(|e| Error::starting(helper.program(), e))?;
@@ -177,14 +177,11 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
     match outcome {
         Err(_) => Err(failed(format!("the decoder had not finished after {} s", limits.time.as_secs()))),
         Ok(Some(Heard::Capture(capture, confinement))) if status.success() => Ok((*capture, confinement)),
-        Ok(Some(Heard::Refused { found, allowed })) => Err(refused(found, allowed)),
+        Ok(Some(Heard::Refused(bad))) => Err(Error::from(bad).of_file(path)),
         Ok(Some(Heard::Unheld(why))) => {
             Err(Error::Internal(format!("the RAW decoder was not let near the file: {why}")))
         }
-        Ok(Some(Heard::TooLarge(Error::BadInput { place, found, allowed, .. }))) => {
-            Err(Error::bad(path.display().to_string(), place, found, allowed))
-        }
-        Ok(Some(Heard::TooLarge(other))) => Err(other),
+        Ok(Some(Heard::TooLarge(error))) => Err(error.of_file(path)),
         Ok(_) => {
             let limit = words(limits.memory_bytes);
             Err(failed(format!("the decoder broke off (damaged file, or more than {limit} of memory)")))
@@ -195,7 +192,7 @@ fn decode_within(helper: &Helper, path: &Path, limits: Limits, memory: Limit) ->
 /// What a child said.
 enum Heard {
     Capture(Box<RawCapture>, Confinement),
-    Refused { found: String, allowed: String },
+    Refused(BadInput),
     Unheld(String),
     TooLarge(Error),
 }
@@ -208,7 +205,7 @@ fn read(mut pipe: impl BufRead, memory: Limit) -> Option<Heard> {
         Err(why) => return Some(Heard::Unheld(why)),
     };
     let header = match read_line(&mut pipe)? {
-        Reply::Refused { found, allowed } => return Some(Heard::Refused { found, allowed }),
+        Reply::Refused(bad) => return Some(Heard::Refused(bad)),
         Reply::Capture(header) => *header,
     };
     let planes = if matches!(header.kind, Kind::Linear) { 3 } else { 1 };
@@ -305,8 +302,8 @@ mod tests {
         let path = dir.path().join("a.dng");
         std::fs::write(&path, "not a picture").expect("writes");
         let heard = read(&replied(&path)[..], Limit { bytes: GIB });
-        let Some(Heard::Refused { found, .. }) = heard else { panic!("refused") };
-        assert!(found.contains("cannot be decoded"), "{found}");
+        let Some(Heard::Refused(bad)) = heard else { panic!("refused") };
+        assert!(bad.found.contains("cannot be decoded"), "{bad}");
     }
 
     /// A child that cannot be held to its limits does not read the file.

@@ -166,7 +166,7 @@ impl Camera {
     pub fn opened(mut kit: Kit, steps: Steps, options: &Options, apart: Option<&Apart>) -> Result<Self> {
         // The model's bytes are the runtime's from here on.
         let model = std::mem::take(&mut kit.model_bytes);
-        let open = || Network::open(&model, Path::new(&kit.model.file), options, apart);
+        let open = || Network::open(&model, &kit.model_path(), options, apart);
         let network = steps.network.then(open).transpose()?;
         let calibrated = Some(Calibrated { kit, network, undistort: steps.undistort });
         Ok(Self { calibrated, ..Self::default() })
@@ -373,7 +373,8 @@ impl Calibrated {
             Ok(output)
         };
         let (tiling, parallel) = (self.kit.tiling()?, network.parallel_tiles());
-        let restored = tiles::run(camera, at, &self.kit.guide, tiling, parallel, &one, progress)?;
+        let restored = tiles::run(camera, at, &self.kit.guide, tiling, parallel, &one, progress);
+        let restored = restored.map_err(|e| e.in_file(self.kit.model_path()))?;
         Ok((restored, inside.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner)))
     }
 

@@ -114,6 +114,8 @@ enum Engine {
 
 /// A model ready to run.
 pub struct Session {
+    /// What errors call the model.
+    file: PathBuf,
     engine: Engine,
     runtime: Runtime,
     metadata: BTreeMap<String, String>,
@@ -157,13 +159,19 @@ impl Prepared {
         let Self { onnxruntime, options } = self;
         let proto = model::read(bytes, file)?;
         let metadata = model::metadata(&proto);
-        let threads = options.thread_count();
+        let (threads, named) = (options.thread_count(), file.to_owned());
         match onnxruntime.and_then(|()| environment()) {
             Ok((Library { version, library, origin }, environment)) => {
                 let session = guarded(|| onnxruntime_session(&environment, &model::bytes(&proto), threads))
                     .map_err(|e| model::bad(file, &e))?;
                 let runtime = Runtime::OnnxRuntime { version, library, origin };
-                Ok(Session { engine: Engine::OnnxRuntime(Mutex::new(session)), runtime, metadata, threads })
+                Ok(Session {
+                    file: named,
+                    engine: Engine::OnnxRuntime(Mutex::new(session)),
+                    runtime,
+                    metadata,
+                    threads,
+                })
             }
             Err(reason) if options.onnxruntime.is_some() && options.choice != Choice::Tract => {
                 let path = options.onnxruntime.as_deref().unwrap_or(file).display().to_string();
@@ -178,7 +186,7 @@ impl Prepared {
             }
             Err(reason) => {
                 let engine = Engine::Tract { proto: Box::new(proto), plans: Mutex::default() };
-                Ok(Session { engine, runtime: Runtime::Tract { reason }, metadata, threads })
+                Ok(Session { file: named, engine, runtime: Runtime::Tract { reason }, metadata, threads })
             }
         }
     }
@@ -216,7 +224,8 @@ impl Session {
     /// # Errors
     /// What the runtime refuses, for instance a size the model cannot take.
     pub fn run(&self, tile: ArrayView4<'_, f32>) -> Result<Array4<f32>> {
-        let failed = |e: String| Error::bad("model.onnx", "inference", e, "a model that takes and returns an image");
+        let allowed = "a model that takes and returns an image";
+        let failed = |e: String| Error::bad(self.file.display().to_string(), "inference", e, allowed);
         let tile = tile.as_standard_layout();
         match &self.engine {
             Engine::OnnxRuntime(session) => {

@@ -143,12 +143,12 @@ pub fn run(
         let (_, _, height, width) = input.dim();
         if output.dim() != (1, 3, height, width) {
             let found = format!("an output of {:?} for an input of {:?}", output.dim(), input.dim());
-            return Err(Error::bad("", "network", found, "three channels of the same shape"));
+            return Err(Error::bad("", "network", found, "a network that makes three channels of the same shape"));
         }
         let to = [row, column].map(|span| span.kept[0] - border);
         if let Some(bad) = output.iter().find(|v| !v.is_finite()) {
             let found = format!("{bad} in the tile at row {}, column {}", to[0], to[1]);
-            return Err(Error::bad("", "network", found, "numbers"));
+            return Err(Error::bad("", "network", found, "a network that makes finite numbers of a picture"));
         }
         let within = |span: Span| span.kept[0] - span.start..span.kept[1] - span.start;
         let part = output.slice(s![0, .., within(row), within(column)]).to_owned();

@@ -267,10 +267,7 @@ fn inputs(metadata: &BTreeMap<String, String>, schema: u32) -> Result<Inputs> {
 
 /// The error of a bad entry `key`.
 fn placed(error: Error, key: &str) -> Error {
-    match error {
-        Error::BadInput { found, allowed, .. } => Error::bad("", format!("metadata {PREFIX}{key}"), found, allowed),
-        other => other,
-    }
+    error.at(format!("metadata {PREFIX}{key}"))
 }
 
 /// What the network is made of; cards say so from the third form on.

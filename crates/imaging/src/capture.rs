@@ -12,6 +12,7 @@ use crate::plane::{Plane, Region};
 use crate::reference::{self, Channels, Sampling};
 use crate::sensor::Sensor;
 use crate::sensor::haze::add_haze_mosaic;
+use crate::sensor::illuminant::Illuminant;
 use crate::sensor::noise::{Noise, mixed, quantise, standard_normal};
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
@@ -30,6 +31,15 @@ pub struct CaptureSettings {
     pub noise: bool,
     /// Share of the light that is spread over the frame as veiling glare.
     pub glare: f64,
+    /// Light on the scene.
+    pub light: Illuminant,
+}
+
+impl Default for CaptureSettings {
+    /// As `isoplanat capture` without options.
+    fn default() -> Self {
+        Self { samples: 128, seed: 1, exposure: 1.0, noise: true, glare: 0.0, light: Illuminant::default() }
+    }
 }
 
 /// A raw capture.
@@ -72,7 +82,7 @@ pub fn expose(signal: ArrayView2<'_, f32>, sensor: &Sensor, seed: Option<u64>) -
 /// Photographs `scene` through `lens` with `sensor`, the whole `frame`.
 ///
 /// # Errors
-/// An exposure that is not a positive number, a share of glare that is none; as [`reference::render`].
+/// An exposure that is not a positive number, a share of glare that is none, a light that the sensor does not see; as [`reference::render`].
 pub fn capture(
     lens: &Lens,
     scene: &Plane,
@@ -81,7 +91,7 @@ pub fn capture(
     settings: CaptureSettings,
     progress: Option<&(dyn Fn(f64) + Sync)>,
 ) -> Result<Capture> {
-    let CaptureSettings { samples, seed, exposure, noise, glare } = settings;
+    let CaptureSettings { samples, seed, exposure, noise, glare, light } = settings;
     if !(exposure > 0.0 && exposure.is_finite()) {
         return Err(Error::bad("", "exposure", exposure.to_string(), "a positive number"));
     }
@@ -92,7 +102,8 @@ pub fn capture(
         sampling: Sampling::Bounded,
     };
     let region = Region::whole(frame);
-    let rendered = reference::render(lens, scene, &SpectralDensity::new(sensor), frame, region, how, progress)?;
+    let rendered =
+        reference::render(lens, scene, &SpectralDensity::under(sensor, light)?, frame, region, how, progress)?;
     check(glare)?;
     let mut light = rendered.mosaic();
     add_haze_mosaic(&mut light, sensor.cfa, glare);
@@ -123,7 +134,14 @@ mod tests {
     }
 
     fn settings() -> CaptureSettings {
-        CaptureSettings { samples: 32, seed: 5, exposure: 0.8, noise: false, glare: 0.0 }
+        CaptureSettings {
+            samples: 32,
+            seed: 5,
+            exposure: 0.8,
+            noise: false,
+            glare: 0.0,
+            light: Illuminant::EqualEnergy,
+        }
     }
 
     /// White on the axis: each channel holds exposure · neutral response of the full scale, in DN.

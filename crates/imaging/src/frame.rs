@@ -37,11 +37,9 @@ impl TryFrom<FrameFile> for Frame {
     type Error = Error;
 
     fn try_from(file: FrameFile) -> Result<Self> {
-        let frame = Self::centred(file.columns, file.rows, file.pitch_mm)?;
-        match file.axis_px {
-            None => Ok(frame),
-            Some(axis_px) => frame.with_axis(axis_px),
-        }
+        let frame = Self::centred(file.columns, file.rows, file.pitch_mm);
+        let frame = frame.and_then(|frame| file.axis_px.map_or(Ok(frame.clone()), |axis_px| frame.with_axis(axis_px)));
+        frame.map_err(|e| e.within("frame"))
     }
 }
 
@@ -53,11 +51,11 @@ impl Frame {
     pub fn centred(columns: usize, rows: usize, pitch_mm: f64) -> Result<Self> {
         for (name, size) in [("columns", columns), ("rows", rows)] {
             if !(1..=65_536).contains(&size) {
-                return Err(Error::bad("", format!("frame.{name}"), size.to_string(), "1 to 65536 pixels"));
+                return Err(Error::bad("", name, size.to_string(), "1 to 65536 pixels"));
             }
         }
         if !(pitch_mm > 0.0 && pitch_mm.is_finite()) {
-            return Err(Error::bad("", "frame.pitch_mm", pitch_mm.to_string(), "a positive number of mm"));
+            return Err(Error::bad("", "pitch_mm", pitch_mm.to_string(), "a positive number of mm"));
         }
         let axis_px = [columns as f64 / 2.0, rows as f64 / 2.0];
         Ok(Self { columns, rows, pitch_mm, axis_px })
@@ -69,7 +67,7 @@ impl Frame {
     /// A coordinate that is not finite.
     pub fn with_axis(mut self, axis_px: [f64; 2]) -> Result<Self> {
         if !axis_px.iter().all(|v| v.is_finite()) {
-            return Err(Error::bad("", "frame.axis_px", format!("{axis_px:?}"), "two finite numbers [column, row]"));
+            return Err(Error::bad("", "axis_px", format!("{axis_px:?}"), "two finite numbers [column, row]"));
         }
         self.axis_px = axis_px;
         Ok(self)

@@ -7,6 +7,8 @@ use ndarray::{Array3, ArrayView3, Axis};
 
 use crate::frame::Frame;
 
+pub use isoplanat_base::math::raster::mirrored;
+
 /// A flat, self-luminous texture facing the lens.
 #[derive(Clone, Debug)]
 pub struct Plane {
@@ -58,16 +60,6 @@ fn bilinear(t: ndarray::ArrayView2<'_, f32>, texel: [f64; 2]) -> (f64, [f64; 2])
     let bottom = c + fx * (d - c);
     let dx = (b - a) + fy * ((d - c) - (b - a));
     (top + fy * (bottom - top), [gx * dx, gy * (bottom - top)])
-}
-
-/// Index `i` mirrored into `0..n` about the first and last sample, which are not repeated.
-pub fn mirrored(i: isize, n: usize) -> usize {
-    let last = n.cast_signed() - 1;
-    if last <= 0 {
-        return 0;
-    }
-    let folded = i.rem_euclid(2 * last);
-    folded.min(2 * last - folded).unsigned_abs()
 }
 
 /// Channels `[channel, row, col]` with rows mirrored, columns mirrored, then rows and columns exchanged, as `turns` say; pictures that are

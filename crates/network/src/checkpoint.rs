@@ -85,7 +85,7 @@ impl Checkpoint {
         let text = self.0.fact("config").unwrap_or_default();
         let bad = |found: String| self.0.bad("config", found, "a network's size");
         let config: UnetConfig = serde_json::from_str(text).map_err(|e| bad(e.to_string()))?;
-        config.validate().map_err(|e| bad(e.to_string()))?;
+        config.validate().map_err(|e| e.within("config").of_file(&self.0.path))?;
         let (weights, held) = (config.weights(), self.0.numbers());
         if weights > SMALL && weights / LOOSE > held {
             return Err(bad(format!("a network of some {weights} weights in a file of {held} numbers")));

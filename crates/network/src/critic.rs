@@ -38,11 +38,11 @@ impl CriticConfig {
     /// Refuses sizes that are no network.
     pub fn validate(&self) -> Result<()> {
         if !(1..=256).contains(&self.width) {
-            return Err(Error::bad("", "train.loss.discriminator_width", self.width.to_string(), "1 to 256 channels"));
+            return Err(Error::bad("", "loss.discriminator_width", self.width.to_string(), "1 to 256 channels"));
         }
         if !(32..=1024).contains(&self.patch_px) || !self.patch_px.is_power_of_two() {
             let allowed = "32, 64, 128, 256, 512 or 1024 pixels where discriminators train";
-            return Err(Error::bad("", "train.pairs.patch_px", self.patch_px.to_string(), allowed));
+            return Err(Error::bad("", "pairs.patch_px", self.patch_px.to_string(), allowed));
         }
         Ok(())
     }

@@ -205,200 +205,128 @@ impl FastOps for Flex {
     }
 }
 
-/// Registers a cotangent of shape `$shape` where its node asks for it.
-macro_rules! register {
-    ($grads:ident, $node:expr, $values:expr, $shape:expr) => {
-        if let Some(node) = $node {
-            $grads.register::<Flex>(node.id, primitive($values, $shape));
+/// The way back through an operation of `N` inputs: what it keeps (its inputs in order; of a convolution all but the bias), how it was run and the cotangent of its
+/// output give those of all inputs. The pictures that it kept are released there.
+type Vjp<const N: usize, const K: usize, H> = fn([Primitive; K], H, &Primitive, Wanted) -> [Vec<f32>; N];
+
+/// A step back in burn's graph.
+#[derive(Debug)]
+struct Back<const N: usize, const K: usize, H>(Vjp<N, K, H>);
+
+impl<const N: usize, const K: usize, H> Backward<Flex, N> for Back<N, K, H>
+where
+    H: Clone + std::fmt::Debug + Send + 'static,
+{
+    type State = ([Primitive; K], H);
+
+    fn backward(self, ops: Ops<Self::State, N>, grads: &mut Gradients, _: &mut Checkpointer) {
+        let bar = contiguous(grads.consume::<Flex>(&ops.node));
+        let (kept, how) = ops.state;
+        // A convolution's last two inputs are its weights and its bias.
+        let (pictures, weights) = ops.parents.split_at(N.saturating_sub(2));
+        let asked = |nodes: &[Option<_>]| nodes.iter().any(Option::is_some);
+        let wanted = Wanted { inputs: asked(pictures), weights: asked(weights) };
+        let shapes = kept.each_ref().map(TensorMetadata::shape);
+        let bars = (self.0)(kept, how, &bar, wanted);
+        for (k, (node, values)) in ops.parents.into_iter().zip(bars).enumerate() {
+            if let Some(node) = node {
+                let shape = shapes.get(k).cloned().unwrap_or_else(|| [values.len()].into());
+                grads.register::<Flex>(node.id, Primitive::from_data(TensorData::new(values, shape)));
+            }
         }
-    };
-}
-
-#[derive(Debug)]
-struct ConvolvePlain;
-
-impl Backward<Flex, 3> for ConvolvePlain {
-    type State = ([Primitive; 2], Level);
-
-    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, weight], level) = ops.state;
-        let wanted = Wanted { inputs: x_node.is_some(), weights: weight_node.is_some() || bias_node.is_some() };
-        let (mut sources, weight_bar, bias_bar) =
-            kernels::convolve_vjp(level, &[source(&x, None)], extent(&x), values(&weight), values(&bar), wanted);
-        register!(grads, x_node, sources.remove(0).values, dims::<4>(&x));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x]);
+        release([bar]);
     }
 }
 
-#[derive(Debug)]
-struct ConvolveActivated;
-
-impl Backward<Flex, 4> for ConvolveActivated {
-    type State = ([Primitive; 3], Level);
-
-    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, slope_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, slope, weight], level) = ops.state;
-        let wanted = Wanted {
-            inputs: x_node.is_some() || slope_node.is_some(),
-            weights: weight_node.is_some() || bias_node.is_some(),
-        };
-        let sources = [source(&x, Some(&slope))];
-        let (mut bars, weight_bar, bias_bar) =
-            kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(&bar), wanted);
-        let SourceBar { values: x_bar, slope: slope_bar } = bars.remove(0);
-        register!(grads, x_node, x_bar, dims::<4>(&x));
-        register!(grads, slope_node, slope_bar, dims::<1>(&slope));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x]);
-    }
+fn convolve_plain_vjp([x, weight]: [Primitive; 2], level: Level, bar: &Primitive, wanted: Wanted) -> [Vec<f32>; 3] {
+    let (mut sources, weight_bar, bias_bar) =
+        kernels::convolve_vjp(level, &[source(&x, None)], extent(&x), values(&weight), values(bar), wanted);
+    release([x]);
+    [sources.remove(0).values, weight_bar, bias_bar]
 }
 
-#[derive(Debug)]
-struct ConvolveJoined;
-
-impl Backward<Flex, 5> for ConvolveJoined {
-    type State = ([Primitive; 4], Level);
-
-    fn backward(self, ops: Ops<Self::State, 5>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, slope_node, plain_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, slope, plain, weight], level) = ops.state;
-        let wanted = Wanted {
-            inputs: x_node.is_some() || slope_node.is_some() || plain_node.is_some(),
-            weights: weight_node.is_some() || bias_node.is_some(),
-        };
-        let sources = [source(&x, Some(&slope)), source(&plain, None)];
-        let (mut bars, weight_bar, bias_bar) =
-            kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(&bar), wanted);
-        let SourceBar { values: x_bar, slope: slope_bar } = bars.remove(0);
-        register!(grads, x_node, x_bar, dims::<4>(&x));
-        register!(grads, slope_node, slope_bar, dims::<1>(&slope));
-        register!(grads, plain_node, bars.remove(0).values, dims::<4>(&plain));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x, plain]);
-    }
+fn convolve_activated_vjp(
+    [x, slope, weight]: [Primitive; 3],
+    level: Level,
+    bar: &Primitive,
+    wanted: Wanted,
+) -> [Vec<f32>; 4] {
+    let sources = [source(&x, Some(&slope))];
+    let (mut bars, weight_bar, bias_bar) =
+        kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(bar), wanted);
+    release([x]);
+    let SourceBar { values, slope } = bars.remove(0);
+    [values, slope, weight_bar, bias_bar]
 }
 
-#[derive(Debug)]
-struct DepthwiseActivated;
-
-impl Backward<Flex, 4> for DepthwiseActivated {
-    type State = ([Primitive; 3], Level);
-
-    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, slope_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, slope, weight], level) = ops.state;
-        let wanted = Wanted {
-            inputs: x_node.is_some() || slope_node.is_some(),
-            weights: weight_node.is_some() || bias_node.is_some(),
-        };
-        let of = source(&x, Some(&slope));
-        let (source_bar, weight_bar, bias_bar) =
-            kernels::depthwise_vjp(level, of, extent(&x), values(&weight), values(&bar), wanted);
-        register!(grads, x_node, source_bar.values, dims::<4>(&x));
-        register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x]);
-    }
+fn convolve_joined_vjp(
+    [x, slope, plain, weight]: [Primitive; 4],
+    level: Level,
+    bar: &Primitive,
+    wanted: Wanted,
+) -> [Vec<f32>; 5] {
+    let sources = [source(&x, Some(&slope)), source(&plain, None)];
+    let (mut bars, weight_bar, bias_bar) =
+        kernels::convolve_vjp(level, &sources, extent(&x), values(&weight), values(bar), wanted);
+    release([x, plain]);
+    let SourceBar { values, slope } = bars.remove(0);
+    [values, slope, bars.remove(0).values, weight_bar, bias_bar]
 }
 
-#[derive(Debug)]
-struct ConvolveColumns;
-
-impl Backward<Flex, 3> for ConvolveColumns {
-    type State = ([Primitive; 2], (Level, Taps));
-
-    fn backward(self, ops: Ops<Self::State, 3>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, weight], (level, taps)) = ops.state;
-        let wanted = Wanted { inputs: x_node.is_some(), weights: weight_node.is_some() || bias_node.is_some() };
-        let (x_bar, weight_bar, bias_bar) =
-            columns::convolve_vjp(level, taps, source(&x, None), extent(&x), values(&weight), values(&bar), wanted);
-        register!(grads, x_node, x_bar, dims::<4>(&x));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x]);
-    }
+fn depthwise_activated_vjp(
+    [x, slope, weight]: [Primitive; 3],
+    level: Level,
+    bar: &Primitive,
+    wanted: Wanted,
+) -> [Vec<f32>; 4] {
+    let of = source(&x, Some(&slope));
+    let (SourceBar { values, slope }, weight_bar, bias_bar) =
+        kernels::depthwise_vjp(level, of, extent(&x), self::values(&weight), self::values(bar), wanted);
+    release([x]);
+    [values, slope, weight_bar, bias_bar]
 }
 
-#[derive(Debug)]
-struct GatePlain;
-
-impl Backward<Flex, 1> for GatePlain {
-    type State = ([Primitive; 1], Level);
-
-    fn backward(self, ops: Ops<Self::State, 1>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x], level) = ops.state;
-        let x_bar = kernels::gate_vjp(level, values(&x), extent(&x), values(&bar));
-        register!(grads, x_node, x_bar, dims::<4>(&x));
-        release([bar, x]);
-    }
+fn convolve_columns_vjp(
+    [x, weight]: [Primitive; 2],
+    (level, taps): (Level, Taps),
+    bar: &Primitive,
+    wanted: Wanted,
+) -> [Vec<f32>; 3] {
+    let (x_bar, weight_bar, bias_bar) =
+        columns::convolve_vjp(level, taps, source(&x, None), extent(&x), values(&weight), values(bar), wanted);
+    release([x]);
+    [x_bar, weight_bar, bias_bar]
 }
 
-#[derive(Debug)]
-struct PoolActivated;
-
-impl Backward<Flex, 2> for PoolActivated {
-    type State = ([Primitive; 2], Level);
-
-    fn backward(self, ops: Ops<Self::State, 2>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, slope_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, slope], level) = ops.state;
-        let source_bar = kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&bar));
-        register!(grads, x_node, source_bar.values, dims::<4>(&x));
-        register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
-        release([bar, x]);
-    }
+fn gate_plain_vjp([x]: [Primitive; 1], level: Level, bar: &Primitive, _: Wanted) -> [Vec<f32>; 1] {
+    let x_bar = kernels::gate_vjp(level, values(&x), extent(&x), values(bar));
+    release([x]);
+    [x_bar]
 }
 
-#[derive(Debug)]
-struct UnpoolActivated;
-
-impl Backward<Flex, 4> for UnpoolActivated {
-    type State = ([Primitive; 3], Level);
-
-    fn backward(self, ops: Ops<Self::State, 4>, grads: &mut Gradients, _: &mut Checkpointer) {
-        let [x_node, slope_node, weight_node, bias_node] = ops.parents;
-        let bar = contiguous(grads.consume::<Flex>(&ops.node));
-        let ([x, slope, weight], level) = ops.state;
-        let wanted = Wanted {
-            inputs: x_node.is_some() || slope_node.is_some(),
-            weights: weight_node.is_some() || bias_node.is_some(),
-        };
-        let (source_bar, weight_bar, bias_bar) =
-            kernels::unpool_vjp(level, source(&x, Some(&slope)), extent(&x), values(&weight), values(&bar), wanted);
-        register!(grads, x_node, source_bar.values, dims::<4>(&x));
-        register!(grads, slope_node, source_bar.slope, dims::<1>(&slope));
-        let outputs = bias_bar.len();
-        register!(grads, weight_node, weight_bar, dims::<4>(&weight));
-        register!(grads, bias_node, bias_bar, [outputs]);
-        release([bar, x]);
-    }
+fn pool_activated_vjp([x, slope]: [Primitive; 2], level: Level, bar: &Primitive, _: Wanted) -> [Vec<f32>; 2] {
+    let SourceBar { values, slope } = kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), self::values(bar));
+    release([x]);
+    [values, slope]
 }
 
-/// Runs the kernel on the inner tensors and registers `$step`, which keeps the tensors `$kept`.
+fn unpool_activated_vjp(
+    [x, slope, weight]: [Primitive; 3],
+    level: Level,
+    bar: &Primitive,
+    wanted: Wanted,
+) -> [Vec<f32>; 4] {
+    let of = source(&x, Some(&slope));
+    let (SourceBar { values, slope }, weight_bar, bias_bar) =
+        kernels::unpool_vjp(level, of, extent(&x), self::values(&weight), self::values(bar), wanted);
+    release([x]);
+    [values, slope, weight_bar, bias_bar]
+}
+
+/// Runs the kernel on the inner tensors and registers the way back by `$vjp`, which keeps the tensors `$kept`.
 macro_rules! tracked {
-    ($step:expr, [$($input:ident),+], [$($kept:ident),+], $level:ident, $forward:ident) => {
-        match $step.prepare::<C>([$($input.node()),+]).compute_bound().stateful() {
+    ($vjp:expr, [$($input:ident),+], [$($kept:ident),+], $level:ident, $forward:ident) => {
+        match Back($vjp).prepare::<C>([$($input.node()),+]).compute_bound().stateful() {
             OpsKind::Tracked(prep) => {
                 $(let $input = contiguous($input.into_primitive());)+
                 let kept = [$($kept.clone()),+];
@@ -417,7 +345,7 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(ConvolvePlain, [x, weight, bias], [x, weight], level, convolve_plain)
+        tracked!(convolve_plain_vjp, [x, weight, bias], [x, weight], level, convolve_plain)
     }
 
     fn convolve_activated(
@@ -427,7 +355,7 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(ConvolveActivated, [x, slope, weight, bias], [x, slope, weight], level, convolve_activated)
+        tracked!(convolve_activated_vjp, [x, slope, weight, bias], [x, slope, weight], level, convolve_activated)
     }
 
     fn convolve_joined(
@@ -438,7 +366,13 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(ConvolveJoined, [x, slope, plain, weight, bias], [x, slope, plain, weight], level, convolve_joined)
+        tracked!(
+            convolve_joined_vjp,
+            [x, slope, plain, weight, bias],
+            [x, slope, plain, weight],
+            level,
+            convolve_joined
+        )
     }
 
     fn depthwise_activated(
@@ -448,11 +382,11 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(DepthwiseActivated, [x, slope, weight, bias], [x, slope, weight], level, depthwise_activated)
+        tracked!(depthwise_activated_vjp, [x, slope, weight, bias], [x, slope, weight], level, depthwise_activated)
     }
 
     fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
-        tracked!(GatePlain, [x], [x], level, gate_plain)
+        tracked!(gate_plain_vjp, [x], [x], level, gate_plain)
     }
 
     fn convolve_columns(
@@ -461,11 +395,11 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         how: (Level, Taps),
     ) -> FloatTensor<Self> {
-        tracked!(ConvolveColumns, [x, weight, bias], [x, weight], how, convolve_columns)
+        tracked!(convolve_columns_vjp, [x, weight, bias], [x, weight], how, convolve_columns)
     }
 
     fn pool_activated(x: FloatTensor<Self>, slope: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
-        tracked!(PoolActivated, [x, slope], [x, slope], level, pool_activated)
+        tracked!(pool_activated_vjp, [x, slope], [x, slope], level, pool_activated)
     }
 
     fn unpool_activated(
@@ -475,6 +409,6 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(UnpoolActivated, [x, slope, weight, bias], [x, slope, weight], level, unpool_activated)
+        tracked!(unpool_activated_vjp, [x, slope, weight, bias], [x, slope, weight], level, unpool_activated)
     }
 }

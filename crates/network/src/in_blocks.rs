@@ -6,13 +6,10 @@
 use burn::tensor::Tensor;
 use burn::tensor::ops::PadMode;
 
+use isoplanat_base::math::raster::parts;
+
 /// Most rows, and most columns, of a block, pixels.
 const SIDE: usize = 128;
-
-/// First number and length of the parts of at most `most` that `n` is cut into.
-fn spans(n: usize, most: usize) -> impl Iterator<Item = (usize, usize)> {
-    (0..n).step_by(most).map(move |start| (start, most.min(n - start)))
-}
 
 /// `run` on blocks of at most [`SIDE`]² pixels, put together again. `run` sees `border` pixels more on every side than it
 /// answers for, zeros beyond the picture; it may change the scale.
@@ -23,15 +20,15 @@ pub(super) fn in_blocks(x: Tensor<4>, border: usize, run: impl Fn(Tensor<4>) -> 
     let [batch, _, rows, columns] = x.dims();
     let x = if border > 0 { x.pad((border, border, border, border), PadMode::Constant(0.0)) } else { x };
     let pictures = (SIDE * SIDE / (rows.min(SIDE) * columns.min(SIDE)).max(1)).max(1);
-    let joined = |mut parts: Vec<Tensor<4>>, axis: usize| {
-        if parts.len() == 1 { parts.remove(0) } else { Tensor::cat(parts, axis) }
+    let joined = |mut all: Vec<Tensor<4>>, axis: usize| {
+        if all.len() == 1 { all.remove(0) } else { Tensor::cat(all, axis) }
     };
-    let of_pictures = spans(batch, pictures).map(|(first, n)| {
-        let some = x.clone().narrow(0, first, n);
-        let bands = spans(rows, SIDE).map(|(row, height)| {
-            let band = some.clone().narrow(2, row, height + 2 * border);
+    let of_pictures = parts(batch, pictures).map(|of| {
+        let some = x.clone().narrow(0, of.start, of.len());
+        let bands = parts(rows, SIDE).map(|row| {
+            let band = some.clone().narrow(2, row.start, row.len() + 2 * border);
             let blocks =
-                spans(columns, SIDE).map(|(column, width)| run(band.clone().narrow(3, column, width + 2 * border)));
+                parts(columns, SIDE).map(|column| run(band.clone().narrow(3, column.start, column.len() + 2 * border)));
             joined(blocks.collect(), 3)
         });
         joined(bands.collect(), 2)

@@ -75,7 +75,7 @@ impl Reconstructor {
     /// # Errors
     /// A size that is no network, or a device this build or machine has not.
     pub fn on(compute: Compute, config: UnetConfig, seed: u64) -> Result<Self> {
-        config.validate()?;
+        config.validate().map_err(|e| e.within("network"))?;
         let device = compute.device()?.autodiff();
         let learner = Learner::new(Unet::new(&config, seed, &device), device, compute);
         Ok(Self { config, learner, compute, way: compute.way() })

@@ -92,7 +92,7 @@ fn sum(facts: &BTreeMap<String, String>, mut tensors: Vec<Part<'_>>) -> Result<S
 
 /// A file in memory.
 pub(super) struct TensorFile {
-    path: PathBuf,
+    pub(super) path: PathBuf,
     facts: BTreeMap<String, String>,
     bytes: Vec<u8>,
 }

@@ -1,8 +1,11 @@
 //! Pictures too large for one pass: overlapping tiles, and reflection to the network's multiple.
 
+use std::ops::Range;
+
 use ndarray::{Array4, ArrayView4, s};
 
 use isoplanat_base::error::Result;
+use isoplanat_base::math::raster::{grown, mirrored, parts};
 
 /// Applies `run` (which keeps rows and columns) to tiles of `tile` pixels with `margin` pixels of surroundings, clipped at the
 /// picture's border, and puts the tiles' cores together.
@@ -17,21 +20,16 @@ pub(super) fn forward_tiled(
 ) -> Result<Array4<f32>> {
     let (batch, _, rows, columns) = input.dim();
     let mut output = Array4::zeros((0, 0, 0, 0));
-    for row in (0..rows).step_by(tile) {
-        for column in (0..columns).step_by(tile) {
-            let (row_end, column_end) = ((row + tile).min(rows), (column + tile).min(columns));
-            let (top, left) = (row.saturating_sub(margin), column.saturating_sub(margin));
-            let (bottom, right) = ((row_end + margin).min(rows), (column_end + margin).min(columns));
-            let done = run(input.slice(s![.., .., top..bottom, left..right]))?;
+    for row in parts(rows, tile) {
+        for column in parts(columns, tile) {
+            let (high, wide) = (grown(&row, margin, rows), grown(&column, margin, columns));
+            let done = run(input.slice(s![.., .., high.clone(), wide.clone()]))?;
             if output.is_empty() {
                 output = Array4::zeros((batch, done.dim().1, rows, columns));
             }
-            output.slice_mut(s![.., .., row..row_end, column..column_end]).assign(&done.slice(s![
-                ..,
-                ..,
-                row - top..row_end - top,
-                column - left..column_end - left
-            ]));
+            let within = |core: &Range<usize>, all: Range<usize>| core.start - all.start..core.end - all.start;
+            let core = done.slice(s![.., .., within(&row, high), within(&column, wide)]);
+            output.slice_mut(s![.., .., row.clone(), column]).assign(&core);
         }
     }
     Ok(output)
@@ -42,17 +40,8 @@ pub(super) fn forward_tiled(
 pub(super) fn reflect_to_multiple(input: ArrayView4<f32>, multiple: usize) -> Array4<f32> {
     let (batch, channels, rows, columns) = input.dim();
     let shape = (batch, channels, rows.next_multiple_of(multiple), columns.next_multiple_of(multiple));
-    Array4::from_shape_fn(shape, |(b, c, row, column)| input[[b, c, mirror(row, rows), mirror(column, columns)]])
-}
-
-/// `index` folded into `0..n` by mirroring at both ends.
-fn mirror(index: usize, n: usize) -> usize {
-    if n <= 1 {
-        return 0;
-    }
-    let period = 2 * (n - 1);
-    let index = index % period;
-    index.min(period - index)
+    let from = |i: usize, n: usize| mirrored(i.cast_signed(), n);
+    Array4::from_shape_fn(shape, |(b, c, row, column)| input[[b, c, from(row, rows), from(column, columns)]])
 }
 
 #[cfg(test)]

@@ -109,7 +109,7 @@ impl Trainer {
         };
         let mut critics = Vec::new();
         if let Some(config) = &objective.critics {
-            config.validate()?;
+            config.validate().map_err(|e| e.within("discriminators"))?;
             for (i, (prefix, sight)) in [("global.", Sight::Global), ("local.", Sight::Local)].into_iter().enumerate() {
                 let module = Discriminator::new(config, sight, seed.wrapping_add(1 + i as u64), &device);
                 critics.push((prefix, Learner::new(module, device.clone(), generator.compute())));

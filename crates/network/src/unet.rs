@@ -101,17 +101,17 @@ impl UnetConfig {
     /// Refuses sizes that are no network or too large to train.
     pub fn validate(&self) -> Result<()> {
         if !(1..=512).contains(&self.base_width) {
-            return Err(Error::bad("", "network.base_width", self.base_width.to_string(), "1 to 512 channels"));
+            return Err(Error::bad("", "base_width", self.base_width.to_string(), "1 to 512 channels"));
         }
         if !(1..=FULL_SCALES).contains(&self.scales) {
-            return Err(Error::bad("", "network.scales", self.scales.to_string(), "1 to 7 scales"));
+            return Err(Error::bad("", "scales", self.scales.to_string(), "1 to 7 scales"));
         }
         if self.width(self.scales - 1) > 2048 {
             return Err(Error::bad(
                 "",
-                "network",
+                "base_width, scales",
                 format!("{} channels at the coarsest scale", self.width(self.scales - 1)),
-                "at most 2048; lower base_width or scales",
+                "at most 2048: lower one of them",
             ));
         }
         Ok(())

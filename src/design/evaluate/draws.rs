@@ -90,7 +90,7 @@ impl Judge<'_> {
                 Some(lens) => match shown(lens, &mut || told(share(k))) {
                     Ok(aspect) => Ok(aspect),
                     Err(Error::Interrupted) => break,
-                    Err(e @ Error::BadInput { .. }) => Err(e.words()),
+                    Err(e @ Error::BadInput(_)) => Err(e.to_string()),
                     Err(e) => return Err(e),
                 },
             };

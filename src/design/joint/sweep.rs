@@ -7,7 +7,7 @@ use crate::design::folder::MARKER;
 use crate::design::task::Task;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::sensor::noise::mixed;
-use isoplanat_optics::lens::catalogue::Glasses;
+use isoplanat_optics::lens::catalogue::{Glasses, Naming};
 use isoplanat_optics::lens::{Kind, Lens, Medium, Parameter};
 use isoplanat_optics::optimize::spec::glasses;
 
@@ -37,7 +37,7 @@ pub fn varied(task: &Task, index: u64, known: &Glasses, file: &str) -> Result<(T
     for (pattern, names) in &task.sweep.glasses {
         for surface in glasses(&lens, pattern, file)? {
             let name = &names[rng.usize(0..names.len())];
-            media.push((surface, known.find(name, &[]).map_err(|e| e.in_file(Path::new(file)))?));
+            media.push((surface, known.find(name, Naming::Exact).map_err(|e| e.in_file(Path::new(file)))?));
         }
     }
     let drawn = lens.changed(|l| {

@@ -1,7 +1,5 @@
 //! What a task may say.
 
-use std::path::Path;
-
 use super::groups::{Budget, LensTask, LossTask, NetworkTask, PictureTask};
 use super::train::{TrainBudget, TrainLoss, TrainPairs, TrainTask, WIDTH};
 use super::{SCHEMA, Task};
@@ -43,7 +41,7 @@ impl Task {
             loss.check(&self.pictures.depths_mm, file)?;
             self.check_beside_sensor_loss(refusal)?;
         }
-        self.stated_tolerances().map_err(|e| e.in_file(Path::new(file)))?;
+        self.stated_tolerances().map_err(|e| e.in_file(file))?;
         self.parts(file).map(|_| ())
     }
 
@@ -139,14 +137,12 @@ impl LossTask {
 impl TrainTask {
     fn check(&self, refusal: Refusal<'_>) -> Result<()> {
         let size = self.sized(self.network.base_width.unwrap_or(WIDTH));
-        if let Err(Error::BadInput { place, found, allowed, .. }) = size.validate() {
-            return Err(Error::bad(refusal.0, format!("train.{place}"), found, allowed));
-        }
+        size.validate().map_err(|e| e.within("train.network").in_file(refusal.0))?;
         self.pairs.check(refusal, size.multiple().max(8), size.scales)?;
         self.budget.check(refusal)?;
         self.loss.check(refusal)?;
         let critics = self.critics().map_or(Ok(()), |critics| critics.validate());
-        critics.map_err(|e| e.in_file(Path::new(refusal.0)))
+        critics.map_err(|e| e.within("train").in_file(refusal.0))
     }
 }
 

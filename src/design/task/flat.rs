@@ -4,7 +4,7 @@ use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
 use super::{ALLOWED, SCHEMA, Task};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Keys of schema 1 and those of today; what is below a key stays below it.
 const KEYS: &[(&str, &str)] = &[
@@ -103,8 +103,10 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
 /// An error about keys of today in the words of a file of schema 1.
 pub(super) fn in_its_words(error: Error) -> Error {
     match error {
-        Error::BadInput { file, place, found, allowed } => {
-            Error::BadInput { file, place: of_the_file(&place), found, allowed: of_the_file(&allowed) }
+        Error::BadInput(mut bad) => {
+            bad.place.key = of_the_file(&bad.place.key);
+            bad.allowed = of_the_file(&bad.allowed);
+            (*bad).into()
         }
         other => other,
     }
@@ -164,12 +166,9 @@ fn of_the_file(text: &str) -> String {
     moved.into_iter().fold(text.to_owned(), |text, (old, today)| text.replace(today, old))
 }
 
-/// Where a dotted key stands in a file: its line, and itself where the line does not say enough.
-fn place(text: &str, key: &str) -> String {
-    match line_of(text, key) {
-        Some(line) => format!("line {line}: {key}"),
-        None => key.to_owned(),
-    }
+/// Where a dotted key stands in a file.
+fn place(text: &str, key: &str) -> Location {
+    line_of(text, key).map_or_else(Location::default, Location::line).key(key)
 }
 
 /// The line of a dotted key, from 1.

@@ -105,12 +105,7 @@ impl Task {
             let found = e.inner().message().trim().replace('\n', " ");
             Error::bad(file, place(&e.path().to_string()), found, "the values of models/README.md")
         })?;
-        stage.check(file).map_err(|e| match e {
-            Error::BadInput { file, place: key, found, allowed } => {
-                Error::BadInput { file, place: place(&key), found, allowed }
-            }
-            other => other,
-        })?;
+        stage.check(file).map_err(|e| e.within(format!("{STAGES}[{number}]")))?;
         Ok(stage)
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 
 use isoplanat_base::atomic;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
 
 /// Largest file that is read.
@@ -25,13 +25,7 @@ pub enum Stated {
 
 /// An error of keys that stand in a task, which names the file; lines are those of no file.
 fn within(error: Error) -> Error {
-    match error {
-        Error::BadInput { file, place, found, allowed } if file.is_empty() => {
-            let place = if place.starts_with("line ") { PLACE.to_owned() } else { format!("{PLACE}.{place}") };
-            Error::BadInput { file, place, found, allowed }
-        }
-        other => other,
-    }
+    error.with_place(|place| Location { line: None, ..place }.within(PLACE))
 }
 
 impl Stated {

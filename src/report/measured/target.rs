@@ -192,7 +192,7 @@ impl<'a> Target<'a> {
         let green = EdgeOptions { region: None, sites: Sites::of(sensor.cfa, 1), range: None };
         let whole = |options: EdgeOptions, plane: ndarray::ArrayView2<'_, f32>| {
             let all = Rectangle::whole(plane.dim());
-            measure(plane, &EdgeOptions { region: Some(all), ..options }).map_err(|e| e.words())
+            measure(plane, &EdgeOptions { region: Some(all), ..options }).map_err(|e| e.to_string())
         };
         let capture = whole(green, seen.mosaic.view());
         let reconstruction = seen

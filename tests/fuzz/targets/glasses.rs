@@ -1,9 +1,9 @@
 //! Catalogues of glasses: AGF, and pages of refractiveindex.info. What is listed has an index over all of its range.
 
 use isoplanat::lens::Medium;
-use isoplanat::lens::catalogue::Glasses;
+use isoplanat::lens::catalogue::{Glasses, Naming};
 
-use super::{file, read};
+use super::{file, made, read};
 
 pub(super) fn agf(bytes: &[u8]) {
     catalogue("a.agf", bytes);
@@ -15,7 +15,7 @@ pub(super) fn page(bytes: &[u8]) {
 
 fn catalogue(name: &str, bytes: &[u8]) {
     let mut glasses = Glasses::default();
-    if read(glasses.add(&file(name, bytes))).is_none() {
+    if read(name, glasses.add(&file(name, bytes))).is_none() {
         return;
     }
     for glass in glasses.listed_all() {
@@ -29,7 +29,7 @@ fn catalogue(name: &str, bytes: &[u8]) {
             assert!(index.is_finite() && is_known, "{}: {index} at {nm} nm", glass.name);
         }
         // It is found by its name, or said to be one of several.
-        let _ = read(glasses.find(&format!("{}/{}", glass.catalogue, glass.name), &[]));
+        let _ = made(glasses.find(&format!("{}/{}", glass.catalogue, glass.name), Naming::Exact));
     }
 }
 

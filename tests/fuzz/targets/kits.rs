@@ -9,7 +9,7 @@ use isoplanat::imaging::develop::shading::Shading;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::network::onnx::encode;
 
-use super::{again, file, models, place, read, tables};
+use super::{again, file, made, models, place, read, tables};
 
 /// A kit of the smallest network and a sensor with a short response.
 fn smallest() -> Kit {
@@ -40,11 +40,11 @@ fn folder() -> PathBuf {
 pub(super) fn kit(bytes: &[u8]) {
     let folder = folder();
     file(&format!("kit/{FILE}"), bytes);
-    let Some(kit) = read(Kit::load(&folder)) else { return };
+    let Some(kit) = read("kit", Kit::load(&folder)) else { return };
     let text = again(kit.to_toml(), "");
     file(&format!("kit/{FILE}"), text.as_bytes());
     assert_eq!(again(again(Kit::load(&folder), &text).to_toml(), &text), text);
-    assert!(read(kit.tiling()).is_some());
+    assert!(made(kit.tiling()).is_some());
 }
 
 pub(super) fn starts() -> Vec<Vec<u8>> {

@@ -29,14 +29,14 @@ pub(super) fn prescription(bytes: &[u8]) {
 
 fn lens(name: &str, bytes: &[u8]) {
     let glasses = Glasses::shipped();
-    let Some(imported) = read(load(&file(name, bytes), glasses)) else { return };
+    let Some(imported) = read(name, load(&file(name, bytes), glasses)) else { return };
     assert!(imported.notes.iter().all(|note| !note.contains('\n')), "{:?}", imported.notes);
     let own = |lens| again(text_of(lens, Form::Toml, glasses), "").0;
     let text = own(&imported.lens);
     let second = again(parse(&text, Form::Toml, "again.toml", glasses), &text);
     assert_eq!(own(&second.lens), text, "another lens");
     for form in [Form::Zmx, Form::Seq] {
-        if let Some((text, _)) = read(text_of(&imported.lens, form, glasses)) {
+        if let Some((text, _)) = read(name, text_of(&imported.lens, form, glasses)) {
             let there = again(parse(&text, form, "again", glasses), &text).lens;
             assert_eq!(there.surfaces.len(), imported.lens.surfaces.len(), "{text}");
         }

@@ -51,14 +51,23 @@ pub(crate) const TARGETS: [Target; 20] = [
     Target { name: "request", run: requests::request, starts: requests::starts },
 ];
 
-/// A refusal is one line with the exit code of bad input.
+/// A refusal is one line with the exit code of bad input; of bad input it says what was found and what is allowed.
 fn refused(error: &Error) {
     let text = error.to_string();
     assert!(!text.contains('\n') && error.exit_code() == 2, "{text:?}, exit code {}", error.exit_code());
+    let empty = error.bad_input().is_some_and(|bad| bad.found.is_empty() || bad.allowed.is_empty());
+    assert!(!empty, "{text:?} lacks a value, or what is allowed");
 }
 
-/// What was read; a refusal is looked at.
-fn read<T>(result: Result<T>) -> Option<T> {
+/// What was read of `file`; a refusal is looked at, and names that file.
+fn read<T>(file: &str, result: Result<T>) -> Option<T> {
+    let named =
+        |error: &Error| error.bad_input().is_none_or(|bad| bad.file.contains(file)) && error.to_string().contains(file);
+    result.inspect_err(refused).inspect_err(|error| assert!(named(error), "not of {file}: {error}")).ok()
+}
+
+/// What was made of something that is no file.
+fn made<T>(result: Result<T>) -> Option<T> {
     result.inspect_err(refused).ok()
 }
 

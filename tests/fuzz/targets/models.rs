@@ -7,19 +7,19 @@ use isoplanat::deploy::session::{metadata, rewritten};
 use isoplanat::network::card::ModelCard;
 use isoplanat::network::{Reconstructor, UnetConfig, onnx as export};
 
-use super::{again, read};
+use super::{again, made, read};
 
 pub(super) fn onnx(bytes: &[u8]) {
     let file = Path::new("a.onnx");
-    let model = read(rewritten(bytes, file));
-    let entries = read(metadata(bytes, file));
+    let model = read("a.onnx", rewritten(bytes, file));
+    let entries = read("a.onnx", metadata(bytes, file));
     assert_eq!(model.is_some(), entries.is_some());
     let (Some(model), Some(entries)) = (model, entries) else { return };
     assert_eq!(again(rewritten(&model, file), ""), model, "another model");
     assert_eq!(again(metadata(&model, file), ""), entries);
     closed(&model);
     // A card is read, or refused.
-    read(ModelCard::from_metadata(&entries));
+    made(ModelCard::from_metadata(&entries));
 }
 
 /// A number of the wire format (protobuf, 7 bits a byte, the lowest first).

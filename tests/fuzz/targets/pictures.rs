@@ -26,11 +26,11 @@ pub(super) fn npy(bytes: &[u8]) {
 
 fn picture(name: &str, bytes: &[u8]) {
     let path = file(name, bytes);
-    let size = read(picture_size(&path));
+    let size = read(name, picture_size(&path));
     if size.is_some_and(|[rows, columns]| rows.saturating_mul(columns) > MOST) {
         return;
     }
-    let (stored, planes) = (read(read_stored(&path, None)), read(read_planes(&path, None)));
+    let (stored, planes) = (read(name, read_stored(&path, None)), read(name, read_planes(&path, None)));
     assert_eq!(stored.is_some(), planes.is_some(), "one reader takes what the other refuses");
     let (Some(stored), Some(planes)) = (stored, planes) else { return };
     let (channels, rows, columns) = stored.image.dim();

@@ -47,7 +47,7 @@ fn dng_of(bytes: &[u8]) -> Vec<u8> {
 }
 
 pub(super) fn dng(bytes: &[u8]) {
-    let Some(capture) = read(decode_bytes(dng_of(bytes), Path::new("a.dng"))) else { return };
+    let Some(capture) = read("a.dng", decode_bytes(dng_of(bytes), Path::new("a.dng"))) else { return };
     let (rows, columns) = capture.size();
     assert!((1..=ROWS).contains(&rows) && (1..=COLUMNS).contains(&columns), "{rows} × {columns}");
     let crop = capture.crop;

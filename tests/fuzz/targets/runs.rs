@@ -12,7 +12,7 @@ use isoplanat::network::{Reconstructor, UnetConfig};
 use super::{again, file, models, place, read};
 
 pub(super) fn task(bytes: &[u8]) {
-    let Some(task) = read(Task::load(&file("task.toml", bytes))) else { return };
+    let Some(task) = read("task.toml", Task::load(&file("task.toml", bytes))) else { return };
     let text = again(task.to_toml(), "");
     let path = file("task.toml", text.as_bytes());
     assert_eq!(again(again(Task::load(&path), &text).to_toml(), &text), text);
@@ -27,7 +27,7 @@ pub(super) fn task_starts() -> Vec<Vec<u8>> {
 /// The state of a stage, the judgements so far and the hash of what is trained on: each reader takes the same bytes.
 pub(super) fn run(bytes: &[u8]) {
     if let Ok(text) = std::str::from_utf8(bytes)
-        && let Some(state) = read(State::from_text(text, "design.state"))
+        && let Some(state) = read("design.state", State::from_text(text, "design.state"))
     {
         let text = again(state.to_text(), text);
         assert_eq!(again(again(State::from_text(&text, "again"), &text).to_text(), &text), text);
@@ -36,12 +36,12 @@ pub(super) fn run(bytes: &[u8]) {
     for name in ["history.jsonl", "scenes.sha256"] {
         file(name, bytes);
     }
-    if let Some(judgements) = read(Judgement::read(&folder)) {
+    if let Some(judgements) = read("history.jsonl", Judgement::read(&folder)) {
         judgements.iter().for_each(|judgement| {
             let _ = judgement.score();
         });
     }
-    read(same_scenes(&folder, "another"));
+    read("isoplanat-fuzz-", same_scenes(&folder, "another"));
 }
 
 pub(super) fn run_starts() -> Vec<Vec<u8>> {
@@ -61,8 +61,8 @@ pub(super) fn run_starts() -> Vec<Vec<u8>> {
 
 pub(super) fn weights(bytes: &[u8]) {
     let path = file("network.safetensors", bytes);
-    let config = read(Reconstructor::config_of(&path));
-    let Some(network) = read(Reconstructor::load(&path)) else { return };
+    let config = read("network.safetensors", Reconstructor::config_of(&path));
+    let Some(network) = read("network.safetensors", Reconstructor::load(&path)) else { return };
     assert_eq!(config.as_ref(), Some(network.config()));
     let second = place("again.safetensors");
     again(network.save(&second), "");

@@ -19,22 +19,22 @@ use super::{again, read};
 pub(super) fn tables(bytes: &[u8]) {
     let Ok(text) = std::str::from_utf8(bytes) else { return };
     let file = "a.toml";
-    if let Some(found) = read(MeasuredDistortion::parse(text, file)) {
+    if let Some(found) = read(file, MeasuredDistortion::parse(text, file)) {
         let text = again(found.text(), text);
         assert_eq!(again(MeasuredDistortion::parse(&text, file), &text), found);
     }
-    if let Some(found) = read(MeasuredShading::parse(text, file)) {
+    if let Some(found) = read(file, MeasuredShading::parse(text, file)) {
         let text = again(found.text(), text);
         assert_eq!(again(MeasuredShading::parse(&text, file), &text), found);
     }
-    if let Some(found) = read(Sensor::parse(text, file)) {
+    if let Some(found) = read(file, Sensor::parse(text, file)) {
         let path = super::place("sensor.toml");
         again(found.save(&path), text);
         assert_eq!(again(Sensor::load(&path), text), found);
     }
-    read(Tolerances::parse(text, file));
-    if let Some(found) = read(Spec::from_toml(text, file)) {
-        read(found.problem(&builtin::lens("cooke_triplet").expect("shipped"), file));
+    read(file, Tolerances::parse(text, file));
+    if let Some(found) = read(file, Spec::from_toml(text, file)) {
+        read(file, found.problem(&builtin::lens("cooke_triplet").expect("shipped"), file));
     }
 }
 
@@ -84,10 +84,10 @@ pub(super) fn starts() -> Vec<Vec<u8>> {
 /// Both readers of archives take the same bytes.
 pub(super) fn npz(bytes: &[u8]) {
     let path = Path::new("a.npz");
-    if let Some(found) = read(Facts::from_npz(bytes, path)) {
+    if let Some(found) = read("a.npz", Facts::from_npz(bytes, path)) {
         assert_eq!(again(Facts::from_npz(&again(found.to_npz(), ""), path), ""), found);
     }
-    if let Some(found) = read(MeasuredPsf::from_npz(bytes, path)) {
+    if let Some(found) = read("a.npz", MeasuredPsf::from_npz(bytes, path)) {
         assert_eq!(again(MeasuredPsf::from_npz(&again(found.to_npz(), ""), path), ""), found);
     }
 }

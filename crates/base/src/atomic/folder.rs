@@ -78,16 +78,7 @@ pub(super) fn allowed(folder: &Path, target: &Path, kind: &FolderKind, replace: 
 
 /// The error with places in the temporary folder named as they are to be.
 fn named(error: Error, temporary: &Path, folder: &Path) -> Error {
-    let place = |path: PathBuf| path.strip_prefix(temporary).map(|rest| folder.join(rest)).unwrap_or(path);
-    match error {
-        Error::Io { path, what, reason } => Error::Io { path: place(path), what, reason },
-        Error::Exists(path) => Error::Exists(place(path)),
-        Error::BadInput { file, place: at, found, allowed } => {
-            let file = place(file.into()).display().to_string();
-            Error::BadInput { file, place: at, found, allowed }
-        }
-        other => other,
-    }
+    error.with_files(|path| path.strip_prefix(temporary).map(|rest| folder.join(rest)).unwrap_or(path))
 }
 
 /// Where a folder named `folder` is to stand, without links.

@@ -57,11 +57,16 @@ impl<T: FftNum> RealFft2<T> {
     }
 
     /// Image of a spectrum (consumed), scaled so that `inverse(forward(x)) = x`; only rows `first..first + count`.
-    pub fn inverse(&self, mut spectrum: Spectrum<T>, first: usize, count: usize) -> Array2<T> {
+    pub fn inverse(&self, spectrum: Spectrum<T>, first: usize, count: usize) -> Array2<T> {
+        let scale = T::one() / T::from_usize(self.rows * self.cols).expect("a size");
+        self.unscaled(spectrum, first, count).mapv_into(|v| v * scale)
+    }
+
+    /// [`Self::inverse`] times the number of pixels of the planned size.
+    pub fn unscaled(&self, mut spectrum: Spectrum<T>, first: usize, count: usize) -> Array2<T> {
         let slice = spectrum.as_slice_mut().expect("standard layout");
         let mut scratch = vec![Complex::new(T::zero(), T::zero()); self.inverse_cols.get_inplace_scratch_len()];
         self.inverse_cols.process_with_scratch(slice, &mut scratch);
-        let scale = T::one() / T::from_usize(self.rows * self.cols).expect("a size");
         let mut out = Array2::from_elem((count, self.cols), T::zero());
         let mut freq = self.inverse_rows.make_input_vec();
         let mut line = self.inverse_rows.make_output_vec();
@@ -77,7 +82,7 @@ impl<T: FftNum> RealFft2<T> {
                 freq[last].im = T::zero();
             }
             self.inverse_rows.process_with_scratch(&mut freq, &mut line, &mut scratch).expect("planned lengths");
-            row.iter_mut().zip(&line).for_each(|(a, b)| *a = *b * scale);
+            row.iter_mut().zip(&line).for_each(|(a, b)| *a = *b);
         }
         out
     }
@@ -134,8 +139,29 @@ mod tests {
         }
     }
 
+    /// One bin by its definition, where the type stands; the mean at the origin.
+    #[test]
+    fn a_bin_is_the_sum_of_its_definition() {
+        let rng = &mut fastrand::Rng::with_seed(1);
+        let field = Array2::from_shape_fn((15, 18), |_| rng.f32());
+        let plan = RealFft2::new(15, 18);
+        let spectrum = plan.forward(field.view());
+        assert!((spectrum[[0, 0]].re - field.sum()).abs() < 1e-3 && spectrum.dim() == (10, 15));
+        let bin: Complex<f32> = field
+            .indexed_iter()
+            .map(|((r, c), v)| {
+                let phase = 2.0 * r as f32 / 15.0 + 3.0 * c as f32 / 18.0;
+                Complex::from_polar(*v, -std::f32::consts::TAU * phase)
+            })
+            .sum();
+        assert!((spectrum[[3, 2]] - bin).norm() < 1e-3);
+        let back = plan.inverse(spectrum, 0, 15);
+        assert!(field.iter().zip(&back).all(|(a, b)| (a - b).abs() < 1e-6));
+    }
+
     #[test]
     fn fast_sizes_have_at_most_one_five() {
         assert_eq!([0, 1, 5, 98, 129, 150, 193, 241].map(fast_size), [4, 4, 8, 108, 144, 160, 216, 256]);
+        assert_eq!([2, 7, 31, 121].map(good_size), [2, 8, 32, 128]);
     }
 }

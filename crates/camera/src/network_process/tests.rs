@@ -4,6 +4,7 @@ use super::wire::MOST_SAMPLES;
 use super::*;
 use crate::session::Choice;
 use crate::test_model;
+use isoplanat_base::error::BadInput;
 use std::path::PathBuf;
 
 fn tile(columns: usize, seed: u64) -> Array4<f32> {
@@ -27,7 +28,7 @@ fn open() -> std::result::Result<Confinement, String> {
 }
 
 /// What a child says before it answers tiles.
-fn said(out: &mut &[u8]) -> std::result::Result<Opened, Refused> {
+fn said(out: &mut &[u8]) -> std::result::Result<Opened, BadInput> {
     assert!(matches!(line(out).expect("JSON"), Said::Ready(_)));
     let Said::Opened(opened) = line(out).expect("JSON") else { panic!("it is ready already") };
     opened
@@ -57,7 +58,7 @@ fn a_child_answers_as_a_session_does() {
         seen.push(id);
         match tiles.get(usize::try_from(id).expect("small")) {
             Some(tile) => assert_eq!(answer.expect("runs").0, session.run(tile.view()).expect("runs")),
-            None => assert!(answer.expect_err("five channels").error().to_string().contains("inference")),
+            None => assert!(answer.expect_err("five channels").to_string().contains("inference")),
         }
     }
     seen.sort_unstable();
@@ -69,7 +70,7 @@ fn a_child_answers_as_a_session_does() {
 fn a_model_that_is_none_is_an_answer() {
     let mut out = Vec::new();
     serve(&mut &asked(b"no model")[..], &mut out, open).expect("serves");
-    let error = said(&mut &out[..]).expect_err("refused").error().to_string();
+    let error = said(&mut &out[..]).expect_err("refused").to_string();
     assert!(error.starts_with("k/model.onnx: model: cannot be read as ONNX"), "{error}");
     // A shape that overflows, a tile that is cut short, no first line.
     let mut cut = asked(&test_model::unet(4, 9, &[]));

@@ -1,7 +1,7 @@
 //! What parent and child say to each other: lines of JSON, then tiles and answers. Numbers are in this machine's byte order.
 
 use std::io::{BufRead, Read, Write};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use ndarray::{Array4, ArrayView4};
@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use crate::child::{self, Confinement};
 use crate::onnxruntime::Candidate;
 use crate::session::{Choice, Runtime};
-use isoplanat_base::error::Error;
+use isoplanat_base::error::{BadInput, Error};
 
 /// Samples of a tile that the child takes at most: 256 channels of the largest.
 pub(super) const MOST_SAMPLES: u64 = 256 << 26;
@@ -39,7 +39,7 @@ pub(super) enum Said {
     /// It could not be held to its limits, or not enter its sandbox.
     Unheld(String),
     /// What became of the model.
-    Opened(std::result::Result<Opened, Refused>),
+    Opened(std::result::Result<Opened, BadInput>),
 }
 
 /// A model that runs.
@@ -49,33 +49,13 @@ pub(super) struct Opened {
     pub(super) workers: usize,
 }
 
-/// An error on its way.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Refused {
-    pub(super) file: String,
-    pub(super) place: String,
-    pub(super) found: String,
-    pub(super) allowed: String,
-}
-
-impl Refused {
-    pub(super) fn of(error: Error) -> Self {
-        match error {
-            Error::BadInput { file, place, found, allowed } => Self { file, place, found, allowed },
-            other => {
-                let allowed = "a model that takes and returns an image".to_owned();
-                Self { file: "model.onnx".into(), place: "inference".into(), found: other.to_string(), allowed }
-            }
-        }
-    }
-
-    pub(super) fn error(self) -> Error {
-        Error::bad(self.file, self.place, self.found, self.allowed)
-    }
+/// An error of the model in `file` as it goes to the parent: of the input, whatever became of the model.
+pub(super) fn of_input(error: Error, file: &Path) -> BadInput {
+    error.into_bad_input("inference", "a model that takes and returns an image").in_file(file)
 }
 
 /// A tile's result, and the time within the runtime.
-pub(super) type Answer = std::result::Result<(Array4<f32>, Duration), Refused>;
+pub(super) type Answer = std::result::Result<(Array4<f32>, Duration), BadInput>;
 
 /// One line of JSON.
 pub(super) fn words(out: &mut (impl Write + ?Sized), what: &impl Serialize) -> std::io::Result<()> {

@@ -103,7 +103,7 @@ impl MeasuredDistortion {
     /// # Errors
     /// None where [`Self::load`] made it.
     pub fn frame(&self) -> Result<Frame> {
-        Frame::centred(self.columns, self.rows, 1.0)?.with_axis(self.centre_px)
+        Frame::centred(self.columns, self.rows, 1.0)?.with_axis(self.centre_px).map_err(|e| e.at("centre_px"))
     }
 
     /// The distortion in that frame.

@@ -80,22 +80,7 @@ impl MeasuredShading {
     /// As [`Self::load`].
     pub fn parse(text: &str, file: &str) -> Result<Self> {
         let measured: Self = atomic::of_schema(text, file, SCHEMA, ALLOWED)?;
-        // By the file's own keys.
-        let named = |e: Error| match e.in_file(Path::new(file)) {
-            Error::BadInput { file, place, found, allowed } => {
-                let keys = [
-                    ("shading.radius_mm", "illumination.radius_px"),
-                    ("shading.illumination[0]", "illumination.red"),
-                    ("shading.illumination[1]", "illumination.green"),
-                    ("shading.illumination[2]", "illumination.blue"),
-                    ("frame.axis_px", "centre_px"),
-                ];
-                let key = keys.iter().find(|(own, _)| *own == place).map(|(_, key)| (*key).to_owned());
-                let key = key.unwrap_or_else(|| place.strip_prefix("frame.").unwrap_or(&place).to_owned());
-                Error::BadInput { file, place: key, found, allowed }
-            }
-            other => other,
-        };
+        let named = |e: Error| e.in_file(file);
         measured.frame().map_err(named)?;
         check_centre(file, measured.centre_px, [measured.columns, measured.rows])?;
         measured.shading().map_err(named)?;
@@ -118,7 +103,7 @@ impl MeasuredShading {
     /// # Errors
     /// Sizes or a centre that are none.
     pub fn frame(&self) -> Result<Frame> {
-        Frame::centred(self.columns, self.rows, 1.0)?.with_axis(self.centre_px)
+        Frame::centred(self.columns, self.rows, 1.0)?.with_axis(self.centre_px).map_err(|e| e.at("centre_px"))
     }
 
     /// The illumination in that frame.
@@ -127,7 +112,8 @@ impl MeasuredShading {
     /// Lists that are no illumination.
     pub fn shading(&self) -> Result<Shading> {
         let Rings { radius_px, red, green, blue } = &self.illumination;
-        Shading::new(radius_px.clone(), [red.clone(), green.clone(), blue.clone()])
+        let keys = ["illumination.radius_px", "illumination.red", "illumination.green", "illumination.blue"];
+        Shading::stated(keys, radius_px.clone(), [red.clone(), green.clone(), blue.clone()])
     }
 }
 

@@ -10,6 +10,7 @@
 use ndarray::{Array2, Array3, ArrayView2, ArrayView3, Axis, s};
 use rayon::prelude::*;
 
+use crate::plane::mirrored;
 use crate::sensor::cfa::Cfa;
 use isoplanat_base::math::real::Real;
 
@@ -66,15 +67,9 @@ fn kernels<T: Real>(cfa: Cfa) -> [[Vec<Tap<T>>; 3]; 4] {
     })
 }
 
-/// The index inside `0..n` that the padded index `i` (`0..n + 2 PAD`) reflects to.
+/// The index inside `0..n` that the padded index `i` (`0..n + 2 PAD`) is mirrored to.
 fn reflected(i: usize, n: usize) -> usize {
-    if n == 1 {
-        return 0;
-    }
-    let period = 2 * (n - 1);
-    // `2 * period ≥ PAD` keeps the remainder of a non-negative number.
-    let k = (i + 2 * period - PAD) % period;
-    if k < n { k } else { period - k }
+    mirrored(i.cast_signed() - PAD.cast_signed(), n)
 }
 
 /// Rows whose even and odd columns lie apart, so that loops over one colour are contiguous.

@@ -100,7 +100,7 @@ impl Distortion {
     pub fn of_lens(lens: &isoplanat_optics::lens::Lens, vergence: f64, radius_mm: f64) -> Result<Self> {
         let radii: Vec<f64> = (0..SAMPLES).map(|i| radius_mm * f64::from(i) / f64::from(SAMPLES - 1)).collect();
         let slopes = isoplanat_optics::psf::table::chief_slopes(lens, vergence, &radii)?;
-        fit(&slopes, &radii[..slopes.len()])
+        fit(&slopes, &radii[..slopes.len()]).map_err(|e| e.in_file(lens.file()))
     }
 }
 

@@ -43,26 +43,32 @@ impl Shading {
     /// Lists of different lengths, radii that do not start at 0 and grow, illumination outside `(0, 16]`, or a
     /// value on the axis that is not 1 to 1 %.
     pub fn new(radius_mm: Vec<f64>, illumination: [Vec<f64>; 3]) -> Result<Self> {
-        let bad = |place: &str, found: String, allowed: &str| Err(Error::bad("", place, found, allowed));
+        let keys = ["radius_mm", "illumination[0]", "illumination[1]", "illumination[2]"];
+        Self::stated(keys.map(|key| format!("shading.{key}")), radius_mm, illumination)
+    }
+
+    /// [`Self::new`] of the lists that stand under `keys` in a file: the radii, then each colour.
+    pub(crate) fn stated(keys: [impl AsRef<str>; 4], radius_mm: Vec<f64>, illumination: [Vec<f64>; 3]) -> Result<Self> {
+        let bad = |key: usize, found: String, allowed: &str| Err(Error::bad("", keys[key].as_ref(), found, allowed));
         if radius_mm.first() != Some(&0.0) {
             let found =
                 radius_mm.first().map_or_else(|| "an empty list".into(), |first| format!("a list from {first}"));
-            return bad("shading.radius_mm", found, "a list that starts at 0");
+            return bad(0, found, "a list that starts at 0");
         }
         if let Some(w) = radius_mm.windows(2).find(|w| !(w[1] > w[0] && w[1].is_finite())) {
-            return bad("shading.radius_mm", format!("{} after {}", w[1], w[0]), "finite radii that grow");
+            return bad(0, format!("{} after {}", w[1], w[0]), "finite radii that grow");
         }
         for (channel, values) in illumination.iter().enumerate() {
-            let place = format!("shading.illumination[{channel}]");
+            let key = channel + 1;
             if values.len() != radius_mm.len() {
                 let allowed = format!("{} values, one for each radius", radius_mm.len());
-                return bad(&place, format!("{} values", values.len()), &allowed);
+                return bad(key, format!("{} values", values.len()), &allowed);
             }
             if let Some(v) = values.iter().find(|v| !(**v > 0.0 && **v <= 16.0)) {
-                return bad(&place, v.to_string(), "relative illumination above 0 and up to 16");
+                return bad(key, v.to_string(), "relative illumination above 0 and up to 16");
             }
             if (values[0] - 1.0).abs() > 0.01 {
-                return bad(&place, format!("{} on the axis", values[0]), "1 on the axis");
+                return bad(key, format!("{} on the axis", values[0]), "1 on the axis");
             }
         }
         Ok(Self { radius_mm, illumination })

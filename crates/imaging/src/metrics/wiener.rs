@@ -7,19 +7,16 @@
 //! reaches beyond its support by a margin with a taper, and its mean is carried apart, so that neither the border of
 //! the tile nor `nsr` changes brightness. Beyond the image's border the image is reflected.
 
-mod fft;
-
 use std::ops::Range;
 
 use ndarray::{Array2, Array3, Array4, ArrayView2, ArrayView3, s};
 use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
-use self::fft::Fft2;
 use crate::metrics;
 use crate::plane::mirrored;
 use isoplanat_base::error::{Error, Result};
-use isoplanat_base::math::fft::good_size;
+use isoplanat_base::math::fft::{RealFft2, good_size};
 
 /// Smallest margin around a tile, pixels: the filter's tails are longer than the kernel.
 const MARGIN: usize = 24;
@@ -223,14 +220,15 @@ impl Tile {
     /// The tile's part of the restored plane, weighted.
     fn restore(&self, plane: ArrayView2<'_, f32>, kernel: ArrayView2<'_, f32>, nsr: f32, prior: Prior) -> Array2<f32> {
         let margin = MARGIN.max(kernel.nrows());
-        let fft = Fft2::new(good_size(self.rows.len() + 2 * margin), good_size(self.cols.len() + 2 * margin));
+        let [rows, cols] = [&self.rows, &self.cols].map(|range| good_size(range.len() + 2 * margin));
+        let fft = RealFft2::<f32>::new(rows, cols);
         // Cut out the tile with its margin, reflected at the image's border.
         let cut = |r: usize, c: usize| {
             let row = mirrored((self.rows.start + r) as isize - margin as isize, plane.nrows());
             let col = mirrored((self.cols.start + c) as isize - margin as isize, plane.ncols());
             plane[[row, col]]
         };
-        let mut field = Array2::from_shape_fn((fft.rows, fft.cols), |(r, c)| cut(r, c));
+        let mut field = Array2::from_shape_fn((rows, cols), |(r, c)| cut(r, c));
         // Take the mean out and taper the margin to it, so that the tile repeats without a jump.
         let mean = (field.iter().map(|v| f64::from(*v)).sum::<f64>() / field.len() as f64) as f32;
         let taper = |i: usize, n: usize, support: usize| {
@@ -240,35 +238,33 @@ impl Tile {
             let t = (2.0 * off as f32 / room as f32 - 1.0).clamp(0.0, 1.0);
             0.5 + 0.5 * (std::f32::consts::PI * t).cos()
         };
-        let taper_row: Vec<f32> = (0..fft.rows).map(|r| taper(r, fft.rows, self.rows.len())).collect();
-        let taper_col: Vec<f32> = (0..fft.cols).map(|c| taper(c, fft.cols, self.cols.len())).collect();
+        let taper_row: Vec<f32> = (0..rows).map(|r| taper(r, rows, self.rows.len())).collect();
+        let taper_col: Vec<f32> = (0..cols).map(|c| taper(c, cols, self.cols.len())).collect();
         field.indexed_iter_mut().for_each(|((r, c), v)| *v = (*v - mean) * taper_row[r] * taper_col[c]);
         // Centre the kernel on the origin.
         let half = kernel.nrows() / 2;
-        let mut spread = Array2::zeros((fft.rows, fft.cols));
+        let mut spread = Array2::zeros((rows, cols));
         for ((r, c), &v) in kernel.indexed_iter() {
-            spread[[(r + fft.rows - half) % fft.rows, (c + fft.cols - half) % fft.cols]] += v;
+            spread[[(r + rows - half) % rows, (c + cols - half) % cols]] += v;
         }
         // Filter.
-        let (mut spectrum, transfer) = (fft.forward(field), fft.forward(spread));
-        let width = fft.cols / 2 + 1;
-        for (i, (v, k)) in spectrum.iter_mut().zip(&transfer).enumerate() {
+        let (mut spectrum, transfer) = (fft.forward(field.view()), fft.forward(spread.view()));
+        for (((c, r), v), k) in spectrum.indexed_iter_mut().zip(&transfer) {
             let ratio = match prior {
                 Prior::White => nsr,
                 Prior::Natural => {
-                    let r = i / width;
-                    let (fr, fc) = (r.min(fft.rows - r) as f32 / fft.rows as f32, (i % width) as f32 / fft.cols as f32);
+                    let (fr, fc) = (r.min(rows - r) as f32 / rows as f32, c as f32 / cols as f32);
                     nsr * 16.0 * (fr * fr + fc * fc)
                 }
             };
             let bottom = k.norm_sqr() + ratio;
             *v = if bottom > 1e-20 { *v * k.conj() / bottom } else { Complex::default() };
         }
-        let restored = fft.inverse(spectrum);
+        let restored = fft.unscaled(spectrum, margin, self.rows.len()) / (rows * cols) as f32;
         let gain: f32 = kernel.sum();
         let level = if gain.abs() > 1e-6 { mean / gain } else { 0.0 };
         Array2::from_shape_fn((self.rows.len(), self.cols.len()), |(r, c)| {
-            (restored[[r + margin, c + margin]] + level) * self.weight_row[r] * self.weight_col[c]
+            (restored[[r, c + margin]] + level) * self.weight_row[r] * self.weight_col[c]
         })
     }
 }

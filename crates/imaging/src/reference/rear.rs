@@ -70,7 +70,7 @@ impl RearView {
             return Ok(view);
         }
         let found = "no rays reach the sensor: no ray from its axial point passes the lens";
-        Err(Error::bad(lens.name.as_str(), "surfaces", found, "a stop and clear apertures that let light through"))
+        Err(Error::bad(lens.file(), "surfaces", found, "a stop and clear apertures that let light through"))
     }
 
     /// [`Self::new`] without the irradiance of white, which stays 0.
@@ -85,7 +85,7 @@ impl RearView {
         let found = if upright { rim(rear, radius_mm) } else { rim_around(rear, radius_mm) };
         let (distance, disk_radius) = found.ok_or_else(|| {
             let found = "its rear surface reaches the sensor or its clear aperture has no end";
-            Error::bad(lens.name.as_str(), "surfaces", found, "room before the sensor, a finite clear semi-diameter")
+            Error::bad(lens.file(), "surfaces", found, "room before the sensor, a finite clear semi-diameter")
         })?;
         let grid = Grid::of(density);
         let (mut ratios, mut index_square) = (Vec::new(), Vec::new());

@@ -24,6 +24,8 @@ const GROWN: f64 = 1.1;
 /// Pictures through one lens, by rays from the sensor.
 #[derive(Clone, Debug)]
 pub struct Tracer {
+    /// What errors call the lens.
+    file: String,
     pub(super) rear: RearView,
     bounded: Bounded,
     settings: Settings,
@@ -78,7 +80,7 @@ impl Tracer {
                 .and_then(|lens| RearView::without_white(&lens, density, rear.radius_mm))
                 .map_or(Bounded::Nowhere, |twin| Bounded::ByTwin(Box::new(twin))),
         };
-        Self { rear, bounded, settings }
+        Self { file: lens.file().to_owned(), rear, bounded, settings }
     }
 
     /// For the points of a region whose distances from the axis lie between `radii_mm`.
@@ -112,7 +114,12 @@ impl Tracer {
         let (far, radius) = (region.radii_mm(frame, 0.0)[1], self.rear.radius_mm);
         if far > radius {
             let found = format!("pixels {far:.3} mm from the axis");
-            return Err(Error::bad("", "rendered region", found, format!("at most {radius:.3} mm from it")));
+            return Err(Error::bad(
+                self.file.as_str(),
+                "rendered region",
+                found,
+                format!("at most {radius:.3} mm from it"),
+            ));
         }
         self.drawn(scene, frame, region, seed, progress, start)
     }
@@ -170,7 +177,12 @@ impl Tracer {
                 "no rays reach the sensor: {rays} were started within {:.3} mm of the axis",
                 prepared.radii_mm[1]
             );
-            return Err(Error::bad("", "rendered region", found, "a region inside the lens's image circle"));
+            return Err(Error::bad(
+                self.file.as_str(),
+                "rendered region",
+                found,
+                "a region inside the lens's image circle",
+            ));
         }
         let seconds = start.elapsed().as_secs_f64();
         Ok(Rendered { mean, variance, rays, passed, outside, axis_irradiance: self.rear.axis_irradiance, seconds })

@@ -65,7 +65,8 @@ impl<'a> Draft<'a> {
         let whole = Region::whole(frame);
         let shares: Vec<f64> = Settings::OUTSIDE.into_iter().chain([base.outside]).collect();
         let mut widths = widths(&colours, frame, 0, whole, &shares);
-        let first = unplaced(&colours, frame, 0, widths.pop().unwrap_or_default(), base)?;
+        let first = unplaced(&colours, frame, 0, widths.pop().unwrap_or_default(), base);
+        let first = first.map_err(|e| e.in_file(lens.file()))?;
         let needs = if request == Request::Everything {
             Needs { channels: Channels::all(), lit: Some(whole), lit_share: 1.0 }
         } else {

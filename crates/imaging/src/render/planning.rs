@@ -44,7 +44,7 @@ pub fn plan(
     };
     let region = draft.region.filter(|_| probing && !draft.needs.channels.lit.is_empty());
     let measured = region.map(|region| draft.measure(region, target));
-    let chosen = draft.chosen(request, measured.as_ref())?;
+    let chosen = draft.chosen(request, measured.as_ref()).map_err(|e| e.in_file(lens.file()))?;
     let mut out = draft.finished(lens, chosen, request == Request::Everything)?;
     let ladders = measured.map(|m| m.1);
     out.coarse_bound = ladders.as_ref().map_or(f64::NAN, |l| bound(&l.cells));

@@ -75,7 +75,7 @@ impl Renderer {
         density.require(lens)?;
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
         let (optics, table_error) = plan::optics(lens, frame, vergences, rule, (settings.degree, ILLUMINATIONS))?;
-        let plan = RenderPlan::of(&optics, frame, settings, table_error)?;
+        let plan = RenderPlan::of(&optics, frame, settings, table_error).map_err(|e| e.in_file(lens.file()))?;
         Ok(Self::with(optics, plan))
     }
 
@@ -94,7 +94,8 @@ impl Renderer {
     /// As [`Optics::compute`].
     pub fn replanned(lens: &Lens, plan: &RenderPlan) -> Result<Self> {
         let optics = Optics::compute(lens, &plan.spec)?;
-        let plan = RenderPlan::of(&optics, &plan.frame, plan.settings, plan.table_error)?;
+        let plan = RenderPlan::of(&optics, &plan.frame, plan.settings, plan.table_error);
+        let plan = plan.map_err(|e| e.in_file(lens.file()))?;
         Ok(Self::with(optics, plan))
     }
 

@@ -105,7 +105,7 @@ pub fn slope_per_mm(lens: &Lens, radius_mm: f64, frame: &Frame) -> Result<f64> {
         let per_pixel = ratio * frame.pitch_mm;
         let found = format!("{per_pixel} of object slope a pixel at {} mm", lens.object_vergence.recip());
         let allowed = "an object's height that grows with the image's; another distance or lens";
-        return Err(Error::bad(&lens.name, "chief rays", found, allowed));
+        return Err(Error::bad(lens.file(), "chief rays", found, allowed));
     }
     Ok(ratio)
 }

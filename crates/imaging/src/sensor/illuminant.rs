@@ -3,9 +3,10 @@
 use isoplanat_base::error::{Error, Result};
 
 /// The light on a scene, or of a light source seen.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub enum Illuminant {
     /// The same power at every wavelength (CIE illuminant E).
+    #[default]
     EqualEnergy,
     /// A black body (Planck's law, second radiation constant of the SI, 1.438776877e-2 m K).
     BlackBody {
@@ -20,6 +21,39 @@ pub enum Illuminant {
         /// Correlated colour temperature, 4000 to 25000 K. D65 is 6504 K.
         kelvin: f64,
     },
+}
+
+/// What names of lights may be.
+const NAMES: &str =
+    "E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN from 4000 to 25000, black-body:KELVIN from 100 to 1e9";
+
+/// By its name, as command lines have it.
+impl std::str::FromStr for Illuminant {
+    type Err = Error;
+
+    fn from_str(name: &str) -> Result<Self> {
+        let bad = || Error::bad("", "", name, NAMES);
+        let light = match (name, name.split_once(':')) {
+            ("E", _) => Self::EqualEnergy,
+            ("A", _) => Self::A,
+            // CIE 15: the nominal temperatures on the radiation constant of today.
+            ("D50", _) => Self::Daylight { kelvin: 5003.0 },
+            ("D55", _) => Self::Daylight { kelvin: 5503.0 },
+            ("D65", _) => Self::Daylight { kelvin: 6504.0 },
+            ("D75", _) => Self::Daylight { kelvin: 7504.0 },
+            (_, Some((kind, kelvin))) => {
+                let kelvin = kelvin.parse().map_err(|_| bad())?;
+                match kind {
+                    "daylight" => Self::Daylight { kelvin },
+                    "black-body" => Self::BlackBody { kelvin },
+                    _ => return Err(bad()),
+                }
+            }
+            _ => return Err(bad()),
+        };
+        light.check("temperature").map_err(|_| bad())?;
+        Ok(light)
+    }
 }
 
 /// Second radiation constant, nm K.
@@ -153,6 +187,25 @@ mod tests {
         // The two pieces of the locus meet.
         let at = |kelvin: f64| Illuminant::Daylight { kelvin }.relative_power(450.0);
         assert_abs(at(7000.0), at(7000.001), 2e-3, "7000 K");
+    }
+
+    #[test]
+    fn lights_have_names() {
+        for (name, light) in [
+            ("E", Illuminant::EqualEnergy),
+            ("A", Illuminant::A),
+            ("D65", Illuminant::Daylight { kelvin: 6504.0 }),
+            ("daylight:5200", Illuminant::Daylight { kelvin: 5200.0 }),
+            ("black-body:2856", Illuminant::BlackBody { kelvin: 2856.0 }),
+        ] {
+            assert_eq!(name.parse::<Illuminant>().expect(name), light);
+        }
+        for name in
+            ["", "d65", "D60", "daylight", "daylight:", "daylight:3000", "black-body:nan", "black-body:0", "lamp:3000"]
+        {
+            let error = name.parse::<Illuminant>().expect_err(name).to_string();
+            assert!(error.contains(name) && error.contains("daylight:KELVIN"), "{error}");
+        }
     }
 
     #[test]

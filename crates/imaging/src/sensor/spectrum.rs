@@ -121,9 +121,9 @@ impl SpectralDensity {
         if first > long || last < short {
             let found = format!("{first} to {last} nm");
             let allowed = format!("wavelengths within {short} to {long} nm, what the sensor responds to");
-            return Err(Error::bad(lens.name.as_str(), "wavelengths.nm", found, allowed));
+            return Err(Error::bad(lens.file(), "wavelengths.nm", found, allowed));
         }
-        [short, long].iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))
+        [short, long].iter().try_for_each(|nm| lens.require_indices(*nm, lens.file()))
     }
 
     /// The wavelength in nm at which channel `channel` has collected the share `u` (`0 ≤ u < 1`) of its light.

@@ -11,6 +11,7 @@ use super::spot::{best_focus, spot};
 use super::wavefront::Map;
 use super::{curves, diffraction};
 use crate::interchange;
+use crate::lens::catalogue::{Glasses, Naming};
 use crate::lens::{Lens, paraxial, prescription, seidel};
 use crate::trace::health::check;
 use crate::trace::{ObjectPoint, System};
@@ -46,7 +47,7 @@ fn nearly(side: Side, pupil_mm: f64) -> Lens {
             "[[surface]]\nradius_mm = inf\nthickness_mm = {after:?}\nmedium = \"air\"\nsemi_diameter_mm = 3.0\nstop = true\n"
         )
     };
-    let n = crate::lens::Medium::named("N-BK7").expect(glass).index(587.5618);
+    let n = Glasses::shipped().find("N-BK7", Naming::Exact).expect(glass).index(587.5618);
     let focus = front_focus(n, 50.0, 4.0);
     let off = 49.043 * 49.043 / pupil_mm;
     let (object, field, surfaces) = match side {

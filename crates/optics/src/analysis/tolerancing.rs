@@ -115,7 +115,7 @@ impl AsBuilt {
         let started = Instant::now();
         let Some((lens, nominal_mm, _)) = built(&lens, &[], &[]) else {
             let allowed = "a lens whose stop all rays of its fields pass";
-            return Err(Error::bad(&lens.name, "rays", "some do not arrive", allowed));
+            return Err(Error::bad(lens.file(), "rays", "some do not arrive", allowed));
         };
         let light = light_of(&lens, &merit())?;
         let last = Kind::Thickness.at(lens.surfaces.len() - 1);

@@ -7,7 +7,7 @@ use super::draft::{Draft, FieldKind, Point, Size, Stage};
 use super::media::Stated;
 use super::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Index and Abbe number of the names that DiffOptics knows (its file `basics.py`).
 const MEDIA: [(&str, f64, f64); 31] = [
@@ -65,7 +65,7 @@ pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
     for (number, raw) in lines {
         let mut words = raw.split_whitespace();
         let Some(kind) = words.next() else { continue };
-        let line = Line { file, place: format!("line {}", number + 1), words: words.collect() };
+        let line = Line { file, place: Location::line(number + 1), words: words.collect() };
         if image.is_some() || draft.surfaces.len() >= MAX_SURFACES {
             return Err(line.refused("another surface", format!("at most {MAX_SURFACES} surfaces, the row I last")));
         }

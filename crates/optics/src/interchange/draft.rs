@@ -1,6 +1,7 @@
 //! A lens as another program's file states it, before glasses, apertures and fields are resolved.
 
 use super::media::Stated;
+use isoplanat_base::error::Location;
 
 /// Numbers of a file in mm, nm and degrees, in the order of the light.
 #[derive(Debug)]
@@ -78,7 +79,7 @@ pub(super) struct Point {
 #[derive(Clone, Debug)]
 pub(super) struct Stage {
     /// Where it stands in the file: `line 12 (SURF 3)`.
-    pub(super) place: String,
+    pub(super) place: Location,
     pub(super) curvature: f64,
     pub(super) conic: f64,
     /// Terms in r², r⁴, …, mm.
@@ -98,7 +99,7 @@ pub(super) struct Stage {
 }
 
 impl Stage {
-    pub(super) fn plane(place: String) -> Self {
+    pub(super) fn plane(place: Location) -> Self {
         Self {
             place,
             curvature: 0.0,

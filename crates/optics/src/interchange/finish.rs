@@ -11,7 +11,7 @@ use crate::lens::{
     Aperture, Field, Lens, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance, paraxial,
 };
 use crate::trace::apertures::{self, Beam, Reached};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Pixels of the frame that stands in for a sensor no file states: 3:2.
 const FRAME: [usize; 2] = [1500, 1000];
@@ -64,7 +64,7 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
     numbers.check_numbers(file).map_err(|e| placed(e, &stages))?;
     for (i, (s, stage)) in numbers.surfaces.iter().zip(&stages).enumerate() {
         if stage.semi_diameter.is_some() {
-            check_surface(s, &format!("surface[{i}]"), file).map_err(|e| placed(e, &stages))?;
+            check_surface(s, i, file).map_err(|e| placed(e, &stages))?;
         }
     }
     let last = numbers.surfaces.len() - 1;
@@ -107,23 +107,21 @@ pub(super) fn finish(mut draft: Draft, file: &str, glasses: &Glasses) -> Result<
         let sag = (0..=64).filter_map(|k| s.shape.at(s.semi_diameter * f64::from(k) / 64.0, 0.0)).map(|l| l.h);
         numbers.surfaces[last].thickness = sag.fold(stages[last].thickness, f64::max);
     }
-    notes.extend(
-        clearance::limit_stop(&mut numbers, file)
-            .map(|line| line.trim_start_matches(file).trim_start_matches(": ").to_owned()),
-    );
+    notes.extend(clearance::limit_stop(&mut numbers));
     let lens = Lens::new(numbers, file).map_err(|e| placed(e, &stages))?;
     Ok(Imported { lens, notes })
 }
 
 /// An error's surface with its place in the file.
 fn placed(error: Error, stages: &[Stage]) -> Error {
-    let Error::BadInput { file, place, found, allowed } = error else { return error };
-    let number = place.strip_prefix("surface[").and_then(|p| p.split(']').next()?.parse::<usize>().ok());
-    let place = match number.and_then(|i| stages.get(i)) {
-        Some(stage) => format!("{}: {place}", stage.place),
-        None => place,
-    };
-    Error::BadInput { file, place, found, allowed }
+    let first = error.bad_input().and_then(|bad| bad.place.surfaces.first());
+    match first.and_then(|i| stages.get(*i)) {
+        Some(stage) => {
+            let Location { line, label, .. } = stage.place.clone();
+            error.within(Location { line, label, ..Location::default() })
+        }
+        None => error,
+    }
 }
 
 fn stem(file: &str) -> String {
@@ -145,7 +143,7 @@ fn the_stop(stages: &mut [Stage], notes: &mut Vec<String>, file: &str) -> Result
         }
         [first, second, ..] => {
             let found = format!("a second one; the first is {}", stages[first].place);
-            Err(Error::bad(file, stages[second].place.as_str(), found, "exactly one stop surface"))
+            Err(Error::bad(file, &stages[second].place, found, "exactly one stop surface"))
         }
     }
 }
@@ -156,7 +154,7 @@ fn within_glass(draft: &mut Draft) {
     if draft.object_medium == Stated::Air {
         return;
     }
-    let mut plane = Stage::plane("the object's medium".into());
+    let mut plane = Stage::plane(Location::called("the object's medium"));
     plane.medium = draft.object_medium.clone();
     // Before the first surface's rim.
     if let Some((c, r)) = draft.surfaces.first().and_then(|s| Some((s.curvature, s.semi_diameter.or(s.computed)?))) {
@@ -193,16 +191,12 @@ fn surface(
     catalogues: &[String],
     notes: &mut Vec<String>,
 ) -> Result<Surface> {
-    let (medium, told) = stage.medium.resolve_told(glasses, catalogues).map_err(|e| match e {
-        Error::BadInput { place, found, allowed, .. } => {
-            Error::bad(file, format!("{}: {place}", stage.place), found, allowed)
-        }
-        other => other,
-    })?;
+    let (medium, told) =
+        stage.medium.resolve_told(glasses, catalogues).map_err(|e| e.within(&stage.place).in_file(file))?;
     notes.extend(told.map(|told| format!("{}: {told}", stage.place)));
     let plain = [stage.curvature, stage.conic, stage.thickness];
     if let Some(x) = plain.iter().chain(&stage.even).chain(&stage.odd).find(|x| !x.is_finite()) {
-        return Err(Error::bad(file, stage.place.as_str(), x.to_string(), "finite numbers"));
+        return Err(Error::bad(file, &stage.place, x.to_string(), "finite numbers"));
     }
     let mut shape = Shape::even(stage.curvature, stage.conic, trimmed(&stage.even));
     shape.odd = trimmed(&stage.odd);
@@ -260,7 +254,7 @@ fn aperture(draft: &Draft, numbers: &Prescription, stop: &Stage, file: &str) -> 
 /// Neighbouring surfaces that cross within the clear semi-diameters a file states end where they meet: no glass reaches further.
 fn meet(numbers: &mut Prescription, stages: &[Stage], marked: &[bool], notes: &mut Vec<String>) {
     let mut limited = numbers.clone();
-    let _ = clearance::limit_stop(&mut limited, "");
+    let _ = clearance::limit_stop(&mut limited);
     let axial = paraxial::marginal_heights(&limited, numbers.wavelengths.primary_nm);
     for overlap in clearance::overlaps(numbers) {
         let pair = [overlap.surface, overlap.next];
@@ -288,7 +282,7 @@ fn axial_stop(numbers: &Prescription, stages: &[Stage], file: &str) -> Result<(f
     let stop = stages.iter().position(|s| s.stop).map_or(0.0, |i| heights[i]);
     let of = |any: bool| {
         let size = |s: &Stage| s.semi_diameter.or(if any { s.computed } else { None });
-        let all = stages.iter().zip(&heights).filter_map(|(s, h)| Some((size(s)? / h * stop, s.place.clone())));
+        let all = stages.iter().zip(&heights).filter_map(|(s, h)| Some((size(s)? / h * stop, s.place.to_string())));
         all.filter(|(size, _)| size.is_finite() && *size > 0.0).min_by(|a, b| a.0.total_cmp(&b.0))
     };
     // Sizes that the file fixes, or else those that its program had computed.

@@ -7,14 +7,14 @@ pub(super) use deeplens::medium;
 use serde_json::Value;
 
 use super::draft::Draft;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Reads the text of a file; `file` names it in errors.
 pub(super) fn read(text: &str, file: &str) -> Result<Draft> {
     // Programs in Python write infinities, which JSON does not have.
     let plain = words(text);
     let value: Value = serde_json::from_str(&plain).map_err(|e| {
-        Error::bad(file, format!("line {}", e.line()), format!("no JSON: {e}"), "a lens of DeepLens or Optiland")
+        Error::bad(file, Location::line(e.line()), format!("no JSON: {e}"), "a lens of DeepLens or Optiland")
     })?;
     if value.get("surface_group").is_some() {
         optiland::read(&value, file)

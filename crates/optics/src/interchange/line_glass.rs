@@ -9,7 +9,7 @@
 
 use super::model_glass::{LINES_NM, cauchy_of_lines, fictitious};
 use crate::lens::Medium;
-use crate::lens::catalogue::{Glasses, MODEL};
+use crate::lens::catalogue::{Glasses, MODEL, Naming};
 use isoplanat_base::error::{Error, Result};
 
 /// Largest difference of two statements of one index at 587.5618 nm.
@@ -42,7 +42,7 @@ impl OfLine {
                 let told = format!("glass {name}: the model glass of its line, n_d {n_d}, V_d {v_d}");
                 return Ok((cauchy_of_lines(n_d, v_d)?, Some(told)));
             }
-            (Some(_), _) => return Ok((glasses.find_spelled(name, catalogues)?, None)),
+            (Some(_), _) => return Ok((glasses.find(name, Naming::Foreign(catalogues))?, None)),
             (None, _) => {}
         }
         let found = glasses.candidates(name);
@@ -50,7 +50,7 @@ impl OfLine {
             return Ok((cauchy_of_lines(n_d, v_d)?, None));
         }
         let Some((n_d, v_d)) = self.lines.filter(|_| !found.is_empty() && !self.left_over) else {
-            let medium = glasses.find_spelled(name, catalogues).map_err(|e| self.or_model(e))?;
+            let medium = glasses.find(name, Naming::Foreign(catalogues)).map_err(|e| self.or_model(e))?;
             let told = self.told(&medium, glasses, catalogues);
             return Ok((medium, told));
         };
@@ -107,15 +107,9 @@ impl OfLine {
 
     /// The error of an unknown glass, which the line's numbers may stand in for.
     fn or_model(&self, error: Error) -> Error {
-        match (error, self.lines) {
-            (Error::BadInput { file, place, found, allowed }, Some((n_d, v_d))) => {
-                let name = &self.name;
-                let allowed =
-                    format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line; or {allowed}");
-                Error::BadInput { file, place, found, allowed }
-            }
-            (other, _) => other,
-        }
+        let Some((n_d, v_d)) = self.lines else { return error };
+        let name = &self.name;
+        error.or_else_allowed(&format!("--glass-for {name}={MODEL} for the n_d {n_d} and V_d {v_d} of its line"))
     }
 }
 

@@ -3,7 +3,7 @@
 use super::line_glass::OfLine;
 use super::model_glass::{cauchy_of_lines, constant};
 use crate::lens::Medium;
-use crate::lens::catalogue::Glasses;
+use crate::lens::catalogue::{Glasses, Naming};
 use isoplanat_base::error::Result;
 
 /// A medium before it is looked up.
@@ -46,7 +46,7 @@ impl Stated {
     pub(super) fn resolve_told(&self, glasses: &Glasses, catalogues: &[String]) -> Result<(Medium, Option<String>)> {
         let medium = match self {
             Self::Air => Medium::Air,
-            Self::Glass(name) => glasses.find_spelled(name, catalogues)?,
+            Self::Glass(name) => glasses.find(name, Naming::Foreign(catalogues))?,
             Self::Line(line) => return line.resolve(glasses, catalogues),
             Self::Lines { n_d, v_d } => cauchy_of_lines(*n_d, *v_d)?,
             Self::Pair { n_d, v_d } => Medium::Cauchy { n_d: *n_d, v_d: *v_d },

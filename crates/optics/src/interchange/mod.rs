@@ -166,7 +166,7 @@ pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Ve
     let readable = |(text, notes): (String, Vec<String>)| match parse(&text, form, "", glasses) {
         Ok(_) => Ok((text, notes)),
         Err(e) => Err(Error::bad(
-            lens.name.as_str(),
+            lens.file(),
             "form",
             format!("as {form:?} it could not be read again ({e})"),
             ".toml says all of a lens",
@@ -177,7 +177,7 @@ pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Ve
         Form::Zmx => readable(write_zmx::write(lens, glasses)?),
         Form::Seq => readable(write_seq::write(lens, glasses)?),
         Form::Json | Form::Txt => Err(Error::bad(
-            lens.name.as_str(),
+            lens.file(),
             "form",
             format!("{form:?}"),
             ".toml, .zmx or .seq; .json and .txt are read only",

@@ -85,7 +85,7 @@ fn sort(draft: &mut Draft, first: usize, last: usize, file: &str) -> Result<()> 
     let misplaced = planes.iter().find(|(z, _)| *z < start - ROUNDING * walked || *z > end + ROUNDING * walked);
     let refused = |stage: &Stage, found: String| {
         let allowed = "distances along the light; planes in air may stand in any order within their air space";
-        Err(Error::bad(file, stage.place.as_str(), found, allowed))
+        Err(Error::bad(file, &stage.place, found, allowed))
     };
     if let Some((_, stage)) = misplaced {
         return refused(stage, format!("a negative distance puts it beyond its air space ({} mm)", stage.thickness));
@@ -94,7 +94,7 @@ fn sort(draft: &mut Draft, first: usize, last: usize, file: &str) -> Result<()> 
         return refused(&surfaces[first], format!("a distance of {} mm", surfaces[first].thickness));
     }
     let front = planes[0].0;
-    let names: Vec<String> = planes.iter().map(|(_, s)| s.place.clone()).collect();
+    let names: Vec<String> = planes.iter().map(|(_, s)| s.place.to_string()).collect();
     if from > first {
         surfaces[first].thickness = front.max(0.0);
     }

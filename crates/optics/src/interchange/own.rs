@@ -6,7 +6,7 @@ use crate::lens::check::check_surface;
 use crate::lens::prescription::{self, Read};
 use crate::lens::{Aperture, Lens, clearance, paraxial};
 use crate::trace::apertures::{self, Beam};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Which clear semi-diameters the lens of a text leaves out.
 ///
@@ -25,14 +25,14 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported
         // Each number by itself, before rays go through them.
         numbers.check_numbers(file)?;
         for (i, s) in numbers.surfaces.iter().enumerate().filter(|(i, _)| !marked[*i]) {
-            check_surface(s, &format!("surface[{i}]"), file)?;
+            check_surface(s, i, file)?;
         }
         let stop = numbers.stop;
         if marked[stop] {
             let asked = paraxial::stop_semi_diameter(&numbers);
             if matches!(numbers.aperture, Aperture::FNumber(_)) && numbers.is_powerless() || !asked.is_finite() {
                 let found = "left out, and no size by `aperture`, since the lens has no power";
-                let place = format!("surface[{stop}].semi_diameter_mm");
+                let place = Location::surface(stop).key("semi_diameter_mm");
                 return Err(Error::bad(file, place, found, "a clear semi-diameter, or stop_semi_diameter_mm"));
             }
             numbers.surfaces[stop].semi_diameter = asked;
@@ -48,8 +48,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Imported
             notes.push(format!("no ray of the field {} arrives: clear semi-diameters leave it out", list.join(", ")));
         }
     }
-    let limited = clearance::limit_stop(&mut numbers, file);
-    notes.extend(limited.map(|line| line.strip_prefix(&format!("{file}: ")).map_or(line.clone(), str::to_owned)));
+    notes.extend(clearance::limit_stop(&mut numbers));
     Ok(Imported { lens: Lens::new(numbers, file)?, notes })
 }
 

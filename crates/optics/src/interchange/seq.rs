@@ -16,7 +16,7 @@ use super::draft::{Draft, FieldKind, Point, Size};
 use super::media::Stated;
 use super::text::{Line, shown};
 use crate::lens::catalogue::Glasses;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 use statements::{Statement, statements};
 use zoom::Zoom;
 
@@ -91,7 +91,7 @@ pub(super) fn read(text: &str, file: &str, glasses: &Glasses, reading: Reading) 
         if !known && (result.is_err() || !reader.unknown.is_empty()) {
             let found = format!("`{}`", shown(statement.words[0]));
             let allowed = "a CODE V sequence, which begins with statements such as RDM, LEN, TITLE";
-            return Err(Error::bad(file, format!("line {}", statement.line), found, allowed));
+            return Err(Error::bad(file, Location::line(statement.line), found, allowed));
         }
         known = true;
         result?;
@@ -103,7 +103,7 @@ impl Reader<'_> {
     fn take(&mut self, statement: &Statement) -> Result<()> {
         let keyword = statement.words[0].to_ascii_uppercase();
         let words: Vec<&str> = statement.words[1..].to_vec();
-        let line = Line { file: self.file, place: format!("line {}", statement.line), words };
+        let line = Line { file: self.file, place: Location::line(statement.line), words };
         if self.private.is_some() {
             return self.private_glass(&keyword, statement.words[0], &line);
         }

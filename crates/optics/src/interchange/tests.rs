@@ -1,8 +1,8 @@
 //! Files of other programs: what they mean by what they leave out, and by names.
 
 use super::{Form, Imported, Reading, load, parse, parse_as, text_of};
-use crate::lens::catalogue::Glasses;
-use crate::lens::{Lens, Medium, builtin, paraxial};
+use crate::lens::catalogue::{Glasses, Naming};
+use crate::lens::{Lens, builtin, paraxial};
 use isoplanat_base::testing::{assert_abs, assert_rel, shared};
 
 /// Focal length and sensor distance, mm.
@@ -31,7 +31,7 @@ fn singlet(index: f64) -> [f64; 2] {
     [1.0 / power, (1.0 - (index - 1.0) * t / (index * r1)) / power]
 }
 fn bk7() -> f64 {
-    Medium::named("N-BK7").expect("shipped").index(587.5618)
+    Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped").index(587.5618)
 }
 
 /// Without `RDM` numbers are curvatures, and that is told.

@@ -1,7 +1,7 @@
 //! Lines of a file with the place that errors name.
 
 use crate::lens::{Field, Lens, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// The largest object's height, mm, where a file states heights: those of the lens, or those of its angles where it is telecentric in
 /// object space and other programs know no angles.
@@ -27,7 +27,7 @@ pub(super) fn many_wavelengths(count: usize, program: &str, most: usize) -> Opti
 pub(super) struct Line<'a> {
     pub(super) file: &'a str,
     /// Where the line stands, for errors.
-    pub(super) place: String,
+    pub(super) place: Location,
     /// Words behind the keyword.
     pub(super) words: Vec<&'a str>,
 }
@@ -35,7 +35,7 @@ pub(super) struct Line<'a> {
 impl Line<'_> {
     /// An error of this line.
     pub(super) fn refused(&self, found: impl Into<String>, allowed: impl Into<String>) -> Error {
-        Error::bad(self.file, self.place.as_str(), found, allowed)
+        Error::bad(self.file, &self.place, found, allowed)
     }
 
     /// The word `i` as a finite number.
@@ -86,13 +86,13 @@ pub fn on_one_axis(lens: &Lens, what: &str) -> Result<()> {
         if freeform || s.pose.is_some_and(|p| !p.is_nominal()) {
             let found = if freeform { "freeform terms" } else { "a tilt or decentre" };
             let allowed = format!("surfaces of revolution on one axis in {what}; a TOML file takes any");
-            return Err(Error::bad(lens.name.as_str(), format!("surface[{i}]"), found, allowed));
+            return Err(Error::bad(lens.file(), Location::surface(i), found, allowed));
         }
     }
     match lens.elements.iter().position(|e| !e.pose.is_nominal()) {
         Some(i) => {
             let allowed = format!("surfaces on one axis in {what}; a TOML file takes any");
-            Err(Error::bad(lens.name.as_str(), format!("element[{i}]"), "a tilt or decentre", allowed))
+            Err(Error::bad(lens.file(), format!("element[{i}]"), "a tilt or decentre", allowed))
         }
         None => Ok(()),
     }

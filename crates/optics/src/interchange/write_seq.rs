@@ -3,9 +3,9 @@
 use std::fmt::Write;
 
 use super::text::plain;
-use crate::lens::catalogue::Glasses;
+use crate::lens::catalogue::{Glasses, Naming};
 use crate::lens::{Aperture, Lens, Medium, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Wavelengths that CODE V takes.
 const MOST_WAVELENGTHS: usize = 21;
@@ -24,8 +24,8 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
         let odd = shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * k + 3);
         if let Some(power) = even.filter(|p| !(4..=20).contains(p)).chain(odd).next() {
             let allowed = "even terms from a4 to a20, which an asphere of CODE V has; .zmx and .toml take all";
-            let place = format!("surface[{i}].asphere");
-            return Err(Error::bad(lens.name.as_str(), place, format!("a term of r^{power}"), allowed));
+            let place = Location::surface(i).key("asphere");
+            return Err(Error::bad(lens.file(), place, format!("a term of r^{power}"), allowed));
         }
         if shape.conic != 0.0 || shape.asphere.iter().any(|a| *a != 0.0) {
             let _ = writeln!(body, "  ASP\n  K {}", plain(shape.conic));
@@ -94,7 +94,7 @@ fn medium(lens: &Lens, medium: &Medium, glasses: &Glasses, private: &mut Vec<(St
     // By its name alone where it is found again without further catalogues; any other glass goes along as a table.
     if let Some((catalogue, name)) = &listed
         && !catalogue.contains(['_', ' '])
-        && Glasses::shipped().find_spelled(&format!("{catalogue}/{name}"), &[]).is_ok_and(|m| m == *medium)
+        && Glasses::shipped().find(&format!("{catalogue}/{name}"), Naming::Foreign(&[])).is_ok_and(|m| m == *medium)
     {
         return format!(" {}_{catalogue}", name.replace('-', ""));
     }

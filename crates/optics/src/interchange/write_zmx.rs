@@ -4,9 +4,9 @@ use std::fmt::Write;
 
 use super::model_glass::lines_of;
 use super::text::plain;
-use crate::lens::catalogue::Glasses;
+use crate::lens::catalogue::{Glasses, Naming};
 use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Wavelengths that OpticStudio takes.
 const MOST_WAVELENGTHS: usize = 24;
@@ -70,7 +70,7 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
     for _ in 0..=names.len() * names.len() {
         let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
             let (catalogue, name) = glasses.named_as(&s.medium)?;
-            let found = glasses.find_spelled(&name, &names);
+            let found = glasses.find(&name, Naming::Foreign(&names));
             // A newer edition of a catalogue may give the glass another range, and the same indices.
             let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - s.medium.index(*nm)).abs() <= 1e-12);
             (!found.is_ok_and(alike)).then_some((i, catalogue))
@@ -84,20 +84,15 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
             _ => {
                 let found = format!("the glass {} of {catalogue}, whose name others have", lens.surfaces[i].medium);
                 return Err(Error::bad(
-                    lens.name.as_str(),
-                    format!("surface[{i}].medium"),
+                    lens.file(),
+                    Location::surface(i).key("medium"),
                     found,
                     "glasses that one list of catalogues tells apart",
                 ));
             }
         }
     }
-    Err(Error::bad(
-        lens.name.as_str(),
-        "medium",
-        "glasses of one name",
-        "glasses that one list of catalogues tells apart",
-    ))
+    Err(Error::bad(lens.file(), "medium", "glasses of one name", "glasses that one list of catalogues tells apart"))
 }
 
 /// The number of µm that a reader turns into exactly `nm`.
@@ -115,8 +110,7 @@ fn surface(
     catalogues: &mut Vec<String>,
     notes: &mut Vec<String>,
 ) -> Result<String> {
-    let refused =
-        |found: &str, allowed: &str| Err(Error::bad(lens.name.as_str(), format!("surface[{i}]"), found, allowed));
+    let refused = |found: &str, allowed: &str| Err(Error::bad(lens.file(), Location::surface(i), found, allowed));
     let mut out = String::new();
     if i == lens.stop {
         out.push_str("  STOP\n");

@@ -13,7 +13,7 @@ use super::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
 use configurations::Configurations;
 use header::Header;
-use isoplanat_base::error::Result;
+use isoplanat_base::error::{Location, Result};
 use order::Order;
 use surface::Raw;
 
@@ -38,10 +38,9 @@ pub(super) fn read(text: &str, file: &str, reading: Reading) -> Result<Draft> {
     for (number, raw) in text.lines().enumerate() {
         let mut words = raw.split_whitespace();
         let Some(keyword) = words.next() else { continue };
-        let place = match surfaces.last().filter(|_| keyword != "SURF") {
-            Some(surface) => format!("line {} (SURF {})", number + 1, surface.index()),
-            None => format!("line {}", number + 1),
-        };
+        let surface = surfaces.last().filter(|_| keyword != "SURF");
+        let label = surface.map(|s| s.place().label.clone()).unwrap_or_default();
+        let place = Location { label, ..Location::line(number + 1) };
         let stated: Vec<&str> = words.collect();
         // Titles and comments have commas that are no decimal points.
         let text = ["NAME", "NOTE", "COMM", "GCAT"].contains(&keyword);
@@ -60,7 +59,7 @@ pub(super) fn read(text: &str, file: &str, reading: Reading) -> Result<Draft> {
                 );
             }
             let label = order.next(&line)?;
-            surfaces.push(Raw::new(format!("{} (SURF {label})", line.place)));
+            surfaces.push(Raw::new(Location { label: format!("SURF {label}"), ..line.place }));
             continue;
         }
         let indented = raw.starts_with(char::is_whitespace);
@@ -127,10 +126,10 @@ pub(super) fn read(text: &str, file: &str, reading: Reading) -> Result<Draft> {
 struct Told(std::collections::BTreeMap<String, (String, usize)>);
 
 impl Told {
-    fn add(&mut self, word: &str, place: &str) {
+    fn add(&mut self, word: &str, place: &Location) {
         let word = shown(word);
         if self.0.len() < 40 || self.0.contains_key(&word) {
-            self.0.entry(word).or_insert_with(|| (place.to_owned(), 0)).1 += 1;
+            self.0.entry(word).or_insert_with(|| (place.to_string(), 0)).1 += 1;
         }
     }
 

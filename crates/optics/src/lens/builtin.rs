@@ -22,7 +22,7 @@ pub fn text(name: &str) -> Result<&'static str> {
 /// # Errors
 /// As [`text`].
 pub fn lens(name: &str) -> Result<Lens> {
-    prescription::from_toml(text(name)?, &format!("models/lenses/{name}.toml"))
+    prescription::from_toml(text(name)?, name)
 }
 
 #[cfg(test)]

@@ -28,6 +28,19 @@ const ROUNDING: f64 = 1e-14;
 /// Largest file that is read: the largest catalogues have 2 MB.
 const LARGEST: u64 = 64 << 20;
 
+/// How a glass is named by whoever asks for it.
+#[derive(Clone, Copy, Debug)]
+pub enum Naming<'a> {
+    /// To the letter.
+    Exact,
+    /// To the letter, as lens files of this program's own form do: the glass is that of the shipped catalogues, whatever others are at hand, and of those where the
+    /// shipped ones have none.
+    Own,
+    /// As CODE V and other programs spell: a name that is none is taken for the one glass that differs from it by case and hyphens alone (`SCHOTT/NSK16` is
+    /// N-SK16). Of different glasses of one name it is that of the first of these catalogues.
+    Foreign(&'a [String]),
+}
+
 /// A glass of a catalogue.
 #[derive(Clone, Debug)]
 struct Entry {
@@ -221,7 +234,7 @@ impl Glasses {
             return Err(Error::bad("", "medium", "a glass for air", "the name of a glass"));
         }
         if !glass.eq_ignore_ascii_case(MODEL) {
-            self.find_spelled(glass, &[])?;
+            self.find(glass, Naming::Foreign(&[]))?;
         }
         self.instead.push((name.to_owned(), glass.to_owned()));
         Ok(())
@@ -234,32 +247,32 @@ impl Glasses {
         self.instead.iter().find(|(stated, _)| is(stated)).map(|(_, glass)| glass.as_str())
     }
 
-    /// The glass `name`, or `catalogue/name`; of different glasses of one name that of the first catalogue in `preferred`.
+    /// The glass `name`, or `catalogue/name`, which is named as `naming` says; the glass that is taken in its place where somebody said so.
     ///
     /// # Errors
     /// An unknown name (with near ones), several glasses of that name, an entry that is no dispersion. The error names no file.
-    pub fn find(&self, name: &str, preferred: &[String]) -> Result<Medium> {
+    pub fn find(&self, name: &str, naming: Naming<'_>) -> Result<Medium> {
         match self.stands_for(name) {
-            Some(glass) => self.in_place(name, glass),
-            None => self.listed(name, preferred),
+            Some(glass) if glass.eq_ignore_ascii_case(MODEL) => {
+                let found = format!("no index and no Abbe number of `{name}` in the file");
+                let allowed = "two numbers beside the name, as --glass-for NAME=model takes them";
+                Err(Error::bad("", "medium", found, allowed))
+            }
+            Some(glass) => self.respelled(glass, &[]),
+            None => match naming {
+                Naming::Own if Self::shipped().has(name) => Self::shipped().listed(name, &[]),
+                Naming::Exact | Naming::Own => self.listed(name, &[]),
+                Naming::Foreign(preferred) => self.respelled(name, preferred),
+            },
         }
     }
 
-    /// The glass that is taken in the place of `name`.
-    fn in_place(&self, name: &str, glass: &str) -> Result<Medium> {
-        if glass.eq_ignore_ascii_case(MODEL) {
-            let found = format!("no index and no Abbe number of `{name}` in the file");
-            return Err(Error::bad(
-                "",
-                "medium",
-                found,
-                "two numbers beside the name, as --glass-for NAME=model takes them",
-            ));
-        }
-        self.listed_spelled(glass, &[])
+    /// Whether a catalogue has an entry of this very name.
+    fn has(&self, name: &str) -> bool {
+        self.catalogues.iter().any(|c| c.entries.iter().any(|e| e.name == name))
     }
 
-    /// [`Self::find`] by the catalogues alone, whatever is taken instead.
+    /// The glass of this very name by the catalogues alone, whatever is taken instead.
     fn listed(&self, name: &str, preferred: &[String]) -> Result<Medium> {
         if name.eq_ignore_ascii_case("air") {
             return Ok(Medium::Air);
@@ -289,31 +302,8 @@ impl Glasses {
         })
     }
 
-    /// The glass that a lens file of this program's own form means by `name`: that of the shipped catalogues, whatever others are at
-    /// hand; of those where the shipped ones have none.
-    ///
-    /// # Errors
-    /// As [`Self::find`].
-    pub(crate) fn find_own(&self, name: &str) -> Result<Medium> {
-        let own = Self::shipped();
-        let known = own.catalogues.iter().any(|c| c.entries.iter().any(|e| e.name == name));
-        if known && self.stands_for(name).is_none() { own.find(name, &[]) } else { self.find(name, &[]) }
-    }
-
-    /// [`Self::find`]; a name that is none is taken for the one glass that differs from it by case and hyphens alone, as CODE V and
-    /// other programs spell: `SCHOTT/NSK16` is N-SK16.
-    ///
-    /// # Errors
-    /// As [`Self::find`].
-    pub fn find_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
-        match self.stands_for(name) {
-            Some(glass) => self.in_place(name, glass),
-            None => self.listed_spelled(name, preferred),
-        }
-    }
-
-    /// [`Self::find_spelled`] by the catalogues alone.
-    fn listed_spelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
+    /// [`Self::listed`], or the one glass that differs by case and hyphens alone.
+    fn respelled(&self, name: &str, preferred: &[String]) -> Result<Medium> {
         let (of, short) = match name.split_once('/') {
             Some((of, short)) => (self.catalogues.iter().find(|c| c.name.eq_ignore_ascii_case(of)), short),
             None => (None, name),

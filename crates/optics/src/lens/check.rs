@@ -2,7 +2,7 @@
 
 use super::glass::TABLE_NM;
 use super::{Aperture, Field, Medium, Prescription, Shape, Surface, clearance, numbers, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Most surfaces that a lens has: the largest published ones have some sixty.
 pub(crate) const MAX_SURFACES: usize = 400;
@@ -27,7 +27,7 @@ impl Prescription {
     pub(super) fn check(&self, file: &str) -> Result<()> {
         self.check_numbers(file)?;
         for (i, s) in self.surfaces.iter().enumerate() {
-            check_surface(s, &format!("surface[{i}]"), file)?;
+            check_surface(s, i, file)?;
         }
         if let Aperture::FNumber(number) = self.aperture
             && self.is_powerless()
@@ -96,7 +96,7 @@ impl Prescription {
         self.check_sensor(file)?;
         numbers::check(self, file)?;
         for (i, s) in self.surfaces.iter().enumerate() {
-            check_table(&s.medium, &format!("surface[{i}]"), file)?;
+            check_table(&s.medium, i, file)?;
         }
         for nm in self.wavelengths.nm.iter().chain([&self.wavelengths.primary_nm]) {
             self.require_indices(*nm, file)?;
@@ -121,7 +121,12 @@ impl Prescription {
         }
         if w.weights.iter().any(|x| !x.is_finite() || *x < 0.0) || w.weights.iter().sum::<f64>() <= 0.0 {
             let found = format!("{:?}", w.weights);
-            return Err(Error::bad(file, "wavelengths.weights", found, "not negative, not all zero"));
+            return Err(Error::bad(
+                file,
+                "wavelengths.weights",
+                found,
+                "weights that are not negative and not all zero",
+            ));
         }
         Ok(())
     }
@@ -148,8 +153,8 @@ impl Prescription {
 const LEAST_PITCH_UM: f64 = 0.02;
 const MOST_PITCH_UM: f64 = 1e6;
 
-/// What a table of indices must be.
-fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
+/// What a table of indices behind surface `surface` must be.
+fn check_table(medium: &Medium, surface: usize, file: &str) -> Result<()> {
     if let Medium::Table { wavelength_nm, index } = medium {
         let ascending = wavelength_nm.windows(2).all(|w| w[0] < w[1]);
         if index.is_empty()
@@ -159,18 +164,19 @@ fn check_table(medium: &Medium, place: &str, file: &str) -> Result<()> {
         {
             let found = format!("wavelength_nm = {wavelength_nm:?}, index = {index:?}");
             let allowed = "ascending wavelengths from 100 to 100000 nm, as many indices from 1 to 5";
-            return Err(Error::bad(file, format!("{place}.medium"), found, allowed));
+            return Err(Error::bad(file, Location::surface(surface).key("medium"), found, allowed));
         }
     }
     Ok(())
 }
 
-/// What the numbers of a surface must be to each other.
-pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> {
+/// What the numbers of surface `surface` must be to each other.
+pub(crate) fn check_surface(s: &Surface, surface: usize, file: &str) -> Result<()> {
+    let place = |key: &str| Location::surface(surface).key(key);
     let (shape, semi_diameter) = (&s.shape, s.semi_diameter);
     if semi_diameter > shape.reach() {
         let allowed = format!("at most the conic's reach of {:.6} mm", shape.reach());
-        return Err(Error::bad(file, format!("{place}.semi_diameter_mm"), semi_diameter.to_string(), allowed));
+        return Err(Error::bad(file, place("semi_diameter_mm"), semi_diameter.to_string(), allowed));
     }
     // Polynomial terms that no surface has within its clear semi-diameter: their search would not end in sensible time, or their
     // derivatives would leave the numbers.
@@ -180,7 +186,7 @@ pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> 
     for (key, radius) in radii {
         if let Some(r) = radius.filter(|r| !(least..=most).contains(r)) {
             let allowed = format!("{least:e} to {most:e} mm, 1/1000 to 1000 semi_diameter_mm");
-            return Err(Error::bad(file, format!("{place}.{key}.radius_mm"), format!("{r:e}"), allowed));
+            return Err(Error::bad(file, place(key).key("radius_mm"), format!("{r:e}"), allowed));
         }
     }
     let terms = Shape { curvature: 0.0, conic: 0.0, ..shape.clone() };
@@ -192,5 +198,5 @@ pub(crate) fn check_surface(s: &Surface, place: &str, file: &str) -> Result<()> 
     let slope = slopes[RINGS.len() - 1];
     let found = format!("a slope of up to {slope:e} within the clear semi-diameter");
     let allowed = format!("terms whose slopes add to at most {STEEPEST}");
-    Err(Error::bad(file, format!("{place}.asphere, zernike, xy"), found, allowed))
+    Err(Error::bad(file, place("asphere, zernike, xy"), found, allowed))
 }

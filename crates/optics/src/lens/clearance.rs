@@ -1,7 +1,7 @@
 //! What the surfaces of a lens must leave each other, the stop and the sensor.
 
 use super::{Aperture, Medium, Prescription, Surface, paraxial};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Gaps are held to this, mm: elements may touch.
 const TOUCHING_MM: f64 = 1e-9;
@@ -39,7 +39,7 @@ impl Overlap {
         let Self { surface, next, from_mm, depth_mm } = self;
         Error::bad(
             file,
-            format!("surface[{surface}] and surface[{next}]"),
+            Location { surfaces: vec![*surface, *next], ..Location::default() },
             format!("they cross: from {from_mm:.4} mm off the axis on, by up to {depth_mm:.4} mm"),
             allowed,
         )
@@ -103,7 +103,7 @@ pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     if room < -TOUCHING_MM {
         return Err(Error::bad(
             file,
-            format!("surface[{last}]"),
+            Location::surface(last),
             format!(
                 "within its clear semi-diameter it comes to {room:.4} mm from the sensor's plane, which it must not pass"
             ),
@@ -174,11 +174,11 @@ pub(super) fn open_stop(lens: &mut Prescription) {
 }
 
 /// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more; the line that says so.
-pub(crate) fn limit_stop(lens: &mut Prescription, file: &str) -> Option<String> {
+pub(crate) fn limit_stop(lens: &mut Prescription) -> Option<String> {
     let [own, asked] = asked_for_more(lens)?;
     lens.aperture = Aperture::StopSemiDiameter(own);
     let stop = lens.stop;
     Some(format!(
-        "{file}: surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts"
+        "surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts"
     ))
 }

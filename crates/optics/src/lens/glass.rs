@@ -14,9 +14,7 @@
 //! [`Medium::index`] evaluates the formula anywhere; whoever takes a wavelength from a file or a command line asks
 //! [`crate::lens::Prescription::require_indices`] first. Not covered: absorption, temperature, pressure.
 
-use super::catalogue::Glasses;
 use super::dispersion::Dispersion;
-use isoplanat_base::error::Result;
 use isoplanat_base::units::um_from_nm;
 
 /// Wavelengths of a table are within, nm.
@@ -154,14 +152,6 @@ impl Medium {
         let [d, f, c] = [D_NM, F_NM, C_NM].map(|nm| self.index(nm));
         [d, (d - 1.0) / (f - c)]
     }
-
-    /// A glass of the shipped catalogue (`models/glasses/catalog.toml`) by its exact name.
-    ///
-    /// # Errors
-    /// See [`Glasses::find`].
-    pub fn named(name: &str) -> Result<Self> {
-        Glasses::shipped().find(name, &[])
-    }
 }
 
 /// A medium in one short text.
@@ -179,6 +169,7 @@ impl std::fmt::Display for Medium {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lens::catalogue::{Glasses, Naming};
     use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 
     /// Cauchy reproduces n_d and V by definition.
@@ -210,13 +201,13 @@ mod tests {
     fn indices_are_normal_within_their_range() {
         let table = Medium::Table { wavelength_nm: vec![486.0, 588.0, 656.0], index: vec![1.63, 1.62, 1.615] };
         let cauchy = Medium::Cauchy { n_d: 1.5849, v_d: 29.9 };
-        for medium in [Medium::named("N-BK7").expect("shipped"), cauchy, table.clone()] {
+        for medium in [Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped"), cauchy, table.clone()] {
             let [a, b] = medium.range_nm();
             let indices: Vec<f64> = (0..=500).map(|k| medium.index(a + (b - a) * f64::from(k) / 500.0)).collect();
             assert!(indices.windows(2).all(|n| n[0] > n[1] && n[1] > 1.0), "{medium}");
         }
         assert_eq!(table.range_nm(), [481.0, 661.0]);
-        let bk7 = Medium::named("N-BK7").expect("shipped");
+        let bk7 = Glasses::shipped().find("N-BK7", Naming::Exact).expect("shipped");
         assert!(bk7.index(10_100.0).is_nan() && bk7.range_nm()[1] < 10_100.0);
     }
 }

@@ -41,7 +41,7 @@ pub(crate) mod test_lenses;
 pub mod variables;
 
 use isoplanat_base::atomic::sha256_hex;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 pub use freeform::{Xy, Zernike};
 pub use glass::Medium;
@@ -176,18 +176,28 @@ impl SensorRaster {
 
 /// A prescription that passed the check: it has a stop, its numbers are within their bounds, its surfaces leave each other and the
 /// sensor room, its media have an index at its wavelengths.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Lens(Prescription);
+#[derive(Clone, Debug)]
+pub struct Lens {
+    numbers: Prescription,
+    file: String,
+}
 
 impl std::ops::Deref for Lens {
     type Target = Prescription;
     fn deref(&self) -> &Prescription {
-        &self.0
+        &self.numbers
+    }
+}
+
+/// The same numbers, wherever they were read.
+impl PartialEq for Lens {
+    fn eq(&self, other: &Self) -> bool {
+        self.numbers == other.numbers
     }
 }
 
 impl Lens {
-    /// The lens of these numbers; `file` names it in errors. The stop's surface is made clear as far as the stop reaches: its size
+    /// The lens of these numbers; `file` names it in errors, these and later ones ([`Self::file`]). The stop's surface is made clear as far as the stop reaches: its size
     /// may follow from an entrance pupil or an f-number. (A file that states less gets less: [`prescription`].)
     ///
     /// # Errors
@@ -196,17 +206,35 @@ impl Lens {
         numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
         clearance::open_stop(&mut numbers);
         numbers.check(file)?;
-        Ok(Self(numbers))
+        Ok(Self { numbers, file: file.to_owned() })
+    }
+
+    /// What errors call it: the file that it was read from, as whoever asked for it named that.
+    pub fn file(&self) -> &str {
+        &self.file
+    }
+
+    /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
+    pub fn require_symmetry(&self, work: &str) -> Result<()> {
+        if self.is_symmetric() {
+            return Ok(());
+        }
+        Err(Error::bad(
+            self.file(),
+            "surfaces",
+            "tilts, decentres or freeform terms",
+            format!("a rotationally symmetric lens for {work}; `trace`, `inspect`, `check` and `capture` take any"),
+        ))
     }
 
     /// This lens with other numbers.
     ///
     /// # Errors
-    /// Numbers that are no lens, under this lens's name.
+    /// Numbers that are no lens, under this lens's file.
     pub fn changed(&self, change: impl FnOnce(&mut Prescription)) -> Result<Self> {
-        let mut numbers = self.0.clone();
+        let mut numbers = self.numbers.clone();
         change(&mut numbers);
-        Self::new(numbers, &self.name)
+        Self::new(numbers, &self.file)
     }
 
     /// This lens without tilts, decentres and freeform terms: the one that has its symmetry.
@@ -229,10 +257,10 @@ impl Lens {
 #[doc(hidden)]
 #[must_use]
 pub fn unchecked(lens: &Lens, change: impl FnOnce(&mut Prescription)) -> Lens {
-    let mut numbers = lens.0.clone();
+    let mut numbers = lens.numbers.clone();
     change(&mut numbers);
     numbers.surfaces.iter_mut().for_each(|s| s.shape.refresh());
-    Lens(numbers)
+    Lens { numbers, file: lens.file.clone() }
 }
 
 impl Prescription {
@@ -248,7 +276,7 @@ impl Prescription {
             if !(short..=long).contains(&nm) {
                 let found = format!("{} at {nm} nm", s.medium);
                 let allowed = format!("{short} to {long} nm, where its index is known");
-                return Err(Error::bad(file, format!("surface[{i}].medium"), found, allowed));
+                return Err(Error::bad(file, Location::surface(i).key("medium"), found, allowed));
             }
         }
         Ok(())
@@ -273,19 +301,6 @@ impl Prescription {
     pub fn is_symmetric(&self) -> bool {
         self.surfaces.iter().all(|s| s.shape.is_symmetric() && s.pose.is_none_or(|p| p.is_nominal()))
             && self.elements.iter().all(|e| e.pose.is_nominal())
-    }
-
-    /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
-    pub fn require_symmetry(&self, work: &str) -> Result<()> {
-        if self.is_symmetric() {
-            return Ok(());
-        }
-        Err(Error::bad(
-            self.name.as_str(),
-            "surfaces",
-            "tilts, decentres or freeform terms",
-            format!("a rotationally symmetric lens for {work}; `trace`, `inspect`, `check` and `capture` take any"),
-        ))
     }
 
     /// SHA-256 of the canonical TOML form: names this lens in kits and run folders.

@@ -9,7 +9,7 @@
 use std::slice::{from_mut, from_ref};
 
 use super::{Aperture, Element, LensGradient, Medium, Prescription, Shape, Surface};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 mod table;
 
@@ -105,10 +105,10 @@ impl Kind {
         self.line().free
     }
 
-    fn place(self, of: usize) -> String {
+    fn place(self, of: usize) -> Location {
         match self.line().at {
-            At::Shape(..) | At::Surface(..) | At::Medium(..) => format!("surface[{of}]"),
-            At::Element(..) => format!("element[{of}]"),
+            At::Shape(..) | At::Surface(..) | At::Medium(..) => Location::surface(of),
+            At::Element(..) => format!("element[{of}]").into(),
             At::Aperture(..) => "aperture".into(),
         }
     }
@@ -169,14 +169,19 @@ impl Parameter {
 
     /// Path without units, such as `surface[2].thickness`.
     pub fn name(self, lens: &Prescription) -> String {
-        format!("{}.{}", self.kind.place(self.of), (self.kind.line().name)(lens, self))
+        self.kind.place(self.of).key((self.kind.line().name)(lens, self)).to_string()
     }
 
     /// Path in the file, such as `surface[2].thickness_mm`.
     pub fn key(self, lens: &Prescription) -> String {
-        let (place, line) = (self.kind.place(self.of), self.kind.line());
+        self.place(lens).to_string()
+    }
+
+    /// [`Self::key`] as the place in the file.
+    pub fn place(self, lens: &Prescription) -> Location {
+        let line = self.kind.line();
         let name = if line.key.ends_with('.') { (line.name)(lens, self) } else { String::new() };
-        format!("{place}.{}{name}", line.key)
+        self.kind.place(self.of).key(format!("{}{name}", line.key))
     }
 
     /// Its value; `None` where the lens, or the gradient, has no such number.
@@ -200,7 +205,7 @@ pub(super) fn check(lens: &Prescription, file: &str) -> Result<()> {
     for parameter in Parameter::all(lens) {
         let Line { in_file, allowed: (holds, said), .. } = parameter.kind.line();
         if let Some(value) = parameter.value(lens).filter(|v| !holds(*v)) {
-            return Err(Error::bad(file, parameter.key(lens), in_file(value).to_string(), *said));
+            return Err(Error::bad(file, parameter.place(lens), in_file(value).to_string(), *said));
         }
     }
     Ok(())
@@ -240,7 +245,7 @@ mod tests {
             for p in Parameter::all(&lens) {
                 let bad = lens.changed(|l| p.kind.list_mut(l, p.of)[p.entry] = f64::NAN);
                 let error = bad.expect_err("not a number").to_string();
-                assert!(error.starts_with(&format!("{}: {}: NaN; ", lens.name, p.key(&lens))), "{error}");
+                assert!(error.starts_with(&format!("{}: {}: NaN; ", lens.file(), p.key(&lens))), "{error}");
                 assert!(p.scale(&lens) > 0.0, "{}", p.name(&lens));
             }
         }

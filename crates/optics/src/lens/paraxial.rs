@@ -45,7 +45,7 @@ pub struct FirstOrder {
 }
 
 /// `(y, w)` arriving at every surface and, last, after the last surface; starts from `(y, w)` at the first vertex.
-fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
+pub(crate) fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
     let mut state = vec![[y, w]];
     let (mut y, mut w) = (y, w);
     for (i, s) in lens.surfaces.iter().enumerate() {
@@ -56,6 +56,30 @@ fn sweep(lens: &Prescription, n: &[f64], y: f64, w: f64) -> Vec<[f64; 2]> {
         state.push([y, w]);
     }
     state
+}
+
+/// How the states of [`sweep`] move where one surface's numbers do: `by` of its curvature, its thickness and the index behind it.
+pub(crate) fn sweep_jvp(lens: &Prescription, n: &[f64], state: &[[f64; 2]], of: usize, by: [f64; 3]) -> Vec<[f64; 2]> {
+    let [c_by, t_by, n_by] = by;
+    let mut moved = vec![[0.0; 2]];
+    let [mut y_dot, mut w_dot] = [0.0; 2];
+    for (i, s) in lens.surfaces.iter().enumerate() {
+        let c = vertex_curvature(lens, i);
+        let power = power(lens, n, i);
+        let (power_dot, t_dot, n_dot) = match of {
+            _ if of == i => ((n[i + 1] - n[i]) * c_by + n_by * c, t_by, n_by),
+            _ if of + 1 == i => (-n_by * c, 0.0, 0.0),
+            _ => (0.0, 0.0, 0.0),
+        };
+        w_dot = w_dot - y_dot * power - state[i][0] * power_dot;
+        if i + 1 < lens.surfaces.len() {
+            let reduced = s.thickness / n[i + 1];
+            let reduced_dot = t_dot / n[i + 1] - reduced * n_dot / n[i + 1];
+            y_dot = y_dot + reduced * w_dot + reduced_dot * state[i + 1][1];
+        }
+        moved.push([y_dot, w_dot]);
+    }
+    moved
 }
 
 /// Pulls cotangents on the states of [`sweep`] back to the lens and the indices.

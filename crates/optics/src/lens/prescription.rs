@@ -4,11 +4,11 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::catalogue::{self, Glasses};
+use super::catalogue::{self, Glasses, Naming};
 use super::dispersion::Formula;
 use super::shape::HIGHEST_POWER;
 use super::{Aperture, Field, Lens, Medium, Prescription, SensorRaster, Shape, Surface, Wavelengths, clearance};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 mod freeform;
 
@@ -191,10 +191,10 @@ pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
 fn parse(text: &str, file: &str, glasses: &Glasses) -> Result<(Lens, Option<String>)> {
     let Read { mut numbers, marked } = read(text, file, glasses)?;
     if let Some(i) = marked.iter().position(|m| *m) {
-        let place = format!("surface[{i}].semi_diameter_mm");
+        let place = Location::surface(i).key("semi_diameter_mm");
         return Err(Error::bad(file, place, "left out", "a clear semi-diameter, where no beam is traced to find it"));
     }
-    let warning = clearance::limit_stop(&mut numbers, file);
+    let warning = clearance::limit_stop(&mut numbers).map(|line| format!("{file}: {line}"));
     Ok((Lens::new(numbers, file)?, warning))
 }
 
@@ -286,7 +286,7 @@ pub(crate) fn read(text: &str, file: &str, glasses: &Glasses) -> Result<Read> {
 }
 
 fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Result<Surface> {
-    let place = |key: &str| format!("surface[{i}].{key}");
+    let place = |key: &str| Location::surface(i).key(key);
     let refuse = |key: &str, found: String, allowed: &str| Error::bad(file, place(key), found, allowed);
     let curvature = match (s.radius_mm, s.curvature_per_mm) {
         (Some(r), None) if r.is_nan() || r == 0.0 => {
@@ -312,10 +312,9 @@ fn read_surface(i: usize, s: FileSurface, file: &str, glasses: &Glasses) -> Resu
     let xy = s.xy.map(|p| freeform::xy(p, &place("xy"), file)).transpose()?;
     let shape = Shape { curvature, conic: s.conic, asphere, odd, zernike, xy };
     let medium = match s.medium {
-        FileMedium::Name(name) => glasses.find_own(&name).map_err(|e| match e {
-            Error::BadInput { found, allowed, .. } => Error::bad(file, place("medium"), found, allowed),
-            other => other,
-        })?,
+        FileMedium::Name(name) => {
+            glasses.find(&name, Naming::Own).map_err(|e| e.within(Location::surface(i)).in_file(file))?
+        }
         FileMedium::Model(FileModelGlass { n_d, v_d }) => Medium::Cauchy { n_d, v_d },
         FileMedium::Formula(FileGlass { name, formula, coefficients, range_nm, source }) => {
             catalogue::glass(&name, &source, formula, coefficients, range_nm).map_err(|why| {
@@ -385,7 +384,7 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
             Medium::Air => FileMedium::Name("air".into()),
             Medium::Cauchy { n_d, v_d } => FileMedium::Model(FileModelGlass { n_d: *n_d, v_d: *v_d }),
             // A name says enough where the shipped catalogue says the same of it.
-            Medium::Glass { name, .. } if Medium::named(name).is_ok_and(|m| m == s.medium) => {
+            Medium::Glass { name, .. } if Glasses::shipped().find(name, Naming::Exact).is_ok_and(|m| m == s.medium) => {
                 FileMedium::Name(name.clone())
             }
             Medium::Glass { name, dispersion, range_nm, source } => FileMedium::Formula(FileGlass {

@@ -1,5 +1,6 @@
 //! Lenses that have every kind of number between them.
 
+use super::catalogue::{Glasses, Naming};
 use super::{Aperture, Lens, Medium, builtin, paraxial, prescription};
 
 /// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
@@ -12,7 +13,7 @@ pub(crate) fn every_kind() -> [Lens; 4] {
     let element = "\n[[element]]\nfirst = 3\nlast = 4\ntilt_deg = [0.3, 0.1, 0.0]\npivot_mm = 1.5\n";
     let text = text.replacen("radius_mm = 18.5", form, 1) + element;
     let lens = prescription::from_toml(&text, "lens.toml").expect("valid");
-    let named = |name: &str| Medium::named(name).expect("in the catalogue");
+    let named = |name: &str| Glasses::shipped().find(name, Naming::Exact).expect("in the catalogue");
     let table = Medium::Table { wavelength_nm: vec![440.0, 550.0, 680.0], index: vec![1.62, 1.61, 1.60] };
     let sizes = [
         Aperture::EntrancePupilDiameter(12.0),

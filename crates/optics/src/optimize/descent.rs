@@ -90,7 +90,7 @@ impl Descent {
             let found = format!("a ray {} at surface {}", f.cause.name(), f.surface);
             let allowed =
                 "a lens that lets all of its aperture through over its field, as `isoplanat optimize` makes it";
-            Error::bad(problem.lens.name.as_str(), "start", found, allowed)
+            Error::bad(problem.lens.file(), "start", found, allowed)
         })?;
         Ok(Self { solver })
     }

@@ -1,7 +1,7 @@
 //! First-order data with their derivatives by the variables, forward: two paraxial rays and one displacement of them a variable.
 
 use super::engine::index_by;
-use crate::lens::paraxial::marginal_slope;
+use crate::lens::paraxial::{marginal_slope, sweep, sweep_jvp};
 use crate::lens::variables::Variables;
 use crate::lens::{Aperture, Kind, Prescription};
 
@@ -73,15 +73,18 @@ impl FirstOrder {
     pub(crate) fn new(numbers: &Prescription, variables: &Variables) -> Self {
         let n = numbers.indices(numbers.wavelengths.primary_nm);
         let count = variables.parameters.len();
-        let rays = [sweep(numbers, &n, [1.0, 0.0], None), sweep(numbers, &n, [0.0, 1.0], None)];
+        let states = [[1.0, 0.0], [0.0, 1.0]].map(|[y, w]| sweep(numbers, &n, y, w));
+        // Height at the stop, n'u' behind the last surface.
+        let ends = |states: &[[f64; 2]]| [states[numbers.stop][0], states[numbers.surfaces.len()][1]];
+        let rays = states.each_ref().map(|state| ends(state));
         let dots: Vec<[[f64; 2]; 2]> = (0..count)
             .map(|j| {
-                let moved = Some(moved(numbers, variables, j));
-                [sweep(numbers, &n, [1.0, 0.0], moved).1, sweep(numbers, &n, [0.0, 1.0], moved).1]
+                let (of, by) = moved(numbers, variables, j);
+                states.each_ref().map(|state| ends(&sweep_jvp(numbers, &n, state, of, by)))
             })
             .collect();
         let pick = |ray: usize, which: usize, sign: f64| Value {
-            value: sign * rays[ray].0[which],
+            value: sign * rays[ray][which],
             by: dots.iter().map(|d| sign * d[ray][which]).collect(),
         };
         let (power, a, b) = (pick(0, 1, -1.0), pick(0, 0, 1.0), pick(1, 0, 1.0));
@@ -124,32 +127,4 @@ impl FirstOrder {
             stop,
         }
     }
-}
-
-/// `[height at the stop, n'u' behind the last surface]` of a ray, and their displacement where one number moves.
-fn sweep(lens: &Prescription, n: &[f64], start: [f64; 2], moved: Option<(usize, [f64; 3])>) -> ([f64; 2], [f64; 2]) {
-    let ([mut y, mut w], [mut yd, mut wd]) = (start, [0.0; 2]);
-    let (mut at_stop, mut at_stop_dot) = (0.0, 0.0);
-    for (i, s) in lens.surfaces.iter().enumerate() {
-        if i == lens.stop {
-            (at_stop, at_stop_dot) = (y, yd);
-        }
-        let c = s.shape.curvature + 2.0 * s.shape.asphere.first().copied().unwrap_or(0.0);
-        let power = (n[i + 1] - n[i]) * c;
-        let (mut power_dot, mut t_dot, mut n_dot) = (0.0, 0.0, 0.0);
-        if let Some((of, [c_by, t_by, n_by])) = moved {
-            if of == i {
-                (power_dot, t_dot, n_dot) = ((n[i + 1] - n[i]) * c_by + n_by * c, t_by, n_by);
-            } else if of + 1 == i {
-                power_dot = -n_by * c;
-            }
-        }
-        (wd, w) = (wd - yd * power - y * power_dot, w - y * power);
-        if i + 1 < lens.surfaces.len() {
-            let reduced = s.thickness / n[i + 1];
-            let reduced_dot = t_dot / n[i + 1] - reduced * n_dot / n[i + 1];
-            (yd, y) = (yd + reduced * wd + reduced_dot * w, y + reduced * w);
-        }
-    }
-    ([at_stop, w], [at_stop_dot, wd])
 }

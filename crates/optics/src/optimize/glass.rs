@@ -7,7 +7,7 @@ use super::pool::Pool;
 use super::problem::{KEPT, Limits, Problem};
 use super::{Step, optimize};
 use crate::lens::{Kind, Lens, Medium, Parameter};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Real glasses that are tried for each element.
 const TRIED: usize = 4;
@@ -18,12 +18,12 @@ const TRIED: usize = 4;
 /// # Errors
 /// A surface with air behind it.
 pub(crate) fn freed(problem: &Problem, surfaces: &[usize]) -> Result<Problem> {
-    let name = problem.lens.name.as_str();
+    let name = problem.lens.file();
     let count = problem.lens.surfaces.len();
     for i in surfaces {
         if problem.lens.surfaces.get(*i).is_none_or(|s| s.medium == Medium::Air) {
             let allowed = format!("a surface from 0 to {} with glass behind it", count - 1);
-            return Err(Error::bad(name, format!("surface[{i}].medium"), "no glass", allowed));
+            return Err(Error::bad(name, Location::surface(*i).key("medium"), "no glass", allowed));
         }
     }
     let lens = problem.lens.changed(|l| {
@@ -94,7 +94,7 @@ pub fn choose(
         }
         let Some((trial, outcome)) = chosen else {
             let found = format!("no neighbour of n_d {n:.4}, v_d {v:.1} makes a lens");
-            return Err(Error::bad(problem.lens.name.as_str(), format!("surface[{i}].medium"), found, "other bounds"));
+            return Err(Error::bad(problem.lens.file(), Location::surface(i).key("medium"), found, "other bounds"));
         };
         (free, best) = (Problem { lens: outcome.lens.clone(), ..trial }, outcome);
     }

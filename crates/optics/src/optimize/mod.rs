@@ -120,13 +120,13 @@ pub fn optimize(problem: &Problem, limits: Limits, watch: &mut dyn FnMut(Step) -
                 None => {
                     let found = format!("a ray {} at surface {}", failure.cause.name(), failure.surface);
                     let allowed = "a lens that lets a tenth of its aperture through at a tenth of its field";
-                    return Err(Error::bad(problem.lens.name.as_str(), "start", found, allowed));
+                    return Err(Error::bad(problem.lens.file(), "start", found, allowed));
                 }
             },
         }
     }
     let Some(solved) = last else {
-        return Err(Error::bad(problem.lens.name.as_str(), "start", "no step", "a lens that light passes"));
+        return Err(Error::bad(problem.lens.file(), "start", "no step", "a lens that light passes"));
     };
     Ok(finish::outcome(problem, lens, solved, finish::Spent { iterations, rays, reached, first_rms, started }))
 }
@@ -148,23 +148,23 @@ pub fn refocused(lens: &Lens, merit: Merit) -> Result<Outcome> {
     let at = found.lens.surfaces[sensor.of].thickness;
     if at <= 2.0 * near || at >= 0.5 * far {
         let allowed = "an object whose light comes together behind the lens";
-        return Err(Error::bad(&lens.name, "focus", format!("none from {near} to {far} mm"), allowed));
+        return Err(Error::bad(lens.file(), "focus", format!("none from {near} to {far} mm"), allowed));
     }
     if found.share < 1.0 {
         let reached = format!("{:.0} % of aperture and field", 100.0 * found.share);
-        return Err(Error::bad(&lens.name, "rays", reached, "a lens that light comes through"));
+        return Err(Error::bad(lens.file(), "rays", reached, "a lens that light comes through"));
     }
     Ok(found)
 }
 
 /// The rays of `merit` through `lens`.
 fn traced(lens: &Lens, merit: &Merit) -> Result<(rays::Rays, rays::Traced)> {
-    merit.check(&lens.name)?;
+    merit.check(lens.file())?;
     let variables = crate::lens::variables::Variables::new(lens, Vec::new());
     let clip = merit.apertures == Apertures::Stated;
     rays::Rays::new(merit, lens, &variables, 1.0, clip).map_err(|f| {
         let found = format!("{} at surface {}", f.cause.name(), f.surface);
-        Error::bad(lens.name.as_str(), "rays", found, "a lens whose stop all rays of its fields pass")
+        Error::bad(lens.file(), "rays", found, "a lens whose stop all rays of its fields pass")
     })
 }
 

@@ -90,7 +90,7 @@ impl Pool {
         let real: Vec<&Medium> = self.candidates.iter().filter(covers).collect();
         if real.is_empty() {
             let allowed = format!("glasses whose index is known from {short} to {long} nm");
-            return Err(Error::bad(lens.name.as_str(), "glasses", "none", allowed));
+            return Err(Error::bad(lens.file(), "glasses", "none", allowed));
         }
         Ok(real)
     }
@@ -110,13 +110,14 @@ impl Pool {
 mod tests {
     use super::*;
     use crate::lens::builtin;
+    use crate::lens::catalogue::Naming;
 
     fn pool(filters: &[&str]) -> Pool {
         Pool::new(Glasses::shipped(), filters, "--choose-glass").expect("a pool")
     }
 
     fn has(pool: &Pool, name: &str) -> bool {
-        pool.candidates.contains(&Glasses::shipped().find(name, &[]).expect(name))
+        pool.candidates.contains(&Glasses::shipped().find(name, Naming::Exact).expect(name))
     }
 
     #[test]
@@ -142,7 +143,7 @@ mod tests {
     #[test]
     fn glasses_are_known_where_they_are_used() {
         let lens = builtin::lens("cooke_triplet").expect("shipped");
-        let tih57 = Glasses::shipped().find("OHARA/S-TIH57", &[]).expect("shipped");
+        let tih57 = Glasses::shipped().find("OHARA/S-TIH57", Naming::Exact).expect("shipped");
         let all = pool(&[]);
         assert!(all.of_lens(&lens).expect("glasses").contains(&&tih57));
         let seen = all.known_over([400.0, 700.0]);
@@ -155,7 +156,7 @@ mod tests {
     #[test]
     fn polymers_are_not_cemented_to_glass() {
         let doublet = builtin::lens("ac254_050_a").expect("shipped");
-        let [pmma, bk7] = ["MISC/PMMA", "N-BK7"].map(|n| Glasses::shipped().find(n, &[]).expect(n));
+        let [pmma, bk7] = ["MISC/PMMA", "N-BK7"].map(|n| Glasses::shipped().find(n, Naming::Exact).expect(n));
         assert!(!pool(&[]).fits(&doublet, 0, &pmma) && pool(&[]).fits(&doublet, 0, &bk7));
         assert!(pool(&["plastic"]).fits(&doublet, 0, &pmma));
         // Between air it stands alone.

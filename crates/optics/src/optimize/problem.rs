@@ -60,8 +60,8 @@ impl Problem {
     /// # Errors
     /// Numbers that are no lens, or none that can be made.
     pub(super) fn made(&self, numbers: Prescription) -> Result<Lens> {
-        let made = Lens::new(numbers, &self.lens.name)?;
-        if require_clear_axis(&self.lens, &self.lens.name).is_ok() {
+        let made = Lens::new(numbers, self.lens.file())?;
+        if require_clear_axis(&self.lens, self.lens.file()).is_ok() {
             require_clear_axis(&made, &made.name)?;
         }
         Ok(made)

@@ -26,11 +26,11 @@ impl Sensitivity {
     /// # Errors
     /// A merit that is none; a ray that fails.
     pub fn new(lens: &Lens, merit: &Merit, parameters: Vec<Parameter>) -> Result<Self> {
-        merit.check(&lens.name)?;
+        merit.check(lens.file())?;
         let variables = Variables::new(lens, parameters);
         let failed = |f: crate::trace::Failure| {
             let found = format!("{} at surface {}", f.cause.name(), f.surface);
-            Error::bad(lens.name.as_str(), "rays", found, "a lens whose stop all rays of its fields pass")
+            Error::bad(lens.file(), "rays", found, "a lens whose stop all rays of its fields pass")
         };
         let clip = merit.apertures == Apertures::Stated;
         let (mut rays, mut traced) = Rays::new(merit, lens, &variables, 1.0, clip).map_err(failed)?;

@@ -192,10 +192,7 @@ impl Spec {
                 }
             }
         }
-        problem.check().map_err(|e| match e {
-            Error::BadInput { place, found, allowed, .. } => Error::bad(file, place, found, allowed),
-            other => other,
-        })?;
+        problem.check().map_err(|e| e.of_file(file))?;
         Ok(problem)
     }
 

@@ -132,7 +132,7 @@ impl Problem {
     /// # Errors
     /// Bounds or constraints that no number satisfies, named with their place.
     pub(crate) fn check(&self) -> Result<()> {
-        let file = self.lens.name.as_str();
+        let file = self.lens.file();
         self.merit.check(file)?;
         for (p, [a, b]) in self.variables.parameters.iter().zip(&self.bounds) {
             check_bounds(file, &p.name(&self.lens), [*a, *b])?;
@@ -179,7 +179,7 @@ impl Problem {
             _ => true,
         };
         let allowed = || format!("surfaces 0 to {}", surfaces - 1);
-        if known { Ok(()) } else { Err(Error::bad(&self.lens.name, quantity.name(), "no such surface", allowed())) }
+        if known { Ok(()) } else { Err(Error::bad(self.lens.file(), quantity.name(), "no such surface", allowed())) }
     }
 }
 

@@ -77,7 +77,7 @@ impl SensorMap {
     /// What is said of a picture that folds at a radius.
     pub(super) fn folds(lens: &Lens, radius_mm: f64, vergence: f64) -> Error {
         Error::bad(
-            lens.name.clone(),
+            lens.file(),
             format!("distortion at {radius_mm:.3} mm on the sensor, object at vergence {vergence} /mm"),
             "the object's height does not grow with the image's there".to_owned(),
             "an image whose height grows over the whole field; narrow the frame or change the lens",

@@ -180,7 +180,7 @@ impl TableBar {
 /// A ray failure as the error a user sees.
 fn failed(lens: &Lens, radius_mm: f64, f: Failure) -> Error {
     Error::bad(
-        lens.name.clone(),
+        lens.file(),
         format!("rays from the sensor, {radius_mm:.3} mm from the axis"),
         format!("no ray gets through: {} at surface {} counted from the sensor", f.cause.words(), f.surface),
         "a lens whose stop the sensor sees",

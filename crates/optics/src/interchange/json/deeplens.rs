@@ -7,7 +7,7 @@ use super::Part;
 use crate::interchange::draft::{Draft, FieldKind, Point, Size, Stage};
 use crate::interchange::media::Stated;
 use crate::lens::check::MAX_SURFACES;
-use isoplanat_base::error::Result;
+use isoplanat_base::error::{Location, Result};
 
 /// The colours that DeepLens traces, nm.
 const COLOURS_NM: [f64; 3] = [486.0, 587.0, 656.0];
@@ -58,7 +58,7 @@ pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
 }
 
 fn surface(part: &Part, notes: &mut Vec<String>) -> Result<Stage> {
-    let mut stage = Stage::plane(part.path.clone());
+    let mut stage = Stage::plane(Location::called(part.path.as_str()));
     let kind = part.need("type")?.text()?.to_owned();
     let radius = part.get("roc").map(|r| r.any_number()).transpose()?;
     let curvature = part.get("c").map(|c| c.number()).transpose()?;

@@ -7,7 +7,7 @@ use crate::interchange::draft::{Draft, FieldKind, Point, Size, Stage};
 use crate::interchange::media::Stated;
 use crate::interchange::text::shown;
 use crate::lens::check::MAX_SURFACES;
-use isoplanat_base::error::Result;
+use isoplanat_base::error::{Location, Result};
 
 pub(super) fn read(value: &Value, file: &str) -> Result<Draft> {
     let whole = Part::new(value, file);
@@ -127,7 +127,7 @@ fn surfaces(part: &Part, draft: &mut Draft) -> Result<()> {
 }
 
 fn surface(part: &Part) -> Result<Stage> {
-    let mut stage = Stage::plane(part.path.clone());
+    let mut stage = Stage::plane(Location::called(part.path.as_str()));
     let geometry = part.need("geometry")?;
     let frame = geometry.need("cs")?;
     for key in ["x", "y", "rx", "ry", "rz"] {

@@ -8,7 +8,7 @@ use crate::interchange::media::Stated;
 use crate::interchange::model_glass::fictitious;
 use crate::interchange::text::{Line, shown};
 use crate::lens::check::MAX_SURFACES;
-use isoplanat_base::error::Result;
+use isoplanat_base::error::{Location, Result};
 
 /// What a statement is about.
 #[derive(Clone, Debug, PartialEq)]
@@ -184,7 +184,8 @@ impl Reader<'_> {
             let found = format!("surface {} here", self.draft.surfaces.len() + 1);
             return Err(line.refused(found, format!("at most {MAX_SURFACES} surfaces, before SI")));
         }
-        let mut stage = Stage::plane(format!("{} (S {})", line.place, self.draft.surfaces.len() + 1));
+        let mut stage =
+            Stage::plane(Location { label: format!("S {}", self.draft.surfaces.len() + 1), ..line.place.clone() });
         let number = length(line, 0)?;
         if self.radii == Some(false) && number.is_infinite() {
             return Err(line.refused("an infinite curvature", "a finite one; `RDM` states radii"));

@@ -1,7 +1,7 @@
 //! Clear apertures of a Zemax surface.
 
 use crate::interchange::text::Line;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Sizes as a surface states them, in the file's unit.
 #[derive(Default)]
@@ -47,7 +47,12 @@ impl Apertures {
     }
 
     /// The semi-diameter that is fixed, and the one that the program had computed.
-    pub(super) fn clear(&self, place: &str, file: &str, notes: &mut Vec<String>) -> Result<(Option<f64>, Option<f64>)> {
+    pub(super) fn clear(
+        &self,
+        place: &Location,
+        file: &str,
+        notes: &mut Vec<String>,
+    ) -> Result<(Option<f64>, Option<f64>)> {
         let refused = |found: String| Err(Error::bad(file, place, found, "a circular aperture about the axis"));
         if let Some(what) = self.obscured {
             return refused(what.into());

@@ -6,7 +6,7 @@ use super::header::Header;
 use super::order::Order;
 use super::surface::Raw;
 use crate::interchange::text::{Line, shown};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Operands that change rays, and are read.
 const OPERANDS: [&str; 26] = [
@@ -25,7 +25,7 @@ struct Operand {
     of: usize,
     configuration: usize,
     value: String,
-    place: String,
+    place: Location,
 }
 
 /// What a file says of its configurations.
@@ -127,7 +127,7 @@ impl Configurations {
             if !same {
                 let found = format!("the operand {} in configuration {wanted}", shown(&o.name));
                 let allowed = format!("{}; or configuration {current}, which the surfaces state", OPERANDS.join(", "));
-                return Err(Error::bad(file, o.place.as_str(), found, allowed));
+                return Err(Error::bad(file, &o.place, found, allowed));
             }
             if !left.contains(&o.name) && left.len() < 20 {
                 left.push(o.name.clone());

@@ -7,7 +7,7 @@ use crate::interchange::draft::{Draft, Stage};
 use crate::interchange::line_glass::OfLine;
 use crate::interchange::media::Stated;
 use crate::interchange::text::{Line, shown};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Keywords of a surface that no ray depends on.
 const HARMLESS: [&str; 26] = [
@@ -24,7 +24,7 @@ const PARAMETERS: usize = 300;
 
 /// A surface as it is being read; lengths in the file's unit.
 pub(super) struct Raw {
-    place: String,
+    place: Location,
     kind: String,
     curvature: f64,
     conic: f64,
@@ -37,13 +37,13 @@ pub(super) struct Raw {
     tilted: bool,
     /// Whether the next surface stands at the paraxial image.
     focus: bool,
-    pickup: Option<(String, usize, f64)>,
+    pickup: Option<(Location, usize, f64)>,
     solved: Vec<String>,
     apertures: Apertures,
 }
 
 impl Raw {
-    pub(super) fn new(place: String) -> Self {
+    pub(super) fn new(place: Location) -> Self {
         Self {
             place,
             kind: "STANDARD".into(),
@@ -62,9 +62,9 @@ impl Raw {
         }
     }
 
-    /// Its number, as the place says it.
-    pub(super) fn index(&self) -> &str {
-        self.place.rsplit("SURF ").next().unwrap_or("").trim_end_matches(')')
+    /// Where it begins.
+    pub(super) fn place(&self) -> &Location {
+        &self.place
     }
 
     /// Takes a keyword; whether it is a surface's.
@@ -181,7 +181,7 @@ impl Raw {
     }
 
     fn refused(&self, file: &str, found: impl Into<String>, allowed: &str) -> Error {
-        Error::bad(file, self.place.as_str(), found, allowed)
+        Error::bad(file, &self.place, found, allowed)
     }
 
     /// Even and odd terms, in mm.
@@ -237,10 +237,10 @@ fn distance(line: &Line) -> Result<f64> {
 /// Object, surfaces and image of a file.
 pub(super) fn put(draft: &mut Draft, mut surfaces: Vec<Raw>, order: &Order, scale: f64, file: &str) -> Result<()> {
     if order.starts_at_one() {
-        surfaces.insert(0, Raw { thickness: f64::INFINITY, ..Raw::new("the object".into()) });
+        surfaces.insert(0, Raw { thickness: f64::INFINITY, ..Raw::new(Location::called("the object")) });
         // The last distance reaches the image plane, which some of these files name and others do not.
         if surfaces.last().is_some_and(|s| s.thickness != 0.0 || s.glass.is_some() || s.is_curved()) {
-            surfaces.push(Raw::new("the image".into()));
+            surfaces.push(Raw::new(Location::called("the image")));
         }
     }
     let [object, middle @ .., image] = &surfaces[..] else {

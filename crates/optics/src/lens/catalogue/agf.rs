@@ -2,7 +2,7 @@
 
 use super::{Entry, finite, glass};
 use crate::lens::dispersion::Formula;
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
 /// Lines of a glass that say nothing of its index at room temperature: comment, expansion and density, thermal coefficients, prices and
 /// resistances, transmission, mechanics, bubbles.
@@ -58,7 +58,7 @@ pub(super) fn read(text: &str, file: &str) -> Result<Vec<Entry>> {
     for (i, line) in text.lines().enumerate() {
         let line = line.trim_start_matches('\u{feff}').trim();
         let (key, rest) = line.split_once(char::is_whitespace).unwrap_or((line, ""));
-        let refuse = |found: &str, allowed: &str| Error::bad(file, format!("line {}", i + 1), found, allowed);
+        let refuse = |found: &str, allowed: &str| Error::bad(file, Location::line(i + 1), found, allowed);
         let numbers = |what: &str| finite(rest).ok_or_else(|| refuse(line, &format!("{what}: finite numbers")));
         match (key, &mut open) {
             ("NM", _) => {

@@ -8,7 +8,7 @@ fn shipped_glasses_have_their_published_indices() {
     assert!(all.catalogues.iter().map(|c| c.entries.len()).sum::<usize>() > 300);
     for c in &all.catalogues {
         for e in &c.entries {
-            let medium = all.find(&format!("{}/{}", c.name, e.name), &[]).expect("shipped");
+            let medium = all.find(&format!("{}/{}", c.name, e.name), Naming::Exact).expect("shipped");
             let [a, b] = medium.range_nm();
             let indices: Vec<f64> = (0..=200).map(|k| medium.index(a + (b - a) * f64::from(k) / 200.0)).collect();
             assert!(indices.windows(2).all(|n| n[0] > n[1]), "{medium} falls with wavelength");
@@ -27,7 +27,7 @@ fn shipped_glasses_have_their_published_indices() {
         ("CAF2", 1.43384, 94.99),
         ("PMMA", 1.49176, 57.44),
     ] {
-        let medium = all.find(name, &[]).expect(name);
+        let medium = all.find(name, Naming::Exact).expect(name);
         let [d, f, c] = [587.5618, 486.1327, 656.2725].map(|nm| medium.index(nm));
         assert_abs(d, n_d, 2e-5, name);
         assert_abs((d - 1.0) / (f - c), v_d, 0.03, name);
@@ -41,10 +41,10 @@ fn names_are_found_or_refused() {
     for (name, expected) in
         [("N-BK8", "N-BK7"), ("N-BK77", "N-BK7"), ("nsk16", "N-SK16"), ("nothing at all", "--glass FILE")]
     {
-        let error = shipped.find(name, &[]).expect_err(name).to_string();
+        let error = shipped.find(name, Naming::Exact).expect_err(name).to_string();
         assert!(error.contains(&format!("unknown glass `{name}`")) && error.contains(expected), "{error}");
     }
-    assert_eq!(shipped.find("AIR", &[]).expect("air"), Medium::Air);
+    assert_eq!(shipped.find("AIR", Naming::Exact).expect("air"), Medium::Air);
     let folder = tempfile::tempdir().expect("made");
     let agf = |name: &str, first: &str| {
         let path = folder.path().join(name);
@@ -54,27 +54,27 @@ fn names_are_found_or_refused() {
     };
     let mut more = shipped.clone();
     more.add(&agf("mine.agf", "1.3")).expect("read");
-    let error = more.find("F2", &[]).expect_err("two").to_string();
+    let error = more.find("F2", Naming::Exact).expect_err("two").to_string();
     assert!(error.contains("`SCHOTT/F2` or `mine/F2`"), "{error}");
-    let mine = more.find("mine/F2", &[]).expect("named");
-    assert_eq!(more.find("F2", &["nobody".into(), "MINE".into()]).expect("preferred"), mine);
-    assert!(more.find("X", &[]).expect_err("no formula").to_string().contains("formula of number 99"));
+    let mine = more.find("mine/F2", Naming::Exact).expect("named");
+    assert_eq!(more.find("F2", Naming::Foreign(&["nobody".into(), "MINE".into()])).expect("preferred"), mine);
+    assert!(more.find("X", Naming::Exact).expect_err("no formula").to_string().contains("formula of number 99"));
     // A range beyond a pole of the formula (0.9 µm) is the part that holds the most.
     let text = "NM EP 2 0 0 0\nCD 1.49489608 0.0197146484 0.154736328 0.0885113938 -9.57877767e-06 0.811138467\nLD 0.404656 1.08303\n";
     std::fs::write(folder.path().join("pole.agf"), text).expect("written");
     let mut poles = Glasses::default();
     poles.add(&folder.path().join("pole.agf")).expect("read");
-    let [short, long] = poles.find("EP", &[]).expect("a glass").range_nm();
+    let [short, long] = poles.find("EP", Naming::Exact).expect("a glass").range_nm();
     assert!(short == 404.656 && (880.0..900.6).contains(&long), "{short} to {long}");
     // The same glass in two catalogues is one.
     more.add(&agf("again.agf", "1.3")).expect("read");
-    let [a, b] = ["mine/F2", "again/F2"].map(|n| more.find(n, &[]).expect("named").index(550.0));
+    let [a, b] = ["mine/F2", "again/F2"].map(|n| more.find(n, Naming::Exact).expect("named").index(550.0));
     assert_eq!(a, b);
     // Of a table that begins among X-rays (found by fuzzing: a range that began below 0) the part that lenses take.
     let table = "DATA:\n  - type: tabulated n\n    data: |\n      0.0007 1.9\n      0.5 1.5\n      0.7 1.4\n";
     std::fs::write(folder.path().join("long.yml"), table).expect("written");
     poles.add(&folder.path().join("long.yml")).expect("read");
-    let [short, long] = poles.find("page/long", &[]).expect("a glass").range_nm();
+    let [short, long] = poles.find("page/long", Naming::Exact).expect("a glass").range_nm();
     assert!((490.0..=500.0).contains(&short) && (700.0..=710.0).contains(&long), "{short} to {long}");
     // What is no catalogue.
     for (name, text, expected) in [
@@ -111,7 +111,7 @@ fn catalogues_agree_with_reference_indices() {
         let (file, name) = key.split_once('/').expect("file and glass");
         let mut glasses = Glasses::default();
         glasses.add(&folder.join("agf").join(file)).expect(file);
-        let medium = glasses.find(name, &[]).expect(key);
+        let medium = glasses.find(name, Naming::Exact).expect(key);
         for (um, n) in entry["n"].as_object().expect("object") {
             let n = n.as_f64().expect("number");
             worst = worst.max((medium.index(um.parse::<f64>().expect("number") * 1e3) - n).abs());
@@ -132,8 +132,8 @@ fn catalogues_agree_with_reference_indices() {
     eprintln!("{count} glasses, refused: {refused:#?}");
     assert!(count > 2000 && refused.len() < 40, "{count} glasses, refused: {refused:#?}");
     // A page of a maker's glass and the maker's catalogue say the same.
-    let page = glasses.find("page/specs_schott_N-BK7", &[]).expect("a page");
-    let catalogue = glasses.find("schott/N-BK7", &[]).expect("a glass");
+    let page = glasses.find("page/specs_schott_N-BK7", Naming::Exact).expect("a page");
+    let catalogue = glasses.find("schott/N-BK7", Naming::Exact).expect("a glass");
     for nm in [365.0, 587.5618, 1014.0] {
         assert_abs(page.index(nm), catalogue.index(nm), 1e-12, "N-BK7");
     }

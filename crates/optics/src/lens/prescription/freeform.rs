@@ -3,17 +3,17 @@
 use super::{FileElement, FileXy, FileZernike};
 use crate::lens::freeform::{MAX_NOLL, MAX_XY_DEGREE, Xy, Zernike};
 use crate::lens::{Element, Pose};
-use isoplanat_base::error::{Error, Result};
+use isoplanat_base::error::{Error, Location, Result};
 
-pub(super) fn zernike(z: FileZernike, place: &str, file: &str) -> Result<Zernike> {
+pub(super) fn zernike(z: FileZernike, place: &Location, file: &str) -> Result<Zernike> {
     if z.terms.is_empty() || z.terms.len() > MAX_NOLL {
         let allowed = format!("1 to {MAX_NOLL} coefficients in mm, Noll's order from Z1");
-        return Err(Error::bad(file, format!("{place}.terms"), format!("{:?}", z.terms), allowed));
+        return Err(Error::bad(file, place.clone().key("terms"), format!("{:?}", z.terms), allowed));
     }
     Ok(Zernike::new(z.radius_mm, z.terms))
 }
 
-pub(super) fn xy(p: FileXy, place: &str, file: &str) -> Result<Xy> {
+pub(super) fn xy(p: FileXy, place: &Location, file: &str) -> Result<Xy> {
     let mut terms = Vec::new();
     for (key, value) in &p.terms {
         let orders = key
@@ -23,12 +23,12 @@ pub(super) fn xy(p: FileXy, place: &str, file: &str) -> Result<Xy> {
             .filter(|(i, j)| (1..=MAX_XY_DEGREE).contains(&i.saturating_add(*j)) && *key == format!("x{i}y{j}"));
         let Some((i, j)) = orders else {
             let allowed = format!("x<i>y<j> with i + j from 1 to {MAX_XY_DEGREE}");
-            return Err(Error::bad(file, format!("{place}.terms"), format!("unknown term `{key}`"), allowed));
+            return Err(Error::bad(file, place.clone().key("terms"), format!("unknown term `{key}`"), allowed));
         };
         terms.push((i, j, *value));
     }
     if terms.is_empty() {
-        return Err(Error::bad(file, format!("{place}.terms"), "no terms", "at least one"));
+        return Err(Error::bad(file, place.clone().key("terms"), "no terms", "at least one"));
     }
     Ok(Xy::new(p.radius_mm, &terms))
 }

@@ -45,7 +45,7 @@ impl<'a> Tracing<'a> {
     /// As [`super::Table::compute`].
     pub(super) fn new(lens: &'a Lens, wavelength_nm: &[f64], degree: usize) -> Result<Self> {
         lens.require_symmetry("a table of sensor radii")?;
-        wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, &lens.name))?;
+        wavelength_nm.iter().try_for_each(|nm| lens.require_indices(*nm, lens.file()))?;
         let views = views(lens, wavelength_nm);
         let reference = SensorView::new(&System::new(lens, lens.wavelengths.primary_nm));
         let bases = Bases::new(degree);
