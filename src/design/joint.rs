@@ -1,5 +1,5 @@
 //! The joint design step: patches → render → network → L1 → network gradient at the image → imaging, PSF and trace
-//! adjoints → lens (paper eq. 15); Adam on the network, [`LensSteps`] on the lens.
+//! adjoints → lens (paper eq. 15); Adam on the network, `LensSteps` on the lens.
 //!
 //! A step whose rays fail, whose distortion folds or whose loss is not finite is taken back: the lens returns to its
 //! last good numbers and its step is halved.

@@ -1,10 +1,10 @@
 //! Lens and network together.
 //!
 //! [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`joint`] puts
-//! the network and [`lens_steps`] around it, [`sensor_loss`] a loss without one, [`noise`] how well its gradients are known, [`as_built`] lenses within tolerances that pictures are taken through; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
+//! the network and `lens_steps` around it, `sensor_loss` a loss without one, [`noise`] how well its gradients are known, [`as_built`] lenses within tolerances that pictures are taken through; [`data`] draws patches at [`places`], [`scenery`] says from what; [`judge`] looks at pictures that are not trained on;
 //! [`run`] is the loop, [`designing`] the loop with its folder, [`state`] where it stands, [`story`] its page, [`sweep`] many of them by number, [`stages`] several one after the other; [`task`] is the file that asks for one. The final network for a finished lens:
-//! [`pairs`] renders what it learns from, [`schedule`] sets its pace, [`training`] is the loop with a folder,
-//! [`train_task`] its part of the file, [`subject`] what stands before the sensor: a lens, or one that was measured.
+//! [`pairs`] renders what it learns from, `schedule` sets its pace, [`training`] is the loop with a folder,
+//! `train_task` its part of the file, [`subject`] what stands before the sensor: a lens, or one that was measured.
 //! [`evaluate`] judges what came out, [`compare`] puts other lenses in its place; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 #[doc(hidden)]

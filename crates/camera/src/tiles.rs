@@ -1,6 +1,6 @@
 //! A picture through the network in overlapping tiles: bounded memory, and the same result as in one piece.
 //!
-//! The picture is mirrored outwards at its border, by the overlap but at most [`BORDER`] pixels, and to the network's next
+//! The picture is mirrored outwards at its border, by the overlap but at most `BORDER` pixels, and to the network's next
 //! multiple. A tile's outer `overlap` pixels are thrown away where another tile has them, so that each pixel kept has all it
 //! depends on within its tile; all tiles of a picture have one shape and start at multiples of the network's pooling step, so
 //! that its coarse rasters lie alike in all of them. A picture smaller than a tile is one smaller tile.

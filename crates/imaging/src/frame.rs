@@ -3,7 +3,7 @@
 //! Pixel (row `i`, column `j`) covers `[j, j + 1) × [i, i + 1)` in pixel coordinates `(column, row)`, so its centre is
 //! `(j + ½, i + ½)`. Pictures are stored *upright*, as they are looked at: columns run to the right, rows downwards.
 //! Millimetres of the upright picture run right (`+x`) and up (`+y`) from the optical axis; an object at `+x, +y`
-//! appears there. On the sensor itself the lens has turned the image by 180°: [`Frame::upright_from_sensor_mm`].
+//! appears there. On the sensor itself the lens has turned the image by 180°: `Frame::upright_from_sensor_mm`.
 
 use serde::{Deserialize, Serialize};
 

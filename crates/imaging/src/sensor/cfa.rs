@@ -99,7 +99,7 @@ pub(crate) fn mosaic<T: Copy>(rgb: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
     Array2::from_shape_fn((rows, cols), |(r, c)| rgb[[cfa.channel(r, c), r, c]])
 }
 
-/// Pulls a cotangent of [`mosaic`] back to its image: the exact transpose.
+/// Pulls a cotangent of `mosaic` back to its image: the exact transpose.
 ///
 /// # Shapes
 /// `mosaic_bar`: `[row, col]`; result `[3, row, col]`.
