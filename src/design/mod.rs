@@ -25,9 +25,12 @@ pub mod evaluate;
 pub mod folder;
 mod going;
 pub mod joint;
+#[doc(hidden)]
 pub mod judge;
-pub(crate) mod lens_steps;
-pub(crate) mod log;
+#[doc(hidden)]
+pub mod lens_steps;
+#[doc(hidden)]
+pub mod log;
 #[doc(hidden)]
 pub mod memory;
 #[doc(hidden)]
@@ -42,8 +45,9 @@ pub mod places;
 pub mod run;
 #[doc(hidden)]
 pub mod scenery;
-pub(crate) mod schedule;
-pub(crate) mod sensor_loss;
+#[doc(hidden)]
+pub mod schedule;
+pub mod sensor_loss;
 #[doc(hidden)]
 pub mod stages;
 #[doc(hidden)]
@@ -55,9 +59,10 @@ pub mod story;
 pub mod subject;
 #[doc(hidden)]
 pub mod sweep;
-pub(crate) mod sweep_task;
+#[doc(hidden)]
+pub mod sweep_task;
 pub mod task;
-pub(crate) mod train_task;
+pub mod train_task;
 pub mod training;
 #[doc(hidden)]
 pub mod verdict;

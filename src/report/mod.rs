@@ -12,7 +12,7 @@ pub mod comparison;
 pub mod demo;
 pub mod design;
 pub mod drawing;
-pub(crate) mod drawn;
+pub mod drawn;
 pub mod evaluation;
 pub mod field;
 pub mod gradient_accuracy;

@@ -41,6 +41,15 @@ impl Tiling {
     /// Tiles of at most `tile × tile` pixels that throw `overlap` pixels away on each side; sizes and starts are multiples of
     /// `multiple`. The overlap should be the network's receptive radius.
     ///
+    /// ```
+    /// use isoplanat_camera::tiles::Tiling;
+    ///
+    /// let tiling = Tiling::new(320, 40, 4)?;
+    /// assert_eq!((tiling.count(200, 300), tiling.shape(2000, 3000)), (1, [320, 320]));
+    /// assert!(Tiling::new(64, 32, 4).is_err(), "nothing would be kept");
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// A tile that is not a multiple of `multiple`, is above 8192, or keeps nothing between its overlaps.
     pub fn new(tile: usize, overlap: usize, multiple: usize) -> Result<Self> {

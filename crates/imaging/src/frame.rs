@@ -48,6 +48,15 @@ impl TryFrom<FrameFile> for Frame {
 impl Frame {
     /// A frame whose axis is at its centre.
     ///
+    /// ```
+    /// use isoplanat_imaging::frame::Frame;
+    ///
+    /// let frame = Frame::centred(600, 400, 0.006)?;
+    /// assert_eq!(frame.mm_from_pixel([300.0, 100.0]), [0.0, 0.6]);
+    /// assert!((frame.max_radius_mm() - 300_f64.hypot(200.0) * 0.006).abs() < 1e-12);
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// A size outside `1..=65536` or a pitch that is not a positive, finite number of mm.
     pub fn centred(columns: usize, rows: usize, pitch_mm: f64) -> Result<Self> {

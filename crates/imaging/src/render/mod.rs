@@ -48,7 +48,8 @@ pub mod light;
 mod measure;
 #[doc(hidden)]
 pub mod memory;
-pub(crate) mod needs;
+#[doc(hidden)]
+pub mod needs;
 #[doc(hidden)]
 pub mod node_grid;
 pub(crate) mod nodes;

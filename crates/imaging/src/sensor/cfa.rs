@@ -29,6 +29,12 @@ impl Cfa {
     pub const ALL: [Self; 4] = [Self::RGGB, Self::BGGR, Self::GRBG, Self::GBRG];
 
     /// The channel of the pixel at `row`, `col`.
+    ///
+    /// ```
+    /// use isoplanat_imaging::sensor::cfa::Cfa;
+    ///
+    /// assert_eq!([(0, 0), (0, 1), (1, 0), (1, 1)].map(|(r, c)| Cfa::RGGB.channel(r, c)), [0, 1, 1, 2]);
+    /// ```
     pub fn channel(self, row: usize, col: usize) -> usize {
         usize::from(self.0[(row & 1) * 2 + (col & 1)])
     }

@@ -5,7 +5,7 @@
 pub mod cfa;
 #[doc(hidden)]
 pub mod haze;
-pub(crate) mod illuminant;
+pub mod illuminant;
 pub mod noise;
 pub mod spectrum;
 

@@ -30,6 +30,15 @@ pub struct Spectrum {
 
 impl Spectrum {
     /// The rule of `n` nodes for a sensor under an equal-energy illuminant; `n = 0` is taken as 1.
+    ///
+    /// ```
+    /// use isoplanat_imaging::sensor::{Sensor, spectrum::Spectrum};
+    ///
+    /// let rule = Spectrum::quadrature(&Sensor::generic(), 5);
+    /// for weights in &rule.weight {
+    ///     assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    /// }
+    /// ```
     pub fn quadrature(sensor: &Sensor, n: usize) -> Self {
         SpectralDensity::new(sensor).quadrature(n)
     }

@@ -43,7 +43,7 @@ use chords::Chords;
 use correlate::{largest, overlap};
 use gauss::Rules;
 
-pub(crate) use fault::Fault;
+pub use fault::Fault;
 pub use pupil::Pupil;
 
 /// First zero of the Airy pattern times the cutoff: `r = 0.6098 λ/NA`, cutoff `2 NA/λ`.
