@@ -10,6 +10,7 @@ pub mod as_built;
 pub mod atlas;
 pub mod comparison;
 pub mod demo;
+#[cfg(feature = "train")]
 pub mod design;
 pub mod drawing;
 pub mod drawn;
@@ -24,6 +25,7 @@ pub mod library;
 pub mod listing;
 pub mod measured;
 pub mod paired;
+#[cfg(feature = "train")]
 pub(crate) mod picture_sheet;
 pub mod plot;
 pub mod residuals;
