@@ -13,7 +13,7 @@
 //! | here | crate |
 //! |---|---|
 //! | [`error`], [`atomic`], [`units`], [`math`] | `isoplanat-base` |
-//! | [`lens`], [`trace`], [`interchange`], [`optimize`], [`psf`], [`analysis`] | `isoplanat-optics` |
+//! | [`lens`], [`mod@trace`], [`interchange`], [`mod@optimize`], [`psf`], [`analysis`] | `isoplanat-optics` |
 //! | [`imaging`], [`calibrate`] | `isoplanat-imaging` |
 //! | [`network`] | `isoplanat-network` (feature `train`), its contract with the camera `isoplanat-card` |
 //! | `deploy` | `isoplanat-camera` (feature `deploy`) |

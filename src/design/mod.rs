@@ -9,7 +9,7 @@
 //! | [`compare`] | other lenses in a lens's place |
 //!
 //! Shared: [`chain`] is the whole path of one patch, scene → developed picture, with its adjoint to the lens; [`data`] draws patches at [`places`]; [`subject`] is what stands before the sensor, a
-//! lens or a measured one; [`schedule`] sets the pace, `going` is the one loop with checkpoints, `bound` says what a checkpoint belongs to, [`folder`] and [`log`] are a run's, [`opened`] is a run as
+//! lens or a measured one; `schedule` sets the pace, `going` is the one loop with checkpoints, `bound` says what a checkpoint belongs to, `folder` and `log` are a run's, [`opened`] is a run as
 //! others read it; [`memory`] and [`pace`] say beforehand what all of it takes.
 
 mod bound;
@@ -24,7 +24,8 @@ pub mod evaluate;
 pub mod folder;
 mod going;
 pub mod joint;
-pub(crate) mod log;
+#[doc(hidden)]
+pub mod log;
 #[doc(hidden)]
 pub mod memory;
 pub mod opened;
@@ -32,7 +33,8 @@ pub mod opened;
 pub mod pace;
 #[doc(hidden)]
 pub mod places;
-pub(crate) mod schedule;
+#[doc(hidden)]
+pub mod schedule;
 pub mod subject;
 pub mod task;
 pub mod training;

@@ -95,6 +95,17 @@ pub struct KernelSet {
 impl KernelSet {
     /// Traces everything `request` asks for.
     ///
+    /// ```
+    /// use isoplanat::{KernelRequest, KernelSet, builtin};
+    ///
+    /// let lens = builtin::lens("cooke_triplet")?;
+    /// let request = KernelRequest { fields: 2, rays: 1000, pitch_mm: 0.02, ..KernelRequest::of(&lens) };
+    /// let set = KernelSet::compute(&lens, &request)?;
+    /// // On the axis white is as bright as on the axis.
+    /// assert_eq!((set.radius_mm[[0, 0]], set.relative_illumination[[0, 0, 0]]), (0.0, 1.0));
+    /// # Ok::<(), isoplanat::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// A sensor without light on the axis, or a distortion that folds; a window that would be larger than 1023 pixels.
     pub fn compute(lens: &Lens, request: &KernelRequest) -> Result<Self> {

@@ -1,7 +1,7 @@
 //! A few SVG elements, readable on light and on dark pages.
 //!
 //! Lines and texts take the page's own colour (`currentColor`); a drawing that stands alone brings a background. The
-//! hues of [`HUES`] have enough contrast on white and on near-black.
+//! hues of `HUES` have enough contrast on white and on near-black.
 
 use std::fmt::Write;
 

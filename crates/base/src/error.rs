@@ -106,6 +106,14 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 impl Error {
     /// A bad value: `file: place: found; allowed`.
+    ///
+    /// ```
+    /// use isoplanat_base::Error;
+    ///
+    /// let error = Error::bad("lens.toml", "surface[2].thickness_mm", "-1", "0 or more");
+    /// assert_eq!(error.to_string(), "lens.toml: surface[2].thickness_mm: -1; 0 or more");
+    /// assert_eq!(error.exit_code(), 2);
+    /// ```
     pub fn bad(
         file: impl Into<String>,
         place: impl Into<Location>,

@@ -8,6 +8,10 @@ pub const D_NM: f64 = 587.5618;
 pub const C_NM: f64 = 656.2725;
 
 /// Micrometres from nanometres.
+///
+/// ```
+/// assert_eq!(isoplanat_base::units::um_from_nm(587.5), 0.5875);
+/// ```
 pub fn um_from_nm(nm: f64) -> f64 {
     nm * 1e-3
 }

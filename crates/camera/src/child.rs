@@ -15,7 +15,7 @@ pub(crate) mod tests;
 
 use std::process::{Child, Command, Stdio};
 
-pub(crate) use confinement::Confinement;
+pub use confinement::Confinement;
 pub use helper::Helper;
 pub(super) use limits::Bounds;
 pub use limits::Limits;

@@ -1,7 +1,7 @@
 //! A network in a child process that is held to a memory and a time limit and sees no file, as [`super::raw_process`] decodes files: a model that asks for more
 //! memory than there is, or never ends, is one sentence and not the end of the program.
 //!
-//! The helper program is started with [`COMMAND`]. The child is told on its standard input which runtime to load, loads it, enters its sandbox, and says so; only
+//! The helper program is started with `COMMAND`. The child is told on its standard input which runtime to load, loads it, enters its sandbox, and says so; only
 //! then it is given the model's bytes. It answers with one line, and then answers tiles, as many at a time as its runtime takes. Numbers are in this machine's byte
 //! order.
 

@@ -154,7 +154,7 @@ impl Camera {
     /// [`Self::with_kit`], the network in a child process.
     ///
     /// # Errors
-    /// As [`Network::open`].
+    /// As `Network::open`.
     pub fn with_kit_apart(kit: Kit, steps: Steps, options: &Options, apart: &Apart) -> Result<Self> {
         Self::opened(kit, steps, options, Some(apart))
     }
@@ -162,7 +162,7 @@ impl Camera {
     /// With a kit, the network here or, where `apart` says how, in a child process.
     ///
     /// # Errors
-    /// As [`Network::open`].
+    /// As `Network::open`.
     pub fn opened(mut kit: Kit, steps: Steps, options: &Options, apart: Option<&Apart>) -> Result<Self> {
         // The model's bytes are the runtime's from here on.
         let model = std::mem::take(&mut kit.model_bytes);

@@ -1,6 +1,6 @@
 //! Inference; the only place that names the two runtimes.
 //!
-//! ONNX Runtime is loaded as a shared library when one is found (see [`crate::onnxruntime`]); without it the
+//! ONNX Runtime is loaded as a shared library when one is found (see `crate::onnxruntime`); without it the
 //! model runs in tract, which is part of this program, and [`Session::runtime`] says so and why. Both give the same
 //! picture to 1e-5.
 
@@ -196,7 +196,7 @@ impl Session {
     /// Opens an ONNX model given as bytes in the runtime that the options ask for; `file` names it in messages.
     ///
     /// # Errors
-    /// As [`Prepared::open`].
+    /// As `Prepared::open`.
     pub fn open(model: &[u8], file: &Path, options: &Options) -> Result<Self> {
         Prepared::new(options).open(model, file)
     }

@@ -1,6 +1,6 @@
 //! A picture through the network in overlapping tiles: bounded memory, and the same result as in one piece.
 //!
-//! The picture is mirrored outwards at its border, by the overlap but at most [`BORDER`] pixels, and to the network's next
+//! The picture is mirrored outwards at its border, by the overlap but at most `BORDER` pixels, and to the network's next
 //! multiple. A tile's outer `overlap` pixels are thrown away where another tile has them, so that each pixel kept has all it
 //! depends on within its tile; all tiles of a picture have one shape and start at multiples of the network's pooling step, so
 //! that its coarse rasters lie alike in all of them. A picture smaller than a tile is one smaller tile.
@@ -40,6 +40,15 @@ struct Span {
 impl Tiling {
     /// Tiles of at most `tile × tile` pixels that throw `overlap` pixels away on each side; sizes and starts are multiples of
     /// `multiple`. The overlap should be the network's receptive radius.
+    ///
+    /// ```
+    /// use isoplanat_camera::tiles::Tiling;
+    ///
+    /// let tiling = Tiling::new(320, 40, 4)?;
+    /// assert_eq!((tiling.count(200, 300), tiling.shape(2000, 3000)), (1, [320, 320]));
+    /// assert!(Tiling::new(64, 32, 4).is_err(), "nothing would be kept");
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     ///
     /// # Errors
     /// A tile that is not a multiple of `multiple`, is above 8192, or keeps nothing between its overlaps.

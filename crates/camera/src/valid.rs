@@ -44,6 +44,16 @@ impl Valid {
 
     /// Adds `KEY=LOW..HIGH` (or `KEY=VALUE`), as the command line has it.
     ///
+    /// ```
+    /// use isoplanat_camera::valid::Valid;
+    ///
+    /// let mut valid = Valid::default();
+    /// valid.put("iso=100..800")?;
+    /// assert_eq!(valid.iso, Some([100.0, 800.0]));
+    /// assert!(valid.put("iso=800..100").is_err());
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// A key or a range that is none.
     pub fn put(&mut self, text: &str) -> Result<()> {

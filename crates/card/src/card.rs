@@ -88,6 +88,15 @@ pub struct ModelCard {
 impl ModelCard {
     /// The card of a network of the paper's blocks, `base_width` channels and `scales` scales; lens, hashes and training stay
     /// empty.
+    ///
+    /// ```
+    /// use isoplanat_card::{Inputs, ModelCard};
+    ///
+    /// let card = ModelCard::for_unet("street", 16, 3).seeing(Inputs::GUIDED);
+    /// // What a file's metadata says is the card again.
+    /// assert_eq!(ModelCard::from_metadata(&card.to_metadata())?, card);
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     pub fn for_unet(name: impl Into<String>, base_width: usize, scales: usize) -> Self {
         Self {
             schema: 1,

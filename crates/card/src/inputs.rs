@@ -77,6 +77,15 @@ impl Inputs {
 
     /// From names.
     ///
+    /// ```
+    /// use isoplanat_card::Inputs;
+    ///
+    /// assert_eq!(Inputs::of_names(["wiener", "field"])?.names(), ["wiener", "field"]);
+    /// assert!(Inputs::of_names([])?.is_bare());
+    /// assert!(Inputs::of_names(["colour"]).is_err());
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// A name that is none, or stands twice.
     pub fn of_names<'a>(names: impl IntoIterator<Item = &'a str>) -> Result<Self> {

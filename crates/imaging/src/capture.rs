@@ -81,6 +81,22 @@ pub fn expose(signal: ArrayView2<'_, f32>, sensor: &Sensor, seed: Option<u64>) -
 
 /// Photographs `scene` through `lens` with `sensor`, the whole `frame`.
 ///
+/// ```
+/// use isoplanat_imaging::capture::{CaptureSettings, capture};
+/// use isoplanat_imaging::{frame::Frame, scene::fill_frame, sensor::Sensor};
+/// use isoplanat_optics::lens::builtin;
+/// use ndarray::Array3;
+///
+/// let (lens, sensor, frame) = (builtin::lens("cooke_triplet")?, Sensor::generic(), Frame::centred(8, 6, 0.05)?);
+/// let grey = fill_frame(&lens, &frame, Array3::from_elem((3, 2, 2), 0.5))?;
+/// let settings = CaptureSettings { samples: 16, seed: 1, exposure: 1.0, noise: false, glare: 0.0 };
+/// let taken = capture(&lens, &grey, &sensor, &frame, settings, None)?;
+/// // Half of white is half way from black to saturation in green.
+/// let green = f64::from(taken.dn[[2, 3]]);
+/// assert!(((green - sensor.black_level) / (sensor.white_level - sensor.black_level) - 0.5).abs() < 0.02);
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
+///
 /// # Errors
 /// An exposure that is not a positive number, a share of glare that is none, a light that the sensor does not see; as [`reference::render`].
 pub fn capture(

@@ -219,6 +219,18 @@ fn write_jpeg(to: Target<'_>, image: &Array3<f32>, quality: u8, beside: &Annotat
 /// Writes linear RGB in the format the name's ending asks for: `.png` and `.tif`/`.tiff` with 16 bits, `.jpg`/`.jpeg`, `.npy`.
 ///
 /// JPEG has the sRGB curve always, `.npy` linear light.
+///
+/// ```
+/// use isoplanat_imaging::files::{Encoding, read_linear, write_picture};
+/// use ndarray::Array3;
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("grey.png");
+/// write_picture(&path, &Array3::from_elem((3, 4, 6), 0.18), Encoding::Srgb)?;
+/// let again = read_linear(&path)?;
+/// assert!(again.iter().all(|v| (v - 0.18).abs() < 1e-4));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn write_picture<'a>(to: impl Into<Target<'a>>, image: &Array3<f32>, encoding: Encoding) -> Result<()> {
     write_annotated(to, image, encoding, Depth::Sixteen, &Annotation::default())
 }

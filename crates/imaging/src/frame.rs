@@ -3,7 +3,7 @@
 //! Pixel (row `i`, column `j`) covers `[j, j + 1) × [i, i + 1)` in pixel coordinates `(column, row)`, so its centre is
 //! `(j + ½, i + ½)`. Pictures are stored *upright*, as they are looked at: columns run to the right, rows downwards.
 //! Millimetres of the upright picture run right (`+x`) and up (`+y`) from the optical axis; an object at `+x, +y`
-//! appears there. On the sensor itself the lens has turned the image by 180°: [`Frame::upright_from_sensor_mm`].
+//! appears there. On the sensor itself the lens has turned the image by 180°: `Frame::upright_from_sensor_mm`.
 
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +45,15 @@ impl TryFrom<FrameFile> for Frame {
 
 impl Frame {
     /// A frame whose axis is at its centre.
+    ///
+    /// ```
+    /// use isoplanat_imaging::frame::Frame;
+    ///
+    /// let frame = Frame::centred(600, 400, 0.006)?;
+    /// assert_eq!(frame.mm_from_pixel([300.0, 100.0]), [0.0, 0.6]);
+    /// assert!((frame.max_radius_mm() - 300_f64.hypot(200.0) * 0.006).abs() < 1e-12);
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     ///
     /// # Errors
     /// A size outside `1..=65536` or a pitch that is not a positive, finite number of mm.

@@ -29,6 +29,16 @@ impl Plane {
     }
 
     /// Bilinear radiance of `channel` at texel coordinates, and its derivatives with respect to them.
+    ///
+    /// ```
+    /// use isoplanat_imaging::plane::Plane;
+    /// use ndarray::array;
+    ///
+    /// let texture = array![[[0.0, 1.0]]];
+    /// let scene = Plane { texture, texels_per_slope: 1.0, axis_texel: [1.0, 0.5], vergence: 0.0 };
+    /// // Half way between the two texels' centres; the slope is one a texel.
+    /// assert_eq!(scene.sample(0, [1.0, 0.5]), (0.5, [1.0, 0.0]));
+    /// ```
     #[inline]
     pub fn sample(&self, channel: usize, texel: [f64; 2]) -> (f64, [f64; 2]) {
         bilinear(self.texture.index_axis(Axis(0), channel), texel)
@@ -98,6 +108,14 @@ impl Region {
     }
 
     /// The region with `margin` more pixels on every side.
+    ///
+    /// ```
+    /// use isoplanat_imaging::plane::Region;
+    ///
+    /// let region = Region { row: 10, col: 0, rows: 4, cols: 8 };
+    /// assert_eq!(region.grown(2), Region { row: 8, col: -2, rows: 8, cols: 12 });
+    /// assert_eq!(region.grown(2).common(region), region);
+    /// ```
     #[must_use]
     pub fn grown(self, margin: usize) -> Self {
         Self {

@@ -33,6 +33,7 @@ pub(crate) mod trainer;
 pub mod unet;
 
 pub use compute::Compute;
+pub use learner::Parameter;
 pub use reconstructor::{NetworkStep, Reconstructor, Step};
 pub use trainer::{ContentKind, Objective, TrainStep, Trainer};
 pub use unet::{Base, UnetConfig};

@@ -104,6 +104,16 @@ impl Reconstructor {
     /// The network's output. Height and width must be multiples of [`UnetConfig::multiple`]; a large picture is done in
     /// overlapping tiles, with the same result.
     ///
+    /// ```
+    /// use isoplanat_network::{Reconstructor, UnetConfig};
+    /// use ndarray::Array4;
+    ///
+    /// let network = Reconstructor::new(UnetConfig::bare(4, 2), 1)?;
+    /// let output = network.forward(Array4::from_elem((1, 3, 8, 12), 0.4).view())?;
+    /// assert_eq!(output.dim(), (1, 3, 8, 12));
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Shapes
     /// `[batch, channel, row, col]`, the channels of [`UnetConfig::inputs`] → `[batch, 3, row, col]`.
     pub fn forward(&self, input: ArrayView4<f32>) -> Result<Array4<f32>> {

@@ -8,7 +8,7 @@
 //! On demand captures come from the reference renderer ([`isoplanat_imaging::reference`]) instead: rays from the sensor, one colour a pixel.
 //!
 //! The network sees zeros beyond its input. So that a patch is restored as it would be within a whole picture, a margin of the
-//! network's receptive radius, at most [`CONTEXT`] pixels, is photographed around it, restored with it and cut off before
+//! network's receptive radius, at most `CONTEXT` pixels, is photographed around it, restored with it and cut off before
 //! judging; where the margin would leave the frame it is mirrored, as in the camera.
 
 #[doc(hidden)]
@@ -163,7 +163,7 @@ pub struct Settings {
     pub through: Option<Subject>,
 }
 
-/// Pictures of one zone at one depth: a row for each picture, columns as [`SHOWN`].
+/// Pictures of one zone at one depth: a row for each picture, columns as `SHOWN`.
 #[derive(Clone, Debug)]
 pub struct Sheet {
     /// Index of the depth.

@@ -1,10 +1,10 @@
 //! The joint design step: patches → render → network → L1 → network gradient at the image → imaging, PSF and trace
-//! adjoints → lens (paper eq. 15); Adam on the network, [`LensSteps`] on the lens.
+//! adjoints → lens (paper eq. 15); Adam on the network, `LensSteps` on the lens.
 //!
 //! A step whose rays fail, whose distortion folds or whose loss is not finite is taken back: the lens returns to its
 //! last good numbers and its step is halved.
 //!
-//! To read in this order: [`lens_steps`] (how the lens moves, within [`constraint`]), `images` and [`sensor_loss`] (a step without a network), [`noise`] (how well gradients are known), [`distances`] (how
+//! To read in this order: [`lens_steps`] (how the lens moves, within `constraint`), `images` and [`sensor_loss`] (a step without a network), [`noise`] (how well gradients are known), [`distances`] (how
 //! much each object distance counts), [`as_built`] (lenses within tolerances); [`run`] is the loop, on [`scenery`], looked at by [`judge`]; [`designing`] the loop with its folder, [`state`] where it
 //! stands, [`story`] its page, [`sweep`] many of them by number.
 
@@ -15,13 +15,14 @@ pub mod designing;
 #[doc(hidden)]
 pub mod distances;
 pub mod judge;
-pub(crate) mod lens_steps;
+#[doc(hidden)]
+pub mod lens_steps;
 #[doc(hidden)]
 pub mod noise;
 pub mod run;
 #[doc(hidden)]
 pub mod scenery;
-pub(crate) mod sensor_loss;
+pub mod sensor_loss;
 #[doc(hidden)]
 pub mod state;
 #[doc(hidden)]

@@ -2,7 +2,7 @@
 //! one with it. The final network for the finished lens is [`crate::design::training`]'s.
 //!
 //! Patches, noise and settings depend on the seed and the number of a step alone, so a stage goes on from its [`State`] with the same
-//! bits (same machine, same number of threads). A budget in time becomes one in steps when the lens has moved ([`Schedule`]).
+//! bits (same machine, same number of threads). A budget in time becomes one in steps when the lens has moved (`Schedule`).
 
 use std::time::Instant;
 
@@ -169,7 +169,7 @@ impl Stage {
     /// Starts from `problem`'s lens and `network`.
     ///
     /// # Errors
-    /// A lens that cannot be rendered; as [`LensSteps::new`].
+    /// A lens that cannot be rendered; as `LensSteps::new`.
     pub fn new(
         scenery: &Scenery<'_>,
         problem: &Problem,

@@ -1,7 +1,7 @@
 //! A design task as a TOML file: which lens, on which sensor, trained on what, for how long.
 //!
-//! [`groups`] are its tables, [`train`], [`sweep`] and [`stages`] those of the final network, of many designs and of several in a row; [`check`] says what they may hold,
-//! [`flat`] reads files of schema 1, which had one table.
+//! `groups` are its tables, [`train`], [`sweep`] and [`stages`] those of the final network, of many designs and of several in a row; `check` says what they may hold,
+//! `flat` reads files of schema 1, which had one table.
 
 mod check;
 mod flat;
@@ -10,8 +10,9 @@ mod groups;
 pub mod stages;
 #[doc(hidden)]
 pub mod stated;
-pub(crate) mod sweep;
-pub(crate) mod train;
+#[doc(hidden)]
+pub mod sweep;
+pub mod train;
 
 use std::path::{Path, PathBuf};
 

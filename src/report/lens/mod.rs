@@ -1,6 +1,6 @@
 //! The page of one lens, or of two side by side: what `isoplanat report` writes.
 //!
-//! One [`LensReport`] holds the numbers; [`LensReport::plots`] are its curves under their names. The page, the JSON form and the table of
+//! One [`LensReport`] holds the numbers; `LensReport::plots` are its curves under their names. The page, the JSON form and the table of
 //! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits. The MTF at the
 //! other steps of the focus slider is in the page alone.
 
@@ -227,7 +227,7 @@ pub fn spot_svg(o: &Overview) -> String {
     spots::panels(o, 0.0, spots::half_side(o), None)
 }
 
-/// Curves of rays alone, under their names: those of [`LensReport::plots`] but for the illumination.
+/// Curves of rays alone, under their names: those of `LensReport::plots` but for the illumination.
 pub fn plots(o: &Overview) -> Vec<(&'static str, Plot)> {
     curves::all(o, &[])
 }

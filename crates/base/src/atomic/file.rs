@@ -10,6 +10,19 @@ use super::{Replace, Target, fault, name, rename, sweep};
 use crate::error::{Error, Result};
 
 /// Bytes put into a file, whole or not at all: [`publish_file`].
+///
+/// ```
+/// use isoplanat_base::atomic::{Target, read_text, write_bytes};
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("note.txt");
+/// write_bytes(Target::new(&path, false), b"first")?;
+/// // What is there stays, unless it may be replaced.
+/// assert!(write_bytes(Target::new(&path, false), b"second").is_err());
+/// write_bytes(Target::new(&path, true), b"third")?;
+/// assert_eq!(read_text(&path, 100)?, "third");
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
 pub fn write_bytes<'a>(to: impl Into<Target<'a>>, bytes: &[u8]) -> Result<()> {
     let to = to.into();
     write_atomic(to, |out| out.write_all(bytes).map_err(|e| Error::writing(to.path, e)))

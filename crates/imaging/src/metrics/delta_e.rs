@@ -85,7 +85,7 @@ pub fn delta_e(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {
     sums.iter().sum::<f64>() / (rows * cols).max(1) as f64
 }
 
-/// [`delta_e`] of the pictures' means over blocks of about [`BLOCK`] × [`BLOCK`] pixels, in linear light.
+/// [`delta_e`] of the pictures' means over blocks of about `BLOCK` × `BLOCK` pixels, in linear light.
 ///
 /// # Panics
 /// As [`delta_e`].

@@ -48,6 +48,14 @@ pub fn psnr_at_best_gain(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 
 
 /// PSNR in dB of the numbers themselves, in linear light, nothing cut off.
 ///
+/// ```
+/// use isoplanat_imaging::metrics::psnr_linear;
+/// use ndarray::Array3;
+///
+/// let (a, b) = (Array3::from_elem((3, 4, 4), 0.5), Array3::from_elem((3, 4, 4), 0.51));
+/// assert!((psnr_linear(a.view(), b.view()) - 40.0).abs() < 1e-3);
+/// ```
+///
 /// # Panics
 /// If the shapes differ.
 pub fn psnr_linear(a: ArrayView3<'_, f32>, b: ArrayView3<'_, f32>) -> f64 {

@@ -87,7 +87,7 @@ pub struct Tuned {
     pub psnr_db: f64,
 }
 
-/// Restores an image with the natural prior; see [`wiener_with`].
+/// Restores an image with the natural prior; see `wiener_with`.
 pub fn wiener(image: ArrayView3<'_, f32>, psfs: &LocalPsfs, nsr: f32) -> Result<Array3<f32>> {
     wiener_with(image, psfs, nsr, Prior::Natural)
 }

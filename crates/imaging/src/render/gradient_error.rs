@@ -181,7 +181,7 @@ pub struct Chosen {
     pub error: f64,
     /// The patches' own noise.
     pub noise: f64,
-    /// Whether the error is below [`LARGEST_ERROR`] and [`OF_NOISE`] of the noise; where none is, the finest are taken.
+    /// Whether the error is below `LARGEST_ERROR` and `OF_NOISE` of the noise; where none is, the finest are taken.
     pub holds: bool,
 }
 
@@ -202,7 +202,7 @@ impl Chosen {
     }
 }
 
-/// The coarsest settings of [`LADDER`] whose gradient is well below the noise of the patches; the same for the same patches.
+/// The coarsest settings of `LADDER` whose gradient is well below the noise of the patches; the same for the same patches.
 ///
 /// # Errors
 /// As [`Patches::measure`].

@@ -3,7 +3,7 @@
 //! `y(p) = a(p) Σ_n w_n(p) [k_n * s](p)`: the scene `s`, warped by the lens's distortion ([`source`]), is blurred by the kernels of
 //! the nodes around every pixel ([`crate::render::blur`]) and multiplied by the relative illumination there ([`light`]). Kernels,
 //! distortion and illumination are read from one value, [`isoplanat_optics::psf::Optics`]; a [`mod@plan`] says how finely, [`renderer`] does
-//! it and pulls cotangents back. Wide kernels go by coarser cells ([`coarse`]).
+//! it and pulls cotangents back. Wide kernels go by coarser cells (`coarse`).
 //!
 //! ```
 //! use isoplanat_imaging::frame::Frame;
@@ -48,7 +48,8 @@ pub mod light;
 mod measure;
 #[doc(hidden)]
 pub mod memory;
-pub(crate) mod needs;
+#[doc(hidden)]
+pub mod needs;
 #[doc(hidden)]
 pub mod node_grid;
 pub(crate) mod nodes;

@@ -24,7 +24,7 @@ const FULL_SPACING: usize = 16;
 /// measured for given settings as well.
 ///
 /// # Errors
-/// No scene, one that cannot be rendered ([`check`]), or at another distance than the first; a lens without rotational
+/// No scene, one that cannot be rendered (`check`), or at another distance than the first; a lens without rotational
 /// symmetry; a frame without light.
 pub fn plan(
     lens: &Lens,

@@ -98,6 +98,15 @@ impl fmt::Display for SceneKind {
 
 /// A built-in scene: linear RGB in `[0, 1]`.
 ///
+/// ```
+/// use isoplanat_imaging::scene::{SceneKind, generate};
+///
+/// let street = generate(SceneKind::Facades, 3, 48, 64);
+/// assert_eq!(street.dim(), (3, 48, 64));
+/// assert_eq!(street, generate(SceneKind::Facades, 3, 48, 64));
+/// assert!(street.iter().all(|v| (0.0..=1.0).contains(v)));
+/// ```
+///
 /// # Shapes
 /// Result `[3, rows, cols]`; a side of 0 gives an empty picture.
 pub fn generate(kind: SceneKind, seed: u64, rows: usize, cols: usize) -> Array3<f32> {

@@ -111,7 +111,7 @@ pub fn slope_per_mm(lens: &Lens, radius_mm: f64, frame: &Frame) -> Result<f64> {
 }
 
 /// The picture `texture`, `[channel, row, col]`, before `lens` at its object distance, so that it just covers `frame` ([`Placement::filling`]): what to
-/// give [`crate::render::plan`] and [`crate::capture::capture`].
+/// give [`crate::render::plan()`] and [`crate::capture::capture`].
 ///
 /// ```
 /// use isoplanat_imaging::frame::Frame;

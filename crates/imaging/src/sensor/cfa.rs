@@ -29,6 +29,12 @@ impl Cfa {
     pub const ALL: [Self; 4] = [Self::RGGB, Self::BGGR, Self::GRBG, Self::GBRG];
 
     /// The channel of the pixel at `row`, `col`.
+    ///
+    /// ```
+    /// use isoplanat_imaging::sensor::cfa::Cfa;
+    ///
+    /// assert_eq!([(0, 0), (0, 1), (1, 0), (1, 1)].map(|(r, c)| Cfa::RGGB.channel(r, c)), [0, 1, 1, 2]);
+    /// ```
     pub fn channel(self, row: usize, col: usize) -> usize {
         usize::from(self.0[(row & 1) * 2 + (col & 1)])
     }
@@ -99,7 +105,7 @@ pub(crate) fn mosaic<T: Copy>(rgb: ArrayView3<'_, T>, cfa: Cfa) -> Array2<T> {
     Array2::from_shape_fn((rows, cols), |(r, c)| rgb[[cfa.channel(r, c), r, c]])
 }
 
-/// Pulls a cotangent of [`mosaic`] back to its image: the exact transpose.
+/// Pulls a cotangent of `mosaic` back to its image: the exact transpose.
 ///
 /// # Shapes
 /// `mosaic_bar`: `[row, col]`; result `[3, row, col]`.

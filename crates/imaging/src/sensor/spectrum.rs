@@ -1,7 +1,7 @@
 //! Wavelengths of a channel: response × illuminant as a quadrature rule and as a density to sample (paper, eq. 9).
 //!
 //! The density `p_c(λ)` of channel `c` is the sensor's response, piecewise linear between the table's entries, times the
-//! illuminant ([`Illuminant`]; equal energy unless stated), normalised to one. Under other light than equal energy the
+//! illuminant (`Illuminant`; equal energy unless stated), normalised to one. Under other light than equal energy the
 //! product is kept piecewise linear on steps of 0.25 nm; the channel's mean wavelength then errs by less than 1e-3 nm. A quadrature has nodes common to all channels and weights of their own:
 //! `∫ p_c(λ) f(λ) dλ ≈ Σ_i w_ci f(λ_i)`. The range is cut into `n` bins holding equal shares of `(Σ_c p_c)^(2/3)`; a
 //! node is the centroid of `Σ_c p_c` over its bin, a weight the channel's exact mass in it.
@@ -9,7 +9,7 @@
 //! Error, on Gaussian blurs whose width or position drifts with wavelength by 0.005–0.02 pixel/nm, relative to the
 //! kernel's peak (RMS / worst, generic sensor): 3 nodes 1.4e-2 / 8.2e-2, 5: 5.0e-3 / 2.1e-2, 7: 2.5e-3 / 9.7e-3,
 //! 12: 8.0e-4 / 3.1e-3, 24: 2.0e-4 / 7.9e-4: it falls as n⁻². Probes measure it for a lens and a
-//! scene ([`crate::render::probe`]), and `isoplanat accuracy` for lenses and their gradients.
+//! scene (`crate::render::probe`), and `isoplanat accuracy` for lenses and their gradients.
 
 use crate::sensor::Sensor;
 use crate::sensor::illuminant::Illuminant;
@@ -30,6 +30,15 @@ pub struct Spectrum {
 
 impl Spectrum {
     /// The rule of `n` nodes for a sensor under an equal-energy illuminant; `n = 0` is taken as 1.
+    ///
+    /// ```
+    /// use isoplanat_imaging::sensor::{Sensor, spectrum::Spectrum};
+    ///
+    /// let rule = Spectrum::quadrature(&Sensor::generic(), 5);
+    /// for weights in &rule.weight {
+    ///     assert!((weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
+    /// }
+    /// ```
     pub fn quadrature(sensor: &Sensor, n: usize) -> Self {
         SpectralDensity::new(sensor).quadrature(n)
     }

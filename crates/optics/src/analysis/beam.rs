@@ -16,7 +16,7 @@ pub struct Landing {
     pub at: DVec2,
     /// Slopes `dx/dz`, `dy/dz`: at `dz` mm behind the image plane the ray is at `at + dz · slope`.
     pub slope: DVec2,
-    /// Light that it stands for, in units of its beam ([`Aimer::flux`]).
+    /// Light that it stands for, in units of its beam (`Aimer::flux`).
     pub weight: f64,
 }
 

@@ -43,7 +43,7 @@ use chords::Chords;
 use correlate::{largest, overlap};
 use gauss::Rules;
 
-pub(crate) use fault::Fault;
+pub use fault::Fault;
 pub use pupil::Pupil;
 
 /// First zero of the Airy pattern times the cutoff: `r = 0.6098 λ/NA`, cutoff `2 NA/λ`.
@@ -126,7 +126,7 @@ impl Curve {
 /// The transfer functions of `object` in the light of `lens`, by the weights of its wavelengths.
 ///
 /// # Errors
-/// [`Fault`]; wavelengths without light add none.
+/// `Fault`; wavelengths without light add none.
 pub fn of_lens(lens: &Lens, object: ObjectPoint, plan: &Plan) -> Result<Mtf, Fault> {
     of_pupils(&pupils(lens, object)?, plan)
 }
@@ -161,7 +161,7 @@ pub(crate) fn pupils(lens: &Lens, object: ObjectPoint) -> Result<Vec<(Pupil, f64
 /// The transfer functions of pupils about one common point, each with its weight.
 ///
 /// # Errors
-/// [`Fault::Dark`] without light.
+/// `Fault::Dark` without light.
 pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
     let mut mtf = Mtf { curves: Vec::new(), light: Vec::new(), residual_waves: 0.0 };
     let most = plan.most_points.clamp(64.0, Rules::MOST);

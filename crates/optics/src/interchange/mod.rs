@@ -160,6 +160,17 @@ pub fn parse_as(text: &str, form: Form, file: &str, glasses: &Glasses, reading: 
 /// The text of `lens` in a form, with one line on each thing that the form cannot say but that does not change rays; glasses are named as
 /// `glasses` names them.
 ///
+/// ```
+/// use isoplanat_optics::interchange::{Form, parse, text_of};
+/// use isoplanat_optics::lens::{builtin, catalogue::Glasses};
+///
+/// let (lens, glasses) = (builtin::lens("cooke_triplet")?, Glasses::shipped());
+/// let (text, _) = text_of(&lens, Form::Zmx, glasses)?;
+/// let again = parse(&text, Form::Zmx, "triplet.zmx", glasses)?.lens;
+/// assert_eq!(again.surfaces[0].shape.curvature, lens.surfaces[0].shape.curvature);
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
+///
 /// # Errors
 /// What the form cannot say: freeforms, tilts, a glass without a catalogue, numbers that its reader refuses.
 pub fn text_of(lens: &Lens, form: Form, glasses: &Glasses) -> Result<(String, Vec<String>)> {

@@ -249,6 +249,15 @@ impl Glasses {
 
     /// The glass `name`, or `catalogue/name`, which is named as `naming` says; the glass that is taken in its place where somebody said so.
     ///
+    /// ```
+    /// use isoplanat_optics::lens::catalogue::Glasses;
+    ///
+    /// let flint = Glasses::shipped().find("N-F2", &[])?;
+    /// assert!((flint.index(587.5618) - 1.62005).abs() < 1e-5);
+    /// assert!(Glasses::shipped().find("N-NONE", &[]).is_err());
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
+    ///
     /// # Errors
     /// An unknown name (with near ones), several glasses of that name, an entry that is no dispersion. The error names no file.
     pub fn find(&self, name: &str, naming: Naming<'_>) -> Result<Medium> {

@@ -135,7 +135,7 @@ impl Zernike {
     /// `terms[j − 1]` is the coefficient (mm) of the term with Noll index `j`; `radius` in mm.
     ///
     /// # Panics
-    /// If there are more than [`MAX_NOLL`] terms.
+    /// If there are more than `MAX_NOLL` terms.
     pub fn new(radius: f64, terms: Vec<f64>) -> Self {
         assert!(terms.len() <= MAX_NOLL, "at most {MAX_NOLL} Zernike terms");
         let basis = (1..=terms.len()).map(noll).collect();
@@ -205,7 +205,7 @@ impl Xy {
     /// Terms `(i, j, coefficient in mm)`; `radius` in mm.
     ///
     /// # Panics
-    /// If a term's degree is above [`MAX_XY_DEGREE`].
+    /// If a term's degree is above `MAX_XY_DEGREE`.
     pub fn new(radius: f64, terms: &[(usize, usize, f64)]) -> Self {
         assert!(terms.iter().all(|t| t.0 + t.1 <= MAX_XY_DEGREE), "xy terms up to degree {MAX_XY_DEGREE}");
         let mut made = Self {

@@ -95,6 +95,14 @@ impl Medium {
     }
 
     /// Index at `nm`. Outside [`Self::range_nm`] the formula is continued and means nothing.
+    ///
+    /// ```
+    /// use isoplanat_optics::lens::Medium;
+    ///
+    /// let glass = Medium::named("N-BK7")?;
+    /// assert!((glass.index(587.5618) - 1.5168).abs() < 1e-5);
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     pub fn index(&self, nm: f64) -> f64 {
         match self {
             Self::Air => 1.0,

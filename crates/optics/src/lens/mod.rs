@@ -25,7 +25,8 @@ pub(crate) mod check;
 pub(crate) mod clearance;
 #[doc(hidden)]
 pub mod dispersion;
-pub(crate) mod freeform;
+#[doc(hidden)]
+pub mod freeform;
 pub mod glass;
 pub mod gradient;
 pub mod numbers;

@@ -163,6 +163,15 @@ pub(super) fn lists<T: Numbered>(lens: &T) -> impl Iterator<Item = (Kind, usize)
 
 impl Parameter {
     /// Every number of `lens`.
+    ///
+    /// ```
+    /// use isoplanat_optics::lens::{Parameter, builtin};
+    ///
+    /// let lens = builtin::lens("cooke_triplet")?;
+    /// let first = Parameter::all(&lens).next().expect("a number");
+    /// assert_eq!((first.name(&lens).as_str(), first.value(&*lens)), ("surface[0].curvature", Some(1.0 / 22.01359)));
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     pub fn all(lens: &Prescription) -> impl Iterator<Item = Self> {
         lists(lens).flat_map(|(kind, of)| (0..kind.list(lens, of).len()).map(move |entry| Self { kind, of, entry }))
     }

@@ -127,6 +127,16 @@ fn power(lens: &Prescription, n: &[f64], i: usize) -> f64 {
 }
 
 /// First-order data at `nm`. An afocal lens has infinite focal length; callers that need one check it.
+///
+/// ```
+/// use isoplanat_optics::lens::{builtin, paraxial::first_order};
+///
+/// let lens = builtin::lens("cooke_triplet")?;
+/// let data = first_order(&lens, lens.wavelengths.primary_nm);
+/// assert!((data.effective_focal_length - 50.021351).abs() < 1e-6);
+/// assert!((data.f_number - 5.0).abs() < 0.01);
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
 pub fn first_order(lens: &Prescription, nm: f64) -> FirstOrder {
     let n = lens.indices(nm);
     let last = lens.surfaces.len();

@@ -183,6 +183,18 @@ pub fn load(path: &Path) -> Result<Lens> {
 }
 
 /// Parses and checks the TOML form; `file` names it in errors, glasses are those of the shipped catalogue.
+///
+/// ```
+/// use isoplanat_optics::lens::builtin;
+/// use isoplanat_optics::lens::prescription::{from_toml, to_toml};
+///
+/// let lens = builtin::lens("tessar")?;
+/// assert_eq!(from_toml(&to_toml(&lens), "tessar.toml")?, lens);
+/// // An error names file and place.
+/// let error = from_toml("schema = 1", "empty.toml").unwrap_err().to_string();
+/// assert!(error.starts_with("empty.toml"), "{error}");
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
 pub fn from_toml(text: &str, file: &str) -> Result<Lens> {
     Ok(parse(text, file, Glasses::shipped())?.0)
 }

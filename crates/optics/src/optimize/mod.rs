@@ -136,6 +136,17 @@ const FOCUS: [f64; 2] = [1e-6, 1e4];
 
 /// `lens` with its sensor where `merit` is least: nothing else moves.
 ///
+/// ```
+/// use isoplanat_optics::lens::builtin;
+/// use isoplanat_optics::optimize::{Merit, refocused};
+///
+/// let lens = builtin::lens("cooke_triplet")?;
+/// let found = refocused(&lens.changed(|l| l.surfaces[5].thickness += 0.5)?, Merit::default())?;
+/// // The sensor goes back to where it was, nearly.
+/// assert!((found.lens.surfaces[5].thickness - lens.surfaces[5].thickness).abs() < 0.2);
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
+///
 /// # Errors
 /// As [`optimize`]; a lens through which not all rays of the merit come, or behind which they do not come together.
 pub fn refocused(lens: &Lens, merit: Merit) -> Result<Outcome> {

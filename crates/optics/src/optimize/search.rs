@@ -60,7 +60,7 @@ pub struct Progress {
 /// a focal length among its constraints is what starts are scaled to.
 ///
 /// # Errors
-/// What [`Problem::check`] refuses.
+/// What `Problem::check` refuses.
 pub fn search(problem: &Problem, plan: &Plan, watch: &mut dyn FnMut(Progress) -> bool) -> Result<Vec<Outcome>> {
     problem.check()?;
     let coarse = Problem { merit: Merit { rings: 3, arms: 3, ..problem.merit.clone() }, ..problem.clone() };

@@ -24,7 +24,7 @@ const SLOPE: f64 = 1.5;
 const REACH: f64 = 0.9;
 
 impl Problem {
-    /// Curvatures of refracting surfaces and all thicknesses within [`Self::bounds_of`]; the focal length held, the length to 1.2 of the
+    /// Curvatures of refracting surfaces and all thicknesses within `Self::bounds_of`; the focal length held, the length to 1.2 of the
     /// start's; the cone of light kept ([`Self::light`]); glass and air kept open ([`Self::room`]); spots over the field.
     pub fn standard(lens: &Lens) -> Self {
         let n = lens.indices(lens.wavelengths.primary_nm);

@@ -123,7 +123,7 @@ impl PencilBar {
     }
 }
 
-/// Cotangents that leave [`KernelForm::pencil_vjp`].
+/// Cotangents that leave `KernelForm::pencil_vjp`.
 #[derive(Clone, Debug)]
 pub struct KernelBar {
     /// Of the pencil, mm.

@@ -1,7 +1,7 @@
 //! What a lens does to light, as image formation reads it.
 //!
 //! Rays are traced from the sensor: [`table`] aims them from a few sensor radii through nodes of the real stop and keeps
-//! where they come from as polynomials over the stop, for every radius and object distance. [`illumination`], [`sensor_map`]
+//! where they come from as polynomials over the stop, for every radius and object distance. [`illumination`], `sensor_map`
 //! (distortion) and [`kernel`] (point spread functions) are read from it; [`optics`] holds all of them as one value, in
 //! which their cotangents add up before they go back to the lens. [`measured`] keeps kernels that were measured on a camera, which an
 //! [`Optics`] holds in place of rays.

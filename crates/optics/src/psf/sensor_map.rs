@@ -216,7 +216,7 @@ impl SensorMap {
         r
     }
 
-    /// The sensor point (mm) of the object slope `u`, and what [`Self::point_vjp`] needs.
+    /// The sensor point (mm) of the object slope `u`, and what `Self::point_vjp` needs.
     #[inline]
     pub fn point(&self, u: [f64; 2], near: f64) -> ([f64; 2], f64) {
         let radius = self.radius(u[0].hypot(u[1]), near);

@@ -410,6 +410,15 @@ fn horizon(radii_mm: &[f64], chiefs: &[Chief]) -> f64 {
 /// Object slopes of the chief rays that land at `radii_mm` on the sensor, reference wavelength, object at `vergence`, as far out as
 /// the sensor sees light of a plane ([`STEEPEST`]): the list may be shorter.
 ///
+/// ```
+/// use isoplanat_optics::{lens::builtin, psf::chief_slopes};
+///
+/// // Of an object at infinity a slope of 0.1 is seen some 5 mm from the axis of 50 mm.
+/// let slopes = chief_slopes(&builtin::lens("cooke_triplet")?, 0.0, &[5.0])?;
+/// assert!((slopes[0] - 0.1).abs() < 1e-3);
+/// # Ok::<(), isoplanat_base::error::Error>(())
+/// ```
+///
 /// # Errors
 /// A lens without rotational symmetry, or without light at the first radius.
 pub fn chief_slopes(lens: &Lens, vergence: f64, radii_mm: &[f64]) -> Result<Vec<f64>> {

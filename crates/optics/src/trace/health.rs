@@ -19,7 +19,7 @@ use super::{Cause, Failure, Ray, System};
 use crate::lens::Lens;
 use reach::clear_ray_reaches;
 
-pub(crate) use conditioning::VariableHealth;
+pub use conditioning::VariableHealth;
 
 /// Whether a figure is as it should be.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]

@@ -3,7 +3,7 @@
 //! One ray, one surface: transfer to the surface's frame, intersect ([`intersect`]), refract ([`refract`]); the loop
 //! over surfaces is [`sequential`]. Rays are launched from an object point at any angle through a plane before the lens
 //! ([`object`]) and aimed at the real stop ([`aim`]).
-//! [`pupil`] finds what apertures leave of it, [`wavefront`] the optical path difference in it. All of it is f64. A ray
+//! `pupil` finds what apertures leave of it, [`wavefront`] the optical path difference in it. All of it is f64. A ray
 //! that fails is data: [`Failure`].
 //!
 //! ```

@@ -83,6 +83,15 @@ impl ObjectPoint {
     ///
     /// Étendue: `dL dM` per unit of object slope squared is `N⁴ dx dy` on the plane of the first vertex, exactly and for every
     /// vergence; that is the weight of a ray (times `|∂(x, y)/∂(stop point)|`).
+    ///
+    /// ```
+    /// use glam::DVec2;
+    /// use isoplanat_optics::trace::ObjectPoint;
+    ///
+    /// // An object 1 m before the lens whose light falls by 0.1 stands 100 mm above the axis.
+    /// let at = ObjectPoint::from_slope(DVec2::new(0.0, -0.1), 1e-3).position().expect("near");
+    /// assert!((at.y - 100.0).abs() < 1e-9 && (at.z + 1000.0).abs() < 1e-9);
+    /// ```
     pub fn from_slope(slope: DVec2, vergence: f64) -> Self {
         let cosine = (1.0 + slope.length_squared()).sqrt().recip();
         Self { direction: (slope * cosine).extend(cosine), vergence: vergence * cosine }

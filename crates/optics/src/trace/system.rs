@@ -75,6 +75,16 @@ pub struct System {
 
 impl System {
     /// `lens` at `nm`.
+    ///
+    /// ```
+    /// use isoplanat_optics::lens::builtin;
+    /// use isoplanat_optics::trace::System;
+    ///
+    /// let system = System::new(&builtin::lens("cooke_triplet")?, 587.6);
+    /// // Six faces, and the image plane behind them.
+    /// assert_eq!(system.image(), 6);
+    /// # Ok::<(), isoplanat_base::error::Error>(())
+    /// ```
     pub fn new(lens: &Prescription, nm: f64) -> Self {
         let n = lens.indices(nm);
         let stop_semi_diameter = paraxial::stop_semi_diameter(lens);

@@ -95,7 +95,7 @@ impl Pupil {
     /// Traces `object`; paths count about `centre`, mm in the image plane's frame.
     ///
     /// # Errors
-    /// No light, or light that leaves no pupil function ([`Fault`]).
+    /// No light, or light that leaves no pupil function (`Fault`).
     pub fn trace(aimer: &Aimer, object: ObjectPoint, centre: DVec3) -> Result<Self, Fault> {
         let source = Source::new(aimer, object, centre)?;
         let mut pupil = Self {
