@@ -129,7 +129,7 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
         writeln!(out, "{}", without_empty(value))?;
         return Ok(());
     }
-    missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.name));
+    missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
     write!(out, "{}", kind.table(&overview))?;
     Ok(())
 }

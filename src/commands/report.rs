@@ -105,7 +105,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
                     && e.bad_input().is_some_and(|bad| bad.place.key != "run") =>
             {
                 let mut report = report;
-                report.missing.push(format!("measured MTF: {}", e.of_file("")));
+                report.missing.push(format!("measured MTF: {}", e.without_file()));
                 report
             }
             Err(e) => return Err(e.into()),
@@ -129,7 +129,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     for report in &reports {
         for missing in &report.missing {
-            crate::tell!("note: {}: {missing}", report.lens.name);
+            crate::tell!("note: {}: {missing}", report.lens.file());
         }
         let seconds: f64 = report.seconds.iter().map(|(_, s)| s).sum();
         writeln!(out, "{}: {seconds:.2} s", report.lens.name)?;

@@ -158,7 +158,9 @@ pub fn close(
         };
         match place() {
             Ok(place) => places.extend(place),
-            Err(e) => failed.push(format!("slanted edges {} mm from the axis: {}", significant(*radius, 4), e)),
+            Err(e) => {
+                failed.push(format!("slanted edges {} mm from the axis: {}", significant(*radius, 4), e.without_file()))
+            }
         }
     }
     let seconds = begun.elapsed().as_secs_f64();

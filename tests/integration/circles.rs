@@ -38,7 +38,7 @@ fn named(text: &str, at: &[&str]) -> Vec<Vec<String>> {
 fn graph() -> Graph {
     let mut crates: BTreeMap<String, BTreeMap<Vec<String>, String>> = BTreeMap::new();
     for (path, text) in own_sources() {
-        // `crates/optics/src/lens/mod.rs`, `src/report/mod.rs`; the program's commands are a crate of their own.
+        // `crates/optics/src/lens.rs`, `src/design/mod.rs`; the program's commands are a crate of their own.
         let (of, inside) = path.split_once("src/").expect("below a crate's `src`");
         let (of, inside) =
             inside.strip_prefix("commands/").map_or((of.to_owned(), inside), |i| (format!("{of}commands/"), i));

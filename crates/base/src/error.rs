@@ -186,6 +186,12 @@ impl Error {
         self.changed(|bad| bad.file = path.as_ref().display().to_string())
     }
 
+    /// The same error without its file, for a sentence that has named it.
+    #[must_use]
+    pub fn without_file(self) -> Self {
+        self.changed(|bad| bad.file.clear())
+    }
+
     /// The same error with its files named as `named` does, which is told each.
     #[must_use]
     pub fn with_files(self, named: impl Fn(PathBuf) -> PathBuf) -> Self {

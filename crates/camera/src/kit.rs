@@ -194,9 +194,8 @@ impl Kit {
         shading: Shading,
         facts: Option<&Facts>,
     ) -> Result<Self> {
-        let model_path = Path::new("model.onnx");
-        let metadata = session::metadata(&model, model_path)?;
-        let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(model_path))?;
+        let metadata = session::metadata(&model, Path::new("model.onnx"))?;
+        let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file("model.onnx"))?;
         let entry = ModelEntry {
             file: "model.onnx".into(),
             sha256: sha256_hex(&model),
@@ -204,7 +203,8 @@ impl Kit {
             overlap_px: overlap_px(&card),
             multiple: card.multiple,
         };
-        let guide = guide(&card, &frame, facts.cloned(), "kit")?;
+        let guide = Guide::from_parts(card.inputs, &frame, facts.cloned().unwrap_or_default());
+        let guide = guide.map_err(|e| e.of_file("kit"))?;
         let entry_of = |facts: &Facts| -> Result<_> {
             let bytes = facts.to_npz()?;
             let (sha256, depths_mm) = (sha256_hex(&bytes), facts.depths_mm());
@@ -243,30 +243,30 @@ impl Kit {
             let found = if folder.exists() { "not a folder" } else { "there is no such folder" };
             return Err(Error::bad(folder.display().to_string(), "kit", found, format!("a folder with {FILE}")));
         }
-        let text = atomic::read_text(&path, LARGEST_TOML)?;
-        let file = parse(&text, &path.display().to_string())?;
+        let own = path.display().to_string();
+        let file = parse(&atomic::read_text(&path, LARGEST_TOML)?, &own)?;
         let (model_path, model_bytes) = whole(folder, &path, "model", &file.model.file, &file.model.sha256)?;
         let metadata = session::metadata(&model_bytes, &model_path)?;
         let card = ModelCard::from_metadata(&metadata).map_err(|e| e.in_file(&model_path))?;
         if file.demosaic != DEMOSAIC {
-            let allowed = format!("{DEMOSAIC}, which this version has");
-            return Err(Error::bad(path.display().to_string(), "demosaic", file.demosaic, allowed));
+            return Err(Error::bad(own, "demosaic", file.demosaic, format!("{DEMOSAIC}, which this version has")));
         }
         let filters = match file.filters {
             Some(entry) => {
                 let (place, bytes) = whole(folder, &path, "filters", &entry.file, &entry.sha256)?;
                 let facts = Facts::from_npz(&bytes, &place)?;
                 if entry.depths_mm != facts.depths_mm() {
-                    let (found, allowed) = (format!("{:?}", entry.depths_mm), format!("{:?}", facts.depths_mm()));
-                    let allowed = format!("{allowed}, as {} says", entry.file);
-                    return Err(Error::bad(path.display().to_string(), "filters.depths_mm", found, allowed));
+                    let found = format!("{:?}", entry.depths_mm);
+                    let allowed = format!("{:?}, as {} says", facts.depths_mm(), entry.file);
+                    return Err(Error::bad(own, "filters.depths_mm", found, allowed));
                 }
                 Some((facts, (entry, bytes)))
             }
             None => None,
         };
         let (facts, file_of) = filters.unzip();
-        let guide = guide(&card, &file.frame, facts, &path.display().to_string())?;
+        let guide = Guide::from_parts(card.inputs, &file.frame, facts.unwrap_or_default());
+        let guide = guide.map_err(|e| e.of_file(&path))?;
         let DistortionTable { max_slope, coefficients_mm, residual_mm } = file.distortion;
         let kit = Self {
             folder: folder.to_owned(),
@@ -285,15 +285,15 @@ impl Kit {
             guide,
             filters: file_of,
         };
-        kit.check(&path.display().to_string())?;
+        kit.check(&own)?;
         let (found, stated) = (kit.calibration_sha256()?, file.calibration_sha256);
         if let Some(stated) = stated.filter(|s| *s != found) {
             let allowed = format!(
                 "the calibration the kit was written with, {}; without this line a changed one is taken as it is",
                 short(&stated)
             );
-            let file = path.display().to_string();
-            return Err(Error::bad(file, "calibration_sha256", format!("a calibration of {}", short(&found)), allowed));
+            let found = format!("a calibration of {}", short(&found));
+            return Err(Error::bad(own, "calibration_sha256", found, allowed));
         }
         Ok(kit)
     }
@@ -391,7 +391,7 @@ impl Kit {
         self.sensor.check(file)?;
         self.glare.map_or(Ok(0.0), glare::check).map_err(|e| e.in_file(Path::new(file)))?;
         self.valid.check(file)?;
-        self.tiling().map_err(|e| e.in_file(Path::new(file)))?;
+        self.tiling().map_err(|e| e.within("model").in_file(file))?;
         let (card, model) = (&self.card, &self.model);
         if card.lens_sha256 != self.lens.sha256 {
             let found = format!("{} ({})", short(&self.lens.sha256), self.lens.name);
@@ -414,12 +414,8 @@ impl Kit {
         let d = &self.distortion;
         let finite = d.coefficients_mm.iter().chain([&d.max_slope, &d.residual_mm]).all(|v| v.is_finite());
         if !(finite && d.max_slope > 0.0) {
-            let found = format!(
-                "coefficients_mm {}, max_slope {}, residual_mm {}",
-                d.coefficients_mm.iter().map(|c| c.to_string()).collect::<Vec<_>>().join(", "),
-                d.max_slope,
-                d.residual_mm
-            );
+            let listed = d.coefficients_mm.map(|c| c.to_string()).join(", ");
+            let found = format!("coefficients_mm {listed}, max_slope {}, residual_mm {}", d.max_slope, d.residual_mm);
             return bad("distortion", found, "finite numbers and max_slope above 0".into());
         }
         let grows = |i: i32| d.sensor_from_slope_derivative(d.max_slope * f64::from(i) / 256.0) > 0.0;
@@ -444,11 +440,6 @@ fn whole(folder: &Path, path: &Path, place: &str, name: &str, sha256: &str) -> R
         return Err(Error::bad(file.display().to_string(), place, format!("SHA-256 {}", short(&found)), allowed));
     }
     Ok((file, bytes))
-}
-
-/// What the network of `card` is told; what does not fit it is refused.
-fn guide(card: &ModelCard, frame: &Frame, facts: Option<Facts>, file: &str) -> Result<Guide> {
-    Guide::from_parts(card.inputs, frame, facts.unwrap_or_default()).map_err(|e| e.of_file(file))
 }
 
 /// Parses `kit.toml`; a newer form is refused by its number, not by its first new key.

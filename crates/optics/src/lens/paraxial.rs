@@ -343,6 +343,30 @@ mod tests {
     use crate::lens::{builtin, variables::Variables};
     use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 
+    /// The displacement of a sweep and its adjoint are each other's transpose.
+    #[test]
+    fn a_sweep_moves_as_its_adjoint_says() {
+        let rng = &mut fastrand::Rng::with_seed(1);
+        for name in ["two_element", "cooke_triplet", "phone"] {
+            let lens = builtin::lens(name).expect("shipped");
+            let n = lens.indices(587.5618);
+            for [y, w] in [[1.0, 0.0], [0.0, 1.0]] {
+                let state = sweep(&lens, &n, y, w);
+                let bars: Vec<[f64; 2]> = state.iter().map(|_| [rng.f64() - 0.5, rng.f64() - 0.5]).collect();
+                let (mut g, mut n_bar) = (LensGradient::zeros(&lens), vec![0.0; n.len()]);
+                sweep_vjp(&lens, &n, &state, &bars, &mut g, &mut n_bar);
+                for of in 0..lens.surfaces.len() {
+                    let by: [f64; 3] = std::array::from_fn(|_| rng.f64() - 0.5);
+                    let moved = sweep_jvp(&lens, &n, &state, of, by);
+                    let left: f64 = moved.iter().zip(&bars).map(|(m, b)| m[0] * b[0] + m[1] * b[1]).sum();
+                    let bar = [g.surfaces[of].shape.curvature, g.surfaces[of].thickness, n_bar[of + 1]];
+                    let right: f64 = bar.iter().zip(by).map(|(bar, by)| bar * by).sum();
+                    assert_rel(left, right, 1e-10, 1e-12, &format!("{name} {of}"));
+                }
+            }
+        }
+    }
+
     /// The design page's figures for the two-element start (eq. 8 glasses, 587.6 nm).
     #[test]
     fn two_element_first_order_data() {

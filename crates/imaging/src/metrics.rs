@@ -160,7 +160,7 @@ mod tests {
             })
         };
         let coarse: Damage = |v| v.mapv(|v| v / 32 * 32 + 16);
-        let record: serde_json::Value = serde_json::from_str(include_str!("ssim_skimage.json")).expect("JSON");
+        let record: serde_json::Value = serde_json::from_str(include_str!("metrics/ssim_skimage.json")).expect("JSON");
         let pairs = record["pairs"].as_array().expect("pairs");
         assert!(pairs.len() >= 5);
         for pair in pairs {

@@ -108,7 +108,7 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
         FieldLine::new(lens, lens.object_vergence, 2)
             .map(|line| line.angle_deg.last().copied().unwrap_or(0.0))
             .unwrap_or_else(|e| {
-                missing.push(format!("fields end at the stated angle, not with sensor or light: {}", e));
+                missing.push(format!("fields end at the stated angle, not with sensor or light: {}", e.without_file()));
                 lens.max_field_deg()
             })
     });
@@ -289,14 +289,14 @@ impl LensReport {
                     report.missing.push(format!("up to {lost} % of the light near the end of the field: {cause}"));
                 }
             }
-            Err(e) => report.missing.push(format!("relative illumination: {}", e)),
+            Err(e) => report.missing.push(format!("relative illumination: {}", e.without_file())),
         }
         report.seconds.push(("relative illumination", start.elapsed().as_secs_f64()));
         if options.whole {
             let start = Instant::now();
             match report.kernels(options) {
                 Ok(atlas) => report.atlas = Some(atlas),
-                Err(e) => report.missing.push(format!("point spread functions: {}", e)),
+                Err(e) => report.missing.push(format!("point spread functions: {}", e.without_file())),
             }
             report.seconds.push(("point spread functions", start.elapsed().as_secs_f64()));
         }
