@@ -197,7 +197,7 @@ fn of_kit(
 
 /// A kit needs a runtime.
 #[cfg(not(feature = "deploy"))]
-fn of_kit(folder: &Path, _: Option<&Path>, _: &str, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
+fn of_kit(folder: &Path, _: Option<&Path>, _: &Path, _: &Lens, _: Settings) -> isoplanat::Result<Measured> {
     let kit = folder.display().to_string();
     let found = "this build lacks the feature `deploy`, which a kit's network needs";
     Err(Error::bad(kit, "kit", found, "a lens alone, or a build with --features deploy"))

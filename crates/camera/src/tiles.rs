@@ -45,7 +45,7 @@ impl Tiling {
     /// use isoplanat_camera::tiles::Tiling;
     ///
     /// let tiling = Tiling::new(320, 40, 4)?;
-    /// assert_eq!((tiling.count(200, 300), tiling.shape(2000, 3000)), (1, [320, 320]));
+    /// assert_eq!((tiling.count(100, 200), tiling.shape(2000, 3000)), (1, [320, 320]));
     /// assert!(Tiling::new(64, 32, 4).is_err(), "nothing would be kept");
     /// # Ok::<(), isoplanat_base::error::Error>(())
     /// ```

@@ -80,7 +80,8 @@ impl System {
     /// use isoplanat_optics::lens::builtin;
     /// use isoplanat_optics::trace::System;
     ///
-    /// let system = System::new(&builtin::lens("cooke_triplet")?, 587.6);
+    /// let lens = builtin::lens("cooke_triplet")?;
+    /// let system = System::new(&lens, 587.6);
     /// // Six faces, and the image plane behind them.
     /// assert_eq!(system.image(), 6);
     /// # Ok::<(), isoplanat_base::error::Error>(())
