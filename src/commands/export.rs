@@ -80,7 +80,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let cost = if args.f16 {
         let whole = model;
         card.weights = Weights::F16;
-        model = onnx::encode(&network, &card).map_err(|e| e.in_file(&args.run.join("network.safetensors")))?;
+        model = onnx::encode(&network, &card).map_err(|e| e.in_file(args.run.join("network.safetensors")))?;
         Some(cost_of_halves(&whole, &model, &guide)?)
     } else {
         None

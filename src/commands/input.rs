@@ -80,8 +80,7 @@ impl FNumber {
             significant(radius, 6),
             significant(first.stop_semi_diameter, 6)
         );
-        let changed = lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(radius));
-        changed
+        lens.changed(|l| l.aperture = Aperture::StopSemiDiameter(radius))
     }
 }
 

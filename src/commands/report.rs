@@ -92,23 +92,20 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             (false, None) => None,
         };
         let measured = measured.map(|m| m.map_err(|e| e.in_file(path))).transpose();
-        let waiting = crate::progress::Waiting::new("report");
-        let report = LensReport::new(lens, &Options { colour, ..options.clone() });
-        drop(waiting);
-        reports.push(match measured {
-            Ok(Some(measured)) => report.with_measured(measured),
-            Ok(None) => report,
-            // What was not asked for by name does not keep the rest from being shown.
-            Err(e)
-                if args.measure.is_none()
-                    && args.kit.is_none()
-                    && e.bad_input().is_some_and(|bad| bad.place.key != "run") =>
-            {
-                let mut report = report;
-                report.missing.push(format!("measured MTF: {}", e.without_file()));
-                report
-            }
+        // What was not asked for by name does not keep the rest from being shown.
+        let asked = args.measure.is_some() || args.kit.is_some();
+        let (measured, missing) = match measured {
+            Ok(measured) => (measured, None),
+            Err(e) if !asked && e.bad_input().is_some_and(|bad| bad.place.key != "run") => (None, Some(e)),
             Err(e) => return Err(e.into()),
+        };
+        let waiting = crate::progress::Waiting::new("report");
+        let mut report = LensReport::new(lens, &Options { colour, ..options.clone() });
+        drop(waiting);
+        report.missing.extend(missing.map(|why| format!("measured MTF: {why}")));
+        reports.push(match measured {
+            Some(measured) => report.with_measured(measured),
+            None => report,
         });
     }
     if let Some(path) = &args.output {

@@ -208,15 +208,11 @@ fn values_are_named_with_their_places() {
         ("a.zmx", zmx.replacen("TYPE STANDARD", "TYPE WAVY", 2), "line 14 (SURF 0): a surface of type WAVY; "),
         ("a.seq", seq.replacen("\nS 0.05405405405405406", "\nS x", 1), "line 17: `x`; "),
         // What shows only when all is put together has the place in the file before that in the lens.
-        (
-            "a.zmx",
-            zmx.replacen("CURV 0.05405405405405406", "CURV 0.09", 1),
-            "line 18 (SURF 1): surface[0].semi_diameter_mm: 12; ",
-        ),
+        ("a.zmx", zmx.replacen("DISZ 8\n", "DISZ 1e8\n", 1), "line 18 (SURF 1): surface[0].thickness_mm: 100000000; "),
         (
             "a.seq",
-            seq.replacen("\nS 0.05405405405405406", "\nS 0.09", 1),
-            "line 17 (S 1): surface[0].semi_diameter_mm: 12; ",
+            seq.replacen("\nS 0.05405405405405406 8 ", "\nS 0.05405405405405406 1e8 ", 1),
+            "line 17 (S 1): surface[0].thickness_mm: 100000000; ",
         ),
     ] {
         place.write(file, &text);

@@ -240,6 +240,35 @@ impl Error {
 mod tests {
     use super::*;
 
+    /// Each part is put in where it is known, and only there; errors of other kinds stay what they are.
+    #[test]
+    fn parts_are_put_in_where_they_are_known() {
+        let error = || Error::bad("", Location::surface(2).key("medium"), "x", "y");
+        let line = Location { label: "SURF 3".into(), ..Location::line(7) };
+        for (error, text) in [
+            (error(), "surface[2].medium: x; y"),
+            (error().in_file("a"), "a: surface[2].medium: x; y"),
+            (error().in_file("a").in_file("b"), "a: surface[2].medium: x; y"),
+            (error().in_file("a").of_file("b"), "b: surface[2].medium: x; y"),
+            (error().in_file("a").without_file(), "surface[2].medium: x; y"),
+            (error().at("key"), "key: x; y"),
+            (error().at("").in_file("a"), "a: x; y"),
+            (error().within(line), "line 7 (SURF 3): surface[2].medium: x; y"),
+            (error().within("stages[1]"), "stages[1].surface[2].medium: x; y"),
+            (error().or_else_allowed("z"), "surface[2].medium: x; z; or y"),
+            (error().in_file("b").with_files(|file| Path::new("a").join(file)), "a/b: surface[2].medium: x; y"),
+        ] {
+            assert_eq!((error.to_string().replace('\\', "/").as_str(), error.exit_code()), (text, 2));
+        }
+        let other = Error::Exists("b".into()).at("key").of_file("a").within("c");
+        assert!(other.bad_input().is_none() && other.to_string().starts_with("b: exists already"));
+        let sent = other.into_bad_input("inference", "a model").in_file("m");
+        assert!(
+            sent.to_string().starts_with("m: inference: b: exists already") && sent.to_string().ends_with("; a model")
+        );
+        assert_eq!(error().in_file("a").into_bad_input("", ""), *error().in_file("a").bad_input().expect("of input"));
+    }
+
     /// A message is one line, whatever the words of other readers, keys and values are (found by fuzzing: JPEG and `.npy`).
     #[test]
     fn messages_are_one_line() {

@@ -28,10 +28,10 @@ fn open() -> std::result::Result<Confinement, String> {
 }
 
 /// What a child says before it answers tiles.
-fn said(out: &mut &[u8]) -> std::result::Result<Opened, BadInput> {
+fn said(out: &mut &[u8]) -> std::result::Result<Opened, Box<BadInput>> {
     assert!(matches!(line(out).expect("JSON"), Said::Ready(_)));
     let Said::Opened(opened) = line(out).expect("JSON") else { panic!("it is ready already") };
-    opened
+    opened.map_err(Box::new)
 }
 
 /// The child's side, fed with everything at once: what it answers is what a session says, whatever the order, a tile that the model cannot take among

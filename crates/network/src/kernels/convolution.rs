@@ -6,6 +6,7 @@ use super::inner::{Correlation, PICTURES, Place, Rows, blocks, convolve_row, cor
 use super::panel::Panel;
 use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
+use isoplanat_base::math::raster;
 use isoplanat_base::math::simd::{F32, Kernel, Simd};
 
 /// Groups of strips that sum their own weight gradient; fixed, so that the order of sums is.
@@ -56,7 +57,7 @@ pub(super) struct Strip {
 pub(super) fn strips(extent: Extent, rows: usize) -> Vec<Strip> {
     (0..extent.batch)
         .flat_map(|image| {
-            (0..extent.rows).step_by(rows).map(move |first| Strip { image, first, rows: rows.min(extent.rows - first) })
+            raster::parts(extent.rows, rows).map(move |part| Strip { image, first: part.start, rows: part.len() })
         })
         .collect()
 }

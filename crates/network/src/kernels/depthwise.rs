@@ -9,6 +9,7 @@ use super::convolution::bias_strip;
 use super::inner::Rows;
 use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
+use isoplanat_base::math::raster::parts;
 use isoplanat_base::math::simd::{F32, Kernel, Simd};
 
 const SIDE: usize = 3;
@@ -66,8 +67,7 @@ impl Kernel for Forward<'_> {
     fn run<S: Simd>(self, simd: S) {
         let Self { source, extent, taps, bias, to, scratch } = self;
         let (step, columns) = (rows_of_strip(extent, 1), extent.columns);
-        for first in (0..extent.rows).step_by(step) {
-            let rows = step.min(extent.rows - first);
+        for (first, rows) in parts(extent.rows, step).map(|part| (part.start, part.len())) {
             let layout = Layout::new(1, rows + SIDE - 1, columns);
             let buffer = scratch.get(layout.len());
             load_activated(simd, &[source], extent, 0, first as isize - 1, &layout, buffer);
@@ -262,8 +262,7 @@ impl Kernel for Backward<'_> {
         let Self { source, extent, turned, output_bar, wanted, mut to, scratch } = self;
         let (step, columns) = (rows_of_strip(extent, 2), extent.columns);
         let mut sums = Sums::default();
-        for first in (0..extent.rows).step_by(step) {
-            let rows = step.min(extent.rows - first);
+        for (first, rows) in parts(extent.rows, step).map(|part| (part.start, part.len())) {
             let bar_layout = Layout::new(1, rows + SIDE - 1, columns);
             let bars = scratch.0.get(bar_layout.len());
             load_activated(simd, &[output_bar], extent, 0, first as isize - 1, &bar_layout, bars);

@@ -3,6 +3,8 @@
 
 use std::marker::PhantomData;
 
+use isoplanat_base::math::raster::parts;
+
 /// Some columns of a matrix, which nobody else has.
 pub(super) struct Panel<'a> {
     first: *mut f32,
@@ -29,7 +31,7 @@ impl<'a> Panel<'a> {
     /// A matrix of rows of `columns` values in panels of `width` columns, the last one narrower where they do not divide.
     pub(super) fn cut(matrix: &'a mut [f32], columns: usize, width: usize) -> impl Iterator<Item = Self> {
         let width = width.max(1);
-        Self::cut_at(matrix, columns, (0..columns).step_by(width).map(move |first| width.min(columns - first)))
+        Self::cut_at(matrix, columns, parts(columns, width).map(|part| part.len()))
     }
 
     /// A matrix in panels of these widths; those beyond the last column are empty.
