@@ -18,9 +18,9 @@ use crate::output::Common;
 pub(crate) struct Args {
     /// Lens file (.toml, .zmx, .seq, .json, .txt), or the name of a shipped lens such as `cooke_triplet`
     lens: Named,
-    /// Object distance before the first surface, mm; `inf` is allowed. It becomes the lens's own
+    /// Object distance before the first surface, mm; `inf` is allowed. It becomes the lens's own [default: the lens's own]
     #[arg(long, allow_negative_numbers = true, value_name = "MM")]
-    depth_mm: f64,
+    depth_mm: Option<f64>,
     /// File to write, by its ending: .toml, .zmx (Zemax OpticStudio), .seq (CODE V)
     #[arg(short, long, value_name = "OUT")]
     output: PathBuf,
@@ -42,17 +42,18 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         return Err(Error::bad(file, "name", "a form that is read only", ".toml, .zmx or .seq").into());
     }
     crate::output::check_writable(&args.output, args.common.force)?;
-    if args.depth_mm.is_nan() || args.depth_mm <= 0.0 {
-        let found = args.depth_mm.to_string();
+    if let Some(depth_mm) = args.depth_mm.filter(|d| d.is_nan() || *d <= 0.0) {
+        let found = depth_mm.to_string();
         return Err(Error::bad("--depth-mm", "value", found, "a positive distance, or inf").into());
     }
     let lens = crate::input::lens(&args.lens)?;
-    let placed = lens.changed(|l| l.object_vergence = args.depth_mm.recip())?;
+    let depth_mm = args.depth_mm.unwrap_or(lens.object_vergence.recip());
+    let placed = lens.changed(|l| l.object_vergence = depth_mm.recip())?;
     let placed = reopened(&args.lens, placed, crate::glasses::all())?;
     // Light that does not come together says nothing of where to stand.
     let image = first_order(&placed, placed.wavelengths.primary_nm).paraxial_image_distance;
     if !(image > 0.0 && image < FARTHEST_MM) {
-        let found = format!("{} mm, of which {} makes no image behind its last surface", args.depth_mm, args.lens);
+        let found = format!("{depth_mm} mm, of which {} makes no image behind its last surface", args.lens);
         return Err(Error::bad("--depth-mm", "value", found, "a distance whose image is real").into());
     }
     let fields = (!args.fields.is_empty()).then(|| args.fields.clone());
@@ -65,7 +66,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let ([before, after], [rms, least]) = ([last(&lens), last(&found.lens)], found.rms_mm.map(|v| 1e3 * v));
     if args.common.json {
         let value = serde_json::json!({
-            "schema": 1, "lens": &*args.lens, "output": output.to_string(), "object_distance_mm": args.depth_mm,
+            "schema": 1, "lens": &*args.lens, "output": output.to_string(), "object_distance_mm": depth_mm,
             "sensor_distance_mm": [before, after], "rms_um": [rms, least], "notes": notes,
         });
         writeln!(out, "{value:#}")?;
@@ -74,6 +75,6 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     notes.iter().for_each(|note| crate::tell!("note: {output}: {note}"));
     let [before, after, rms, least] = [(before, 8), (after, 8), (rms, 4), (least, 4)].map(|(v, n)| significant(v, n));
     writeln!(out, "sensor from last vertex  {before} mm, now {after}")?;
-    writeln!(out, "spots, rms               {rms} µm at {} mm, now {least}", args.depth_mm)?;
+    writeln!(out, "spots, rms               {rms} µm at {} mm, now {least}", depth_mm)?;
     Ok(())
 }

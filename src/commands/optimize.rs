@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+use isoplanat::analysis::curves::over_field;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::interchange::{Form, text_of};
@@ -11,8 +12,9 @@ use isoplanat::lens::{Lens, prescription};
 use isoplanat::optimize::pool::Pool;
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
-use isoplanat::optimize::{Limits, Outcome, Quality, glass, optimize};
+use isoplanat::optimize::{Limits, Outcome, Problem, Quality, Quantity, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
+use isoplanat::report::table::significant;
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
@@ -173,8 +175,56 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.best {
         atomic::write_folder(folder, MARKER, args.common.force, |folder| keep(folder, &found))?;
     }
+    doubts(&problem, &outcome).iter().for_each(|doubt| crate::tell!("warning: {doubt}"));
     let unit = if problem.merit.quality == Quality::Wavefront { "path difference" } else { "spot" };
     if args.common.json { json(&outcome, &found, out) } else { text(args, &outcome, &found, unit, out) }
+}
+
+/// What whoever takes the lens should know: that it is no better, which constraints it breaks, and that its distortion grew where nothing holds it.
+fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
+    let mut all = Vec::new();
+    let broken = |value: f64, [low, high]: [f64; 2]| {
+        let within = 1e-6 * (1.0 + value.abs());
+        value < low - within || value > high + within
+    };
+    let mut broke: Vec<String> = o
+        .held
+        .iter()
+        .filter(|(_, bounds, value)| broken(*value, *bounds))
+        .map(|(quantity, bounds, value)| {
+            let unit = quantity.unit();
+            format!("{} is {} {unit}, held to {}", quantity.name(), significant(*value, 5), allowed(*bounds))
+                .replace("  ", " ")
+        })
+        .collect();
+    broke.truncate(5);
+    if !broke.is_empty() {
+        let standard = "what is held without being asked for is replaced by name, such as `--constraint track=..`";
+        all.push(format!("constraints are broken: {}; {standard}", broke.join("; ")));
+    }
+    let [before, after] = o.rms_mm.map(|v| significant(1e3 * v, 4));
+    if o.rms_mm[1] > o.rms_mm[0] * (1.0 + 1e-9) {
+        all.push(format!("the lens is worse than its start by rms, {before} -> {after} µm: what is held asks for it"));
+    }
+    let free = !problem.constraints.iter().any(|c| matches!(c.quantity, Quantity::Distortion(_)));
+    if let ([Some(before), Some(after)], true) = ([&problem.lens, &o.lens].map(distortion_percent), free)
+        && after.abs() > before.abs() + DISTORTED
+    {
+        let [before, after] = [before, after].map(|v| significant(v, 3));
+        all.push(format!(
+            "distortion at the edge of the field went from {before} % to {after} %: nothing holds it; `--constraint distortion=-0.02..0.02` would"
+        ));
+    }
+    all
+}
+
+/// Per cent by which distortion may grow before it is told.
+const DISTORTED: f64 = 1.0;
+
+/// Distortion where the field ends, per cent.
+fn distortion_percent(lens: &Lens) -> Option<f64> {
+    let rows = over_field(lens, &[lens.wavelengths.primary_nm], &[lens.max_field_deg()]);
+    rows.first().map(|r| r.distortion_percent).filter(|d| d.is_finite())
 }
 
 /// The surfaces whose glass is chosen, all where none is named, and the glasses to choose among. A lens for light that the generic sensor sees is to be
@@ -319,10 +369,14 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
         let unit = t.quantity.unit();
         writeln!(out, "{:32} {value:>14.6}   {:.6} {unit} at {} mm rms a unit", t.quantity.name(), t.value, t.weight)?;
     }
-    writeln!(out, "\n{:32} {:>14}   what it costs", "active", "bound")?;
+    writeln!(out, "\n{:32} {:>14}   what loosening it gains", "active", "bound")?;
     for a in &o.active {
-        let unit = if a.unit.is_empty() { "unit" } else { a.unit };
-        writeln!(out, "{:32} {:>14.6}   {:+.4e} µm rms a {unit}", a.name, a.bound, -a.cost.abs() * 1e3)?;
+        let unit = match a.unit {
+            "" if a.name.ends_with(".thickness") => "mm",
+            "" => "unit",
+            unit => unit,
+        };
+        writeln!(out, "{:32} {:>14.6}   {:.4e} µm rms a {unit}", a.name, a.bound, a.cost.abs() * 1e3)?;
     }
     if !found.is_empty() {
         writeln!(out, "\n{:>4} {:>12} {:>10} {:>14}", "rank", "rms, µm", "track, mm", "last gap, mm")?;

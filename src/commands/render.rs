@@ -52,7 +52,7 @@ pub(crate) struct Args {
     /// Rays a pixel and channel (monte-carlo).
     #[arg(long, default_value_t = 64)]
     samples: usize,
-    /// Take the cheapest settings that hold this PSNR, dB in linear light for a range of 1 (psf-grid).
+    /// Take the cheapest settings that hold this PSNR, dB in linear light for a range of 1 (psf-grid) [default: 50].
     #[arg(long, value_name = "DB")]
     min_psnr_db: Option<f64>,
     /// Leave nothing out and make everything fine (psf-grid); for comparison.
@@ -154,7 +154,10 @@ impl Way {
         let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
-            crate::tell!("warning: the finest settings are predicted to reach {predicted:.1} dB, less than asked for");
+            let asked = args.min_psnr_db.unwrap_or(DEFAULT_DB);
+            crate::tell!(
+                "warning: the finest settings are predicted to reach {predicted:.1} dB, less than the {asked} dB of --min-psnr-db"
+            );
         }
         if planned < count && !args.everything {
             #[expect(clippy::cast_precision_loss, reason = "a share")]

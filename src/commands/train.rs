@@ -25,7 +25,7 @@ pub(crate) struct Args {
     #[arg(short, long, value_name = "OUT_DIR")]
     output: PathBuf,
     /// Go on with the run in that folder.
-    #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "start", "vgg", "adversarial", "depths_mm"])]
+    #[arg(long, conflicts_with_all = ["force", "minutes", "steps", "photos", "start", "vgg", "adversarial", "depths_mm"])]
     resume: bool,
     /// Length in minutes, in place of the task's.
     #[arg(long, conflicts_with = "steps")]
@@ -33,6 +33,9 @@ pub(crate) struct Args {
     /// Length in steps, in place of the task's.
     #[arg(long)]
     steps: Option<u64>,
+    /// Folder of photographs to train on, in place of the task's.
+    #[arg(long)]
+    photos: Option<PathBuf>,
     /// Network to start from: a run's folder or a checkpoint; fewer scales are fine.
     #[arg(long)]
     start: Option<PathBuf>,
@@ -148,6 +151,9 @@ fn task(args: &Args, path: &Path) -> Result<Task> {
     let mut task = if path.is_dir() { Task::of_run(path) } else { Task::load(path) }?;
     if args.minutes.is_some() || args.steps.is_some() {
         (task.train.budget.minutes, task.train.budget.steps) = (args.minutes, args.steps);
+    }
+    if let Some(photos) = &args.photos {
+        task.pictures.photos = Some(photos.clone());
     }
     if let Some(start) = &args.start {
         task.train.start = Some(start.clone());

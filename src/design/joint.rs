@@ -14,11 +14,13 @@ pub(crate) mod constraint;
 pub mod designing;
 #[doc(hidden)]
 pub mod distances;
+#[doc(hidden)]
 pub mod judge;
 #[doc(hidden)]
 pub mod lens_steps;
 #[doc(hidden)]
 pub mod noise;
+#[doc(hidden)]
 pub mod run;
 #[doc(hidden)]
 pub mod scenery;

@@ -12,6 +12,7 @@ pub mod stages;
 pub mod stated;
 #[doc(hidden)]
 pub mod sweep;
+#[doc(hidden)]
 pub mod train;
 
 use std::path::{Path, PathBuf};
@@ -95,6 +96,16 @@ pub struct Task {
     /// The final network for the finished lens (`isoplanat train`).
     #[serde(default)]
     pub train: TrainTask,
+    /// Where it was read.
+    #[serde(skip)]
+    origin: Origin,
+}
+
+/// The file of a task, and whether its words are those of schema 1.
+#[derive(Clone, Debug, Default)]
+struct Origin {
+    file: String,
+    is_flat: bool,
 }
 
 fn first() -> u64 {
@@ -123,6 +134,7 @@ impl Task {
             stages: Vec::new(),
             sweep: SweepTask::default(),
             train: TrainTask::default(),
+            origin: Origin::default(),
         }
     }
 
@@ -147,6 +159,7 @@ impl Task {
         let found = match table.get("schema") {
             Some(toml::Value::Integer(1)) => return flat::parse(table, text, file).map(|task| (task, true)),
             Some(toml::Value::Integer(2)) => {
+                flat::refuse_strays(&table, text, file)?;
                 let task = toml::from_str(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?;
                 return Ok((task, false));
             }
@@ -185,8 +198,16 @@ impl Task {
         if !task.lens.file.is_empty() && (beside.is_file() || MeasuredLens::is_at(&beside)) {
             task.lens.file = beside.display().to_string();
         }
-        task.check(&file).map_err(|e| if is_flat { flat::in_its_words(e) } else { e })?;
+        task.origin = Origin { file, is_flat };
+        task.check(&task.origin.file).map_err(|e| task.in_its_words(e))?;
         Ok(task)
+    }
+
+    /// An error about one of its keys: of the file that it was read from, where it names none, and in the words of that file.
+    pub(super) fn in_its_words(&self, error: Error) -> Error {
+        let Origin { file, is_flat } = &self.origin;
+        let error = if *is_flat { flat::in_its_words(error) } else { error };
+        if file.is_empty() { error } else { error.in_file(file) }
     }
 
     /// What lenses may be off by through which the design's pictures are taken.
@@ -211,12 +232,10 @@ impl Task {
         match (self.budget.steps, self.budget.minutes) {
             (Some(n), _) => Ok(Length::Steps(n as u64)),
             (None, Some(m)) => Ok(Length::Seconds(60.0 * m)),
-            (None, None) => Err(Error::bad(
-                "",
-                "budget.steps, budget.minutes",
-                "neither",
-                "exactly one of steps and minutes for a joint design",
-            )),
+            (None, None) => {
+                let allowed = "exactly one of steps and minutes for a joint design";
+                Err(self.in_its_words(Error::bad("", "budget.steps, budget.minutes", "neither", allowed)))
+            }
         }
     }
 
@@ -307,7 +326,7 @@ impl Task {
                 "nothing beside {}, which was measured: it has its pictures' raster and no surfaces",
                 self.lens.file
             );
-            return Err(Error::bad(MARKER, key, found, allowed));
+            return Err(self.in_its_words(Error::bad("", key, found, allowed)));
         }
         Ok(Subject::Measured(Box::new(MeasuredLens::load(folder)?)))
     }

@@ -234,6 +234,10 @@ impl Training {
             ),
             format!("loss: {}", self.trainer.describe()),
             format!("{pairs}, from {} scenes", self.textures.len()),
+            match self.schedule.total() {
+                Some(steps) => format!("{steps} steps of {} patches", self.task.train.pairs.batch),
+                None => format!("{} minutes", self.task.train.budget.minutes.unwrap_or_default()),
+            },
         ];
         lines.extend(self.trainer.device().map(str::to_owned));
         lines
@@ -491,7 +495,8 @@ impl Parts {
         let largest = frame.rows.min(frame.columns);
         if train.pairs.region_px > largest {
             let found = format!("{} on a sensor of {} x {}", train.pairs.region_px, frame.columns, frame.rows);
-            return Err(Error::bad(MARKER, "train.pairs.region_px", found, format!("at most {largest}")));
+            let error = Error::bad("", "train.pairs.region_px", found, format!("at most {largest}"));
+            return Err(task.in_its_words(error));
         }
         let vergences = match task.network_depths_mm() {
             [] => vec![subject.vergence()],

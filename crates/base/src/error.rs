@@ -151,6 +151,7 @@ impl Error {
     }
 
     /// The error as one of input, as which it goes to another process: what is none becomes the value found at `place`.
+    #[doc(hidden)]
     #[must_use]
     pub fn into_bad_input(self, place: impl Into<Location>, allowed: &str) -> BadInput {
         match self {
@@ -181,18 +182,21 @@ impl Error {
     }
 
     /// The same error of `path`, whatever file it named: a thing that was made of that file has a name of its own.
+    #[doc(hidden)]
     #[must_use]
     pub fn of_file(self, path: impl AsRef<Path>) -> Self {
         self.changed(|bad| bad.file = path.as_ref().display().to_string())
     }
 
     /// The same error without its file, for a sentence that has named it.
+    #[doc(hidden)]
     #[must_use]
     pub fn without_file(self) -> Self {
         self.changed(|bad| bad.file.clear())
     }
 
     /// The same error with its files named as `named` does, which is told each.
+    #[doc(hidden)]
     #[must_use]
     pub fn with_files(self, named: impl Fn(PathBuf) -> PathBuf) -> Self {
         match self {
@@ -215,12 +219,14 @@ impl Error {
     }
 
     /// The same error at the place that `named` makes of its own.
+    #[doc(hidden)]
     #[must_use]
     pub fn with_place(self, named: impl FnOnce(Location) -> Location) -> Self {
         self.changed(|bad| bad.place = named(std::mem::take(&mut bad.place)))
     }
 
     /// The same error with another way out before those that it names.
+    #[doc(hidden)]
     #[must_use]
     pub fn or_else_allowed(self, way: &str) -> Self {
         self.changed(|bad| bad.allowed = format!("{way}; or {}", bad.allowed))

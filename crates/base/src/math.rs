@@ -6,6 +6,7 @@ pub mod fft;
 pub mod least_squares;
 pub mod memory;
 pub mod npz;
+#[doc(hidden)]
 pub mod raster;
 pub mod real;
 #[doc(hidden)]

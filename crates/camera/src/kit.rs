@@ -299,6 +299,7 @@ impl Kit {
     }
 
     /// The model's file, as errors name it.
+    #[doc(hidden)]
     pub fn model_path(&self) -> PathBuf {
         self.folder.join(&self.model.file)
     }

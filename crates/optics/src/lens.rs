@@ -216,6 +216,7 @@ impl Lens {
     }
 
     /// Refuses a lens that lacks rotational symmetry, for work that counts on it.
+    #[doc(hidden)]
     pub fn require_symmetry(&self, work: &str) -> Result<()> {
         if self.is_symmetric() {
             return Ok(());

@@ -62,6 +62,7 @@ pub struct Status<'a> {
 }
 
 /// What a task asks for, made ready: the first lens, and what moves and is held.
+#[doc(hidden)]
 #[derive(Clone, Debug)]
 pub struct Prepared {
     /// The lens as the task names it, its sensor moved where the task asks for that.
@@ -111,6 +112,7 @@ pub fn prepare(task: &Task, lens: &Lens, file: &str, tell: &mut dyn FnMut(f64, f
 ///
 /// # Errors
 /// As [`prepare`].
+#[doc(hidden)]
 pub fn prepare_after(task: &Task, start: &Lens, found: &Lens, file: &str) -> Result<Prepared> {
     let (sensor, frame) = (task.sensor()?, frame_of(start)?);
     let (start, found) = (task.with_terms(start)?, task.with_terms(found)?);
@@ -246,6 +248,7 @@ impl Designing {
     ///
     /// # Errors
     /// As [`Designing::create`].
+    #[doc(hidden)]
     pub fn create_within(
         task: Task,
         prepared: &Prepared,
@@ -359,21 +362,25 @@ impl Designing {
     }
 
     /// How the network's device was found to compute, in words; nothing of the CPU.
+    #[doc(hidden)]
     pub fn device(&self) -> Option<&str> {
         self.device.as_deref()
     }
 
     /// Lens and network as they are.
+    #[doc(hidden)]
     pub fn stage(&self) -> &Stage {
         &self.stage
     }
 
     /// The last judgement.
+    #[doc(hidden)]
     pub fn judged(&self) -> Option<&Entry> {
         self.judged.as_ref()
     }
 
     /// What the finished network is worth on pictures that it does not train on, or why that could not be said; nothing before the end, or of a design without one.
+    #[doc(hidden)]
     pub fn verdicts(&self) -> Option<&std::result::Result<Vec<Verdict>, String>> {
         self.verdicts.as_ref()
     }

@@ -84,7 +84,10 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         let mut known: Vec<&str> = KEYS.iter().filter_map(|(old, _)| old.strip_prefix(below)).collect();
         known.retain(|key| !key.contains('.'));
         known.extend(if below.is_empty() { &["schema", "stages", "train"][..] } else { &[] });
-        known.sort_unstable();
+        let name = unknown.rsplit('.').next().unwrap_or_default();
+        let alike = |key: &str| key.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
+        // The list is cut where it is long: those that begin alike come first.
+        known.sort_by_key(|key| (std::cmp::Reverse(alike(key)), *key));
         let found = format!(
             "unknown field `{}`, expected one of `{}`",
             unknown.rsplit('.').next().unwrap_or_default(),
@@ -98,6 +101,29 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         let found = e.inner().message().trim().replace('\n', " ");
         Error::bad(file, place(text, &key), found, ALLOWED)
     })
+}
+
+/// Refuses keys of schema 1 in a table of today, and names those that took their places.
+///
+/// # Errors
+/// The first of them, by its line.
+pub(super) fn refuse_strays(table: &Table, text: &str, file: &str) -> Result<()> {
+    let stated = |key: &str| {
+        key.split('.').try_fold(None, |at: Option<&Value>, part| {
+            at.map_or_else(|| table.get(part), |value| value.get(part)).map(Some)
+        })
+    };
+    for (old, today) in KEYS.iter().filter(|(old, today)| old != today) {
+        // Tables of today have names that were keys.
+        let group = KEYS.iter().any(|(_, today)| today.starts_with(&format!("{old}.")));
+        if let Some(Some(value)) = stated(old)
+            && !(group && value.is_table())
+        {
+            let allowed = format!("`{today}`: since schema 2 a task has tables (models/README.md)");
+            return Err(Error::bad(file, place(text, old), format!("`{value}`, a key of schema 1"), allowed));
+        }
+    }
+    Ok(())
 }
 
 /// An error about keys of today in the words of a file of schema 1.
@@ -403,6 +429,27 @@ mod tests {
         ] {
             assert_eq!(check(more), message);
         }
+    }
+
+    /// Whoever writes the keys of before in a file of today is told where they went.
+    #[test]
+    fn keys_of_before_are_told_of() {
+        for (text, message) in [
+            ("schema = 2\nlens = \"heliar\"", "a.toml: line 2: lens: `\"heliar\"`, a key of schema 1; `lens.file`"),
+            (
+                "schema = 2\nlens.file = \"heliar\"\nsteps = 3",
+                "a.toml: line 3: steps: `3`, a key of schema 1; `budget.steps`",
+            ),
+            (
+                "schema = 2\n[train]\nloss = \"l1\"",
+                "a.toml: line 3: train.loss: `\"l1\"`, a key of schema 1; `train.loss.content`",
+            ),
+        ] {
+            let error = Task::parse(text, "a.toml").expect_err(text).to_string();
+            assert!(error.starts_with(message), "{error}");
+        }
+        let error = Task::parse("schema = 1\nlens = \"a\"\nstep = 3", "a.toml").expect_err("no key").to_string();
+        assert!(error.contains("expected one of `steps`"), "{error}");
     }
 
     #[test]

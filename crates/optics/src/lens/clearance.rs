@@ -2,6 +2,7 @@
 
 use super::{Aperture, Medium, Prescription, Surface, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
+use isoplanat_base::figures::significant;
 
 /// Gaps are held to this, mm: elements may touch.
 const TOUCHING_MM: f64 = 1e-9;
@@ -176,9 +177,17 @@ pub(super) fn open_stop(lens: &mut Prescription) {
 /// Makes the stop as small as its surface's own clear aperture where `aperture` asks for more; the line that says so.
 pub(crate) fn limit_stop(lens: &mut Prescription) -> Option<String> {
     let [own, asked] = asked_for_more(lens)?;
+    let f_number = |lens: &Prescription| paraxial::first_order(lens, lens.wavelengths.primary_nm).f_number.abs();
+    let before = f_number(lens);
     lens.aperture = Aperture::StopSemiDiameter(own);
-    let stop = lens.stop;
+    let (stop, after) = (lens.stop, f_number(lens));
+    let known = before.is_finite() && after.is_finite();
+    let so = if known {
+        format!(", f/{} in place of f/{}", significant(after, 4), significant(before, 4))
+    } else {
+        String::new()
+    };
     Some(format!(
-        "surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts"
+        "surface[{stop}].semi_diameter_mm: {own}; `aperture` asks for a stop of {asked:.6} mm: the smaller counts{so}"
     ))
 }

@@ -15,6 +15,7 @@
 //! [`crate::lens::Prescription::require_indices`] first. Not covered: absorption, temperature, pressure.
 
 use super::dispersion::Dispersion;
+use isoplanat_base::figures::significant;
 use isoplanat_base::units::um_from_nm;
 
 /// Wavelengths of a table are within, nm.
@@ -167,7 +168,7 @@ impl std::fmt::Display for Medium {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Air => f.write_str("air"),
-            Self::Cauchy { n_d, v_d } => write!(f, "n_d {n_d}, v_d {v_d}"),
+            Self::Cauchy { n_d, v_d } => write!(f, "n_d {}, v_d {}", significant(*n_d, 7), significant(*v_d, 6)),
             Self::Glass { name, .. } => f.write_str(name),
             Self::Table { index, .. } => write!(f, "table of {}", index.len()),
         }

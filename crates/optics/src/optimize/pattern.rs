@@ -6,13 +6,19 @@ use crate::lens::{Kind, Lens, Parameter};
 use isoplanat_base::error::{Error, Result};
 
 /// The numbers of `lens` that `pattern` names, in the order of listings: the names of `isoplanat trace`'s derivatives, where `*` in
-/// brackets stands for any number and `*` elsewhere for any letters; `a..b` in brackets for `a` to `b − 1`. Asphere terms that the lens
+/// brackets stands for any number and `*` elsewhere for any letters; `a..b` in brackets for `a` to `b − 1`. Such a pattern means forms of refracting
+/// surfaces: a stop in air bends no ray, and its form is meant by its own name alone. Asphere terms that the lens
 /// has not stated yet are none of its numbers: state them as 0. `file` names where the pattern comes from.
 ///
 /// # Errors
 /// A pattern that names nothing, or numbers that no variable may be.
 pub(crate) fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
-    let found: Vec<Parameter> = Parameter::all(lens).filter(|p| matches(pattern, &p.name(lens))).collect();
+    let n = lens.indices(lens.wavelengths.primary_nm);
+    let several = pattern.contains('*') || pattern.contains("..");
+    let meant = |p: &Parameter| !several || !p.kind.is_shape() || n[p.of] != n[p.of + 1];
+    let named: Vec<Parameter> = Parameter::all(lens).filter(|p| matches(pattern, &p.name(lens))).collect();
+    let refracting: Vec<Parameter> = named.iter().copied().filter(meant).collect();
+    let found = if refracting.is_empty() { named } else { refracting };
     if found.is_empty() {
         let mut names: Vec<String> = Parameter::all(lens).filter(|p| movable(p.kind)).map(|p| p.name(lens)).collect();
         names.dedup();
@@ -94,7 +100,11 @@ mod tests {
             let found = parameters(&lens, p, "--vary").map(|all| all.iter().map(|p| p.name(&lens)).collect::<Vec<_>>());
             found.map_err(|e| e.to_string())
         };
-        assert_eq!(named("surface[*].curvature").expect("found").len(), 7);
+        // The stop in air is meant by its own name alone.
+        let stop = format!("surface[{}].curvature", lens.stop);
+        let curved = named("surface[*].curvature").expect("found");
+        assert!(curved.len() == 6 && !curved.contains(&stop), "{curved:?}");
+        assert_eq!(named(&stop).expect("found"), [stop]);
         assert_eq!(named("surface[1..4].curvature").expect("found").len(), 3);
         assert_eq!(named("surface[5..].thickness").expect("found").len(), 2);
         assert_eq!(named("surface[*].a*").expect("found"), named("surface[*].a*").expect("found"));
