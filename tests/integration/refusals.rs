@@ -1,7 +1,5 @@
 //! Every reader of both programs with bad files of each kind: one line that begins with the file's name, says where, what was found and what is allowed.
 
-use std::process::Command;
-
 use crate::support::{Workplace, root};
 
 /// What no reader takes: nothing, words, an end in the middle, bytes that are no text.
@@ -45,7 +43,7 @@ fn refuses(place: &Workplace, arguments: &str, file: &str, what: &str) {
 /// `isoplanat-camera arguments`, which reads the bad `file`.
 #[cfg(feature = "deploy")]
 fn camera_refuses(place: &Workplace, arguments: &str, file: &str, what: &str) {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_isoplanat-camera"));
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_isoplanat-camera"));
     let output = command.args(arguments.split_whitespace()).current_dir(place.path("")).output().expect("runs");
     let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
     let what = format!("isoplanat-camera {arguments} ({what})");

@@ -144,7 +144,7 @@ pub fn reached(folder: &Path) -> Reached {
     Reached { begun, own: folder.join(NETWORK).is_file() }
 }
 
-/// Makes the folder of a design in stages, before the first of them: its task and its lens. Its own design comes into the same folder ([`super::designing::Designing::create_within`]).
+/// Makes the folder of a design in stages, before the first of them: its task and its lens. Its own design comes into the same folder ([`crate::design::joint::designing::Designing::create_within`]).
 ///
 /// # Errors
 /// As [`check`]; what the disk says.
