@@ -93,7 +93,7 @@ mod tests {
         let rows = [("a, b", 0.125), ("c", 2.5)];
         let shown = table(&columns, &rows);
         assert_eq!(shown.heading, ["", "name", "error", "so"]);
-        assert_eq!(shown.rows, [["", "a, b", "0.13", "12 %"], ["*", "c", "2.5", "250 %"]]);
+        assert_eq!(shown.rows, [["", "a, b", "0.12", "12 %"], ["*", "c", "2.5", "250 %"]]);
         assert_eq!(
             csv(&columns, &rows),
             "name,relative_error,so_percent,twice\n\"a, b\",0.125,12.5,0.25\nc,2.5,250,5\n"
