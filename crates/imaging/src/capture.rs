@@ -89,7 +89,7 @@ pub fn expose(signal: ArrayView2<'_, f32>, sensor: &Sensor, seed: Option<u64>) -
 ///
 /// let (lens, sensor, frame) = (builtin::lens("cooke_triplet")?, Sensor::generic(), Frame::centred(8, 6, 0.05)?);
 /// let grey = fill_frame(&lens, &frame, Array3::from_elem((3, 2, 2), 0.5))?;
-/// let settings = CaptureSettings { samples: 16, seed: 1, exposure: 1.0, noise: false, glare: 0.0 };
+/// let settings = CaptureSettings { samples: 16, noise: false, ..CaptureSettings::default() };
 /// let taken = capture(&lens, &grey, &sensor, &frame, settings, None)?;
 /// // Half of white is half way from black to saturation in green.
 /// let green = f64::from(taken.dn[[2, 3]]);

@@ -250,11 +250,11 @@ impl Glasses {
     /// The glass `name`, or `catalogue/name`, which is named as `naming` says; the glass that is taken in its place where somebody said so.
     ///
     /// ```
-    /// use isoplanat_optics::lens::catalogue::Glasses;
+    /// use isoplanat_optics::lens::catalogue::{Glasses, Naming};
     ///
-    /// let flint = Glasses::shipped().find("N-F2", &[])?;
+    /// let flint = Glasses::shipped().find("N-F2", Naming::Exact)?;
     /// assert!((flint.index(587.5618) - 1.62005).abs() < 1e-5);
-    /// assert!(Glasses::shipped().find("N-NONE", &[]).is_err());
+    /// assert!(Glasses::shipped().find("N-NONE", Naming::Exact).is_err());
     /// # Ok::<(), isoplanat_base::error::Error>(())
     /// ```
     ///

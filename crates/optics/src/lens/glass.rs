@@ -98,9 +98,9 @@ impl Medium {
     /// Index at `nm`. Outside [`Self::range_nm`] the formula is continued and means nothing.
     ///
     /// ```
-    /// use isoplanat_optics::lens::Medium;
+    /// use isoplanat_optics::lens::catalogue::{Glasses, Naming};
     ///
-    /// let glass = Medium::named("N-BK7")?;
+    /// let glass = Glasses::shipped().find("N-BK7", Naming::Exact)?;
     /// assert!((glass.index(587.5618) - 1.5168).abs() < 1e-5);
     /// # Ok::<(), isoplanat_base::error::Error>(())
     /// ```
