@@ -27,7 +27,7 @@ use crate::output;
 use crate::output::Common;
 use crate::peak::measured;
 use crate::progress::Bar;
-use crate::scene::{Placed, SMALLER, SceneArgs};
+use crate::scene::{Placed, SMALLER, SceneArgs, texels};
 
 /// Error against run time of every way to make the picture.
 #[derive(Debug, clap::Args)]
@@ -114,7 +114,7 @@ struct Reference {
 }
 
 /// What is pictured, and what a picture of it takes of memory at least.
-struct Subject<'a> {
+struct Pictured<'a> {
     lens: &'a Lens,
     frame: &'a Frame,
     plane: &'a Plane,
@@ -137,12 +137,12 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let Placed { lens, frame, plane } = args.place.place_within(&args.lens, &args.scene, LARGE)?;
     crate::input::in_band(&lens, &density, &args.lens)?;
     // Two halves and a picture of every way.
-    let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene(texels(&plane)));
+    let least = estimate::rays(&frame).saturating_mul(2).saturating_add(estimate::scene(texels(&plane.texture)));
     let what = format!("a comparison over {} × {} pixels", frame.columns, frame.rows);
     memory::limit().allow(&what, least, SMALLER)?;
-    let subject = Subject { lens: &lens, frame: &frame, plane: &plane, density: &density, least };
-    let reference = subject.reference(args.reference_samples)?;
-    let rows = subject.rows(&reference)?;
+    let pictured = Pictured { lens: &lens, frame: &frame, plane: &plane, density: &density, least };
+    let reference = pictured.reference(args.reference_samples)?;
+    let rows = pictured.rows(&reference)?;
     let [first, second] = &reference.halves;
     let half = first.mean.iter().zip(&second.mean).map(|(a, b)| 0.5 * f64::from((a - b).abs()));
     let accuracy = Accuracy {
@@ -166,17 +166,11 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     tell(files, args.common.force, text, out)
 }
 
-/// Rows and columns of a scene's texture.
-fn texels(plane: &Plane) -> [usize; 2] {
-    let (_, rows, columns) = plane.texture.dim();
-    [rows, columns]
-}
-
 fn rays(samples: usize, sampling: Sampling, seed: u64) -> Rays {
     Rays { samples, seed, channels: Channels::All, sampling }
 }
 
-impl Subject<'_> {
+impl Pictured<'_> {
     fn reference(&self, samples: usize) -> Result<Reference> {
         let bar = Bar::new("reference");
         let clock = Instant::now();
@@ -231,7 +225,7 @@ impl Subject<'_> {
     fn made(&self, ladder: &str, words: &str, way: &Way, most: &Cell<u64>) -> Result<Made> {
         let planned = |request: Request, copies: u64| -> Result<_> {
             let plan = plan(self.lens, std::slice::from_ref(self.plane), self.frame, self.density, request, false)?;
-            let bytes = self.least.saturating_add(plan.bytes(texels(self.plane)).saturating_mul(copies));
+            let bytes = self.least.saturating_add(plan.bytes(texels(&self.plane.texture)).saturating_mul(copies));
             memory::limit().allow(&format!("{ladder}: {words}"), bytes, SMALLER)?;
             most.set(most.get().max(bytes));
             Ok(plan)

@@ -9,7 +9,6 @@ use isoplanat::imaging::develop::glare;
 use isoplanat::imaging::dng::{DngInfo, write_dng};
 use isoplanat::imaging::render::memory as estimate;
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 
 use crate::input;
@@ -17,7 +16,7 @@ use crate::named::Named;
 use crate::output;
 use crate::output::Common;
 use crate::progress::Bar;
-use crate::scene::{Placed, SMALLER, SceneArgs};
+use crate::scene::{Placed, SMALLER, SceneArgs, texels};
 
 /// A RAW capture of a scene, by rays from the sensor.
 #[derive(Debug, clap::Args)]
@@ -38,10 +37,8 @@ pub(crate) struct Args {
     /// Share of the light that the lens spreads over the whole frame as veiling glare.
     #[arg(long, default_value_t = 0.0)]
     glare: f64,
-    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
-    /// wavelength of each channel.
-    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
-    illuminant: Illuminant,
+    #[command(flatten)]
+    light: crate::input::Light,
     /// Sensor calibration; the generic sensor where left out.
     #[arg(long)]
     calibration: Option<PathBuf>,
@@ -60,9 +57,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     glare::check(args.glare).map_err(|e| e.at("value").of_file("--glare"))?;
     let Placed { lens, frame, plane } = args.place.place(&args.lens, &args.scene)?;
     let sensor = args.calibration.as_deref().map_or_else(|| Ok(Sensor::generic()), Sensor::load)?;
-    input::in_band(&lens, &SpectralDensity::under(&sensor, args.illuminant)?, &args.lens)?;
-    let (_, rows, cols) = plane.texture.dim();
-    let bytes = estimate::rays(&frame).saturating_add(estimate::scene([rows, cols]));
+    input::in_band(&lens, &SpectralDensity::under(&sensor, args.light.illuminant)?, &args.lens)?;
+    let bytes = estimate::rays(&frame).saturating_add(estimate::scene(texels(&plane.texture)));
     let what = format!("a capture of {} × {} pixels", frame.columns, frame.rows);
     crate::memory::limit().allow(&what, bytes, SMALLER)?;
     let bar = Bar::new("capture");
@@ -72,7 +68,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         exposure: args.exposure,
         noise: true,
         glare: args.glare,
-        light: args.illuminant,
+        light: args.light.illuminant,
     };
     let taken = capture(&lens, &plane, &sensor, &frame, how, Some(&|share| bar.set(share, String::new())))?;
     bar.done(String::new());

@@ -116,7 +116,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let density = SpectralDensity::new(&sensor);
     let mut report = DemoReport { title: "Isoplanat: a lens and its network".into(), ..DemoReport::default() };
 
-    let textures = report.staged("Training scenes", |_| {
+    let textures = timed(&mut report, "Training scenes", |_| {
         let bar = Bar::new("training scenes");
         let textures = task.textures()?;
         bar.done(format!("{} scenes", textures.len()));
@@ -124,10 +124,10 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     })?;
     let scenery = Scenery { textures: &textures, sensor: &sensor, frame: frame.clone(), seed: task.seed };
     let designed =
-        report.staged("Joint design of lens and network", |report| designed(task, &start, &scenery, report))?;
+        timed(&mut report, "Joint design of lens and network", |report| designed(task, &start, &scenery, report))?;
     let lens = designed.joint.lens.changed(|l| l.name = format!("{}, designed", start.name))?;
     let networks = finished(task, [&start, &lens], designed.joint.network, &textures, folder, &mut report)?;
-    let (renderer, kit) = report.staged("Kit: ONNX model and calibration", |_| {
+    let (renderer, kit) = timed(&mut report, "Kit: ONNX model and calibration", |_| {
         let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], settings.fine)?;
         let kit = kit::build(
             "isoplanat demo",
@@ -144,7 +144,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         Ok((renderer, kit))
     })?;
     // Captures of unseen scenes by the reference renderer, and what the camera makes of them.
-    report.staged("Captures, Wiener filter, camera", |report| {
+    timed(&mut report, "Captures, Wiener filter, camera", |report| {
         let options = Options { onnxruntime: args.onnxruntime.clone(), ..Options::default() };
         for unseen in settings.unseen() {
             let runtime = &mut report.runtime;
@@ -156,7 +156,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
         }
         Ok(())
     })?;
-    report.staged("Fast renderer against the reference", |report| {
+    timed(&mut report, "Fast renderer against the reference", |report| {
         capture::compare(&settings, &lens, &renderer, &density, report)
     })?;
 
@@ -178,6 +178,14 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
 const SUMMARY: &str = "A coarse two-element lens and a small network are designed together; the network, and a guided one, which sees the capture through its lens's own filters, too, are then \
                       trained for the finished lens; the second is exported to ONNX and used on RAW captures of scenes that neither has seen, \
                       rendered by an independent ray tracer from the sensor.";
+
+/// Does a part of the run, and notes in the report how long it took.
+fn timed<T>(report: &mut DemoReport, what: &str, work: impl FnOnce(&mut DemoReport) -> Result<T>) -> Result<T> {
+    let clock = Instant::now();
+    let done = work(report)?;
+    report.stages.push((what.to_owned(), clock.elapsed().as_secs_f64()));
+    Ok(done)
+}
 
 /// Lens and network together, and the settings that the design chose, from which step on.
 struct Designed {
@@ -216,8 +224,8 @@ fn finished(
 ) -> Result<Networks> {
     let seen = network.config().clone().seeing(task.train.network.inputs);
     let guided = network.deepened(&seen, task.seed, Compute::Cpu)?;
-    let mut finished = |name: &str, inputs: Inputs, network: Reconstructor| {
-        report.staged(&format!("Final training: {name}"), |report| {
+    let mut train = |name: &str, inputs: Inputs, network: Reconstructor| {
+        timed(report, &format!("Final training: {name}"), |report| {
             let mut task = task.clone();
             task.train.network.inputs = inputs;
             let run = folder.join(if inputs.is_bare() { "run-bare" } else { "run" });
@@ -228,8 +236,8 @@ fn finished(
             Ok(training)
         })
     };
-    let bare = finished("network of the capture alone", Inputs::BARE, network)?;
-    let guided = finished("guided network", task.train.network.inputs, guided)?;
+    let bare = train("network of the capture alone", Inputs::BARE, network)?;
+    let guided = train("guided network", task.train.network.inputs, guided)?;
     Ok(Networks { bare, guided })
 }
 

@@ -251,8 +251,8 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
             let sensor = designing.task().sensor()?;
             let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
-            let options = (&joint.network, &joint.guide);
-            Some(validate(&scenery, &joint.lens, options, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
+            let guided = (&joint.network, &joint.guide);
+            Some(validate(&scenery, &joint.lens, guided, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
         }
         None => None,
     };

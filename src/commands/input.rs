@@ -8,6 +8,7 @@ use isoplanat::calibrate::lens::MeasuredLens;
 use isoplanat::design::opened::Run;
 #[cfg(feature = "train")]
 use isoplanat::design::subject::Subject;
+use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
 use isoplanat::lens::paraxial::{field_origin, first_order};
@@ -32,6 +33,15 @@ pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
     }
     doubts(&lens, &path.display().to_string());
     Ok(lens)
+}
+
+/// The light that a scene stands in.
+#[derive(Clone, Copy, Debug, clap::Args)]
+pub(crate) struct Light {
+    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
+    /// wavelength of each channel.
+    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
+    pub(crate) illuminant: Illuminant,
 }
 
 /// An f-number for one run, in place of the lens's.

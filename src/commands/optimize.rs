@@ -183,24 +183,14 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// What whoever takes the lens should know: that it is no better, which constraints it breaks, and that its distortion grew where nothing holds it.
 fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
     let mut all = Vec::new();
-    let broken = |value: f64, [low, high]: [f64; 2]| {
-        let within = 1e-6 * (1.0 + value.abs());
-        value < low - within || value > high + within
+    let said = |(quantity, bounds, value): &(Quantity, [f64; 2], f64)| {
+        let value = [significant(*value, 5), quantity.unit().to_owned()].join(" ");
+        format!("{} is {} (allowed: {})", quantity.name(), value.trim_end(), allowed(*bounds))
     };
-    let mut broke: Vec<String> = o
-        .held
-        .iter()
-        .filter(|(_, bounds, value)| broken(*value, *bounds))
-        .map(|(quantity, bounds, value)| {
-            let unit = quantity.unit();
-            format!("{} is {} {unit}, held to {}", quantity.name(), significant(*value, 5), allowed(*bounds))
-                .replace("  ", " ")
-        })
-        .collect();
-    broke.truncate(5);
-    if !broke.is_empty() {
+    let broken: Vec<String> = o.broken().take(MOST_BROKEN).map(said).collect();
+    if !broken.is_empty() {
         let standard = "what is held without being asked for is replaced by name, such as `--constraint track=..`";
-        all.push(format!("constraints are broken: {}; {standard}", broke.join("; ")));
+        all.push(format!("constraints are broken: {}; {standard}", broken.join("; ")));
     }
     let [before, after] = o.rms_mm.map(|v| significant(1e3 * v, 4));
     if o.rms_mm[1] > o.rms_mm[0] * (1.0 + 1e-9) {
@@ -218,6 +208,8 @@ fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
     all
 }
 
+/// Broken constraints that are told.
+const MOST_BROKEN: usize = 5;
 /// Per cent by which distortion may grow before it is told.
 const DISTORTED: f64 = 1.0;
 

@@ -6,13 +6,12 @@ use std::time::Instant;
 
 use isoplanat::atomic::Target;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
-use isoplanat::imaging::plane::{Plane, Region};
+use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::sensor::Sensor;
-use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
@@ -23,7 +22,7 @@ use crate::named::Named;
 use crate::output;
 use crate::output::Common;
 use crate::progress::Bar;
-use crate::scene::{SMALLER, SceneArgs, Stage};
+use crate::scene::{SMALLER, SceneArgs, Stage, texels};
 
 /// How to render.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
@@ -61,10 +60,8 @@ pub(crate) struct Args {
     /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
     #[arg(long)]
     explain: bool,
-    /// Light on the scene: E (equal energy), A, D50, D55, D65, D75, daylight:KELVIN, black-body:KELVIN. White stays white: it moves the mean
-    /// wavelength of each channel.
-    #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
-    illuminant: Illuminant,
+    #[command(flatten)]
+    light: crate::input::Light,
     #[command(flatten)]
     place: SceneArgs,
     /// Seed of the rays.
@@ -166,8 +163,8 @@ impl Way {
                 format!("{planned} of {count}, evenly over the list, were looked at; the others count as like them");
             plan.skips.push(Skip { what: "scenes of the plan", reason, remaining, bound: f64::NAN });
         }
-        let largest = scenes.iter().map(|s| plan.bytes(texels(s))).max().unwrap_or(0);
-        let others: u64 = scenes.iter().skip(1).map(|s| estimate::scene(texels(s)) / 2).sum();
+        let largest = scenes.iter().map(|s| plan.bytes(texels(&s.texture))).max().unwrap_or(0);
+        let others: u64 = scenes.iter().skip(1).map(|s| estimate::scene(texels(&s.texture)) / 2).sum();
         memory::limit().allow(&what, largest.saturating_add(others), SMALLER)?;
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }
@@ -176,7 +173,7 @@ impl Way {
         let plane = stage.plane(scene)?;
         match self {
             Self::Grid(plan, planning) => {
-                let bytes = plan.bytes(texels(&plane));
+                let bytes = plan.bytes(texels(&plane.texture));
                 memory::limit().allow(scene, bytes, SMALLER)?;
                 let (image, seen) = plan.picture::<f32>(&plane, progress)?;
                 let mut figures = figures(plan);
@@ -194,12 +191,6 @@ impl Way {
             }
         }
     }
-}
-
-/// Rows and columns of a scene.
-fn texels(scene: &Plane) -> [usize; 2] {
-    let (_, rows, cols) = scene.texture.dim();
-    [rows, cols]
 }
 
 /// Scenes that a plan is made with, at most: all of them stay in memory while it is made.
@@ -225,7 +216,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
-    let density = SpectralDensity::under(&Sensor::generic(), args.illuminant)?;
+    let density = SpectralDensity::under(&Sensor::generic(), args.light.illuminant)?;
     crate::input::in_band(&stage.lens, &density, &args.lens)?;
     let least = match args.method {
         Method::PsfGrid => estimate::planes(&stage.frame),

@@ -10,6 +10,7 @@ use isoplanat::imaging::scene::placement::{Placement, Scale, slope_per_mm};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::lens::{Lens, Prescription, SensorRaster};
 use isoplanat::{Error, Result};
+use ndarray::Array3;
 
 use crate::input;
 use crate::named::Named;
@@ -69,6 +70,12 @@ const MOST_TEXELS: f64 = 1000.0;
 
 /// What takes less memory.
 pub(crate) const SMALLER: &str = "a smaller frame (--columns, --rows, --crop), larger pixels or a smaller scene";
+
+/// Rows and columns of a scene's picture.
+pub(crate) fn texels(texture: &Array3<f32>) -> [usize; 2] {
+    let (_, rows, columns) = texture.dim();
+    [rows, columns]
+}
 
 /// Texels of a built-in scene along an axis of `n` pixels.
 #[expect(
@@ -220,8 +227,7 @@ impl Stage {
             let zoom = self.texels_per_pixel.unwrap_or(1.0);
             (generate(kind, seed, size(frame.rows, zoom), size(frame.columns, zoom)), Some(zoom))
         };
-        let (_, rows, cols) = texture.dim();
-        let fill = Placement::filling([rows, cols], frame);
+        let fill = Placement::filling(texels(&texture), frame);
         let placement = zoom.map_or(fill, |texels| Placement { scale: Scale::OnAxis(texels), ..fill });
         placement.before(&self.lens, frame, texture)
     }

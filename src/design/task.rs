@@ -118,6 +118,18 @@ fn is_default(spec: &Spec) -> bool {
     *spec == Spec::default()
 }
 
+/// Puts a value under its dotted key.
+fn put(table: &mut toml::Table, key: &str, value: toml::Value) {
+    match key.split_once('.') {
+        None => drop(table.insert(key.to_owned(), value)),
+        Some((group, rest)) => {
+            if let toml::Value::Table(inner) = table.entry(group).or_insert_with(|| toml::Table::new().into()) {
+                put(inner, rest, value);
+            }
+        }
+    }
+}
+
 impl Task {
     /// A task for a lens file or a shipped lens, with every other key left out.
     pub fn new(lens: impl Into<String>) -> Self {
@@ -146,27 +158,29 @@ impl Task {
     }
 
     /// A task from the text of a file of any schema that this program reads; paths stay as they are stated, values are not checked. `file` is named in errors.
-    ///
-    /// # Errors
-    /// A text that is no TOML, keys that are none, values of another kind, by their line.
-    pub fn parse(text: &str, file: &str) -> Result<Self> {
-        Self::parsed(text, file).map(|(task, _)| task)
-    }
-
-    /// The task, and whether its file is one of schema 1.
-    fn parsed(text: &str, file: &str) -> Result<(Self, bool)> {
+    fn parse(text: &str, file: &str) -> Result<Self> {
         let table: toml::Table = toml::from_str(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?;
-        let found = match table.get("schema") {
-            Some(toml::Value::Integer(1)) => return flat::parse(table, text, file).map(|task| (task, true)),
+        let (mut task, is_flat) = match table.get("schema") {
+            Some(toml::Value::Integer(1)) => (flat::parse(table, text, file)?, true),
             Some(toml::Value::Integer(2)) => {
                 flat::refuse_strays(&table, text, file)?;
-                let task = toml::from_str(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?;
-                return Ok((task, false));
+                (toml::from_str::<Self>(text).map_err(|e| Error::toml(file, text, &e, ALLOWED))?, false)
             }
-            Some(other) => other.to_string(),
-            None => "none".to_owned(),
+            other => {
+                let found = other.map_or_else(|| "none".to_owned(), ToString::to_string);
+                return Err(Error::bad(file, "schema", found, "1 or 2"));
+            }
         };
-        Err(Error::bad(file, "schema", found, "1 or 2"))
+        task.origin = Origin { file: file.to_owned(), is_flat };
+        Ok(task)
+    }
+
+    /// A task of tables that hold it; else the key whose value is none, and why.
+    fn of_tables(table: toml::Table) -> Result<Self, (String, String)> {
+        let refused = |e: serde_path_to_error::Error<toml::de::Error>| {
+            (e.path().to_string(), e.inner().message().trim().to_owned())
+        };
+        serde_path_to_error::deserialize(toml::Value::Table(table)).map_err(refused)
     }
 
     /// Reads and checks a task file, or a shipped task by its name; paths in a file are relative to it.
@@ -185,7 +199,7 @@ impl Task {
             None => atomic::read_text(path, LARGEST)?,
         };
         let file = path.display().to_string();
-        let (mut task, is_flat) = Self::parsed(&text, &file)?;
+        let mut task = Self::parse(&text, &file)?;
         let folder = path.parent().unwrap_or(Path::new("."));
         for p in [&mut task.pictures.photos, &mut task.frame.calibration].into_iter().flatten() {
             *p = folder.join(&*p);
@@ -198,8 +212,7 @@ impl Task {
         if !task.lens.file.is_empty() && (beside.is_file() || MeasuredLens::is_at(&beside)) {
             task.lens.file = beside.display().to_string();
         }
-        task.origin = Origin { file, is_flat };
-        task.check(&task.origin.file).map_err(|e| task.in_its_words(e))?;
+        task.check(&file).map_err(|e| task.in_its_words(e))?;
         Ok(task)
     }
 

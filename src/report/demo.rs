@@ -4,8 +4,6 @@
 //! [`DemoReport::summary_json`] show it.
 
 use ndarray::{Array3, s};
-use std::time::Instant;
-
 use serde_json::{Value, json};
 
 use super::html::{Fact, Page, Picture};
@@ -221,17 +219,6 @@ impl SceneResult {
 }
 
 impl DemoReport {
-    /// Does a part of the run, and notes how long it took.
-    ///
-    /// # Errors
-    /// Those of the part.
-    pub fn staged<T>(&mut self, what: &str, work: impl FnOnce(&mut Self) -> Result<T>) -> Result<T> {
-        let clock = Instant::now();
-        let done = work(self)?;
-        self.stages.push((what.to_owned(), clock.elapsed().as_secs_f64()));
-        Ok(done)
-    }
-
     /// The figures for machines: one entry a scene in `scenes`, means over scenes and run times at the top; numbers that
     /// are not finite are `null`.
     pub fn summary_json(&self) -> Value {

@@ -3,6 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::columns::{Column, csv};
 use super::plot::{Mark, Plot, Series};
 use super::table::{Table, significant};
 
@@ -36,10 +37,9 @@ impl Figure {
         [self.mean - half, self.mean + half]
     }
 
-    /// It and its error as cells; an error that is not known stays empty.
-    fn cells(self) -> [String; 2] {
-        let error = if self.standard_error.is_nan() { String::new() } else { self.standard_error.to_string() };
-        [self.mean.to_string(), error]
+    /// Its error as a cell; one that is not known stays empty.
+    fn error_cell(self) -> String {
+        if self.standard_error.is_nan() { String::new() } else { self.standard_error.to_string() }
     }
 
     /// `27.31 ± 0.42`; the mean alone where the error is not known.
@@ -129,38 +129,50 @@ pub struct Evaluation {
     pub rows: Vec<Row>,
 }
 
-/// What stands in a column of comma-separated values.
-enum Value {
-    /// One cell.
-    Plain(fn(&Row) -> String),
-    /// A cell, and one of its error.
-    Figure(fn(&Row) -> Figure),
+/// A figure and its error, a column each.
+macro_rules! figure {
+    ($key:literal, $($of:ident).+) => {
+        [
+            Column::value($key, |r: &Row| r.$($of).+.mean.to_string()),
+            Column::value(concat!($key, "_error"), |r: &Row| r.$($of).+.error_cell()),
+        ]
+    };
 }
 
-const VALUES: [(&str, Value); 22] = [
-    ("depth_mm", Value::Plain(|r| r.depth_mm.to_string())),
-    ("zone", Value::Plain(|r| r.zone.to_string())),
-    ("field_from", Value::Plain(|r| r.field[0].to_string())),
-    ("field_to", Value::Plain(|r| r.field[1].to_string())),
-    ("patches", Value::Plain(|r| r.patches.to_string())),
-    ("patch_px", Value::Plain(|r| r.patch_px.to_string())),
-    ("capture_psnr_db", Value::Figure(|r| r.capture.psnr_db)),
-    ("capture_ssim", Value::Figure(|r| r.capture.ssim)),
-    ("reconstruction_psnr_db", Value::Figure(|r| r.reconstruction.psnr_db)),
-    ("reconstruction_ssim", Value::Figure(|r| r.reconstruction.ssim)),
-    ("gain_db", Value::Figure(|r| r.gain_db)),
-    ("capture_delta_e", Value::Figure(|r| r.capture.delta_e)),
-    ("capture_colour_shift", Value::Figure(|r| r.capture.colour_shift)),
-    ("reconstruction_delta_e", Value::Figure(|r| r.reconstruction.delta_e)),
-    ("reconstruction_colour_shift", Value::Figure(|r| r.reconstruction.colour_shift)),
-    ("angle_from_deg", Value::Plain(|r| r.angle_deg[0].to_string())),
-    ("angle_to_deg", Value::Plain(|r| r.angle_deg[1].to_string())),
-    ("capture_best_gain_psnr_db", Value::Figure(|r| r.capture.best_gain_psnr_db)),
-    ("reconstruction_best_gain_psnr_db", Value::Figure(|r| r.reconstruction.best_gain_psnr_db)),
-    ("wiener_psnr_db", Value::Figure(|r| r.wiener.psnr_db)),
-    ("wiener_ssim", Value::Figure(|r| r.wiener.ssim)),
-    ("over_wiener_db", Value::Figure(|r| r.over_wiener_db)),
-];
+/// The columns of comma-separated values.
+fn values() -> Vec<Column<Row>> {
+    let places = [
+        Column::value("depth_mm", |r: &Row| r.depth_mm.to_string()),
+        Column::value("zone", |r| r.zone.to_string()),
+        Column::value("field_from", |r| r.field[0].to_string()),
+        Column::value("field_to", |r| r.field[1].to_string()),
+        Column::value("patches", |r| r.patches.to_string()),
+        Column::value("patch_px", |r| r.patch_px.to_string()),
+    ];
+    let angles = [
+        Column::value("angle_from_deg", |r: &Row| r.angle_deg[0].to_string()),
+        Column::value("angle_to_deg", |r| r.angle_deg[1].to_string()),
+    ];
+    let before = [
+        figure!("capture_psnr_db", capture.psnr_db),
+        figure!("capture_ssim", capture.ssim),
+        figure!("reconstruction_psnr_db", reconstruction.psnr_db),
+        figure!("reconstruction_ssim", reconstruction.ssim),
+        figure!("gain_db", gain_db),
+        figure!("capture_delta_e", capture.delta_e),
+        figure!("capture_colour_shift", capture.colour_shift),
+        figure!("reconstruction_delta_e", reconstruction.delta_e),
+        figure!("reconstruction_colour_shift", reconstruction.colour_shift),
+    ];
+    let after = [
+        figure!("capture_best_gain_psnr_db", capture.best_gain_psnr_db),
+        figure!("reconstruction_best_gain_psnr_db", reconstruction.best_gain_psnr_db),
+        figure!("wiener_psnr_db", wiener.psnr_db),
+        figure!("wiener_ssim", wiener.ssim),
+        figure!("over_wiener_db", over_wiener_db),
+    ];
+    places.into_iter().chain(before.into_iter().flatten()).chain(angles).chain(after.into_iter().flatten()).collect()
+}
 
 impl Evaluation {
     /// The rows as a table.
@@ -211,18 +223,7 @@ impl Evaluation {
 
     /// The rows as comma-separated values with a heading; a standard error that is not known stays empty.
     pub fn csv(&self) -> String {
-        let names = VALUES.iter().flat_map(|(name, of)| match of {
-            Value::Plain(_) => vec![(*name).to_owned()],
-            Value::Figure(_) => vec![(*name).to_owned(), format!("{name}_error")],
-        });
-        let mut table = Table::new(names);
-        for row in &self.rows {
-            table.row(VALUES.iter().flat_map(|(_, of)| match of {
-                Value::Plain(of) => vec![of(row)],
-                Value::Figure(of) => of(row).cells().to_vec(),
-            }));
-        }
-        table.csv()
+        csv(&values(), &self.rows)
     }
 
     /// PSNR over the field: of each depth the reconstruction and, dashed in the same colour, the capture.

@@ -71,6 +71,12 @@ fn focus_for_a_distance() {
         let [moved, paraxial] = [0, 1].map(|k| pair[1][k] - pair[0][k]);
         assert!(moved > 0.0 && (moved / paraxial - 1.0).abs() < 0.05, "{moved} mm, paraxial {paraxial}");
     }
+    // Without a distance it stays the lens's own.
+    let own = json(&place, "focus f700.toml -o own.toml --fields 0 --json");
+    assert_eq!(
+        (own["object_distance_mm"].as_f64(), own["sensor_distance_mm"][1].as_f64()),
+        (Some(700.0), Some(found[2][0]))
+    );
     // Within the front focal length there is no image to focus.
     let ran = place.run(&format!("focus {name} --depth-mm 20 -o w.toml"));
     assert!(ran.code == 2 && ran.err.contains("image"), "{}", ran.err);

@@ -90,6 +90,28 @@ fn constraints_that_contradict_end_in_the_smallest_violation() {
     let found = run(&problem);
     assert_eq!(found.stop, Stop::Contradiction);
     assert!(found.violation > 0.05 && found.violation < 1.0, "{}", found.violation);
+    let either = |q: &Quantity| matches!(q, Quantity::Track | Quantity::BackFocus);
+    assert!(found.broken().any(|(quantity, ..)| either(quantity)), "{:?}", found.held);
+    assert_eq!(run(&Problem::standard(&lens)).broken().count(), 0);
+}
+
+/// Whoever takes the lens hears what it pays: constraints by name, a lens that came out worse, distortion that nothing holds.
+#[test]
+fn what_a_better_lens_pays_is_told() {
+    let place = crate::support::Workplace::new();
+    let said = |arguments: &str| {
+        let ran = place.run(&format!("optimize {arguments} -o found.toml --force"));
+        assert_eq!(ran.code, 0, "{}", ran.err);
+        ran.err.lines().filter_map(|l| l.strip_prefix("warning: ")).map(str::to_owned).collect::<Vec<_>>()
+    };
+    assert!(said("cooke_triplet").is_empty());
+    let told = said("double_gauss --constraint back_focus=60..");
+    assert!(told.iter().any(|w| w.starts_with("constraints are broken: back_focus is ")), "{told:?}");
+    let told = said("cooke_triplet --constraint track=..30");
+    assert!(told.iter().any(|w| w.starts_with("the lens is worse than its start by rms, 12.19 ->")), "{told:?}");
+    let (free, held) = (said("sonnar"), said("sonnar --constraint distortion=-0.02..0.02"));
+    let grew = |told: &[String]| told.iter().any(|w| w.starts_with("distortion at the edge of the field went from "));
+    assert!(grew(&free) && !grew(&held), "{free:?} {held:?}");
 }
 
 /// Variables without influence, and more variables than the merit can tell apart.

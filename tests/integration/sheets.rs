@@ -127,6 +127,25 @@ fn sheets_of_a_designed_lens() {
     sags_are_those_of(&place, "made", &[0, 1, 3, 4]);
 }
 
+/// Terms above r^20 stand in the table of surfaces, too.
+#[test]
+fn every_term_that_a_file_states_has_a_column() {
+    let place = Workplace::new();
+    let text = isoplanat::lens::builtin::text("two_element").expect("shipped");
+    let text =
+        text.replacen("radius_mm = 18.5", "radius_mm = 18.5\nasphere = { a4 = 1e-6, a23 = -2e-28, a24 = 3e-30 }", 1);
+    place.write("high.toml", &text);
+    place.run("sheets high.toml -o high").done();
+    let csv = read(&place, "high/surfaces.csv");
+    assert_eq!(
+        ["a4_mm-3", "a22_mm-21", "a23_mm-22", "a24_mm-23"].map(|name| column(&csv, name)[0]),
+        [1e-6, 0.0, -2e-28, 3e-30]
+    );
+    assert!(!csv.contains("a25_"), "no further columns");
+    place.run("sheets two_element -o low").done();
+    assert!(read(&place, "low/surfaces.csv").lines().next().is_some_and(|l| l.ends_with("a20_mm-19")));
+}
+
 /// Every shipped lens, aspheres with odd and even terms, cemented groups, stops in glass: all files, no number that is none.
 #[test]
 fn every_shipped_lens_has_sheets() {

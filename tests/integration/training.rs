@@ -167,3 +167,21 @@ fn bad_trainings_are_refused_with_one_line() {
     assert_eq!(place.run("train task.toml -o run --device tpu").code, 2);
     assert_eq!(place.run("train -o run").code, 2);
 }
+
+/// Photographs in place of the task's scenes; the run keeps where they are, and a training that goes on has its own.
+#[test]
+fn photographs_are_named_on_the_command_line() {
+    let place = Workplace::new();
+    place.write("task.toml", TASK.replace("steps = 600", "steps = 2"));
+    let photo = ndarray::Array3::from_shape_fn((3, 90, 120), |(k, r, c)| ((7 * k + r * c) % 23) as f32 / 23.0);
+    std::fs::create_dir(place.path("photos")).expect("created");
+    isoplanat::imaging::files::write_png8(&place.path("photos/a.png"), &photo).expect("written");
+    let ran = place.run("train task.toml -o run --photos photos");
+    assert_eq!(ran.code, 0, "{}", ran.err);
+    assert!(ran.err.contains("from 1 scenes") && ran.err.contains("2 steps of "), "{}", ran.err);
+    let task = std::fs::read_to_string(place.path("run/task.toml")).expect("kept");
+    let photos = place.path("photos").display().to_string();
+    assert!(task.contains(&format!("photos = \"{photos}\"")), "{task}");
+    place.run("train task.toml -o other --photos nowhere").refused(&["nowhere"]);
+    place.run("train --resume -o run --photos photos").refused(&["--photos"]);
+}

@@ -273,15 +273,18 @@ fn convolve_joined_vjp(
     [values, slope, bars.remove(0).values, weight_bar, bias_bar]
 }
 
-fn depthwise_activated_vjp(
+/// A kernel's way back to an activated picture, weights and biases.
+type ActivatedVjp = fn(Level, Source, Extent, &[f32], &[f32], Wanted) -> (SourceBar, Vec<f32>, Vec<f32>);
+
+fn activated_vjp(
+    vjp: ActivatedVjp,
     [x, slope, weight]: [Primitive; 3],
     level: Level,
     bar: &Primitive,
     wanted: Wanted,
 ) -> [Vec<f32>; 4] {
-    let of = source(&x, Some(&slope));
     let (SourceBar { values, slope }, weight_bar, bias_bar) =
-        kernels::depthwise_vjp(level, of, extent(&x), self::values(&weight), self::values(bar), wanted);
+        vjp(level, source(&x, Some(&slope)), extent(&x), self::values(&weight), self::values(bar), wanted);
     release([x]);
     [values, slope, weight_bar, bias_bar]
 }
@@ -308,19 +311,6 @@ fn pool_activated_vjp([x, slope]: [Primitive; 2], level: Level, bar: &Primitive,
     let SourceBar { values, slope } = kernels::pool_vjp(level, source(&x, Some(&slope)), extent(&x), self::values(bar));
     release([x]);
     [values, slope]
-}
-
-fn unpool_activated_vjp(
-    [x, slope, weight]: [Primitive; 3],
-    level: Level,
-    bar: &Primitive,
-    wanted: Wanted,
-) -> [Vec<f32>; 4] {
-    let of = source(&x, Some(&slope));
-    let (SourceBar { values, slope }, weight_bar, bias_bar) =
-        kernels::unpool_vjp(level, of, extent(&x), self::values(&weight), self::values(bar), wanted);
-    release([x]);
-    [values, slope, weight_bar, bias_bar]
 }
 
 /// Runs the kernel on the inner tensors and registers the way back by `$vjp`, which keeps the tensors `$kept`.
@@ -382,7 +372,13 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(depthwise_activated_vjp, [x, slope, weight, bias], [x, slope, weight], level, depthwise_activated)
+        tracked!(
+            |kept, level, bar, wanted| activated_vjp(kernels::depthwise_vjp, kept, level, bar, wanted),
+            [x, slope, weight, bias],
+            [x, slope, weight],
+            level,
+            depthwise_activated
+        )
     }
 
     fn gate_plain(x: FloatTensor<Self>, level: Level) -> FloatTensor<Self> {
@@ -409,6 +405,12 @@ impl<C: CheckpointStrategy> FastOps for Autodiff<Flex, C> {
         bias: FloatTensor<Self>,
         level: Level,
     ) -> FloatTensor<Self> {
-        tracked!(unpool_activated_vjp, [x, slope, weight, bias], [x, slope, weight], level, unpool_activated)
+        tracked!(
+            |kept, level, bar, wanted| activated_vjp(kernels::unpool_vjp, kept, level, bar, wanted),
+            [x, slope, weight, bias],
+            [x, slope, weight],
+            level,
+            unpool_activated
+        )
     }
 }

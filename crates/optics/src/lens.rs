@@ -248,7 +248,7 @@ impl Lens {
             l.elements.clear();
             for s in &mut l.surfaces {
                 s.pose = None;
-                (s.shape.zernike, s.shape.xy) = (None, None);
+                s.shape = std::mem::take(&mut s.shape).symmetric_part();
             }
         })
     }

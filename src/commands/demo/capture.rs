@@ -25,7 +25,6 @@ use isoplanat::imaging::render::node_grid::NodeGrid;
 use isoplanat::imaging::render::{Channels as Lit, Renderer};
 use isoplanat::imaging::scene::generate;
 use isoplanat::imaging::scene::placement::{Placement, Scale};
-use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::network::Reconstructor;
@@ -61,14 +60,7 @@ pub(crate) fn photograph(
     let plane = scene(frame, &renderer.optics.maps[0], unseen);
     // RAW, by rays from the sensor.
     let bar = Bar::new(&format!("capture: {}", unseen.name));
-    let how = CaptureSettings {
-        samples: settings.samples,
-        seed: unseen.seed,
-        exposure: 1.0,
-        noise: true,
-        glare: 0.0,
-        light: Illuminant::EqualEnergy,
-    };
+    let how = CaptureSettings { samples: settings.samples, seed: unseen.seed, ..CaptureSettings::default() };
     let taken = capture(lens, &plane, sensor, frame, how, Some(&|share| bar.set(share, String::new())))?;
     bar.done(format!("render noise {:.1e} beside sensor noise {:.1e}", taken.render_noise, taken.sensor_noise));
     let dng = folder.join(format!("{}.dng", unseen.name));

@@ -3,7 +3,7 @@
 use toml::de::{DeTable, DeValue};
 use toml::{Table, Value};
 
-use super::{ALLOWED, SCHEMA, Task};
+use super::{ALLOWED, SCHEMA, Task, put};
 use isoplanat_base::error::{Error, Location, Result};
 
 /// Keys of schema 1 and those of today; what is below a key stays below it.
@@ -79,7 +79,9 @@ const KEYS: &[(&str, &str)] = &[
 /// Keys that are none, values of another kind: by their line, and by the file's own keys.
 pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
     table.remove("schema");
-    let mut nested = of_today(table, "").map_err(|unknown| {
+    let mut nested = Table::new();
+    nested.insert("schema".into(), i64::from(SCHEMA).into());
+    move_keys(table, "", &mut nested).map_err(|unknown| {
         let below = if unknown.starts_with("train.") { "train." } else { "" };
         let mut known: Vec<&str> = KEYS.iter().filter_map(|(old, _)| old.strip_prefix(below)).collect();
         known.retain(|key| !key.contains('.'));
@@ -88,19 +90,10 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
         let alike = |key: &str| key.bytes().zip(name.bytes()).take_while(|(a, b)| a == b).count();
         // The list is cut where it is long: those that begin alike come first.
         known.sort_by_key(|key| (std::cmp::Reverse(alike(key)), *key));
-        let found = format!(
-            "unknown field `{}`, expected one of `{}`",
-            unknown.rsplit('.').next().unwrap_or_default(),
-            known.join("`, `")
-        );
+        let found = format!("unknown field `{name}`, expected one of `{}`", known.join("`, `"));
         Error::bad(file, place(text, &unknown), found, ALLOWED)
     })?;
-    nested.insert("schema".into(), i64::from(SCHEMA).into());
-    serde_path_to_error::deserialize(Value::Table(nested)).map_err(|e| {
-        let key = of_the_file(&e.path().to_string());
-        let found = e.inner().message().trim().replace('\n', " ");
-        Error::bad(file, place(text, &key), found, ALLOWED)
-    })
+    Task::of_tables(nested).map_err(|(key, found)| Error::bad(file, place(text, &of_the_file(&key)), found, ALLOWED))
 }
 
 /// Refuses keys of schema 1 in a table of today, and names those that took their places.
@@ -108,22 +101,23 @@ pub(super) fn parse(mut table: Table, text: &str, file: &str) -> Result<Task> {
 /// # Errors
 /// The first of them, by its line.
 pub(super) fn refuse_strays(table: &Table, text: &str, file: &str) -> Result<()> {
-    let stated = |key: &str| {
-        key.split('.').try_fold(None, |at: Option<&Value>, part| {
-            at.map_or_else(|| table.get(part), |value| value.get(part)).map(Some)
-        })
-    };
     for (old, today) in KEYS.iter().filter(|(old, today)| old != today) {
+        let Some(value) = get(table, old) else { continue };
         // Tables of today have names that were keys.
         let group = KEYS.iter().any(|(_, today)| today.starts_with(&format!("{old}.")));
-        if let Some(Some(value)) = stated(old)
-            && !(group && value.is_table())
-        {
+        if !(group && value.is_table()) {
             let allowed = format!("`{today}`: since schema 2 a task has tables (models/README.md)");
             return Err(Error::bad(file, place(text, old), format!("`{value}`, a key of schema 1"), allowed));
         }
     }
     Ok(())
+}
+
+/// The value of a dotted key.
+fn get<'a>(table: &'a Table, key: &str) -> Option<&'a Value> {
+    let mut parts = key.split('.');
+    let first = table.get(parts.next()?)?;
+    parts.try_fold(first, |value, part| value.get(part))
 }
 
 /// An error about keys of today in the words of a file of schema 1.
@@ -138,50 +132,30 @@ pub(super) fn in_its_words(error: Error) -> Error {
     }
 }
 
-/// The table with its keys where they stand today; else the key that is none.
-fn of_today(table: Table, above: &str) -> Result<Table, String> {
-    let mut nested = Table::new();
+/// Puts what stands in a table of schema 1, below the key `above`, where it stands today; else the key that is none.
+fn move_keys(table: Table, above: &str, into: &mut Table) -> Result<(), String> {
     for (key, value) in table {
         let whole = format!("{above}{key}");
-        let value = match (&*whole, value) {
-            ("train", Value::Table(train)) => {
-                let Some(Value::Table(train)) = of_today(train, "train.")?.remove("train") else { continue };
-                nested.insert(key, Value::Table(train));
-                continue;
-            }
+        match (&*whole, value) {
+            ("train", Value::Table(train)) => move_keys(train, "train.", into)?,
             ("stages", Value::Array(stages)) => {
-                let stage = |(number, stage)| match stage {
-                    Value::Table(stage) => {
-                        of_today(stage, "").map(Value::Table).map_err(|key| format!("stages[{number}].{key}"))
-                    }
-                    other => Ok(other),
-                };
-                let stages = stages.into_iter().enumerate().map(stage).collect::<Result<_, _>>()?;
-                nested.insert(key, Value::Array(stages));
-                continue;
+                let moved = stages.into_iter().enumerate().map(|(number, stage)| {
+                    let Value::Table(stage) = stage else { return Ok(stage) };
+                    let mut moved = Table::new();
+                    move_keys(stage, "", &mut moved).map_err(|key| format!("stages[{number}].{key}"))?;
+                    Ok(moved.into())
+                });
+                put(into, &whole, Value::Array(moved.collect::<Result<_, String>>()?));
             }
-            ("train" | "stages", other) => {
-                nested.insert(key, other);
-                continue;
-            }
-            (_, value) => value,
-        };
-        let Some((_, today)) = KEYS.iter().find(|(old, _)| *old == whole) else { return Err(whole) };
-        put(&mut nested, today, value);
-    }
-    Ok(nested)
-}
-
-/// Puts a value under its dotted key.
-fn put(table: &mut Table, key: &str, value: Value) {
-    match key.split_once('.') {
-        None => drop(table.insert(key.to_owned(), value)),
-        Some((group, rest)) => {
-            if let Value::Table(inner) = table.entry(group).or_insert_with(|| Value::Table(Table::new())) {
-                put(inner, rest, value);
+            // Of another kind than it may be: said by whoever reads the tables.
+            ("train" | "stages", other) => put(into, &whole, other),
+            (_, value) => {
+                let Some((_, today)) = KEYS.iter().find(|(old, _)| *old == whole) else { return Err(whole) };
+                put(into, today, value);
             }
         }
     }
+    Ok(())
 }
 
 /// A text with the keys of today as a file of schema 1 has them.
@@ -222,6 +196,7 @@ fn line_of(text: &str, key: &str) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::Origin;
     use super::*;
 
     /// A file of both schemas that says the same is the same task: every key that schema 1 had, each with a value that is not its default.
@@ -378,7 +353,8 @@ mod tests {
             checkpoint_seconds = 28.0
             sample_steps = 29
         "#;
-        let read = |text| Task::parse(text, "a.toml").expect("a task");
+        // But for where it was read.
+        let read = |text| Task { origin: Origin::default(), ..Task::parse(text, "a.toml").expect("a task") };
         assert_eq!(format!("{:?}", read(flat)), format!("{:?}", read(nested)));
         // What is written is read again.
         let written = toml::to_string(&read(nested)).expect("text");

@@ -5,8 +5,8 @@
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
-use super::Task;
 use super::train::NETWORK;
+use super::{Task, put};
 use crate::design::folder::{MARKER, START, check, lock, made};
 use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
@@ -83,28 +83,21 @@ impl Task {
                 let allowed = format!("one of {}", KEYS.join(", "));
                 return Err(Error::bad(file, format!("{STAGES}[{number}]"), whole, allowed));
             }
-            let Some(key) = key else {
-                all.insert(whole, value.clone());
-                continue;
-            };
-            let inside = all.entry(group).or_insert_with(|| toml::Value::Table(toml::Table::new()));
-            let Some(inside) = inside.as_table_mut() else { continue };
             // A length is one of the two.
-            match &*whole {
-                "budget.steps" => drop(inside.remove("minutes")),
-                "budget.minutes" => drop(inside.remove("steps")),
-                _ => {}
+            if let ("budget", Some(length @ ("steps" | "minutes"))) = (group, key)
+                && let Some(budget) = all.get_mut("budget").and_then(toml::Value::as_table_mut)
+            {
+                budget.remove(if length == "steps" { "minutes" } else { "steps" });
             }
-            inside.insert(key.to_owned(), value.clone());
+            put(&mut all, &whole, value.clone());
         }
         let states = |key: &str| stated.get("budget").is_some_and(|budget| budget.get(key).is_some());
         if states("steps") && states("minutes") {
             return Err(Error::bad(file, place("budget.steps, budget.minutes"), "both", "one of steps and minutes"));
         }
-        let stage: Self = serde_path_to_error::deserialize(toml::Value::Table(all)).map_err(|e| {
-            let found = e.inner().message().trim().replace('\n', " ");
-            Error::bad(file, place(&e.path().to_string()), found, "the values of models/README.md")
-        })?;
+        let mut stage = Self::of_tables(all)
+            .map_err(|(key, found)| Error::bad(file, place(&key), found, "the values of models/README.md"))?;
+        stage.origin = self.origin.clone();
         stage.check(file).map_err(|e| e.within(format!("{STAGES}[{number}]")))?;
         Ok(stage)
     }

@@ -3,12 +3,19 @@
 use crate::report::table::Table;
 use isoplanat_optics::analysis::fabrication::Fabrication;
 use isoplanat_optics::analysis::fabrication::face::Face;
-use isoplanat_optics::lens::Lens;
+use isoplanat_optics::lens::shape::HIGHEST_POWER;
+use isoplanat_optics::lens::{Lens, Shape};
 
 /// Rows of a file of sags.
 const ROWS: u32 = 201;
-/// Highest power that a lens file states.
+/// Powers of aspheric terms with a column in every file; a lens that states higher ones has more columns, up to [`HIGHEST_POWER`].
 const POWERS: std::ops::RangeInclusive<usize> = 2..=20;
+
+/// The coefficient of `r^power`.
+fn coefficient(shape: &Shape, power: usize) -> f64 {
+    let list = if power.is_multiple_of(2) { &shape.asphere } else { &shape.odd };
+    list.get(power / 2 - 1).copied().unwrap_or(0.0)
+}
 
 /// One row a surface, those that are no face (a stop in air) with what they have.
 pub(super) fn surfaces(lens: &Lens, made: &Fabrication) -> String {
@@ -30,15 +37,15 @@ pub(super) fn surfaces(lens: &Lens, made: &Fabrication) -> String {
         "best_fit_departure_um",
         "best_fit_slope_um_per_mm",
     ];
-    let mut table =
-        Table::new(own.map(str::to_owned).into_iter().chain(POWERS.map(|p| format!("a{p}_mm{}", 1 - p.cast_signed()))));
+    let states = |power: &usize| lens.surfaces.iter().any(|s| coefficient(&s.shape, *power) != 0.0);
+    let highest = (*POWERS.end()..=HIGHEST_POWER).rev().find(states).unwrap_or(*POWERS.end());
+    let powers = *POWERS.start()..=highest;
+    let mut table = Table::new(
+        own.map(str::to_owned).into_iter().chain(powers.clone().map(|p| format!("a{p}_mm{}", 1 - p.cast_signed()))),
+    );
     for (i, s) in lens.surfaces.iter().enumerate() {
         let face = made.faces().find(|(_, f)| f.surface == i);
         let of_face = |value: &dyn Fn(&Face) -> f64| face.map_or_else(String::new, |(_, f)| value(f).to_string());
-        let coefficient = |power: usize| {
-            let list = if power.is_multiple_of(2) { &s.shape.asphere } else { &s.shape.odd };
-            list.get(power / 2 - 1).copied().unwrap_or(0.0)
-        };
         let cells = [
             i.to_string(),
             face.map_or_else(String::new, |(e, _)| e.number.to_string()),
@@ -57,7 +64,7 @@ pub(super) fn surfaces(lens: &Lens, made: &Fabrication) -> String {
             of_face(&|f| f.best_fit.departure_um),
             of_face(&|f| f.best_fit.slope_um_per_mm),
         ];
-        table.row(cells.into_iter().chain(POWERS.map(|p| coefficient(p).to_string())));
+        table.row(cells.into_iter().chain(powers.clone().map(|p| coefficient(&s.shape, p).to_string())));
     }
     table.csv()
 }

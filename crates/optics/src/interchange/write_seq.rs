@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use super::text::plain;
 use crate::lens::catalogue::{Glasses, Naming};
-use crate::lens::{Aperture, Lens, Medium, paraxial};
+use crate::lens::{Aperture, Lens, Medium, Shape, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
 
 /// Wavelengths that CODE V takes.
@@ -18,18 +18,19 @@ pub(super) fn write(lens: &Lens, glasses: &Glasses) -> Result<(String, Vec<Strin
     let mut body = String::new();
     for (i, s) in lens.surfaces.iter().enumerate() {
         let medium = medium(lens, &s.medium, glasses, &mut private);
-        let shape = &s.shape;
-        let _ = writeln!(body, "S {} {}{medium}", plain(shape.curvature), plain(s.thickness));
-        let even = shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * (k + 1));
-        let odd = shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * k + 3);
+        // `on_one_axis` has refused what is not symmetric.
+        let Shape { curvature, conic, asphere, odd, zernike: _, xy: _ } = &s.shape;
+        let _ = writeln!(body, "S {} {}{medium}", plain(*curvature), plain(s.thickness));
+        let even = asphere.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * (k + 1));
+        let odd = odd.iter().enumerate().filter(|(_, a)| **a != 0.0).map(|(k, _)| 2 * k + 3);
         if let Some(power) = even.filter(|p| !(4..=20).contains(p)).chain(odd).next() {
             let allowed = "even terms from a4 to a20, which an asphere of CODE V has; .zmx and .toml take all";
             let place = Location::surface(i).key("asphere");
             return Err(Error::bad(lens.file(), place, format!("a term of r^{power}"), allowed));
         }
-        if shape.conic != 0.0 || shape.asphere.iter().any(|a| *a != 0.0) {
-            let _ = writeln!(body, "  ASP\n  K {}", plain(shape.conic));
-            for (letter, a) in "ABCDEFGHJ".chars().zip(shape.asphere.iter().skip(1)) {
+        if *conic != 0.0 || asphere.iter().any(|a| *a != 0.0) {
+            let _ = writeln!(body, "  ASP\n  K {}", plain(*conic));
+            for (letter, a) in "ABCDEFGHJ".chars().zip(asphere.iter().skip(1)) {
                 let _ = writeln!(body, "  {letter} {}", plain(*a));
             }
         }

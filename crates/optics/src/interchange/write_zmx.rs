@@ -5,7 +5,7 @@ use std::fmt::Write;
 use super::model_glass::lines_of;
 use super::text::plain;
 use crate::lens::catalogue::{Glasses, Naming};
-use crate::lens::{Aperture, Lens, Medium, Surface, paraxial};
+use crate::lens::{Aperture, Lens, Medium, Shape, Surface, paraxial};
 use isoplanat_base::error::{Error, Location, Result};
 
 /// Wavelengths that OpticStudio takes.
@@ -115,9 +115,10 @@ fn surface(
     if i == lens.stop {
         out.push_str("  STOP\n");
     }
-    let shape = &s.shape;
+    // `on_one_axis` has refused what is not symmetric.
+    let Shape { curvature, conic, asphere, odd: odd_terms, zernike: _, xy: _ } = &s.shape;
     let used = |terms: &[f64]| terms.iter().rposition(|a| *a != 0.0).map_or(0, |last| last + 1);
-    let (even, odd) = (used(&shape.asphere), used(&shape.odd));
+    let (even, odd) = (used(asphere), used(odd_terms));
     let kind = match (even, odd) {
         (0, 0) => "STANDARD",
         (1..=8, 0) => "EVENASPH",
@@ -125,8 +126,8 @@ fn surface(
         (_, 0) => "XASPHERE",
         _ => "XOSPHERE",
     };
-    let _ = writeln!(out, "  TYPE {kind}\n  CURV {} 0 0 0 0 \"\"", plain(shape.curvature));
-    let powers = (1..=even).map(|k| 2 * k).zip(&shape.asphere).chain((1..=odd).map(|k| 2 * k + 1).zip(&shape.odd));
+    let _ = writeln!(out, "  TYPE {kind}\n  CURV {} 0 0 0 0 \"\"", plain(*curvature));
+    let powers = (1..=even).map(|k| 2 * k).zip(asphere).chain((1..=odd).map(|k| 2 * k + 1).zip(odd_terms));
     let step = if ["EVENASPH", "XASPHERE"].contains(&kind) { 2 } else { 1 };
     if kind.starts_with('X') {
         // Terms of r in mm: the normalising radius is 1.
@@ -164,8 +165,8 @@ fn surface(
             }
         }
     }
-    if shape.conic != 0.0 {
-        let _ = writeln!(out, "  CONI {}", plain(shape.conic));
+    if *conic != 0.0 {
+        let _ = writeln!(out, "  CONI {}", plain(*conic));
     }
     let r =
         if let (true, Aperture::StopSemiDiameter(r)) = (i == lens.stop, lens.aperture) { r } else { s.semi_diameter };

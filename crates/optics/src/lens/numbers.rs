@@ -95,6 +95,11 @@ impl Kind {
         matches!(self.line().at, At::Shape(..))
     }
 
+    /// All of this kind that a shape has; none where it is no number of a shape.
+    pub(crate) fn of_shape(self, shape: &Shape) -> &[f64] {
+        if let At::Shape(get, _) = self.line().at { get(shape) } else { &[] }
+    }
+
     /// Whether it belongs to a glass.
     pub(crate) fn is_glass(self) -> bool {
         matches!(self.line().at, At::Medium(..))

@@ -3,7 +3,7 @@
 //! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
 //! belongs to the paraxial power and is folded in.
 
-use super::{Aperture, Field, LensGradient, Prescription};
+use super::{Aperture, Field, LensGradient, Prescription, Shape};
 
 /// First-order data at one wavelength, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -105,10 +105,7 @@ fn sweep_vjp(
         let y_in = state[i][0];
         let c = vertex_curvature(lens, i);
         let power_bar = -w_bar * y_in;
-        g.surfaces[i].shape.curvature += power_bar * (n[i + 1] - n[i]);
-        if let Some(a2) = g.surfaces[i].shape.asphere.first_mut() {
-            *a2 += 2.0 * power_bar * (n[i + 1] - n[i]);
-        }
+        Shape::vertex_curvature_vjp(power_bar * (n[i + 1] - n[i]), &mut g.surfaces[i].shape);
         n_bar[i + 1] += power_bar * c;
         n_bar[i] -= power_bar * c;
         y_bar -= w_bar * power(lens, n, i);
@@ -118,8 +115,7 @@ fn sweep_vjp(
 }
 
 fn vertex_curvature(lens: &Prescription, i: usize) -> f64 {
-    let shape = &lens.surfaces[i].shape;
-    shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0)
+    lens.surfaces[i].shape.vertex_curvature()
 }
 
 fn power(lens: &Prescription, n: &[f64], i: usize) -> f64 {

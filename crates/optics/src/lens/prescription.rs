@@ -383,14 +383,15 @@ fn terms(list: &[f64], from: usize) -> impl Iterator<Item = (String, f64)> {
 }
 
 fn write_surface(s: &Surface, stop: bool) -> FileSurface {
+    let Shape { curvature, conic, asphere, odd, zernike, xy } = &s.shape;
     // A radius that inverts exactly is what a reader expects; otherwise the curvature keeps every bit.
-    let radius = 1.0 / s.shape.curvature;
-    let exact = 1.0 / radius == s.shape.curvature;
+    let radius = 1.0 / curvature;
+    let exact = 1.0 / radius == *curvature;
     FileSurface {
         radius_mm: exact.then_some(radius),
-        curvature_per_mm: (!exact).then_some(s.shape.curvature),
-        conic: s.shape.conic,
-        asphere: terms(&s.shape.asphere, 2).chain(terms(&s.shape.odd, 3)).collect(),
+        curvature_per_mm: (!exact).then_some(*curvature),
+        conic: *conic,
+        asphere: terms(asphere, 2).chain(terms(odd, 3)).collect(),
         thickness_mm: s.thickness,
         medium: match &s.medium {
             Medium::Air => FileMedium::Name("air".into()),
@@ -414,8 +415,8 @@ fn write_surface(s: &Surface, stop: bool) -> FileSurface {
         stop,
         tilt_deg: s.pose.map(|p| p.tilt.map(freeform::degrees)),
         decentre_mm: s.pose.map(|p| p.decentre),
-        zernike: s.shape.zernike.as_ref().map(|z| FileZernike { radius_mm: z.radius(), terms: z.terms().to_vec() }),
-        xy: s.shape.xy.as_ref().map(freeform::write_xy),
+        zernike: zernike.as_ref().map(|z| FileZernike { radius_mm: z.radius(), terms: z.terms().to_vec() }),
+        xy: xy.as_ref().map(freeform::write_xy),
     }
 }
 

@@ -1,34 +1,35 @@
 //! A lens made larger or smaller.
 
 use super::freeform::{Xy, Zernike};
-use super::{Aperture, Field, Prescription};
+use super::{Aperture, Field, Prescription, Shape};
 
 impl Prescription {
     /// Makes all lengths `factor` times as large, the object's distance among them; the sensor's raster, angles and media stay. Shapes stay what they
     /// are: sag·factor at radius·factor.
     pub fn enlarge(&mut self, factor: f64) {
         for s in &mut self.surfaces {
-            s.shape.curvature /= factor;
+            let Shape { curvature, conic: _, asphere, odd: odd_terms, zernike, xy } = &mut s.shape;
+            *curvature /= factor;
             // a_n in mm^(1−n): n = 2, 4, … and 3, 5, …
             let square = factor * factor;
             let (mut even, mut odd) = (1.0 / factor, 1.0 / square);
-            for a in &mut s.shape.asphere {
+            for a in asphere {
                 *a *= even;
                 even /= square;
             }
-            for a in &mut s.shape.odd {
+            for a in odd_terms {
                 *a *= odd;
                 odd /= square;
             }
             // Lengths over a radius that grows with them.
-            if let Some(z) = &s.shape.zernike {
+            if let Some(z) = zernike {
                 let terms = z.terms().iter().map(|t| t * factor).collect();
-                s.shape.zernike = Some(Zernike::new(z.radius() * factor, terms));
+                *z = Zernike::new(z.radius() * factor, terms);
             }
-            if let Some(xy) = &s.shape.xy {
+            if let Some(xy) = xy {
                 let terms = xy.orders().iter().zip(xy.terms()).map(|((i, j), t)| (*i, *j, t * factor));
                 let terms: Vec<_> = terms.collect();
-                s.shape.xy = Some(Xy::new(xy.radius() * factor, &terms));
+                *xy = Xy::new(xy.radius() * factor, &terms);
             }
             s.thickness *= factor;
             s.semi_diameter *= factor;

@@ -70,7 +70,7 @@ fn at(lens: &Lens, nm: f64) -> Vec<Seidel> {
     let mut sums = Vec::with_capacity(lens.surfaces.len());
     for (i, s) in lens.surfaces.iter().enumerate() {
         let (before, after) = (n[i], n[i + 1]);
-        let c = s.shape.curvature + 2.0 * s.shape.asphere.first().copied().unwrap_or(0.0);
+        let c = s.shape.vertex_curvature();
         let refracted = |y: f64, u: f64| (before * u - y * (after - before) * c) / after;
         let (u_after, u_chief_after) = (refracted(y, u), refracted(y_chief, u_chief));
         let (a, a_chief) = (before * (u + y * c), before * (u_chief + y_chief * c));

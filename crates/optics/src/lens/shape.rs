@@ -11,7 +11,7 @@ use super::numbers::Kind;
 pub use super::sag::{Local, Sag};
 
 /// Highest power of `r` among the aspheric terms: published ones go to 38.
-pub(crate) const HIGHEST_POWER: usize = 40;
+pub const HIGHEST_POWER: usize = 40;
 
 /// Shape of a surface; also the type of its own cotangent.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -41,14 +41,44 @@ impl Shape {
         Self { curvature, conic, asphere, ..Self::default() }
     }
 
+    // What follows names every field, so that a new one is asked about here.
+
     /// Whether anything beyond the conic is present.
     pub fn is_aspheric(&self) -> bool {
-        self.asphere.iter().chain(&self.odd).any(|a| *a != 0.0) || !self.is_symmetric()
+        let Self { curvature: _, conic: _, asphere, odd, zernike, xy } = self;
+        asphere.iter().chain(odd).any(|a| *a != 0.0) || zernike.is_some() || xy.is_some()
     }
 
     /// Whether the surface is rotationally symmetric about its own axis.
     pub fn is_symmetric(&self) -> bool {
-        self.zernike.is_none() && self.xy.is_none()
+        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy } = self;
+        zernike.is_none() && xy.is_none()
+    }
+
+    /// Whether it is a conic with at most `most` even terms and nothing else.
+    pub(crate) fn is_even(&self, most: usize) -> bool {
+        let Self { curvature: _, conic: _, asphere, odd, zernike, xy } = self;
+        asphere.len() <= most && odd.is_empty() && zernike.is_none() && xy.is_none()
+    }
+
+    /// The surface without what breaks its symmetry.
+    #[must_use]
+    pub(crate) fn symmetric_part(self) -> Self {
+        let Self { curvature, conic, asphere, odd, zernike: _, xy: _ } = self;
+        Self { curvature, conic, asphere, odd, zernike: None, xy: None }
+    }
+
+    /// Curvature of the rotational part at the vertex, 1/mm: `c + 2a₂`.
+    pub fn vertex_curvature(&self) -> f64 {
+        self.curvature + 2.0 * self.asphere.first().copied().unwrap_or(0.0)
+    }
+
+    /// Adds the pull-back of a cotangent on [`Self::vertex_curvature`] to the shape's cotangent `bar`.
+    pub(crate) fn vertex_curvature_vjp(curvature_bar: f64, bar: &mut Self) {
+        bar.curvature += curvature_bar;
+        if let Some(a2) = bar.asphere.first_mut() {
+            *a2 += 2.0 * curvature_bar;
+        }
     }
 
     /// The rotationally symmetric part at `rho = x² + y²` (mm²); `None` where the conic does not reach (`αρ ≥ 1`).
@@ -202,10 +232,11 @@ impl Shape {
 
     /// Brings the freeform polynomials up to date after their terms were changed.
     pub fn refresh(&mut self) {
-        if let Some(z) = &mut self.zernike {
+        let Self { curvature: _, conic: _, asphere: _, odd: _, zernike, xy } = self;
+        if let Some(z) = zernike {
             z.refresh();
         }
-        if let Some(p) = &mut self.xy {
+        if let Some(p) = xy {
             p.refresh();
         }
     }
@@ -215,6 +246,7 @@ impl Shape {
     pub fn reversed(&self) -> Self {
         let mut reversed = self.clone();
         Kind::each_of(&mut reversed, |kind, _, list| {
+            // What is a ratio stays; whatever the sag is proportional to turns.
             if kind != Kind::Conic {
                 list.iter_mut().for_each(|a| *a = -*a);
             }

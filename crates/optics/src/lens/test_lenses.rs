@@ -1,10 +1,10 @@
 //! Lenses that have every kind of number between them.
 
 use super::catalogue::{Glasses, Naming};
-use super::{Aperture, Lens, Medium, builtin, paraxial, prescription};
+use super::{Aperture, Lens, Medium, Prescription, Shape, builtin, paraxial, prescription};
 
-/// One surface carries all terms of a form; glasses, poses and an element stand among the others. The aperture is stated in each
-/// way.
+/// One surface of the first carries all terms of a form, that of each other one kind of them alone; glasses, poses and an element stand among
+/// the others. The aperture is stated in each way.
 pub(crate) fn every_kind() -> [Lens; 4] {
     let text = builtin::text("two_element").expect("shipped");
     let form = "radius_mm = 18.5\nconic = 0.3\ntilt_deg = [0.2, 0.1, 3.0]\ndecentre_mm = [0.02, -0.05]\n\
@@ -22,8 +22,19 @@ pub(crate) fn every_kind() -> [Lens; 4] {
         Aperture::ObjectNa(5e-3),
     ];
     let media = [lens.surfaces[3].medium.clone(), named("N-BK7"), table, named("F2")];
-    let mut each = sizes.into_iter().zip(media).map(|(aperture, medium)| {
-        lens.changed(|l| (l.aperture, l.surfaces[3].medium) = (aperture, medium)).expect("a lens")
+    let whole = lens.surfaces[0].shape.clone();
+    let base = Shape { curvature: whole.curvature, conic: whole.conic, ..Shape::default() };
+    let alone = [
+        whole.clone(),
+        Shape { zernike: whole.zernike, ..base.clone() },
+        Shape { xy: whole.xy, ..base.clone() },
+        Shape { asphere: whole.asphere, odd: whole.odd, ..base },
+    ];
+    let mut each = sizes.into_iter().zip(media).zip(alone).map(|((aperture, medium), shape)| {
+        let numbers = |l: &mut Prescription| {
+            (l.aperture, l.surfaces[3].medium, l.surfaces[0].shape) = (aperture, medium, shape);
+        };
+        lens.changed(numbers).expect("a lens")
     });
     std::array::from_fn(|_| each.next().expect("four"))
 }

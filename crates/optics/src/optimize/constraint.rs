@@ -243,13 +243,7 @@ impl Held<'_> {
             if p.of != of {
                 continue;
             }
-            *by += s * match p.kind {
-                Kind::Curvature => bar.curvature,
-                Kind::Conic => bar.conic,
-                Kind::Even => bar.asphere.get(p.entry).copied().unwrap_or(0.0),
-                Kind::Odd => bar.odd.get(p.entry).copied().unwrap_or(0.0),
-                _ => 0.0,
-            };
+            *by += s * p.kind.of_shape(bar).get(p.entry).copied().unwrap_or(0.0);
         }
     }
 }

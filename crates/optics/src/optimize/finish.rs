@@ -69,6 +69,13 @@ pub struct Outcome {
 }
 
 impl Outcome {
+    /// Constraints that it does not keep: quantity, bounds and value.
+    #[doc(hidden)]
+    pub fn broken(&self) -> impl Iterator<Item = &(Quantity, [f64; 2], f64)> {
+        let beyond = |bound: f64, by: f64| bound.is_finite() && by > KEPT * bound.abs().max(1.0);
+        self.held.iter().filter(move |(_, [low, high], value)| beyond(*low, low - value) || beyond(*high, value - high))
+    }
+
     /// Refuses an outcome in which something that is held has no number: nobody can say how far it is from its bound. `file` names where the problem comes from.
     ///
     /// # Errors

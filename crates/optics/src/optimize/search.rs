@@ -346,21 +346,10 @@ fn displaced(problem: &Problem, lens: &Lens, size: f64, rng: &mut fastrand::Rng)
             _ if low.is_finite() && high.is_finite() => high - low,
             _ => 0.0,
         };
-        if let Some(number) = numbers_of(&mut numbers, kind, of, entry) {
+        if let Some(number) = kind.list_mut(&mut numbers, of).get_mut(entry) {
             *number = (value + size * scale * draw).clamp(*low, *high);
         }
     }
     room(problem, &mut numbers);
     problem.made(numbers).ok()
-}
-
-fn numbers_of(numbers: &mut Prescription, kind: Kind, of: usize, entry: usize) -> Option<&mut f64> {
-    let surface = numbers.surfaces.get_mut(of)?;
-    match kind {
-        Kind::Curvature => Some(&mut surface.shape.curvature),
-        Kind::Conic => Some(&mut surface.shape.conic),
-        Kind::Thickness => Some(&mut surface.thickness),
-        Kind::Even => surface.shape.asphere.get_mut(entry),
-        _ => None,
-    }
 }

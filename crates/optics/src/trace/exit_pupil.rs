@@ -5,6 +5,7 @@
 //! lens (`w = 0`) is no special case. Tilts and freeform terms are left out.
 
 use super::{System, SystemGradient};
+use crate::lens::Shape;
 
 /// The ray from the stop's centre at the image plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -16,8 +17,7 @@ pub(crate) struct ExitPupil {
 }
 
 fn vertex_curvature(system: &System, i: usize) -> f64 {
-    let shape = &system.surfaces[i].shape;
-    shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0)
+    system.surfaces[i].shape.vertex_curvature()
 }
 
 /// States `(y, w)` behind each surface from the stop to the image plane.
@@ -48,11 +48,7 @@ pub(crate) fn exit_pupil_vjp(system: &System, bar: &ExitPupil, out: &mut SystemG
         let [_, w_in] = states[i - 1 - system.stop];
         let [y, _] = states[i - system.stop];
         let (step, curvature) = (s.index_after - s.index_before, vertex_curvature(system, i));
-        let curvature_bar = -w_bar * y * step;
-        out.shapes[i].curvature += curvature_bar;
-        if let Some(a2) = out.shapes[i].asphere.first_mut() {
-            *a2 += 2.0 * curvature_bar;
-        }
+        Shape::vertex_curvature_vjp(-w_bar * y * step, &mut out.shapes[i]);
         out.indices[i + 1] -= w_bar * y * curvature;
         out.indices[i] += w_bar * y * curvature;
         y_bar -= w_bar * step * curvature;

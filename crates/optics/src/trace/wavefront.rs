@@ -373,7 +373,7 @@ mod tests {
             let lens = builtin::lens(name).expect("shipped");
             let lens = unchecked(&lens, |lens| {
                 for s in &mut lens.surfaces {
-                    s.shape = Shape::sphere(s.shape.curvature + 2.0 * s.shape.asphere.first().copied().unwrap_or(0.0));
+                    s.shape = Shape::sphere(s.shape.vertex_curvature());
                 }
                 lens.aperture = crate::lens::Aperture::EntrancePupilDiameter(3.0);
             });

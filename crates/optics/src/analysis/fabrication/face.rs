@@ -123,7 +123,7 @@ impl Face {
     /// Of surface `i`; `glass` says where glass is, before it and behind it.
     pub fn new(i: usize, surface: &Surface, glass: [bool; 2]) -> Self {
         let (shape, semi) = (&surface.shape, surface.semi_diameter);
-        let vertex = shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0);
+        let vertex = shape.vertex_curvature();
         let edge = at(shape, semi);
         let terms = |list: &[f64], from: usize| -> Vec<Term> {
             list.iter().enumerate().map(|(k, a)| Term { power: 2 * k + from, coefficient: *a }).collect()

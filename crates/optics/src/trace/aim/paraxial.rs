@@ -25,8 +25,7 @@ impl ParaxialStop {
                     y += s.distance / s.index_before * w;
                 }
                 if i < system.stop {
-                    let curvature = s.shape.curvature + 2.0 * s.shape.asphere.first().copied().unwrap_or(0.0);
-                    w -= y * (s.index_after - s.index_before) * curvature;
+                    w -= y * (s.index_after - s.index_before) * s.shape.vertex_curvature();
                 }
             }
             y

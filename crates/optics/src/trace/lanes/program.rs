@@ -41,8 +41,7 @@ pub(super) enum Kind {
 impl Kind {
     fn of(surface: &TraceSurface) -> Self {
         let shape = &surface.shape;
-        let even = shape.odd.is_empty() && shape.is_symmetric() && shape.asphere.len() <= TERMS;
-        match (even && surface.motion.is_none(), surface.aspheric) {
+        match (shape.is_even(TERMS) && surface.motion.is_none(), surface.aspheric) {
             (false, _) => Self::General,
             (true, true) => Self::Even,
             (true, false) if shape.curvature == 0.0 => Self::Plane,
@@ -235,7 +234,7 @@ const SMALL: f64 = 3e-8;
 /// equation itself, which is linear in them.
 fn start_conic(shape: &Shape, radius: f64) -> [f64; 2] {
     const SAMPLES: u32 = 32;
-    let vertex = shape.curvature + 2.0 * shape.asphere.first().copied().unwrap_or(0.0);
+    let vertex = shape.vertex_curvature();
     let (mut aa, mut ab, mut bb, mut az, mut bz) = (0.0, 0.0, 0.0, 0.0, 0.0);
     for i in 0..SAMPLES {
         let rho = radius * radius * (f64::from(i) + 0.5) / f64::from(SAMPLES);
