@@ -1,4 +1,6 @@
-//! `isoplanat psf`: kernels over depth, field and wavelength as `.npz`, and as one picture.
+//! `isoplanat psf`: kernels over depth, field and wavelength as `.npz`, and as one picture; over a frame in the colours of a sensor (`forms`).
+
+mod forms;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -25,7 +27,10 @@ pub(crate) struct Args {
     /// Where to put the kernels (NumPy `.npz`)
     #[arg(short, long, value_name = "OUT.npz")]
     output: PathBuf,
-    /// Also draw them: one row a depth, one column a field, in the colours of the generic sensor
+    /// What the file is to be
+    #[arg(long, value_enum, default_value_t = forms::Form::Wavelengths)]
+    form: forms::Form,
+    /// Also draw them, in the colours of the sensor: one row a depth, one column a field, or as they stand over the frame
     #[arg(long, value_name = "OUT.png")]
     png: Option<PathBuf>,
     /// Object distances before the first surface, mm, comma separated; `inf` is allowed [default: the lens's own]
@@ -36,9 +41,9 @@ pub(crate) struct Args {
     wavelength_nm: Vec<f64>,
     #[command(flatten)]
     f_number: crate::input::FNumber,
-    /// Field points from the axis to the border
-    #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u16).range(1..=512))]
-    fields: u16,
+    /// Field points from the axis to the border; image heights to the frame's corner [default: 5; of heights 64]
+    #[arg(long, value_parser = clap::value_parser!(u16).range(1..=512))]
+    fields: Option<u16>,
     /// Kernel size, pixels, odd [default: what holds 99.9 % of the light]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=2047))]
     size: Option<u16>,
@@ -52,14 +57,20 @@ pub(crate) struct Args {
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
     #[command(flatten)]
+    over: forms::FrameArgs,
+    #[command(flatten)]
     common: Common,
 }
 
 /// Runs the command; a summary goes to `out`.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[Some(&*args.output), args.png.as_deref(), args.csv.as_deref()], args.common.force)?;
+    forms::check(args)?;
     let lens = args.f_number.applied(crate::input::lens(&args.lens)?, &args.lens)?;
     let request = request(args, &lens)?;
+    if args.form != forms::Form::Wavelengths {
+        return forms::run(args, lens, out);
+    }
     if args.png.is_some() {
         crate::input::in_band(&lens, &SpectralDensity::new(&Sensor::generic()), &args.lens)?;
     }
@@ -146,7 +157,7 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
         depth_mm,
         wavelength_nm,
         weights,
-        fields: usize::from(args.fields),
+        fields: usize::from(args.fields.unwrap_or(5)),
         size: args.size.map(usize::from),
         pitch_mm: pitch_um * 1e-3,
         rays: args.rays as usize,

@@ -48,6 +48,7 @@ mod parity;
 mod picture;
 mod prescriptions;
 mod properties;
+mod psf_forms;
 mod public_api;
 #[cfg(unix)]
 mod random_lenses;

@@ -56,6 +56,7 @@ pub(crate) mod nodes;
 pub mod plan;
 mod planning;
 pub(crate) mod probe;
+pub mod psf_map;
 pub mod renderer;
 pub(crate) mod scene_plan;
 #[doc(hidden)]
@@ -67,5 +68,6 @@ pub use inputs::Seen;
 pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
 pub use planning::plan;
+pub use psf_map::{PsfMap, PsfMapRequest, PsfPlaces};
 pub use renderer::{Rendered, Renderer};
 pub use scene_plan::{Request, ScenePlan, Skip};
