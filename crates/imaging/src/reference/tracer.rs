@@ -16,6 +16,7 @@ use crate::frame::Frame;
 use crate::plane::{Plane, Region};
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::stop::look;
 use isoplanat_optics::lens::Lens;
 
 /// How much larger the ellipses of a lens without symmetry are than those of its upright twin.
@@ -148,6 +149,7 @@ impl Tracer {
         // One row a task; a pixel's stream depends on its place alone.
         mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
             |(i, (mut mean, mut variance))| {
+                look();
                 let row = region.row + i.cast_signed();
                 let mut rays = Row::new(view, &texels);
                 let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));

@@ -21,6 +21,7 @@ use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
 use isoplanat_base::math::real::Real;
+use isoplanat_base::stop::look;
 use isoplanat_base::math::wide::prefetch;
 
 /// What a blur keeps for the cotangents.
@@ -122,6 +123,7 @@ impl<T: Real> Row<'_, T> {
     }
 
     fn block(&self, task: Task<'_, '_, T>) -> Option<Kept<T>> {
+        look();
         let (frame, Task { place, group, channels, mut out }) = (self.frame, task);
         frame.pool.with(&frame.plane, |scratch| {
             self.band.spectra(frame, place, group, scratch);
