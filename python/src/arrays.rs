@@ -24,8 +24,8 @@ pub(crate) enum Whole {
 
 fn in_order<'py, T: Element>(value: &Bound<'py, PyAny>) -> Option<PyReadonlyArrayDyn<'py, T>> {
     let array = value.cast::<PyArrayDyn<T>>().ok()?.try_readonly().ok()?;
-    // Refuses what is not contiguous and what is not aligned.
-    array.as_slice().is_ok().then_some(array)
+    // A slice is refused where the array is not contiguous in any order, or not aligned.
+    (array.is_c_contiguous() && array.as_slice().is_ok()).then_some(array)
 }
 
 impl<'py> Floats<'py> {

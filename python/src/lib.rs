@@ -4,7 +4,7 @@
 //! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays of what Python gives. Then one file a class:
 //! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
 //! `capture.rs`, and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
-//! `python/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
+//! `package/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
 
 mod analyses;
 mod arrays;
