@@ -132,10 +132,17 @@ fn kind(value: &Bound<'_, PyAny>) -> String {
     value.get_type().name().map_or_else(|_| "an object".to_owned(), |name| name.to_string())
 }
 
+/// A shape as Python writes it.
+pub(crate) fn written(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        _ => format!("({})", shape.iter().map(usize::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
 /// A `ValueError` for a shape.
 pub(crate) fn wrong_shape(argument: &str, found: &[usize], allowed: &str) -> PyErr {
-    let found: Vec<String> = found.iter().map(usize::to_string).collect();
-    crate::errors::refused(argument, format!("shape ({})", found.join(", ")), allowed)
+    crate::errors::refused(argument, format!("shape {}", written(found)), allowed)
 }
 
 /// The array for Python, without a copy.

@@ -13,7 +13,7 @@ use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Floats, Number, Whole, given, wrong_shape};
+use crate::arrays::{Floats, Number, Whole, given, written, wrong_shape};
 use crate::errors::{positive, refused, vergence};
 use crate::work::work;
 
@@ -279,8 +279,8 @@ impl Psf {
         let size = self.plan.size();
         let wanted = [self.plan.lines.len(), self.plan.fields(), self.plan.optics.channels(), size, size];
         if bar.shape() != wanted {
-            let [a, b, c, d, e] = wanted;
-            return Err(wrong_shape("kernels_bar", bar.shape(), &format!("that of kernels, ({a}, {b}, {c}, {d}, {e})")));
+            let allowed = format!("that of kernels, {}", written(&wanted));
+            return Err(wrong_shape("kernels_bar", bar.shape(), &allowed));
         }
         let gradient = match &bar {
             Floats::Single(a) => self.pulled(py, &a.as_array().into_dimensionality::<Ix5>())?,

@@ -7,7 +7,7 @@ use isoplanat::{Lens, Ray, Result, System};
 use ndarray::{ArrayD, ArrayViewD, IxDyn};
 use pyo3::prelude::*;
 
-use crate::arrays::{Floats, Whole, given, wrong_shape};
+use crate::arrays::{Floats, Whole, given, written, wrong_shape};
 use crate::errors::{raised, refused};
 use crate::work::{here, work};
 
@@ -73,8 +73,8 @@ pub(crate) fn trace(
     };
     let one = towards.shape() == [3];
     if !one && towards.shape() != shape {
-        let origins: Vec<String> = shape.iter().map(usize::to_string).collect();
-        return Err(wrong_shape("directions", towards.shape(), &format!("that of origins, ({}), or (3)", origins.join(", "))));
+        let allowed = format!("that of origins, {}, or (3,)", written(&shape));
+        return Err(wrong_shape("directions", towards.shape(), &allowed));
     }
     let count = leading.iter().product();
     let (from, towards) = (from.cast::<f64>(), towards.cast::<f64>());

@@ -75,7 +75,7 @@ def test_what_is_no_ray_is_refused():
     for origins, directions, kind, text in [
         (np.zeros((4, 2)), good, ValueError, r"origins: shape \(4, 2\); \(..., 3\)"),
         (np.float64(3), good, ValueError, r"origins: shape \(\)"),
-        (good, np.zeros((3, 3)), ValueError, r"directions: shape \(3, 3\); that of origins, \(4, 3\), or \(3\)"),
+        (good, np.zeros((3, 3)), ValueError, r"directions: shape \(3, 3\); that of origins, \(4, 3\), or \(3,\)"),
         (good, good, ValueError, "directions, ray 0: 0, 0, 0; three finite numbers, not all 0"),
         (good * np.nan, [0, 0, 1], ValueError, "origins, ray 0: NaN, NaN, NaN; three finite numbers"),
         (good.astype(complex), [0, 0, 1], TypeError, "origins: dtype complex128; float32 or float64"),

@@ -33,7 +33,7 @@ def test_a_uniform_scene_shows_the_falling_light():
     value, record = iso.render.record(lens, white, frame, min_psnr_db=40)
     assert np.abs(record.truth - 1).max() < 1e-6
     assert value == pytest.approx(record.illumination, abs=2e-3)
-    assert record.illumination[0, 20, 30] == pytest.approx(1, abs=1e-3) > record.illumination[0, 0, 0]
+    assert record.illumination[0, 20, 30] == pytest.approx(1, abs=1e-3) and record.illumination[0, 0, 0] < 0.95
 
 
 def test_precision_and_channels_follow_the_photograph(photo):
@@ -125,7 +125,7 @@ def test_what_cannot_be_rendered_is_refused(photo):
         (photo[:, :0], ValueError, "photo: shape"),
         (np.float32(1), ValueError, r"photo: shape \(\)"),
         ((photo * 255).astype(np.uint8), TypeError, "photo: dtype uint8; linear light as float32 or float64"),
-        (photo.astype(complex), TypeError, "photo: dtype complex64"),
+        (photo.astype(complex), TypeError, "photo: dtype complex128"),
         (photo * np.nan, ValueError, "NaN; finite"),
         ("photo.png", TypeError, "photo: dtype <U9"),
     ]:
