@@ -49,9 +49,9 @@
 //! Units are mm, radians in code, degrees in files (`_deg`), wavelengths in nm in files (`_nm`) and µm in
 //! dispersion formulas (`_um`). `z` runs along the light, `+y` is up. Images are `[channel, row, col]` in linear light.
 
+pub use isoplanat_base::{Error, Result, atomic, error, figures, math, refusing, terminal, units};
 #[doc(hidden)]
 pub use isoplanat_base::{stop, testing};
-pub use isoplanat_base::{Error, Result, atomic, error, figures, math, refusing, terminal, units};
 
 pub use isoplanat_optics::{analysis, interchange, lens, optimize, psf, trace};
 

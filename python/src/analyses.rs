@@ -8,7 +8,9 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::Limit;
 use isoplanat::report::drawing::lens_svg;
-use isoplanat::report::lens::{LensReport, Options, SHIFTS, arrays, fields_json, html as page, look, plots, plots_json};
+use isoplanat::report::lens::{
+    LensReport, Options, SHIFTS, arrays, fields_json, html as page, look, plots, plots_json,
+};
 use isoplanat::report::listing::Listing;
 use isoplanat::{Lens, Result};
 use pyo3::prelude::*;
@@ -157,7 +159,9 @@ pub(crate) fn html(lens: &Lens, listing: &Listing<'_>, notes: &[String]) -> Stri
     let row = |(key, words, unit): &(&str, &str, &str)| {
         // A distance that is no number in JSON is infinite.
         let value = all[*key].as_f64().map_or_else(|| "∞".to_owned(), |v| format!("{v:.6}"));
-        format!("<tr><th style=\"text-align:left\">{words}</th><td style=\"text-align:right\">{value}</td><td>{unit}</td></tr>")
+        format!(
+            "<tr><th style=\"text-align:left\">{words}</th><td style=\"text-align:right\">{value}</td><td>{unit}</td></tr>"
+        )
     };
     let rows: String = SHOWN.iter().map(row).collect();
     let notes: String = notes.iter().map(|note| format!("<p>{}</p>", escaped(note))).collect();

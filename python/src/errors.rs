@@ -12,9 +12,10 @@ use pyo3::prelude::*;
 /// The exception for `error`: `ValueError` for what cannot be used, `OSError` and its kinds for files, `RuntimeError` for a fault of the program.
 pub(crate) fn raised(error: Error) -> PyErr {
     match &error {
-        Error::Exists(path) => {
-            PyFileExistsError::new_err(format!("{}: exists already; name another output or pass force=True", path.display()))
-        }
+        Error::Exists(path) => PyFileExistsError::new_err(format!(
+            "{}: exists already; name another output or pass force=True",
+            path.display()
+        )),
         Error::Io { reason, .. } => {
             let text = error.to_string();
             match reason.kind() {

@@ -25,6 +25,7 @@ use pyo3::prelude::*;
 /// Lenses, rays, point spread functions and pictures; the package `isoplanat` shows all of it.
 #[pymodule(gil_used = true)]
 mod _isoplanat {
+    use numpy::PyArrayMethods;
     use pyo3::prelude::*;
 
     #[pymodule_export]
@@ -51,6 +52,11 @@ mod _isoplanat {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         crate::work::start();
+        // What a thread may be in the middle of when another forks, done once before there is one: NumPy's table of borrowed arrays, the vectors of this
+        // processor, the shipped glasses.
+        let array = numpy::PyArray1::<f64>::zeros(module.py(), 1, false);
+        drop(array.try_readonly());
+        std::hint::black_box((isoplanat::math::simd::Level::detect(), isoplanat::Glasses::shipped()));
         module.add("__version__", env!("CARGO_PKG_VERSION"))?;
         module.add("STATUS", crate::rays::STATUS.to_vec())?;
         module.add("render", Py::new(module.py(), crate::render::Render)?)

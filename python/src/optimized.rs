@@ -49,7 +49,10 @@ pub(crate) struct Optimized {
 impl Optimized {
     fn __repr__(&self) -> String {
         let (before, after) = self.rms_um;
-        format!("<Optimized: rms {before:.4} µm before, {after:.4} µm after {} steps; {}>", self.iterations, self.reason)
+        format!(
+            "<Optimized: rms {before:.4} µm before, {after:.4} µm after {} steps; {}>",
+            self.iterations, self.reason
+        )
     }
 }
 

@@ -96,7 +96,8 @@ impl Record {
         truth_bar: Option<&Bound<'_, PyAny>>,
         illumination_bar: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Py<PyDict>> {
-        let bars = [("picture_bar", Some(picture_bar)), ("truth_bar", truth_bar), ("illumination_bar", illumination_bar)];
+        let bars =
+            [("picture_bar", Some(picture_bar)), ("truth_bar", truth_bar), ("illumination_bar", illumination_bar)];
         let bars = bars.map(|(name, bar)| bar.map(|bar| self.bar(bar, name)).transpose());
         let [picture, truth, illumination] = bars;
         let bars = [picture?, truth?, illumination?];
@@ -125,7 +126,11 @@ impl Record {
         let floats = Floats::of(bar, name, Whole::Taken)?;
         let (channels, rows, columns) = self.shape();
         if floats.shape() != [channels, rows, columns] {
-            return Err(wrong_shape(name, floats.shape(), &format!("that of the picture, ({channels}, {rows}, {columns})")));
+            return Err(wrong_shape(
+                name,
+                floats.shape(),
+                &format!("that of the picture, ({channels}, {rows}, {columns})"),
+            ));
         }
         Ok(floats)
     }
@@ -148,9 +153,7 @@ impl Record {
     }
 }
 
-fn finite<T: Number>(
-    bar: std::result::Result<ArrayView3<'_, T>, ndarray::ShapeError>,
-) -> Result<ArrayView3<'_, T>> {
+fn finite<T: Number>(bar: std::result::Result<ArrayView3<'_, T>, ndarray::ShapeError>) -> Result<ArrayView3<'_, T>> {
     let bar = bar.map_err(|e| Error::Internal(e.to_string()))?;
     match bar.indexed_iter().find(|(_, v)| !v.is_finite()) {
         None => Ok(bar),

@@ -107,9 +107,8 @@ impl Plan {
     /// How finely each approximation is made.
     #[getter]
     fn settings(&self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        let told = here(|| {
-            serde_json::to_value(self.renderer.plan.settings).map_err(|e| Error::Internal(e.to_string()))
-        })?;
+        let told =
+            here(|| serde_json::to_value(self.renderer.plan.settings).map_err(|e| Error::Internal(e.to_string())))?;
         crate::analyses::python(py, &told)
     }
 
@@ -237,7 +236,9 @@ impl Asked<'_, '_> {
         })?;
         if !made.0.holds {
             let predicted = made.0.predicted_db.unwrap_or(f64::NAN);
-            let text = format!("the finest settings are predicted to reach {predicted:.1} dB, less than the {db} dB of min_psnr_db");
+            let text = format!(
+                "the finest settings are predicted to reach {predicted:.1} dB, less than the {db} dB of min_psnr_db"
+            );
             let text = std::ffi::CString::new(text).unwrap_or_default();
             PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
         }

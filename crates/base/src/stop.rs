@@ -69,9 +69,8 @@ impl Token {
     /// # Panics
     /// As `work`.
     pub fn run<R>(&self, work: impl FnOnce() -> R) -> Result<R> {
-        catch_unwind(AssertUnwindSafe(work)).map_err(|payload| {
-            if payload.is::<Ended>() { Error::Interrupted } else { resume_unwind(payload) }
-        })
+        catch_unwind(AssertUnwindSafe(work))
+            .map_err(|payload| if payload.is::<Ended>() { Error::Interrupted } else { resume_unwind(payload) })
     }
 }
 
@@ -110,7 +109,10 @@ mod tests {
         let ended = pool.install(|| token.run(work)).expect_err("asked");
         assert!(matches!(ended, Error::Interrupted) && done.load(Ordering::Relaxed) < 1000, "{ended}");
         token.reset();
-        assert_eq!(pool.install(|| token.run(|| (0..1000).into_par_iter().map(|k| (look(), k).1).sum::<u32>())).ok(), Some(499_500));
+        assert_eq!(
+            pool.install(|| token.run(|| (0..1000).into_par_iter().map(|k| (look(), k).1).sum::<u32>())).ok(),
+            Some(499_500)
+        );
     }
 
     #[test]

@@ -149,11 +149,11 @@ impl Tracer {
         // One row a task; a pixel's stream depends on its place alone.
         mean.axis_iter_mut(Axis(1)).into_par_iter().zip(variance.axis_iter_mut(Axis(1))).enumerate().for_each(
             |(i, (mut mean, mut variance))| {
-                look();
                 let row = region.row + i.cast_signed();
                 let mut rays = Row::new(view, &texels);
                 let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
                 for (plane, j) in places() {
+                    look();
                     let col = region.col + j.cast_signed();
                     let channel = match self.settings.channels {
                         Channels::All => plane,

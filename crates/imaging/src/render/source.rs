@@ -10,8 +10,8 @@ use crate::frame::Frame;
 use crate::plane::{Plane, Region};
 use crate::render::blur::Source;
 use isoplanat_base::math::real::Real;
-use isoplanat_base::stop::look;
 use isoplanat_base::math::wide::{Work, wide};
+use isoplanat_base::stop::look;
 use isoplanat_optics::psf::SensorMap;
 
 /// A scene before a lens with this map, on the raster of `frame`.

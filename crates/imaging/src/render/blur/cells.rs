@@ -21,8 +21,8 @@ use super::segments::Segment;
 use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
 use isoplanat_base::math::real::Real;
-use isoplanat_base::stop::look;
 use isoplanat_base::math::wide::prefetch;
+use isoplanat_base::stop::look;
 
 /// What a blur keeps for the cotangents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

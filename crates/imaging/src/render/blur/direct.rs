@@ -16,8 +16,8 @@ use super::{Kernels, Source};
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::math::real::Real;
-use isoplanat_base::stop::look;
 use isoplanat_base::math::wide::{Work, wide};
+use isoplanat_base::stop::look;
 
 /// Rows of the image that one task computes; the source is asked for that many and a margin.
 pub(super) const BAND: usize = 32;
