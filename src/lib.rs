@@ -49,9 +49,9 @@
 //! Units are mm, radians in code, degrees in files (`_deg`), wavelengths in nm in files (`_nm`) and µm in
 //! dispersion formulas (`_um`). `z` runs along the light, `+y` is up. Images are `[channel, row, col]` in linear light.
 
-#[doc(hidden)]
-pub use isoplanat_base::testing;
 pub use isoplanat_base::{Error, Result, atomic, error, figures, math, refusing, terminal, units};
+#[doc(hidden)]
+pub use isoplanat_base::{stop, testing};
 
 pub use isoplanat_optics::{analysis, interchange, lens, optimize, psf, trace};
 
@@ -94,7 +94,8 @@ pub use isoplanat_optics::optimize::{Limits, Merit, Outcome, Problem, optimize};
 
 // Point spread functions.
 pub use isoplanat_optics::psf::Optics;
-pub use report::atlas::{KernelRequest, KernelSet};
+pub use report::atlas::KernelSet;
+pub use report::kernels::KernelRequest;
 
 // Sensors.
 pub use isoplanat_imaging::frame::Frame;

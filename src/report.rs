@@ -20,6 +20,7 @@ pub mod field;
 pub mod gradient_accuracy;
 pub mod health;
 pub mod html;
+pub mod kernels;
 pub mod lens;
 pub mod lens_view;
 pub mod library;

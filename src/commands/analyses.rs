@@ -7,11 +7,12 @@ use isoplanat::analysis::overview::Overview;
 use isoplanat::atomic::Target;
 use isoplanat::lens::Lens;
 use isoplanat::math::npz;
-use isoplanat::report::lens::{Options, SHIFTS, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table};
+use isoplanat::report::lens::{
+    Options, SHIFTS, arrays, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table,
+};
 use isoplanat::report::plot::Plot;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
-use ndarray::{Array1, Array2, Array4};
 use serde_json::{Value, json};
 
 use crate::named::Named;
@@ -198,51 +199,13 @@ impl Kind {
 
 /// Writes the numbers of `kind` under their names.
 fn save(kind: Kind, o: &Overview, to: Target<'_>) -> Result<()> {
-    let angles: Array1<f64> = o.fields.iter().map(|f| f.angle_deg).collect();
+    let all = match kind {
+        Kind::Mtf => arrays::mtf(o),
+        Kind::Spot => arrays::spot(o),
+        Kind::Distortion => arrays::distortion(o),
+    };
     npz::write(to, |npz| {
         npz.add_array("schema", &ndarray::arr0(1_i64))?;
-        match kind {
-            Kind::Mtf => {
-                let shape = (o.shifts_mm.len(), o.fields.len(), o.cycles_per_mm.len(), 2);
-                let mtf = Array4::from_shape_fn(shape, |(z, f, k, d)| o.fields[f].through_focus[z][k][d]);
-                npz.add_array("mtf", &mtf)?;
-                let waves = |(z, f, k, d): (usize, usize, usize, usize)| {
-                    let found = o.fields[f].diffraction.as_ref().and_then(|m| m.as_ref().ok());
-                    found.and_then(|m| m.curves[d].modulus(z, k)).unwrap_or(f64::NAN)
-                };
-                npz.add_array("mtf_diffraction", &Array4::from_shape_fn(shape, waves))?;
-                npz.add_array("shift_mm", &Array1::from(o.shifts_mm.clone()))?;
-                npz.add_array("cycles_per_mm", &Array1::from(o.cycles_per_mm.clone()))?;
-                npz.add_array("field_angle_deg", &angles)?;
-            }
-            Kind::Spot => {
-                // Rays that do not arrive have no place, and no light.
-                let most = o.fields.iter().flat_map(|f| &f.beams).map(|b| b.landings.len()).max().unwrap_or(0);
-                let ray = |(f, c, k, i): (usize, usize, usize, usize)| match o.fields[f].beams[c].landings.get(k) {
-                    Some(l) => [l.at.x, l.at.y, l.slope.x, l.slope.y, l.weight][i],
-                    None => {
-                        if i == 4 {
-                            0.0
-                        } else {
-                            f64::NAN
-                        }
-                    }
-                };
-                let rays = Array4::from_shape_fn((o.fields.len(), o.colours.len(), most, 5), ray);
-                npz.add_array("rays", &rays)?;
-                let nm: Array1<f64> = o.colours.iter().map(|c| c.0).collect();
-                npz.add_array("wavelength_nm", &nm)?;
-                npz.add_array("weight", &o.colours.iter().map(|c| c.1).collect::<Array1<f64>>())?;
-                npz.add_array("field_angle_deg", &angles)?;
-            }
-            Kind::Distortion => {
-                let row = |r: &isoplanat::analysis::curves::FieldRow| [r.angle_deg, r.height, r.distortion_percent];
-                let rows: Vec<[f64; 3]> = o.curve.iter().map(row).collect();
-                npz.add_array("angle_height_percent", &Array2::from(rows))?;
-                let focal: Array1<f64> = o.curve.iter().map(|r| r.distortion_of_focal_length).collect();
-                npz.add_array("percent_of_focal_length", &focal)?;
-            }
-        }
-        Ok(())
+        all.iter().try_for_each(|(name, array)| npz.add_array(*name, array))
     })
 }

@@ -5,73 +5,19 @@
 
 use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView1, ArrayView3, Axis, s};
 
-use super::field::FieldLine;
+use super::kernels::{KernelPlan, PlacedKernels};
 use isoplanat_base::atomic::Target;
 use isoplanat_base::error::{Error, Result};
-use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_base::math::npz;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::Spectrum;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::Quadrature;
 
-use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::{Optics, OpticsSpec, Place, Quadrature};
+pub use super::kernels::{KernelRequest, bytes};
 
 /// Wavelengths of a picture in colour.
 const COLOUR_NODES: usize = 7;
-/// Share of the light that an automatic window may lose.
-const LOST: f64 = 1e-3;
-/// Largest automatic window, pixels.
-const LARGEST: usize = 1023;
-/// Largest error of rays between traced radii, pixels.
-const LANDING_ERROR_PX: f64 = 0.02;
-
-/// What to compute.
-#[derive(Clone, Debug, PartialEq)]
-pub struct KernelRequest {
-    /// Object distances before the first vertex, mm; infinity is allowed.
-    pub depth_mm: Vec<f64>,
-    /// Wavelengths, nm.
-    pub wavelength_nm: Vec<f64>,
-    /// Relative weight of each in polychromatic figures, not all 0.
-    pub weights: Vec<f64>,
-    /// Field points from the axis to the border.
-    pub fields: usize,
-    /// Kernel size in pixels, odd; `None` takes what holds 99.9 % of the light, up to 1023.
-    pub size: Option<usize>,
-    /// Pixel pitch, mm.
-    pub pitch_mm: f64,
-    /// Rays per kernel and wavelength.
-    pub rays: usize,
-    /// What all of it may take.
-    pub memory: Limit,
-}
-
-impl KernelRequest {
-    /// Kernels of `lens` as its file states it: its distance, wavelengths and pixels, five field points, 16384 rays each, within the memory that this process can
-    /// get.
-    pub fn of(lens: &Lens) -> Self {
-        let (wavelength_nm, weights) = lens.wavelengths.shares().unzip();
-        Self {
-            depth_mm: vec![1.0 / lens.object_vergence],
-            wavelength_nm,
-            weights,
-            fields: 5,
-            size: None,
-            pitch_mm: lens.sensor.pitch_mm(),
-            rays: 16_384,
-            memory: Limit::of_process(),
-        }
-    }
-}
-
-/// Bytes, from above, of so many kernels in so many channels: as they are made, and once more while they are put together.
-pub fn bytes(kernels: usize, channels: usize, size: usize) -> u64 {
-    let made = product(&[kernels, channels, size, size, 2 * size_of::<f32>()]);
-    let making = product(&[threads(), channels, size, size, size_of::<f32>() + size_of::<f64>()]);
-    let polychromatic = product(&[kernels, size, size, size_of::<f32>()]);
-    BASE.saturating_add(made).saturating_add(making).saturating_add(polychromatic)
-}
 
 /// Kernels of one wavelength each, with what belongs to them.
 #[derive(Clone, Debug)]
@@ -112,9 +58,16 @@ impl KernelSet {
         let channels = request.wavelength_nm.len();
         // One channel a wavelength.
         let weight = (0..channels).map(|c| (0..channels).map(|l| f64::from(u8::from(c == l))).collect()).collect();
-        let tiles = tiles(lens, request, Quadrature { nm: request.wavelength_nm.clone(), weight })?;
-        let (depths, fields) = (request.depth_mm.len(), tiles.lines[0].radius_mm.len());
-        let size = tiles.size;
+        let quadrature = Quadrature { nm: request.wavelength_nm.clone(), weight };
+        Ok(Self::of(request, &KernelPlan::new(lens, request, quadrature, None)?))
+    }
+
+    /// The kernels of `plan`, which was made for `request`.
+    fn of(request: &KernelRequest, plan: &KernelPlan) -> Self {
+        let PlacedKernels { kernels, outside } = plan.kernels::<f32>();
+        let channels = plan.optics.channels();
+        let (depths, fields) = (request.depth_mm.len(), plan.fields());
+        let size = plan.size();
         let mut set = Self {
             request: KernelRequest { fields, ..request.clone() },
             kernels: Array5::zeros((depths, fields, channels, size, size)),
@@ -124,20 +77,20 @@ impl KernelSet {
             slope: Array2::zeros((depths, fields)),
             angle_deg: Array2::zeros((depths, fields)),
         };
-        for (d, line) in tiles.lines.iter().enumerate() {
+        for (d, line) in plan.lines.iter().enumerate() {
             for f in 0..fields {
-                let light = tiles.optics.relative_illumination(line.radius_mm[f]);
+                let light = plan.optics.relative_illumination(line.radius_mm[f]);
                 for (c, light) in light.into_iter().enumerate() {
                     set.relative_illumination[[d, f, c]] = light;
-                    set.outside[[d, f, c]] = tiles.outside[d * fields + f][c];
+                    set.outside[[d, f, c]] = outside[d * fields + f][c];
                 }
                 set.radius_mm[[d, f]] = line.radius_mm[f];
                 set.slope[[d, f]] = line.slope[f];
                 set.angle_deg[[d, f]] = line.angle_deg[f];
             }
         }
-        set.kernels.iter_mut().zip(&tiles.kernels).for_each(|(a, b)| *a = *b);
-        Ok(set)
+        set.kernels.iter_mut().zip(&kernels).for_each(|(a, b)| *a = *b);
+        set
     }
 
     /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_radius_mm`, `object_slope`,
@@ -212,10 +165,12 @@ impl KernelSet {
 /// request's own wavelengths are not used.
 pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<ColourKernels> {
     let spectrum = Spectrum::quadrature(&Sensor::generic(), COLOUR_NODES);
-    let tiles = tiles(lens, request, Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() })?;
-    let shape = (tiles.outside.len(), 3, tiles.size, tiles.size);
-    let outside = tiles.outside.iter().flatten().copied().fold(0.0, f64::max);
-    let kernels = Array4::from_shape_vec(shape, tiles.kernels).map_err(|e| Error::Internal(e.to_string()))?;
+    let quadrature = Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() };
+    let plan = KernelPlan::new(lens, request, quadrature, None)?;
+    let PlacedKernels { kernels, outside } = plan.kernels::<f32>();
+    let shape = (outside.len(), 3, plan.size(), plan.size());
+    let outside = outside.iter().flatten().copied().fold(0.0, f64::max);
+    let kernels = Array4::from_shape_vec(shape, kernels).map_err(|e| Error::Internal(e.to_string()))?;
     Ok(ColourKernels { kernels, outside })
 }
 
@@ -226,64 +181,6 @@ pub struct ColourKernels {
     pub kernels: Array4<f32>,
     /// Largest share of a channel's light outside the window.
     pub outside: f64,
-}
-
-/// Kernels of every depth and field.
-struct Tiles {
-    optics: Optics,
-    /// Places, by depth; as many for each.
-    lines: Vec<FieldLine>,
-    size: usize,
-    /// `[depth, field, channel, row, col]`.
-    kernels: Vec<f32>,
-    /// By depth and field, share of each channel's light outside.
-    outside: Vec<Vec<f64>>,
-}
-
-fn tiles(lens: &Lens, request: &KernelRequest, quadrature: Quadrature) -> Result<Tiles> {
-    let vergences: Vec<f64> = request.depth_mm.iter().map(|d| 1.0 / d).collect();
-    let mut lines =
-        vergences.iter().map(|v| FieldLine::new(lens, *v, request.fields)).collect::<Result<Vec<FieldLine>>>()?;
-    // Where light ends before the field does, all depths keep the places of the shortest.
-    let fields = lines.iter().map(|l| l.radius_mm.len()).min().unwrap_or(0);
-    lines.iter_mut().for_each(|l| l.radius_mm.truncate(fields));
-    let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
-    let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
-    let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
-    let optics = Optics::adapted(lens, spec, tolerance)?.0;
-    let size = match request.size {
-        Some(size) => size,
-        None => {
-            let look = optics.form(request.rays.min(4000), 1, 1, request.pitch_mm);
-            let half =
-                (0..lines.len()).map(|d| optics.half_widths(&look, d, &[LOST], [0.0, far])[0]).max().unwrap_or(1);
-            if 2 * half + 1 > LARGEST {
-                let found = format!("{} pixels to hold 99.9 % of the light", 2 * half + 1);
-                return Err(Error::bad(
-                    lens.file(),
-                    "kernel size",
-                    found,
-                    format!("state a size; automatic up to {LARGEST}"),
-                ));
-            }
-            2 * half + 1
-        }
-    };
-    let channels = optics.channels();
-    let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
-    request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes(count, channels, size), instead)?;
-    let form = optics.form(request.rays, size, 1, request.pitch_mm);
-    let of_line = |(depth, line): (usize, &FieldLine)| {
-        let places: Vec<Place> = line.radius_mm.iter().map(|r| Place { radius_mm: *r, outward: [0.0, -1.0] }).collect();
-        #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
-        let single = |_: usize, kernel: &[f64], outside: &[f64]| {
-            (kernel.iter().map(|v| *v as f32).collect::<Vec<f32>>(), outside.to_vec())
-        };
-        optics.kernels_each(&form, depth, &places, single)
-    };
-    let made: Vec<(Vec<f32>, Vec<f64>)> = lines.iter().enumerate().flat_map(of_line).collect();
-    let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) = made.into_iter().unzip();
-    Ok(Tiles { optics, lines, size, kernels: kernels.concat(), outside })
 }
 
 /// How kernels are shown.

@@ -1,6 +1,7 @@
 //! Places along the field, from the axis to the border of what the sensor sees.
 
-use isoplanat_base::error::Result;
+use super::table::significant;
+use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::lens::{Lens, paraxial};
 use isoplanat_optics::psf::table::{STEEPEST, chief_slopes};
 
@@ -8,8 +9,10 @@ use isoplanat_optics::psf::table::{STEEPEST, chief_slopes};
 const SAMPLES: u32 = 16;
 /// Places at which the end of the field is looked for, and halvings between two of them.
 const FINE: (u32, u32) = (64, 52);
+/// Steps of the search for a field angle.
+const FALSE_POSITIONS: u32 = 60;
 
-/// Equidistant places on the sensor along one radius, at one object distance.
+/// Places on the sensor along one radius, at one object distance.
 #[derive(Clone, Debug)]
 pub struct FieldLine {
     /// Distance from the axis, mm; the first is 0.
@@ -20,7 +23,7 @@ pub struct FieldLine {
     pub angle_deg: Vec<f64>,
     /// Image height per object slope on the axis, mm.
     pub scale_mm: f64,
-    /// Chief rays over the field: object slope and image height in mm.
+    /// Chief rays over the field: object slope and image height in mm; of [`Self::at`] none.
     pub chief: Vec<(f64, f64)>,
 }
 
@@ -50,16 +53,93 @@ impl FieldLine {
         let even = |n: u32| (0..n).map(|i| edge * f64::from(i) / f64::from(n.max(2) - 1)).collect::<Vec<f64>>();
         let samples = even(SAMPLES);
         let slopes = chief_slopes(lens, vergence, &samples)?;
-        let near = 1e-3 * sensor;
-        let scale_mm = near / chief_slopes(lens, vergence, &[near])?[0];
         let radius_mm = even(u32::try_from(count).unwrap_or(u32::MAX));
         let slope = chief_slopes(lens, vergence, &radius_mm)?;
         let radius_mm = radius_mm[..slope.len()].to_vec();
+        Self::of(lens, vergence, (radius_mm, slope), slopes.into_iter().zip(samples).collect())
+    }
+
+    /// The places where the chief rays of `angles_deg` (field angles at the paraxial entrance pupil) land, for an object of the given vergence (1/mm).
+    ///
+    /// # Errors
+    /// A sensor that sees no light on the axis; an angle that is none, or beyond the light.
+    pub fn at(lens: &Lens, vergence: f64, angles_deg: &[f64]) -> Result<Self> {
+        lens.require_symmetry("kernels over the field")?;
+        let (sensor, scale) = (lens.sensor.radius_mm(), slope_per_tangent(lens, vergence));
+        chief_slopes(lens, vergence, &[0.0])?;
+        let slope_of = |radius: f64| chief_slopes(lens, vergence, &[radius]).ok().map(|s| s[0]);
+        let place = |angle: &f64| {
+            if !(0.0..90.0).contains(angle) {
+                return Err(Error::bad(lens.file(), "field angle", angle.to_string(), "0 to below 90 degrees"));
+            }
+            let wanted = angle.to_radians().tan() * scale;
+            radius_of(&slope_of, wanted, sensor).map_err(|last| {
+                let last = significant((last / scale).atan().to_degrees(), 5);
+                let at = significant(1.0 / vergence, 6);
+                let allowed = format!("up to {last} degrees, where the light ends (object at {at} mm)");
+                Error::bad(lens.file(), "field angle", format!("{angle} degrees"), allowed)
+            })
+        };
+        let radius_mm = angles_deg.iter().map(place).collect::<Result<Vec<f64>>>()?;
+        let slope = radius_mm.iter().map(|r| slope_of(*r).unwrap_or(0.0)).collect();
+        Self::of(lens, vergence, (radius_mm, slope), Vec::new())
+    }
+
+    fn of(
+        lens: &Lens,
+        vergence: f64,
+        (radius_mm, slope): (Vec<f64>, Vec<f64>),
+        chief: Vec<(f64, f64)>,
+    ) -> Result<Self> {
+        let near = 1e-3 * lens.sensor.radius_mm();
+        let scale_mm = near / chief_slopes(lens, vergence, &[near])?[0];
         let scale = slope_per_tangent(lens, vergence);
         let angle_deg = slope.iter().map(|s| (s / scale).atan().to_degrees()).collect();
-        let chief = slopes.into_iter().zip(samples).collect();
         Ok(Self { radius_mm, slope, angle_deg, scale_mm, chief })
     }
+}
+
+/// The radius at which a chief ray has the slope `wanted`, looked for from `start`, mm; where light ends before it, the last slope.
+fn radius_of(slope_of: &dyn Fn(f64) -> Option<f64>, wanted: f64, start: f64) -> std::result::Result<f64, f64> {
+    if wanted == 0.0 {
+        return Ok(0.0);
+    }
+    // The farthest place with less, and the nearest without light.
+    let (mut low, mut dark, mut high) = ((0.0, 0.0), f64::INFINITY, start);
+    let mut end = loop {
+        match slope_of(high) {
+            Some(slope) if slope >= wanted => break (high, slope),
+            Some(slope) => low = (high, slope),
+            None => dark = high,
+        }
+        if low.0 > 1e6 * start || dark - low.0 < 1e-9 * dark.min(1e9) {
+            return Err(low.1);
+        }
+        high = if dark.is_finite() { 0.5 * (low.0 + dark) } else { 2.0 * low.0 };
+    };
+    // False position; an end that stays twice counts half (the Illinois rule).
+    let (mut stays, mut weights) = (0, [1.0, 1.0]);
+    for _ in 0..FALSE_POSITIONS {
+        let (a, b) = (weights[0] * (low.1 - wanted), weights[1] * (end.1 - wanted));
+        let radius = low.0 - a * (end.0 - low.0) / (b - a);
+        let Some(slope) = slope_of(radius).filter(|_| radius > low.0 && radius < end.0) else { break };
+        let side = if slope < wanted { 1 } else { -1 };
+        if side > 0 {
+            low = (radius, slope);
+        } else {
+            end = (radius, slope);
+        }
+        weights = match (side == stays, side) {
+            (true, 1) => [1.0, 0.5 * weights[1]],
+            (true, _) => [0.5 * weights[0], 1.0],
+            _ => [1.0, 1.0],
+        };
+        stays = side;
+        if (slope - wanted).abs() <= 1e-14 * wanted {
+            return Ok(radius);
+        }
+    }
+    Ok(if wanted - low.1 < end.1 - wanted { low.0 } else { end.0 })
 }
 
 /// Object slope at the first vertex per tangent of the field angle at the entrance pupil; 1 for a lens that is telecentric in object

@@ -4,6 +4,7 @@
 //! comma-separated values show the same plots, so that a value under the pointer is one of the JSON's, to six digits. The MTF at the
 //! other steps of the focus slider is in the page alone.
 
+pub mod arrays;
 mod bars;
 mod curves;
 mod grid;

@@ -10,6 +10,8 @@ pub mod math;
 #[doc(hidden)]
 pub mod refusing;
 #[doc(hidden)]
+pub mod stop;
+#[doc(hidden)]
 pub mod terminal;
 #[doc(hidden)]
 pub mod testing;

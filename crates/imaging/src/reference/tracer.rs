@@ -16,6 +16,7 @@ use crate::frame::Frame;
 use crate::plane::{Plane, Region};
 use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::stop::look;
 use isoplanat_optics::lens::Lens;
 
 /// How much larger the ellipses of a lens without symmetry are than those of its upright twin.
@@ -152,6 +153,7 @@ impl Tracer {
                 let mut rays = Row::new(view, &texels);
                 let places = || (0..region.cols).flat_map(|j| (0..planes).map(move |plane| (plane, j)));
                 for (plane, j) in places() {
+                    look();
                     let col = region.col + j.cast_signed();
                     let channel = match self.settings.channels {
                         Channels::All => plane,

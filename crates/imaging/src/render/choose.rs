@@ -7,6 +7,7 @@ use super::plan::Settings;
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::metrics::decibel;
 use crate::render::node_grid::NodeGrid;
+use isoplanat_base::stop::look;
 use isoplanat_optics::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
@@ -140,7 +141,11 @@ impl Measuring<'_, '_> {
     }
 
     fn each(&self, f: &(dyn Fn(&Probe) -> Values + Sync)) -> Vec<Values> {
-        self.probes.par_iter().map(f).collect()
+        let one = |probe: &Probe| {
+            look();
+            f(probe)
+        };
+        self.probes.par_iter().map(one).collect()
     }
 
     fn nothing(&self) -> Vec<Values> {

@@ -17,6 +17,7 @@ use crate::frame::Frame;
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::math::wide::{Work, wide};
+use isoplanat_base::stop::look;
 use isoplanat_optics::psf::{KernelForm, Optics, Place, Quadrature};
 
 /// Values of a probe's pixels, `[channel][pixel]`, flattened.
@@ -151,6 +152,7 @@ fn pixels(region: Region) -> impl Iterator<Item = (usize, usize)> + Clone {
 
 /// Flipped kernels of all channels of `form` at a place, in single precision.
 fn flipped(optics: &Optics, depth: usize, form: &KernelForm, place: Place) -> Vec<Vec<f32>> {
+    look();
     let mut out = vec![0.0; form.channels() * form.raster.len()];
     optics.kernels(form, depth, place, &mut out);
     #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
@@ -208,6 +210,7 @@ impl Probing<'_> {
         let mono_form = self.mono_form();
         let form = self.form(self.optics, self.dense, 1);
         let of = |Stand { scene, region, weight }: &Stand| {
+            look();
             let scene = *scene;
             #[expect(clippy::cast_possible_truncation, reason = "a factor on values of pixels")]
             let scale = weight.sqrt() as f32;

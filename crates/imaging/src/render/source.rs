@@ -11,6 +11,7 @@ use crate::plane::{Plane, Region};
 use crate::render::blur::Source;
 use isoplanat_base::math::real::Real;
 use isoplanat_base::math::wide::{Work, wide};
+use isoplanat_base::stop::look;
 use isoplanat_optics::psf::SensorMap;
 
 /// A scene before a lens with this map, on the raster of `frame`.
@@ -239,6 +240,7 @@ impl<'a> WarpedScene<'a> {
             .map_init(
                 || (Line::default(), Vec::new()),
                 |(line, weights), i| {
+                    look();
                     let mut sum = vec![0.0; coefficients_bar.len()];
                     self.lines(region, i, line, |phase, y, line| {
                         weights.clear();
@@ -278,6 +280,7 @@ pub fn warp<T: Real>(scene: &Plane, map: &SensorMap, frame: &Frame, region: Regi
     let source = WarpedScene::new(scene, map, frame, (1, 1), channels.to_vec());
     let mut out = Array3::from_elem((channels.len(), region.rows, region.cols), T::zero());
     out.axis_chunks_iter_mut(Axis(1), 16).into_par_iter().enumerate().for_each(|(k, part)| {
+        look();
         let rows = part.len_of(Axis(1));
         let strip = Region { row: region.row + (16 * k).cast_signed(), rows, ..region };
         source.fill(strip, part.insert_axis(Axis(1)));

@@ -6,6 +6,7 @@ use crate::psf::stop::equal_area_rings;
 use crate::trace::aim::Aimer;
 use crate::trace::pupil::PupilRay;
 use crate::trace::{Cause, Failure, ObjectPoint, System};
+use isoplanat_base::stop::look;
 
 /// Where one ray meets the image plane.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -79,6 +80,7 @@ impl Beam {
             Err(failure) => beam.failure = Some(*failure),
         }
         for point in points {
+            look();
             let ray = PupilRay::new(&aimer, object, *point * system.stop_semi_diameter, near.as_ref());
             let end = ray.as_ref().map_err(|f| *f).and_then(|r| r.end);
             match (&ray, end) {

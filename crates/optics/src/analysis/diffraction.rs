@@ -42,6 +42,7 @@ use crate::trace::{ObjectPoint, System};
 use chords::Chords;
 use correlate::{largest, overlap};
 use gauss::Rules;
+use isoplanat_base::stop::look;
 
 pub use fault::Fault;
 pub use pupil::Pupil;
@@ -183,6 +184,7 @@ pub fn of_pupils(pupils: &[(Pupil, f64)], plan: &Plan) -> Result<Mtf, Fault> {
         };
         // All pupils at one frequency: transfer by focus, and limit.
         let at = |frequency: f64, light: &[f64], fineness: f64| {
+            look();
             let whole: f64 = light.iter().zip(pupils).map(|(l, (_, weight))| l * weight).sum();
             let mut sums = vec![Some(Complex::new(0.0, 0.0)); plan.focus_mm.len()];
             let mut limit = 0.0;

@@ -14,6 +14,7 @@ use super::wavefront::Map;
 use super::zernike::{Fit, Order};
 use crate::lens::{Lens, paraxial};
 use crate::trace::{Failure, ObjectPoint, System};
+use isoplanat_base::stop::look;
 
 /// Points each way of an overlap, at most: blur of more than about 100 cycles has no value, but on the sensor, where it is followed as far as it can
 /// be at every so many frequencies. A fast lens out of focus would take minutes otherwise.
@@ -230,7 +231,11 @@ impl View<'_> {
     /// Rays of all wavelengths of the field `angle_deg` through about `count` points.
     fn beams(&self, angle_deg: f64, count: usize) -> Vec<Beam> {
         let points = stop_points(count);
-        self.systems.par_iter().map(|s| Beam::new(s, object(self.lens, angle_deg), &points)).collect()
+        let of = |system: &System| {
+            look();
+            Beam::new(system, object(self.lens, angle_deg), &points)
+        };
+        self.systems.par_iter().map(of).collect()
     }
 
     fn field(&self, angle_deg: f64, cycles_per_mm: &[f64]) -> Field {

@@ -14,6 +14,7 @@ use rayon::prelude::*;
 use super::fit::{Parity, chebyshev, dot, terms};
 use super::stop::Part;
 use super::table::{Row, RowBar, Table, TableBar, Taps, taps};
+use isoplanat_base::stop::look;
 
 /// Chords of the half `x > 0`.
 const CHORDS: u32 = 128;
@@ -59,6 +60,7 @@ impl Illumination {
         let radii_mm: Vec<f64> = (0..=count).map(|i| radius_mm * f64::from(i) / f64::from(count.max(1))).collect();
         let quadrature = Quadrature::new(table.spec.degree);
         let at = |l: usize, r: f64| {
+            look();
             if r > table.edge_mm { [0.0; 2] } else { quadrature.integrate(table, &table.row(l, &table.taps(r))) }
         };
         let light: Vec<Vec<[f64; 2]>> = (0..table.spec.wavelength_nm.len())

@@ -32,6 +32,7 @@ use super::stop::StopPoints;
 use super::table::{Adapted, Table, TableBar, TableSpec, Tolerance};
 use crate::lens::{Lens, LensGradient};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::stop::look;
 
 /// A quadrature over wavelength: nodes and, by channel, weights that sum to one.
 #[derive(Clone, Debug, PartialEq)]
@@ -372,6 +373,7 @@ impl Optics {
             let pencil = self.pencil(form, depth, places[group[0]].radius_mm);
             let mut kernel = vec![0.0; form.channels() * form.raster.len()];
             let one = |i: &usize| {
+                look();
                 let outside = form.kernels(&pencil, places[*i].outward, &mut kernel);
                 (*i, with(*i, &kernel, &outside))
             };
@@ -399,6 +401,7 @@ impl Optics {
             let mut pulled: Option<(Pencil, PencilBar)> = None;
             let mut fine = vec![0.0; form.channels() * form.raster.len()];
             for i in group {
+                look();
                 fine.fill(0.0);
                 if !bar(*i, &mut fine) {
                     continue;
@@ -430,6 +433,7 @@ impl Optics {
         let each: Vec<Vec<usize>> = radii
             .par_iter()
             .map(|r| {
+                look();
                 let mut widest = vec![0; shares.len()];
                 for light in self.spread(form, depth, *r) {
                     for (share, widest) in shares.iter().zip(&mut widest) {

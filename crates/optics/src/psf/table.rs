@@ -28,6 +28,7 @@ use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System, SystemGradient};
 use beam::{Bases, Beam, Chief};
 use isoplanat_base::error::{Error, Result};
+use isoplanat_base::stop;
 pub use refine::{Adapted, Tolerance};
 use tracing::Tracing;
 
@@ -364,6 +365,7 @@ impl Table {
         let parts: Vec<LensGradient> = (0..self.beams.len() * (colours + 1))
             .into_par_iter()
             .map(|task| {
+                stop::look();
                 let (k, l) = (task / (colours + 1), task % (colours + 1));
                 let view = views.get(l).unwrap_or(&reference);
                 let mut out = SystemGradient::zeros(&view.system);

@@ -17,6 +17,7 @@ use super::node_sums::NodeSums;
 use super::record::BlurRecord;
 use super::segments::{Segment, used};
 use isoplanat_base::math::real::Real;
+use isoplanat_base::stop::look;
 
 /// Cotangents that leave [`blur_vjp`].
 #[derive(Clone, Debug)]
@@ -123,6 +124,7 @@ impl<T: Real> Pull<'_, T> {
         let frame = &self.record.frame;
         frame.pool.with(&frame.plane, |scratch| {
             for b in cell.blocks.clone() {
+                look();
                 let place = Place { row: &frame.rows[r], col: &frame.cols[b] };
                 let seen = self.record.seen(r, b, cell.group);
                 if seen.is_none() && !self.record.dark {

@@ -22,6 +22,7 @@ use super::spectra::NodeSpectra;
 use super::{Kernels, Source};
 use isoplanat_base::math::real::Real;
 use isoplanat_base::math::wide::prefetch;
+use isoplanat_base::stop::look;
 
 /// What a blur keeps for the cotangents.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -122,6 +123,7 @@ impl<T: Real> Row<'_, T> {
     }
 
     fn block(&self, task: Task<'_, '_, T>) -> Option<Kept<T>> {
+        look();
         let (frame, Task { place, group, channels, mut out }) = (self.frame, task);
         frame.pool.with(&frame.plane, |scratch| {
             self.band.spectra(frame, place, group, scratch);

@@ -17,6 +17,7 @@ use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::math::real::Real;
 use isoplanat_base::math::wide::{Work, wide};
+use isoplanat_base::stop::look;
 
 /// Rows of the image that one task computes; the source is asked for that many and a margin.
 pub(super) const BAND: usize = 32;
@@ -52,6 +53,7 @@ pub(super) fn blur_direct<T: Real>(
     let bands: Vec<_> = out.axis_chunks_iter_mut(Axis(1), BAND).enumerate().collect();
     let (count, done) = (bands.len(), AtomicUsize::new(0));
     bands.into_par_iter().for_each(|(band, out)| {
+        look();
         direct.band(source, band * BAND, out);
         let done = done.fetch_add(1, Ordering::Relaxed) + 1;
         progress(done as f64 / count as f64);

@@ -10,6 +10,7 @@ use super::correlate::{NodeSum, Sums};
 use super::frame::{Frame, Shape};
 use super::plane::zero;
 use isoplanat_base::math::real::Real;
+use isoplanat_base::stop::look;
 
 /// By node and channel: `[phase][column frequency][row frequency]`.
 pub(super) struct NodeSums<T> {
@@ -80,6 +81,7 @@ impl<T: Real> Done<T> {
             })
             .collect();
         work.into_par_iter().for_each(|(sum, out)| {
+            look();
             frame.pool.with(plane, |scratch| {
                 let mut kernel = vec![T::zero(); size * size];
                 for (sum, out) in sum.values.chunks_exact_mut(len).zip(out.chunks_exact_mut(size * size)) {

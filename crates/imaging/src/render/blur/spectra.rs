@@ -10,6 +10,7 @@ use super::Kernels;
 use super::frame::{Frame, Shape};
 use super::plane::zero;
 use isoplanat_base::math::real::Real;
+use isoplanat_base::stop::look;
 
 /// Spectra by node, `[channel][phase][column frequency][row frequency]`.
 pub(super) struct NodeSpectra<T> {
@@ -38,6 +39,7 @@ impl<T: Real> NodeSpectra<T> {
             *spectra = self.free.pop().unwrap_or_default();
         }
         new.par_iter_mut().for_each(|(node, spectra)| {
+            look();
             spectra.resize(channels * phases * len, zero());
             let mut values = Array4::from_elem((channels, phases, size, size), T::zero());
             kernels.fill(*node, values.view_mut());

@@ -12,6 +12,7 @@ use crate::lens::Lens;
 use crate::trace::aim::SensorView;
 use crate::trace::{Failure, System};
 use isoplanat_base::error::Result;
+use isoplanat_base::stop;
 
 /// What was traced at one sensor radius.
 struct Looked {
@@ -103,6 +104,7 @@ impl<'a> Tracing<'a> {
         }
         debug_assert_eq!(colours.first(), Some(&0), "the first wavelength is among them, and first");
         for l in colours {
+            stop::look();
             let found = looked.beams[*l].take().unwrap_or_else(|| {
                 // Always the first wavelength's, whatever else was traced before: tables of the same rays are equal to the bit.
                 let near = looked.beams[0].as_ref().and_then(|b| b.as_ref().ok()).filter(|_| *l > 0);

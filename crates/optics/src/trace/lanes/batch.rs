@@ -10,6 +10,7 @@ use super::run::{Lean, Mode, Run, Spectral, WithPath};
 use super::tile::{Rays, Status, TILE, Tile};
 use crate::trace::System;
 use isoplanat_base::math::simd::{Kernel, Simd};
+use isoplanat_base::stop::look;
 
 /// Groups that streamed rays are cut into; each is worked on by one thread, in order.
 pub const GROUPS: usize = 128;
@@ -131,6 +132,7 @@ struct Part<'a> {
 
 impl Part<'_> {
     fn trace(mut self, program: &Program, tile: &mut Tile) {
+        look();
         let count = self.status.len();
         for first in (0..count).step_by(TILE) {
             let range = first..count.min(first + TILE);

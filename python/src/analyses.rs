@@ -1,0 +1,174 @@
+//! `Lens.inspect`, `spot`, `mtf`, `distortion`, `report`: what the commands of these names tell, as numbers and arrays.
+
+use std::path::Path;
+
+use isoplanat::analysis::overview::Overview;
+use isoplanat::atomic::{Target, check_target, write_bytes};
+use isoplanat::imaging::sensor::Sensor;
+use isoplanat::imaging::sensor::spectrum::SpectralDensity;
+use isoplanat::math::memory::Limit;
+use isoplanat::report::drawing::lens_svg;
+use isoplanat::report::lens::{
+    LensReport, Options, SHIFTS, arrays, fields_json, html as page, look, plots, plots_json,
+};
+use isoplanat::report::listing::Listing;
+use isoplanat::{Lens, Result};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use serde_json::{Value, json};
+
+use crate::arrays::given;
+use crate::errors::{raised, refused};
+use crate::work::{here, work};
+
+/// Which analysis.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Mtf,
+    Spot,
+    Distortion,
+}
+
+/// How it is looked at; what is left out is the commands' own.
+pub(crate) struct Look {
+    pub(crate) distance_mm: Option<f64>,
+    pub(crate) rays: usize,
+    pub(crate) max_angle_deg: Option<f64>,
+    pub(crate) max_cycles_per_mm: Option<f64>,
+    pub(crate) shift_mm: Option<f64>,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self { distance_mm: None, rays: 1600, max_angle_deg: None, max_cycles_per_mm: None, shift_mm: None }
+    }
+}
+
+impl Look {
+    fn options(&self) -> PyResult<Options> {
+        if !(16..=1_000_000).contains(&self.rays) {
+            return Err(refused("rays", self.rays, "16 to 1000000"));
+        }
+        let within = |name: &str, value: Option<f64>, allowed: std::ops::RangeInclusive<f64>, words: &str| match value {
+            Some(v) if !allowed.contains(&v) => Err(refused(name, v, words)),
+            _ => Ok(value),
+        };
+        Ok(Options {
+            rays: self.rays,
+            max_angle_deg: within("max_angle_deg", self.max_angle_deg, 0.0..=120.0, "0 to 120 degrees")?,
+            cycles_per_mm: within("max_cycles_per_mm", self.max_cycles_per_mm, 1e-3..=1e5, "0.001 to 100000")?,
+            shift_mm: within("shift_mm", self.shift_mm, 1e-6..=1e3, "1e-6 to 1000 mm")?,
+            shifts: SHIFTS,
+            whole: true,
+            colour: false,
+            psf_depths_mm: Vec::new(),
+            memory: Limit::of_process(),
+        })
+    }
+}
+
+/// The values of JSON as those of Python.
+pub(crate) fn python(py: Python<'_>, value: &Value) -> PyResult<Py<PyAny>> {
+    Ok(py.import("json")?.call_method1("loads", (value.to_string(),))?.unbind())
+}
+
+pub(crate) fn inspect(py: Python<'_>, lens: &Lens, wavelength_nm: Option<f64>) -> PyResult<Py<PyAny>> {
+    let nm = wavelength_nm.unwrap_or(lens.wavelengths.primary_nm);
+    if !(200.0..=20_000.0).contains(&nm) {
+        return Err(refused("wavelength_nm", nm, "200 to 20000 nm"));
+    }
+    lens.require_indices(nm, lens.file()).map_err(raised)?;
+    python(py, &here(|| Ok(Listing::new(lens, nm).json()))?)
+}
+
+pub(crate) fn analysis(py: Python<'_>, lens: &Lens, kind: Kind, asked: Look) -> PyResult<Py<PyAny>> {
+    // Spots and distortion need no waves.
+    let options = Options { whole: kind == Kind::Mtf, ..asked.options()? };
+    let lens = crate::lens::at(lens, asked.distance_mm)?;
+    let (told, arrays) = work(py, || {
+        let (overview, missing) = look(&lens, &options);
+        let curves: Vec<_> = plots(&overview).into_iter().filter(|(name, _)| kind.shows(name)).collect();
+        let told = json!({ "fields": fields_json(&overview), "plots": plots_json(&curves), "missing": missing });
+        Ok((told, kind.arrays(&overview)))
+    })?;
+    let told = python(py, &told)?;
+    let all = told.bind(py).cast::<PyDict>()?;
+    for (name, array) in arrays {
+        all.set_item(name, given(py, array))?;
+    }
+    Ok(told)
+}
+
+impl Kind {
+    /// Whether the plot `name` belongs to it.
+    fn shows(self, name: &str) -> bool {
+        match self {
+            Self::Mtf => name.starts_with("mtf"),
+            Self::Spot => ["rms_focus", "encircled_energy"].contains(&name),
+            Self::Distortion => name == "distortion",
+        }
+    }
+
+    fn arrays(self, overview: &Overview) -> arrays::Arrays {
+        match self {
+            Self::Mtf => arrays::mtf(overview),
+            Self::Spot => arrays::spot(overview),
+            Self::Distortion => arrays::distortion(overview),
+        }
+    }
+}
+
+pub(crate) fn report(
+    py: Python<'_>,
+    lens: &Lens,
+    file: Option<&Path>,
+    force: bool,
+    asked: Look,
+) -> PyResult<Py<PyAny>> {
+    let options = asked.options()?;
+    let lens = crate::lens::at(lens, asked.distance_mm)?;
+    let told = work(py, || -> Result<Value> {
+        if let Some(file) = file {
+            check_target(file, force.into())?;
+        }
+        let colour = SpectralDensity::new(&Sensor::generic()).require(&lens).is_ok();
+        let report = LensReport::new(lens, &Options { colour, ..options });
+        let told = report.json();
+        if let Some(file) = file {
+            write_bytes(Target::new(file, force), page(&[report])?.as_bytes())?;
+        }
+        Ok(told)
+    })?;
+    python(py, &told)
+}
+
+/// First-order numbers that a notebook shows: key in the listing, words, unit.
+const SHOWN: [(&str, &str, &str); 7] = [
+    ("effective_focal_length_mm", "effective focal length", "mm"),
+    ("f_number", "f-number", ""),
+    ("back_focal_length_mm", "back focal length", "mm"),
+    ("length_mm", "length, first vertex to sensor", "mm"),
+    ("entrance_pupil_diameter_mm", "entrance pupil diameter", "mm"),
+    ("max_field_deg", "largest half field angle", "°"),
+    ("object_distance_mm", "object distance", "mm"),
+];
+
+/// A lens as a notebook shows it.
+pub(crate) fn html(lens: &Lens, listing: &Listing<'_>, notes: &[String]) -> String {
+    let all = listing.json();
+    let row = |(key, words, unit): &(&str, &str, &str)| {
+        // A distance that is no number in JSON is infinite.
+        let value = all[*key].as_f64().map_or_else(|| "∞".to_owned(), |v| format!("{v:.6}"));
+        format!(
+            "<tr><th style=\"text-align:left\">{words}</th><td style=\"text-align:right\">{value}</td><td>{unit}</td></tr>"
+        )
+    };
+    let rows: String = SHOWN.iter().map(row).collect();
+    let notes: String = notes.iter().map(|note| format!("<p>{}</p>", escaped(note))).collect();
+    format!("<div><b>{}</b><br>{}<table>{rows}</table>{notes}</div>", escaped(&lens.name), lens_svg(lens))
+}
+
+/// A text that HTML shows as it is.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+}

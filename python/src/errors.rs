@@ -1,0 +1,58 @@
+//! Exceptions of the library's errors, with its text.
+
+use std::io::ErrorKind;
+
+use isoplanat::Error;
+use pyo3::exceptions::{
+    PyFileExistsError, PyFileNotFoundError, PyKeyboardInterrupt, PyOSError, PyPermissionError, PyRuntimeError,
+    PyValueError,
+};
+use pyo3::prelude::*;
+
+/// The exception for `error`: `ValueError` for what cannot be used, `OSError` and its kinds for files, `RuntimeError` for a fault of the program.
+pub(crate) fn raised(error: Error) -> PyErr {
+    match &error {
+        Error::Exists(path) => PyFileExistsError::new_err(format!(
+            "{}: exists already; name another output or pass force=True",
+            path.display()
+        )),
+        Error::Io { reason, .. } => {
+            let text = error.to_string();
+            match reason.kind() {
+                ErrorKind::NotFound => PyFileNotFoundError::new_err(text),
+                ErrorKind::PermissionDenied => PyPermissionError::new_err(text),
+                _ => PyOSError::new_err(text),
+            }
+        }
+        Error::Interrupted => PyKeyboardInterrupt::new_err(()),
+        Error::Internal(_) | Error::Stopped(_) => PyRuntimeError::new_err(error.to_string()),
+        _ => PyValueError::new_err(in_python(&error.to_string())),
+    }
+}
+
+/// A message without the flags of a command line that there is not.
+fn in_python(text: &str) -> String {
+    let flags = [(" (--memory-gib)", ""), ("a smaller --size", "a smaller size"), ("--force", "force=True")];
+    flags.iter().fold(text.to_owned(), |text, (flag, words)| text.replace(flag, words))
+}
+
+/// A `ValueError`: the argument, what was found there, what is allowed.
+pub(crate) fn refused(argument: &str, found: impl std::fmt::Display, allowed: impl std::fmt::Display) -> PyErr {
+    raised(Error::bad("", argument, found.to_string(), allowed.to_string()))
+}
+
+/// `value` where it is a positive, finite number.
+pub(crate) fn positive(argument: &str, value: f64, unit: &str) -> PyResult<f64> {
+    if value.is_finite() && value > 0.0 {
+        return Ok(value);
+    }
+    Err(refused(argument, value, format!("a positive number of {unit}")))
+}
+
+/// The object's vergence, 1/mm, at a distance that may be infinite.
+pub(crate) fn vergence(argument: &str, distance_mm: f64) -> PyResult<f64> {
+    if distance_mm.is_nan() || distance_mm <= 0.0 {
+        return Err(refused(argument, distance_mm, "a positive distance in mm, or inf"));
+    }
+    Ok(1.0 / distance_mm)
+}

@@ -1,0 +1,27 @@
+"""What the stubs say is what there is."""
+
+import subprocess
+import sys
+
+import pytest
+
+
+def test_stubs_are_those_of_the_module(tmp_path):
+    pytest.importorskip("mypy", reason="mypy is not installed")
+    for command in [["mypy.stubtest", "isoplanat"], ["mypy", "--strict", "-p", "isoplanat"]]:
+        done = subprocess.run([sys.executable, "-m", *command], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_everything_public_is_described():
+    import isoplanat as iso
+
+    for name in iso.__all__:
+        thing = getattr(iso, name)
+        if name in ("STATUS", "__version__"):
+            continue
+        assert (type(thing).__doc__ if name == "render" else thing.__doc__), name
+        if isinstance(thing, type):
+            for member in (m for m in vars(thing) if not m.startswith("_")):
+                described = member in thing.__doc__ or getattr(thing, member).__doc__
+                assert described, f"{name}.{member}"
