@@ -2,6 +2,7 @@
 
 use std::io::Write;
 use std::path::PathBuf;
+use std::sync::OnceLock;
 
 use isoplanat::dataset::{Crops, Form, Judging, Made, Part, Planned, Settings, make};
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -175,12 +176,17 @@ impl Args {
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let settings = args.settings()?;
-    let bar = Bar::new("dataset");
+    // What is refused is refused in one line: the bar begins with the writing.
+    let bar = OnceLock::new();
     let made = make(&settings, &args.output, &|share, what| {
-        bar.set(share, what.to_owned());
+        if !what.is_empty() {
+            bar.get_or_init(|| Bar::new("dataset")).set(share, what.to_owned());
+        }
         true
     })?;
-    bar.done(String::new());
+    if let Some(bar) = bar.into_inner() {
+        bar.done(String::new());
+    }
     for plan in made.planned.iter().filter(|p| !p.holds) {
         let predicted = plan.predicted_psnr_db.unwrap_or(f64::NAN);
         crate::tell!(

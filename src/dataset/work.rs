@@ -65,8 +65,8 @@ impl Made {
     }
 }
 
-/// Makes a data set, or its part, in `folder`; what is whole there stays. `watch` hears the share that is done and what is worked on, from any thread;
-/// where it returns `false` the work ends with [`Error::Interrupted`] after the pairs that are under way.
+/// Makes a data set, or its part, in `folder`; what is whole there stays. `watch` hears the share that is done and what is worked on, from any thread: an
+/// empty text until the photographs have been read once and the first lens is planned, when nothing has been written. Where it returns `false` the work ends with [`Error::Interrupted`] after the pairs that are under way.
 ///
 /// # Errors
 /// Settings that mean nothing; photographs or lenses that cannot be used; a folder of something else, or of other settings; too much memory; what the
@@ -145,7 +145,8 @@ impl Work<'_> {
         for units in left.chunk_by(|a, b| a.group == b.group) {
             let (lens, distance) = self.layout.of_group(units[0].group);
             let done = ticks.load(Ordering::Relaxed) as f64 / to_make.max(1) as f64;
-            self.go_on(done, &format!("plan {}", self.settings.lenses[lens].0))?;
+            let what = format!("plan {}", self.settings.lenses[lens].0);
+            self.go_on(done, if planned.is_empty() { "" } else { &what })?;
             let stage = Stage::planned(self.settings, self.photos, self.density, (lens, distance))?;
             let at_once = self.at_once(&stage, units)?;
             planned.push(Planned {
@@ -202,7 +203,7 @@ impl Work<'_> {
         photos.sort_unstable();
         photos.dedup();
         photos.par_iter().try_for_each(|photo| {
-            self.go_on(0.0, "photographs")?;
+            self.go_on(0.0, "")?;
             self.photos.load(*photo).map(drop)
         })
     }
