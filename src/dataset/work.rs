@@ -45,7 +45,7 @@ pub struct Made {
     pub made: usize,
     /// Pairs of this part that were whole already.
     pub kept: usize,
-    /// Files that were found damaged or missing and were made again with their units.
+    /// Units of the folder whose files or records were found damaged and that were made again.
     pub damaged: usize,
     /// Whether all parts are whole: `pairs.csv` is there.
     pub complete: bool,

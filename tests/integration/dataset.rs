@@ -221,6 +221,66 @@ fn killed_and_damaged_sets_end_with_the_same_bits() {
     eprintln!("{met} of {kills} kills met work under way");
 }
 
+/// From a program: it hears how far the work is and may end it; what was made stays.
+#[test]
+fn a_watcher_ends_the_work_and_it_goes_on() {
+    use isoplanat::dataset::{Crops, Form, Settings, make};
+    let place = photographs();
+    let lens = builtin::lens("cooke_triplet").and_then(|l| l.changed(|l| {
+        (l.sensor.columns, l.sensor.rows, l.sensor.pitch_um, l.sensor.axis_px) = (48, 32, 750.0, [24.0, 16.0]);
+    }));
+    let settings = Settings {
+        crops: Some(Crops { size: [16, 16], count: 2 }),
+        form: Form::Npy,
+        noise: true,
+        min_psnr_db: 35.0,
+        ..Settings::new(vec![("lens".into(), lens.expect("valid"))], place.path("photos"))
+    };
+    let shares = std::sync::Mutex::new(Vec::new());
+    let ended = make(&settings, &place.path("data"), &|share, _| {
+        shares.lock().expect("whole").push(share);
+        share < 0.4
+    });
+    assert!(matches!(ended, Err(isoplanat::Error::Interrupted)), "{ended:?}");
+    assert!(place.path("data/dataset.json").exists() && !place.path("data/pairs.csv").exists());
+    let made = make(&settings, &place.path("data"), &|_, _| true).expect("goes on");
+    assert!(made.complete && made.pairs == 6 && made.rows.len() == 6, "{made:?}");
+    make(&settings, &place.path("whole"), &|_, _| true).expect("at once");
+    assert_eq!(all(&place.path("data")), all(&place.path("whole")));
+    let nothing = make(&settings, &place.path("none"), &|_, _| false);
+    assert!(matches!(nothing, Err(isoplanat::Error::Interrupted)) && !place.path("none").exists());
+}
+
+/// The loaders that the manual prints read what its commands make.
+#[cfg(unix)]
+#[test]
+fn the_manuals_loaders_run() {
+    use std::process::Command;
+    let page = std::fs::read_to_string(crate::support::root().join("docs/datasets.md")).expect("a page");
+    let blocks = |language: &str| -> Vec<String> {
+        let start = format!("\n```{language}\n");
+        page.split(&start).skip(1).map(|rest| rest.split("\n```").next().unwrap_or(rest).to_owned()).collect()
+    };
+    let (shell, python) = (&blocks("sh")[0], blocks("python"));
+    assert_eq!(python.len(), 2);
+    let needs = ["import numpy", "import numpy, cv2, tifffile"];
+    let has = |what: &str| Command::new("python3").args(["-c", what]).output().is_ok_and(|o| o.status.success());
+    let there = needs.map(has);
+    needs.iter().zip(there).filter(|(_, there)| !there).for_each(|(what, _)| eprintln!("skipped: python3 cannot {what}"));
+    if !there[0] {
+        return;
+    }
+    let place = Workplace::new();
+    let programs = Path::new(env!("CARGO_BIN_EXE_isoplanat")).parent().expect("a folder");
+    let path = format!("{}:{}", programs.display(), std::env::var("PATH").unwrap_or_default());
+    let made = Command::new("sh").args(["-e", "-c", shell]).current_dir(place.path(".")).env("PATH", &path).output();
+    assert!(made.expect("a shell").status.success());
+    for (text, _) in python.iter().zip(there).filter(|(_, there)| *there) {
+        let ran = Command::new("python3").args(["-c", text]).current_dir(place.path(".")).output().expect("runs");
+        assert!(ran.status.success(), "{text}\n{}", String::from_utf8_lossy(&ran.stderr));
+    }
+}
+
 /// To the bit, whole frames without noise and with it.
 #[test]
 fn pairs_are_what_render_makes() {
