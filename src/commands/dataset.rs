@@ -215,9 +215,13 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if !made.planned.is_empty() {
         write!(out, "\n{}", table(&PLANS, &made.planned))?;
     }
-    let [judged, held] = made.held(settings.min_psnr_db);
-    if judged > 0 {
-        writeln!(out, "\njudged by rays: {held} of {judged} hold {} dB", settings.min_psnr_db)?;
+    if let Some(([judged, held], mean)) = made.verdict(settings.min_psnr_db) {
+        let ([low, high], db) = (mean.interval_db(), mean.psnr_db());
+        let asked = settings.min_psnr_db;
+        writeln!(
+            out,
+            "\njudged by rays: {held} of {judged} hold {asked} dB; together {db:.1} dB ({low:.1} to {high:.1})"
+        )?;
     }
     if !made.complete {
         writeln!(out, "\npairs.csv comes with the last part")?;
@@ -228,16 +232,21 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 const PLANS: [Column<Planned>; 4] = [
     Column::text("lens", "lens", |p| p.lens.clone()),
     Column::text("distance/mm", "distance_mm", |p| p.distance_mm.map_or("inf".into(), |mm| mm.to_string())),
-    Column::text("predicted PSNR dB", "predicted_psnr_db", |p| p.predicted_psnr_db.map_or("–".into(), |db| format!("{db:.1}"))),
+    Column::text("predicted PSNR dB", "predicted_psnr_db", |p| {
+        p.predicted_psnr_db.map_or("–".into(), |db| format!("{db:.1}"))
+    }),
     Column::figure("planned in s", "seconds", 2, |p| p.seconds),
 ];
 
 fn figures(args: &Args, settings: &Settings, made: &Made) -> Result<serde_json::Value> {
-    let [judged, held] = made.held(settings.min_psnr_db);
+    let verdict = made.verdict(settings.min_psnr_db);
+    let [judged, held] = verdict.map_or([0, 0], |v| v.0);
+    let (together, interval) = verdict.map_or((None, None), |(_, m)| (Some(m.psnr_db()), Some(m.interval_db())));
     let Part { index, of } = settings.part;
     Ok(serde_json::json!({ "schema": 1, "dataset": args.output, "index": index, "of": of, "pairs": made.pairs,
         "made": made.made, "kept": made.kept, "damaged": made.damaged, "complete": made.complete, "seconds": made.seconds,
-        "plans": value(&made.planned)?, "judged": judged, "held": held, "min_psnr_db": settings.min_psnr_db }))
+        "plans": value(&made.planned)?, "judged": judged, "held": held, "min_psnr_db": settings.min_psnr_db,
+        "judged_psnr_db": together, "judged_psnr_db_interval": interval }))
 }
 
 #[cfg(test)]

@@ -130,13 +130,27 @@ impl Args {
 
     /// Whether what the fast renderer alone makes is asked of it: a truth, noise, a flat field.
     fn check_pair(&self, many: bool) -> Result<()> {
-        let asked = [("--truth", self.truth.is_some()), ("--noise", self.noise.is_asked()), ("--flat-field", self.noise.flat_field)];
+        let asked = [
+            ("--truth", self.truth.is_some()),
+            ("--noise", self.noise.is_asked()),
+            ("--flat-field", self.noise.flat_field),
+        ];
         if let Some((option, _)) = asked.iter().find(|(_, asked)| *asked && self.method == Method::MonteCarlo) {
-            return Err(Error::bad(*option, "with", "--method monte-carlo", "--method psf-grid; `isoplanat capture` has noise by rays"));
+            return Err(Error::bad(
+                *option,
+                "with",
+                "--method monte-carlo",
+                "--method psf-grid; `isoplanat capture` has noise by rays",
+            ));
         }
         let Some(path) = &self.truth else { return Ok(()) };
         if many {
-            return Err(Error::bad("--truth", "with", "several scenes", "one; `isoplanat dataset` makes pairs of many"));
+            return Err(Error::bad(
+                "--truth",
+                "with",
+                "several scenes",
+                "one; `isoplanat dataset` makes pairs of many",
+            ));
         }
         self.check_name(path)
     }

@@ -100,7 +100,8 @@ fn same(folder: &Path, text: &str) -> Result<()> {
     }
     let parsed = |text: &str| serde_json::from_str::<Value>(text).unwrap_or(Value::Null);
     let other = difference(&parsed(&there), &parsed(text));
-    let (place, found, now) = other.unwrap_or_else(|| (String::new(), "another text".into(), "as it was written".into()));
+    let (place, found, now) =
+        other.unwrap_or_else(|| (String::new(), "another text".into(), "as it was written".into()));
     let allowed = format!("{now}, as asked for now: a folder holds one data set; another folder, or --force");
     Err(Error::bad(path.display().to_string(), place, found, allowed))
 }

@@ -3,8 +3,8 @@
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::mixed;
 use isoplanat_imaging::plane::{Plane, Region};
-use isoplanat_imaging::reference::halves::psnr_against_halves;
 use isoplanat_imaging::reference::Tracer;
+use isoplanat_imaging::reference::halves::psnr_against_halves;
 use isoplanat_imaging::reference::{Channels, Sampling, Settings as Rays};
 use ndarray::ArrayView3;
 

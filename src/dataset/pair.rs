@@ -93,8 +93,7 @@ pub(super) fn made(stage: &Stage<'_>, place: Place, texture: &Array3<f32>) -> Re
     };
     let seed = mixed(settings.seed ^ 0x6461_7461, place.pair as u64);
     let level = level(settings.noise_level, seed);
-    let verdict =
-        if place.judged { Some(judged(stage, &scene, part, inside(&image).view(), seed)?) } else { None };
+    let verdict = if place.judged { Some(judged(stage, &scene, part, inside(&image).view(), seed)?) } else { None };
     let exposure = Exposure { sensor: &settings.sensor, level, flat_field: settings.flat_field, seed };
     let illumination = |region| plan.renderer.light.over::<f32>(frame, region, &[0, 1, 2]);
     let capture = match (settings.noise, settings.flat_field) {

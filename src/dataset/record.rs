@@ -78,6 +78,21 @@ impl Judged {
     pub fn interval_db(&self) -> [f64; 2] {
         [1.96, -1.96].map(|errors| db(self.mean_square + errors * self.standard_error))
     }
+
+    /// Whether so many dB are held, as far as the rays' noise lets it be told: the interval does not lie below them.
+    pub fn holds(&self, db: f64) -> bool {
+        self.interval_db()[1] >= db
+    }
+
+    /// The mean of several; `None` of none.
+    pub(super) fn mean(all: &[Self]) -> Option<Self> {
+        let count = all.len() as f64;
+        let sum = |of: fn(&Self) -> f64| all.iter().map(of).sum::<f64>();
+        (!all.is_empty()).then(|| Self {
+            mean_square: sum(|j| j.mean_square) / count,
+            standard_error: sum(|j| j.standard_error.powi(2)).sqrt() / count,
+        })
+    }
 }
 
 /// The PSNR of a mean square error.

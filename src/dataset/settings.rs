@@ -9,6 +9,7 @@ use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::scene::placement::slope_per_mm;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::illuminant::Illuminant;
+use isoplanat_optics::lens::paraxial::first_order;
 use isoplanat_optics::lens::{Lens, Prescription};
 
 use super::form::Form;
@@ -161,7 +162,12 @@ impl Settings {
             refuse((1..=MOST).contains(&count), "--crops", count.to_string(), "1 to 100000 of each photograph")?;
         }
         if let Some(texels) = self.texels_per_pixel {
-            refuse(texels > 0.0 && texels <= 1000.0, "--texels-per-pixel", texels.to_string(), "above 0, at most 1000")?;
+            refuse(
+                texels > 0.0 && texels <= 1000.0,
+                "--texels-per-pixel",
+                texels.to_string(),
+                "above 0, at most 1000",
+            )?;
         }
         let [low, high] = self.noise_level;
         let levels = low >= 0.0 && low <= high && high <= 1000.0 && (low > 0.0 || high == 0.0);
@@ -196,6 +202,12 @@ impl Settings {
         {
             let allowed = format!("a part of the {} × {} pixels of {name}", frame.columns, frame.rows);
             return Err(Error::bad("--crop", "size", format!("{columns}x{rows}"), allowed));
+        }
+        let image = first_order(&lens, lens.wavelengths.primary_nm).paraxial_image_distance;
+        if lens.object_vergence > 0.0 && !(image > 0.0 && image.is_finite()) {
+            let found =
+                format!("{} mm, at the front focal point or nearer: no real image", lens.object_vergence.recip());
+            return Err(Error::bad(name.as_str(), "object distance", found, "a greater distance"));
         }
         slope_per_mm(&lens, 0.0, &frame)?;
         slope_per_mm(&lens, frame.max_radius_mm(), &frame).map(drop)

@@ -78,8 +78,7 @@ impl<'a> Stage<'a> {
                 textures.into_iter().map(placed).collect::<Result<Vec<_>>>().map_err(named)?
             }
         };
-        let plan =
-            plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), false).map_err(named)?;
+        let plan = plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), false).map_err(named)?;
         let (seconds, tracer) = (clock.elapsed().as_secs_f64(), OnceLock::new());
         Ok(Self { settings, photos, density, lens_index, lens, frame, plan, seconds, tracer })
     }
@@ -104,8 +103,7 @@ impl<'a> Stage<'a> {
             let scene = filling(&self.lens, frame, self.settings.texels_per_pixel, texture.clone())?;
             return Ok(Cut { part: whole, around: whole, scene });
         };
-        let rng =
-            &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x6372_6f70, (photo * count + crop) as u64));
+        let rng = &mut fastrand::Rng::with_seed(mixed(self.settings.seed ^ 0x6372_6f70, (photo * count + crop) as u64));
         let mut start = |n: usize, size: usize| STEP * rng.usize(0..=(n - size) / STEP);
         let (row, col) = (start(frame.rows, rows).cast_signed(), start(frame.columns, columns).cast_signed());
         let part = Region { row, col, rows, cols: columns };

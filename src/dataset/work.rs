@@ -16,7 +16,7 @@ use serde::Serialize;
 use super::folder::{TABLE, description, is_there, opened};
 use super::layout::{Layout, Unit, drawn};
 use super::pair::{Pair, Place, made};
-use super::record::{COLUMNS, Record, Row, Written};
+use super::record::{COLUMNS, Judged, Record, Row, Written};
 use super::settings::Settings;
 use super::stage::Stage;
 use crate::report::columns::csv;
@@ -58,10 +58,11 @@ pub struct Made {
 }
 
 impl Made {
-    /// Judged pairs, and how many of them hold `db`.
-    pub fn held(&self, db: f64) -> [usize; 2] {
-        let judged = || self.rows.iter().filter_map(|r| r.judged);
-        [judged().count(), judged().filter(|j| j.psnr_db() >= db).count()]
+    /// Judged pairs, how many of them hold `db` ([`Judged::holds`]), and the mean of their errors.
+    pub fn verdict(&self, db: f64) -> Option<([usize; 2], Judged)> {
+        let judged: Vec<Judged> = self.rows.iter().filter_map(|r| r.judged).collect();
+        let held = judged.iter().filter(|j| j.holds(db)).count();
+        Judged::mean(&judged).map(|mean| ([judged.len(), held], mean))
     }
 }
 
@@ -166,7 +167,8 @@ impl Work<'_> {
             }
         }
         let complete = (0..self.layout.units()).all(|unit| Record::is_there(self.folder, unit));
-        let numbers: Vec<usize> = if complete { (0..self.layout.units()).collect() } else { units.iter().map(|u| u.number).collect() };
+        let numbers: Vec<usize> =
+            if complete { (0..self.layout.units()).collect() } else { units.iter().map(|u| u.number).collect() };
         let rows = self.rows(&numbers)?;
         if complete {
             atomic::write_bytes(&self.folder.join(TABLE), csv(&COLUMNS, &rows).as_bytes())?;
@@ -213,7 +215,8 @@ impl Work<'_> {
         let Settings { crops, judging, memory, .. } = self.settings;
         let [columns, rows] = crops.map_or([stage.frame.columns, stage.frame.rows], |c| c.size);
         let pairs = units.iter().map(|u| u.photos.len()).max().unwrap_or(1) * self.layout.crops;
-        let kept = product(&[pairs, if self.settings.form.has_shards() { 12 } else { 6 }, columns, rows, size_of::<f32>()]);
+        let kept =
+            product(&[pairs, if self.settings.form.has_shards() { 12 } else { 6 }, columns, rows, size_of::<f32>()]);
         let rays = if judging.share > 0.0 { product(&[2, columns, rows, 3 * 6, size_of::<f32>()]) } else { 0 };
         let each = stage.plan.bytes(self.texels).saturating_add(kept).saturating_add(rays);
         let what = format!("pairs of {columns} × {rows} pixels");
@@ -249,7 +252,9 @@ impl Work<'_> {
         let of = |unit: &usize| {
             let place = || self.folder.join("records").join(format!("{unit:05}.json")).display().to_string();
             let allowed = "the record of a unit, as it was written; the same command makes it again";
-            Record::read(self.folder, *unit).map(|r| r.rows).ok_or_else(|| Error::bad(place(), "record", "none that can be read", allowed))
+            Record::read(self.folder, *unit)
+                .map(|r| r.rows)
+                .ok_or_else(|| Error::bad(place(), "record", "none that can be read", allowed))
         };
         Ok(units.iter().map(of).collect::<Result<Vec<_>>>()?.into_iter().flatten().collect())
     }

@@ -16,8 +16,7 @@ fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let help = place.run("--help").done();
     for command in [
         "inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "sweep",
-        "dataset",
-        "train", "evaluate", "export", "compare",
+        "dataset", "train", "evaluate", "export", "compare",
     ] {
         assert!(help.contains(command), "{help}");
     }

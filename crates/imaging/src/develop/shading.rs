@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use isoplanat_base::error::{Error, Result};
-use ndarray::{Array3, ArrayView3};
 use isoplanat_optics::psf::measured::linear;
+use ndarray::{Array3, ArrayView3};
 
 /// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
 /// than as noise that outshines the picture.

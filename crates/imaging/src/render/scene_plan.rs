@@ -62,11 +62,7 @@ impl ScenePlan {
     ///
     /// # Errors
     /// A scene that cannot be rendered, or at another distance than planned for.
-    pub fn picture<T: Real>(
-        &self,
-        scene: &Plane,
-        progress: &(dyn Fn(f64) + Sync),
-    ) -> Result<(Array3<T>, Seen)> {
+    pub fn picture<T: Real>(&self, scene: &Plane, progress: &(dyn Fn(f64) + Sync)) -> Result<(Array3<T>, Seen)> {
         self.part(scene, Region::whole(&self.renderer.plan.frame), progress)
     }
 
@@ -74,7 +70,12 @@ impl ScenePlan {
     ///
     /// # Errors
     /// As there.
-    pub fn part<T: Real>(&self, scene: &Plane, part: Region, progress: &(dyn Fn(f64) + Sync)) -> Result<(Array3<T>, Seen)> {
+    pub fn part<T: Real>(
+        &self,
+        scene: &Plane,
+        part: Region,
+        progress: &(dyn Fn(f64) + Sync),
+    ) -> Result<(Array3<T>, Seen)> {
         check(scene)?;
         let plan = &self.renderer.plan;
         let depth = plan.depth(scene.vergence)?;
