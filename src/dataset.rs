@@ -4,7 +4,7 @@
 //! crop, and depends on the settings and its number alone. So work can be split ([`Part`]) and gone on with after a kill, and the bits are the same.
 //!
 //! To read: `settings` (what is asked for), `layout` (numbers, files, parts), `stage` (a lens at a distance, planned once), `pair` (one capture and
-//! its truth), `judge` (rays), `form` (files), `folder`, `record` (what is whole, `pairs.csv`), `work` (all of it).
+//! its truth), `judge` (rays), `form`, `write` (files), `folder`, `record` (what is whole, `pairs.csv`), `work` (all of it).
 
 mod folder;
 mod form;
@@ -15,6 +15,7 @@ mod record;
 mod settings;
 mod stage;
 mod work;
+mod write;
 
 pub use folder::MARKER;
 pub use form::Form;

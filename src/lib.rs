@@ -61,6 +61,7 @@ pub use isoplanat_imaging::calibrate;
 #[doc(hidden)]
 pub mod report;
 
+#[doc(hidden)]
 pub mod dataset;
 
 /// The reconstruction network: the contract with the camera without burn; model, training and export behind the feature `train`.

@@ -19,6 +19,7 @@ use super::pair::{Pair, Place, made};
 use super::record::{COLUMNS, Judged, Record, Row, Written};
 use super::settings::Settings;
 use super::stage::Stage;
+use super::write::write;
 use crate::report::columns::csv;
 
 /// A lens at a distance as it was planned.
@@ -242,7 +243,7 @@ impl Work<'_> {
                 pairs.push(made(stage, place, &texture).map_err(named)?);
             }
         }
-        let names = form.write(self.folder, unit.number, &pairs)?;
+        let names = write(form, self.folder, unit.number, &pairs)?;
         let files = names.iter().map(|name| Written::of(self.folder, name)).collect::<Result<_>>()?;
         Record { rows: pairs.into_iter().map(|p| p.row).collect(), files }.write(self.folder, unit.number)
     }

@@ -109,7 +109,7 @@ fn every_form_holds_the_same_pairs() {
             let array: Array4<f32> = archive.by_name(which).expect("an array");
             assert_eq!(pair_of(&array, number(d, "place") as usize), float, "{which} {k}");
             let numbers: ndarray::Array1<f64> = archive.by_name("shot_variance").expect("numbers");
-            assert_eq!(numbers[number(d, "place") as usize], number(d, "shot_variance"));
+            assert!((numbers[number(d, "place") as usize] / number(d, "shot_variance") - 1.0).abs() < 1e-14);
             let seeds: ndarray::Array1<u64> = archive.by_name("seed").expect("numbers");
             assert_eq!(seeds[number(d, "place") as usize].to_string(), d["seed"]);
             // Half a step of 65,535 on the steepest part of the curve.
@@ -391,9 +391,9 @@ fn truth_is_the_distorted_scene() {
     let ramp = Array3::from_shape_fn((3, rows, cols), |(_, r, c)| 0.1 + 0.005 * c as f32 + 0.003 * r as f32);
     write_picture(&place.path("ramp/a.npy"), &ramp, Encoding::Linear).expect("writes");
     let lens = builtin::lens("two_element").expect("shipped");
-    place.run("dataset two_element --photos ramp --columns 96 --rows 64 --pitch-um 100 --form tiff -o data").done();
+    place.run("dataset two_element --photos ramp --columns 96 --rows 64 --pitch-um 300 --form tiff -o data").done();
     let truth = read_linear(&place.path("data/truth/000000.tif")).expect("reads");
-    let frame = Frame::centred(96, 64, 0.1).expect("valid");
+    let frame = Frame::centred(96, 64, 0.3).expect("valid");
     let system = System::new(&lens, lens.wavelengths.primary_nm);
     // Texels a unit of slope: one a pixel next to the axis.
     let landing = |slope: [f64; 2]| {
@@ -416,7 +416,7 @@ fn truth_is_the_distorted_scene() {
         let meant = 0.1 + 0.005 * (texel[0] - 0.5) as f32 + 0.003 * (texel[1] - 0.5) as f32;
         assert!((seen - meant).abs() < 2e-5, "{texel:?} at {x:.3}, {y:.3}: {seen} for {meant}");
     }
-    assert!(farthest > 0.3, "the lens distorts by {farthest} pixels: too little to tell");
+    assert!(farthest > 0.2, "the lens distorts by {farthest} pixels: too little to tell");
     // Stripes of a texel at four texels a pixel: half of white and nothing else, where single texels would show moiré.
     let stripes = Array3::from_shape_fn((3, 4 * 64, 4 * 96), |(_, _, c)| (c % 2) as f32);
     std::fs::create_dir(place.path("fine")).expect("made");
@@ -469,9 +469,9 @@ fn bad_input_is_refused_in_a_line_and_nothing_is_written() {
             std::fs::write(place.path(name).join(file), bytes).expect("written");
         }
     }
-    // A field that no ray passes, and a lens with a tilt.
-    let dark = std::fs::read_to_string(crate::support::root().join("models/lenses/two_element.toml")).expect("there");
-    place.write("tilted.toml", dark.replacen("[[surfaces]]", "[[surfaces]]\ntilt_x_deg = 1.0", 1));
+    // A lens with a tilt.
+    let text = std::fs::read_to_string(crate::support::root().join("models/lenses/two_element.toml")).expect("there");
+    place.write("tilted.toml", text.replacen("[[surface]]", "[[surface]]\ntilt_deg = [1.0, 0.0, 0.0]", 1));
     std::fs::create_dir(place.path("other")).expect("made");
     std::fs::write(place.path("other/mine.txt"), "mine").expect("written");
     let before = all(&place.path("."));

@@ -70,6 +70,7 @@ impl ScenePlan {
     ///
     /// # Errors
     /// As there.
+    #[doc(hidden)]
     pub fn part<T: Real>(
         &self,
         scene: &Plane,
@@ -106,6 +107,7 @@ impl ScenePlan {
     ///
     /// # Errors
     /// As [`Self::picture`].
+    #[doc(hidden)]
     pub fn truth<T: Real>(&self, scene: &Plane, part: Region) -> Result<Array3<T>> {
         check(scene)?;
         let plan = &self.renderer.plan;
