@@ -521,10 +521,10 @@ fn bad_input_is_refused_in_a_line_and_nothing_is_written() {
     assert_eq!(lines(&place.path("data")).len(), 2);
     for (words, expected) in [
         ("render cooke_triplet photos -o out --truth t.png", "--truth"),
-        ("render cooke_triplet text -o a.png --truth a.png", "a.png"),
-        ("render cooke_triplet text -o a.png --truth t.xyz", "xyz"),
-        ("render cooke_triplet text -o a.png --truth t.png --method monte-carlo", "--truth"),
-        ("render cooke_triplet text -o a.png --noise generic --method monte-carlo", "--noise"),
+        ("render cooke_triplet mixed -o a.png --truth a.png", "a.png"),
+        ("render cooke_triplet mixed -o a.png --truth t.xyz", "xyz"),
+        ("render cooke_triplet mixed -o a.png --truth t.png --method monte-carlo", "--truth"),
+        ("render cooke_triplet mixed -o a.png --noise generic --method monte-carlo", "--noise"),
     ] {
         place.run(words).refused(&[expected]);
     }

@@ -113,9 +113,11 @@ impl ScenePlan {
         let plan = &self.renderer.plan;
         let depth = plan.depth(scene.vergence)?;
         let per_pixel = scene.texels_per_slope * self.renderer.optics.maps[depth].ratio(0.0) * plan.frame.pitch_mm;
+        // A picture made so many times as large as the frame counts as that: next to the axis a lens shows it a little larger or smaller.
+        let texels = (per_pixel * 1.02) as usize;
         let averaged;
-        let scene = if per_pixel >= 2.0 {
-            averaged = scene.averaged(per_pixel as usize);
+        let scene = if texels >= 2 {
+            averaged = scene.averaged(texels);
             &averaged
         } else {
             scene
