@@ -17,7 +17,7 @@
 //! | [`imaging`], [`calibrate`] | `isoplanat-imaging` |
 //! | [`network`] | `isoplanat-network` (feature `train`), its contract with the camera `isoplanat-card` |
 //! | `deploy` | `isoplanat-camera` (feature `deploy`) |
-//! | [`report`], `design` (feature `train`) | this one |
+//! | [`report`], [`dataset`], `design` (feature `train`) | this one |
 //!
 //! What most programs need stands at this crate's root, in the order of the light; everything stays under its floor's path as well.
 //!
@@ -60,6 +60,9 @@ pub use isoplanat_imaging::calibrate;
 
 #[doc(hidden)]
 pub mod report;
+
+#[doc(hidden)]
+pub mod dataset;
 
 /// The reconstruction network: the contract with the camera without burn; model, training and export behind the feature `train`.
 pub mod network {

@@ -8,6 +8,7 @@ use isoplanat::calibrate::lens::MeasuredLens;
 use isoplanat::design::opened::Run;
 #[cfg(feature = "train")]
 use isoplanat::design::subject::Subject;
+use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::imaging::sensor::spectrum::{SEEN, SpectralDensity};
 use isoplanat::interchange::{self, Imported};
@@ -18,6 +19,7 @@ use isoplanat::trace::rims::overlapping_rims;
 use isoplanat::{Error, Result, atomic};
 
 use crate::glasses;
+use crate::named::Named;
 
 /// The lens named on the command line: a file of any form that is read, or a shipped lens by its bare name.
 ///
@@ -42,6 +44,36 @@ pub(crate) struct Light {
     /// wavelength of each channel.
     #[arg(long, value_name = "LIGHT", default_value = "E", hide_default_value = true)]
     pub(crate) illuminant: Illuminant,
+}
+
+/// A sensor between the light and the picture.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct NoiseArgs {
+    /// Mosaic, response and noise of a sensor: its sensor.toml, or `generic`; without it pictures have none.
+    #[arg(long, value_name = "SENSOR")]
+    noise: Option<Named>,
+    /// Divide the lens's falling light out, as a camera does with its flat field.
+    #[arg(long)]
+    pub(crate) flat_field: bool,
+}
+
+impl NoiseArgs {
+    /// Whether mosaic and noise are asked for.
+    pub(crate) fn is_asked(&self) -> bool {
+        self.noise.is_some()
+    }
+
+    /// The sensor, the generic one where none is named, and whether its mosaic and noise are asked for.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or is no sensor's.
+    pub(crate) fn sensor(&self) -> Result<(Sensor, bool)> {
+        match &self.noise {
+            Some(name) if &**name == "generic" => Ok((Sensor::generic(), true)),
+            Some(file) => Ok((Sensor::load(file.as_ref())?, true)),
+            None => Ok((Sensor::generic(), false)),
+        }
+    }
 }
 
 /// An f-number for one run, in place of the lens's.

@@ -21,6 +21,7 @@ mod check;
 #[cfg(feature = "train")]
 mod compare;
 mod convert;
+mod dataset;
 #[cfg(all(feature = "train", feature = "deploy"))]
 mod demo;
 #[cfg(feature = "train")]
@@ -130,6 +131,8 @@ enum Command {
     Render(render::Args),
     /// Error against run time of every way to make the picture
     Accuracy(accuracy::Args),
+    /// Pairs of capture and truth of lenses and photographs, as files for any training
+    Dataset(Box<dataset::Args>),
     /// A RAW capture of a scene, by rays from the sensor
     Capture(capture::Args),
     /// The MTF that a picture of a slanted edge shows (ISO 12233 e-SFR)
@@ -209,6 +212,7 @@ fn dispatch(command: Command, out: &mut dyn Write) -> anyhow::Result<()> {
         Command::Report(args) => report::run(&args, out),
         Command::Render(args) => render::run(&args, out),
         Command::Accuracy(args) => accuracy::run(&args, out),
+        Command::Dataset(args) => dataset::run(&args, out),
         Command::Capture(args) => capture::run(&args, out),
         Command::SlantedEdge(args) => slanted_edge::run(&args, out),
         #[cfg(feature = "calibrate")]

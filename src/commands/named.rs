@@ -21,6 +21,17 @@ impl<T: Into<OsString>> From<T> for Named {
     }
 }
 
+impl Named {
+    /// What a file made of it is called, without an ending: the name of a file or folder, or what was named with dashes for colons.
+    pub(crate) fn stem(&self) -> String {
+        let path: &Path = self.as_ref();
+        match path.file_stem() {
+            Some(stem) if path.exists() => stem.to_string_lossy().into_owned(),
+            _ => self.shown.replace(':', "-"),
+        }
+    }
+}
+
 impl AsRef<Path> for Named {
     fn as_ref(&self) -> &Path {
         self.given.as_ref()

@@ -77,8 +77,9 @@ mod tests {
     /// Every argument that is called as outputs are is one, and every command that overwrites has one.
     #[test]
     fn outputs_are_known_by_their_values() {
-        const NAMES: [&str; 13] = [
+        const NAMES: [&str; 14] = [
             "output",
+            "truth",
             "out",
             "svg",
             "csv",

@@ -5,6 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use isoplanat::atomic::Target;
+use isoplanat::dataset::Exposure;
+use isoplanat::imaging::develop::shading::evened;
 use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension, write_annotated};
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
@@ -17,6 +19,7 @@ use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result, atomic};
 use ndarray::Array3;
 
+use crate::input;
 use crate::memory;
 use crate::named::Named;
 use crate::output;
@@ -61,10 +64,15 @@ pub(crate) struct Args {
     #[arg(long)]
     explain: bool,
     #[command(flatten)]
-    light: crate::input::Light,
+    light: input::Light,
     #[command(flatten)]
     place: SceneArgs,
-    /// Seed of the rays.
+    #[command(flatten)]
+    noise: input::NoiseArgs,
+    /// Ideal picture to write beside one picture (psf-grid): where the lens's distortion shows the scene, without blur, falling light and noise.
+    #[arg(long, value_name = "OUT")]
+    truth: Option<PathBuf>,
+    /// Seed of rays and noise.
     #[arg(long, default_value_t = 1)]
     seed: u64,
     /// Write linear light as 32-bit floating point (.tif or .npy; for several scenes as .tif).
@@ -106,13 +114,50 @@ impl Args {
         }
     }
 
+    /// Whether a picture may be written under this name.
+    fn check_name(&self, path: &Path) -> Result<()> {
+        let ending = extension(path);
+        if self.float && !["tif", "tiff", "npy"].contains(&ending.as_str()) {
+            let found = format!("`{}` has no floating point", path.display());
+            return Err(Error::bad("--float", "output", found, ".tif, .tiff or .npy"));
+        }
+        if !PICTURES.contains(&ending.as_str()) {
+            let allowed = format!("a name that ends in .{}", PICTURES.join(", ."));
+            return Err(Error::bad(path.display().to_string(), "file name", format!("`.{ending}`"), allowed));
+        }
+        Ok(())
+    }
+
+    /// Whether what the fast renderer alone makes is asked of it: a truth, noise, a flat field.
+    fn check_pair(&self, many: bool) -> Result<()> {
+        let asked = [
+            ("--truth", self.truth.is_some()),
+            ("--noise", self.noise.is_asked()),
+            ("--flat-field", self.noise.flat_field),
+        ];
+        if let Some((option, _)) = asked.iter().find(|(_, asked)| *asked && self.method == Method::MonteCarlo) {
+            return Err(Error::bad(
+                *option,
+                "with",
+                "--method monte-carlo",
+                "--method psf-grid; `isoplanat capture` has noise by rays",
+            ));
+        }
+        let Some(path) = &self.truth else { return Ok(()) };
+        if many {
+            return Err(Error::bad(
+                "--truth",
+                "with",
+                "several scenes",
+                "one; `isoplanat dataset` makes pairs of many",
+            ));
+        }
+        self.check_name(path)
+    }
+
     /// Names of the pictures of several scenes: the scenes' own, with numbers where they repeat.
     fn names(&self) -> Vec<String> {
-        let stem = |scene: &Named| match (scene.as_ref() as &Path).file_stem() {
-            Some(stem) if (scene.as_ref() as &Path).exists() => stem.to_string_lossy().into_owned(),
-            _ => scene.replace(':', "-"),
-        };
-        let stems: Vec<String> = self.scenes.iter().map(stem).collect();
+        let stems: Vec<String> = self.scenes.iter().map(Named::stem).collect();
         let ending = if self.float { "tif" } else { "png" };
         output::distinct_stems(&stems).iter().map(|s| format!("{s}.{ending}")).collect()
     }
@@ -124,9 +169,10 @@ const DEFAULT_DB: f64 = 50.0;
 /// The file that makes a folder one of pictures.
 const MARKER: &str = "pictures.json";
 
-/// One rendered picture and its numbers.
+/// One rendered picture with its truth and its numbers.
 struct Made {
     image: Array3<f32>,
+    truth: Option<Array3<f32>>,
     figures: serde_json::Value,
 }
 
@@ -134,6 +180,34 @@ struct Made {
 enum Way {
     Grid(Box<ScenePlan>, f64),
     Rays(Rays, Box<SpectralDensity>),
+}
+
+/// What becomes of a picture: the sensor's part, and whether its truth is asked for.
+struct After {
+    sensor: Sensor,
+    noise: bool,
+    flat_field: bool,
+    truth: bool,
+    seed: u64,
+}
+
+impl After {
+    /// The picture as the sensor shows it.
+    fn of(&self, image: Array3<f32>, plan: &ScenePlan) -> Array3<f32> {
+        let frame = &plan.renderer.plan.frame;
+        let whole = Region::whole(frame);
+        let light = || plan.renderer.light.over::<f32>(frame, whole, &[0, 1, 2]);
+        let Self { sensor, flat_field, seed, .. } = self;
+        match (self.noise, flat_field) {
+            (true, _) => Exposure { sensor, level: 1.0, flat_field: *flat_field, seed: *seed }.developed(
+                image.view(),
+                light().view(),
+                whole,
+            ),
+            (false, true) => evened(image, light().view()),
+            (false, false) => image,
+        }
+    }
 }
 
 impl Way {
@@ -169,7 +243,7 @@ impl Way {
         Ok(Self::Grid(Box::new(plan), clock.elapsed().as_secs_f64()))
     }
 
-    fn make(&self, stage: &Stage, scene: &Named, progress: &(dyn Fn(f64) + Sync)) -> Result<Made> {
+    fn make(&self, stage: &Stage, scene: &Named, after: &After, progress: &(dyn Fn(f64) + Sync)) -> Result<Made> {
         let plane = stage.plane(scene)?;
         match self {
             Self::Grid(plan, planning) => {
@@ -181,13 +255,16 @@ impl Way {
                 figures["planning_seconds"] = (*planning).into();
                 figures["kernels"] = seen.kernels.into();
                 figures["largest_energy_outside"] = seen.outside.into();
-                Ok(Made { image, figures })
+                let truth =
+                    if after.truth { Some(plan.truth::<f32>(&plane, Region::whole(&stage.frame))?) } else { None };
+                Ok(Made { image: after.of(image, plan), truth, figures })
             }
             Self::Rays(how, density) => {
                 let frame = &stage.frame;
                 let whole = Region::whole(frame);
                 let r = render(&stage.lens, &plane, density, frame, whole, *how, Some(progress))?;
-                Ok(Made { figures: serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() }), image: r.mean })
+                let figures = serde_json::json!({ "rays": r.rays, "noise_rms": r.noise_rms() });
+                Ok(Made { image: r.mean, truth: None, figures })
             }
         }
     }
@@ -200,24 +277,22 @@ const PLANNED: usize = 8;
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let (args, folders) = &args.expanded()?;
     let many = args.scenes.len() > 1 || *folders || args.output.is_dir();
-    if args.float && !many && !["tif", "tiff", "npy"].contains(&extension(&args.output).as_str()) {
-        let found = format!("`{}` has no floating point", args.output.display());
-        return Err(Error::bad("--float", "output", found, ".tif, .tiff or .npy").into());
+    if !many {
+        args.check_name(&args.output)?;
     }
-    let ending = extension(&args.output);
-    if !many && !PICTURES.contains(&ending.as_str()) {
-        let allowed = format!("a name that ends in .{}", PICTURES.join(", ."));
-        return Err(Error::bad(args.output.display().to_string(), "file name", format!("`.{ending}`"), allowed).into());
-    }
+    args.check_pair(many)?;
     if many {
         atomic::check_folder(&args.output, MARKER, args.common.force)?;
     } else {
-        output::check_writable(&args.output, args.common.force)?;
+        output::check_all(&[Some(&args.output), args.truth.as_deref()], args.common.force)?;
     }
     args.request()?;
     let stage = args.place.stage(&args.lens)?;
-    let density = SpectralDensity::under(&Sensor::generic(), args.light.illuminant)?;
-    crate::input::in_band(&stage.lens, &density, &args.lens)?;
+    let (sensor, noise) = args.noise.sensor()?;
+    let density = SpectralDensity::under(&sensor, args.light.illuminant)?;
+    let (flat_field, truth) = (args.noise.flat_field, args.truth.is_some());
+    let after = After { sensor, noise, flat_field, truth, seed: args.seed };
+    input::in_band(&stage.lens, &density, &args.lens)?;
     let least = match args.method {
         Method::PsfGrid => estimate::planes(&stage.frame),
         Method::MonteCarlo => estimate::rays(&stage.frame),
@@ -231,7 +306,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     #[expect(clippy::cast_precision_loss, reason = "a share")]
     let one = |k: usize, scene: &Named| {
         let progress = |share: f64| bar.set((k as f64 + share) / count as f64, scene.to_string());
-        way.make(&stage, scene, &progress)
+        way.make(&stage, scene, &after, &progress)
     };
     let mut all = Vec::with_capacity(count);
     if many {
@@ -248,6 +323,9 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         })?;
     } else {
         let made = one(0, &args.scenes[0])?;
+        if let (Some(path), Some(truth)) = (&args.truth, &made.truth) {
+            args.write(Target::new(path, args.common.force), truth)?;
+        }
         args.write(Target::new(&args.output, args.common.force), &made.image)?;
         all.push((args.output.display().to_string(), made.figures));
     }

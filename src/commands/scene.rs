@@ -21,11 +21,21 @@ pub(crate) struct SceneArgs {
     /// Object distance before the first surface, mm (inf allowed); the lens file's where left out.
     #[arg(long)]
     depth_mm: Option<f64>,
-    #[command(flatten)]
-    f_number: input::FNumber,
     /// Texels per pixel on the axis; by default the picture just fills the frame.
     #[arg(long)]
     texels_per_pixel: Option<f64>,
+    #[command(flatten)]
+    raster: RasterArgs,
+    /// Only this part of the frame, as COLUMN,ROW,COLUMNS,ROWS; the scene stays where it is.
+    #[arg(long, value_name = "COL,ROW,COLS,ROWS", value_parser = four)]
+    crop: Option<[usize; 4]>,
+}
+
+/// The stop and the pixels of a lens, in place of its file's.
+#[derive(Clone, Debug, clap::Args)]
+pub(crate) struct RasterArgs {
+    #[command(flatten)]
+    f_number: input::FNumber,
     /// Pixels in a row, in place of the lens file's.
     #[arg(long)]
     columns: Option<usize>,
@@ -38,9 +48,6 @@ pub(crate) struct SceneArgs {
     /// Axis at the frame's corner: the first quadrant of the field.
     #[arg(long)]
     quadrant: bool,
-    /// Only this part of the frame, as COLUMN,ROW,COLUMNS,ROWS; the scene stays where it is.
-    #[arg(long, value_name = "COL,ROW,COLS,ROWS", value_parser = four)]
-    crop: Option<[usize; 4]>,
 }
 
 /// Four whole numbers between commas.
@@ -112,11 +119,12 @@ pub(crate) struct Placed {
 impl SceneArgs {
     /// The lens of the command line, on its raster and at its depth.
     pub(crate) fn stage(&self, argument: &Named) -> Result<Stage> {
-        if let Some(texels) = self.texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= MOST_TEXELS)) {
-            let allowed = format!("a positive number, at most {MOST_TEXELS}");
-            return Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), allowed));
-        }
-        let lens = self.applied(self.f_number.applied(input::lens(argument)?, argument)?, argument)?;
+        check_texels(self.texels_per_pixel)?;
+        let lens = self.raster.lens(argument, false)?;
+        let lens = match self.depth_mm {
+            Some(depth) => at_depth(lens, depth, argument)?,
+            None => lens,
+        };
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
             Some(part) => cut(&whole, part)?,
@@ -166,16 +174,12 @@ impl SceneArgs {
         );
         Ok(Placed { frame: cut(frame, part)?, ..placed })
     }
+}
 
-    /// `lens` with the raster and the depth of the command line.
-    fn applied(&self, lens: Lens, argument: &str) -> Result<Lens> {
-        let mut object_vergence = lens.object_vergence;
-        if let Some(depth) = self.depth_mm {
-            if depth.is_nan() || depth <= 0.0 {
-                return Err(Error::bad("--depth-mm", "value", depth.to_string(), "a positive distance, or inf"));
-            }
-            object_vergence = 1.0 / depth;
-        }
+impl RasterArgs {
+    /// The lens that `argument` names, on the raster of the command line; with `whole_field` the pixels grow until they span its file's sensor.
+    pub(crate) fn lens(&self, argument: &Named, whole_field: bool) -> Result<Lens> {
+        let lens = self.f_number.applied(input::lens(argument)?, argument)?;
         let raster = lens.sensor;
         let changed = self.columns.is_some() || self.rows.is_some();
         let (columns, rows) = (self.columns.unwrap_or(raster.columns), self.rows.unwrap_or(raster.rows));
@@ -188,8 +192,30 @@ impl SceneArgs {
         } else {
             raster.axis_px
         };
-        let sensor = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(raster.pitch_um), axis_px };
-        Lens::new(Prescription { sensor, object_vergence, ..(*lens).clone() }, argument)
+        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+        let grown = (raster.columns as f64 / columns as f64).min(raster.rows as f64 / rows as f64);
+        let own = if whole_field { raster.pitch_um * grown } else { raster.pitch_um };
+        let sensor = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(own), axis_px };
+        Lens::new(Prescription { sensor, ..(*lens).clone() }, argument)
+    }
+}
+
+/// `lens` with its object at the distance of the command line.
+pub(crate) fn at_depth(lens: Lens, depth_mm: f64, argument: &str) -> Result<Lens> {
+    if depth_mm.is_nan() || depth_mm <= 0.0 {
+        return Err(Error::bad("--depth-mm", "value", depth_mm.to_string(), "a positive distance, or inf"));
+    }
+    Lens::new(Prescription { object_vergence: 1.0 / depth_mm, ..(*lens).clone() }, argument)
+}
+
+/// Refuses texels a pixel that are none.
+pub(crate) fn check_texels(texels_per_pixel: Option<f64>) -> Result<()> {
+    match texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= MOST_TEXELS)) {
+        Some(texels) => {
+            let allowed = format!("a positive number, at most {MOST_TEXELS}");
+            Err(Error::bad("--texels-per-pixel", "value", texels.to_string(), allowed))
+        }
+        None => Ok(()),
     }
 }
 

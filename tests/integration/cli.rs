@@ -16,11 +16,11 @@ fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
     let help = place.run("--help").done();
     for command in [
         "inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "demo", "design", "sweep",
-        "train", "evaluate", "export", "compare",
+        "dataset", "train", "evaluate", "export", "compare",
     ] {
         assert!(help.contains(command), "{help}");
     }
-    for command in ["inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy"] {
+    for command in ["inspect", "lenses", "check", "trace", "psf", "render", "capture", "accuracy", "dataset"] {
         assert!(place.run(&format!("{command} --help")).done().contains("Usage"));
     }
     assert!(place.run("--version").done().starts_with("isoplanat "));

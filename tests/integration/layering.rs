@@ -28,7 +28,7 @@ const ORDER: [(&str, &[&str]); 3] = [
             "calibrate",
         ],
     ),
-    ("src/", &["report", "design"]),
+    ("src/", &["report", "dataset", "design"]),
 ];
 
 /// Crates, and the only places that may name them.

@@ -16,6 +16,7 @@ mod commands;
 mod comparing;
 #[cfg(all(target_os = "linux", feature = "train", feature = "deploy"))]
 mod costs;
+mod dataset;
 #[cfg(feature = "train")]
 mod designing;
 mod diffraction;

@@ -3,7 +3,8 @@
 //! A scene is continuous: its texels carry a bilinear reconstruction, in every renderer alike; beyond its border the
 //! nearest texel continues.
 
-use ndarray::{Array3, ArrayView3, Axis};
+use ndarray::{Array3, ArrayView3, Axis, s};
+use rayon::prelude::*;
 
 use crate::frame::Frame;
 
@@ -26,6 +27,28 @@ impl Plane {
     /// Texel coordinates of the object slope `[right, up]`.
     pub fn texel_from_slope(&self, slope: [f64; 2]) -> [f64; 2] {
         [self.axis_texel[0] + slope[0] * self.texels_per_slope, self.axis_texel[1] - slope[1] * self.texels_per_slope]
+    }
+
+    /// The same scene with the mean of `n × n` texels in the place of each such block; at the last row and column of those that are left.
+    #[must_use]
+    pub(crate) fn averaged(&self, n: usize) -> Self {
+        let (channels, rows, cols) = self.texture.dim();
+        let mut texture = Array3::zeros((channels, rows.div_ceil(n), cols.div_ceil(n)));
+        texture.axis_iter_mut(Axis(1)).into_par_iter().enumerate().for_each(|(i, mut row)| {
+            for ((channel, j), v) in row.indexed_iter_mut() {
+                let block = s![channel, i * n..rows.min((i + 1) * n), j * n..cols.min((j + 1) * n)];
+                let block = self.texture.slice(block);
+                let sum: f64 = block.iter().map(|v| f64::from(*v)).sum();
+                *v = (sum / block.len() as f64) as f32;
+            }
+        });
+        let scale = n as f64;
+        Self {
+            texture,
+            texels_per_slope: self.texels_per_slope / scale,
+            axis_texel: self.axis_texel.map(|v| v / scale),
+            vergence: self.vergence,
+        }
     }
 
     /// Bilinear radiance of `channel` at texel coordinates, and its derivatives with respect to them.

@@ -4,10 +4,22 @@ use serde::{Deserialize, Serialize};
 
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::psf::measured::linear;
+use ndarray::{Array3, ArrayView3};
 
 /// Illumination below which the flat field amplifies no further: a hundredth of the axis's light. What is darker is shown darker, rather
 /// than as noise that outshines the picture.
 pub(crate) const DARKEST: f64 = 0.01;
+
+/// A picture with the falling light divided out, as the camera does it; black where there is none.
+///
+/// # Shapes
+/// `image`, `illumination` and result: `[channel, row, col]`.
+#[doc(hidden)]
+#[must_use]
+pub fn evened(mut image: Array3<f32>, illumination: ArrayView3<'_, f32>) -> Array3<f32> {
+    image.zip_mut_with(&illumination, |v, light| *v = if *light > 0.0 { *v / light.max(DARKEST as f32) } else { 0.0 });
+    image
+}
 
 /// Relative illumination against the distance from the axis, per channel R, G, B; 1 on the axis.
 ///

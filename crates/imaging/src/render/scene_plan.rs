@@ -1,5 +1,6 @@
 //! A lens planned for scenes: what is rendered how finely, and what is left out, with reason, saving and error bound.
 
+use ndarray::Array3;
 use serde::Serialize;
 
 use super::inputs::Seen;
@@ -61,34 +62,66 @@ impl ScenePlan {
     ///
     /// # Errors
     /// A scene that cannot be rendered, or at another distance than planned for.
-    pub fn picture<T: Real>(
+    pub fn picture<T: Real>(&self, scene: &Plane, progress: &(dyn Fn(f64) + Sync)) -> Result<(Array3<T>, Seen)> {
+        self.part(scene, Region::whole(&self.renderer.plan.frame), progress)
+    }
+
+    /// [`Self::picture`] of a part of the frame: what its neighbours show is in it, what lies outside is not computed.
+    ///
+    /// # Errors
+    /// As there.
+    #[doc(hidden)]
+    pub fn part<T: Real>(
         &self,
         scene: &Plane,
+        part: Region,
         progress: &(dyn Fn(f64) + Sync),
-    ) -> Result<(ndarray::Array3<T>, Seen)> {
+    ) -> Result<(Array3<T>, Seen)> {
         check(scene)?;
         let plan = &self.renderer.plan;
         let depth = plan.depth(scene.vergence)?;
-        let whole = Region::whole(&plan.frame);
         let (channels, region) = if self.everything {
-            (Channels::all(), Some(whole))
+            (Channels::all(), Some(part))
         } else {
             let reach = plan.depths[depth].reach_px();
             let needs = Needs::of(scene, &self.renderer.optics.maps[depth], &plan.frame, reach);
-            let region = needs.reached(plan.depths[depth].reach_px(), whole);
+            let region = needs.reached(plan.depths[depth].reach_px(), part);
             (needs.channels, region)
         };
-        let mut image = ndarray::Array3::from_elem((3, whole.rows, whole.cols), T::zero());
+        let mut image = Array3::from_elem((3, part.rows, part.cols), T::zero());
         let Some(region) = region else {
             progress(1.0);
             return Ok((image, Seen::default()));
         };
-        let (part, seen) = self.renderer.picture(scene, depth, region, &channels, progress);
-        if region == whole {
-            return Ok((part, seen));
+        let (seen_part, seen) = self.renderer.picture(scene, depth, region, &channels, progress);
+        if region == part {
+            return Ok((seen_part, seen));
         }
-        let (r, c) = (region.row.unsigned_abs(), region.col.unsigned_abs());
-        image.slice_mut(ndarray::s![.., r..r + region.rows, c..c + region.cols]).assign(&part);
+        let (r, c) = ((region.row - part.row).unsigned_abs(), (region.col - part.col).unsigned_abs());
+        image.slice_mut(ndarray::s![.., r..r + region.rows, c..c + region.cols]).assign(&seen_part);
         Ok((image, seen))
+    }
+
+    /// The ideal picture of a part of the frame, `[3, row, col]`: the scene where the lens's distortion shows it, at pixel centres, without blur and
+    /// falling light. Of a scene with two texels a pixel or more it is sampled from means over as many whole texels, so that it has no aliases.
+    ///
+    /// # Errors
+    /// As [`Self::picture`].
+    #[doc(hidden)]
+    pub fn truth<T: Real>(&self, scene: &Plane, part: Region) -> Result<Array3<T>> {
+        check(scene)?;
+        let plan = &self.renderer.plan;
+        let depth = plan.depth(scene.vergence)?;
+        let per_pixel = scene.texels_per_slope * self.renderer.optics.maps[depth].ratio(0.0) * plan.frame.pitch_mm;
+        // A picture made so many times as large as the frame counts as that: next to the axis a lens shows it a little larger or smaller.
+        let texels = (per_pixel * 1.02) as usize;
+        let averaged;
+        let scene = if texels >= 2 {
+            averaged = scene.averaged(texels);
+            &averaged
+        } else {
+            scene
+        };
+        Ok(self.renderer.truth(scene, depth, part, &Channels::of(scene)))
     }
 }
