@@ -63,10 +63,14 @@ pub(super) struct Point {
 type Best = (f64, f64, Prescription, Traced);
 
 /// Better numbers that are no lens.
-pub(super) struct Refused {
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Refused {
+    #[serde(skip)]
     violation: f64,
-    pub(super) merit: f64,
-    pub(super) why: String,
+    /// Root of their merit, mm.
+    pub merit_mm: f64,
+    /// Why they are no lens.
+    pub why: String,
 }
 
 /// A row of the program: which constraint or variable, which bound.
@@ -395,13 +399,13 @@ impl Solver {
         if !better(*than, *at) {
             return;
         }
-        let first = refused.as_ref().is_none_or(|r| better(r.merit, r.violation));
+        let first = refused.as_ref().is_none_or(|r| better(r.merit_mm, r.violation));
         match self.problem.stands(&point.numbers, &point.traced.heights) {
             Ok(_) => {
                 *best = Some((violation, merit, point.numbers.clone(), point.traced.clone()));
                 *refused = refused.take().filter(|_| !first);
             }
-            Err(why) if first => *refused = Some(Refused { violation, merit, why: why.to_string() }),
+            Err(why) if first => *refused = Some(Refused { violation, merit_mm: merit, why: why.to_string() }),
             Err(_) => {}
         }
     }

@@ -81,7 +81,7 @@ pub struct SurfaceHealth {
 }
 
 /// The whole check.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Health {
     /// Verdict by verdict.
     pub figures: Vec<Figure>,
