@@ -21,7 +21,7 @@ fn run() -> Result<()> {
     let focal_length = |lens| first_order(lens, problem.lens.wavelengths.primary_nm).effective_focal_length;
     println!("focal length {:.9} mm before, {:.9} mm after", focal_length(&lens), focal_length(&found.lens));
     for moved in &found.moved {
-        println!("{:24} {:14.8} → {:14.8}", moved.name, moved.values[0], moved.values[1]);
+        println!("{:24} {:14.8} → {:14.8}", moved.name, moved.before, moved.after);
     }
     arguments.next().map_or(Ok(()), |path| prescription::save(&found.lens, Target::new(&path, false)))
 }

@@ -99,8 +99,8 @@ fn against_scipy() {
             last = outcome.ok();
         }
         let found = last.expect("a lens");
-        if let Some((merit, why)) = &found.refused {
-            println!("{name}: {:.4} µm is no lens: {why}", merit * 1e3);
+        if let Some(refused) = &found.refused {
+            println!("{name}: {:.4} µm is no lens: {}", refused.merit_mm * 1e3, refused.why);
         }
         println!(
             "| {name} | {:.3} | {:.4} | {:.3} | {} | {:.4} | {:.2} | {:.2} | {} | {:.0} |",
@@ -172,8 +172,8 @@ fn triplet(lens: &Lens, d: Option<f64>, track: f64) -> Problem {
 }
 
 fn distortion(o: &Outcome) -> f64 {
-    let of = |h: &(Quantity, [f64; 2], f64)| if matches!(h.0, Quantity::Distortion(_)) { h.2.abs() } else { 0.0 };
-    o.held.iter().map(of).fold(0.0, f64::max)
+    let held = o.held.iter().filter(|h| matches!(h.of.quantity, Quantity::Distortion(_)));
+    held.map(|h| h.value.abs()).fold(0.0, f64::max)
 }
 
 fn from_three_plates() {

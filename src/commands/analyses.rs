@@ -8,12 +8,12 @@ use isoplanat::atomic::Target;
 use isoplanat::lens::Lens;
 use isoplanat::math::npz;
 use isoplanat::report::lens::{
-    Options, SHIFTS, arrays, fields_json, look, plots, plots_csv, plots_json, spot_svg, spot_table,
+    Options, SHIFTS, SpotRow, arrays, look, plots, plots_csv, plots_json, spot_rows, spot_svg, spot_table,
 };
 use isoplanat::report::plot::Plot;
-use isoplanat::report::table::{Table, significant};
+use isoplanat::report::table::{Table, numbered, significant};
 use isoplanat::{Error, Result};
-use serde_json::{Value, json};
+use serde_json::Value;
 
 use crate::named::Named;
 use crate::output::Common;
@@ -103,6 +103,16 @@ pub(crate) struct Args {
     common: Common,
 }
 
+/// The result as JSON has it.
+#[derive(serde::Serialize)]
+struct Shown<'a> {
+    name: &'a str,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    fields: Vec<SpotRow>,
+    plots: Value,
+    missing: Vec<String>,
+}
+
 /// Runs the command; figures go to `out`.
 pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     crate::output::check_all(&[args.svg.as_deref(), args.csv.as_deref(), args.npz.as_deref()], args.common.force)?;
@@ -124,10 +134,9 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
         save(kind, &overview, Target::new(path, args.common.force))?;
     }
     if args.common.json {
-        let fields = if kind == Kind::Distortion { Vec::new() } else { fields_json(&overview) };
-        let value = json!({ "schema": 1, "name": lens.name, "fields": fields, "plots": plots_json(&curves),
-            "missing": missing });
-        writeln!(out, "{}", without_empty(value))?;
+        let fields = if kind == Kind::Distortion { Vec::new() } else { spot_rows(&overview) };
+        let shown = Shown { name: &lens.name, fields, plots: plots_json(&curves), missing };
+        writeln!(out, "{}", numbered(&shown))?;
         return Ok(());
     }
     missing.iter().for_each(|m| crate::tell!("note: {}: {m}", lens.file()));
@@ -138,16 +147,6 @@ pub(crate) fn run(kind: Kind, args: &Args, out: &mut dyn Write) -> anyhow::Resul
 /// A number, or a dash where there is none.
 fn figure(value: f64, words: impl Fn(f64) -> String) -> String {
     if value.is_finite() { words(value) } else { "–".to_owned() }
-}
-
-/// Without a list of fields where there is none.
-fn without_empty(mut value: Value) -> Value {
-    if let Some(object) = value.as_object_mut()
-        && object["fields"].as_array().is_some_and(Vec::is_empty)
-    {
-        object.remove("fields");
-    }
-    value
 }
 
 impl Kind {

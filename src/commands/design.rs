@@ -418,11 +418,9 @@ fn looked_at(task: &Task, prepared: &Prepared, args: &Args, out: &mut dyn Write)
     let spots = merit_of(&problem.lens, &problem.merit).ok();
     if args.common.json {
         let value = serde_json::json!({ "schema": 1, "variables": problem.variables.parameters.iter().zip(&problem.bounds).map(|(p, b)| {
-                serde_json::json!({ "name": p.name(&problem.lens), "bounds": b.map(|v| v.is_finite().then_some(v)) })
+                serde_json::json!({ "name": p.name(&problem.lens), "bounds": b })
             }).collect::<Vec<_>>(),
-            "constraints": problem.constraints.iter().map(|c| {
-                serde_json::json!({ "name": c.quantity.name(), "bounds": c.bounds.map(|v| v.is_finite().then_some(v)) })
-            }).collect::<Vec<_>>(),
+            "constraints": problem.constraints,
             "seconds_a_step": pace.moving, "seconds_of_its_network": pace.network, "seconds_with_the_lens_held": pace.held,
             "seconds_in_all": pace.all(&settings),
             "rms_spot_mm": spots, "field_deg": problem.lens.max_field_deg(), "scenes": textures.len() });

@@ -12,9 +12,9 @@ use isoplanat::lens::{Lens, prescription};
 use isoplanat::optimize::pool::Pool;
 use isoplanat::optimize::search::{Plan, Progress, search};
 use isoplanat::optimize::spec::{Range, Spec, Wanted, glasses};
-use isoplanat::optimize::{Limits, Outcome, Problem, Quality, Quantity, glass, optimize};
+use isoplanat::optimize::{Constraint, Limits, Outcome, Problem, Quality, Quantity, Valued, glass, optimize};
 use isoplanat::report::drawing::lens_svg;
-use isoplanat::report::table::significant;
+use isoplanat::report::table::{significant, value};
 use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
@@ -183,9 +183,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 /// What whoever takes the lens should know: that it is no better, which constraints it breaks, and that its distortion grew where nothing holds it.
 fn doubts(problem: &Problem, o: &Outcome) -> Vec<String> {
     let mut all = Vec::new();
-    let said = |(quantity, bounds, value): &(Quantity, [f64; 2], f64)| {
-        let value = [significant(*value, 5), quantity.unit().to_owned()].join(" ");
-        format!("{} is {} (allowed: {})", quantity.name(), value.trim_end(), allowed(*bounds))
+    let said = |held: &Valued<Constraint>| {
+        let quantity = held.of.quantity;
+        let value = [significant(held.value, 5), quantity.unit().to_owned()].join(" ");
+        format!("{} is {} (allowed: {})", quantity.name(), value.trim_end(), allowed(held.of.bounds))
     };
     let broken: Vec<String> = o.broken().take(MOST_BROKEN).map(said).collect();
     if !broken.is_empty() {
@@ -336,8 +337,8 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
         o.seconds
     )?;
     writeln!(out, "stopped: {}", o.stop.reason())?;
-    if let Some((merit, why)) = &o.refused {
-        writeln!(out, "better numbers, of merit {:.4} µm, are no lens: {why}", merit * 1e3)?;
+    if let Some(refused) = &o.refused {
+        writeln!(out, "better numbers, of merit {:.4} µm, are no lens: {}", refused.merit_mm * 1e3, refused.why)?;
         writeln!(out, "constraints on edge_glass, edge_air, slope and reach keep such numbers away")?;
     }
     if o.share < 1.0 {
@@ -348,16 +349,17 @@ fn text(args: &Args, o: &Outcome, found: &[Outcome], unit: &str, out: &mut dyn W
     }
     writeln!(out, "\n{:32} {:>14} {:>14}   allowed", "moved", "before", "after")?;
     for m in &o.moved {
-        writeln!(out, "{:32} {:>14.7} {:>14.7}   {}", m.name, m.values[0], m.values[1], allowed(m.bounds))?;
+        writeln!(out, "{:32} {:>14.7} {:>14.7}   {}", m.name, m.before, m.after, allowed(m.bounds))?;
     }
     writeln!(out, "\n{:32} {:>14}   allowed", "held", "value")?;
-    for (quantity, bounds, value) in &o.held {
-        writeln!(out, "{:32} {:>14.6}   {} {}", quantity.name(), value, allowed(*bounds), quantity.unit())?;
+    for Valued { of, value } in &o.held {
+        let (name, unit) = (of.quantity.name(), of.quantity.unit());
+        writeln!(out, "{name:32} {value:>14.6}   {} {unit}", allowed(of.bounds))?;
     }
     if !o.wanted.is_empty() {
         writeln!(out, "\n{:32} {:>14}   target", "wanted", "value")?;
     }
-    for (t, value) in &o.wanted {
+    for Valued { of: t, value } in &o.wanted {
         let unit = t.quantity.unit();
         writeln!(out, "{:32} {value:>14.6}   {:.6} {unit} at {} mm rms a unit", t.quantity.name(), t.value, t.weight)?;
     }
@@ -390,26 +392,18 @@ fn allowed([a, b]: [f64; 2]) -> String {
     }
 }
 
-fn json(o: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<()> {
-    let finite = |x: f64| x.is_finite().then_some(x);
-    let pair = |b: [f64; 2]| b.map(finite);
-    let value = serde_json::json!({
-        "rms_mm": o.rms_mm,
-        "stop": format!("{:?}", o.stop),
-        "reason": o.stop.reason(),
-        "violation": finite(o.violation),
-        "share": o.share,
-        "iterations": o.iterations,
-        "rays": o.rays,
-        "seconds": o.seconds,
-        "moved": o.moved.iter().map(|m| serde_json::json!({"name": m.name, "before": m.values[0], "after": m.values[1], "bounds": pair(m.bounds)})).collect::<Vec<_>>(),
-        "held": o.held.iter().map(|(q, b, v)| serde_json::json!({"name": q.name(), "value": finite(*v), "bounds": pair(*b)})).collect::<Vec<_>>(),
-        "merit_mm": o.merit_mm,
-        "refused": o.refused.as_ref().map(|(merit, why)| serde_json::json!({"merit_mm": merit, "why": why})),
-        "wanted": o.wanted.iter().map(|(t, v)| serde_json::json!({"name": t.quantity.name(), "value": finite(*v), "target": t.value, "weight_mm_per_unit": t.weight})).collect::<Vec<_>>(),
-        "active": o.active.iter().map(|a| serde_json::json!({"name": a.name, "bound": a.bound, "upper": a.upper, "rms_mm_per_unit": a.cost})).collect::<Vec<_>>(),
-        "found": found.iter().map(|f| f.rms_mm[1]).collect::<Vec<_>>(),
-    });
-    writeln!(out, "{value:#}")?;
+/// The result as JSON has it.
+#[derive(serde::Serialize)]
+struct Found<'a> {
+    #[serde(flatten)]
+    outcome: &'a Outcome,
+    reason: &'static str,
+    /// The rms of every lens that a search kept, mm.
+    found: Vec<f64>,
+}
+
+fn json(outcome: &Outcome, found: &[Outcome], out: &mut dyn Write) -> anyhow::Result<()> {
+    let found = found.iter().map(|f| f.rms_mm[1]).collect();
+    writeln!(out, "{:#}", value(&Found { outcome, reason: outcome.stop.reason(), found })?)?;
     Ok(())
 }

@@ -3,9 +3,11 @@
 
 mod edges;
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use ndarray::Array3;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::evaluation::{Evaluation, Figure, Row};
@@ -48,14 +50,18 @@ pub struct Comparison {
 }
 
 /// Figures of a camera over all distances.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Overall {
     /// PSNR of the reconstruction at the distance where it is lowest, dB.
     pub lowest_db: f64,
     /// The difference to the highest, dB.
     pub spread_db: f64,
-    /// Mean over distances: capture and reconstruction, dB; SSIM of the reconstruction.
-    pub mean: [f64; 3],
+    /// Captures, mean over distances, dB.
+    pub capture_db: f64,
+    /// Reconstructions, so too.
+    pub network_db: f64,
+    /// SSIM of the reconstructions, so too.
+    pub ssim: f64,
 }
 
 /// The mean over the whole field at each distance: the last of its rows for zone 0.
@@ -84,17 +90,15 @@ impl Overall {
         Some(Self {
             lowest_db,
             spread_db: psnr.fold(f64::NEG_INFINITY, f64::max) - lowest_db,
-            mean: [
-                mean(|r| r.capture.psnr_db.mean),
-                mean(|r| r.reconstruction.psnr_db.mean),
-                mean(|r| r.reconstruction.ssim.mean),
-            ],
+            capture_db: mean(|r| r.capture.psnr_db.mean),
+            network_db: mean(|r| r.reconstruction.psnr_db.mean),
+            ssim: mean(|r| r.reconstruction.ssim.mean),
         })
     }
 }
 
 /// How much better the first camera is than another, at the distance where the first is least ahead.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub(crate) struct Margin {
     /// Mean over distances, dB.
     pub mean_db: f64,
@@ -111,9 +115,9 @@ impl Margin {
     pub(crate) fn of(first: &Evaluation, other: &Evaluation) -> Option<Self> {
         let (a, b) = (Overall::of(first)?, Overall::of(other)?);
         Some(Self {
-            mean_db: a.mean[1] - b.mean[1],
+            mean_db: a.network_db - b.network_db,
             within_db: paired(first, other),
-            ssim: a.mean[2] - b.mean[2],
+            ssim: a.ssim - b.ssim,
             lowest_db: a.lowest_db - b.lowest_db,
         })
     }
@@ -170,11 +174,14 @@ impl Comparison {
         for (k, e) in self.entrants.iter().enumerate() {
             let mut row = vec![e.name.clone(), e.network.clone()];
             match e.outcome.as_ref().map(|o| (o, Overall::of(o))) {
-                Ok((_, Some(overall))) => {
-                    let [capture, network, ssim] = overall.mean;
-                    row.extend([format!("{capture:.2}"), format!("{network:.2}"), format!("{ssim:.3}")]);
+                Ok((_, Some(o))) => {
+                    row.extend([
+                        format!("{:.2}", o.capture_db),
+                        format!("{:.2}", o.network_db),
+                        format!("{:.3}", o.ssim),
+                    ]);
                     if several {
-                        row.extend([format!("{:.2}", overall.lowest_db), format!("{:.2}", overall.spread_db)]);
+                        row.extend([format!("{:.2}", o.lowest_db), format!("{:.2}", o.spread_db)]);
                     }
                     if let Some(m) = self.margin(k) {
                         let within = m.within_db.map_or(String::new(), |w| format!(" ± {w:.2}"));
@@ -213,24 +220,13 @@ impl Comparison {
 
     /// Everything, for machines.
     pub fn json(&self) -> Value {
-        let rows: Vec<Value> = self
-            .entrants
-            .iter()
-            .enumerate()
-            .map(|(k, e)| {
-                let own = e.outcome.as_ref().ok();
-                let overall = own.and_then(Overall::of).map(|o| {
-                    json!({ "lowest_db": o.lowest_db, "spread_db": o.spread_db, "capture_db": o.mean[0], "network_db": o.mean[1], "ssim": o.mean[2] })
-                });
-                let margin = self.margin(k).map(|m| {
-                    json!({ "mean_db": m.mean_db, "within_db": m.within_db, "ssim": m.ssim, "lowest_db": m.lowest_db })
-                });
-                json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": overall, "first_ahead": margin,
-                    "edges": e.edges, "evaluation": own, "refused": e.outcome.as_ref().err() })
-            })
-            .collect();
-        let settings: serde_json::Map<String, Value> =
-            self.settings.iter().map(|[k, v]| (k.clone(), Value::from(v.as_str()))).collect();
+        let row = |(k, e): (usize, &Entrant)| {
+            let own = e.outcome.as_ref().ok();
+            json!({ "lens": e.name, "network": e.network, "notes": e.notes, "overall": own.and_then(Overall::of),
+                "first_ahead": self.margin(k), "edges": e.edges, "evaluation": own, "refused": e.outcome.as_ref().err() })
+        };
+        let rows: Vec<Value> = self.entrants.iter().enumerate().map(row).collect();
+        let settings: BTreeMap<_, _> = self.settings.iter().map(|[k, v]| (k, v)).collect();
         json!({ "schema": 1, "title": self.title, "settings": settings, "rows": rows })
     }
 
@@ -323,7 +319,7 @@ impl Comparison {
         let mut facts = Vec::new();
         if let Some(first) = self.first() {
             if let Some(o) = Overall::of(first) {
-                facts.push(fact(format!("{:.2} dB", o.mean[1]), "the first, behind its network".into()));
+                facts.push(fact(format!("{:.2} dB", o.network_db), "the first, behind its network".into()));
                 if self.several_distances() {
                     facts.push(fact(format!("{:.2} dB", o.lowest_db), "at its lowest distance".into()));
                     facts.push(fact(format!("{:.2} dB", o.spread_db), "from its lowest to its highest".into()));
@@ -475,7 +471,7 @@ mod tests {
         let (a, b) = (judged([24.0, 26.0]), judged([20.0, 25.0]));
         let overall = Overall::of(&b).expect("has rows");
         assert_eq!((overall.lowest_db, overall.spread_db), (20.0, 5.0));
-        assert_eq!(overall.mean, [20.5, 22.5, 22.5 / 50.0]);
+        assert_eq!([overall.capture_db, overall.network_db, overall.ssim], [20.5, 22.5, 22.5 / 50.0]);
         let margin = Margin::of(&a, &b).expect("both judged");
         assert_abs(margin.mean_db, 2.5, 1e-12, "mean of 4 and 1");
         assert_abs(margin.lowest_db, 4.0, 1e-12, "24 less 20");

@@ -3,13 +3,16 @@
 //! [`DemoReport`] is plain data: whoever runs the chain fills it in, [`DemoReport::to_html`] and
 //! [`DemoReport::summary_json`] show it.
 
+use std::collections::BTreeMap;
+
 use ndarray::{Array3, s};
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 use super::html::{Fact, Page, Picture};
 use super::lens_view::{self, LensView};
 use super::plot::{Mark, Plot, Scale, Series};
-use super::table::{Table, significant};
+use super::table::{Table, numbered, significant};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_imaging::metrics::delta_e::{colour_shift, delta_e};
 use isoplanat_imaging::metrics::{SSIM_WINDOW, psnr, ssim};
@@ -196,54 +199,58 @@ impl SceneResult {
         ]
     }
 
-    fn numbers(&self) -> Value {
-        json!({
-            "psnr_capture_db": self.capture_quality.psnr_db,
-            "psnr_wiener_db": self.wiener_quality.psnr_db,
-            "psnr_bare_db": self.bare_quality.psnr_db,
-            "psnr_reconstruction_db": self.reconstruction_quality.psnr_db,
-            "ssim_capture": self.capture_quality.ssim,
-            "ssim_wiener": self.wiener_quality.ssim,
-            "ssim_bare": self.bare_quality.ssim,
-            "ssim_reconstruction": self.reconstruction_quality.ssim,
-            "delta_e_capture": self.capture_quality.delta_e,
-            "delta_e_wiener": self.wiener_quality.delta_e,
-            "delta_e_bare": self.bare_quality.delta_e,
-            "delta_e_reconstruction": self.reconstruction_quality.delta_e,
-            "colour_shift_capture": self.capture_quality.colour_shift,
-            "colour_shift_wiener": self.wiener_quality.colour_shift,
-            "colour_shift_bare": self.bare_quality.colour_shift,
-            "colour_shift_reconstruction": self.reconstruction_quality.colour_shift,
-        })
+    /// Every figure of every picture under its name.
+    fn numbers(&self) -> BTreeMap<String, f64> {
+        let all = [
+            ("capture", self.capture_quality),
+            ("wiener", self.wiener_quality),
+            ("bare", self.bare_quality),
+            ("reconstruction", self.reconstruction_quality),
+        ];
+        let named = all.map(|(of, q)| {
+            [
+                (format!("psnr_{of}_db"), q.psnr_db),
+                (format!("ssim_{of}"), q.ssim),
+                (format!("delta_e_{of}"), q.delta_e),
+                (format!("colour_shift_{of}"), q.colour_shift),
+            ]
+        });
+        named.into_iter().flatten().collect()
     }
+}
+
+/// Figures of one picture, or the means of all with each one's; those of the run in both.
+#[derive(Serialize)]
+struct Summary<'a> {
+    #[serde(flatten)]
+    numbers: BTreeMap<String, f64>,
+    runtime: &'a str,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    name: Option<&'a str>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    scenes: Option<Vec<Self>>,
 }
 
 impl DemoReport {
     /// The figures for machines: one entry a scene in `scenes`, means over scenes and run times at the top; numbers that
     /// are not finite are `null`.
     pub fn summary_json(&self) -> Value {
-        let run = json!({
-            "psnr_fast_vs_reference_db": self.psnr_fast_vs_reference_db,
-            "seconds_fast": self.seconds_fast,
-            "seconds_reference": self.seconds_reference,
-            "seconds_total": self.seconds_total,
-            "runtime": self.runtime,
-        });
-        let scenes: Vec<Value> = self
-            .scenes
-            .iter()
-            .map(|scene| merged(&[json!({ "name": scene.name }), scene.numbers(), run.clone()]))
-            .collect();
-        let mut top = merged(&[json!({ "schema": 1 }), run]);
-        if let Some(first) = self.scenes.first() {
-            let keys: Vec<String> =
-                first.numbers().as_object().map(|o| o.keys().cloned().collect()).unwrap_or_default();
-            for key in keys {
-                top[&key] = json!(mean(self.scenes.iter().filter_map(|s| s.numbers()[&key].as_f64())));
-            }
+        let run = [
+            ("psnr_fast_vs_reference_db", self.psnr_fast_vs_reference_db),
+            ("seconds_fast", self.seconds_fast),
+            ("seconds_reference", self.seconds_reference),
+            ("seconds_total", self.seconds_total),
+        ];
+        let summary = |mut numbers: BTreeMap<String, f64>, name, scenes| {
+            numbers.extend(run.map(|(key, number)| (key.to_owned(), number)));
+            Summary { numbers, runtime: &self.runtime, name, scenes }
+        };
+        let scenes: Vec<_> = self.scenes.iter().map(|s| summary(s.numbers(), Some(s.name.as_str()), None)).collect();
+        let mut means = self.scenes.first().map(SceneResult::numbers).unwrap_or_default();
+        for (key, number) in &mut means {
+            *number = mean(scenes.iter().map(|s| s.numbers[key]).filter(|v| v.is_finite()));
         }
-        top["scenes"] = Value::Array(scenes);
-        top
+        numbered(&summary(means, None, Some(scenes)))
     }
 
     /// How the guided network stands to the others, in a sentence; nothing without pictures.
@@ -431,12 +438,6 @@ impl DemoReport {
             page.list(&self.left_out);
         }
     }
-}
-
-/// One object of all fields.
-fn merged(objects: &[Value]) -> Value {
-    let fields = objects.iter().filter_map(Value::as_object).flatten();
-    Value::Object(fields.map(|(k, v)| (k.clone(), v.clone())).collect())
 }
 
 /// The mean, or NaN of nothing.

@@ -1,9 +1,10 @@
 //! A run's network behind lenses as they were built: PSNR of each draw, before and after its pictures were aligned, as table, CSV and JSON.
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::Value;
 
-use super::table::{Table, significant};
+use super::columns::{Column, csv};
+use super::table::{Table, numbered, significant};
 use isoplanat_base::math::at_share;
 
 /// Shares of the draws that are told of.
@@ -61,14 +62,33 @@ pub struct Draws {
 }
 
 /// What a figure of a draw is called, and the figure.
-type Column = (&'static str, fn(&Aspect) -> f64);
-const COLUMNS: [Column; 5] = [
+type Figure = (&'static str, fn(&Aspect) -> f64);
+const FIGURES: [Figure; 5] = [
     ("capture as it stands", |j| j.as_it_stands.capture_db),
     ("behind the network", |j| j.as_it_stands.reconstruction_db),
     ("capture aligned", |j| j.aligned.capture_db),
     ("aligned, behind the network", |j| j.aligned.reconstruction_db),
     ("behind one trained on for it", |j| j.retrained.map_or(f64::NAN, |r| r.reconstruction_db)),
 ];
+
+const VALUES: [Column<Drawn>; 10] = [
+    Column::value("lens", |d| d.name.clone()),
+    Column::value("capture_db", |d| value(d, |a| a.as_it_stands.capture_db)),
+    Column::value("reconstruction_db", |d| value(d, |a| a.as_it_stands.reconstruction_db)),
+    Column::value("aligned_capture_db", |d| value(d, |a| a.aligned.capture_db)),
+    Column::value("aligned_reconstruction_db", |d| value(d, |a| a.aligned.reconstruction_db)),
+    Column::value("scale", |d| value(d, |a| a.scale)),
+    Column::value("shift_right_px", |d| value(d, |a| a.shift_px[0])),
+    Column::value("shift_down_px", |d| value(d, |a| a.shift_px[1])),
+    Column::value("own_network_db", |d| {
+        d.shown.and_then(|a| a.retrained).map_or(String::new(), |r| r.reconstruction_db.to_string())
+    }),
+    Column::value("why_none", |d| d.why.clone().filter(|_| d.shown.is_none()).unwrap_or_default()),
+];
+
+fn value(d: &Drawn, of: fn(&Aspect) -> f64) -> String {
+    d.shown.as_ref().map_or(String::new(), |a| of(a).to_string())
+}
 
 impl Draws {
     /// The PSNR that a share of the draws does not reach, dB; draws without a figure reach nothing. NaN without draws.
@@ -83,10 +103,10 @@ impl Draws {
     }
 
     /// Columns that have figures.
-    fn columns(&self) -> &'static [Column] {
+    fn columns(&self) -> &'static [Figure] {
         let retrained = |a: &Aspect| a.retrained.is_some();
         let any = self.draws.iter().filter_map(|d| d.shown.as_ref()).chain(&self.refocused).any(retrained);
-        if any { &COLUMNS } else { &COLUMNS[..4] }
+        if any { &FIGURES } else { &FIGURES[..4] }
     }
 
     /// The lens as it is, and what shares of the draws do not reach.
@@ -103,7 +123,7 @@ impl Draws {
             table.row(std::iter::once("refocused as the draws are".to_owned()).chain(cells));
         }
         for share in SHARES {
-            let cell = |(_, of): &Column| {
+            let cell = |(_, of): &Figure| {
                 let db = self.quantile(share, of);
                 if db.is_finite() { format!("{db:.2}") } else { "lost".to_owned() }
             };
@@ -115,37 +135,12 @@ impl Draws {
 
     /// A row a draw.
     pub fn csv(&self) -> String {
-        let heading = [
-            "lens",
-            "capture_db",
-            "reconstruction_db",
-            "aligned_capture_db",
-            "aligned_reconstruction_db",
-            "scale",
-            "shift_right_px",
-            "shift_down_px",
-            "own_network_db",
-            "why_none",
-        ];
-        let mut table = Table::new(heading);
-        for d in &self.draws {
-            let cells = match &d.shown {
-                Some(j) => {
-                    let [right, down] = j.shift_px;
-                    let figures = COLUMNS[..4].iter().map(|(_, of)| of(j)).chain([j.scale, right, down]);
-                    let own = j.retrained.map_or(String::new(), |r| r.reconstruction_db.to_string());
-                    figures.map(|v| v.to_string()).chain([own, String::new()]).collect::<Vec<_>>()
-                }
-                None => [""; 8].into_iter().chain([d.why.as_deref().unwrap_or("")]).map(str::to_owned).collect(),
-            };
-            table.row(std::iter::once(d.name.clone()).chain(cells));
-        }
-        table.csv()
+        csv(&VALUES, &self.draws)
     }
 
     /// All of it.
     pub fn json(&self) -> Value {
-        json!({ "schema": 1, "nominal": self.nominal, "refocused": self.refocused, "draws": self.draws, "seconds": self.seconds })
+        numbered(self)
     }
 
     /// How long it took.

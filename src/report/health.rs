@@ -2,17 +2,21 @@
 
 use std::fmt;
 
-use serde_json::{Value, json};
+use serde::Serialize;
+use serde_json::Value;
 
 use super::columns::{Column, csv, table};
-use super::table::{Table, significant};
+use super::table::{Table, numbered, significant};
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::trace::health::{Figure, Health, Verdict};
+use isoplanat_optics::trace::health::{Figure, Health, VariableHealth, Verdict};
 
 /// What `isoplanat check` shows.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct HealthReport<'a> {
-    lens: &'a Lens,
+    name: &'a str,
+    sha256: String,
+    passes: bool,
+    #[serde(flatten)]
     health: Health,
 }
 
@@ -22,6 +26,14 @@ const COLUMNS: [Column<Figure>; 5] = [
     Column::both("limit", "limit", limit, |f| f.limit.map_or(String::new(), |l| l.to_string())),
     Column::both("verdict", "verdict", verdict, |f| format!("{:?}", f.verdict).to_lowercase()),
     Column::text("where", "place", |f| f.place.clone()),
+];
+
+const VARIABLES: [Column<VariableHealth>; 5] = [
+    Column::shown("variable", |v| v.name.clone()),
+    Column::shown("scaled unit", |v| significant(v.scale, 3)),
+    Column::shown("effect/mm", |v| significant(v.effect_mm, 3)),
+    Column::shown("independence", |v| significant(v.independence, 2)),
+    Column::shown("gradient error", |v| v.gradient_error.map_or("–".to_owned(), |e| significant(e, 2))),
 ];
 
 fn limit(figure: &Figure) -> String {
@@ -41,7 +53,8 @@ fn verdict(figure: &Figure) -> String {
 impl<'a> HealthReport<'a> {
     /// The check of `lens`.
     pub fn new(lens: &'a Lens) -> Self {
-        Self { lens, health: isoplanat_optics::trace::health::check(lens) }
+        let health = isoplanat_optics::trace::health::check(lens);
+        Self { name: &lens.name, sha256: lens.sha256(), passes: health.passes(), health }
     }
 
     /// What was measured.
@@ -51,18 +64,7 @@ impl<'a> HealthReport<'a> {
 
     /// The same as one JSON object; numbers that are not finite are `null`.
     pub fn json(&self) -> Value {
-        let h = &self.health;
-        json!({
-            "schema": 1,
-            "name": self.lens.name,
-            "sha256": self.lens.sha256(),
-            "passes": h.passes(),
-            "rays": h.rays,
-            "failed": h.failed,
-            "figures": h.figures,
-            "surfaces": h.surfaces,
-            "variables": h.variables,
-        })
+        numbered(self)
     }
 
     /// The figures as comma-separated values.
@@ -102,28 +104,18 @@ impl<'a> HealthReport<'a> {
     }
 
     fn variables(&self) -> Table {
-        let mut table = Table::new(["variable", "scaled unit", "effect/mm", "independence", "gradient error"]);
-        for v in &self.health.variables {
-            table.row([
-                v.name.clone(),
-                significant(v.scale, 3),
-                significant(v.effect_mm, 3),
-                significant(v.independence, 2),
-                v.gradient_error.map_or("–".to_owned(), |e| significant(e, 2)),
-            ]);
-        }
-        table
+        table(&VARIABLES, &self.health.variables)
     }
 }
 
 impl fmt::Display for HealthReport<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let h = &self.health;
-        writeln!(f, "{}: {} rays aimed over field, stop and wavelengths", self.lens.name, h.rays)?;
+        writeln!(f, "{}: {} rays aimed over field, stop and wavelengths", self.name, h.rays)?;
         writeln!(f, "\n{}", self.table())?;
         writeln!(f, "{}", self.surfaces())?;
         writeln!(f, "{}", self.variables())?;
-        let verdict = if h.passes() { "passes" } else { "FAILS" };
+        let verdict = if self.passes { "passes" } else { "FAILS" };
         writeln!(f, "{verdict}")
     }
 }

@@ -15,20 +15,22 @@ mod waves;
 use std::time::Instant;
 
 use ndarray::Array4;
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::atlas::{KernelRequest, KernelSet, colour_kernels};
+use super::columns::{Column, table};
 use super::field::FieldLine;
 use super::health::HealthReport;
 use super::listing::Listing;
 use super::measured::Measured;
-use super::plot::Plot;
+use super::plot::{Plot, Series};
 use super::table::{Table, significant};
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::Limit;
 use isoplanat_optics::analysis::diffraction::Mtf;
 use isoplanat_optics::analysis::overview::{Field, Overview, Settings};
-use isoplanat_optics::analysis::wavefront::{Figures, Map};
+use isoplanat_optics::analysis::wavefront::Map;
 use isoplanat_optics::analysis::zernike::Fit;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::{Optics, Quadrature};
@@ -140,39 +142,73 @@ pub fn look(lens: &Lens, options: &Options) -> (Overview, Vec<String>) {
     (overview, missing)
 }
 
+/// What one field shows; lengths in mm, nothing where there is no light.
+#[derive(Clone, Debug, Serialize)]
+pub struct SpotRow {
+    angle_deg: f64,
+    chief_height_mm: Option<f64>,
+    rms_mm: Option<f64>,
+    rms_change_mm: Option<f64>,
+    rms_along_mm: Option<[f64; 2]>,
+    radius_mm: Option<f64>,
+    centroid_mm: Option<[f64; 2]>,
+    best_focus_mm: Option<[f64; 3]>,
+    best_rms_mm: Option<f64>,
+    open_part: f64,
+    encircled_50_80_95_mm: Option<[f64; 3]>,
+    mtf_change: f64,
+    mtf_diffraction_error: Option<f64>,
+    mtf_diffraction_residual_waves: Option<f64>,
+    wavefront: Option<Value>,
+}
+
+const SPOTS: [Column<SpotRow>; 11] = [
+    Column::shown("field/deg", |s| significant(s.angle_deg, 4)),
+    Column::shown("height/mm", |s| s.chief_height_mm.map_or("–".to_owned(), |y| significant(y, 6))),
+    Column::shown("rms/µm", |s| um(s.rms_mm)),
+    Column::shown("in x/µm", |s| um(s.rms_along_mm.map(|r| r[0]))),
+    Column::shown("in y/µm", |s| um(s.rms_along_mm.map(|r| r[1]))),
+    Column::shown("radius/µm", |s| um(s.radius_mm)),
+    Column::shown("50 %/µm", |s| um(s.encircled_50_80_95_mm.map(|e| e[0]))),
+    Column::shown("80 %/µm", |s| um(s.encircled_50_80_95_mm.map(|e| e[1]))),
+    Column::shown("best focus/µm", |s| um(s.best_focus_mm.map(|z| z[2]))),
+    Column::shown("rms there/µm", |s| um(s.best_rms_mm)),
+    Column::shown("open", |s| format!("{:.4}", s.open_part)),
+];
+
+fn um(mm: Option<f64>) -> String {
+    mm.map_or("–".to_owned(), |v| significant(1e3 * v, 4))
+}
+
 /// Spots by field as a table: image height, rms radius and its parts, largest radius, radii that hold 50 and 80 % of the light, the best focus and
 /// the rms there, the part of the stop's rays that arrives.
 pub fn spot_table(o: &Overview) -> Table {
-    let mut table = Table::new([
-        "field/deg",
-        "height/mm",
-        "rms/µm",
-        "in x/µm",
-        "in y/µm",
-        "radius/µm",
-        "50 %/µm",
-        "80 %/µm",
-        "best focus/µm",
-        "rms there/µm",
-        "open",
-    ]);
-    for f in &o.fields {
-        let um = |v: Option<f64>| v.map_or("–".to_owned(), |v| significant(1e3 * v, 4));
-        table.row([
-            significant(f.angle_deg, 4),
-            f.chief.map_or("–".to_owned(), |c| significant(c.y, 6)),
-            um(f.rms.map(|r| r.value)),
-            um(f.spot.map(|s| s.rms_along.x)),
-            um(f.spot.map(|s| s.rms_along.y)),
-            um(f.spot.map(|s| s.radius)),
-            um(f.energy.map(|e| e[0])),
-            um(f.energy.map(|e| e[1])),
-            um(f.best_focus.map(|z| z[2])),
-            um(f.best_rms),
-            format!("{:.4}", f.open_part),
-        ]);
-    }
-    table
+    table(&SPOTS, &spot_rows(o))
+}
+
+/// What every field shows.
+pub fn spot_rows(o: &Overview) -> Vec<SpotRow> {
+    let row = |f: &Field| {
+        let waves = f.diffraction.as_ref().and_then(|d| d.as_ref().ok());
+        SpotRow {
+            angle_deg: f.angle_deg,
+            chief_height_mm: f.chief.map(|c| c.y),
+            rms_mm: f.rms.map(|r| r.value),
+            rms_change_mm: f.rms.map(|r| r.change),
+            rms_along_mm: f.spot.map(|s| s.rms_along.to_array()),
+            radius_mm: f.spot.map(|s| s.radius),
+            centroid_mm: f.spot.map(|s| s.centroid.to_array()),
+            best_focus_mm: f.best_focus,
+            best_rms_mm: f.best_rms,
+            open_part: f.open_part,
+            encircled_50_80_95_mm: f.energy,
+            mtf_change: f.mtf_change,
+            mtf_diffraction_error: waves.map(sampling_error),
+            mtf_diffraction_residual_waves: waves.map(|m| m.residual_waves),
+            wavefront: f.map.as_ref().map(wavefront_json),
+        }
+    };
+    o.fields.iter().map(row).collect()
 }
 
 /// Largest error of the sampling of a transfer function.
@@ -181,46 +217,19 @@ fn sampling_error(mtf: &Mtf) -> f64 {
 }
 
 fn wavefront_json((map, fit): &(Map, Option<Fit>)) -> Value {
-    let figures = |f: &Figures| json!({ "peak_to_valley_waves": f.peak_to_valley, "rms_waves": f.rms, "strehl": f.strehl, "strehl_marechal": f.marechal });
     let zernike = fit.as_ref().map(|fit| {
         let term = |(k, v): (usize, &f64)| json!({ "noll": k + 1, "name": fit.order.term(k + 1).map(|t| t.name()), "waves": v });
         fit.coefficients.iter().enumerate().map(term).collect::<Vec<_>>()
     });
     json!({
         "wavelength_nm": map.wavelength_nm,
-        "about_the_chief_ray": figures(&map.figures),
-        "about_the_best_point": figures(&map.best),
+        "about_the_chief_ray": map.figures,
+        "about_the_best_point": map.best,
         "best_point_mm": map.shift.to_array(),
         "open_part": map.open,
         "zernike": zernike,
         "zernike_residual_rms_waves": fit.as_ref().map(|f| f.residual_rms),
     })
-}
-
-/// Spots by field as JSON, lengths in mm; `null` where there is no light.
-pub fn fields_json(o: &Overview) -> Vec<Value> {
-    let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
-    let field = |f: &Field| {
-        let waves = f.diffraction.as_ref().and_then(|d| d.as_ref().ok());
-        json!({
-            "angle_deg": f.angle_deg,
-            "chief_height_mm": f.chief.map(|c| c.y),
-            "rms_mm": f.rms.map(|r| r.value),
-            "rms_change_mm": f.rms.map(|r| finite(r.change)),
-            "rms_along_mm": f.spot.map(|s| [s.rms_along.x, s.rms_along.y]),
-            "radius_mm": f.spot.map(|s| s.radius),
-            "centroid_mm": f.spot.map(|s| [s.centroid.x, s.centroid.y]),
-            "best_focus_mm": f.best_focus,
-            "best_rms_mm": f.best_rms,
-            "open_part": f.open_part,
-            "encircled_50_80_95_mm": f.energy,
-            "mtf_change": finite(f.mtf_change),
-            "mtf_diffraction_error": waves.map(sampling_error),
-            "mtf_diffraction_residual_waves": waves.map(|m| m.residual_waves),
-            "wavefront": f.map.as_ref().map(wavefront_json),
-        })
-    };
-    o.fields.iter().map(field).collect()
 }
 
 /// The spots on the sensor as one drawing (SVG).
@@ -236,14 +245,16 @@ pub fn plots(o: &Overview) -> Vec<(&'static str, Plot)> {
 /// Curves as JSON: under their names, pairs of numbers by series; what is not finite is left out.
 pub fn plots_json<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) -> Value {
     let one = |(name, p): &(&'static str, Plot)| {
-        let series = p.series.iter().map(|s| {
-            let points = s.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite());
-            json!({ "name": s.name, "points": points.collect::<Vec<_>>() })
-        });
-        let series = series.collect::<Vec<_>>();
+        let series: Vec<Value> =
+            p.series.iter().map(|s| json!({ "name": s.name, "points": numbers(s).collect::<Vec<_>>() })).collect();
         ((*name).to_owned(), json!({ "title": p.title, "x": p.x_label, "y": p.y_label, "series": series }))
     };
     plots.into_iter().map(one).collect::<serde_json::Map<String, Value>>().into()
+}
+
+/// Points of a curve that are numbers.
+fn numbers(series: &Series) -> impl Iterator<Item = &[f64; 2]> {
+    series.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite())
 }
 
 /// Curves as comma-separated values: plot, series, x, y.
@@ -251,7 +262,7 @@ pub fn plots_csv<'a>(plots: impl IntoIterator<Item = &'a (&'static str, Plot)>) 
     let mut table = Table::new(["plot", "series", "x", "y"]);
     for (name, plot) in plots {
         for s in &plot.series {
-            for [x, y] in s.points.iter().filter(|p| p[0].is_finite() && p[1].is_finite()) {
+            for [x, y] in numbers(s) {
                 table.row([(*name).to_owned(), s.name.clone(), x.to_string(), y.to_string()]);
             }
         }
@@ -392,16 +403,15 @@ impl LensReport {
     /// Everything as one JSON object: lengths in mm (spots too), curves under their names as pairs.
     pub fn json(&self) -> Value {
         let o = &self.overview;
-        let finite = |v: f64| if v.is_finite() { json!(v) } else { Value::Null };
         json!({
             "schema": 1,
             "lens": Listing::new(&self.lens, o.primary_nm).json(),
             "wavelengths": o.colours.iter().map(|(nm, share)| json!({"nm": nm, "share": share})).collect::<Vec<_>>(),
             "rays": o.settings.rays,
-            "airy_radius_mm": finite(o.airy_radius),
+            "airy_radius_mm": o.airy_radius,
             "shifts_mm": o.shifts_mm,
             "cycles_per_mm": o.cycles_per_mm,
-            "fields": fields_json(o),
+            "fields": spot_rows(o),
             "plots": plots_json(&self.plots()),
             "measured": self.measured.as_ref().map(Measured::json),
             "check_passes": self.check.0,

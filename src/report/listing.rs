@@ -1,14 +1,17 @@
 //! A prescription and its first-order data, as text and as JSON.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
+use super::columns::{Column, csv, table};
 use super::table::{Table, significant};
 use isoplanat_base::terminal::cut;
 use isoplanat_optics::lens::paraxial::{FirstOrder, field_origin, first_order};
 use isoplanat_optics::lens::seidel::{self, Seidel};
-use isoplanat_optics::lens::{Aperture, Lens, Medium};
+use isoplanat_optics::lens::{Aperture, Lens, Medium, Surface};
 
 /// What `isoplanat inspect` shows.
 #[derive(Clone, Debug)]
@@ -19,16 +22,78 @@ pub struct Listing<'a> {
     seidel: Vec<Seidel>,
 }
 
-/// Names of the aberration sums, in the order of [`Seidel::to_array`].
-const SUMS: [(&str, &str); 7] = [
-    ("spherical", "S_I"),
-    ("coma", "S_II"),
-    ("astigmatism", "S_III"),
-    ("petzval", "S_IV"),
-    ("distortion", "S_V"),
-    ("axial_colour", "C_I"),
-    ("lateral_colour", "C_II"),
+/// A surface as JSON has it.
+#[derive(Serialize)]
+struct Row {
+    #[serde(skip)]
+    number: usize,
+    #[serde(skip)]
+    form: String,
+    stop: bool,
+    curvature_per_mm: f64,
+    radius_mm: f64,
+    conic: f64,
+    asphere: Vec<f64>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    odd: Vec<f64>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    zernike: Option<Terms<Vec<f64>>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    xy: Option<Terms<BTreeMap<String, f64>>>,
+    thickness_mm: f64,
+    medium: String,
+    medium_source: String,
+    index: f64,
+    semi_diameter_mm: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    tilt_deg: Option<[f64; 3]>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    decentre_mm: Option<[f64; 2]>,
+    seidel_mm: Seidel,
+}
+
+/// Terms over a radius.
+#[derive(Serialize)]
+struct Terms<T> {
+    radius_mm: f64,
+    terms: T,
+}
+
+const SURFACES: [Column<Row>; 14] = [
+    Column::text("surface", "surface", |r| r.number.to_string()),
+    Column::figure("radius/mm", "radius_mm", 7, |r| r.radius_mm),
+    Column::figure("thickness/mm", "thickness_mm", 7, |r| r.thickness_mm),
+    Column::text("medium", "medium", |r| r.medium.clone()),
+    Column::both("index", "index", |r| format!("{:.6}", r.index), |r| r.index.to_string()),
+    Column::figure("semi-diameter/mm", "semi_diameter_mm", 5, |r| r.semi_diameter_mm),
+    Column::shown("form", |r| r.form.clone()),
+    Column::value("spherical_mm", |r| r.seidel_mm.spherical.to_string()),
+    Column::value("coma_mm", |r| r.seidel_mm.coma.to_string()),
+    Column::value("astigmatism_mm", |r| r.seidel_mm.astigmatism.to_string()),
+    Column::value("petzval_mm", |r| r.seidel_mm.petzval.to_string()),
+    Column::value("distortion_mm", |r| r.seidel_mm.distortion.to_string()),
+    Column::value("axial_colour_mm", |r| r.seidel_mm.axial_colour.to_string()),
+    Column::value("lateral_colour_mm", |r| r.seidel_mm.lateral_colour.to_string()),
 ];
+
+/// What a surface is beside its radius.
+fn form(s: &Surface, stop: bool) -> String {
+    let (shape, mut form) = (&s.shape, Vec::new());
+    if stop {
+        form.push("stop".to_owned());
+    }
+    if shape.conic != 0.0 {
+        form.push(format!("conic {}", significant(shape.conic, 6)));
+    }
+    let terms = shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0);
+    form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 2, significant(*a, 5))));
+    let terms = shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0);
+    form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 3, significant(*a, 5))));
+    form.extend(shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
+    form.extend(shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
+    form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
+    form.join(", ")
+}
 
 impl<'a> Listing<'a> {
     /// The listing of `lens` at `wavelength_nm`.
@@ -83,83 +148,47 @@ impl<'a> Listing<'a> {
             "weights": lens.wavelengths.weights,
             "colour_nm": lens.wavelengths.ends_nm(),
             "stop_surface": lens.stop,
-            "sensor": {
-                "columns": lens.sensor.columns,
-                "rows": lens.sensor.rows,
-                "pitch_um": lens.sensor.pitch_um,
-                "axis_px": lens.sensor.axis_px,
-            },
-            "surfaces": (0..lens.surfaces.len()).map(|i| self.surface_json(i)).collect::<Vec<_>>(),
-            "seidel_mm": sums_json(seidel::total(&self.seidel)),
+            "sensor": lens.sensor,
+            "surfaces": self.rows(),
+            "seidel_mm": seidel::total(&self.seidel),
         });
         for (_, key, value) in self.numbers() {
-            object[key] = json!(value);
+            object[key] = value.into();
         }
         object
     }
 
-    fn surface_json(&self, i: usize) -> Value {
-        let s = &self.lens.surfaces[i];
-        let mut object = json!({
-            "curvature_per_mm": s.shape.curvature,
-            "radius_mm": 1.0 / s.shape.curvature,
-            "conic": s.shape.conic,
-            "asphere": s.shape.asphere,
-            "thickness_mm": s.thickness,
-            "medium": s.medium.to_string(),
-            "medium_source": s.medium.source(),
-            "index": s.medium.index(self.wavelength_nm),
-            "semi_diameter_mm": s.semi_diameter,
-            "stop": i == self.lens.stop,
-            "seidel_mm": sums_json(self.seidel[i]),
-        });
-        if !s.shape.odd.is_empty() {
-            object["odd"] = json!(s.shape.odd);
-        }
-        if let Some(z) = &s.shape.zernike {
-            object["zernike"] = json!({ "radius_mm": z.radius(), "terms": z.terms() });
-        }
-        if let Some(p) = &s.shape.xy {
-            let terms = p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), json!(c)));
-            object["xy"] = json!({ "radius_mm": p.radius(), "terms": terms.collect::<serde_json::Map<_, _>>() });
-        }
-        if let Some(p) = &s.pose {
-            object["tilt_deg"] = json!(p.tilt.map(f64::to_degrees));
-            object["decentre_mm"] = json!(p.decentre);
-        }
-        object
+    /// Surfaces, counted from 0.
+    fn rows(&self) -> Vec<Row> {
+        let row = |(number, (s, seidel_mm)): (usize, (&Surface, &Seidel))| Row {
+            number,
+            form: form(s, number == self.lens.stop),
+            stop: number == self.lens.stop,
+            curvature_per_mm: s.shape.curvature,
+            radius_mm: 1.0 / (s.shape.curvature + 0.0),
+            conic: s.shape.conic,
+            asphere: s.shape.asphere.clone(),
+            odd: s.shape.odd.clone(),
+            zernike: s.shape.zernike.as_ref().map(|z| Terms { radius_mm: z.radius(), terms: z.terms().to_vec() }),
+            xy: s.shape.xy.as_ref().map(|p| Terms {
+                radius_mm: p.radius(),
+                terms: p.orders().iter().zip(p.terms()).map(|((i, j), c)| (format!("x{i}y{j}"), *c)).collect(),
+            }),
+            thickness_mm: s.thickness,
+            medium: s.medium.to_string(),
+            medium_source: s.medium.source(),
+            index: s.medium.index(self.wavelength_nm),
+            semi_diameter_mm: s.semi_diameter,
+            tilt_deg: s.pose.map(|p| p.tilt.map(f64::to_degrees)),
+            decentre_mm: s.pose.map(|p| p.decentre),
+            seidel_mm: *seidel_mm,
+        };
+        self.lens.surfaces.iter().zip(&self.seidel).enumerate().map(row).collect()
     }
 
     /// Surfaces, one a row, counted from 0.
     pub(crate) fn surface_table(&self) -> Table {
-        let mut table =
-            Table::new(["surface", "radius/mm", "thickness/mm", "medium", "index", "semi-diameter/mm", "form"]);
-        for (i, s) in self.lens.surfaces.iter().enumerate() {
-            let mut form = Vec::new();
-            if i == self.lens.stop {
-                form.push("stop".to_owned());
-            }
-            if s.shape.conic != 0.0 {
-                form.push(format!("conic {}", significant(s.shape.conic, 6)));
-            }
-            let terms = s.shape.asphere.iter().enumerate().filter(|(_, a)| **a != 0.0);
-            form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 2, significant(*a, 5))));
-            let terms = s.shape.odd.iter().enumerate().filter(|(_, a)| **a != 0.0);
-            form.extend(terms.map(|(j, a)| format!("a{} {}", 2 * j + 3, significant(*a, 5))));
-            form.extend(s.shape.zernike.as_ref().map(|z| format!("{} Zernike terms", z.terms().len())));
-            form.extend(s.shape.xy.as_ref().map(|p| format!("{} xy terms", p.terms().len())));
-            form.extend(s.pose.filter(|p| !p.is_nominal()).map(|_| "displaced".to_owned()));
-            table.row([
-                i.to_string(),
-                significant(radius(s.shape.curvature), 7),
-                significant(s.thickness, 7),
-                s.medium.to_string(),
-                format!("{:.6}", s.medium.index(self.wavelength_nm)),
-                significant(s.semi_diameter, 5),
-                form.join(", "),
-            ]);
-        }
-        table
+        table(&SURFACES, &self.rows())
     }
 
     /// Media other than air, in the order of the light: where their indices come from, and the wavelengths that they hold for.
@@ -180,7 +209,7 @@ impl<'a> Listing<'a> {
 
     /// Aberration sums of each surface and, last, of the lens, µm.
     pub(crate) fn seidel_table(&self) -> Table {
-        let mut table = Table::new(std::iter::once("surface").chain(SUMS.iter().map(|(_, s)| *s)));
+        let mut table = Table::new(["surface", "S_I", "S_II", "S_III", "S_IV", "S_V", "C_I", "C_II"]);
         let cells = |s: Seidel| s.to_array().map(|v| format!("{:.3}", v * 1e3 + 0.0));
         for (i, s) in self.seidel.iter().enumerate() {
             table.row(std::iter::once(i.to_string()).chain(cells(*s)));
@@ -191,17 +220,7 @@ impl<'a> Listing<'a> {
 
     /// Surfaces with their sums (mm), one a row, to all digits.
     pub fn csv(&self) -> String {
-        let own = ["surface", "radius_mm", "thickness_mm", "medium", "index", "semi_diameter_mm"];
-        let sums = SUMS.iter().map(|(key, _)| format!("{key}_mm"));
-        let mut table = Table::new(own.map(str::to_owned).into_iter().chain(sums));
-        for (i, (s, sums)) in self.lens.surfaces.iter().zip(&self.seidel).enumerate() {
-            let (radius, index) = (radius(s.shape.curvature), s.medium.index(self.wavelength_nm));
-            let own =
-                [i.to_string(), radius.to_string(), s.thickness.to_string(), s.medium.to_string(), index.to_string()];
-            let sums = std::iter::once(s.semi_diameter).chain(sums.to_array()).map(|v| v.to_string());
-            table.row(own.into_iter().chain(sums));
-        }
-        table.csv()
+        csv(&SURFACES, &self.rows())
     }
 
     /// First-order numbers, one a row.
@@ -213,11 +232,6 @@ impl<'a> Listing<'a> {
         }
         table
     }
-}
-
-/// A radius; a plane's is infinite without a sign, whatever the sign of its zero.
-fn radius(curvature: f64) -> f64 {
-    1.0 / (curvature + 0.0)
 }
 
 /// Characters of what a file says of itself, at most.
@@ -254,14 +268,6 @@ impl fmt::Display for Listing<'_> {
         writeln!(f, "third-order sums at full aperture and field, µm; colour between {colours} nm")?;
         write!(f, "{}", self.seidel_table())
     }
-}
-
-fn sums_json(sums: Seidel) -> Value {
-    SUMS.iter()
-        .zip(sums.to_array())
-        .map(|((key, _), v)| ((*key).to_owned(), json!(v)))
-        .collect::<serde_json::Map<_, _>>()
-        .into()
 }
 
 #[cfg(test)]

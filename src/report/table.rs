@@ -74,6 +74,18 @@ pub fn value(result: &impl serde::Serialize) -> Result<serde_json::Value> {
     serde_json::to_value(result).map_err(|e| Error::Internal(format!("a result as JSON: {e}")))
 }
 
+/// A result as commands print it: [`value`] beside `schema`, the number of its form.
+#[doc(hidden)]
+pub fn numbered(result: &impl serde::Serialize) -> serde_json::Value {
+    #[derive(serde::Serialize)]
+    struct Numbered<'a, R> {
+        schema: u32,
+        #[serde(flatten)]
+        result: &'a R,
+    }
+    serde_json::json!(Numbered { schema: 1, result })
+}
+
 /// A cell of comma-separated values: with commas, quotes or ends of line in quotes; a text that a spreadsheet would run (`=`, `+`, `-`, `@` and no number) behind an apostrophe.
 pub(crate) fn csv_cell(text: &str) -> String {
     let runs = text.starts_with(['=', '+', '-', '@', '\t', '\r']) && text.parse::<f64>().is_err();

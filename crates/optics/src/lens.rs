@@ -123,7 +123,7 @@ impl Wavelengths {
 }
 
 /// The pixel raster behind the lens.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct SensorRaster {
     /// Pixels in a row.
     pub columns: usize,

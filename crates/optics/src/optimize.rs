@@ -55,9 +55,10 @@ pub mod spec;
 mod standard;
 
 pub use constraint::{Constraint, Quantity, Target};
-pub use finish::{Active, Moved, Outcome};
+pub use finish::{Active, Moved, Outcome, Valued};
 pub use merit::{Apertures, Merit, Quality, Reference};
 pub use problem::{Limits, Problem, Step, Stop};
+pub use solver::Refused;
 
 use crate::lens::{Kind, Lens};
 use isoplanat_base::error::{Error, Result};

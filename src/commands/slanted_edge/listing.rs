@@ -1,11 +1,13 @@
 //! What `slanted-edge` shows: a table, JSON, comma-separated values, a drawing.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use isoplanat::imaging::metrics::slanted_edge::{Crossing, EdgeMeasurement};
+use isoplanat::report::columns::{Column, table};
 use isoplanat::report::plot::{Mark, Plot, Series};
-use isoplanat::report::table::Table;
-use serde_json::{Map, Value, json};
+use isoplanat::report::table::{Table, numbered};
+use serde_json::{Value, json};
 
 /// One channel's edge.
 pub(super) struct Measured {
@@ -24,6 +26,46 @@ pub(super) struct Listing {
     pub(super) source: String,
     /// The picture's name.
     pub(super) image: String,
+}
+
+/// Everything as JSON has it: the figures of the first channel at the top too.
+#[derive(serde::Serialize)]
+struct Everything<'a> {
+    image: &'a str,
+    taken_as: &'a str,
+    channel: &'a str,
+    #[serde(flatten)]
+    first: Value,
+    /// Places of R and B along the edge's normal, and along the row or column that crosses the edge, pixels.
+    #[serde(flatten)]
+    lateral: BTreeMap<&'static str, BTreeMap<&'static str, f64>>,
+    channels: BTreeMap<&'a str, Value>,
+    not_measured: BTreeMap<&'a str, &'a str>,
+}
+
+const CHANNELS: [Column<Measured>; 10] = [
+    Column::shown("channel", |m| m.name.to_owned()),
+    Column::shown("MTF50/(cy/px)", |m| figure(m.edge.mtf50)),
+    Column::shown("95 %", |m| interval(m.edge.mtf50)),
+    Column::shown("MTF10/(cy/px)", |m| figure(m.edge.mtf10)),
+    Column::shown("95 %", |m| interval(m.edge.mtf10)),
+    Column::shown("10-90/px", |m| format!("{:.2}", m.edge.rise)),
+    Column::shown("dark", |m| format!("{:.4}", m.edge.levels[0])),
+    Column::shown("bright", |m| format!("{:.4}", m.edge.levels[1])),
+    Column::shown("noise", |m| format!("{:.5}", m.edge.noise)),
+    Column::shown("samples", |m| m.edge.samples.to_string()),
+];
+
+fn figure(c: Option<Crossing>) -> String {
+    c.map_or_else(|| "-".into(), |c| format!("{:.4}", c.frequency))
+}
+
+fn interval(c: Option<Crossing>) -> String {
+    match c {
+        None => "-".into(),
+        Some(c) if c.interval[1].is_finite() => format!("{:.4} to {:.4}", c.interval[0], c.interval[1]),
+        Some(c) => format!("from {:.4}", c.interval[0]),
+    }
 }
 
 /// Every so many points of a curve stand in the table.
@@ -70,30 +112,23 @@ impl Listing {
 
     /// Everything, the first channel's figures at the top too.
     pub(super) fn json(&self) -> Value {
-        let mut top = Map::new();
-        top.insert("schema".into(), json!(1));
-        top.insert("image".into(), json!(self.image));
-        top.insert("taken_as".into(), json!(self.source));
-        top.insert("channel".into(), json!(self.measured[self.first].name));
-        top.extend(channel(&self.measured[self.first].edge));
-        let shifts = self.lateral().into_iter().map(|(name, px)| (name.to_owned(), json!(px)));
-        let shifts: Map<String, Value> = shifts.collect();
+        let (first, shifts, mut lateral) = (&self.measured[self.first], self.lateral(), BTreeMap::new());
         if !shifts.is_empty() {
-            top.insert("lateral_colour_px".into(), Value::Object(shifts));
-            // The same along the row or column that crosses the edge.
-            let edge = &self.measured[self.first].edge;
-            let slant = edge.normal_deg.to_radians();
-            let main = slant.cos().abs().max(slant.sin().abs());
-            let along = self.lateral().into_iter().map(|(name, px)| (name.to_owned(), json!(px / main)));
-            let key =
-                if slant.cos().abs() >= slant.sin().abs() { "lateral_colour_x_px" } else { "lateral_colour_y_px" };
-            top.insert(key.into(), Value::Object(along.collect()));
+            let slant = first.edge.normal_deg.to_radians();
+            let (x, y) = (slant.cos().abs(), slant.sin().abs());
+            let across = if x >= y { "lateral_colour_x_px" } else { "lateral_colour_y_px" };
+            lateral.insert(across, shifts.iter().map(|(name, px)| (*name, px / x.max(y))).collect());
+            lateral.insert("lateral_colour_px", shifts.into_iter().collect());
         }
-        let channels = self.measured.iter().map(|m| (m.name.to_owned(), Value::Object(channel(&m.edge))));
-        top.insert("channels".into(), Value::Object(channels.collect()));
-        let refused = self.refused.iter().map(|(name, why)| ((*name).to_owned(), json!(why)));
-        top.insert("not_measured".into(), Value::Object(refused.collect()));
-        Value::Object(top)
+        numbered(&Everything {
+            image: &self.image,
+            taken_as: &self.source,
+            channel: first.name,
+            first: channel(&first.edge),
+            lateral,
+            channels: self.measured.iter().map(|m| (m.name, channel(&m.edge))).collect(),
+            not_measured: self.refused.iter().map(|(name, why)| (*name, &**why)).collect(),
+        })
     }
 
     /// MTF and edge spread function, one above the other.
@@ -145,31 +180,20 @@ fn stacked(drawings: &[String]) -> String {
     format!("<svg xmlns=\"http://www.w3.org/2000/svg\" {size}>\n{inner}</svg>\n")
 }
 
-/// An interval's ends; null where it is open.
-fn ends(crossing: Option<&Crossing>) -> Value {
-    crossing.map_or(Value::Null, |c| json!(c.interval.map(|v| v.is_finite().then_some(v))))
-}
-
 /// One channel's figures.
-fn channel(edge: &EdgeMeasurement) -> Map<String, Value> {
-    let curve: Vec<Value> = edge
-        .mtf
-        .iter()
-        .map(|p| json!({ "frequency_cy_per_px": round(p.frequency), "value": p.value, "uncertainty": p.uncertainty }))
-        .collect();
-    let region = edge.region;
-    let value = json!({
+fn channel(edge: &EdgeMeasurement) -> Value {
+    json!({
         "mtf50_cy_per_px": edge.mtf50.map(|c| c.frequency),
-        "mtf50_interval_cy_per_px": ends(edge.mtf50.as_ref()),
+        "mtf50_interval_cy_per_px": edge.mtf50.map(|c| c.interval),
         "mtf10_cy_per_px": edge.mtf10.map(|c| c.frequency),
-        "mtf10_interval_cy_per_px": ends(edge.mtf10.as_ref()),
+        "mtf10_interval_cy_per_px": edge.mtf10.map(|c| c.interval),
         "edge_angle_deg": edge.angle_deg,
         "edge_angle_uncertainty_deg": edge.angle_uncertainty_deg,
         "normal_to_bright_side_deg": edge.normal_deg,
         "edge_position_px": { "x": edge.position[0], "y": edge.position[1] },
         "edge_fit": if edge.sagitta == 0.0 { "line" } else { "parabola" },
         "edge_sagitta_px": edge.sagitta,
-        "region_px": { "x": region.x, "y": region.y, "width": region.width, "height": region.height },
+        "region_px": edge.region,
         "dark_level": edge.levels[0],
         "bright_level": edge.levels[1],
         "contrast": edge.levels[1] - edge.levels[0],
@@ -179,19 +203,10 @@ fn channel(edge: &EdgeMeasurement) -> Map<String, Value> {
         "samples": edge.samples,
         "oversampling": edge.knots_per_px,
         "warnings": edge.warnings,
-        "mtf": curve,
+        "mtf": edge.mtf,
         "interval_95_over_uncertainty": edge.coverage,
         "spread": edge.spread.iter().map(|[d, e, l]| json!({ "distance_px": d, "esf": e, "lsf_per_px": l })).collect::<Vec<_>>(),
-    });
-    match value {
-        Value::Object(map) => map,
-        _ => Map::new(),
-    }
-}
-
-/// A frequency without the rounding of its sum.
-fn round(f: f64) -> f64 {
-    (f * 1e4).round() / 1e4
+    })
 }
 
 impl fmt::Display for Listing {
@@ -212,39 +227,7 @@ impl fmt::Display for Listing {
             r.height,
             if edge.sagitta == 0.0 { "straight".into() } else { format!("bent by {:.3} px (parabola)", edge.sagitta) }
         )?;
-        let mut table = Table::new([
-            "channel",
-            "MTF50/(cy/px)",
-            "95 %",
-            "MTF10/(cy/px)",
-            "95 %",
-            "10-90/px",
-            "dark",
-            "bright",
-            "noise",
-            "samples",
-        ]);
-        let figure = |c: Option<Crossing>| c.map_or_else(|| "-".into(), |c| format!("{:.4}", c.frequency));
-        let interval = |c: Option<Crossing>| match c {
-            None => "-".into(),
-            Some(c) if c.interval[1].is_finite() => format!("{:.4} to {:.4}", c.interval[0], c.interval[1]),
-            Some(c) => format!("from {:.4}", c.interval[0]),
-        };
-        for Measured { name, edge } in &self.measured {
-            table.row([
-                (*name).to_owned(),
-                figure(edge.mtf50),
-                interval(edge.mtf50),
-                figure(edge.mtf10),
-                interval(edge.mtf10),
-                format!("{:.2}", edge.rise),
-                format!("{:.4}", edge.levels[0]),
-                format!("{:.4}", edge.levels[1]),
-                format!("{:.5}", edge.noise),
-                edge.samples.to_string(),
-            ]);
-        }
-        write!(f, "{table}")?;
+        write!(f, "{}", table(&CHANNELS, &self.measured))?;
         for (name, px) in self.lateral() {
             writeln!(f, "{name} lies {px:+.3} px from G along the edge's normal (right or down is positive)")?;
         }

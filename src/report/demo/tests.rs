@@ -1,5 +1,6 @@
 use super::*;
 use isoplanat_optics::lens::builtin;
+use serde_json::json;
 
 /// A picture of shapes, and the same blurred and with noise.
 fn scene(name: &str, seed: u64) -> SceneResult {

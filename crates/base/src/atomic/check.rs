@@ -6,7 +6,7 @@ use std::path::Path;
 use super::entries::FolderKind;
 use super::file::allowed;
 use super::folder;
-use super::place::Place;
+use super::place::Destination;
 use super::temporary::Temporary;
 use super::{Replace, sweep};
 use crate::error::{Error, Result};
@@ -19,13 +19,13 @@ use crate::error::{Error, Result};
 pub fn check_target(path: &Path, replace: Replace) -> Result<()> {
     let failed = |e| Error::writing(path, e);
     match allowed(path, replace)? {
-        Place::Stream(stream) => {
+        Destination::Stream(stream) => {
             #[cfg(unix)]
             rustix::fs::access(&stream, rustix::fs::Access::WRITE_OK).map_err(|e| failed(e.into()))?;
             let _ = stream;
             Ok(())
         }
-        Place::Free(target) | Place::File(target, _) | Place::Folder(target) => {
+        Destination::Free(target) | Destination::File(target, _) | Destination::Folder(target) => {
             sweep::sweep(&target);
             Temporary::beside(&target).map(drop).map_err(failed)
         }

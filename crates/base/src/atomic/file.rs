@@ -4,7 +4,7 @@ use std::fs::{self, File};
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::{Path, PathBuf};
 
-use super::place::{self, Place};
+use super::place::{self, Destination};
 use super::temporary::{Temporary, TemporaryFolder};
 use super::{Replace, Target, fault, name, rename, sweep};
 use crate::error::{Error, Result};
@@ -144,9 +144,9 @@ struct Move {
 /// The way to `path`, cleared of what dead writers have left there.
 fn way(path: &Path, replace: Replace, sync: bool) -> Result<Way> {
     let (target, before) = match allowed(path, replace)? {
-        Place::Stream(stream) => return Ok(Way::Pour(stream)),
-        Place::File(target, found) => (target, Some(found.permissions())),
-        Place::Free(target) | Place::Folder(target) => (target, None),
+        Destination::Stream(stream) => return Ok(Way::Pour(stream)),
+        Destination::File(target, found) => (target, Some(found.permissions())),
+        Destination::Free(target) | Destination::Folder(target) => (target, None),
     };
     let alone = sync && !name::in_temporary(&target);
     if alone {
@@ -189,14 +189,16 @@ fn moved(path: &Path, from: &Path, target: &Path, replace: Replace) -> Result<()
 ///
 /// # Errors
 /// [`Error::Exists`]; a folder in the file's place, none around it, a path without a file's name.
-pub(super) fn allowed(path: &Path, replace: Replace) -> Result<Place> {
+pub(super) fn allowed(path: &Path, replace: Replace) -> Result<Destination> {
     let refuse = |kind: io::ErrorKind, text: String| Err(Error::writing(path, io::Error::new(kind, text)));
     let place = place::of(path)?;
     match &place {
-        Place::Folder(_) => refuse(io::ErrorKind::IsADirectory, "a folder stands there; name a file".into()),
-        Place::File(..) if replace == Replace::Never => Err(Error::Exists(path.to_owned())),
-        Place::Stream(stream) if replace == Replace::Never && is_disk(stream) => Err(Error::Exists(path.to_owned())),
-        Place::Free(target) => {
+        Destination::Folder(_) => refuse(io::ErrorKind::IsADirectory, "a folder stands there; name a file".into()),
+        Destination::File(..) if replace == Replace::Never => Err(Error::Exists(path.to_owned())),
+        Destination::Stream(stream) if replace == Replace::Never && is_disk(stream) => {
+            Err(Error::Exists(path.to_owned()))
+        }
+        Destination::Free(target) => {
             let ends = path.as_os_str().as_encoded_bytes().last().copied();
             if target.file_name().is_none() || ends.is_some_and(|b| std::path::is_separator(b.into())) {
                 return refuse(io::ErrorKind::IsADirectory, "the name of a folder; name a file".into());

@@ -5,7 +5,7 @@ use std::io::{self, ErrorKind};
 use std::path::{Path, PathBuf};
 
 use super::entries::{self, FolderKind};
-use super::place::{self, Place};
+use super::place::{self, Destination};
 use super::temporary::{Mark, TemporaryFolder, removed};
 use super::turn::Turn;
 use super::{Replace, fault, name, notice, rename, sweep};
@@ -87,7 +87,7 @@ fn named(error: Error, temporary: &Path, folder: &Path) -> Error {
 /// A file, a device or the root there; a path that cannot be looked at.
 pub(super) fn target(folder: &Path) -> Result<PathBuf> {
     match place::of(folder)? {
-        Place::Free(target) | Place::Folder(target) if target.file_name().is_some() => Ok(target),
+        Destination::Free(target) | Destination::Folder(target) if target.file_name().is_some() => Ok(target),
         _ => Err(Error::Exists(folder.to_owned())),
     }
 }

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 const LINKS: usize = 40;
 
 /// A place, its path absolute and without links.
-pub(super) enum Place {
+pub(super) enum Destination {
     /// Nothing stands there.
     Free(PathBuf),
     /// A file.
@@ -27,19 +27,19 @@ pub(super) enum Place {
 ///
 /// # Errors
 /// An empty path; links in a circle; a name that is too long; a place that cannot be looked at.
-pub(super) fn of(path: &Path) -> Result<Place> {
+pub(super) fn of(path: &Path) -> Result<Destination> {
     if path.as_os_str().is_empty() {
         return Err(Error::bad("", "output", "an empty name", "a file's or a folder's name"));
     }
     let failed = |e| Error::writing(path, e);
     if let Some(descriptor) = descriptor(path) {
-        return Ok(Place::Stream(descriptor));
+        return Ok(Destination::Stream(descriptor));
     }
     match fs::metadata(path) {
-        Ok(found) if found.is_dir() => Ok(Place::Folder(fs::canonicalize(path).map_err(failed)?)),
-        Ok(found) if found.is_file() => Ok(Place::File(fs::canonicalize(path).map_err(failed)?, found)),
-        Ok(_) => Ok(Place::Stream(path.to_owned())),
-        Err(e) if e.kind() == ErrorKind::NotFound => Ok(Place::Free(absolute(path, LINKS).map_err(failed)?)),
+        Ok(found) if found.is_dir() => Ok(Destination::Folder(fs::canonicalize(path).map_err(failed)?)),
+        Ok(found) if found.is_file() => Ok(Destination::File(fs::canonicalize(path).map_err(failed)?, found)),
+        Ok(_) => Ok(Destination::Stream(path.to_owned())),
+        Err(e) if e.kind() == ErrorKind::NotFound => Ok(Destination::Free(absolute(path, LINKS).map_err(failed)?)),
         Err(e) => Err(failed(e)),
     }
 }
@@ -50,7 +50,10 @@ pub(super) fn of(path: &Path) -> Result<Place> {
 /// As [`of`].
 pub(super) fn resolved(path: &Path) -> Result<PathBuf> {
     Ok(match of(path)? {
-        Place::Free(path) | Place::File(path, _) | Place::Folder(path) | Place::Stream(path) => path,
+        Destination::Free(path)
+        | Destination::File(path, _)
+        | Destination::Folder(path)
+        | Destination::Stream(path) => path,
     })
 }
 
@@ -63,7 +66,7 @@ pub(super) fn resolved(path: &Path) -> Result<PathBuf> {
 pub fn distinct(paths: &[&Path]) -> Result<()> {
     let mut seen: Vec<PathBuf> = Vec::new();
     for path in paths {
-        if matches!(of(path)?, Place::Stream(_)) {
+        if matches!(of(path)?, Destination::Stream(_)) {
             continue;
         }
         let mut place = resolved(path)?;
@@ -90,8 +93,8 @@ pub fn distinct(paths: &[&Path]) -> Result<()> {
 pub fn spares(output: &Path, inputs: &[&Path]) -> Result<()> {
     // What cannot be looked at is told where it is written.
     let place = match of(output) {
-        Ok(Place::Free(place) | Place::File(place, _) | Place::Folder(place)) => place,
-        Ok(Place::Stream(_)) | Err(_) => return Ok(()),
+        Ok(Destination::Free(place) | Destination::File(place, _) | Destination::Folder(place)) => place,
+        Ok(Destination::Stream(_)) | Err(_) => return Ok(()),
     };
     for input in inputs {
         // A name that is no file's is of something else.

@@ -90,17 +90,17 @@ impl Draw {
 
     /// Draws all lanes: points, targets, weights and the rays themselves.
     pub(super) fn place(&mut self, from: &Draws<'_>, rays: &mut Bundle) {
-        wide(Place { draw: self, from, rays });
+        wide(Placing { draw: self, from, rays });
     }
 }
 
-struct Place<'a> {
+struct Placing<'a> {
     draw: &'a mut Draw,
     from: &'a Draws<'a>,
     rays: &'a mut Bundle,
 }
 
-impl Work for Place<'_> {
+impl Work for Placing<'_> {
     type Output = ();
     #[inline(always)]
     fn run(self) {

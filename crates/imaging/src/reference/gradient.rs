@@ -125,10 +125,10 @@ fn one_pass(
     passes: usize,
 ) -> (LensGradient, u64) {
     let tasks = TASKS.min(region.rows);
-    let each: Vec<(Sums<'_>, u64)> = (0..tasks)
+    let each: Vec<(LensCotangents<'_>, u64)> = (0..tasks)
         .into_par_iter()
         .map(|task| {
-            let (mut sums, mut stream) = (Sums::new(scene, systems, view), Stream::new(view));
+            let (mut sums, mut stream) = (LensCotangents::new(scene, systems, view), Stream::new(view));
             for i in task * region.rows / tasks..(task + 1) * region.rows / tasks {
                 for (j, channel) in (0..region.cols).flat_map(|j| (0..3).map(move |channel| (j, channel))) {
                     let white = view.rear.axis_irradiance[channel];
@@ -141,7 +141,7 @@ fn one_pass(
             (sums, stream.rays)
         })
         .collect();
-    let mut total = Sums::new(scene, systems, view);
+    let mut total = LensCotangents::new(scene, systems, view);
     let mut rays = 0;
     for (sums, started) in &each {
         total.add(sums);
@@ -174,7 +174,7 @@ impl Systems {
 }
 
 /// Cotangents of the lens from its sensor.
-struct Sums<'a> {
+struct LensCotangents<'a> {
     scene: &'a Plane,
     systems: &'a Systems,
     view: View<'a>,
@@ -188,7 +188,7 @@ struct Sums<'a> {
     hit_bars: Vec<HitBar>,
 }
 
-impl<'a> Sums<'a> {
+impl<'a> LensCotangents<'a> {
     fn new(scene: &'a Plane, systems: &'a Systems, view: View<'a>) -> Self {
         let system = SystemGradient::zeros(&systems.each[0]);
         let indices = vec![0.0; systems.each.len() * system.indices.len()];
@@ -270,7 +270,7 @@ impl<'a> Sums<'a> {
     }
 }
 
-impl Sink for Sums<'_> {
+impl Sink for LensCotangents<'_> {
     fn take(&mut self, traced: &Waiting) {
         // Every group is a mean over its rays, the picture the mean over the groups; the ray outside stands alone.
         let share = ((self.view.group_size() * GROUPS) as f64).recip();

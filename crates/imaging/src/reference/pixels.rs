@@ -19,11 +19,11 @@ const SUMS: usize = GROUPS + 1;
 pub(super) struct Row<'a> {
     view: View<'a>,
     stream: Stream<'a>,
-    sums: Sums<'a>,
+    sums: PixelSums<'a>,
 }
 
 /// Sums over rays of `n'² L cos⁴θ′ / Z² A`.
-struct Sums<'a> {
+struct PixelSums<'a> {
     view: View<'a>,
     texels: &'a Texels<'a>,
     met: Box<Met>,
@@ -37,7 +37,7 @@ struct Sums<'a> {
 impl<'a> Row<'a> {
     pub(super) fn new(view: View<'a>, texels: &'a Texels<'a>) -> Self {
         let met = Box::new(Met::new());
-        let sums = Sums { view, texels, met, sums: Vec::new(), channels: Vec::new(), passed: 0, outside: 0 };
+        let sums = PixelSums { view, texels, met, sums: Vec::new(), channels: Vec::new(), passed: 0, outside: 0 };
         Self { view, stream: Stream::new(view), sums }
     }
 
@@ -71,7 +71,7 @@ impl<'a> Row<'a> {
     }
 }
 
-impl Sink for Sums<'_> {
+impl Sink for PixelSums<'_> {
     fn take(&mut self, traced: &Waiting) {
         self.texels.meet(&traced.tile.rays, &mut self.met);
         for span in &traced.spans {

@@ -2,7 +2,7 @@
 
 use rayon::prelude::*;
 
-use super::inner::{Correlation, PICTURES, Place, Rows, blocks, convolve_row, correlate, largest};
+use super::inner::{Correlation, PICTURES, PanelRow, Rows, blocks, convolve_row, correlate, largest};
 use super::panel::Panel;
 use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
@@ -106,7 +106,7 @@ impl<const SIDE: usize> Kernel for Forward<'_, SIDE> {
             let bias = &self.bias[first..][..size];
             for row in 0..rows {
                 let from = layout.rows_from(buffer, 0, row, SIDE / 2);
-                let to = Place { panel: &mut self.to, row: first, at: row * columns, n: columns };
+                let to = PanelRow { panel: &mut self.to, row: first, at: row * columns, n: columns };
                 convolve_row::<S, SIDE>(simd, size, from, weights, Some(bias), to);
             }
             weights = &weights[size * layout.channels * SIDE * SIDE..];
@@ -153,10 +153,10 @@ pub(super) fn convolve_vjp<const SIDE: usize>(
         }
     }
     let group = jobs.len().div_ceil(GROUPS);
-    let mut sums: Vec<Sums> = jobs
+    let mut sums: Vec<StripSums> = jobs
         .par_chunks_mut(group)
         .map(|jobs| {
-            let mut sums = Sums {
+            let mut sums = StripSums {
                 weight: recycle::zeros(if wanted.weights { weight.len() } else { 0 }),
                 bias: vec![0.0; if wanted.weights { outputs } else { 0 }],
                 slope: vec![0.0; inputs],
@@ -181,7 +181,7 @@ pub(super) fn convolve_vjp<const SIDE: usize>(
         })
         .collect();
     drop(jobs);
-    let mut total = |part: fn(&mut Sums) -> &mut Vec<f32>| {
+    let mut total = |part: fn(&mut StripSums) -> &mut Vec<f32>| {
         let mut total = std::mem::take(part(&mut sums[0]));
         for more in &mut sums[1..] {
             let more = std::mem::take(part(more));
@@ -206,7 +206,7 @@ pub(super) fn convolve_vjp<const SIDE: usize>(
 }
 
 /// Sums over the strips of one group.
-struct Sums {
+struct StripSums {
     weight: Vec<f32>,
     bias: Vec<f32>,
     slope: Vec<f32>,
@@ -221,7 +221,7 @@ struct Backward<'a, 'p, const SIDE: usize> {
     output_bar: Source<'a>,
     wanted: Wanted,
     to: &'a mut [Panel<'p>],
-    sums: &'a mut Sums,
+    sums: &'a mut StripSums,
     scratch: (&'a mut Scratch, &'a mut Scratch),
 }
 
@@ -284,7 +284,7 @@ fn input_strip<S: Simd, const SIDE: usize>(
     for (start, size) in blocks(source.channels, S::BLOCK) {
         for row in 0..rows {
             let from = layout.rows_from(bars, 0, row, SIDE / 2);
-            let place = Place { panel: &mut *to, row: start, at: row * columns, n: columns };
+            let place = PanelRow { panel: &mut *to, row: start, at: row * columns, n: columns };
             convolve_row::<S, SIDE>(simd, size, from, weights, Some(zeros), place);
             if let Some(slope) = source.slope {
                 for o in start..start + size {

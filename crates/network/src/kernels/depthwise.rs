@@ -212,7 +212,7 @@ pub(in super::super) fn depthwise_vjp(
     let mut parts: Vec<Option<&mut [f32]>> = values.chunks_mut(extent.plane()).map(Some).collect();
     parts.resize_with(planes, || None);
     let output_bar = Source { values: output_bar, channels, slope: None };
-    let sums: Vec<Sums> = parts
+    let sums: Vec<PlaneSums> = parts
         .into_par_iter()
         .enumerate()
         .map(|(plane, to)| {
@@ -225,7 +225,7 @@ pub(in super::super) fn depthwise_vjp(
         })
         .collect();
     // Over the pictures of the batch, in order.
-    let total = |channel: usize, part: &dyn Fn(&Sums) -> f32| -> f32 {
+    let total = |channel: usize, part: &dyn Fn(&PlaneSums) -> f32| -> f32 {
         sums[channel..].iter().step_by(channels).map(part).sum()
     };
     let slope = if source.slope.is_some() { (0..channels).map(|c| total(c, &|s| s.slope)).collect() } else { vec![] };
@@ -239,7 +239,7 @@ pub(in super::super) fn depthwise_vjp(
 
 /// Sums over one plane.
 #[derive(Default)]
-struct Sums {
+struct PlaneSums {
     taps: [f32; TAPS],
     bias: f32,
     slope: f32,
@@ -256,12 +256,12 @@ struct Backward<'a> {
 }
 
 impl Kernel for Backward<'_> {
-    type Output = Sums;
+    type Output = PlaneSums;
     #[inline(always)]
-    fn run<S: Simd>(self, simd: S) -> Sums {
+    fn run<S: Simd>(self, simd: S) -> PlaneSums {
         let Self { source, extent, turned, output_bar, wanted, mut to, scratch } = self;
         let (step, columns) = (rows_of_strip(extent, 2), extent.columns);
-        let mut sums = Sums::default();
+        let mut sums = PlaneSums::default();
         for (first, rows) in parts(extent.rows, step).map(|part| (part.start, part.len())) {
             let bar_layout = Layout::new(1, rows + SIDE - 1, columns);
             let bars = scratch.0.get(bar_layout.len());

@@ -51,7 +51,7 @@ pub(super) struct Rows<'a> {
 }
 
 /// Where a convolution row writes: from `row` on a row of `panel` for each output, `n` values from column `at` on.
-pub(super) struct Place<'t, 'a> {
+pub(super) struct PanelRow<'t, 'a> {
     pub(super) panel: &'t mut Panel<'a>,
     pub(super) row: usize,
     pub(super) at: usize,
@@ -69,7 +69,7 @@ pub(super) fn convolve_row<S: Simd, const K: usize>(
     rows: Rows,
     weights: &[f32],
     bias: Option<&[f32]>,
-    to: Place,
+    to: PanelRow,
 ) {
     match size {
         8 => block_row::<S, K, 8>(simd, rows, weights, bias, to),
@@ -86,15 +86,15 @@ fn block_row<S: Simd, const K: usize, const O: usize>(
     rows: Rows,
     weights: &[f32],
     bias: Option<&[f32]>,
-    to: Place,
+    to: PanelRow,
 ) {
-    let Place { panel, row, at, n } = to;
+    let PanelRow { panel, row, at, n } = to;
     let vectors = n.div_ceil(S::LANES);
     let mut v = 0;
     while v < vectors {
         let x = v * S::LANES;
         let rows = Rows { from: &rows.from[x..], ..rows };
-        let to = Place { panel: &mut *panel, row, at: at + x, n: n - x };
+        let to = PanelRow { panel: &mut *panel, row, at: at + x, n: n - x };
         let step = match vectors - v {
             1 => 1,
             2 | 4 => 2,
@@ -120,14 +120,14 @@ struct Tile<'a, 't, 'p, const K: usize, const O: usize, const N: usize> {
     rows: Rows<'a>,
     weights: &'a [f32],
     bias: Option<&'a [f32]>,
-    to: Place<'t, 'p>,
+    to: PanelRow<'t, 'p>,
 }
 
 impl<const K: usize, const O: usize, const N: usize> Kernel for Tile<'_, '_, '_, K, O, N> {
     type Output = ();
     #[inline(always)]
     fn run<S: Simd>(self, simd: S) {
-        let Self { rows, weights, bias, to: Place { panel, row, at, n } } = self;
+        let Self { rows, weights, bias, to: PanelRow { panel, row, at, n } } = self;
         let mut first = [[simd.splat(0.0); N]; O];
         for (o, first) in first.iter_mut().enumerate() {
             for (v, first) in first.iter_mut().enumerate() {

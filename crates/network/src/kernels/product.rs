@@ -8,7 +8,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use super::flat::{Line, Lines};
-use super::inner::{Place, Rows, blocks, convolve_row, largest, transpose};
+use super::inner::{PanelRow, Rows, blocks, convolve_row, largest, transpose};
 use super::panel::Panel;
 use super::strip::{Scratch, filled, with_scratch};
 use super::{Level, recycle};
@@ -102,7 +102,7 @@ impl<const SIDE: usize, P: Fn(Block), F: Finish> Kernel for Group<'_, SIDE, P, F
                 let weights = &mut weights[..(end - channel) * SIDE * SIDE * size];
                 (self.pack)(Block { first: self.first + output, size, channels: channel..end, to: &mut *weights });
                 let bias = (channel == 0).then(|| &self.bias[output..][..size]);
-                let place = Place { panel: &mut panel, row: output, at: 0, n };
+                let place = PanelRow { panel: &mut panel, row: output, at: 0, n };
                 convolve_row::<S, SIDE>(simd, size, from, weights, bias, place);
             }
         }
@@ -184,7 +184,7 @@ impl<'c, C: Fn(usize) -> &'c [f32]> Kernel for Strip<'_, C> {
                 for x in (0..self.count).step_by(3 * S::LANES) {
                     let n = (self.count - x).min(3 * S::LANES);
                     let from = Rows { from: &panel[x..], channel_stride: PANEL, row_stride: 0, channels: pixels };
-                    let place = Place { panel: &mut self.to, row, at: x, n };
+                    let place = PanelRow { panel: &mut self.to, row, at: x, n };
                     convolve_row::<S, 1>(simd, size, from, weights, bias, place);
                 }
             }

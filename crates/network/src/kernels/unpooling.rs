@@ -4,7 +4,7 @@
 use rayon::prelude::*;
 
 use super::convolution::{Strip, correlate_channels, pack, parts, strips};
-use super::inner::{Place, blocks, convolve_row, largest, load_pairs, store_pairs};
+use super::inner::{PanelRow, blocks, convolve_row, largest, load_pairs, store_pairs};
 use super::panel::Panel;
 use super::strip::{Layout, Scratch, activate_vjp, filled, load_activated, rows_of_strip, with_scratch};
 use super::{Extent, Level, Source, SourceBar, Wanted, recycle};
@@ -61,7 +61,7 @@ impl Kernel for Forward<'_> {
             for row in 0..rows {
                 let from = layout.rows_from(buffer, 0, row, 0);
                 let panel = &mut Panel::whole(row_products, width);
-                let place = Place { panel, row: 0, at: 0, n: columns };
+                let place = PanelRow { panel, row: 0, at: 0, n: columns };
                 convolve_row::<S, 1>(simd, size, from, weights, Some(bias), place);
                 // Products come in pairs (left, right) of one fine row.
                 for (pair, products) in row_products.chunks_exact(2 * width).take(size / 2).enumerate() {
@@ -101,11 +101,12 @@ pub(super) fn unpool_vjp(
         jobs.iter_mut().zip(parts).for_each(|((_, to), part)| *to = Some(part));
     }
     let group = jobs.len().div_ceil(GROUPS);
-    let mut sums: Vec<Sums> = jobs
+    let mut sums: Vec<UnpoolingSums> = jobs
         .par_chunks_mut(group)
         .map(|jobs| {
             let n = if wanted.weights { weight.len() } else { 0 };
-            let mut sums = Sums { weight: recycle::zeros(n), products: vec![0.0; products], slope: vec![0.0; inputs] };
+            let mut sums =
+                UnpoolingSums { weight: recycle::zeros(n), products: vec![0.0; products], slope: vec![0.0; inputs] };
             for (strip, to) in jobs {
                 with_scratch(|[a, b, _]| {
                     level.run(Backward {
@@ -126,7 +127,7 @@ pub(super) fn unpool_vjp(
         })
         .collect();
     drop(jobs);
-    let mut total = |part: fn(&mut Sums) -> &mut Vec<f32>| {
+    let mut total = |part: fn(&mut UnpoolingSums) -> &mut Vec<f32>| {
         let mut total = std::mem::take(part(&mut sums[0]));
         for more in &mut sums[1..] {
             let more = std::mem::take(part(more));
@@ -142,7 +143,7 @@ pub(super) fn unpool_vjp(
 }
 
 /// Sums over the strips of one group.
-struct Sums {
+struct UnpoolingSums {
     /// `[in, out, 2, 2]`.
     weight: Vec<f32>,
     /// Of every product's cotangent.
@@ -159,7 +160,7 @@ struct Backward<'a, 'p> {
     output_bar: &'a [f32],
     wanted: Wanted,
     to: Option<&'a mut Panel<'p>>,
-    sums: &'a mut Sums,
+    sums: &'a mut UnpoolingSums,
     scratch: (&'a mut Scratch, &'a mut Scratch),
 }
 
@@ -178,7 +179,7 @@ impl Kernel for Backward<'_, '_> {
             for (start, size) in blocks(inputs, S::BLOCK) {
                 for row in 0..rows {
                     let from = bar_layout.rows_from(bars, 0, row, 0);
-                    let place = Place { panel: &mut *to, row: start, at: row * columns, n: columns };
+                    let place = PanelRow { panel: &mut *to, row: start, at: row * columns, n: columns };
                     convolve_row::<S, 1>(simd, size, from, weights, Some(zeros), place);
                     if let Some(slope) = source.slope {
                         for (o, slope_bar) in sums.slope.iter_mut().enumerate().skip(start).take(size) {

@@ -36,15 +36,18 @@ pub struct Point {
 }
 
 /// Figures about one reference point. The piston is taken out.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Figures {
     /// Largest less least, wavelengths.
+    #[serde(rename = "peak_to_valley_waves")]
     pub peak_to_valley: f64,
     /// Root mean square about the mean, by light, wavelengths.
+    #[serde(rename = "rms_waves")]
     pub rms: f64,
     /// Strehl ratio at the reference point, `|⟨A e^{2πiW}⟩|²/⟨A⟩²`.
     pub strehl: f64,
     /// Its estimate `e^{−(2π rms)²}` (V. N. Mahajan, J. Opt. Soc. Am. 73, 860, 1983), good from about 0.3 on.
+    #[serde(rename = "strehl_marechal")]
     pub marechal: f64,
 }
 

@@ -307,6 +307,31 @@ mod tests {
         }
     }
 
+    /// [`Shape::vertex_curvature_vjp`] against the sag's own slope at the vertex: `h ≈ (c + 2a₂) ρ/2`.
+    #[test]
+    fn vertex_curvature_vjp_is_the_transpose_of_the_jacobian() {
+        let shape = Shape::even(0.02, -0.7, vec![3e-3, 1e-5]);
+        assert_rel(shape.vertex_curvature(), 2.0 * shape.sag(0.0).expect("inside").h1, 1e-15, 0.0, "the vertex");
+        let mut bar = shape.zeros_like();
+        Shape::vertex_curvature_vjp(1.5, &mut bar);
+        for (k, found) in [(0, bar.curvature), (1, bar.conic), (2, bar.asphere[0]), (3, bar.asphere[1])] {
+            let moved = |t: f64| {
+                let mut moved = shape.clone();
+                match k {
+                    0 => moved.curvature += t,
+                    1 => moved.conic += t,
+                    k => moved.asphere[k - 2] += t,
+                }
+                1.5 * 2.0 * moved.sag(0.0).expect("inside").h1
+            };
+            assert_rel(found, central_difference(moved, 1e-3), 1e-9, 1e-9, "number");
+        }
+        // A shape without even terms has none to write to.
+        let mut bar = Shape::sphere(0.0);
+        Shape::vertex_curvature_vjp(2.0, &mut bar);
+        assert_eq!(bar, Shape::sphere(2.0));
+    }
+
     /// Every number of a freeform surface, and the place, against differences of value and slope.
     #[test]
     fn at_vjp_is_the_transpose_of_the_jacobian() {

@@ -1,6 +1,7 @@
 //! What a lens must keep while it is improved, with analytic gradients: equalities and bounds that the solver holds by multipliers.
 
 use glam::DVec2;
+use serde::Serialize;
 
 use super::first_order::{FirstOrder, Value};
 use super::rays::{Rays, Slopes, Traced};
@@ -39,23 +40,33 @@ pub enum Quantity {
 }
 
 /// A quantity with its bounds; equal bounds hold it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Constraint {
     /// What is held.
+    #[serde(rename = "name")]
     pub quantity: Quantity,
     /// Smallest and largest value; infinite where there is none.
     pub bounds: [f64; 2],
 }
 
 /// A quantity that is wanted near a value without being held: its deviation counts beside the rays.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Target {
     /// What is wanted.
+    #[serde(rename = "name")]
     pub quantity: Quantity,
     /// Near which value.
+    #[serde(rename = "target")]
     pub value: f64,
     /// By how many mm of rms a unit of deviation counts.
+    #[serde(rename = "weight_mm_per_unit")]
     pub weight: f64,
+}
+
+impl Serialize for Quantity {
+    fn serialize<S: serde::Serializer>(&self, to: S) -> Result<S::Ok, S::Error> {
+        to.serialize_str(&self.name())
+    }
 }
 
 impl Quantity {

@@ -1,43 +1,61 @@
 //! From numbers to a lens that stands on its own, and what is told of it.
 
-use super::constraint::{Quantity, Target};
+use serde::Serialize;
+
+use super::constraint::{Constraint, Target};
 use super::problem::{KEPT, Problem, Stop};
-use super::solver::Solved;
+use super::solver::{Refused, Solved};
 use crate::lens::{Lens, Parameter};
 use isoplanat_base::error::{Error, Result};
 
 /// A number that moved.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Moved {
     /// Which.
+    #[serde(skip)]
     pub parameter: Parameter,
     /// Its name.
     pub name: String,
-    /// Before and after.
-    pub values: [f64; 2],
+    /// In the start.
+    pub before: f64,
+    /// In the result.
+    pub after: f64,
     /// What it may be.
     pub bounds: [f64; 2],
 }
 
 /// A bound or a held number, and what it costs.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Active {
     /// What is held.
     pub name: String,
     /// Its unit; empty for plain numbers.
+    #[serde(skip)]
     pub unit: &'static str,
     /// Its bound.
     pub bound: f64,
     /// Whether that is the upper one.
     pub upper: bool,
     /// How much the root of the merit falls, mm, for each unit that the bound gives way (for equalities: by which the number grows).
+    #[serde(rename = "rms_mm_per_unit")]
     pub cost: f64,
 }
 
+/// A constraint or a target with its value in the result.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Valued<T> {
+    /// Which.
+    #[serde(flatten)]
+    pub of: T,
+    /// Its value.
+    pub value: f64,
+}
+
 /// What came out.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct Outcome {
     /// The best lens.
+    #[serde(skip)]
     pub lens: Lens,
     /// Root of the rays' part of the merit before and after, mm. Before: of the start, at the part of aperture and field at which its
     /// rays arrive.
@@ -61,19 +79,22 @@ pub struct Outcome {
     /// Bounds that hold the lens back, the costliest first.
     pub active: Vec<Active>,
     /// Constraints with their values in the result.
-    pub held: Vec<(Quantity, [f64; 2], f64)>,
+    pub held: Vec<Valued<Constraint>>,
     /// Targets with their values in the result.
-    pub wanted: Vec<(Target, f64)>,
-    /// Root of the merit, mm, of better numbers that are no lens, and why they are none.
-    pub refused: Option<(f64, String)>,
+    pub wanted: Vec<Valued<Target>>,
+    /// Better numbers that are no lens.
+    pub refused: Option<Refused>,
 }
 
 impl Outcome {
-    /// Constraints that it does not keep: quantity, bounds and value.
+    /// Constraints that it does not keep.
     #[doc(hidden)]
-    pub fn broken(&self) -> impl Iterator<Item = &(Quantity, [f64; 2], f64)> {
+    pub fn broken(&self) -> impl Iterator<Item = &Valued<Constraint>> {
         let beyond = |bound: f64, by: f64| bound.is_finite() && by > KEPT * bound.abs().max(1.0);
-        self.held.iter().filter(move |(_, [low, high], value)| beyond(*low, low - value) || beyond(*high, value - high))
+        self.held.iter().filter(move |h| {
+            let [low, high] = h.of.bounds;
+            beyond(low, low - h.value) || beyond(high, h.value - high)
+        })
     }
 
     /// Refuses an outcome in which something that is held has no number: nobody can say how far it is from its bound. `file` names where the problem comes from.
@@ -84,8 +105,8 @@ impl Outcome {
         if self.violation.is_finite() {
             return Ok(());
         }
-        let lost = self.held.iter().find(|(_, _, value)| !value.is_finite());
-        let name = lost.map_or_else(|| "constraints".to_owned(), |(quantity, _, _)| quantity.name());
+        let lost = self.held.iter().find(|h| !h.value.is_finite());
+        let name = lost.map_or_else(|| "constraints".to_owned(), |h| h.of.quantity.name());
         let found = "no number in the lens that was found";
         Err(Error::bad(file, name, found, "a constraint on what the lens has: without it, or from another start"))
     }
@@ -99,12 +120,17 @@ pub(super) struct Spent {
     pub(super) started: std::time::Instant,
 }
 
+fn valued<T: Clone>(all: &[T], values: &[f64]) -> Vec<Valued<T>> {
+    all.iter().zip(values).map(|(of, value)| Valued { of: of.clone(), value: *value }).collect()
+}
+
 pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spent) -> Outcome {
     let variables = &problem.variables;
     let moved = variables.parameters.iter().zip(&problem.bounds).map(|(p, bounds)| Moved {
         parameter: *p,
         name: p.name(&lens),
-        values: [p.value(&*problem.lens).unwrap_or(0.0), p.value(&*lens).unwrap_or(0.0)],
+        before: p.value(&*problem.lens).unwrap_or(0.0),
+        after: p.value(&*lens).unwrap_or(0.0),
         bounds: *bounds,
     });
     let moved: Vec<Moved> = moved.collect();
@@ -124,8 +150,8 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         }
     }
     active.sort_by(|a, b| b.cost.abs().total_cmp(&a.cost.abs()));
-    let held = problem.constraints.iter().zip(&solved.values).map(|(c, v)| (c.quantity, c.bounds, *v)).collect();
-    let wanted = problem.targets.iter().cloned().zip(solved.wanted.iter().copied()).collect();
+    let held = valued(&problem.constraints, &solved.values);
+    let wanted = valued(&problem.targets, &solved.wanted);
     let ended = matches!(solved.stop, Stop::Converged | Stop::Stalled) && solved.violation > KEPT;
     let stop = if ended { Stop::Contradiction } else { solved.stop };
     Outcome {
@@ -142,6 +168,6 @@ pub(super) fn outcome(problem: &Problem, lens: Lens, solved: Solved, spent: Spen
         active,
         held,
         wanted,
-        refused: solved.refused.map(|r| (r.merit, r.why)),
+        refused: solved.refused,
     }
 }

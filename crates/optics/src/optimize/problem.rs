@@ -86,7 +86,7 @@ impl Default for Limits {
 }
 
 /// Why the work ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub enum Stop {
     /// No step promises more.
     Converged,

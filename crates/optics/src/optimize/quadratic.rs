@@ -25,47 +25,70 @@ pub(super) struct Minimum {
 /// Rows are held to this, relative to their own length times the step's.
 const HELD: f64 = 1e-10;
 
+/// The program on its way to the minimum, in `z = Lᵀd`: there the Hessian is the identity.
+struct Active<'a> {
+    rows: &'a [Row],
+    /// The Hessian's factor `L`.
+    l: DMatrix<f64>,
+    z: DVector<f64>,
+    /// Rows in `z`, made where they are first asked for.
+    ys: Vec<Option<DVector<f64>>>,
+    /// Rows that say nothing.
+    empty: Vec<bool>,
+    /// Row, multiplier and sign of what holds.
+    held: Vec<(usize, f64, f64)>,
+    /// Steps left.
+    left: usize,
+}
+
 /// The minimum; `None` where `h` is not positive definite or the rows contradict each other.
 pub(super) fn minimum(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> Option<Minimum> {
-    let n = g.len();
     let l = h.clone().cholesky()?.unpack();
-    // In z = Lᵀd the Hessian is the identity.
-    let mut z = -l.solve_lower_triangular(g)?;
-    let mut ys: Vec<Option<DVector<f64>>> = vec![None; rows.len()];
-    let mut active: Vec<(usize, f64, f64)> = Vec::new();
-    let mut done = vec![false; rows.len()];
-    let limit = 20 * (rows.len() + n) + 50;
-    let mut spent = 0;
-    loop {
-        // The row that is violated most, equalities first.
+    let z = -l.solve_lower_triangular(g)?;
+    let (ys, empty, left) = (vec![None; rows.len()], vec![false; rows.len()], 20 * (rows.len() + g.len()) + 50);
+    let mut active = Active { rows, l, z, ys, empty, held: Vec::new(), left };
+    while let Some((row, sign)) = active.worst()? {
+        active.hold(row, sign)?;
+    }
+    let d = active.l.tr_solve_lower_triangular(&active.z)?;
+    let mut multipliers = vec![0.0; rows.len()];
+    for (k, u, sign) in active.held {
+        multipliers[k] = sign * u;
+    }
+    d.iter().all(|x| x.is_finite()).then(|| Minimum { d: d.iter().copied().collect(), multipliers })
+}
+
+impl Active<'_> {
+    /// The row that is violated most, equalities first, with its sign; none where all hold, and `None` where one cannot.
+    fn worst(&mut self) -> Option<Option<(usize, f64)>> {
         let mut worst: Option<(usize, f64, f64)> = None;
-        for (k, row) in rows.iter().enumerate() {
-            if done[k] || active.iter().any(|a| a.0 == k) {
+        for (k, row) in self.rows.iter().enumerate() {
+            if self.empty[k] || self.held.iter().any(|a| a.0 == k) {
                 continue;
             }
-            let y = match &mut ys[k] {
+            let y = match &mut self.ys[k] {
                 Some(y) => &*y,
-                empty => {
+                unmade => {
                     let scale = row.a.iter().map(|a| a * a).sum::<f64>().sqrt();
                     if scale == 0.0 {
-                        done[k] = true;
+                        self.empty[k] = true;
                         if row.b > HELD || row.equal && row.b < -HELD {
                             return None;
                         }
                         continue;
                     }
-                    let y = l.solve_lower_triangular(&DVector::from_column_slice(&row.a))?;
-                    &*empty.insert(y)
+                    let y = self.l.solve_lower_triangular(&DVector::from_column_slice(&row.a))?;
+                    &*unmade.insert(y)
                 }
             };
-            let s = y.dot(&z) - row.b;
-            let tolerance = HELD * (y.norm() * z.norm().max(1e-3) + row.b.abs());
+            let s = y.dot(&self.z) - row.b;
+            let tolerance = HELD * (y.norm() * self.z.norm().max(1e-3) + row.b.abs());
             let violated = if row.equal { s.abs() } else { -s };
             if violated <= tolerance {
                 continue;
             }
             let relative = violated / y.norm();
-            let ahead = worst.is_none_or(|w| match (row.equal, rows[w.0].equal) {
+            let ahead = worst.is_none_or(|w| match (row.equal, self.rows[w.0].equal) {
                 (true, false) => true,
                 (false, true) => false,
                 _ => relative > w.1,
@@ -74,17 +97,18 @@ pub(super) fn minimum(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> Optio
                 worst = Some((k, relative, if row.equal && s > 0.0 { -1.0 } else { 1.0 }));
             }
         }
-        let Some((p, _, sign)) = worst else { break };
-        let y = sign * ys[p].as_ref()?;
-        let b = sign * rows[p].b;
+        Some(worst.map(|(k, _, sign)| (k, sign)))
+    }
+
+    /// Goes to where row `p` holds, letting go of rows on the way; `None` where nothing leads there.
+    fn hold(&mut self, p: usize, sign: f64) -> Option<()> {
+        let y = sign * self.ys[p].as_ref()?;
+        let b = sign * self.rows[p].b;
         let mut own = 0.0;
         loop {
-            spent += 1;
-            if spent > limit {
-                return None;
-            }
+            self.left = self.left.checked_sub(1)?;
             let columns: Vec<DVector<f64>> =
-                active.iter().map(|(k, _, s)| ys[*k].as_ref().map(|y| *s * y)).collect::<Option<_>>()?;
+                self.held.iter().map(|(k, _, s)| self.ys[*k].as_ref().map(|y| *s * y)).collect::<Option<_>>()?;
             let q = columns.len();
             let mut r = DVector::zeros(q);
             let mut direction = y.clone();
@@ -95,12 +119,12 @@ pub(super) fn minimum(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> Optio
                 direction -= &a * &r;
             }
             let curvature = direction.dot(&y);
-            let stuck = q >= n || direction.norm() <= 1e-9 * y.norm();
-            let full = if stuck { f64::INFINITY } else { (b - y.dot(&z)) / curvature };
+            let stuck = q >= self.z.len() || direction.norm() <= 1e-9 * y.norm();
+            let full = if stuck { f64::INFINITY } else { (b - y.dot(&self.z)) / curvature };
             let mut part = f64::INFINITY;
             let mut leaves = None;
-            for (i, (k, u, _)) in active.iter().enumerate() {
-                if !rows[*k].equal && r[i] > 0.0 && u / r[i] < part {
+            for (i, (k, u, _)) in self.held.iter().enumerate() {
+                if !self.rows[*k].equal && r[i] > 0.0 && u / r[i] < part {
                     (part, leaves) = (u / r[i], Some(i));
                 }
             }
@@ -109,25 +133,19 @@ pub(super) fn minimum(h: &DMatrix<f64>, g: &DVector<f64>, rows: &[Row]) -> Optio
                 return None;
             }
             if full.is_finite() {
-                z += t * &direction;
+                self.z += t * &direction;
             }
-            active.iter_mut().zip(r.iter()).for_each(|(a, r)| a.1 -= t * r);
+            self.held.iter_mut().zip(r.iter()).for_each(|(a, r)| a.1 -= t * r);
             own += t;
             if full <= part {
-                active.push((p, own, sign));
-                break;
+                self.held.push((p, own, sign));
+                return Some(());
             }
             if let Some(i) = leaves {
-                active.remove(i);
+                self.held.remove(i);
             }
         }
     }
-    let d = l.tr_solve_lower_triangular(&z)?;
-    let mut multipliers = vec![0.0; rows.len()];
-    for (k, u, sign) in active {
-        multipliers[k] = sign * u;
-    }
-    d.iter().all(|x| x.is_finite()).then(|| Minimum { d: d.iter().copied().collect(), multipliers })
 }
 
 #[cfg(test)]

@@ -24,7 +24,7 @@ const STEPS: usize = 12;
 
 /// Where one ray stands on its launch plane.
 #[derive(Clone, Copy, Debug)]
-struct Place {
+struct LaunchPoint {
     p: DVec2,
     /// `(∂S/∂p)⁻¹`.
     inverse: DMat2,
@@ -47,7 +47,7 @@ pub(super) struct Rays {
 /// A traced lens: everything but derivatives.
 #[derive(Clone, Debug)]
 pub(super) struct Traced {
-    places: Vec<Vec<Place>>,
+    places: Vec<Vec<LaunchPoint>>,
     /// Landing, and the path to the image plane.
     landed: Vec<Vec<Landing>>,
     /// How far from the axis light goes on every surface, mm.
@@ -146,7 +146,7 @@ impl Rays {
         &mut self,
         numbers: &Prescription,
         heights: &[f64],
-        mut places: Vec<Vec<Place>>,
+        mut places: Vec<Vec<LaunchPoint>>,
     ) -> Result<Traced, Failure> {
         let surfaces = numbers.surfaces.len();
         let mut out = Traced { places: Vec::new(), landed: Vec::new(), heights: vec![0.0; surfaces] };
@@ -325,7 +325,12 @@ impl Slopes {
 }
 
 /// Which samples of a colour get through `lens`, and their places; with `clip`, through its apertures too.
-fn aimed(lens: &Lens, points: &[Point], colour: &Colour, clip: bool) -> Result<(Vec<Sample>, Vec<Place>), Failure> {
+fn aimed(
+    lens: &Lens,
+    points: &[Point],
+    colour: &Colour,
+    clip: bool,
+) -> Result<(Vec<Sample>, Vec<LaunchPoint>), Failure> {
     let system = System::new(lens, colour.nm);
     let aimer = Aimer::new(&system)?;
     let (mut kept, mut places) = (Vec::new(), Vec::new());
@@ -346,7 +351,7 @@ fn aimed(lens: &Lens, points: &[Point], colour: &Colour, clip: bool) -> Result<(
             continue;
         }
         kept.push(*sample);
-        places.push(Place { p: point.plane.through(aimed.ray.origin), inverse: DMat2::ZERO });
+        places.push(LaunchPoint { p: point.plane.through(aimed.ray.origin), inverse: DMat2::ZERO });
         near = Some((sample.point, aimed));
     }
     Ok((kept, places))
@@ -373,7 +378,7 @@ fn aim<'p>(
     work: &mut Workspace,
     columns: &mut [Columns; 5],
     plane: impl Fn(usize) -> &'p crate::trace::object::LaunchPlane,
-    places: &mut [Place],
+    places: &mut [LaunchPoint],
     targets: &[DVec2],
 ) -> Result<Vec<Ray>, Failure> {
     let stop = engine.system.stop;

@@ -63,10 +63,14 @@ pub(super) struct Point {
 type Best = (f64, f64, Prescription, Traced);
 
 /// Better numbers that are no lens.
-pub(super) struct Refused {
+#[derive(Clone, Debug, serde::Serialize)]
+pub struct Refused {
+    #[serde(skip)]
     violation: f64,
-    pub(super) merit: f64,
-    pub(super) why: String,
+    /// Root of their merit, mm.
+    pub merit_mm: f64,
+    /// Why they are no lens.
+    pub why: String,
 }
 
 /// A row of the program: which constraint or variable, which bound.
@@ -74,6 +78,36 @@ pub(super) struct Kept {
     pub(super) of: usize,
     pub(super) upper: bool,
     pub(super) row: Row,
+}
+
+/// Where the work is.
+struct Way {
+    point: Point,
+    damping: f64,
+    growth: f64,
+    /// Largest diagonal of the normal matrix so far.
+    scales: Vec<f64>,
+    best: Option<Best>,
+    refused: Option<Refused>,
+    /// The rows and the step that were tried last.
+    last: Option<(Vec<Kept>, Minimum)>,
+    /// Steps in a row that brought next to nothing.
+    calm: usize,
+    iterations: usize,
+}
+
+/// The problem about a point, to first order.
+struct Linear {
+    slopes: Slopes,
+    rims: Vec<f64>,
+    violations: Vec<f64>,
+    relative: f64,
+    j: DMatrix<f64>,
+    r: DVector<f64>,
+    /// `Jᵀr` and `JᵀJ`.
+    g: DVector<f64>,
+    normal: DMatrix<f64>,
+    kept: Vec<Kept>,
 }
 
 pub(super) struct Solver {
@@ -184,122 +218,134 @@ impl Solver {
         let n = problem.variables.parameters.len();
         let mut x = problem.variables.values(start);
         x.iter_mut().for_each(|x| *x = if x.is_finite() { *x } else { 0.0 });
-        let mut point = self.point(x, self.put(&problem.variables.values(start)), traced);
+        let point = self.point(x, self.put(&problem.variables.values(start)), traced);
         let before = (2.0 * point.of_rays).sqrt();
-        let (mut damping, mut growth) = (1e-3, 2.0);
-        let mut scales = vec![0.0f64; n];
+        let mut way = Way {
+            point,
+            damping: 1e-3,
+            growth: 2.0,
+            scales: vec![0.0; n],
+            best: None,
+            refused: None,
+            last: None,
+            calm: 0,
+            iterations: 0,
+        };
         let mut stop = Stop::Iterations;
-        let (mut best, mut refused): (Option<Best>, _) = (None, None);
-        let mut last: Option<(Vec<Kept>, Minimum)> = None;
-        let (mut calm, mut iterations) = (0, 0);
-        let mut torn;
-        'outer: while iterations < limits.iterations && n > 0 {
-            let Ok(slopes) = self.rays.slopes(&point.numbers, &mut point.traced) else {
+        while way.iterations < limits.iterations && n > 0 {
+            let Ok(slopes) = self.rays.slopes(&way.point.numbers, &mut way.point.traced) else {
                 stop = Stop::Stalled;
                 break;
             };
-            let rims = self.rims(&point.traced);
-            let violations = self.violations(&point.numbers, &point.traced, &rims);
-            let relative = self.relative(&violations, &point.x);
-            self.remember(&mut best, &mut refused, &point, relative);
-            let asked = !watch(Step { iteration: iterations, rms: (2.0 * point.of_rays).sqrt(), violation: relative });
+            let rims = self.rims(&way.point.traced);
+            let violations = self.violations(&way.point.numbers, &way.point.traced, &rims);
+            let relative = self.relative(&violations, &way.point.x);
+            self.remember(&mut way.best, &mut way.refused, &way.point, relative);
+            let rms = (2.0 * way.point.of_rays).sqrt();
+            let asked = !watch(Step { iteration: way.iterations, rms, violation: relative });
             if asked || limits.until.is_some_and(|t| Instant::now() >= t) {
                 stop = if asked { Stop::Asked } else { Stop::Time };
                 break;
             }
-            let j = self.jacobian(&point, &slopes);
-            let r = DVector::from_column_slice(&point.residuals);
+            let j = self.jacobian(&way.point, &slopes);
+            let r = DVector::from_column_slice(&way.point.residuals);
             let (jt, g) = (j.transpose(), j.tr_mul(&r));
             let normal = &jt * &j;
-            scales.iter_mut().enumerate().for_each(|(k, s)| *s = s.max(normal[(k, k)]));
-            let floor = 1e-9 * scales.iter().copied().fold(1e-300, f64::max);
-            let kept = self.rows(&point, Some(&slopes), &rims);
-            // What is asked of violated rows: less of it where steps that would satisfy them are refused, however short they are meant
-            // to be.
-            let (mut asked, mut refused) = (1.0, 0);
-            loop {
-                let part = |b: f64, equal: bool| if b > 0.0 || equal { asked * b } else { b };
-                let rows: Vec<Row> =
-                    kept.iter().map(|k| Row { b: part(k.row.b, k.row.equal), ..k.row.clone() }).collect();
-                iterations += 1;
-                let mut h = normal.clone();
-                for k in 0..n {
-                    h[(k, k)] += damping * scales[k].max(floor);
-                }
-                let (step, elastic) = program(&h, &g, &rows);
-                torn = elastic;
-                let Some(step) = step else {
-                    stop = Stop::Stalled;
-                    break 'outer;
-                };
-                for (k, u) in kept.iter().zip(&step.multipliers) {
-                    if let Some(w) = self.weights.get_mut(k.of) {
-                        *w = w.max(1.5 * u.abs());
-                    }
-                }
-                let d = DVector::from_column_slice(&step.d);
-                let model = 0.5 * (&r + &j * &d).norm_squared();
-                let promised: Vec<f64> = self.promised(&kept, &step.d);
-                let judge = |half: f64, v: &[f64], w: &[f64]| half + v.iter().zip(w).map(|(v, w)| v * w).sum::<f64>();
-                let here = judge(point.half, &violations, &self.weights);
-                let gain = here - judge(model, &promised, &self.weights);
-                if gain <= limits.tolerance * 0.01 * here && (relative <= KEPT || torn) {
-                    stop = if torn && relative > KEPT { Stop::Contradiction } else { Stop::Converged };
-                    last = Some((kept, step));
-                    break 'outer;
-                }
-                let corrected =
-                    if asked < 1.0 { step.d.clone() } else { self.corrected(&point, &h, &g, &kept, &rims, &step) };
-                let trial = self.trial(&point, &slopes, &corrected);
-                let mut accepted = false;
-                if let Some(trial) = trial {
-                    let v = self.violations(&trial.numbers, &trial.traced, &rims);
-                    let real = here - judge(trial.half, &v, &self.weights);
-                    let ratio = real / gain;
-                    if ratio > 1e-4 && real.is_finite() {
-                        accepted = true;
-                        damping = (damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(0.2)).max(1e-12);
-                        growth = 2.0;
-                        calm = if real <= limits.tolerance * here && relative <= KEPT { calm + 1 } else { 0 };
-                        point = trial;
-                    }
-                }
-                last =
-                    Some((kept.iter().map(|k| Kept { of: k.of, upper: k.upper, row: k.row.clone() }).collect(), step));
-                if accepted {
-                    if calm >= 3 {
-                        stop = if torn { Stop::Contradiction } else { Stop::Converged };
-                        break 'outer;
-                    }
-                    break;
-                }
-                damping = (damping * growth).max(1e-9);
-                growth *= 2.0;
-                refused += 1;
-                if refused > 2 && relative > KEPT {
-                    asked *= 0.3;
-                }
-                if damping > 1e14 {
-                    stop = if torn { Stop::Contradiction } else { Stop::Stalled };
-                    break 'outer;
-                }
-                if iterations >= limits.iterations || limits.until.is_some_and(|t| Instant::now() >= t) {
-                    break 'outer;
-                }
+            way.scales.iter_mut().enumerate().for_each(|(k, s)| *s = s.max(normal[(k, k)]));
+            let kept = self.rows(&way.point, Some(&slopes), &rims);
+            let at = Linear { slopes, rims, violations, relative, j, r, g, normal, kept };
+            if let Some(end) = self.improve(&mut way, at, limits) {
+                stop = end;
+                break;
             }
         }
+        self.end(way, before, stop)
+    }
+
+    /// Steps from a point, shorter and shorter until one is better; why the work ends where none is.
+    fn improve(&mut self, way: &mut Way, at: Linear, limits: Limits) -> Option<Stop> {
+        let Linear { slopes, rims, violations, relative, j, r, g, normal, kept } = at;
+        let floor = 1e-9 * way.scales.iter().copied().fold(1e-300, f64::max);
+        let judge = |half: f64, v: &[f64], w: &[f64]| half + v.iter().zip(w).map(|(v, w)| v * w).sum::<f64>();
+        // What is asked of violated rows: less of it where steps that would satisfy them are refused, however short they are meant
+        // to be.
+        let (mut asked, mut refused, mut tried) = (1.0, 0, None);
+        let end = loop {
+            let part = |b: f64, equal: bool| if b > 0.0 || equal { asked * b } else { b };
+            let rows: Vec<Row> = kept.iter().map(|k| Row { b: part(k.row.b, k.row.equal), ..k.row.clone() }).collect();
+            way.iterations += 1;
+            let mut h = normal.clone();
+            for (k, scale) in way.scales.iter().enumerate() {
+                h[(k, k)] += way.damping * scale.max(floor);
+            }
+            let (step, torn) = program(&h, &g, &rows);
+            let Some(step) = step else { break Some(Stop::Stalled) };
+            let ended = |otherwise| if torn { Stop::Contradiction } else { otherwise };
+            for (k, u) in kept.iter().zip(&step.multipliers) {
+                if let Some(w) = self.weights.get_mut(k.of) {
+                    *w = w.max(1.5 * u.abs());
+                }
+            }
+            let d = DVector::from_column_slice(&step.d);
+            let model = 0.5 * (&r + &j * &d).norm_squared();
+            let promised: Vec<f64> = self.promised(&kept, &step.d);
+            let here = judge(way.point.half, &violations, &self.weights);
+            let gain = here - judge(model, &promised, &self.weights);
+            if gain <= limits.tolerance * 0.01 * here && (relative <= KEPT || torn) {
+                tried = Some(step);
+                break Some(if relative > KEPT { ended(Stop::Converged) } else { Stop::Converged });
+            }
+            let corrected =
+                if asked < 1.0 { step.d.clone() } else { self.corrected(&way.point, &h, &g, &kept, &rims, &step) };
+            let accepted = self.trial(&way.point, &slopes, &corrected).is_some_and(|trial| {
+                let v = self.violations(&trial.numbers, &trial.traced, &rims);
+                let real = here - judge(trial.half, &v, &self.weights);
+                let ratio = real / gain;
+                let better = ratio > 1e-4 && real.is_finite();
+                if better {
+                    way.damping = (way.damping * (1.0 - (2.0 * ratio - 1.0).powi(3)).max(0.2)).max(1e-12);
+                    way.growth = 2.0;
+                    way.calm = if real <= limits.tolerance * here && relative <= KEPT { way.calm + 1 } else { 0 };
+                    way.point = trial;
+                }
+                better
+            });
+            tried = Some(step);
+            if accepted {
+                break (way.calm >= 3).then(|| ended(Stop::Converged));
+            }
+            way.damping = (way.damping * way.growth).max(1e-9);
+            way.growth *= 2.0;
+            refused += 1;
+            if refused > 2 && relative > KEPT {
+                asked *= 0.3;
+            }
+            if way.damping > 1e14 {
+                break Some(ended(Stop::Stalled));
+            }
+            if way.iterations >= limits.iterations || limits.until.is_some_and(|t| Instant::now() >= t) {
+                break Some(Stop::Iterations);
+            }
+        };
+        way.last = tried.map(|step| (kept, step)).or(way.last.take());
+        end
+    }
+
+    /// The best of the way, with its own figures.
+    fn end(&self, way: Way, before: f64, stop: Stop) -> Solved {
+        let Way { point, mut best, mut refused, last, iterations, .. } = way;
         let rims = self.rims(&point.traced);
         let relative = self.relative(&self.violations(&point.numbers, &point.traced, &rims), &point.x);
         self.remember(&mut best, &mut refused, &point, relative);
         let (violation, merit, numbers, traced) =
             best.unwrap_or((relative, (2.0 * point.half).sqrt(), point.numbers, point.traced));
         let rms = [before, (2.0 * half_square(&residuals(&self.rays, &traced))).sqrt()];
-        let variables = &problem.variables;
+        let variables = &self.problem.variables;
         let rims = &self.rims(&traced);
         let first = FirstOrder::new(&numbers, variables);
         let held = Held { numbers: &numbers, variables, first, rims, rays: Some((&self.rays, &traced, None)) };
-        let values = problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
-        let wanted = problem.targets.iter().map(|t| held.value(t.quantity).value).collect();
+        let values = self.problem.constraints.iter().map(|c| held.value(c.quantity).value).collect();
+        let wanted = self.problem.targets.iter().map(|t| held.value(t.quantity).value).collect();
         let heights = traced.heights.clone();
         // Those of better numbers say nothing of this lens.
         let multipliers = match last {
@@ -395,13 +441,13 @@ impl Solver {
         if !better(*than, *at) {
             return;
         }
-        let first = refused.as_ref().is_none_or(|r| better(r.merit, r.violation));
+        let first = refused.as_ref().is_none_or(|r| better(r.merit_mm, r.violation));
         match self.problem.stands(&point.numbers, &point.traced.heights) {
             Ok(_) => {
                 *best = Some((violation, merit, point.numbers.clone(), point.traced.clone()));
                 *refused = refused.take().filter(|_| !first);
             }
-            Err(why) if first => *refused = Some(Refused { violation, merit, why: why.to_string() }),
+            Err(why) if first => *refused = Some(Refused { violation, merit_mm: merit, why: why.to_string() }),
             Err(_) => {}
         }
     }

@@ -167,11 +167,11 @@ fn targets_pull_by_their_weights() {
     let mut last = (f64::INFINITY, 0.0);
     for weight in [1e-4, 1e-3, 1e-2, 1.0] {
         let found = solved(vec![target(weight)]);
-        let off = (found.wanted[0].1 - 52.0).abs();
+        let off = (found.wanted[0].value - 52.0).abs();
         assert!(off < last.0 && found.rms_mm[1] >= 0.999 * last.1, "{weight}: {off} mm, {:?}", found.rms_mm);
         // Residuals of power, equal to those of the focal length to first order.
         let added = found.merit_mm.powi(2) - found.rms_mm[1].powi(2);
-        let bent = weight * off * 52.0 / found.wanted[0].1;
+        let bent = weight * off * 52.0 / found.wanted[0].value;
         assert!((added - bent.powi(2)).abs() <= 1e-6 * found.merit_mm.powi(2), "{weight}: {added} of {bent}");
         last = (off, found.rms_mm[1]);
     }
@@ -191,8 +191,8 @@ fn a_result_is_a_lens_with_its_own_figures() {
         }
     }
     let found = optimize(&problem, Limits::default(), &mut |_| true).expect("a lens");
-    let (merit, why) = found.refused.clone().expect("better numbers");
-    assert!(merit < found.merit_mm && why.contains("they cross"), "{merit}, {why}");
+    let refused = found.refused.as_ref().expect("better numbers");
+    assert!(refused.merit_mm < found.merit_mm && refused.why.contains("they cross"), "{refused:?}");
     let own = merit_of(&found.lens, &problem.merit).expect("rays");
     assert!((own / found.rms_mm[1] - 1.0).abs() < 1e-6, "{own} of {:?}", found.rms_mm);
     assert!(found.rms_mm[1] <= found.rms_mm[0], "{:?}", found.rms_mm);
@@ -321,7 +321,8 @@ fn what_has_no_number_at_the_end_is_named() {
     let mut outcome = optimize(&problem, Limits { iterations: 2, ..Limits::default() }, &mut |_| true).expect("light");
     outcome.require("test").expect("numbers");
     outcome.violation = f64::INFINITY;
-    outcome.held.push((Quantity::Track, [1.0, 2.0], f64::NAN));
+    let of = Constraint { quantity: Quantity::Track, bounds: [1.0, 2.0] };
+    outcome.held.push(Valued { of, value: f64::NAN });
     let error = outcome.require("test").expect_err("no number").to_string();
     assert!(error.contains("test: track: no number"), "{error}");
 }

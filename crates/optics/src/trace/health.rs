@@ -81,7 +81,7 @@ pub struct SurfaceHealth {
 }
 
 /// The whole check.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, serde::Serialize)]
 pub struct Health {
     /// Verdict by verdict.
     pub figures: Vec<Figure>,
@@ -219,140 +219,95 @@ impl Run {
     fn finish(self, lens: &Lens, systems: &[System]) -> Health {
         let surfaces: Vec<SurfaceHealth> =
             (0..lens.surfaces.len()).map(|i| surface_health(i, &self.good, systems)).collect();
-        let worst = |value: &dyn Fn(&SurfaceHealth) -> f64, largest: bool| {
-            let pick = |best: Option<(usize, f64)>, (i, v): (usize, f64)| match best {
-                Some((_, b)) if (largest && b >= v) || (!largest && b <= v) => best,
-                _ => Some((i, v)),
-            };
-            let found = surfaces.iter().map(value).enumerate().fold(None, pick);
-            found.map_or((f64::NAN, String::new()), |(i, v)| (v, format!("surface[{i}]")))
-        };
         let size = lens.length().max(lens.surfaces[lens.stop].semi_diameter);
         let (rounding, single) = self.precision(systems);
         let conditioning = conditioning::conditioning(lens, &systems[0], &self.good);
-        let mut figures = Vec::new();
-        let mut put = |key, what, (value, place): (f64, String), limit| {
-            let verdict = match limit {
-                Limit::AtMost(l) if value <= l => Verdict::Pass,
-                Limit::AtLeast(l) if value >= l => Verdict::Pass,
-                Limit::None => Verdict::Info,
-                _ => Verdict::Fail,
-            };
-            let (limit, at_most) = match limit {
-                Limit::AtMost(l) => (Some(l), true),
-                Limit::AtLeast(l) => (Some(l), false),
-                Limit::None => (None, true),
-            };
-            figures.push(Figure { key, what, value, limit, at_most, verdict, place });
-        };
+        let mut figures = self.of_rays();
+        figures.extend(of_surfaces(&surfaces, size));
+        figures.extend([
+            figure(
+                "f64_error",
+                "f64 landing against double-double / size of the lens",
+                (rounding.0 / size, rounding.1),
+                Limit::AtMost(1e-11),
+            ),
+            figure(
+                "f32_error_px",
+                "f32 landing against f64, pixels",
+                (single.0 / lens.sensor.pitch_mm(), single.1),
+                Limit::AtMost(0.1),
+            ),
+            figure(
+                "gradient_error",
+                "derivatives against double-double, relative",
+                conditioning.gradient,
+                Limit::AtMost(1e-8),
+            ),
+            figure(
+                "scale_ratio",
+                "largest / smallest effect of a scaled variable",
+                (conditioning.scale_ratio, conditioning.scale_place),
+                Limit::AtMost(1e8),
+            ),
+            figure(
+                "condition_number",
+                "condition number of all variables that act, columns of equal length",
+                (conditioning.condition, String::new()),
+                Limit::None,
+            ),
+        ]);
+        Health { figures, surfaces, variables: conditioning.variables, rays: self.rays, failed: self.failed }
+    }
+
+    /// Which rays arrive, and why others do not.
+    fn of_rays(&self) -> Vec<Figure> {
         #[expect(clippy::cast_precision_loss, reason = "counts of rays")]
         let number = |n: usize| n as f64;
         let list = |names: &[String]| names.first().cloned().unwrap_or_default();
         let given = |place: &Option<String>| place.clone().unwrap_or_default();
         let failed = |name: &str| number(self.failed.get(name).copied().unwrap_or(0));
-        put("rays_arrived", "rays that arrive", (number(self.good.len()), String::new()), Limit::AtLeast(1.0));
-        put(
-            "chief_rays_lost",
-            "chief rays that do not arrive",
-            (number(self.chiefs_lost.len()), list(&self.chiefs_lost)),
-            Limit::AtMost(0.0),
-        );
-        put("vignetted", "rays beyond a clear aperture", (failed("vignetted"), String::new()), Limit::None);
-        put(
-            "out_of_reach",
-            "points of the stop that no clear ray of their field reaches",
-            (number(self.out_of_reach), String::new()),
-            Limit::None,
-        );
-        put(
-            "axis_out_of_reach",
-            "points of the stop that no clear ray from the axis reaches",
-            (number(self.axis_out_of_reach.len()), list(&self.axis_out_of_reach)),
-            Limit::AtMost(0.0),
-        );
-        put("missed", "rays that miss a surface", (failed("missed"), String::new()), Limit::None);
-        put(
-            "totally_reflected",
-            "rays reflected within the clear apertures",
-            (failed("total_reflection"), given(&self.reflected)),
-            Limit::AtMost(0.0),
-        );
-        put(
-            "not_converged",
-            "intersections or aiming not converged",
-            (failed("not_converged"), given(&self.not_converged)),
-            Limit::AtMost(0.0),
-        );
-        put("aiming_residual", "aiming residual / stop radius", self.aiming.clone(), Limit::AtMost(1e-10));
-        put("aiming_iterations", "most aiming iterations", (f64::from(self.iterations), String::new()), Limit::None);
-        put(
-            "intersection_evaluations",
-            "most evaluations of an intersection",
-            worst(&|s| f64::from(s.evaluations), true),
-            Limit::AtMost(1000.0),
-        );
-        put(
-            "intersection_residual",
-            "residual of intersections / size of the lens",
-            {
-                let (v, place) = worst(&|s| s.residual_mm, true);
-                (v / size, place)
-            },
-            Limit::AtMost(1e-12),
-        );
-        put(
-            "second_root",
-            "nearest second crossing / size of the lens",
-            {
-                let (v, place) = worst(&|s| s.second_root_mm, false);
-                (v / size, place)
-            },
-            Limit::AtLeast(1e-6),
-        );
-        put(
-            "cos2_refracted",
-            "cos² of refraction: distance to total reflection",
-            worst(&|s| s.cos2_refracted, false),
-            Limit::AtLeast(1e-6),
-        );
-        put(
-            "conic_edge",
-            "1 − αρ: distance to the conic's edge",
-            worst(&|s| s.conic_edge, false),
-            Limit::AtLeast(1e-6),
-        );
-        put("incidence_deg", "largest angle of incidence, degrees", worst(&|s| s.incidence_deg, true), Limit::None);
-        put(
-            "f64_error",
-            "f64 landing against double-double / size of the lens",
-            (rounding.0 / size, rounding.1),
-            Limit::AtMost(1e-11),
-        );
-        put(
-            "f32_error_px",
-            "f32 landing against f64, pixels",
-            (single.0 / lens.sensor.pitch_mm(), single.1),
-            Limit::AtMost(0.1),
-        );
-        put(
-            "gradient_error",
-            "derivatives against double-double, relative",
-            conditioning.gradient,
-            Limit::AtMost(1e-8),
-        );
-        put(
-            "scale_ratio",
-            "largest / smallest effect of a scaled variable",
-            (conditioning.scale_ratio, conditioning.scale_place),
-            Limit::AtMost(1e8),
-        );
-        put(
-            "condition_number",
-            "condition number of all variables that act, columns of equal length",
-            (conditioning.condition, String::new()),
-            Limit::None,
-        );
-        Health { figures, surfaces, variables: conditioning.variables, rays: self.rays, failed: self.failed }
+        vec![
+            figure("rays_arrived", "rays that arrive", (number(self.good.len()), String::new()), Limit::AtLeast(1.0)),
+            figure(
+                "chief_rays_lost",
+                "chief rays that do not arrive",
+                (number(self.chiefs_lost.len()), list(&self.chiefs_lost)),
+                Limit::AtMost(0.0),
+            ),
+            figure("vignetted", "rays beyond a clear aperture", (failed("vignetted"), String::new()), Limit::None),
+            figure(
+                "out_of_reach",
+                "points of the stop that no clear ray of their field reaches",
+                (number(self.out_of_reach), String::new()),
+                Limit::None,
+            ),
+            figure(
+                "axis_out_of_reach",
+                "points of the stop that no clear ray from the axis reaches",
+                (number(self.axis_out_of_reach.len()), list(&self.axis_out_of_reach)),
+                Limit::AtMost(0.0),
+            ),
+            figure("missed", "rays that miss a surface", (failed("missed"), String::new()), Limit::None),
+            figure(
+                "totally_reflected",
+                "rays reflected within the clear apertures",
+                (failed("total_reflection"), given(&self.reflected)),
+                Limit::AtMost(0.0),
+            ),
+            figure(
+                "not_converged",
+                "intersections or aiming not converged",
+                (failed("not_converged"), given(&self.not_converged)),
+                Limit::AtMost(0.0),
+            ),
+            figure("aiming_residual", "aiming residual / stop radius", self.aiming.clone(), Limit::AtMost(1e-10)),
+            figure(
+                "aiming_iterations",
+                "most aiming iterations",
+                (f64::from(self.iterations), String::new()),
+                Limit::None,
+            ),
+        ]
     }
 
     /// Worst landing error of f64 against double-double, and of f32 against f64, mm.
@@ -375,6 +330,68 @@ impl Run {
         let [a, b] = worst;
         (a, b)
     }
+}
+
+/// A figure with its verdict.
+fn figure(key: &'static str, what: &'static str, (value, place): (f64, String), limit: Limit) -> Figure {
+    let verdict = match limit {
+        Limit::AtMost(l) if value <= l => Verdict::Pass,
+        Limit::AtLeast(l) if value >= l => Verdict::Pass,
+        Limit::None => Verdict::Info,
+        _ => Verdict::Fail,
+    };
+    let (limit, at_most) = match limit {
+        Limit::AtMost(l) => (Some(l), true),
+        Limit::AtLeast(l) => (Some(l), false),
+        Limit::None => (None, true),
+    };
+    Figure { key, what, value, limit, at_most, verdict, place }
+}
+
+/// The worst surface by each figure, in a lens of this size.
+fn of_surfaces(surfaces: &[SurfaceHealth], size: f64) -> [Figure; 6] {
+    let worst = |value: &dyn Fn(&SurfaceHealth) -> f64, largest: bool| {
+        let pick = |best: Option<(usize, f64)>, (i, v): (usize, f64)| match best {
+            Some((_, b)) if (largest && b >= v) || (!largest && b <= v) => best,
+            _ => Some((i, v)),
+        };
+        let found = surfaces.iter().map(value).enumerate().fold(None, pick);
+        found.map_or((f64::NAN, String::new()), |(i, v)| (v, format!("surface[{i}]")))
+    };
+    let of_size = |(v, place): (f64, String)| (v / size, place);
+    [
+        figure(
+            "intersection_evaluations",
+            "most evaluations of an intersection",
+            worst(&|s| f64::from(s.evaluations), true),
+            Limit::AtMost(1000.0),
+        ),
+        figure(
+            "intersection_residual",
+            "residual of intersections / size of the lens",
+            of_size(worst(&|s| s.residual_mm, true)),
+            Limit::AtMost(1e-12),
+        ),
+        figure(
+            "second_root",
+            "nearest second crossing / size of the lens",
+            of_size(worst(&|s| s.second_root_mm, false)),
+            Limit::AtLeast(1e-6),
+        ),
+        figure(
+            "cos2_refracted",
+            "cos² of refraction: distance to total reflection",
+            worst(&|s| s.cos2_refracted, false),
+            Limit::AtLeast(1e-6),
+        ),
+        figure(
+            "conic_edge",
+            "1 − αρ: distance to the conic's edge",
+            worst(&|s| s.conic_edge, false),
+            Limit::AtLeast(1e-6),
+        ),
+        figure("incidence_deg", "largest angle of incidence, degrees", worst(&|s| s.incidence_deg, true), Limit::None),
+    ]
 }
 
 fn surface_health(i: usize, good: &[Good], systems: &[System]) -> SurfaceHealth {

@@ -8,7 +8,7 @@ use nalgebra::{DMatrix, Matrix2, Vector2};
 
 use super::line::Line;
 use super::samples::Sample;
-use super::spread::{Knots, Point, Spread, Sums};
+use super::spread::{Knots, NormalEquations, Point, Spread};
 
 /// Knots a pixel at least, and knots across the 10 to 90 % width of a blurred edge.
 const KNOTS: [f64; 2] = [4.0, 6.0];
@@ -147,7 +147,7 @@ pub(super) fn refine(samples: &[Sample], start: Line, width: f64, curved: bool) 
     let mut steps = 0;
     let (points, error) = loop {
         let points = points(samples, &line, sides);
-        let sums = Sums::new(&points, Knots { step, sides: near });
+        let sums = NormalEquations::new(&points, Knots { step, sides: near });
         let spread = sums.fit(penalty(&points, sides, step, width))?;
         line.offset += spread.crossing(0.5);
         let (moved, error) = newton(&points, &spread, curved)?;
@@ -160,7 +160,7 @@ pub(super) fn refine(samples: &[Sample], start: Line, width: f64, curved: bool) 
             break (self::points(samples, &line, sides), error);
         }
     };
-    let all = Sums::new(&points, Knots { step, sides: room });
+    let all = NormalEquations::new(&points, Knots { step, sides: room });
     let (spread, open) = choose(&all, penalty(&points, sides, step, width), room, width / step)?;
     line.offset += spread.crossing(0.5);
     let deviation = spread.variance().sqrt();
@@ -182,7 +182,8 @@ pub(super) fn narrow(samples: &[Sample], line: &Line, width: f64) -> Option<(Spr
     let step = (width / KNOTS[1]).max(1.0 / KNOTS[0]);
     let near = sides.map(|s| (((s - FLAT).min(2.0 * width + 1.5) / step).ceil() as usize).max(2));
     let points = points(samples, line, sides);
-    let spread = Sums::new(&points, Knots { step, sides: near }).fit(penalty(&points, sides, step, width))?;
+    let spread =
+        NormalEquations::new(&points, Knots { step, sides: near }).fit(penalty(&points, sides, step, width))?;
     Some((spread, points))
 }
 
@@ -223,7 +224,7 @@ fn newton(points: &[Point], spread: &Spread, curved: bool) -> Option<([f64; 2], 
 
 /// The narrowest and smoothest spline that does not leave more than noise behind: least Mallows' `Cp` over its ends, then over its
 /// penalty. Also whether it is the widest.
-fn choose(all: &Sums, penalty: f64, room: [usize; 2], width: f64) -> Option<(Spread, bool)> {
+fn choose(all: &NormalEquations, penalty: f64, room: [usize; 2], width: f64) -> Option<(Spread, bool)> {
     let widest = all.fit(penalty)?;
     let variance = widest.variance();
     let score = |s: &Spread, freedom: f64| s.residual / variance + 2.0 * freedom;

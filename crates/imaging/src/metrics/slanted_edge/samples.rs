@@ -6,7 +6,7 @@ use crate::sensor::cfa::Cfa;
 use isoplanat_base::error::{Error, Result};
 
 /// A rectangle of pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 pub struct Rectangle {
     /// First column.
     pub x: usize,

@@ -76,7 +76,7 @@ impl Knots {
 
 /// Sums over the samples: what any spline on these or fewer knots is fitted from.
 #[derive(Clone, Debug)]
-pub(super) struct Sums {
+pub(super) struct NormalEquations {
     knots: Knots,
     /// `BᵀB`.
     gram: DMatrix<f64>,
@@ -90,7 +90,7 @@ pub(super) struct Sums {
     samples: f64,
 }
 
-impl Sums {
+impl NormalEquations {
     /// Over `points`.
     pub(super) fn new(points: &[Point], knots: Knots) -> Self {
         let n = knots.count();

@@ -12,14 +12,20 @@ use super::shade::{Beside, COUNT};
 use super::spread::{Point, Spread};
 
 /// One point of an MTF.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct MtfPoint {
     /// Frequency along the edge's normal, cycles a pixel.
+    #[serde(rename = "frequency_cy_per_px", serialize_with = "rounded")]
     pub frequency: f64,
     /// Modulation, 1 at frequency 0.
     pub value: f64,
     /// Standard uncertainty of the modulation.
     pub uncertainty: f64,
+}
+
+/// A frequency without the rounding of its sum.
+fn rounded<S: serde::Serializer>(frequency: &f64, to: S) -> Result<S::Ok, S::Error> {
+    to.serialize_f64((frequency * 1e4).round() / 1e4)
 }
 
 /// Where an MTF first falls below a level.

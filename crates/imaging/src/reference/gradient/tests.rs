@@ -154,7 +154,7 @@ fn one_ray_agrees_with_differences() {
     let systems = Systems::new(&lens, &rear);
     // One ray at a time by a sink that pulls back the first that passes.
     struct One<'a> {
-        sums: Sums<'a>,
+        sums: LensCotangents<'a>,
         found: Option<(DVec2, DVec2, usize, usize, f64)>,
     }
     impl Sink for One<'_> {
@@ -175,7 +175,7 @@ fn one_ray_agrees_with_differences() {
     }
     for (row, col) in [(100, 300), (205, 190), (350, 80), (20, 30)] {
         for channel in 0..3 {
-            let mut one = One { sums: Sums::new(&scene, &systems, view), found: None };
+            let mut one = One { sums: LensCotangents::new(&scene, &systems, view), found: None };
             let mut stream = Stream::new(view);
             (0..8).for_each(|k| stream.add(Pixel { row: row + k, col, channel }, &mut one));
             stream.finish(&mut one);

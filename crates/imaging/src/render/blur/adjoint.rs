@@ -11,8 +11,8 @@ use std::ops::Range;
 use ndarray::{Array4, Array5, ArrayView3, s};
 use rayon::prelude::*;
 
-use super::correlate::{Block, Sums};
-use super::frame::{Frame, Place, Shape};
+use super::correlate::{Block, CellSums};
+use super::frame::{Frame, SegmentPair, Shape};
 use super::node_sums::NodeSums;
 use super::record::BlurRecord;
 use super::segments::{Segment, used};
@@ -60,7 +60,7 @@ struct Cell<T> {
     group: usize,
     channels: Range<usize>,
     /// Of the kernels, by channel and node.
-    sums: Sums<T>,
+    sums: CellSums<T>,
     /// What the source gets, by block.
     tiles: Vec<Vec<T>>,
 }
@@ -98,7 +98,7 @@ impl<T: Real> Pull<'_, T> {
         (r, cols): (usize, &[Segment<T>]),
         first: usize,
         parity: usize,
-        mut sums: impl FnMut(Range<usize>, Range<usize>) -> Sums<T>,
+        mut sums: impl FnMut(Range<usize>, Range<usize>) -> CellSums<T>,
     ) -> Vec<Cell<T>> {
         let groups = self.record.frame.shape.groups();
         let mut cells = Vec::new();
@@ -125,7 +125,7 @@ impl<T: Real> Pull<'_, T> {
         frame.pool.with(&frame.plane, |scratch| {
             for b in cell.blocks.clone() {
                 look();
-                let place = Place { row: &frame.rows[r], col: &frame.cols[b] };
+                let place = SegmentPair { row: &frame.rows[r], col: &frame.cols[b] };
                 let seen = self.record.seen(r, b, cell.group);
                 if seen.is_none() && !self.record.dark {
                     cell.tiles.push(Vec::new());
@@ -152,7 +152,7 @@ fn cell_nodes<T: Real>(frame: &Frame<T>, row: &Segment<T>, cols: &[Segment<T>]) 
 fn add_tiles<T: Real>(frame: &Frame<T>, row: &Segment<T>, cell: &Cell<T>, out: &mut Array4<T>) {
     for (b, tile) in cell.blocks.clone().zip(&cell.tiles) {
         let col = &frame.cols[b];
-        let seen = frame.seen(Place { row, col });
+        let seen = frame.seen(SegmentPair { row, col });
         let (i, j) = ((row.start - frame.region.row).unsigned_abs(), (col.start - frame.region.col).unsigned_abs());
         for (phase, tile) in tile.chunks_exact(seen.rows * seen.cols).enumerate() {
             let mut to = out.slice_mut(s![cell.group, phase, i..i + seen.rows, j..j + seen.cols]);

@@ -4,7 +4,7 @@ use ndarray::{ArrayViewMut4, Axis};
 use rayon::prelude::*;
 
 use super::Source;
-use super::frame::{Frame, Place};
+use super::frame::{Frame, SegmentPair};
 use super::segments::Segment;
 use crate::plane::Region;
 use isoplanat_base::math::real::Real;
@@ -83,7 +83,7 @@ impl<T: Real> Band<T> {
     }
 
     /// Whether any of the source that a block sees may differ from zero. The band stands at the block's rows.
-    pub(super) fn lit(&self, frame: &Frame<T>, place: Place<'_, T>) -> bool {
+    pub(super) fn lit(&self, frame: &Frame<T>, place: SegmentPair<'_, T>) -> bool {
         let seen = frame.seen(place);
         let end = seen.col + seen.cols.cast_signed();
         self.fills
@@ -95,7 +95,7 @@ impl<T: Real> Band<T> {
     pub(super) fn spectra(
         &self,
         frame: &Frame<T>,
-        place: Place<'_, T>,
+        place: SegmentPair<'_, T>,
         channel: usize,
         scratch: &mut super::plane::Scratch<T>,
     ) {
@@ -146,7 +146,7 @@ mod tests {
             let source = Counted(Mutex::default());
             let mut band = Band::new(&frame, &frame.cols);
             for row in &frame.rows {
-                let seen = frame.seen(Place { row, col: &frame.cols[0] });
+                let seen = frame.seen(SegmentPair { row, col: &frame.cols[0] });
                 band.advance(&source, seen.row, seen.rows);
                 for i in 0..seen.rows {
                     for j in 0..band.region.cols {
@@ -154,7 +154,7 @@ mod tests {
                         assert_eq!(band.values[i * band.region.cols + j], at.0 * 1000.0 + at.1);
                     }
                 }
-                let lit = band.lit(&frame, Place { row, col: &frame.cols[1] });
+                let lit = band.lit(&frame, SegmentPair { row, col: &frame.cols[1] });
                 assert!(lit || seen.row + seen.rows.cast_signed() <= 30);
             }
             let counts = source.0.into_inner().expect("no panic");

@@ -13,7 +13,7 @@ use rayon::prelude::*;
 use rustfft::num_complex::Complex;
 
 use super::band::Band;
-use super::frame::{Frame, Place};
+use super::frame::{Frame, SegmentPair};
 use super::lines::{part, weigh};
 use super::pack::{COLUMNS, Columns, next_columns, pack, product, window};
 use super::plane::{Scratch, reserve};
@@ -64,9 +64,9 @@ pub(super) fn blur_cells<T: Real>(
         let cols = &frame.cols[strip.clone()];
         let mut band = Band::new(frame, cols);
         for (r, row) in frame.rows.iter().enumerate() {
-            let seen = frame.seen(Place { row, col: &cols[0] });
+            let seen = frame.seen(SegmentPair { row, col: &cols[0] });
             band.advance(source, seen.row, seen.rows);
-            let lit: Vec<bool> = cols.iter().map(|col| band.lit(frame, Place { row, col })).collect();
+            let lit: Vec<bool> = cols.iter().map(|col| band.lit(frame, SegmentPair { row, col })).collect();
             let dark = keep == Keep::All;
             if lit.contains(&true) || dark {
                 if keep == Keep::Nothing {
@@ -96,7 +96,7 @@ struct Row<'a, T: Real> {
 
 /// The part of the image that one channel of the source lights in one block.
 struct Task<'a, 'v, T> {
-    place: Place<'a, T>,
+    place: SegmentPair<'a, T>,
     group: usize,
     channels: Range<usize>,
     out: ArrayViewMut3<'v, T>,
@@ -116,7 +116,7 @@ impl<T: Real> Row<'_, T> {
         let tasks: Vec<_> = places
             .zip(views)
             .map(|(((col, lit), (group, channels)), out)| {
-                lit.then(|| Task { place: Place { row, col }, group, channels: channels.clone(), out })
+                lit.then(|| Task { place: SegmentPair { row, col }, group, channels: channels.clone(), out })
             })
             .collect();
         tasks.into_par_iter().map(|task| task.and_then(|t| self.block(t))).collect()
@@ -141,7 +141,7 @@ impl<T: Real> Row<'_, T> {
 fn convolve<T: Real>(
     frame: &Frame<T>,
     spectra: &NodeSpectra<T>,
-    place: Place<'_, T>,
+    place: SegmentPair<'_, T>,
     channel: usize,
     scratch: &mut Scratch<T>,
 ) {
@@ -201,7 +201,7 @@ fn products<T: Real>(
 }
 
 /// The lines of a block, under the column windows.
-fn write<T: Real>(frame: &Frame<T>, place: Place<'_, T>, lines: &[Complex<T>], out: &mut ArrayViewMut2<'_, T>) {
+fn write<T: Real>(frame: &Frame<T>, place: SegmentPair<'_, T>, lines: &[Complex<T>], out: &mut ArrayViewMut2<'_, T>) {
     let pairing = place.pairing();
     let (scale, first) = (frame.plane.scale(), frame.shape.size - 1);
     for (l, line) in lines.chunks_exact(frame.plane.cols).enumerate().take(pairing.lines) {

@@ -5,7 +5,7 @@ use std::ops::Range;
 use ndarray::{ArrayView3, s};
 use rustfft::num_complex::Complex;
 
-use super::frame::{Frame, Place};
+use super::frame::{Frame, SegmentPair};
 use super::lines::{twine, twine_windows};
 use super::pack::{COLUMNS, correlate, next_columns, window};
 use super::plane::{Scratch, reserve, zero};
@@ -17,7 +17,7 @@ use isoplanat_base::math::wide::prefetch;
 const AHEAD: usize = 16;
 
 /// Spectra that gather the kernels' cotangents of a cell, by channel and node.
-pub(super) struct Sums<T> {
+pub(super) struct CellSums<T> {
     pub nodes: Vec<usize>,
     pub channels: Range<usize>,
     pub values: Vec<NodeSum<T>>,
@@ -30,7 +30,7 @@ pub(super) struct NodeSum<T> {
     pub added: bool,
 }
 
-impl<T> Sums<T> {
+impl<T> CellSums<T> {
     fn of(&mut self, channel: usize, node: usize) -> Option<&mut NodeSum<T>> {
         let at = self.nodes.iter().position(|n| *n == node)?;
         self.values.get_mut((channel - self.channels.start) * self.nodes.len() + at)
@@ -51,7 +51,7 @@ impl<T: Real> NodeSum<T> {
 /// A block and what its image was made of.
 pub(super) struct Block<'a, T: Real> {
     pub frame: &'a Frame<T>,
-    pub place: Place<'a, T>,
+    pub place: SegmentPair<'a, T>,
     /// Spectra of the kernels.
     pub kernels: &'a NodeSpectra<T>,
     /// Spectra of the source, if it was lit.
@@ -67,7 +67,7 @@ impl<T: Real> Block<'_, T> {
     }
 
     /// Adds the correlations of one channel's cotangent to the sums of the nodes, and to those of the source.
-    pub(super) fn add(&self, bar: ArrayView3<'_, T>, channel: usize, sums: &mut Sums<T>, scratch: &mut Scratch<T>) {
+    pub(super) fn add(&self, bar: ArrayView3<'_, T>, channel: usize, sums: &mut CellSums<T>, scratch: &mut Scratch<T>) {
         self.turn(bar, channel, scratch);
         let plane = &self.frame.plane;
         let nodes = self.frame.corners(self.place);
@@ -111,7 +111,7 @@ impl<T: Real> Block<'_, T> {
     }
 
     /// Asks for what the columns of `span` will be multiplied with and added to.
-    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], sums: &mut Sums<T>) {
+    fn fetch(&self, span: Range<usize>, channel: usize, nodes: &[usize], sums: &mut CellSums<T>) {
         for phase in 0..self.frame.shape.phases {
             let at = phase * self.frame.plane.spectrum_len();
             let at = at + span.start..at + span.end;
@@ -128,7 +128,7 @@ impl<T: Real> Block<'_, T> {
     }
 
     /// Marks the sums of the block's nodes as added to.
-    fn mark(&self, channel: usize, sums: &mut Sums<T>) {
+    fn mark(&self, channel: usize, sums: &mut CellSums<T>) {
         if self.seen.is_some() {
             for node in self.frame.corners(self.place) {
                 if let Some(sum) = sums.of(channel, node) {

@@ -71,7 +71,7 @@ pub(super) struct Frame<T: Real> {
 
 /// A block of the image: its rows and its columns.
 #[derive(Clone, Copy)]
-pub(super) struct Place<'a, T> {
+pub(super) struct SegmentPair<'a, T> {
     pub row: &'a Segment<T>,
     pub col: &'a Segment<T>,
 }
@@ -88,7 +88,7 @@ pub(super) struct Pairing {
     pub second: usize,
 }
 
-impl<T> Place<'_, T> {
+impl<T> SegmentPair<'_, T> {
     pub(super) fn pairing(&self) -> Pairing {
         let rows = self.row.len;
         if self.col.windows.len() == 2 {
@@ -133,13 +133,13 @@ impl<T: Real> Frame<T> {
     }
 
     /// The nodes of a block, column window by column window, row windows within.
-    pub(super) fn corners(&self, place: Place<'_, T>) -> Vec<usize> {
+    pub(super) fn corners(&self, place: SegmentPair<'_, T>) -> Vec<usize> {
         let rows = &place.row.windows;
         place.col.windows.iter().flat_map(|c| rows.iter().map(|r| self.node(r.0, c.0))).collect()
     }
 
     /// The source that a block sees.
-    pub(super) fn seen(&self, place: Place<'_, T>) -> Region {
+    pub(super) fn seen(&self, place: SegmentPair<'_, T>) -> Region {
         let half = (self.shape.size / 2).cast_signed();
         Region {
             row: place.row.start - half,

@@ -6,7 +6,7 @@ use std::ops::Range;
 use ndarray::Array5;
 use rayon::prelude::*;
 
-use super::correlate::{NodeSum, Sums};
+use super::correlate::{CellSums, NodeSum};
 use super::frame::{Frame, Shape};
 use super::plane::zero;
 use isoplanat_base::math::real::Real;
@@ -26,7 +26,7 @@ impl<T> Default for NodeSums<T> {
 
 impl<T: Real> NodeSums<T> {
     /// Hands out the sums of `nodes`, zero where there are none yet.
-    pub(super) fn take(&mut self, frame: &Frame<T>, nodes: Vec<usize>, channels: Range<usize>) -> Sums<T> {
+    pub(super) fn take(&mut self, frame: &Frame<T>, nodes: Vec<usize>, channels: Range<usize>) -> CellSums<T> {
         let len = frame.shape.phases * frame.plane.spectrum_len();
         let keys = channels.clone().flat_map(|c| nodes.iter().map(move |n| (*n, c)));
         let values = keys
@@ -39,12 +39,12 @@ impl<T: Real> NodeSums<T> {
                 })
             })
             .collect();
-        Sums { nodes, channels, values }
+        CellSums { nodes, channels, values }
     }
 
     /// Takes them back.
-    pub(super) fn give(&mut self, sums: Sums<T>) {
-        let Sums { nodes, channels, values } = sums;
+    pub(super) fn give(&mut self, sums: CellSums<T>) {
+        let CellSums { nodes, channels, values } = sums;
         let keys = channels.flat_map(|c| nodes.iter().map(move |n| (*n, c)));
         self.of.extend(keys.zip(values));
     }

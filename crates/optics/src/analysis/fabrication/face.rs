@@ -197,7 +197,7 @@ fn heights(semi: f64, steps: u32) -> impl Iterator<Item = f64> {
 }
 
 /// A face at one height.
-struct Place {
+struct FacePoint {
     sag: f64,
     slope: f64,
     /// Curvature of the meridian, 1/mm.
@@ -205,14 +205,14 @@ struct Place {
 }
 
 /// A shape at a height within its clear aperture; rounding may put the rim on the end of the conic's reach.
-fn at(shape: &Shape, height: f64) -> Place {
+fn at(shape: &Shape, height: f64) -> FacePoint {
     let h = height.min(shape.reach() * (1.0 - 1e-12));
     let rho = h * h;
-    shape.sag(rho).map_or(Place { sag: 0.0, slope: 0.0, bend: 0.0 }, |s| {
+    shape.sag(rho).map_or(FacePoint { sag: 0.0, slope: 0.0, bend: 0.0 }, |s| {
         let slope = 2.0 * h * s.h1;
         // The h³ term's second derivative by ρ is not finite on the axis, where ρ takes it away.
         let second = if rho > 0.0 { 2.0 * s.h1 + 4.0 * rho * s.h2 } else { 2.0 * s.h1 };
-        Place { sag: s.h, slope, bend: second / (1.0 + slope * slope).powf(1.5) }
+        FacePoint { sag: s.h, slope, bend: second / (1.0 + slope * slope).powf(1.5) }
     })
 }
 

@@ -12,7 +12,7 @@ use isoplanat_base::error::{Location, Result};
 
 /// What a statement is about.
 #[derive(Clone, Debug, PartialEq)]
-enum Place {
+enum Subject {
     /// Nothing: it stands before the object.
     None,
     Object,
@@ -31,44 +31,44 @@ impl Reader<'_> {
         let rest = &Line { file: line.file, place: line.place.clone(), words };
         let count = self.draft.surfaces.len();
         let place = named.clone().unwrap_or(match count {
-            _ if self.image.is_some() => Place::Image,
-            0 if self.object.is_some() => Place::Object,
-            0 => Place::None,
-            _ => Place::Surfaces(count - 1..count),
+            _ if self.image.is_some() => Subject::Image,
+            0 if self.object.is_some() => Subject::Object,
+            0 => Subject::None,
+            _ => Subject::Surfaces(count - 1..count),
         });
         match place {
-            Place::Surfaces(range) => range.into_iter().try_for_each(|i| self.of_one(i, keyword, rest)),
-            Place::Beyond => {
+            Subject::Surfaces(range) => range.into_iter().try_for_each(|i| self.of_one(i, keyword, rest)),
+            Subject::Beyond => {
                 let found = format!("the surface {}", shown(line.words[0]));
                 Err(line.refused(found, format!("S1 to S{count}, which stand before it")))
             }
-            Place::Object if keyword == "THI" => {
+            Subject::Object if keyword == "THI" => {
                 self.object = Some(super::object(length(rest, 0)? * self.scale));
                 Ok(())
             }
-            Place::Image if keyword == "THI" => {
+            Subject::Image if keyword == "THI" => {
                 self.image = Some(rest.number(0)? * self.scale);
                 Ok(())
             }
-            Place::Image if keyword == "PIM" && count > 0 => self.of_one(count - 1, keyword, rest),
+            Subject::Image if keyword == "PIM" && count > 0 => self.of_one(count - 1, keyword, rest),
             // A plane needs none of them.
-            Place::Object | Place::Image if ["CIR", "REX", "REY", "STO", "RMD"].contains(&keyword) => Ok(()),
-            Place::Object | Place::Image if ["CUY", "RDY"].contains(&keyword) => {
+            Subject::Object | Subject::Image if ["CIR", "REX", "REY", "STO", "RMD"].contains(&keyword) => Ok(()),
+            Subject::Object | Subject::Image if ["CUY", "RDY"].contains(&keyword) => {
                 if rest.number(0)? == 0.0 {
                     return Ok(());
                 }
                 Err(line.refused("a curved object or image", "a plane one"))
             }
-            Place::Object | Place::Image if named.is_some() => Err(rest.refused(
+            Subject::Object | Subject::Image if named.is_some() => Err(rest.refused(
                 format!("the statement `{}` of the object or the image", shown(keyword)),
                 "THI, and apertures, of them",
             )),
-            Place::Object | Place::Image | Place::None => self.read_over(keyword, line),
+            Subject::Object | Subject::Image | Subject::None => self.read_over(keyword, line),
         }
     }
 
     /// What `S2`, `S2..4`, `SA`, `SO`, `SI`, `SI-1` and `SS` name; `None` for another word.
-    fn named(&self, word: &str) -> Option<Place> {
+    fn named(&self, word: &str) -> Option<Subject> {
         let word = word.to_ascii_uppercase();
         let rest = word.strip_prefix('S')?;
         let count = self.draft.surfaces.len();
@@ -84,17 +84,17 @@ impl Reader<'_> {
             }
         };
         if rest == "A" {
-            return Some(Place::Surfaces(0..count));
+            return Some(Subject::Surfaces(0..count));
         }
         let (from, to) = match rest.split_once("..") {
             Some((from, to)) => (number(from)?, number(to.trim_start_matches('S'))?),
             None => (number(rest)?, number(rest)?),
         };
         Some(match (from, to) {
-            (0, 0) => Place::Object,
-            _ if from == count + 1 && to == from && self.image.is_some() => Place::Image,
-            _ if 1 <= from && from <= to && to <= count => Place::Surfaces(from - 1..to),
-            _ => Place::Beyond,
+            (0, 0) => Subject::Object,
+            _ if from == count + 1 && to == from && self.image.is_some() => Subject::Image,
+            _ if 1 <= from && from <= to && to <= count => Subject::Surfaces(from - 1..to),
+            _ => Subject::Beyond,
         })
     }
 

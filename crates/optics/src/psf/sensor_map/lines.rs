@@ -18,7 +18,7 @@ impl SensorMap {
     /// If there are not as many weights as squares.
     pub fn ratios_vjp(&self, squares_mm2: &[f64], weights: &[f64], coefficients_bar: &mut [f64]) {
         assert_eq!(squares_mm2.len(), weights.len(), "a weight for every radius");
-        wide(Sums { map: self, squares: squares_mm2, weights, out: coefficients_bar });
+        wide(CoefficientSums { map: self, squares: squares_mm2, weights, out: coefficients_bar });
     }
 }
 
@@ -55,7 +55,7 @@ impl Work for Ratios<'_> {
     }
 }
 
-struct Sums<'a> {
+struct CoefficientSums<'a> {
     map: &'a SensorMap,
     squares: &'a [f64],
     weights: &'a [f64],
@@ -65,7 +65,7 @@ struct Sums<'a> {
 /// Coefficients that are summed by lanes.
 const MOST: usize = 16;
 
-impl Work for Sums<'_> {
+impl Work for CoefficientSums<'_> {
     type Output = ();
 
     #[inline(always)]

@@ -17,7 +17,7 @@ pub(super) const WIDEST: usize = 8;
 /// Sums over rays, lane by lane, of one surface.
 #[derive(Clone, Debug)]
 #[repr(C, align(64))]
-pub(super) struct Sums {
+pub(super) struct SurfaceSums {
     /// `Ā + Λρ/2`: with `bent`, the curvature's.
     pub(super) flat: [f64; WIDEST],
     /// `Λw²/2 − wφ̄`: times `1+κ` the rest of the curvature's, times `c` the conic's.
@@ -32,7 +32,7 @@ pub(super) struct Sums {
     pub(super) terms: [[f64; WIDEST]; TERMS],
 }
 
-impl Sums {
+impl SurfaceSums {
     pub(super) const ZERO: Self = Self {
         flat: [0.0; WIDEST],
         bent: [0.0; WIDEST],
@@ -76,7 +76,7 @@ pub(super) struct Back<'a> {
     /// Cotangents of the rays behind the surface; on return, of those before it.
     pub(super) bars: &'a mut Bundle,
     /// Added to.
-    pub(super) sums: &'a mut Sums,
+    pub(super) sums: &'a mut SurfaceSums,
     /// Where every ray's own part is written instead, if it is asked for.
     pub(super) each: Option<&'a mut Each>,
     /// Lanes in use.

@@ -3,7 +3,7 @@
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
-use super::adjoint::{Back, Sums};
+use super::adjoint::{Back, SurfaceSums};
 use super::batch::groups;
 use super::dispatch;
 use super::program::{Options, Program, Step};
@@ -43,7 +43,7 @@ pub fn trace_gradient(
             |(tile, record), group| {
                 let mut out = SystemGradient::zeros(system);
                 let mut loss = 0.0;
-                record.sums.fill(Sums::ZERO);
+                record.sums.fill(SurfaceSums::ZERO);
                 for first in group.step_by(TILE) {
                     tile.len = TILE.min(count - first);
                     source(first, tile);
@@ -90,7 +90,7 @@ pub(super) struct Record {
     pub(super) rays: Vec<Box<Bundle>>,
     pub(super) extras: Vec<Extra>,
     pub(super) bars: Box<Bundle>,
-    pub(super) sums: Vec<Sums>,
+    pub(super) sums: Vec<SurfaceSums>,
 }
 
 impl Record {
@@ -99,7 +99,7 @@ impl Record {
             rays: vec![Box::new(Bundle::ZERO); surfaces + 1],
             extras: vec![Extra::ZERO; surfaces],
             bars: Box::new(Bundle::ZERO),
-            sums: vec![Sums::ZERO; surfaces],
+            sums: vec![SurfaceSums::ZERO; surfaces],
         }
     }
 }
@@ -184,7 +184,7 @@ impl Bundle {
     }
 }
 
-impl Sums {
+impl SurfaceSums {
     /// Adds the sums of one surface to the system's cotangents.
     fn add_to(&self, step: &Step, out: &mut SystemGradient) {
         let surface = &step.surface;
