@@ -58,6 +58,7 @@ pub use constraint::{Constraint, Quantity, Target};
 pub use finish::{Active, Moved, Outcome, Valued};
 pub use merit::{Apertures, Merit, Quality, Reference};
 pub use problem::{Limits, Problem, Step, Stop};
+#[doc(hidden)]
 pub use solver::Refused;
 
 use crate::lens::{Kind, Lens};
