@@ -261,6 +261,7 @@ fn empty_margin(tiles: &Array4<f32>) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoplanat_base::math::memory::{BASE, Limit};
     use isoplanat_optics::lens::builtin;
 
     fn request(size: Option<usize>) -> KernelRequest {
