@@ -370,6 +370,7 @@ impl Optics {
         with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
     ) -> Vec<R> {
         let of_radius = |group: &Vec<usize>| -> Vec<(usize, R)> {
+            look();
             let pencil = self.pencil(form, depth, places[group[0]].radius_mm);
             let mut kernel = vec![0.0; form.channels() * form.raster.len()];
             let one = |i: &usize| {
