@@ -47,6 +47,7 @@ impl Channels {
     }
 
     /// How many sources they are rendered from.
+    #[doc(hidden)]
     pub fn sources(&self) -> usize {
         if self.grey { self.lit.len().min(1) } else { self.lit.len() }
     }

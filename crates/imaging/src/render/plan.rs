@@ -22,6 +22,7 @@ const LANDING_ERROR_PX: f64 = 0.02;
 /// Largest error of their étendue between the table's radii, relative.
 const WEIGHT_ERROR: f64 = 1e-4;
 /// Radii of the illumination, less one.
+#[doc(hidden)]
 pub const ILLUMINATIONS: u32 = 192;
 /// Dense points of the first look, which measures how wide kernels are.
 const LOOK: usize = 2000;
@@ -93,11 +94,13 @@ pub struct DepthPlan {
 
 impl DepthPlan {
     /// Kernel size, cells.
+    #[doc(hidden)]
     pub fn size(&self) -> usize {
         2 * self.half_width + 1
     }
 
     /// Light of a pixel comes from at most so many pixels away.
+    #[doc(hidden)]
     pub fn reach_px(&self) -> usize {
         self.bin * (self.half_width + if self.bin > 1 { 3 } else { 0 })
     }
@@ -119,6 +122,7 @@ pub struct RenderPlan {
 }
 
 /// The quadrature of `n` wavelengths over `channels` of the sensor.
+#[doc(hidden)]
 pub fn quadrature(density: &SpectralDensity, n: usize, channels: &[usize]) -> Quadrature {
     let spectrum = density.quadrature(n);
     let weight = channels.iter().map(|c| spectrum.weight[*c].clone()).collect();
@@ -138,6 +142,7 @@ pub fn frame_of(lens: &Lens) -> Result<Frame> {
 ///
 /// # Errors
 /// As [`Optics::compute`].
+#[doc(hidden)]
 pub fn optics(
     lens: &Lens,
     frame: &Frame,

@@ -255,6 +255,7 @@ impl PsfMap {
     }
 
     /// Relative illumination of each place, the mean over the channels.
+    #[doc(hidden)]
     pub fn white(&self) -> Array1<f64> {
         self.illumination.sum_axis(Axis(1)) / 3.0
     }

@@ -11,6 +11,7 @@ use super::numbers::Kind;
 pub use super::sag::{Local, Sag};
 
 /// Highest power of `r` among the aspheric terms: published ones go to 38.
+#[doc(hidden)]
 pub const HIGHEST_POWER: usize = 40;
 
 /// Shape of a surface; also the type of its own cotangent.
@@ -69,6 +70,7 @@ impl Shape {
     }
 
     /// Curvature of the rotational part at the vertex, 1/mm: `c + 2a₂`.
+    #[doc(hidden)]
     pub fn vertex_curvature(&self) -> f64 {
         self.curvature + 2.0 * self.asphere.first().copied().unwrap_or(0.0)
     }
