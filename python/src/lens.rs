@@ -20,6 +20,7 @@ use crate::errors::raised;
 use crate::frame::Frame;
 use crate::optimized::Optimized;
 use crate::psf::{Asked, Psf};
+use crate::psf_map;
 use crate::rays::Rays;
 use crate::work::{here, work};
 
@@ -292,6 +293,56 @@ impl Lens {
     ) -> PyResult<Psf> {
         let asked = Asked { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays };
         crate::psf::compute(py, &self.inner, asked, dtype, like)
+    }
+
+    /// Point spread functions over a frame in the colours of a sensor, in the forms that networks are trained and pictures restored with: what
+    /// `isoplanat psf --form` writes, as a dict of arrays. `about` in it says how to read them.
+    ///
+    /// Parameters
+    /// ----------
+    /// form : "heights", "grid" or "filters"
+    ///     heights: `psf` [K, 3, h, w], `illumination` [K], `distortion` [K] from the axis to the frame's corner, outwards downwards.
+    ///     grid: `psf` [R, C, 3, h, w] over the frame. filters: `filters` [1, 3, K, h, w] and `multipliers` [1, 3, K, rows, columns] of a space-varying
+    ///     blur, y = sum over k of multipliers[k] * convolve(x, filters[k]).
+    /// frame : Frame, optional
+    ///     The lens's own where left out.
+    /// distance_mm : float, optional
+    /// heights : int
+    ///     Kernels of heights; 64 where left out.
+    /// grid : (rows, columns), optional
+    ///     Kernels of grid (9, 9 where left out), or of filters.
+    /// node_error : float
+    ///     Relative error of a kernel between its neighbours, which decides how many filters there are; 0.05 where left out.
+    /// size : int, optional
+    ///     Pixels along a side, odd. Where left out: what holds 99.9 % of the light.
+    /// rays : int
+    /// sensor : str or os.PathLike, optional
+    ///     Sensor calibration whose colours these are; the generic sensor where left out.
+    /// illuminant : str
+    ///     As of `render`.
+    ///
+    /// Kernels are for convolution: turn them by 180° where a framework correlates.
+    #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
+    #[pyo3(signature = (form, frame = None, *, distance_mm = None, heights = None, grid = None, node_error = None, size = None, rays = None,
+        sensor = None, illuminant = None))]
+    fn psf_map(
+        &self,
+        py: Python<'_>,
+        form: &str,
+        frame: Option<&Bound<'_, Frame>>,
+        distance_mm: Option<f64>,
+        heights: Option<usize>,
+        grid: Option<[usize; 2]>,
+        node_error: Option<f64>,
+        size: Option<usize>,
+        rays: Option<usize>,
+        sensor: Option<PathBuf>,
+        illuminant: Option<&str>,
+    ) -> PyResult<Py<PyDict>> {
+        let frame = frame.map(|f| f.get().clone());
+        let asked =
+            psf_map::Asked { form, frame, distance_mm, heights, grid, node_error, size, rays, sensor, illuminant };
+        psf_map::compute(py, &self.inner, asked)
     }
 
     /// First-order data, surfaces and third-order sums, as `isoplanat inspect --json`: lengths in mm.

@@ -2,19 +2,21 @@
 //!
 //! A thin crate over `isoplanat` without its default features. `work.rs` says where work runs (a pool of this process, interpreter free, Ctrl-C
 //! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays of what Python gives. Then one file a class:
-//! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
-//! `capture.rs`, and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
+//! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs`, `psf_map.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
+//! `capture.rs`, `dataset.rs`, and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
 //! `package/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
 
 mod analyses;
 mod arrays;
 mod capture;
+mod dataset;
 mod errors;
 mod frame;
 mod lens;
 mod optimized;
 mod pictures;
 mod psf;
+mod psf_map;
 mod rays;
 mod record;
 mod render;
@@ -30,6 +32,8 @@ mod _isoplanat {
 
     #[pymodule_export]
     use crate::capture::{Capture, capture};
+    #[pymodule_export]
+    use crate::dataset::make_dataset;
     #[pymodule_export]
     use crate::frame::Frame;
     #[pymodule_export]

@@ -3,7 +3,8 @@
 use std::sync::Arc;
 
 use isoplanat::imaging::render::{Channels, Seen, memory};
-use isoplanat::imaging::scene::placement::{Placement, Scale};
+use isoplanat::imaging::scene::detail::{LOOKED, detail, sharpest, spread};
+use isoplanat::imaging::scene::placement::{Placement, Scale, texels_that_fill};
 use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::lens::{Prescription, SensorRaster};
 use isoplanat::math::memory::Limit;
@@ -329,7 +330,7 @@ impl Render {
         }
     }
 
-    /// The settings for photographs like `photos`, all of one size: one array, or a list of them (eight, evenly over the list, are looked at).
+    /// The settings for photographs like `photos`, all of one size: one array, or a list of them, of which the eighth with the most detail decides.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (lens, photos, frame = None, *, distance_mm = None, min_psnr_db = None, texels_per_pixel = None,
         illuminant = None))]
@@ -345,10 +346,9 @@ impl Render {
         illuminant: Option<&str>,
     ) -> PyResult<Plan> {
         let listed = photos.cast::<pyo3::types::PyList>().ok();
-        let textures = match listed {
+        let mut textures = match listed {
             Some(list) => {
-                let planned = list.len().min(PLANNED);
-                let some = (0..planned).map(|k| list.get_item(k * list.len() / planned));
+                let some = spread(list.len(), LOOKED).into_iter().map(|k| list.get_item(k));
                 some.map(|photo| crate::pictures::texture(&photo?, "photos")).collect::<PyResult<Vec<_>>>()?
             }
             None => vec![crate::pictures::texture(photos, "photos")?],
@@ -358,6 +358,18 @@ impl Render {
         if let Some(other) = textures.iter().find(|t| size(t) != size(first)) {
             let [found, one] = [other, first].map(|t| format!("{} × {}", t.dim().2, t.dim().1));
             return Err(refused("photos", format!("{found} pixels beside {one}"), "one size for all of a plan"));
+        }
+        if textures.len() > 1 {
+            let own = lens.get().inner.clone();
+            let shown = frame.map(|f| f.get().clone());
+            let size = size(first);
+            let deciding = work(py, || {
+                let shown = shown.map_or_else(|| Frame::of(&own), Ok)?;
+                let texels = texels_per_pixel.unwrap_or_else(|| texels_that_fill(size, &shown.inner));
+                Ok(sharpest(&textures.iter().map(|t| detail(t, texels)).collect::<Vec<_>>()))
+            })?;
+            let mut k = 0;
+            textures.retain(|_| (deciding.contains(&k), k += 1).0);
         }
         let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, illuminant, plan: None };
         Ok(asked.plan(py, textures)?.0)
@@ -403,6 +415,3 @@ impl Render {
         "render"
     }
 }
-
-/// Photographs that a plan is made with, at most.
-const PLANNED: usize = 8;

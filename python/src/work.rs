@@ -158,6 +158,10 @@ pub(crate) fn work<R: Send>(py: Python<'_>, work: impl FnOnce() -> Result<R> + S
 
 impl Threads {
     fn run<R: Send>(&self, work: impl FnOnce() -> Result<R> + Send) -> PyResult<R> {
+        if self.pool.current_thread_index().is_some() {
+            // It would wait for itself.
+            return Err(PyRuntimeError::new_err("isoplanat is at work: a function that it calls must not call it"));
+        }
         let _turn = self.turn.take()?;
         self.token.reset();
         let (mut made, mut signal) = (None, None);

@@ -12,7 +12,9 @@ use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::blur::Method as Blur;
 use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
+use isoplanat::imaging::scene::detail::{LOOKED, PLANNED, detail, sharpest, spread};
 use isoplanat::imaging::scene::photos::Photos;
+use isoplanat::imaging::scene::placement::slope_per_mm;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::table::{Table, significant};
@@ -219,9 +221,9 @@ impl Way {
         }
         let clock = Instant::now();
         let what = format!("pictures of {} × {} pixels", stage.frame.columns, stage.frame.rows);
-        let (count, planned) = (args.scenes.len(), args.scenes.len().min(PLANNED));
-        let scenes =
-            (0..planned).map(|k| stage.plane(&args.scenes[k * count / planned])).collect::<Result<Vec<_>>>()?;
+        let deciding = deciding(args, stage)?;
+        let (count, planned) = (args.scenes.len(), deciding.len());
+        let scenes = deciding.iter().map(|k| stage.plane(&args.scenes[*k])).collect::<Result<Vec<_>>>()?;
         let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
         if !plan.holds {
             let predicted = plan.predicted_db.unwrap_or(f64::NAN);
@@ -233,8 +235,12 @@ impl Way {
         if planned < count && !args.everything {
             #[expect(clippy::cast_precision_loss, reason = "a share")]
             let remaining = planned as f64 / count as f64;
-            let reason =
-                format!("{planned} of {count}, evenly over the list, were looked at; the others count as like them");
+            let which = if matches!(args.request()?, Request::Psnr(_)) {
+                "that show the most detail"
+            } else {
+                "evenly over the list"
+            };
+            let reason = format!("{planned} of {count}, {which}, were looked at; the others count as no worse");
             plan.skips.push(Skip { what: "scenes of the plan", reason, remaining, bound: f64::NAN });
         }
         let largest = scenes.iter().map(|s| plan.bytes(texels(&s.texture))).max().unwrap_or(0);
@@ -270,8 +276,20 @@ impl Way {
     }
 }
 
-/// Scenes that a plan is made with, at most: all of them stay in memory while it is made.
-const PLANNED: usize = 8;
+/// Which scenes the plan is made with: where it has something to hold those that show the most detail.
+fn deciding(args: &Args, stage: &Stage) -> Result<Vec<usize>> {
+    if args.scenes.len() == 1 || !matches!(args.request()?, Request::Psnr(_)) {
+        return Ok(spread(args.scenes.len(), PLANNED));
+    }
+    let looked = spread(args.scenes.len(), LOOKED);
+    let one = |k: &usize| {
+        let scene = stage.plane(&args.scenes[*k])?;
+        let per_pixel = scene.texels_per_slope * slope_per_mm(&stage.lens, 0.0, &stage.frame)? * stage.frame.pitch_mm;
+        Ok(detail(&scene.texture, per_pixel))
+    };
+    let details = looked.iter().map(one).collect::<Result<Vec<f64>>>()?;
+    Ok(sharpest(&details).into_iter().map(|k| looked[k]).collect())
+}
 
 /// Runs the command.
 pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {

@@ -192,9 +192,7 @@ impl RasterArgs {
         } else {
             raster.axis_px
         };
-        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-        let grown = (raster.columns as f64 / columns as f64).min(raster.rows as f64 / rows as f64);
-        let own = if whole_field { raster.pitch_um * grown } else { raster.pitch_um };
+        let own = if whole_field { raster.spanned(columns, rows).pitch_um } else { raster.pitch_um };
         let sensor = SensorRaster { columns, rows, pitch_um: self.pitch_um.unwrap_or(own), axis_px };
         Lens::new(Prescription { sensor, ..(*lens).clone() }, argument)
     }

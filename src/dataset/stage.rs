@@ -17,9 +17,6 @@ use ndarray::{Array3, s};
 
 use super::settings::{Crops, Settings};
 
-/// Photographs that a plan is made with, at most: all of them stay in memory while it is made. As `isoplanat render` does.
-const PLANNED: usize = 8;
-
 /// Rows and columns that a crop starts at are multiples of this, so that mosaic and pooling meet the picture as in the camera.
 const STEP: usize = 4;
 
@@ -56,7 +53,7 @@ pub(super) struct Cut {
 }
 
 impl<'a> Stage<'a> {
-    /// Plans a lens at a distance for `photos`: what they show together decides.
+    /// Plans a lens at a distance for `photos`: what those of `deciding` show together decides.
     ///
     /// # Errors
     /// A photograph that cannot be read; as [`plan`].
@@ -64,13 +61,13 @@ impl<'a> Stage<'a> {
         settings: &'a Settings,
         photos: &'a Photos,
         density: &'a SpectralDensity,
+        deciding: &[usize],
         (lens_index, distance): (usize, usize),
     ) -> Result<Self> {
         let clock = Instant::now();
         let (lens, frame) = settings.before(lens_index, distance)?;
         let named = |e: Error| e.in_file(&settings.lenses[lens_index].0);
-        let (count, planned) = (photos.len(), photos.len().min(PLANNED));
-        let textures = (0..planned).map(|k| photos.load(k * count / planned)).collect::<Result<Vec<_>>>()?;
+        let textures = deciding.iter().map(|photo| photos.load(*photo)).collect::<Result<Vec<_>>>()?;
         let scenes = match (settings.crops, settings.texels_per_pixel) {
             (Some(_), Some(texels)) => vec![papered(settings, &textures, &lens, &frame, texels).map_err(named)?],
             _ => {

@@ -8,7 +8,9 @@ use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::product;
 use isoplanat_imaging::files::picture_size;
+use isoplanat_imaging::scene::detail::{LOOKED, detail, sharpest, spread};
 use isoplanat_imaging::scene::photos::Photos;
+use isoplanat_imaging::scene::placement::texels_that_fill;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -137,6 +139,7 @@ impl Work<'_> {
             units.iter().enumerate().filter(|(k, _)| !is_whole(*k)).map(|(_, unit)| unit.clone()).collect();
         let to_make: usize = left.iter().map(pairs_of).sum();
         self.readable(&left)?;
+        let deciding = if left.is_empty() { Vec::new() } else { self.deciding()? };
         let ticks = AtomicUsize::new(0);
         let tick = |what: &str| {
             let now = ticks.fetch_add(1, Ordering::Relaxed);
@@ -149,7 +152,7 @@ impl Work<'_> {
             let done = ticks.load(Ordering::Relaxed) as f64 / to_make.max(1) as f64;
             let what = format!("plan {}", self.settings.lenses[lens].0);
             self.go_on(done, if planned.is_empty() { "" } else { &what })?;
-            let stage = Stage::planned(self.settings, self.photos, self.density, (lens, distance))?;
+            let stage = Stage::planned(self.settings, self.photos, self.density, &deciding, (lens, distance))?;
             let at_once = self.at_once(&stage, units)?;
             planned.push(Planned {
                 lens: stage.name().to_owned(),
@@ -209,6 +212,21 @@ impl Work<'_> {
             self.go_on(0.0, "")?;
             self.photos.load(*photo).map(drop)
         })
+    }
+
+    /// Photographs that every lens is planned with: those that show the most detail on the first lens's frame.
+    fn deciding(&self) -> Result<Vec<usize>> {
+        let (_, frame) = self.settings.before(0, 0)?;
+        let looked = spread(self.photos.len(), LOOKED);
+        let one = |photo: &usize| {
+            self.go_on(0.0, "")?;
+            let texture = self.photos.load(*photo)?;
+            let (_, rows, cols) = texture.dim();
+            let texels = self.settings.texels_per_pixel.unwrap_or_else(|| texels_that_fill([rows, cols], &frame));
+            Ok(detail(&texture, texels))
+        };
+        let details = looked.par_iter().map(one).collect::<Result<Vec<f64>>>()?;
+        Ok(sharpest(&details).into_iter().map(|k| looked[k]).collect())
     }
 
     /// Units that are worked on at once, as memory allows.

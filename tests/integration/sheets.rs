@@ -17,7 +17,16 @@ fn read(place: &Workplace, name: &str) -> String {
 fn column(csv: &str, name: &str) -> Vec<f64> {
     let mut lines = csv.lines();
     let at = lines.next().expect("heading").split(',').position(|c| c == name).expect(name);
-    lines.map(|l| l.split(',').nth(at).expect(name).parse().expect("a number")).collect()
+    lines.map(|l| cells(l).nth(at).expect(name).parse().expect("a number")).collect()
+}
+
+/// The cells of a line; commas between quotes divide none.
+fn cells(line: &str) -> impl Iterator<Item = &str> {
+    let mut inside = false;
+    line.split(move |c| {
+        inside ^= c == '"';
+        c == ',' && !inside
+    })
 }
 
 /// The numbers of a surface in a lens file, read as TOML and by nothing else.

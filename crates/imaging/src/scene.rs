@@ -10,6 +10,8 @@
 mod building;
 mod canvas;
 mod chart;
+#[doc(hidden)]
+pub mod detail;
 mod edges;
 mod facades;
 mod foliage;

@@ -135,6 +135,18 @@ pub struct SensorRaster {
     pub axis_px: [f64; 2],
 }
 
+impl SensorRaster {
+    /// So many pixels about the middle, as large as they can be within this raster's field.
+    #[doc(hidden)]
+    #[must_use]
+    #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+    pub fn spanned(self, columns: usize, rows: usize) -> Self {
+        let grown = (self.columns as f64 / columns as f64).min(self.rows as f64 / rows as f64);
+        let axis_px = [columns as f64 / 2.0, rows as f64 / 2.0];
+        Self { columns, rows, pitch_um: self.pitch_um * grown, axis_px }
+    }
+}
+
 /// The numbers of a lens as somebody states them: they may not be a lens.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Prescription {

@@ -9,6 +9,7 @@ Units are mm unless a name says otherwise (``_um``, ``_nm``, ``_deg``). z runs a
 upright. What cannot be used raises ``ValueError`` with the argument or file, the place, what was found and what is allowed.
 """
 
+from ._dataset import Dataset, dataset
 from ._develop import develop
 from ._isoplanat import (
     STATUS,
@@ -35,6 +36,7 @@ from ._isoplanat import (
 __all__ = [
     "STATUS",
     "Capture",
+    "Dataset",
     "Frame",
     "Lens",
     "Optimized",
@@ -45,6 +47,7 @@ __all__ = [
     "Render",
     "__version__",
     "capture",
+    "dataset",
     "develop",
     "lenses",
     "read_picture",

@@ -1,4 +1,4 @@
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from os import PathLike
 from typing import Any, Final, Literal, TypeAlias, final
 
@@ -24,6 +24,7 @@ __all__ = [
     "__version__",
     "capture",
     "lenses",
+    "make_dataset",
     "read_picture",
     "render",
     "scene",
@@ -56,6 +57,30 @@ def capture(
     seed: int = 1,
     sensor: _File | None = None,
 ) -> Capture: ...
+def make_dataset(
+    lenses: Lens | list[Lens] | dict[str, Lens],
+    photos: _File,
+    folder: _File,
+    frame: Frame | tuple[int, int] | None,
+    distances_mm: Sequence[float],
+    crop: tuple[int, int] | None,
+    crops: int,
+    texels_per_pixel: float | None,
+    noise: _File | None,
+    noise_level: tuple[float, float] | Sequence[float],
+    flat_field: bool,
+    illuminant: str | None,
+    min_psnr_db: float,
+    judge: float,
+    judge_samples: int,
+    form: str,
+    shard: int | None,
+    index: int,
+    of: int,
+    seed: int,
+    force: bool,
+    progress: Callable[[float, str], object] | None,
+) -> dict[str, Any]: ...
 @final
 class Frame:
     def __new__(
@@ -117,6 +142,20 @@ class Lens:
         dtype: _DType | None = None,
         like: Psf | None = None,
     ) -> Psf: ...
+    def psf_map(
+        self,
+        form: Literal["heights", "grid", "filters"],
+        frame: Frame | None = None,
+        *,
+        distance_mm: float | None = None,
+        heights: int | None = None,
+        grid: tuple[int, int] | None = None,
+        node_error: float | None = None,
+        size: int | None = None,
+        rays: int | None = None,
+        sensor: _File | None = None,
+        illuminant: str | None = None,
+    ) -> dict[str, Any]: ...
     def inspect(self, *, wavelength_nm: float | None = None) -> dict[str, Any]: ...
     def spot(
         self, *, distance_mm: float | None = None, rays: int = 1600, max_angle_deg: float | None = None

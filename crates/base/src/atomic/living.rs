@@ -18,9 +18,21 @@ fn living() -> MutexGuard<'static, BTreeMap<PathBuf, Option<PathBuf>>> {
     LIVING.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// A temporary has been made.
-pub(super) fn began(path: &Path, lock: Option<&Path>) {
-    living().insert(path.to_owned(), lock.map(Path::to_owned));
+/// What `make` made at `path`, noted before an end can come between. Nothing where it made nothing.
+///
+/// # Errors
+/// Those of `make`.
+pub(super) fn begun<T>(
+    path: &Path,
+    lock: Option<&Path>,
+    make: impl FnOnce() -> io::Result<Option<T>>,
+) -> io::Result<Option<T>> {
+    let mut living = living();
+    let made = make()?;
+    if made.is_some() {
+        living.insert(path.to_owned(), lock.map(Path::to_owned));
+    }
+    Ok(made)
 }
 
 /// It is about to be moved to its place, or gone.

@@ -26,8 +26,7 @@ impl Temporary {
         let tag = name::tag(target.file_name().unwrap_or(OsStr::new("output")));
         for _ in 0..TRIES {
             let path = target.with_file_name(name::join(&tag, &name::random(), Part::Partial));
-            if let Some(file) = made(&path)? {
-                living::began(&path, None);
+            if let Some(file) = living::begun(&path, None, || made(&path))? {
                 return Ok(Self { file, path });
             }
         }
@@ -99,23 +98,23 @@ impl TemporaryFolder {
             let random = name::random();
             let at = |part| target.with_file_name(name::join(&tag, &random, part));
             let [lock_path, path, old] = [Part::Lock, Part::Partial, Part::Old].map(at);
-            let Some(lock) = made(&lock_path)? else { continue };
-            let folder = if old.symlink_metadata().is_ok() {
-                Err(ErrorKind::AlreadyExists.into())
-            } else {
-                fault::at("make folder").and_then(|()| fs::create_dir(&path))
-            };
-            match folder {
-                Ok(()) => {
-                    living::began(&path, Some(&lock_path));
-                    return Ok(Self { lock, lock_path, path, old, left: false });
-                }
-                Err(e) => {
-                    let _ = fs::remove_file(&lock_path);
-                    if e.kind() != ErrorKind::AlreadyExists {
-                        return Err(e);
+            let make = || {
+                let Some(lock) = made(&lock_path)? else { return Ok(None) };
+                let folder = if old.symlink_metadata().is_ok() {
+                    Err(ErrorKind::AlreadyExists.into())
+                } else {
+                    fault::at("make folder").and_then(|()| fs::create_dir(&path))
+                };
+                match folder {
+                    Ok(()) => Ok(Some(lock)),
+                    Err(e) => {
+                        let _ = fs::remove_file(&lock_path);
+                        if e.kind() == ErrorKind::AlreadyExists { Ok(None) } else { Err(e) }
                     }
                 }
+            };
+            if let Some(lock) = living::begun(&path, Some(&lock_path), make)? {
+                return Ok(Self { lock, lock_path, path, old, left: false });
             }
         }
         Err(ErrorKind::AlreadyExists.into())

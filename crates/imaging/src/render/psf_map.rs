@@ -11,7 +11,9 @@
 //! over the pixel and over the bilinear filter of a scene sampled at the pitch. Their middle is where distortion alone would put the light. A kernel sums to one less
 //! what falls outside its window; falling light is kept beside it.
 
-use ndarray::{Array1, Array2, Array3, Array4, Array5, ArrayView1, Axis, arr0};
+mod arrays;
+
+use ndarray::{Array1, Array2, Array3, Array4, Axis};
 use rayon::prelude::*;
 
 use super::node_grid::NodeGrid;
@@ -20,12 +22,13 @@ use super::plan::{ILLUMINATIONS, optics, quadrature, widths};
 use crate::frame::Frame;
 use crate::plane::Region;
 use crate::sensor::spectrum::SpectralDensity;
-use isoplanat_base::atomic::Target;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
-use isoplanat_base::math::npz;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::{Optics, Place};
+
+#[doc(hidden)]
+pub use arrays::Values;
 
 /// Degree of the polynomials over the stop.
 const DEGREE: usize = 9;
@@ -186,99 +189,10 @@ impl PsfMap {
         Some(out)
     }
 
-    /// Writes the arrays of the form, all under their names, and `about`: a text that says how to read them (`bytes(archive["about"]).decode()`).
-    ///
-    /// | form | arrays |
-    /// |---|---|
-    /// | heights | `psf [K,3,h,w]`, `illumination [K]`, `distortion [K]`, `illumination_rgb [K,3]`, `height_mm [K]`, `outside [K,3]` |
-    /// | grid | `psf [R,C,3,h,w]`, `illumination [R,C,3]`, `distortion [R,C]`, `height_mm [R,C]`, `outside [R,C,3]`, `row_px [R]`, `col_px [C]` |
-    /// | nodes | `filters [1,3,K,h,w]`, `multipliers [1,3,K,H,W]`, `row_px [K]`, `col_px [K]`, `distortion [K]`, `height_mm [K]`, `outside [1,3,K]` |
-    ///
-    /// # Errors
-    /// A file that cannot be written.
-    pub fn save<'a>(&self, to: impl Into<Target<'a>>) -> Result<()> {
-        let about = self.about();
-        let (count, _, h, w) = self.kernels.dim();
-        let knots = |knots: &[isize]| knots.iter().map(|k| *k as i64).collect::<Array1<i64>>();
-        npz::write(to.into(), |npz| {
-            match (&self.grid, self.request.places) {
-                (Some(grid), places) if places.are_filters() => {
-                    // Channel before place.
-                    let turned = |a: &Array4<f32>| -> Array5<f32> {
-                        a.view().permuted_axes([1, 0, 2, 3]).insert_axis(Axis(0)).as_standard_layout().into_owned()
-                    };
-                    npz.add_array("filters", &turned(&self.kernels))?;
-                    if let Some(multipliers) = self.multipliers() {
-                        npz.add_array("multipliers", &turned(&multipliers))?;
-                    }
-                    let pixels = |of: fn((isize, isize)) -> isize| {
-                        (0..count).map(|n| of(grid.pixel(n)) as i64).collect::<Array1<i64>>()
-                    };
-                    npz.add_array("row_px", &pixels(|p| p.0))?;
-                    npz.add_array("col_px", &pixels(|p| p.1))?;
-                    npz.add_array("outside", &self.outside.t().insert_axis(Axis(0)).as_standard_layout().into_owned())?;
-                    npz.add_array("distortion", &self.distortion)?;
-                    npz.add_array("height_mm", &self.height_mm)?;
-                }
-                (Some(grid), _) => {
-                    let (rows, cols) = (grid.row_knots.len(), grid.col_knots.len());
-                    let over =
-                        |list: &Array1<f64>| list.to_shape((rows, cols)).map(|a| a.into_owned()).unwrap_or_default();
-                    let colours =
-                        |list: &Array2<f64>| list.to_shape((rows, cols, 3)).map(|a| a.into_owned()).unwrap_or_default();
-                    let psf = self.kernels.to_shape((rows, cols, 3, h, w)).map(|a| a.into_owned()).unwrap_or_default();
-                    npz.add_array("psf", &psf)?;
-                    npz.add_array("illumination", &colours(&self.illumination))?;
-                    npz.add_array("outside", &colours(&self.outside))?;
-                    npz.add_array("distortion", &over(&self.distortion))?;
-                    npz.add_array("height_mm", &over(&self.height_mm))?;
-                    npz.add_array("row_px", &knots(&grid.row_knots))?;
-                    npz.add_array("col_px", &knots(&grid.col_knots))?;
-                }
-                (None, _) => {
-                    npz.add_array("psf", &self.kernels)?;
-                    npz.add_array("illumination", &self.white())?;
-                    npz.add_array("illumination_rgb", &self.illumination)?;
-                    npz.add_array("distortion", &self.distortion)?;
-                    npz.add_array("height_mm", &self.height_mm)?;
-                    npz.add_array("outside", &self.outside)?;
-                }
-            }
-            npz.add_array("pitch_mm", &arr0(self.frame.pitch_mm))?;
-            npz.add_array("distance_mm", &arr0(self.request.vergence.recip()))?;
-            npz.add_array("frame_px", &ndarray::arr1(&[self.frame.rows as u64, self.frame.columns as u64]))?;
-            npz.add_array("axis_px", &ndarray::arr1(&self.frame.axis_px))?;
-            npz.add_array("about", &ArrayView1::from(about.as_bytes()))?;
-            npz.add_array("schema", &arr0(1_i64))?;
-            Ok(())
-        })
-    }
-
     /// Relative illumination of each place, the mean over the channels.
     #[doc(hidden)]
     pub fn white(&self) -> Array1<f64> {
         self.illumination.sum_axis(Axis(1)) / 3.0
-    }
-
-    /// What the file says of itself.
-    fn about(&self) -> String {
-        let stands = match self.request.places {
-            PsfPlaces::Heights(_) => {
-                "Places: image heights, evenly from the axis to the frame's corner. Outwards is towards the last row; at another azimuth the kernel is the same, turned."
-            }
-            PsfPlaces::Grid(_) => {
-                "Places: pixels at rows row_px and columns col_px. Kernels stand as the upright picture shows them."
-            }
-            PsfPlaces::Filters(_) | PsfPlaces::Nodes(_) => {
-                "y = sum over k of multipliers[k] * convolve(x, filters[k]): multipliers after the convolutions, the illumination in them. x is the scene as the lens's distortion shows it."
-            }
-        };
-        format!(
-            "{stands} Channels: red, green, blue of the sensor. Orientation: for convolution, y(p) = sum over m of h(m) x(p - m), m = 0 in the middle; flip for \
-             correlation. Kernels are integrated over the pixel and over the bilinear filter of a scene sampled at the pitch. Energy: a channel sums to 1 - outside. \
-             Illumination is relative to the axis, and in no kernel. Distortion: image height over the one without distortion, less 1; in no kernel. Rays are geometric: \
-             no diffraction."
-        )
     }
 }
 

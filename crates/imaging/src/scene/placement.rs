@@ -34,16 +34,28 @@ pub struct Placement {
     pub scale: Scale,
 }
 
+/// Texels of a picture of `[rows, cols]` to a pixel of `frame`, across and down, where its sides are the frame's.
+#[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+fn per_pixel([rows, cols]: [usize; 2], frame: &Frame) -> [f64; 2] {
+    [cols as f64 / frame.columns as f64, rows as f64 / frame.rows as f64]
+}
+
+/// Texels a pixel, next to the axis, of a picture of `[rows, cols]` texels that just covers `frame`.
+#[doc(hidden)]
+pub fn texels_that_fill(size: [usize; 2], frame: &Frame) -> f64 {
+    let [across, down] = per_pixel(size, frame);
+    across.min(down)
+}
+
 impl Placement {
     /// A picture of `[rows, cols]` texels that just covers `frame`: as many texels a pixel, next to the axis, as its scarcer side has; the axis, or
     /// the frame's point nearest to it, meets the same relative place of both. Where the lens's distortion sees farther than that, the picture's last texel continues.
     pub fn filling([rows, cols]: [usize; 2], frame: &Frame) -> Self {
-        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
-        let per_pixel = [cols as f64 / frame.columns as f64, rows as f64 / frame.rows as f64];
+        let per_pixel = per_pixel([rows, cols], frame);
         #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
         let pixel = [frame.axis_px[0].clamp(0.0, frame.columns as f64), frame.axis_px[1].clamp(0.0, frame.rows as f64)];
         let texel = [0, 1].map(|k| pixel[k] * per_pixel[k]);
-        Self { texel, pixel, scale: Scale::OnAxis(per_pixel[0].min(per_pixel[1])) }
+        Self { texel, pixel, scale: Scale::OnAxis(texels_that_fill([rows, cols], frame)) }
     }
 
     /// A picture of `[rows, cols]` texels, its middle in the middle of `frame`.
