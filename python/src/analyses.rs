@@ -8,9 +8,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::math::memory::Limit;
 use isoplanat::report::drawing::lens_svg;
-use isoplanat::report::lens::{
-    LensReport, Options, SHIFTS, arrays, fields_json, html as page, look, plots, plots_json,
-};
+use isoplanat::report::lens::{LensReport, Options, SHIFTS, arrays, html as page, look, plots, plots_json, spot_rows};
 use isoplanat::report::listing::Listing;
 use isoplanat::{Lens, Result};
 use pyo3::prelude::*;
@@ -88,7 +86,7 @@ pub(crate) fn analysis(py: Python<'_>, lens: &Lens, kind: Kind, asked: Look) -> 
     let (told, arrays) = work(py, || {
         let (overview, missing) = look(&lens, &options);
         let curves: Vec<_> = plots(&overview).into_iter().filter(|(name, _)| kind.shows(name)).collect();
-        let told = json!({ "fields": fields_json(&overview), "plots": plots_json(&curves), "missing": missing });
+        let told = json!({ "fields": spot_rows(&overview), "plots": plots_json(&curves), "missing": missing });
         Ok((told, kind.arrays(&overview)))
     })?;
     let told = python(py, &told)?;

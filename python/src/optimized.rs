@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use isoplanat::optimize::spec::{Range, Spec, Wanted};
-use isoplanat::optimize::{Limits, Outcome, optimize as solve};
+use isoplanat::optimize::{Constraint, Limits, Outcome, Valued, optimize as solve};
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -123,12 +123,14 @@ pub(crate) fn optimize(
     })?;
     let (moved, held) = (PyDict::new(py), PyDict::new(py));
     for m in &found.moved {
-        moved.set_item(&m.name, (m.values[0], m.values[1]))?;
+        moved.set_item(&m.name, (m.before, m.after))?;
     }
-    for (quantity, [low, high], value) in &found.held {
-        held.set_item(quantity.name(), (*value, *low, *high))?;
+    for Valued { of, value } in &found.held {
+        let [low, high] = of.bounds;
+        held.set_item(of.quantity.name(), (*value, low, high))?;
     }
-    let said = |(quantity, [low, high], value): &(isoplanat::optimize::Quantity, [f64; 2], f64)| {
+    let said = |Valued { of, value }: &Valued<Constraint>| {
+        let (quantity, [low, high]) = (of.quantity, of.bounds);
         format!("{} is {value} {}; {low} to {high}", quantity.name(), quantity.unit())
     };
     Ok(Optimized {

@@ -86,10 +86,21 @@ def test_what_cannot_be_made_is_refused(photos, tmp_path):
         iso.dataset(lens, photos, out, **small, progress=cross)
     with pytest.raises(RuntimeError, match="must not call it"):
         iso.dataset(lens, photos, out, **small, progress=lambda share, what: lens.svg())
-    assert iso.dataset(lens, photos, out, **small, form="npz", shard=1, index=0, of=2) is None
-    assert len(iso.dataset(lens, photos, out, **small, form="npz", shard=1, index=1, of=2)) == 2
+    # What was begun is gone on with; something else is refused.
+    assert iso.dataset(lens, photos, out, **small).made["pairs"] == 2
+    with pytest.raises(ValueError, match="form"):
+        iso.dataset(lens, photos, out, **small, form="npz")
+
+
+def test_work_is_split(photos, tmp_path):
+    lens, out = iso.Lens("cooke_triplet"), tmp_path / "set"
+    split = {"frame": (48, 32), "form": "npz", "shard": 1, "of": 2}
+    assert iso.dataset(lens, photos, out, **split, index=0) is None
+    with pytest.raises(FileNotFoundError, match="all parts"):
+        iso.Dataset(out)
+    assert len(iso.dataset(lens, photos, out, **split, index=1)) == 2
     with pytest.raises(ValueError, match="seed"):
-        iso.dataset(lens, photos, out, **small, form="npz", shard=1, seed=5)
+        iso.dataset(lens, photos, out, **split, seed=5)
 
 
 @pytest.mark.parametrize("form", ["heights", "grid", "filters"])

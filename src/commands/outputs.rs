@@ -99,8 +99,8 @@ mod tests {
             let long =
                 |a: &Arg, name: &str| a.get_long() == Some(name) || (a.get_long().is_none() && a.get_id() == name);
             for argument in all.iter().filter(|a| NAMES.iter().any(|name| long(a, name))) {
-                let report = command.get_name() == "report" && argument.get_id() == "lenses";
-                assert_eq!(ending(argument).is_some(), !report, "{} {}", command.get_name(), argument.get_id());
+                let inputs = ["report", "dataset"].contains(&command.get_name()) && argument.get_id() == "lenses";
+                assert_eq!(ending(argument).is_some(), !inputs, "{} {}", command.get_name(), argument.get_id());
             }
             let forced = all.iter().any(|a| a.get_id() == "force");
             assert!(!forced || all.iter().any(|a| ending(a).is_some()), "{}", command.get_name());

@@ -94,8 +94,8 @@ fn every_form_holds_the_same_pairs() {
     };
     assert_eq!(tables[0].len(), 36);
     let mut levels = Vec::new();
-    for k in 0..36 {
-        let [a, b, c, d] = [0, 1, 2, 3].map(|t| &tables[t][k]);
+    let [in_png, in_tiff, in_npy, in_npz] = &tables;
+    for (k, (((a, b), c), d)) in in_png.iter().zip(in_tiff).zip(in_npy).zip(in_npz).enumerate() {
         assert!([b, c, d].iter().all(|other| without(other) == without(a)), "{a:?}");
         assert_eq!((number(a, "pair") as usize, a["sensor"].as_str()), (k, "generic RGGB, 12 bit"));
         levels.push(number(a, "noise_level"));

@@ -26,7 +26,7 @@ fn filters_and_multipliers_are_the_renderers_picture() {
     {
         let lens = lens(name);
         let frame = Frame::centred(72, 54, pitch_mm).and_then(|f| f.with_axis(axis_px)).expect("a frame");
-        let places = PsfPlaces::Nodes(0.02);
+        let places = PsfPlaces::Nodes(0.005);
         let request = PsfMapRequest { rays: 1000, vergence, wavelengths: 5, ..PsfMapRequest::new(&lens, places) };
         let map = PsfMap::compute(&lens, &frame, &density(), &request).expect("traces");
         let settings = Settings {
@@ -34,7 +34,7 @@ fn filters_and_multipliers_are_the_renderers_picture() {
             wavelengths: 5,
             degree: DEGREE,
             dense: 1000,
-            node_error: 0.02,
+            node_error: 0.005,
             outside: LOST,
             cells: LARGEST,
         };
