@@ -14,7 +14,7 @@ def blocks(page):
         yield rest.split("\n```")[0]
 
 
-PRINTED = [(page, code) for page in ["docs/python.md", "python/README.md"] for code in blocks(page)]
+PRINTED = [(page, code) for page in ["README.md", "docs/python.md", "python/README.md"] for code in blocks(page)]
 
 
 @pytest.mark.parametrize(("page", "code"), PRINTED, ids=[f"{page}-{k}" for k, (page, _) in enumerate(PRINTED)])
