@@ -32,8 +32,17 @@ pub(crate) fn raised(error: Error) -> PyErr {
 
 /// A message without the flags of a command line that there is not.
 fn in_python(text: &str) -> String {
-    let flags = [(" (--memory-gib)", ""), ("a smaller --size", "a smaller size"), ("--force", "force=True")];
-    flags.iter().fold(text.to_owned(), |text, (flag, words)| text.replace(flag, words))
+    let words = [(" (--memory-gib)", ""), ("--force", "force=True"), ("--depth-mm", "distances_mm")];
+    let text = words.iter().fold(text.to_owned(), |text, (flag, words)| text.replace(flag, words));
+    // Other flags have the arguments' names: `--texels-per-pixel` is texels_per_pixel.
+    let mut parts = text.split("--");
+    let mut plain = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        let end = part.find(|c: char| !(c.is_ascii_lowercase() || c == '-')).unwrap_or(part.len());
+        plain.push_str(&part[..end].trim_end_matches('-').replace('-', "_"));
+        plain.push_str(&part[part[..end].trim_end_matches('-').len()..]);
+    }
+    plain
 }
 
 /// A `ValueError`: the argument, what was found there, what is allowed.

@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
-use isoplanat::imaging::render::{Channels, Seen, memory};
+use isoplanat::imaging::render::{Channels, Seen, memory, shortfall};
 use isoplanat::imaging::scene::detail::{LOOKED, detail, sharpest, spread};
 use isoplanat::imaging::scene::placement::{Placement, Scale, texels_that_fill};
 use isoplanat::imaging::sensor::illuminant::Illuminant;
+use isoplanat::lens::paraxial::require_real_image;
 use isoplanat::lens::{Prescription, SensorRaster};
 use isoplanat::math::memory::Limit;
 use isoplanat::{Error, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan};
@@ -156,7 +157,31 @@ pub(crate) fn light(name: Option<&str>) -> PyResult<Illuminant> {
 pub(crate) fn standing(lens: &isoplanat::Lens, frame: &Frame, vergence: f64) -> Result<isoplanat::Lens> {
     let isoplanat::Frame { columns, rows, axis_px, .. } = frame.inner;
     let sensor = SensorRaster { columns, rows, pitch_um: frame.pitch(), axis_px };
-    isoplanat::Lens::new(Prescription { sensor, object_vergence: vergence, ..(**lens).clone() }, lens.file())
+    let standing = Prescription { sensor, object_vergence: vergence, ..(**lens).clone() };
+    let standing = isoplanat::Lens::new(standing, lens.file())?;
+    require_real_image(&standing)?;
+    Ok(standing)
+}
+
+/// Photographs whose mean is beyond this are taken for numbers of another range.
+const BRIGHT: f32 = 4.0;
+
+/// Warns of a photograph that hardly is linear light in which 1 is white.
+fn warn_of_range(py: Python<'_>, texture: &Array3<f32>) -> PyResult<()> {
+    let mean = texture.mean().unwrap_or(0.0);
+    if mean > BRIGHT {
+        warn(
+            py,
+            &format!("photo: its mean is {mean:.3}; 1 is white (numbers up to 255 are divided by 255 and decoded)"),
+        )?;
+    }
+    Ok(())
+}
+
+/// A `UserWarning`.
+fn warn(py: Python<'_>, text: &str) -> PyResult<()> {
+    let text = std::ffi::CString::new(text).unwrap_or_default();
+    PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)
 }
 
 /// Where a picture stands before a lens: it fills the frame, or shows so many of its pixels to one of the frame's on the axis.
@@ -179,6 +204,7 @@ impl Asked<'_, '_> {
 
     /// The plan that was given, with this lens; or one made for `textures`.
     fn plan(&self, py: Python<'_>, textures: Vec<Array3<f32>>) -> PyResult<(Plan, Vec<Plane>)> {
+        textures.iter().try_for_each(|texture| warn_of_range(py, texture))?;
         let (lens, frame) = self.own();
         if let Some(plan) = self.plan {
             let plan = plan.get().clone();
@@ -236,12 +262,7 @@ impl Asked<'_, '_> {
             Ok((plan, planes))
         })?;
         if !made.0.holds {
-            let predicted = made.0.predicted_db.unwrap_or(f64::NAN);
-            let text = format!(
-                "the finest settings are predicted to reach {predicted:.1} dB, less than the {db} dB of min_psnr_db"
-            );
-            let text = std::ffi::CString::new(text).unwrap_or_default();
-            PyErr::warn(py, &py.get_type::<PyUserWarning>(), &text, 1)?;
+            warn(py, &shortfall(made.0.predicted_db, db, "min_psnr_db"))?;
         }
         Ok(made)
     }
@@ -269,39 +290,41 @@ fn finite(scene: &Plane) -> Result<()> {
 
 /// A photograph through a lens.
 ///
-/// `picture, truth = isoplanat.render(lens, photo, frame, distance_mm=1000, min_psnr_db=45)`; `render.plan` makes the settings once for many
-/// photographs, `render.record` keeps what a gradient needs.
+/// `picture, truth = isoplanat.render(lens, photo, frame=None, *, distance_mm=None, min_psnr_db=50, texels_per_pixel=None, illuminant="E", plan=None)`;
+/// `render.plan` makes the settings once for many photographs, `render.record` keeps what a gradient needs.
+///
+/// The picture that `lens` makes of `photo` on `frame`, and the ideal one: the same with the lens's distortion, without blur and falling light.
+///
+/// Parameters
+/// ----------
+/// lens : Lens
+/// photo : array [3, row, col], or [row, col] for grey
+///     Linear light, 1 is white, upright; float32 or float64, which the pictures follow. It stands as a flat scene before the lens and just fills the frame.
+/// frame : Frame, optional
+///     The lens's own where left out.
+/// distance_mm : float, optional
+///     Object distance before the first vertex; inf is allowed. The lens's own where left out.
+/// min_psnr_db : float
+///     The cheapest settings are taken that hold this PSNR (linear light, range 1); 50 where left out.
+/// texels_per_pixel : float, optional
+///     Pixels of the photograph that one of the frame sees on the axis, in place of filling the frame.
+/// illuminant : str
+///     Light on the scene: "E", "A", "D50", "D55", "D65", "D75", "daylight:KELVIN", "black-body:KELVIN".
+/// plan : Plan, optional
+///     Of `render.plan` or of a record; then nothing else that it decides may be given.
+///
+/// Returns
+/// -------
+/// picture, truth : arrays [3, row, col]
+///     Linear light, upright; 1 is white on the axis.
+///
+/// Warns where the asked PSNR is predicted not to hold.
 #[pyclass(frozen, module = "isoplanat", name = "Render")]
 pub(crate) struct Render;
 
 #[pymethods]
 impl Render {
-    /// The picture that `lens` makes of `photo` on `frame`, and the ideal one: the same with the lens's distortion, without blur and falling light.
-    ///
-    /// Parameters
-    /// ----------
-    /// lens : Lens
-    /// photo : array [3, row, col], or [row, col] for grey
-    ///     Linear light, 1 is white, upright; float32 or float64, which the pictures follow. It stands as a flat scene before the lens and just fills the frame.
-    /// frame : Frame, optional
-    ///     The lens's own where left out.
-    /// distance_mm : float, optional
-    ///     Object distance before the first vertex; inf is allowed. The lens's own where left out.
-    /// min_psnr_db : float
-    ///     The cheapest settings are taken that hold this PSNR (linear light, range 1); 50 where left out.
-    /// texels_per_pixel : float, optional
-    ///     Pixels of the photograph that one of the frame sees on the axis, in place of filling the frame.
-    /// illuminant : str
-    ///     Light on the scene: "E", "A", "D50", "D55", "D65", "D75", "daylight:KELVIN", "black-body:KELVIN".
-    /// plan : Plan, optional
-    ///     Of `render.plan` or of a record; then nothing else that it decides may be given.
-    ///
-    /// Returns
-    /// -------
-    /// picture, truth : arrays [3, row, col]
-    ///     Linear light, upright; 1 is white on the axis.
-    ///
-    /// Warns where the asked PSNR is predicted not to hold.
+    /// As the class says.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (lens, photo, frame = None, *, distance_mm = None, min_psnr_db = None, texels_per_pixel = None,
         illuminant = None, plan = None))]

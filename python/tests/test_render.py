@@ -156,7 +156,7 @@ def test_what_cannot_be_rendered_is_refused(photo):
 
 def test_a_promise_that_does_not_hold_warns(photo):
     lens, frame = iso.Lens("cooke_triplet"), iso.Frame(12, 8, 3000.0)
-    with pytest.warns(UserWarning, match="predicted to reach .* dB, less than the 80 dB of min_psnr_db"):
+    with pytest.warns(UserWarning, match="predicted to reach .* dB, not the 80 dB of min_psnr_db and a margin"):
         iso.render(lens, photo, frame, min_psnr_db=80)
 
 
@@ -201,3 +201,15 @@ def test_pictures_in_files(tmp_path, photo):
     with pytest.raises(ValueError, match="kind: `street`; dead_leaves"):
         iso.scene("street", 4, 4)
     assert {p.name for p in tmp_path.iterdir()} == {"a.png", "a.tif", "bad.png"}
+
+
+def test_what_is_hardly_meant_is_refused_or_told():
+    lens, photo, frame = iso.Lens("cooke_triplet"), iso.scene("text", 32, 48), iso.Frame(24, 16, 1500)
+    for distance in (20, 1):
+        with pytest.raises(ValueError, match="no real image"):
+            iso.render(lens, photo, frame, distance_mm=distance)
+        with pytest.raises(ValueError, match="no real image"):
+            lens.psf_map("grid", frame, distance_mm=distance)
+    with pytest.warns(UserWarning, match="1 is white"):
+        iso.render(lens, 255 * photo, frame, min_psnr_db=10)
+    assert "min_psnr_db" in iso.render.__doc__ and "distance_mm" in iso.render.__doc__

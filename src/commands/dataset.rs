@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use std::sync::OnceLock;
 
 use isoplanat::dataset::{Crops, Form, Judging, Made, Part, Planned, Settings, make};
+use isoplanat::imaging::render::shortfall;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::report::columns::{Column, table};
 use isoplanat::report::table::value;
@@ -188,12 +189,8 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         bar.done(String::new());
     }
     for plan in made.planned.iter().filter(|p| !p.holds) {
-        let predicted = plan.predicted_psnr_db.unwrap_or(f64::NAN);
-        crate::tell!(
-            "warning: {}: the finest settings are predicted to reach {predicted:.1} dB, less than the {} dB of --min-psnr-db",
-            plan.lens,
-            settings.min_psnr_db
-        );
+        let text = shortfall(plan.predicted_psnr_db, settings.min_psnr_db, "--min-psnr-db");
+        crate::tell!("warning: {}: {text}", plan.lens);
     }
     if made.damaged > 0 {
         crate::tell!("note: {} units with files that are damaged or gone were made again", made.damaged);

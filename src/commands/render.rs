@@ -225,12 +225,8 @@ impl Way {
         let (count, planned) = (args.scenes.len(), deciding.len());
         let scenes = deciding.iter().map(|k| stage.plane(&args.scenes[*k])).collect::<Result<Vec<_>>>()?;
         let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
-        if !plan.holds {
-            let predicted = plan.predicted_db.unwrap_or(f64::NAN);
-            let asked = args.min_psnr_db.unwrap_or(DEFAULT_DB);
-            crate::tell!(
-                "warning: the finest settings are predicted to reach {predicted:.1} dB, less than the {asked} dB of --min-psnr-db"
-            );
+        if let Some(text) = plan.shortfall(args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db") {
+            crate::tell!("warning: {text}");
         }
         if planned < count && !args.everything {
             #[expect(clippy::cast_precision_loss, reason = "a share")]

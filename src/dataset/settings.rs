@@ -9,7 +9,7 @@ use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::scene::placement::slope_per_mm;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::illuminant::Illuminant;
-use isoplanat_optics::lens::paraxial::first_order;
+use isoplanat_optics::lens::paraxial::require_real_image;
 use isoplanat_optics::lens::{Lens, Prescription};
 
 use super::form::Form;
@@ -203,12 +203,7 @@ impl Settings {
             let allowed = format!("a part of the {} × {} pixels of {name}", frame.columns, frame.rows);
             return Err(Error::bad("--crop", "size", format!("{columns}x{rows}"), allowed));
         }
-        let image = first_order(&lens, lens.wavelengths.primary_nm).paraxial_image_distance;
-        if lens.object_vergence > 0.0 && !(image > 0.0 && image.is_finite()) {
-            let found =
-                format!("{} mm, at the front focal point or nearer: no real image", lens.object_vergence.recip());
-            return Err(Error::bad(name.as_str(), "object distance", found, "a greater distance"));
-        }
+        require_real_image(&lens).map_err(|e| e.in_file(name))?;
         slope_per_mm(&lens, 0.0, &frame)?;
         slope_per_mm(&lens, frame.max_radius_mm(), &frame).map(drop)
     }

@@ -70,4 +70,6 @@ pub use plan::{RenderPlan, Settings, frame_of};
 pub use planning::plan;
 pub use psf_map::{PsfMap, PsfMapRequest, PsfPlaces};
 pub use renderer::{Rendered, Renderer};
+#[doc(hidden)]
+pub use scene_plan::shortfall;
 pub use scene_plan::{Request, ScenePlan, Skip};

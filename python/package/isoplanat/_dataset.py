@@ -111,7 +111,7 @@ def dataset(
     crops: int = 1,
     texels_per_pixel: float | None = None,
     noise: _Path | None = None,
-    noise_level: float | tuple[float, float] = 1.0,
+    noise_level: float | tuple[float, float] | None = None,
     flat_field: bool = False,
     illuminant: str | None = None,
     min_psnr_db: float = 45.0,
@@ -137,14 +137,15 @@ def dataset(
     frame : Frame or (columns, rows), optional
         One frame for all lenses, or so many pixels over each lens's own sensor; each lens's own raster where left out.
     distances_mm : sequence of float
-        Object distances, each for every lens; inf is allowed. Each lens's own where left out.
+        Object distances, each for every lens; inf is allowed. Each lens's own where left out. Lenses are not focused anew: at other distances than their own
+        pictures are out of focus.
     crop : int or (columns, rows), optional
         Crops at random places of the frame in place of whole frames; ``crops`` of each photograph.
     texels_per_pixel : float, optional
         Pixels of the photograph that one of the frame sees: on the axis of whole frames, in the middle of crops. A photograph just fills the frame where
         left out.
     noise : "generic" or a sensor's file, optional
-        Mosaic and noise of that sensor, demosaicked. ``noise_level`` times its own deviation, or drawn between two.
+        Mosaic and noise of that sensor, demosaicked. ``noise_level`` times its own deviation, or drawn between two; 1 where left out.
     flat_field : bool
         Divide the falling light out.
     min_psnr_db : float
@@ -163,7 +164,14 @@ def dataset(
 
     Returns the `Dataset`, with ``made`` saying what was done; None while other parts are to be made.
     """
-    level = noise_level if isinstance(noise_level, Sequence) else (noise_level, noise_level)
+    if noise is None and noise_level is not None:
+        raise ValueError('noise_level: given without noise; noise="generic", or a sensor\'s file')
+    if noise is not None and not isinstance(noise, str | os.PathLike):
+        raise TypeError(f'noise: {noise!r}; "generic", or a sensor\'s file')
+    if isinstance(noise, str) and noise != "generic" and not Path(noise).exists():
+        raise FileNotFoundError(f'noise: {noise}: no such file; "generic", or a sensor\'s file')
+    given = 1.0 if noise_level is None else noise_level
+    level = given if isinstance(given, Sequence) else (given, given)
     made = make_dataset(
         lenses if isinstance(lenses, Lens | dict) else dict(lenses) if isinstance(lenses, Mapping) else list(lenses),
         photos,

@@ -58,6 +58,12 @@ pub struct ScenePlan {
 }
 
 impl ScenePlan {
+    /// What is told where `asked` dB are predicted not to hold, with the margin that probes need; `option` asked for them.
+    #[doc(hidden)]
+    pub fn shortfall(&self, asked: f64, option: &str) -> Option<String> {
+        (!self.holds).then(|| shortfall(self.predicted_db, asked, option))
+    }
+
     /// The picture of `scene`, `[3, row, col]`, 1 = white on the axis; `progress` hears the share done.
     ///
     /// # Errors
@@ -124,4 +130,13 @@ impl ScenePlan {
         };
         Ok(self.renderer.truth(scene, depth, part, &Channels::of(scene)))
     }
+}
+
+/// [`ScenePlan::shortfall`] of a plan that predicts so many dB.
+#[doc(hidden)]
+pub fn shortfall(predicted_db: Option<f64>, asked: f64, option: &str) -> String {
+    let (predicted, margin) = (predicted_db.unwrap_or(f64::NAN), 10.0 * super::choose::MARGIN.log10());
+    format!(
+        "the finest settings are predicted to reach {predicted:.1} dB, not the {asked} dB of {option} and a margin of {margin:.1} dB"
+    )
 }

@@ -3,7 +3,9 @@
 //! With `w = n u`: refraction `w' = w − y φ`, `φ = (n' − n)(c + 2 a₂)`; transfer `y' = y + (t/n') w'`. An `r²` term
 //! belongs to the paraxial power and is folded in.
 
-use super::{Aperture, Field, LensGradient, Prescription, Shape};
+use isoplanat_base::error::{Error, Result};
+
+use super::{Aperture, Field, Lens, LensGradient, Prescription, Shape};
 
 /// First-order data at one wavelength, mm.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
@@ -289,6 +291,20 @@ pub(crate) fn beam_heights(lens: &Prescription, nm: f64, slope: f64) -> Vec<f64>
     let [y, w] = chief_ray(lens, nm, slope);
     let chief = sweep(lens, &lens.indices(nm), y, w);
     marginal_heights(lens, nm).iter().zip(chief).map(|(marginal, [chief, _])| marginal + chief.abs()).collect()
+}
+
+/// Refuses an object at the front focal point or nearer, of which there is no real image.
+///
+/// # Errors
+/// The lens, the distance.
+#[doc(hidden)]
+pub fn require_real_image(lens: &Lens) -> Result<()> {
+    let image = first_order(lens, lens.wavelengths.primary_nm).paraxial_image_distance;
+    if lens.object_vergence > 0.0 && !(image > 0.0 && image.is_finite()) {
+        let found = format!("{} mm, at the front focal point or nearer: no real image", lens.object_vergence.recip());
+        return Err(Error::bad(lens.file(), "object distance", found, "a greater distance"));
+    }
+    Ok(())
 }
 
 /// Pulls cotangents on the effective focal length and the stop's semi-diameter back to the lens.

@@ -142,8 +142,8 @@ impl PsfMap {
         format!(
             "{stands} Channels: red, green, blue of the sensor. Orientation: for convolution, y(p) = sum over m of h(m) x(p - m), m = 0 in the middle; flip for \
              correlation. Kernels are integrated over the pixel and over the bilinear filter of a scene sampled at the pitch. Energy: a channel sums to 1 - outside. \
-             Illumination is relative to the axis, and in no kernel. Distortion: image height over the one without distortion, less 1; in no kernel. Rays are geometric: \
-             no diffraction."
+             Kernels hold no illumination (it is relative to the axis) and no distortion (image height over the one without it, less 1). Rays are geometric: no \
+             diffraction."
         )
     }
 }
