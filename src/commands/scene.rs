@@ -8,7 +8,6 @@ use isoplanat::imaging::plane::Plane;
 use isoplanat::imaging::render::{frame_of, memory};
 use isoplanat::imaging::scene::placement::{Placement, Scale, slope_per_mm};
 use isoplanat::imaging::scene::{SceneKind, generate};
-use isoplanat::lens::paraxial::require_real_image;
 use isoplanat::lens::{Lens, Prescription, SensorRaster};
 use isoplanat::{Error, Result};
 use ndarray::Array3;
@@ -126,9 +125,6 @@ impl SceneArgs {
             Some(depth) => at_depth(lens, depth, argument)?,
             None => lens,
         };
-        if self.depth_mm.is_some() {
-            require_real_image(&lens)?;
-        }
         let whole = frame_of(&lens)?;
         let frame = match self.crop {
             Some(part) => cut(&whole, part)?,
