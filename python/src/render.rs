@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use isoplanat::imaging::render::{Channels, Seen, memory, shortfall};
-use isoplanat::imaging::scene::detail::{LOOKED, detail, sharpest, spread};
+use isoplanat::imaging::scene::detail::{LOOKED, deciding, detail, spread};
 use isoplanat::imaging::scene::placement::{Placement, Scale, texels_that_fill};
 use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::lens::paraxial::require_real_image;
@@ -371,8 +371,9 @@ impl Render {
         let listed = photos.cast::<pyo3::types::PyList>().ok();
         let mut textures = match listed {
             Some(list) => {
-                let some = spread(list.len(), LOOKED).into_iter().map(|k| list.get_item(k));
-                some.map(|photo| crate::pictures::texture(&photo?, "photos")).collect::<PyResult<Vec<_>>>()?
+                // Others are not copied.
+                let looked = spread(list.len(), LOOKED).into_iter().map(|k| list.get_item(k));
+                looked.map(|photo| crate::pictures::texture(&photo?, "photos")).collect::<PyResult<Vec<_>>>()?
             }
             None => vec![crate::pictures::texture(photos, "photos")?],
         };
@@ -386,13 +387,13 @@ impl Render {
             let own = lens.get().inner.clone();
             let shown = frame.map(|f| f.get().clone());
             let size = size(first);
-            let deciding = work(py, || {
+            let kept = work(py, || {
                 let shown = shown.map_or_else(|| Frame::of(&own), Ok)?;
                 let texels = texels_per_pixel.unwrap_or_else(|| texels_that_fill(size, &shown.inner));
-                Ok(sharpest(&textures.iter().map(|t| detail(t, texels)).collect::<Vec<_>>()))
+                deciding(textures.len(), |k| Ok(detail(&textures[k], texels)))
             })?;
             let mut k = 0;
-            textures.retain(|_| (deciding.contains(&k), k += 1).0);
+            textures.retain(|_| (kept.contains(&k), k += 1).0);
         }
         let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, illuminant, plan: None };
         Ok(asked.plan(py, textures)?.0)

@@ -11,8 +11,8 @@ use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::blur::Method as Blur;
-use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan};
-use isoplanat::imaging::scene::detail::{LOOKED, PLANNED, detail, sharpest, spread};
+use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan, shortfall};
+use isoplanat::imaging::scene::detail;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::placement::slope_per_mm;
 use isoplanat::imaging::sensor::Sensor;
@@ -225,7 +225,8 @@ impl Way {
         let (count, planned) = (args.scenes.len(), deciding.len());
         let scenes = deciding.iter().map(|k| stage.plane(&args.scenes[*k])).collect::<Result<Vec<_>>>()?;
         let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
-        if let Some(text) = plan.shortfall(args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db") {
+        if !plan.holds {
+            let text = shortfall(plan.predicted_db, args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db");
             crate::tell!("warning: {text}");
         }
         if planned < count && !args.everything {
@@ -275,16 +276,13 @@ impl Way {
 /// Which scenes the plan is made with: where it has something to hold those that show the most detail.
 fn deciding(args: &Args, stage: &Stage) -> Result<Vec<usize>> {
     if args.scenes.len() == 1 || !matches!(args.request()?, Request::Psnr(_)) {
-        return Ok(spread(args.scenes.len(), PLANNED));
+        return Ok(detail::spread(args.scenes.len(), detail::PLANNED));
     }
-    let looked = spread(args.scenes.len(), LOOKED);
-    let one = |k: &usize| {
-        let scene = stage.plane(&args.scenes[*k])?;
+    detail::deciding(args.scenes.len(), |k| {
+        let scene = stage.plane(&args.scenes[k])?;
         let per_pixel = scene.texels_per_slope * slope_per_mm(&stage.lens, 0.0, &stage.frame)? * stage.frame.pitch_mm;
-        Ok(detail(&scene.texture, per_pixel))
-    };
-    let details = looked.iter().map(one).collect::<Result<Vec<f64>>>()?;
-    Ok(sharpest(&details).into_iter().map(|k| looked[k]).collect())
+        Ok(detail::detail(&scene.texture, per_pixel))
+    })
 }
 
 /// Runs the command.

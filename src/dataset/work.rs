@@ -8,7 +8,7 @@ use isoplanat_base::atomic;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::product;
 use isoplanat_imaging::files::picture_size;
-use isoplanat_imaging::scene::detail::{LOOKED, detail, sharpest, spread};
+use isoplanat_imaging::scene::detail::{deciding, detail};
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_imaging::scene::placement::texels_that_fill;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
@@ -217,16 +217,13 @@ impl Work<'_> {
     /// Photographs that every lens is planned with: those that show the most detail on the first lens's frame.
     fn deciding(&self) -> Result<Vec<usize>> {
         let (_, frame) = self.settings.before(0, 0)?;
-        let looked = spread(self.photos.len(), LOOKED);
-        let one = |photo: &usize| {
+        deciding(self.photos.len(), |photo| {
             self.go_on(0.0, "")?;
-            let texture = self.photos.load(*photo)?;
+            let texture = self.photos.load(photo)?;
             let (_, rows, cols) = texture.dim();
             let texels = self.settings.texels_per_pixel.unwrap_or_else(|| texels_that_fill([rows, cols], &frame));
             Ok(detail(&texture, texels))
-        };
-        let details = looked.par_iter().map(one).collect::<Result<Vec<f64>>>()?;
-        Ok(sharpest(&details).into_iter().map(|k| looked[k]).collect())
+        })
     }
 
     /// Units that are worked on at once, as memory allows.

@@ -58,12 +58,6 @@ pub struct ScenePlan {
 }
 
 impl ScenePlan {
-    /// What is told where `asked` dB are predicted not to hold, with the margin that probes need; `option` asked for them.
-    #[doc(hidden)]
-    pub fn shortfall(&self, asked: f64, option: &str) -> Option<String> {
-        (!self.holds).then(|| shortfall(self.predicted_db, asked, option))
-    }
-
     /// The picture of `scene`, `[3, row, col]`, 1 = white on the axis; `progress` hears the share done.
     ///
     /// # Errors
@@ -132,7 +126,7 @@ impl ScenePlan {
     }
 }
 
-/// [`ScenePlan::shortfall`] of a plan that predicts so many dB.
+/// What is told of a plan that predicts so many dB and does not hold the `asked` ones with the margin that probes need; `option` asked for them.
 #[doc(hidden)]
 pub fn shortfall(predicted_db: Option<f64>, asked: f64, option: &str) -> String {
     let (predicted, margin) = (predicted_db.unwrap_or(f64::NAN), 10.0 * super::choose::MARGIN.log10());

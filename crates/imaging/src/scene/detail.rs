@@ -1,6 +1,8 @@
 //! How much detail photographs show: it decides which of them a plan for all is made with.
 
+use isoplanat_base::error::Result;
 use ndarray::{Array3, Axis, s};
+use rayon::prelude::*;
 
 /// Photographs that are looked at before a plan, at most.
 pub const LOOKED: usize = 64;
@@ -13,9 +15,19 @@ pub fn spread(count: usize, most: usize) -> Vec<usize> {
     (0..taken).map(|k| k * count / taken).collect()
 }
 
-/// Which of photographs with these [`detail`]s a plan for all is made with: the eighth that shows the most, one at least, in their order. What
+/// Which of `count` photographs a plan for all is made with, by the [`detail`] that `look` finds in each.
+///
+/// # Errors
+/// Those of `look`.
+pub fn deciding(count: usize, look: impl Fn(usize) -> Result<f64> + Sync) -> Result<Vec<usize>> {
+    let looked = spread(count, LOOKED);
+    let details = looked.par_iter().map(|photo| look(*photo)).collect::<Result<Vec<f64>>>()?;
+    Ok(sharpest(&details).into_iter().map(|k| looked[k]).collect())
+}
+
+/// Of photographs with these details the eighth that shows the most, one at least, in their order. What
 /// such a plan holds, the others hold as well: errors of kernels grow with detail.
-pub fn sharpest(details: &[f64]) -> Vec<usize> {
+fn sharpest(details: &[f64]) -> Vec<usize> {
     let mut order: Vec<usize> = (0..details.len()).collect();
     order.sort_by(|a, b| details[*b].total_cmp(&details[*a]).then(a.cmp(b)));
     order.truncate(details.len().div_ceil(LOOKED / PLANNED).clamp(1, PLANNED));
