@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use isoplanat::lens::{Lens, builtin, prescription};
 use isoplanat::report::drawing::lens_svg;
 use isoplanat::report::library::Library;
-use isoplanat::{Result, atomic};
+use isoplanat::{Error, Result, atomic};
 
 use crate::named::Named;
 use crate::output::Common;
@@ -37,7 +37,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     if let Some(folder) = &args.output {
         atomic::check_folder(folder, MARKER, args.common.force)?;
     }
-    let lenses = if args.lens.is_empty() { shipped()? } else { given(&args.lens)? };
+    let (lenses, left_out) = if args.lens.is_empty() { (shipped()?, Vec::new()) } else { given(&args.lens)? };
     let library = Library::new(lenses.iter().cloned());
     if let Some(folder) = &args.output {
         atomic::write_folder(folder, MARKER, args.common.force, |folder| fill(folder, &library, &lenses))?;
@@ -46,28 +46,47 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         crate::output::put(&library.csv(), Some(path), args.common.force, out)?;
     }
     if args.common.json {
-        writeln!(out, "{:#}", library.json())?;
+        let mut said = library.json();
+        said["left_out"] = left_out.iter().map(Error::to_string).collect();
+        writeln!(out, "{said:#}")?;
     } else {
         write!(out, "{library}")?;
     }
-    Ok(())
+    if left_out.is_empty() {
+        return Ok(());
+    }
+    left_out.iter().for_each(|e| crate::tell!("left out: {e}"));
+    let found = format!("{} of {} left out", left_out.len(), args.lens.len());
+    Err(Error::bad("lenses", "", found, "the others are listed").into())
 }
 
 fn shipped() -> Result<Vec<(String, Lens)>> {
     builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), builtin::lens(name)?))).collect()
 }
 
-/// The named lenses, each called as its file; files of one name are told apart by numbers.
-fn given(names: &[Named]) -> Result<Vec<(String, Lens)>> {
+/// The named lenses, each called as its file, files of one name told apart by numbers; and why others cannot be read.
+///
+/// # Errors
+/// That of the first, where none can be read.
+fn given(names: &[Named]) -> Result<(Vec<(String, Lens)>, Vec<Error>)> {
     let mut all: Vec<(String, Lens)> = Vec::new();
+    let mut left_out = Vec::new();
     for name in names {
+        let lens = match crate::input::lens(name) {
+            Ok(lens) => lens,
+            Err(Error::Interrupted) => return Err(Error::Interrupted),
+            Err(e) => {
+                left_out.push(e);
+                continue;
+            }
+        };
         let path: &Path = name.as_ref();
         let stem = path.file_stem().map_or_else(|| name.to_string(), |s| s.to_string_lossy().into_owned());
         let taken = |n: &str| all.iter().any(|(other, _)| other.eq_ignore_ascii_case(n));
         let free = (1..).map(|k| if k == 1 { stem.clone() } else { format!("{stem}-{k}") }).find(|n| !taken(n));
-        all.push((free.unwrap_or(stem), crate::input::lens(name)?));
+        all.push((free.unwrap_or(stem), lens));
     }
-    Ok(all)
+    if all.is_empty() && !left_out.is_empty() { Err(left_out.swap_remove(0)) } else { Ok((all, left_out)) }
 }
 
 /// Writes everything of the lenses into `folder`.

@@ -2,13 +2,9 @@
 
 use serde_json::{Value, json};
 
-use crate::support::{Workplace, root};
+use crate::support::{Workplace, read_json, root};
 
 const LENS: &str = include_str!("../../models/lenses/two_element.toml");
-
-fn read_json(text: &str) -> Value {
-    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
-}
 
 #[test]
 fn help_and_version_are_no_errors_and_nonsense_is_bad_input() {
@@ -50,43 +46,6 @@ fn every_shipped_lens_can_be_inspected() {
     for (name, _) in isoplanat::lens::builtin::LENSES {
         assert_eq!(read_json(&place.run(&format!("inspect {name} --json")).done())["schema"], json!(1), "{name}");
     }
-}
-
-/// Table, JSON and folder hold every shipped lens; a file from the folder is the lens of that name; nothing foreign is replaced.
-#[test]
-fn lenses_lists_and_writes_the_shipped_lenses() {
-    let place = Workplace::new();
-    let text = place.run("lenses").done();
-    let json = read_json(&place.run("lenses -o all --json --csv all.csv").done());
-    let list = json["lenses"].as_array().expect("list");
-    assert_eq!(list.len(), isoplanat::lens::builtin::LENSES.len());
-    for (entry, (name, toml)) in list.iter().zip(isoplanat::lens::builtin::LENSES) {
-        assert_eq!(entry["name"], json!(name));
-        assert!(text.lines().any(|l| l.starts_with(name)), "{name}: {text}");
-        let inspected = read_json(&place.run(&format!("inspect all/{name}.toml --json")).done());
-        for key in ["effective_focal_length_mm", "back_focal_length_mm", "f_number", "length_mm", "sha256"] {
-            assert_eq!(entry[key], inspected[key], "{name} {key}");
-        }
-        assert_eq!(std::fs::read_to_string(place.path(&format!("all/{name}.toml"))).expect("reads"), toml);
-        let svg = std::fs::read_to_string(place.path(&format!("all/{name}.svg"))).expect("reads");
-        assert!(svg.starts_with("<svg") && svg.trim_end().ends_with("</svg>"), "{name}");
-    }
-    let page = std::fs::read_to_string(place.path("all/index.html")).expect("reads");
-    assert_eq!(page.matches("<svg").count(), list.len());
-    let csv = std::fs::read_to_string(place.path("all.csv")).expect("reads");
-    assert_eq!(csv.lines().count(), list.len() + 1);
-    place.run("lenses -o all").refused(&["all", "--force"]);
-    place.run("lenses --csv all.csv").refused(&["all.csv", "--force"]);
-    std::fs::write(place.path("all/mine.txt"), "x").expect("writes");
-    // What is not ours is named, and stays.
-    place.run("lenses -o all --force").refused(&["all", "mine.txt"]);
-    std::fs::remove_file(place.path("all/mine.txt")).expect("still there");
-    place.run("lenses -o all --force").done();
-    // A folder that this command did not write stays.
-    std::fs::create_dir(place.path("foreign")).expect("a folder");
-    std::fs::write(place.path("foreign/index.html"), "x").expect("writes");
-    place.run("lenses -o foreign --force").refused(&["foreign"]);
-    assert_eq!(place.files(), ["all", "all.csv", "foreign"]);
 }
 
 /// Every shipped lens is healthy; the table and the JSON say the same.
@@ -489,6 +448,7 @@ fn evaluate_judges_a_run_by_field_and_depth() {
     place.write("task.toml", task).write("old.csv", "kept").write("old.svg", "kept");
     std::fs::create_dir(place.path("empty")).expect("made");
     std::fs::create_dir(place.path("photos")).expect("made");
+    place.write("photos/mine.txt", "not a picture");
     place.run("design task.toml -o run").done();
     place.run("evaluate nothing").refused(&["nothing", "task.toml"]);
     place.run("evaluate run --photos nowhere").refused(&["nowhere"]);

@@ -37,6 +37,7 @@ mod guided;
 mod hostile;
 mod layering;
 mod lens_files;
+mod lenses;
 mod library;
 #[cfg(all(feature = "train", feature = "deploy", feature = "calibrate"))]
 mod measured_lens;

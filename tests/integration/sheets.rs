@@ -124,6 +124,7 @@ fn a_folder_holds_what_a_workshop_needs() {
     assert!(place.path("made/sag-surface-5.csv").is_file() && read(&place, "made/sheets.html").contains("3/ –"));
     // A folder of something else is never replaced.
     std::fs::create_dir(place.path("mine")).expect("made");
+    place.write("mine/notes.txt", "mine");
     place.run("sheets two_element -o mine --force").refused(&["mine"]);
 }
 

@@ -115,6 +115,14 @@ impl Ran {
     }
 }
 
+/// What a command said with `--json`.
+///
+/// # Panics
+/// Where it is none, with the text.
+pub(crate) fn read_json(text: &str) -> serde_json::Value {
+    serde_json::from_str(text).unwrap_or_else(|e| panic!("{e}: {text}"))
+}
+
 /// How often something random is repeated: `few` times, which is what every change can wait for, or `many`, where `ISOPLANAT_REPEAT` is `many` (`.ci/slow
 /// repetitions`), or as often as it says.
 ///

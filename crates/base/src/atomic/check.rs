@@ -32,7 +32,7 @@ pub fn check_target(path: &Path, replace: Replace) -> Result<()> {
     }
 }
 
-/// Whether [`write_folder`](super::write_folder) may put a folder at `folder`: nothing stands there, or `replace` and one with `marker` in
+/// Whether [`write_folder`](super::write_folder) may put a folder at `folder`: nothing stands there or an empty one, or `replace` and one with `marker` in
 /// it; where its list of entries is there, nothing else is in it.
 ///
 /// # Errors

@@ -53,12 +53,13 @@ impl<'a> FolderKind<'a> {
         Self { marker, entries: Some(entries) }
     }
 
-    /// Whether a folder of this kind may be put at `target`, which `folder` leads to.
+    /// Whether a folder of this kind may be put at `target`, which `folder` leads to: nothing stands there, or a folder without entries, or
+    /// what `replace` lets give way.
     ///
     /// # Errors
     /// [`Error::Exists`]; entries that are not of this kind.
     pub(super) fn allows(&self, folder: &Path, target: &Path, replace: Replace) -> Result<()> {
-        if target.symlink_metadata().is_err() {
+        if target.symlink_metadata().is_err() || is_empty(target) {
             return Ok(());
         }
         if replace == Replace::Never {
@@ -103,6 +104,11 @@ impl<'a> FolderKind<'a> {
         foreign.sort_unstable();
         Ok(foreign)
     }
+}
+
+/// Whether `target` is a folder without any entry: whoever made it for a result loses nothing by it.
+pub(super) fn is_empty(target: &Path) -> bool {
+    fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none())
 }
 
 /// Writes the list of what is in `folder` into it, and tells what has to reach the disk: files, and folders from the top.

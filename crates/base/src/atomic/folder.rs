@@ -28,7 +28,7 @@ pub fn write_folder<T>(folder: &Path, marker: &str, replace: bool, fill: impl Fn
 /// A folder that `fill` writes beside `folder` and that gets its name when that went well; otherwise everything is as it was. What `fill`
 /// returned.
 ///
-/// With [`Replace::Never`] one of several simultaneous writers succeeds. With [`Replace::Always`] a folder of the same kind gives way, in
+/// With [`Replace::Never`] one of several simultaneous writers succeeds; a folder without entries gives way. With [`Replace::Always`] a folder of the same kind gives way, in
 /// one exchange; one with other entries never does. The list of what was published is put into it ([`MANIFEST`](super::MANIFEST)). Missing
 /// folders around it are made. A link to a folder stays and leads to the new one. All is synced.
 ///
@@ -109,7 +109,7 @@ impl Move<'_> {
                 Err(e) if e.kind() == ErrorKind::Unsupported => return self.go_stepwise(temporary),
                 other => return other.map_err(|e| self.failed(e)),
             }
-            self.may_replace()?;
+            self.kind.allows(self.folder, self.target, self.replace)?;
             keep_mode(self.target, temporary.path());
             match rename::exchange(temporary.path(), self.target) {
                 Ok(()) => {}
@@ -119,7 +119,7 @@ impl Move<'_> {
                 Err(e) => return Err(self.failed(e)),
             }
             // What gave way has a name now that nobody knows: whatever came into it until then is seen.
-            let late = self.kind.allows(self.folder, temporary.path(), Replace::Always);
+            let late = self.kind.allows(self.folder, temporary.path(), self.replace);
             if late.is_err() {
                 rename::exchange(temporary.path(), self.target).map_err(|e| {
                     temporary.disown();
@@ -138,19 +138,23 @@ impl Move<'_> {
         temporary.mark(if self.replace == Replace::Never { Mark::New } else { Mark::Replace }).map_err(failed)?;
         for _ in 0..TURNS {
             match claim(self.target) {
-                Ok(()) => match rename::over(temporary.path(), self.target) {
-                    Err(e) if is_taken(&e) => continue,
-                    moved => {
-                        return moved.map_err(|e| {
-                            let _ = fs::remove_dir(self.target);
-                            failed(e)
-                        });
+                Ok(made) => {
+                    if !made {
+                        keep_mode(self.target, temporary.path());
                     }
-                },
+                    match rename::over(temporary.path(), self.target) {
+                        Err(e) if is_taken(&e) => continue,
+                        Err(e) if made => {
+                            let _ = fs::remove_dir(self.target);
+                            return Err(failed(e));
+                        }
+                        moved => return moved.map_err(failed),
+                    }
+                }
                 Err(e) if e.kind() == ErrorKind::AlreadyExists => {}
                 Err(e) => return Err(failed(e)),
             }
-            self.may_replace()?;
+            self.kind.allows(self.folder, self.target, self.replace)?;
             keep_mode(self.target, temporary.path());
             if !removed(temporary.old()) {
                 return Err(failed(ErrorKind::DirectoryNotEmpty.into()));
@@ -171,14 +175,6 @@ impl Move<'_> {
             }
         }
         Err(Error::Exists(self.folder.to_owned()))
-    }
-
-    /// Whether what stands in the target's place may give way.
-    fn may_replace(&self) -> Result<()> {
-        if self.replace == Replace::Never {
-            return Err(Error::Exists(self.folder.to_owned()));
-        }
-        self.kind.allows(self.folder, self.target, self.replace)
     }
 
     fn failed(&self, error: io::Error) -> Error {
@@ -219,14 +215,17 @@ fn unmoved(folder: &Path, error: io::Error) -> Error {
     Error::writing(folder, io::Error::new(error.kind(), text))
 }
 
-/// Takes a free name by an empty folder, which the whole one replaces. Elsewhere than on Unix a folder replaces none: there the move itself is
-/// the claim.
-fn claim(target: &Path) -> io::Result<()> {
+/// Takes a free name by an empty folder, which the whole one replaces; one that is there already does as well. Whether it was made. Elsewhere than
+/// on Unix a folder replaces none: there the move itself is the claim.
+fn claim(target: &Path) -> io::Result<bool> {
     fault::at("claim folder")?;
     if cfg!(unix) {
-        return fs::create_dir(target);
+        return match fs::create_dir(target) {
+            Err(e) if e.kind() == ErrorKind::AlreadyExists && entries::is_empty(target) => Ok(false),
+            made => made.map(|()| true),
+        };
     }
-    if target.symlink_metadata().is_ok() { Err(ErrorKind::AlreadyExists.into()) } else { Ok(()) }
+    if target.symlink_metadata().is_ok() { Err(ErrorKind::AlreadyExists.into()) } else { Ok(false) }
 }
 
 /// Whether another writer was faster.

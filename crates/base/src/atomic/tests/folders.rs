@@ -27,16 +27,46 @@ fn folders_appear_whole_and_foreign_folders_are_never_replaced() {
         assert_eq!(fs::read(folder.join("mark")).expect("kept"), b"two");
         let foreign = place.path().join("photos");
         fs::create_dir(&foreign).expect("made");
+        fs::write(foreign.join("a.jpg"), "mine").expect("writes");
         let refused = write_folder(&foreign, "mark", true, fill("x")).expect_err("of another kind").to_string();
         assert!(refused.contains("without mark") && !refused.contains("--force"), "{refused}");
         assert!(matches!(write_folder(&foreign, "mark", false, fill("x")), Err(Error::Exists(_))));
         let late = place.path().join("late");
         let refused = write_folder(&late, "mark", false, |at| {
             fs::create_dir(&late).expect("made by another meanwhile");
+            fs::write(late.join("b"), "another's").expect("writes");
             write_bytes(&at.join("mark"), b"x")
         });
         assert!(matches!(refused, Err(Error::Exists(_))), "{refused:?}");
         assert_eq!(names(place.path()), ["late", "photos", "run"], "nothing is left beside");
+    }
+}
+
+/// A folder without entries gives way without being asked for, keeps its mode, and stays where the writing fails; one that gets an entry meanwhile is another's.
+#[test]
+fn an_empty_folder_gives_way() {
+    for without in [&[][..], NFS] {
+        for replace in [Replace::Never, Replace::Always] {
+            let (place, folder) = place();
+            let _faults = Faults::without(without, Errno::NOSYS);
+            fs::create_dir(&folder).expect("made");
+            fs::set_permissions(&folder, fs::Permissions::from_mode(0o750)).expect("set");
+            check_folder(&folder, MARKER, replace == Replace::Always).expect("free");
+            assert!(write_folder(&folder, MARKER, false, |_| Err::<(), _>(Error::Interrupted)).is_err());
+            assert!(fs::read_dir(&folder).expect("stays").next().is_none());
+            let came = publish_folder(&folder, &FolderKind::listed(MARKER), replace, |at| {
+                fs::write(folder.join("b"), "another's").expect("writes");
+                write_bytes(&at.join(MARKER), b"x")
+            });
+            assert_eq!(came.expect_err("taken meanwhile").exit_code(), 2);
+            assert_eq!(names(&folder), ["b"]);
+            fs::remove_file(folder.join("b")).expect("removed");
+            put_folder(&folder, replace, "one").expect("written");
+            assert_eq!(text_of(&folder), "one");
+            assert_eq!(folder.metadata().expect("there").permissions().mode() & 0o777, 0o750);
+            assert!(matches!(put_folder(&folder, Replace::Never, "two"), Err(Error::Exists(_))));
+            assert_eq!(names(place.path()), ["run"], "nothing is left beside");
+        }
     }
 }
 

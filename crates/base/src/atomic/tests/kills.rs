@@ -13,12 +13,18 @@ fn old_and_new() -> [String; 2] {
 
 /// This test binary, to be started again as [`child`].
 pub(super) fn child_at(what: &str, path: &Path, replace: Replace, without: &str, kill_at: usize) -> Command {
-    let mut command = Command::new(std::env::current_exe().expect("this binary"));
-    command.args(["--exact", "atomic::tests::kills::child", "--ignored", "--nocapture", "--test-threads=1"]);
-    command.env("ATOMIC_WHAT", what).env("ATOMIC_PATH", path).env("ATOMIC_WITHOUT", without);
+    let mut command = process("child", path);
+    command.env("ATOMIC_WHAT", what).env("ATOMIC_WITHOUT", without);
     command.env("ATOMIC_REPLACE", if replace == Replace::Always { "1" } else { "0" });
     command.env("ATOMIC_KILL_AT", kill_at.to_string());
-    command.stdout(Stdio::null()).stderr(Stdio::piped());
+    command
+}
+
+/// One of the ignored tests below as a process of its own.
+fn process(test: &str, path: &Path) -> Command {
+    let mut command = Command::new(std::env::current_exe().expect("this binary"));
+    command.args(["--exact", &format!("atomic::tests::kills::{test}"), "--ignored", "--nocapture", "--test-threads=1"]);
+    command.env("ATOMIC_PATH", path).stdout(Stdio::null()).stderr(Stdio::piped());
     command
 }
 
@@ -76,8 +82,7 @@ fn giving_up() {
 #[test]
 fn what_is_given_up_leaves_nothing() {
     let place = tempfile::tempdir().expect("a temporary folder");
-    let mut command = child_at("", place.path(), Replace::Never, "", 0);
-    let status = command.args(["atomic::tests::kills::giving_up", "--skip", "kills::child"]).status().expect("starts");
+    let status = process("giving_up", place.path()).status().expect("starts");
     assert_eq!(status.code(), Some(7));
     assert!(names(place.path()).is_empty(), "{:?}", names(place.path()));
 }
