@@ -6,9 +6,10 @@ use numpy::{
     Element, PyArray, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArray,
     PyUntypedArrayMethods,
 };
+use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PyString};
 
 /// An array of floating point in row-major order.
 pub(crate) enum Floats<'py> {
@@ -112,6 +113,39 @@ impl Number for f32 {
 impl Number for f64 {
     fn of<'a>(floats: &'a Floats<'_>) -> Option<ArrayViewD<'a, Self>> {
         if let Floats::Double(a) = floats { Some(a.as_array()) } else { None }
+    }
+}
+
+/// One value, or several in a list, a tuple or an array.
+pub(crate) struct Several<T>(pub(crate) Vec<T>);
+
+/// What a list holds.
+pub(crate) trait Item: Sized {
+    /// In the words of a refusal.
+    const ALLOWED: &'static str;
+}
+
+impl Item for f64 {
+    const ALLOWED: &'static str = "a number, or several in a list";
+}
+
+impl Item for String {
+    const ALLOWED: &'static str = "a name, or several in a list";
+}
+
+impl<'a, 'py, T: Item + FromPyObjectOwned<'py>> FromPyObject<'a, 'py> for Several<T> {
+    type Error = PyErr;
+
+    fn extract(value: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        // A text is a list, too; an array of one number is a number, too.
+        if !value.is_instance_of::<PyString>()
+            && let Ok(list) = value.extract()
+        {
+            return Ok(Self(list));
+        }
+        let one =
+            value.extract::<T>().map_err(|_| PyTypeError::new_err(format!("{}; {}", kind(&value), T::ALLOWED)))?;
+        Ok(Self(vec![one]))
     }
 }
 

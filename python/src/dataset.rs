@@ -11,6 +11,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use serde_json::json;
 
+use crate::arrays::Several;
 use crate::errors::{raised, refused};
 use crate::frame::Frame;
 use crate::lens::Lens;
@@ -91,7 +92,7 @@ pub(crate) fn make_dataset(
     photos: PathBuf,
     folder: PathBuf,
     frame: Option<Raster<'_>>,
-    distances_mm: Vec<f64>,
+    distances_mm: Several<f64>,
     crop: Option<[usize; 2]>,
     crops: usize,
     texels_per_pixel: Option<f64>,
@@ -121,7 +122,7 @@ pub(crate) fn make_dataset(
         _ => Sensor::generic(),
     };
     let settings = Settings {
-        distances_mm,
+        distances_mm: distances_mm.0,
         crops: crop.map(|size| Crops { size, count: crops }),
         texels_per_pixel,
         sensor,

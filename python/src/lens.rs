@@ -16,6 +16,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::analyses::{Kind, Look};
+use crate::arrays::Several;
 use crate::errors::raised;
 use crate::frame::Frame;
 use crate::optimized::Optimized;
@@ -259,15 +260,15 @@ impl Lens {
     ///
     /// Parameters
     /// ----------
-    /// fields_deg : sequence of float, optional
+    /// fields_deg : float or sequence of float, optional
     ///     Field angles at the paraxial entrance pupil. Where left out: `fields` places from the axis to the border, evenly on the sensor.
-    /// distances_mm : sequence of float, optional
+    /// distances_mm : float or sequence of float, optional
     ///     Object distances before the first vertex; inf is allowed. The lens's own where left out.
     /// pitch_um : float, optional
     ///     Pixel pitch; the lens's sensor's where left out.
     /// size : int, optional
     ///     Pixels along a side, odd. Where left out: what holds 99.9 % of the light.
-    /// wavelengths_nm : sequence of float, optional
+    /// wavelengths_nm : float or sequence of float, optional
     ///     One channel a wavelength. Where left out: red, green and blue of the generic sensor.
     /// rays : int
     ///     Rays of a kernel and wavelength.
@@ -281,16 +282,18 @@ impl Lens {
     fn psf(
         &self,
         py: Python<'_>,
-        fields_deg: Option<Vec<f64>>,
-        distances_mm: Option<Vec<f64>>,
+        fields_deg: Option<Several<f64>>,
+        distances_mm: Option<Several<f64>>,
         pitch_um: Option<f64>,
         size: Option<usize>,
         fields: Option<usize>,
-        wavelengths_nm: Option<Vec<f64>>,
+        wavelengths_nm: Option<Several<f64>>,
         rays: Option<usize>,
         dtype: Option<&Bound<'_, PyAny>>,
         like: Option<&Bound<'_, Psf>>,
     ) -> PyResult<Psf> {
+        let [fields_deg, distances_mm, wavelengths_nm] =
+            [fields_deg, distances_mm, wavelengths_nm].map(|list| list.map(|l| l.0));
         let asked = Asked { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays };
         crate::psf::compute(py, &self.inner, asked, dtype, like)
     }
@@ -406,7 +409,7 @@ impl Lens {
     ///
     /// Parameters
     /// ----------
-    /// vary, fix : sequence of str, optional
+    /// vary, fix : str or sequence of str, optional
     ///     Patterns of numbers that move, or do not: "surface[*].curvature", "surface[2].a4". Where left out: curvatures of refracting surfaces, thicknesses.
     /// bounds, constraints : dict, optional
     ///     A number (held), a pair with None for an open end, or text such as "..60", by pattern or by name: {"surface[*].thickness": (1, 8),
@@ -414,29 +417,34 @@ impl Lens {
     /// targets : dict, optional
     ///     (value, weight) by name, the weight in mm of rms a unit.
     /// quality : "spot" or "wavefront"
-    /// distances_mm : sequence of float, optional
+    /// distances_mm : float or sequence of float, optional
     /// iterations : int
     /// minutes : float, optional
     ///     Where the best lens so far is taken.
     ///
     /// Ctrl-C raises KeyboardInterrupt; what was reached is then lost.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
-    #[pyo3(signature = (*, vary = Vec::new(), fix = Vec::new(), bounds = None, constraints = None, targets = None, quality = None,
+    #[pyo3(signature = (*, vary = Several(Vec::new()), fix = Several(Vec::new()), bounds = None, constraints = None, targets = None, quality = None,
         distances_mm = None, iterations = 400, minutes = None))]
     fn optimize(
         &self,
         py: Python<'_>,
-        vary: Vec<String>,
-        fix: Vec<String>,
+        vary: Several<String>,
+        fix: Several<String>,
         bounds: Option<&Bound<'_, PyDict>>,
         constraints: Option<&Bound<'_, PyDict>>,
         targets: Option<&Bound<'_, PyDict>>,
         quality: Option<String>,
-        distances_mm: Option<Vec<f64>>,
+        distances_mm: Option<Several<f64>>,
         iterations: usize,
         minutes: Option<f64>,
     ) -> PyResult<Optimized> {
-        let spec = crate::optimized::spec((vary, fix), (bounds, constraints, targets), quality, distances_mm)?;
+        let spec = crate::optimized::spec(
+            (vary.0, fix.0),
+            (bounds, constraints, targets),
+            quality,
+            distances_mm.map(|l| l.0),
+        )?;
         crate::optimized::optimize(py, &self.inner, &spec, iterations, minutes)
     }
 

@@ -3,7 +3,7 @@
 //! A thin crate over `isoplanat` without its default features. `work.rs` says where work runs (a pool of this process, interpreter free, Ctrl-C
 //! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays of what Python gives. Then one file a class:
 //! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs`, `psf_map.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
-//! `capture.rs`, `dataset.rs`, and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
+//! `capture.rs`, `dataset.rs`, `layer.rs` (which `package/isoplanat/torch.py` wraps), and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
 //! `package/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
 
 mod analyses;
@@ -12,6 +12,7 @@ mod capture;
 mod dataset;
 mod errors;
 mod frame;
+mod layer;
 mod lens;
 mod optimized;
 mod pictures;
@@ -36,6 +37,8 @@ mod _isoplanat {
     use crate::dataset::make_dataset;
     #[pymodule_export]
     use crate::frame::Frame;
+    #[pymodule_export]
+    use crate::layer::{Layer, LayerRecord};
     #[pymodule_export]
     use crate::lens::{Lens, lenses};
     #[pymodule_export]

@@ -33,6 +33,7 @@ def test_pairs_are_the_commands(photos, tmp_path, command):
     assert 1e-4 < np.mean((capture - truth) ** 2) < 0.1
     row = data.rows[1]
     assert row["photo"] == "b.png" and row["distance_mm"] == np.inf and row["seed"] > 0 and data.settings["seed"] == 1
+    assert {d for lens in data.settings["lenses"] for d in lens["distances_mm"]} == {np.inf} == {p["distance_mm"] for p in data.made["plans"]}
     # What is whole stays.
     again = iso.dataset([iso.Lens("cooke_triplet"), iso.Lens("double_gauss")], photos, tmp_path / "py", frame=(96, 64), noise="generic", judge=0.5)
     assert again.made["kept"] == 4 and again.made["made"] == 0

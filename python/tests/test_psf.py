@@ -69,6 +69,18 @@ def test_gradients_are_those_of_differences(name):
         assert apart < 1e-5 * abs(found)
 
 
+def test_one_number_stands_for_a_list_of_it():
+    lens = iso.Lens("cooke_triplet")
+    listed = lens.psf([10.0], [1000.0], size=9, wavelengths_nm=[550.0])
+    for one in (10, 10.0, np.float32(10), np.array(10.0), np.array([10.0]), (10,)):
+        assert (lens.psf(one, 1000, size=9, wavelengths_nm=550).kernels == listed.kernels).all(), repr(one)
+    for wrong in ("10", {}, [[1.0]]):
+        with pytest.raises(TypeError, match="a number, or several in a list") as refused:
+            lens.psf(distances_mm=wrong)
+        assert "distances_mm" in refused.value.__notes__[0]
+    assert lens.optimize(vary="surface[2].thickness", iterations=1).moved.keys() == lens.optimize(vary=["surface[2].thickness"], iterations=1).moved.keys()
+
+
 def test_what_cannot_be_is_refused():
     lens = iso.Lens("cooke_triplet")
     for wrong, text in [

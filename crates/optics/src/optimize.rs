@@ -57,6 +57,8 @@ mod standard;
 pub use constraint::{Constraint, Quantity, Target};
 pub use finish::{Active, Moved, Outcome, Valued};
 pub use merit::{Apertures, Merit, Quality, Reference};
+#[doc(hidden)]
+pub use pattern::parameters;
 pub use problem::{Limits, Problem, Step, Stop};
 #[doc(hidden)]
 pub use solver::Refused;

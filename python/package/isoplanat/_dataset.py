@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,6 +28,17 @@ def _value(name: str, text: str) -> Any:
     if not text:
         return None
     return int(text) if name in _WHOLE else float(text)
+
+
+def _with_inf(said: Any, name: str = "") -> Any:
+    """What JSON says, which has no infinity: distances that it gives as null are infinite."""
+    if said is None and name in ("distance_mm", "distances_mm"):
+        return math.inf
+    if isinstance(said, list):
+        return [_with_inf(value, name) for value in said]
+    if isinstance(said, dict):
+        return {key: _with_inf(value, key) for key, value in said.items()}
+    return said
 
 
 class Dataset(Sequence[tuple[_Floats, _Floats]]):
@@ -59,7 +71,7 @@ class Dataset(Sequence[tuple[_Floats, _Floats]]):
             raise FileNotFoundError(f"{about}: reading: no such file; isoplanat.dataset makes data sets")
         if not table.is_file():
             raise FileNotFoundError(f"{table}: reading: no such file; it comes when all parts of the data set are made")
-        self.settings: dict[str, Any] = json.loads(about.read_text(encoding="utf-8"))
+        self.settings: dict[str, Any] = _with_inf(json.loads(about.read_text(encoding="utf-8")))
         with table.open(newline="", encoding="utf-8") as lines:
             self.rows = [{k: _value(k, v) for k, v in row.items()} for row in csv.DictReader(lines)]
         self.made: dict[str, Any] = {}
@@ -106,7 +118,7 @@ def dataset(
     folder: _Path,
     *,
     frame: Frame | tuple[int, int] | None = None,
-    distances_mm: Sequence[float] = (),
+    distances_mm: float | Sequence[float] = (),
     crop: int | tuple[int, int] | None = None,
     crops: int = 1,
     texels_per_pixel: float | None = None,
@@ -136,7 +148,7 @@ def dataset(
         Where the data set is made, or gone on with.
     frame : Frame or (columns, rows), optional
         One frame for all lenses, or so many pixels over each lens's own sensor; each lens's own raster where left out.
-    distances_mm : sequence of float
+    distances_mm : float or sequence of float
         Object distances, each for every lens; inf is allowed. Each lens's own where left out. Lenses are not focused anew: at other distances than their own
         pictures are out of focus.
     crop : int or (columns, rows), optional
@@ -177,7 +189,7 @@ def dataset(
         photos,
         folder,
         frame,
-        [float(d) for d in distances_mm],
+        distances_mm,
         (crop, crop) if isinstance(crop, int) else crop,
         crops,
         texels_per_pixel,
@@ -199,5 +211,5 @@ def dataset(
     if not made["complete"]:
         return None
     data = Dataset(folder)
-    data.made = made
+    data.made = _with_inf(made)
     return data

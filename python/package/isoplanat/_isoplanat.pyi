@@ -14,6 +14,8 @@ __all__ = [
     "STATUS",
     "Capture",
     "Frame",
+    "Layer",
+    "LayerRecord",
     "Lens",
     "Optimized",
     "Plan",
@@ -62,7 +64,7 @@ def make_dataset(
     photos: _File,
     folder: _File,
     frame: Frame | tuple[int, int] | None,
-    distances_mm: Sequence[float],
+    distances_mm: float | Sequence[float],
     crop: tuple[int, int] | None,
     crops: int,
     texels_per_pixel: float | None,
@@ -100,6 +102,44 @@ class Frame:
     def __reduce__(self) -> tuple[Any, ...]: ...
 
 @final
+class Layer:
+    def __new__(
+        cls,
+        lens: Lens,
+        frame: Frame | None,
+        distances_mm: float | Sequence[float] | None,
+        trainable: str | Sequence[str],
+        illuminant: str | None,
+    ) -> Layer: ...
+    @property
+    def names(self) -> list[str]: ...
+    @property
+    def values(self) -> list[float]: ...
+    @property
+    def distances_mm(self) -> list[float]: ...
+    @property
+    def reach_px(self) -> int: ...
+    @property
+    def frame(self) -> Frame: ...
+    def lens(self, values: NDArray[np.float64]) -> Lens: ...
+    def replanned(self, values: NDArray[np.float64]) -> Layer: ...
+    def record(
+        self,
+        values: NDArray[np.float64],
+        scenes: ArrayLike,
+        distances: Sequence[int],
+        places: Sequence[tuple[int, int]],
+        margin: int,
+    ) -> tuple[_Floats, _Floats, LayerRecord]: ...
+    def __copy__(self) -> Layer: ...
+    def __deepcopy__(self, _memo: Any) -> Layer: ...
+    def __reduce__(self) -> tuple[Any, ...]: ...
+
+@final
+class LayerRecord:
+    def vjp(self, captures_bar: ArrayLike, truths_bar: ArrayLike) -> NDArray[np.float64]: ...
+
+@final
 class Lens:
     def __new__(cls, file: _File, *, glasses: Sequence[_File] = ...) -> Lens: ...
     @staticmethod
@@ -131,13 +171,13 @@ class Lens:
     ) -> Rays: ...
     def psf(
         self,
-        fields_deg: Sequence[float] | NDArray[np.float64] | None = None,
-        distances_mm: Sequence[float] | NDArray[np.float64] | None = None,
+        fields_deg: float | Sequence[float] | NDArray[np.float64] | None = None,
+        distances_mm: float | Sequence[float] | NDArray[np.float64] | None = None,
         pitch_um: float | None = None,
         size: int | None = None,
         *,
         fields: int | None = None,
-        wavelengths_nm: Sequence[float] | NDArray[np.float64] | None = None,
+        wavelengths_nm: float | Sequence[float] | NDArray[np.float64] | None = None,
         rays: int | None = None,
         dtype: _DType | None = None,
         like: Psf | None = None,
@@ -176,13 +216,13 @@ class Lens:
     def optimize(
         self,
         *,
-        vary: Sequence[str] = ...,
-        fix: Sequence[str] = ...,
+        vary: str | Sequence[str] = ...,
+        fix: str | Sequence[str] = ...,
         bounds: Mapping[str, _Bounds] | None = None,
         constraints: Mapping[str, _Bounds] | None = None,
         targets: Mapping[str, tuple[float, float]] | None = None,
         quality: Literal["spot", "wavefront"] | None = None,
-        distances_mm: Sequence[float] | None = None,
+        distances_mm: float | Sequence[float] | None = None,
         iterations: int = 400,
         minutes: float | None = None,
     ) -> Optimized: ...

@@ -12,7 +12,7 @@ use isoplanat_base::error::{Error, Result};
 ///
 /// # Errors
 /// A pattern that names nothing, or numbers that no variable may be.
-pub(crate) fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
+pub fn parameters(lens: &Lens, pattern: &str, file: &str) -> Result<Vec<Parameter>> {
     let n = lens.indices(lens.wavelengths.primary_nm);
     let several = pattern.contains('*') || pattern.contains("..");
     let meant = |p: &Parameter| !several || !p.kind.is_shape() || n[p.of] != n[p.of + 1];

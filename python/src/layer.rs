@@ -1,0 +1,373 @@
+//! `Layer`: patches of many scenes through one lens whose numbers move, with the gradient by those numbers: what `isoplanat.torch` stands on.
+
+use std::sync::Arc;
+
+use isoplanat::imaging::render::{RenderPlan, Rendered, Settings};
+use isoplanat::imaging::scene::placement::{Placement, Scale};
+use isoplanat::lens::variables::Variables;
+use isoplanat::psf::{OpticsBar, SensorMap};
+use isoplanat::{Error, Plane, Region, Renderer, Result, Sensor, SpectralDensity};
+use ndarray::{Array3, Array4, ArrayView4, Axis, Ix4, s};
+use numpy::{PyArray1, PyReadonlyArray1};
+use pyo3::prelude::*;
+use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
+
+use crate::arrays::{Floats, Number, Several, Whole, given, wrong_shape};
+use crate::errors::{refused, vergence};
+use crate::frame::Frame;
+use crate::lens::Lens;
+use crate::render::{light, standing};
+use crate::work::work;
+
+/// A lens whose numbers move, and how patches of scenes are rendered through it.
+#[pyclass(frozen, module = "isoplanat._isoplanat")]
+pub(crate) struct Layer {
+    inner: Arc<Planned>,
+}
+
+struct Planned {
+    /// The lens that the plan was made for; numbers that move are put into it.
+    lens: isoplanat::Lens,
+    variables: Variables,
+    plan: RenderPlan,
+    /// Where scenes lie, a distance each.
+    maps: Vec<SensorMap>,
+    frame: Frame,
+    illuminant: Option<String>,
+}
+
+/// A patch before the lens, rendered.
+struct Patch<T: Number> {
+    scene: Plane,
+    rendered: Rendered<T>,
+}
+
+enum Kept {
+    Single(Vec<Patch<f32>>),
+    Double(Vec<Patch<f64>>),
+}
+
+/// What the patches of a batch keep for their gradient.
+#[pyclass(frozen, module = "isoplanat._isoplanat")]
+pub(crate) struct LayerRecord {
+    planned: Arc<Planned>,
+    renderer: Renderer,
+    lens: isoplanat::Lens,
+    kept: Kept,
+}
+
+/// What a batch is asked for.
+struct Batch<'a> {
+    /// Texels around a patch, on each side, that its blur sees.
+    margin: usize,
+    /// The distance of each.
+    depths: &'a [usize],
+    /// First row and column of each patch in the frame.
+    places: &'a [[usize; 2]],
+}
+
+impl Planned {
+    /// The lens with these numbers.
+    fn with(&self, values: &[f64]) -> Result<isoplanat::Lens> {
+        if values.len() != self.variables.parameters.len() {
+            let found = format!("{} of them", values.len());
+            return Err(Error::bad("", "numbers", found, self.variables.parameters.len().to_string()));
+        }
+        self.variables.lens(&self.lens, values)
+    }
+
+    fn scene<T: Number>(&self, batch: &Batch<'_>, b: usize, texture: ndarray::ArrayView3<'_, T>) -> (Plane, Region) {
+        let (_, rows, cols) = texture.dim();
+        let [row, col] = batch.places[b];
+        let (rows, cols) = (rows - 2 * batch.margin, cols - 2 * batch.margin);
+        let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows, cols };
+        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+        let middle = |first: usize, n: usize| first as f64 + 0.5 * n as f64;
+        // A texel a pixel there: the scene's middle in the patch's.
+        let place = Placement {
+            texel: [middle(batch.margin, cols), middle(batch.margin, rows)],
+            pixel: [middle(col, cols), middle(row, rows)],
+            scale: Scale::There(1.0),
+        };
+        let texture = texture.mapv(|v| v.to_double() as f32);
+        (place.by(&self.maps[batch.depths[b]], &self.frame.inner, texture), region)
+    }
+
+    fn rendered<T: Number>(&self, renderer: &Renderer, batch: &Batch<'_>, scenes: ArrayView4<'_, T>) -> Vec<Patch<T>> {
+        let all: Vec<usize> = (0..batch.depths.len()).collect();
+        let one = |b: &usize| {
+            isoplanat::stop::look();
+            let (scene, region) = self.scene(batch, *b, scenes.index_axis(Axis(0), *b));
+            let rendered = renderer.record::<T>(&scene, batch.depths[*b], region);
+            Patch { scene, rendered }
+        };
+        all.par_iter().map(one).collect()
+    }
+}
+
+/// Pictures and ideals of patches `[patch, channel, row, col]`.
+fn stacked<T: Number>(patches: &mut [Patch<T>]) -> [Array4<T>; 2] {
+    let (_, rows, cols) = patches.first().map_or((3, 0, 0), |p| p.rendered.image.dim());
+    let mut all = [(); 2].map(|()| Array4::from_elem((patches.len(), 3, rows, cols), T::zero()));
+    for (b, patch) in patches.iter_mut().enumerate() {
+        let parts = [std::mem::take(&mut patch.rendered.image), std::mem::take(&mut patch.rendered.truth)];
+        for (to, from) in all.iter_mut().zip(parts) {
+            to.index_axis_mut(Axis(0), b).assign(&from);
+        }
+    }
+    all
+}
+
+#[pymethods]
+impl Layer {
+    #[new]
+    #[pyo3(signature = (lens, frame, distances_mm, trainable, illuminant))]
+    fn new(
+        py: Python<'_>,
+        lens: &Bound<'_, Lens>,
+        frame: Option<&Bound<'_, Frame>>,
+        distances_mm: Option<Several<f64>>,
+        trainable: Several<String>,
+        illuminant: Option<String>,
+    ) -> PyResult<Self> {
+        let lens = lens.get().inner.clone();
+        let frame = frame.map(|f| f.get().clone());
+        let distances = distances_mm.map_or_else(|| vec![lens.object_vergence.recip()], |d| d.0);
+        if distances.is_empty() {
+            return Err(refused("distances_mm", "none", "one or more"));
+        }
+        let vergences = distances.iter().map(|d| vergence("distances_mm", *d)).collect::<PyResult<Vec<f64>>>()?;
+        let light = light(illuminant.as_deref())?;
+        let inner = work(py, || {
+            let frame = frame.map_or_else(|| Frame::of(&lens), Ok)?;
+            // Every distance has to have a real image.
+            vergences.iter().try_for_each(|v| standing(&lens, &frame, *v).map(drop))?;
+            let lens = standing(&lens, &frame, vergences[0])?;
+            let mut parameters = Vec::new();
+            for pattern in &trainable.0 {
+                let more = isoplanat::optimize::parameters(&lens, pattern, "trainable")?;
+                parameters.extend(more.into_iter().filter(|p| !parameters.contains(p)).collect::<Vec<_>>());
+            }
+            if parameters.is_empty() {
+                return Err(Error::bad("", "trainable", "none", "names or patterns of the lens's numbers"));
+            }
+            // Numbers are as the lens has them.
+            let variables = Variables { scales: vec![1.0; parameters.len()], parameters };
+            let density = SpectralDensity::under(&Sensor::generic(), light)?;
+            let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, Settings::DESIGN)?;
+            Ok(Planned { lens, variables, plan: renderer.plan, maps: renderer.optics.maps, frame, illuminant })
+        })?;
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// The numbers that move, by name.
+    #[getter]
+    fn names(&self) -> Vec<String> {
+        self.inner.variables.parameters.iter().map(|p| p.name(&self.inner.lens)).collect()
+    }
+
+    /// The numbers, in the order of their names.
+    #[getter]
+    fn values(&self) -> Vec<f64> {
+        self.inner.variables.values(&self.inner.lens)
+    }
+
+    /// Object distances, mm.
+    #[getter]
+    fn distances_mm(&self) -> Vec<f64> {
+        self.inner.plan.depths.iter().map(|d| d.vergence.recip()).collect()
+    }
+
+    /// How far a pixel's light comes from at most, in pixels.
+    #[getter]
+    fn reach_px(&self) -> usize {
+        self.inner.plan.depths.iter().map(|d| d.reach_px()).max().unwrap_or(0)
+    }
+
+    #[getter]
+    fn frame(&self) -> Frame {
+        self.inner.frame.clone()
+    }
+
+    /// The lens with these numbers.
+    fn lens(&self, py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<Lens> {
+        let values = values.as_array().to_vec();
+        Ok(work(py, || self.inner.with(&values))?.into())
+    }
+
+    /// The same for the lens with these numbers: how large its kernels are and where they stand, and where scenes lie before it.
+    fn replanned(&self, py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<Self> {
+        let values = values.as_array().to_vec();
+        let inner = work(py, || {
+            let lens = self.inner.with(&values)?;
+            let renderer = Renderer::replanned(&lens, &self.inner.plan)?;
+            let Planned { variables, frame, illuminant, .. } = &*self.inner;
+            let (variables, frame, illuminant) = (variables.clone(), frame.clone(), illuminant.clone());
+            Ok(Planned { lens, variables, plan: renderer.plan, maps: renderer.optics.maps, frame, illuminant })
+        })?;
+        Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// It does not change.
+    fn __copy__(slf: Py<Self>) -> Py<Self> {
+        slf
+    }
+
+    fn __deepcopy__(slf: Py<Self>, _memo: &Bound<'_, PyAny>) -> Py<Self> {
+        slf
+    }
+
+    /// Planned anew for its lens.
+    #[expect(clippy::type_complexity, reason = "what pickle asks for")]
+    fn __reduce__<'py>(
+        slf: &Bound<'py, Self>,
+    ) -> (Bound<'py, PyAny>, (Lens, Frame, Vec<f64>, Vec<String>, Option<String>)) {
+        let own = slf.get();
+        let Planned { lens, frame, illuminant, .. } = &*own.inner;
+        let arguments = (lens.clone().into(), frame.clone(), own.distances_mm(), own.names(), illuminant.clone());
+        (slf.get_type().into_any(), arguments)
+    }
+
+    /// Captures and truths of a batch, and its record.
+    ///
+    /// Parameters
+    /// ----------
+    /// values : array [n]
+    /// scenes : array [patch, 3, row, col]
+    /// distances : sequence of int
+    ///     Which of `distances_mm`, a patch each.
+    /// places : sequence of (row, column)
+    ///     First pixel of each patch in the frame.
+    /// margin : int
+    ///     Texels on each side that are seen by the blur alone.
+    fn record(
+        &self,
+        py: Python<'_>,
+        values: PyReadonlyArray1<'_, f64>,
+        scenes: &Bound<'_, PyAny>,
+        distances: Vec<usize>,
+        places: Vec<[usize; 2]>,
+        margin: usize,
+    ) -> PyResult<(Py<PyAny>, Py<PyAny>, LayerRecord)> {
+        let values = values.as_array().to_vec();
+        let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
+        let (&[count, 3, rows, columns], true) = (floats.shape(), floats.shape().first() > Some(&0)) else {
+            return Err(wrong_shape("scenes", floats.shape(), "[patch, 3, row, column], with one or more"));
+        };
+        let sides = [rows, columns].map(|n| n.checked_sub(2 * margin).filter(|n| *n > 0));
+        let [Some(rows), Some(columns)] = sides else {
+            return Err(refused("margin", margin, format!("less than half of {rows} rows and {columns} columns")));
+        };
+        for (name, n) in [("distance_mm", distances.len()), ("place", places.len())] {
+            if n != count {
+                return Err(refused(name, format!("{n} of them"), format!("one of each of {count} scenes")));
+            }
+        }
+        let frame = &self.inner.frame.inner;
+        let inside = |[row, column]: &[usize; 2]| {
+            row.checked_add(rows).is_some_and(|end| end <= frame.rows)
+                && column.checked_add(columns).is_some_and(|end| end <= frame.columns)
+        };
+        if let Some([row, column]) = places.iter().find(|p| !inside(p)) {
+            let allowed =
+                format!("a patch of {rows} × {columns} within {} rows and {} columns", frame.rows, frame.columns);
+            return Err(refused("place", format!("({row}, {column})"), allowed));
+        }
+        if let Some(k) = distances.iter().find(|k| **k >= self.inner.plan.depths.len()) {
+            return Err(refused("distances", k, format!("0 to {}", self.inner.plan.depths.len() - 1)));
+        }
+        let batch = Batch { margin, depths: &distances, places: &places };
+        let double = matches!(floats, Floats::Double(_));
+        if double {
+            self.recorded::<f64>(py, &values, &floats, &batch, Kept::Double)
+        } else {
+            self.recorded::<f32>(py, &values, &floats, &batch, Kept::Single)
+        }
+    }
+}
+
+impl Layer {
+    fn recorded<T: Number>(
+        &self,
+        py: Python<'_>,
+        values: &[f64],
+        floats: &Floats<'_>,
+        batch: &Batch<'_>,
+        keep: fn(Vec<Patch<T>>) -> Kept,
+    ) -> PyResult<(Py<PyAny>, Py<PyAny>, LayerRecord)> {
+        let cast = floats.cast::<T>();
+        let scenes = cast.view();
+        let planned = self.inner.clone();
+        let (all, renderer, lens, mut patches) = work(py, || {
+            let scenes = scenes.into_dimensionality::<Ix4>().map_err(|e| Error::Internal(e.to_string()))?;
+            if let Some((place, v)) = scenes.indexed_iter().find(|(_, v)| !v.is_finite()) {
+                let place = format!("scenes, {place:?}");
+                return Err(Error::bad("", place, v.to_double().to_string(), "finite light"));
+            }
+            let lens = planned.with(values)?;
+            let renderer = Renderer::new(&lens, &planned.plan)?;
+            let mut patches = planned.rendered(&renderer, batch, scenes);
+            Ok((stacked(&mut patches), renderer, lens, patches))
+        })?;
+        patches.shrink_to_fit();
+        let [captures, truths] = all;
+        let record = LayerRecord { planned: self.inner.clone(), renderer, lens, kept: keep(patches) };
+        Ok((given(py, captures), given(py, truths), record))
+    }
+}
+
+#[pymethods]
+impl LayerRecord {
+    /// The gradient of a loss by the numbers, from those by captures and truths `[patch, channel, row, col]`; patches add up in their order.
+    fn vjp<'py>(
+        &self,
+        py: Python<'py>,
+        captures_bar: &Bound<'_, PyAny>,
+        truths_bar: &Bound<'_, PyAny>,
+    ) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        let bars = [
+            Floats::of(captures_bar, "captures_bar", Whole::Taken)?,
+            Floats::of(truths_bar, "truths_bar", Whole::Taken)?,
+        ];
+        let gradient = match &self.kept {
+            Kept::Single(patches) => self.pulled(py, patches, &bars)?,
+            Kept::Double(patches) => self.pulled(py, patches, &bars)?,
+        };
+        Ok(PyArray1::from_vec(py, gradient))
+    }
+}
+
+impl LayerRecord {
+    fn pulled<T: Number>(&self, py: Python<'_>, patches: &[Patch<T>], bars: &[Floats<'_>; 2]) -> PyResult<Vec<f64>> {
+        let (_, rows, columns) = patches.first().map_or((3, 0, 0), |p| p.rendered.illumination.dim());
+        let shape = [patches.len(), 3, rows, columns];
+        for (bar, name) in bars.iter().zip(["captures_bar", "truths_bar"]) {
+            if bar.shape() != shape {
+                return Err(wrong_shape(name, bar.shape(), &format!("that of the captures, {shape:?}")));
+            }
+        }
+        let cast = bars.each_ref().map(Floats::cast::<T>);
+        let views = cast.each_ref().map(|c| c.view());
+        let renderer = &self.renderer;
+        work(py, || {
+            let [captures, truths] = views.map(|v| v.into_dimensionality::<Ix4>());
+            let (captures, truths) = match (captures, truths) {
+                (Ok(a), Ok(b)) => (a, b),
+                (Err(e), _) | (_, Err(e)) => return Err(Error::Internal(e.to_string())),
+            };
+            let all: Vec<usize> = (0..patches.len()).collect();
+            let one = |b: &usize| {
+                isoplanat::stop::look();
+                let Patch { scene, rendered } = &patches[*b];
+                let [capture, truth] = [captures, truths].map(|bar| bar.slice_move(s![*b, .., .., ..]));
+                let nothing = Array3::from_elem(truth.dim(), T::zero());
+                renderer.vjp(scene, rendered, capture, truth, nothing.view())
+            };
+            let bars: Vec<OpticsBar> = all.par_iter().map(one).collect();
+            let mut total = OpticsBar::zeros(&renderer.optics);
+            bars.iter().for_each(|bar| total.add(bar));
+            let gradient = renderer.lens_gradient(&self.lens, &total);
+            Ok(self.planned.variables.gradient(&gradient))
+        })
+    }
+}

@@ -1,0 +1,172 @@
+"""The lens as a layer of PyTorch."""
+
+import copy
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+
+import isoplanat as iso
+from conftest import difference, direction
+
+with warnings.catch_warnings():
+    # Of torch's own parts.
+    warnings.simplefilter("ignore")
+    torch = pytest.importorskip("torch", reason="torch is not installed")
+    from isoplanat.torch import LensLayer
+
+
+def frame_of(lens, columns=96, rows=64, spread=600):
+    """A raster of `spread` pixels over the diagonal of the lens's own sensor, of which it takes a part around the axis."""
+    own = lens.frame
+    return iso.Frame(columns, rows, float(np.hypot(own.columns, own.rows) * own.pitch_um / spread))
+
+
+def smooth(shape, seed):
+    """Scenes without edges, so that a difference of small steps is that of a smooth function."""
+    rng = np.random.default_rng(seed)
+    i, j = np.mgrid[: shape[-2], : shape[-1]]
+    waves = [0.2 * np.sin(rng.uniform(0.075, 0.3) * i + rng.uniform(0.075, 0.3) * j + rng.uniform(0, 6)) for _ in range(2 * shape[0] * shape[1])]
+    return torch.tensor(0.5 + np.sum(np.reshape(waves, (2, *shape)), 0), dtype=torch.float64)
+
+
+@pytest.mark.parametrize("distance", [1000.0, float("inf")])
+@pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss", "two_element"])
+def test_gradients_are_those_of_differences(name, distance):
+    lens = iso.Lens(name)
+    layer = LensLayer(lens, frame_of(lens), distances_mm=[3000.0, distance], trainable="surface[*].*")
+    # Farther than light comes from: where a scene goes on with its border there are kinks.
+    margin = 16
+    assert layer.reach_px < margin
+    scenes, places = smooth((3, 3, 40 + 2 * margin, 32 + 2 * margin), 1), [(0, 0), (20, 61), (7, 30)]
+    rng = np.random.default_rng(7)
+
+    def both():
+        return layer(scenes, [distance, distance, 3000.0], places, margin=margin)
+
+    captures, truths = both()
+    assert captures.shape == truths.shape == (3, 3, 40, 32) and captures.dtype == torch.float64
+    # A smooth loss: differences of one that jumps from pixel to pixel are those of its noise.
+    bars = [torch.tensor(np.cumsum(np.cumsum(rng.normal(size=captures.shape), -1), -2)) for _ in range(2)]
+    loss = sum((a * b).sum() for a, b in zip((captures, truths), bars))
+    loss.backward()
+    gradient = {n: float(g) for kind, names in layer.names.items() for n, g in zip(names, layer.numbers[kind].grad)}
+    start = {kind: number.detach().clone() for kind, number in layer.numbers.items()}
+
+    def moved(along, by):
+        with torch.no_grad():
+            for kind, names in layer.names.items():
+                layer.numbers[kind].copy_(start[kind] + by * torch.tensor([along.get(n, 0.0) for n in names], dtype=torch.float64))
+            return sum(float((a * b).sum()) for a, b in zip(both(), bars))
+
+    for seed in [1, 2]:
+        along = direction(lens, gradient, seed)
+        assert len(along) >= 5
+        ours = sum(gradient[n] * step for n, step in along.items())
+        found, apart = difference(lambda by: moved(along, by), 1e-3)
+        assert ours == pytest.approx(found, rel=1e-6, abs=2 * apart), (seed, apart)
+        assert apart < 1e-5 * abs(found)
+
+
+def test_a_patch_is_that_part_of_the_picture():
+    lens, photo = iso.Lens("cooke_triplet"), iso.scene("facades", 128, 192)
+    frame = frame_of(lens, 192, 128)
+    layer = LensLayer(lens, frame, distances_mm=2000).eval()
+    picture, truth = iso.render(lens, photo, frame, distance_mm=2000, min_psnr_db=60, texels_per_pixel=1)
+    row, column, side = 48, 80, 32
+    margin = min(layer.reach_px + 4, row)
+    part = photo[:, row - margin : row + side + margin, column - margin : column + side + margin]
+    with torch.no_grad():
+        captures, truths = layer(torch.tensor(part)[None], margin=margin)
+    for ours, wanted in [(captures, picture), (truths, truth)]:
+        error = ours[0].numpy() - wanted[:, row : row + side, column : column + side]
+        assert ours.dtype == torch.float32 and np.mean(error**2) < 1e-4, np.mean(error**2)
+
+
+def test_it_behaves_as_a_module():
+    lens = iso.Lens("cooke_triplet")
+    layer = LensLayer(lens, frame_of(lens, 32, 32), trainable=["surface[*].curvature", "surface[1].thickness"])
+    assert list(layer.numbers) == ["curvature", "thickness"] and layer.names["thickness"] == ["surface[1].thickness"]
+    assert layer.lens.parameters == lens.parameters
+    scenes = smooth((2, 3, 24, 24), 3).float()
+    before = [t.detach() for t in layer(scenes)]
+    for cast in (layer.half(), layer.bfloat16(), layer.float(), layer.to("cpu", torch.float16)):
+        assert all(n.dtype == torch.float64 for n in cast.parameters())
+    with torch.autocast("cpu", torch.bfloat16):
+        assert all((a == b).all() and a.dtype == torch.float32 for a, b in zip(layer(scenes), before))
+    # Copies are their own; a state goes from one to the other.
+    twin, other = copy.deepcopy(layer), pickle.loads(pickle.dumps(layer))
+    with torch.no_grad():
+        twin.numbers["curvature"].mul_(1.01)
+        assert not (twin(scenes)[0] == before[0]).all() and (layer(scenes)[0] == before[0]).all()
+    assert torch.allclose(other(scenes)[0], before[0], atol=1e-6)
+    layer.load_state_dict(twin.state_dict())
+    twin.replan()
+    assert (layer(scenes)[0] == twin(scenes)[0]).all()
+    assert layer.lens.parameters["surface[0].curvature"] == lens.parameters["surface[0].curvature"] * 1.01
+    # Under torch.compile the graph breaks at the layer, and goes on.
+    compiled = torch.compile(lambda s: layer(s)[0].square().mean(), backend="eager")
+    compiled(scenes).backward()
+    assert layer.numbers["curvature"].grad.abs().sum() > 0
+    # A parameter that the loss does not see has zeros.
+    layer.zero_grad()
+    (0.0 * layer(scenes)[0]).sum().backward()
+    assert (layer.numbers["thickness"].grad == 0).all()
+    assert "6 curvature, 1 thickness; 1 distances, frame 32 × 32" in repr(layer)
+
+
+def test_a_lens_is_trained():
+    lens = iso.Lens("cooke_triplet")
+    off = lens.replace({"surface[5].thickness": lens.parameters["surface[5].thickness"] + 0.6})
+    layer = LensLayer(off, frame_of(lens, 64, 64, 2400), trainable="surface[5].thickness", replan_every=5)
+    scenes = torch.tensor(np.stack([iso.scene("text", 64, 64, seed=k) for k in range(2)]))
+    steps = torch.optim.Adam(layer.parameters(), lr=0.04)
+    losses = []
+    for _ in range(30):
+        captures, truths = layer(scenes, margin=8)
+        loss = (captures - truths).square().mean()
+        steps.zero_grad()
+        loss.backward()
+        steps.step()
+        losses.append(float(loss))
+    assert losses[-1] < 0.2 * losses[0], losses
+    found = layer.lens.parameters["surface[5].thickness"] - lens.parameters["surface[5].thickness"]
+    assert abs(found) < 0.15, found
+
+
+def test_what_cannot_be_is_refused():
+    lens = iso.Lens("cooke_triplet")
+    layer = LensLayer(lens, frame_of(lens, 32, 32), distances_mm=[1000, float("inf")])
+    scenes = torch.zeros(2, 3, 24, 24)
+    for arguments, options, kind, text in [
+        ((scenes[0],), {}, ValueError, r"scenes: shape \(3, 24, 24\); \[B, 3, H, W\]"),
+        ((scenes.byte(),), {}, TypeError, "scenes: torch.uint8; linear light"),
+        ((scenes.clone().requires_grad_(),), {}, ValueError, "scenes: they ask for a gradient"),
+        ((scenes * float("nan"),), {}, ValueError, "scenes.*NaN; finite light"),
+        ((scenes, 500.0), {}, ValueError, "distance_mm: 500; one of 1000, inf"),
+        ((scenes, [1000.0]), {}, ValueError, "distance_mm: 1 of them; one of each of 2 scenes"),
+        ((scenes, None, [(0, 9), (0, 8)]), {}, ValueError, r"place: \(0, 9\); a patch of 24 × 24 within 32 rows and 32 columns"),
+        ((scenes, None, [(-1, 0), (0, 8)]), {}, ValueError, r"place: \(-1.0, 0.0\); whole rows and columns from 0, within 32 and 32"),
+        ((scenes, None, torch.tensor([[1.0, 0.5], [0, 8]])), {}, ValueError, r"place: \(1.0, 0.5\)"),
+        ((scenes, float("nan")), {}, ValueError, "distance_mm: nan"),
+        ((scenes, 0), {}, ValueError, "distance_mm: 0"),
+        ((scenes,), {"margin": 12}, ValueError, "margin: 12; 0 to less than half"),
+        ((scenes,), {"margin": -1}, ValueError, "margin: -1"),
+        ((scenes[:0],), {}, ValueError, "one or more"),
+        ((torch.zeros(1, 3, 48, 48),), {}, ValueError, "scenes: patches of 48 × 48 pixels; at most the frame, 32 × 32"),
+    ]:
+        with pytest.raises(kind, match=text):
+            layer(*arguments, **options)
+    for options, text in [
+        ({"trainable": "surface[9].curvature"}, "trainable"),
+        ({"trainable": []}, "trainable: none"),
+        ({"distances_mm": [10.0]}, "front focal point"),
+        ({"distances_mm": []}, "distances_mm: none"),
+    ]:
+        with pytest.raises(ValueError, match=text):
+            LensLayer(lens, **options)
+    with torch.no_grad():
+        layer.numbers["curvature"][0] = float("nan")
+    with pytest.raises(ValueError, match="curvature"):
+        layer(scenes)
