@@ -11,6 +11,9 @@ use isoplanat::{Error, Result, atomic};
 use crate::named::Named;
 use crate::output::Common;
 
+/// Lenses by the names that they are listed under.
+type Listed = Vec<(String, Lens)>;
+
 /// The file that tells a folder of this command.
 const MARKER: &str = "lenses.csv";
 
@@ -60,7 +63,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     Err(Error::bad("lenses", "", found, "the others are listed").into())
 }
 
-fn shipped() -> Result<Vec<(String, Lens)>> {
+fn shipped() -> Result<Listed> {
     builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), builtin::lens(name)?))).collect()
 }
 
@@ -68,8 +71,8 @@ fn shipped() -> Result<Vec<(String, Lens)>> {
 ///
 /// # Errors
 /// That of the first, where none can be read.
-fn given(names: &[Named]) -> Result<(Vec<(String, Lens)>, Vec<Error>)> {
-    let mut all: Vec<(String, Lens)> = Vec::new();
+fn given(names: &[Named]) -> Result<(Listed, Vec<Error>)> {
+    let mut all = Listed::new();
     let mut left_out = Vec::new();
     for name in names {
         let lens = match crate::input::lens(name) {

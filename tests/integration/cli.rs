@@ -1,6 +1,6 @@
 //! Every command of the program on good and on bad input: exit codes, one-line errors, nothing half-written.
 
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::support::{Workplace, read_json, root};
 
