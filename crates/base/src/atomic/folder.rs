@@ -111,6 +111,13 @@ impl Move<'_> {
             }
             self.kind.allows(self.folder, self.target, self.replace)?;
             keep_mode(self.target, temporary.path());
+            // An empty folder gives way to the move itself, which is refused where something is in it by then.
+            if cfg!(unix) && entries::is_empty(self.target) {
+                match rename::over(temporary.path(), self.target) {
+                    Err(e) if is_taken(&e) => continue,
+                    moved => return moved.map_err(|e| self.failed(e)),
+                }
+            }
             match rename::exchange(temporary.path(), self.target) {
                 Ok(()) => {}
                 // It has gone meanwhile.
@@ -119,7 +126,7 @@ impl Move<'_> {
                 Err(e) => return Err(self.failed(e)),
             }
             // What gave way has a name now that nobody knows: whatever came into it until then is seen.
-            let late = self.kind.allows(self.folder, temporary.path(), self.replace);
+            let late = self.kind.allows(self.folder, temporary.path(), Replace::Always);
             if late.is_err() {
                 rename::exchange(temporary.path(), self.target).map_err(|e| {
                     temporary.disown();

@@ -70,6 +70,27 @@ fn an_empty_folder_gives_way() {
     }
 }
 
+/// What comes into an empty folder in the last moment stays, and nothing else comes beside it.
+#[test]
+fn an_entry_that_comes_last_keeps_its_folder() {
+    for without in [&[][..], NFS] {
+        let (place, folder) = place();
+        fs::create_dir(&folder).expect("made");
+        let note = folder.join("b");
+        let faults = Faults::set(move |at| {
+            if at == "rename" {
+                fs::write(&note, "another's").expect("writes");
+            }
+            without.contains(&at).then(|| Errno::NOSYS.into())
+        });
+        let refused = put_folder(&folder, Replace::Never, "one");
+        drop(faults);
+        assert!(matches!(refused, Err(Error::Exists(_))), "{refused:?}");
+        assert_eq!(names(&folder), ["b"]);
+        assert_eq!(names(place.path()), ["run"], "nothing is left beside");
+    }
+}
+
 #[test]
 fn foreign_entries_are_named_and_kept() {
     let (place, folder) = place();
