@@ -246,7 +246,11 @@ fn faults_at_each_call_leave_the_old_or_the_new() {
     all.drain(..from().min(possible));
     all.truncate(most);
     let mut met = 0;
-    for (j, c, f, n) in all {
+    for (done, (j, c, f, n)) in all.into_iter().enumerate() {
+        // A run that is ended says how far it came.
+        if done > 0 && done % 25 == 0 {
+            eprintln!("{done} of {most} from {} on, all as they are to be", from());
+        }
         let (job, (kind, calls), (what, fault)) = (&JOBS[j], CALLS[c], FAULTS[f]);
         let told = format!("{}: {what} at {kind} {n}", job.name);
         let place = ready(job, &made);
