@@ -41,6 +41,17 @@ fn lenses_lists_and_writes_the_shipped_lenses() {
     assert_eq!(place.files(), ["all", "all.csv", "foreign"]);
 }
 
+/// A shell that stands in an empty folder keeps it; another empty folder is as good as none.
+#[test]
+fn the_folder_one_stands_in_is_not_replaced() {
+    let place = Workplace::new();
+    place.run("lenses cooke_triplet -o .").refused(&[".: output: the folder that the program was started in"]);
+    assert_eq!(place.files(), [""; 0]);
+    std::fs::create_dir(place.path("all")).expect("made");
+    place.run("lenses cooke_triplet -o all").done();
+    assert!(place.path("all/cooke_triplet.toml").is_file());
+}
+
 /// A folder of files with some that cannot be read: the others are listed, each of these has its line, and the run says that it is not all.
 #[test]
 fn lenses_leaves_out_what_cannot_be_read() {

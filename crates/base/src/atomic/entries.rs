@@ -59,7 +59,21 @@ impl<'a> FolderKind<'a> {
     /// # Errors
     /// [`Error::Exists`]; entries that are not of this kind.
     pub(super) fn allows(&self, folder: &Path, target: &Path, replace: Replace) -> Result<()> {
-        if target.symlink_metadata().is_err() || is_empty(target) {
+        if target.symlink_metadata().is_err() {
+            return Ok(());
+        }
+        if is_empty(target) {
+            // Whoever stands in it would stand in a folder that is gone.
+            let here = std::env::current_dir().and_then(|here| here.canonicalize());
+            if here.is_ok_and(|here| target.canonicalize().is_ok_and(|t| t == here)) {
+                let found = "the folder that the program was started in";
+                return Err(Error::bad(
+                    folder.display().to_string(),
+                    "output",
+                    found,
+                    "a folder inside it, or another name",
+                ));
+            }
             return Ok(());
         }
         if replace == Replace::Never {
