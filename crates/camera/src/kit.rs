@@ -520,6 +520,7 @@ pub(crate) mod tests {
         kit.save(&folder, true).expect("replaces");
         let other = dir.path().join("other");
         std::fs::create_dir(&other).expect("creates");
+        std::fs::write(other.join("notes"), "mine").expect("writes");
         assert!(matches!(kit.save(&other, true), Err(Error::BadInput { .. })), "a folder that is no kit stays");
         assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 2, "nothing half-written is left");
     }
