@@ -9,6 +9,7 @@ use isoplanat::math::memory::Limit;
 use isoplanat::{CaptureSettings, DngInfo, Sensor, SpectralDensity, write_dng};
 use numpy::PyReadonlyArray2;
 use pyo3::prelude::*;
+use pyo3::types::PyDict;
 
 use crate::arrays::given;
 use crate::errors::{raised, refused, vergence};
@@ -49,6 +50,22 @@ pub(crate) struct Capture {
     sensor: Sensor,
     lens: String,
     seed: u64,
+}
+
+/// What a sensor's file says, or "generic": cfa, full_well_electrons, read_noise_electrons, neutral_response, bits, black_level, white_level.
+#[pyfunction]
+pub(crate) fn sensor_facts(py: Python<'_>, sensor: PathBuf) -> PyResult<Py<PyDict>> {
+    let sensor =
+        if sensor.as_os_str() == "generic" { Sensor::generic() } else { Sensor::load(&sensor).map_err(raised)? };
+    let facts = PyDict::new(py);
+    facts.set_item("cfa", sensor.cfa.name())?;
+    facts.set_item("full_well_electrons", sensor.full_well_electrons)?;
+    facts.set_item("read_noise_electrons", sensor.read_noise_electrons)?;
+    facts.set_item("neutral_response", sensor.neutral_response.to_vec())?;
+    facts.set_item("bits", sensor.bits)?;
+    facts.set_item("black_level", sensor.black_level)?;
+    facts.set_item("white_level", sensor.white_level)?;
+    Ok(facts.unbind())
 }
 
 #[pymethods]

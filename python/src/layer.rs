@@ -25,15 +25,18 @@ pub(crate) struct Layer {
     inner: Arc<Planned>,
 }
 
-struct Planned {
+#[derive(Clone)]
+pub(crate) struct Planned {
     /// The lens that the plan was made for; numbers that move are put into it.
     lens: isoplanat::Lens,
-    variables: Variables,
-    plan: RenderPlan,
+    pub(crate) variables: Variables,
+    pub(crate) plan: RenderPlan,
     /// Where scenes lie, a distance each.
-    maps: Vec<SensorMap>,
-    frame: Frame,
+    pub(crate) maps: Vec<SensorMap>,
+    pub(crate) frame: Frame,
     illuminant: Option<String>,
+    /// How often it was planned anew.
+    pub(crate) generation: u64,
 }
 
 /// A patch before the lens, rendered.
@@ -68,12 +71,22 @@ struct Batch<'a> {
 
 impl Planned {
     /// The lens with these numbers.
-    fn with(&self, values: &[f64]) -> Result<isoplanat::Lens> {
+    pub(crate) fn with(&self, values: &[f64]) -> Result<isoplanat::Lens> {
         if values.len() != self.variables.parameters.len() {
             let found = format!("{} of them", values.len());
             return Err(Error::bad("", "numbers", found, self.variables.parameters.len().to_string()));
         }
         self.variables.lens(&self.lens, values)
+    }
+
+    /// The same plan around `lens`, which opened or closed surfaces of it.
+    pub(crate) fn based(&self, lens: &isoplanat::Lens) -> Result<Self> {
+        let base = self.lens.changed(|l| {
+            for (to, from) in l.surfaces.iter_mut().zip(&lens.surfaces) {
+                *to = from.clone();
+            }
+        })?;
+        Ok(Self { lens: base, ..self.clone() })
     }
 
     fn scene<T: Number>(&self, batch: &Batch<'_>, b: usize, texture: ndarray::ArrayView3<'_, T>) -> (Plane, Region) {
@@ -118,6 +131,28 @@ fn stacked<T: Number>(patches: &mut [Patch<T>]) -> [Array4<T>; 2] {
     all
 }
 
+/// The numbers of `lens` that names and patterns mean, and their values.
+fn chosen(lens: &isoplanat::Lens, patterns: &[String]) -> Result<Variables> {
+    let mut parameters = Vec::new();
+    for pattern in patterns {
+        let more = isoplanat::optimize::parameters(lens, pattern, "trainable")?;
+        parameters.extend(more.into_iter().filter(|p| !parameters.contains(p)).collect::<Vec<_>>());
+    }
+    if parameters.is_empty() {
+        return Err(Error::bad("", "trainable", "none", "names or patterns of the lens's numbers"));
+    }
+    // Numbers are as the lens has them.
+    Ok(Variables { scales: vec![1.0; parameters.len()], parameters })
+}
+
+/// Names and values of a lens's numbers, those of names or patterns such as "surface[*].curvature".
+#[pyfunction]
+pub(crate) fn numbers_of(lens: &Bound<'_, Lens>, trainable: Several<String>) -> PyResult<(Vec<String>, Vec<f64>)> {
+    let lens = &lens.get().inner;
+    let variables = crate::work::here(|| chosen(lens, &trainable.0))?;
+    Ok((variables.parameters.iter().map(|p| p.name(lens)).collect(), variables.values(lens)))
+}
+
 #[pymethods]
 impl Layer {
     #[new]
@@ -143,19 +178,18 @@ impl Layer {
             // Every distance has to have a real image.
             vergences.iter().try_for_each(|v| standing(&lens, &frame, *v).map(drop))?;
             let lens = standing(&lens, &frame, vergences[0])?;
-            let mut parameters = Vec::new();
-            for pattern in &trainable.0 {
-                let more = isoplanat::optimize::parameters(&lens, pattern, "trainable")?;
-                parameters.extend(more.into_iter().filter(|p| !parameters.contains(p)).collect::<Vec<_>>());
-            }
-            if parameters.is_empty() {
-                return Err(Error::bad("", "trainable", "none", "names or patterns of the lens's numbers"));
-            }
-            // Numbers are as the lens has them.
-            let variables = Variables { scales: vec![1.0; parameters.len()], parameters };
+            let variables = chosen(&lens, &trainable.0)?;
             let density = SpectralDensity::under(&Sensor::generic(), light)?;
             let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, Settings::DESIGN)?;
-            Ok(Planned { lens, variables, plan: renderer.plan, maps: renderer.optics.maps, frame, illuminant })
+            Ok(Planned {
+                lens,
+                variables,
+                plan: renderer.plan,
+                maps: renderer.optics.maps,
+                frame,
+                illuminant,
+                generation: 0,
+            })
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -189,6 +223,18 @@ impl Layer {
         self.inner.frame.clone()
     }
 
+    /// The lens that numbers are put into.
+    #[getter]
+    fn base(&self) -> Lens {
+        self.inner.lens.clone().into()
+    }
+
+    /// The same around a lens whose surfaces were opened.
+    #[pyo3(name = "based")]
+    fn based_on(&self, lens: &Bound<'_, Lens>) -> PyResult<Self> {
+        Ok(crate::work::here(|| self.inner.based(&lens.get().inner))?.into())
+    }
+
     /// The lens with these numbers.
     fn lens(&self, py: Python<'_>, values: PyReadonlyArray1<'_, f64>) -> PyResult<Lens> {
         let values = values.as_array().to_vec();
@@ -203,7 +249,8 @@ impl Layer {
             let renderer = Renderer::replanned(&lens, &self.inner.plan)?;
             let Planned { variables, frame, illuminant, .. } = &*self.inner;
             let (variables, frame, illuminant) = (variables.clone(), frame.clone(), illuminant.clone());
-            Ok(Planned { lens, variables, plan: renderer.plan, maps: renderer.optics.maps, frame, illuminant })
+            let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.inner.generation + 1);
+            Ok(Planned { lens, variables, plan, maps, frame, illuminant, generation })
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -286,7 +333,17 @@ impl Layer {
     }
 }
 
+impl From<Planned> for Layer {
+    fn from(planned: Planned) -> Self {
+        Self { inner: Arc::new(planned) }
+    }
+}
+
 impl Layer {
+    pub(crate) fn planned(&self) -> Arc<Planned> {
+        self.inner.clone()
+    }
+
     fn recorded<T: Number>(
         &self,
         py: Python<'_>,

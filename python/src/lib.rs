@@ -3,7 +3,7 @@
 //! A thin crate over `isoplanat` without its default features. `work.rs` says where work runs (a pool of this process, interpreter free, Ctrl-C
 //! looked for); `errors.rs` makes exceptions of the library's errors, `arrays.rs` arrays of what Python gives. Then one file a class:
 //! `lens.rs` (with `optimized.rs`, `analyses.rs`, `rays.rs`, `psf.rs`, `psf_map.rs` for what its methods give), `frame.rs`, `render.rs` (with `record.rs`),
-//! `capture.rs`, `dataset.rs`, `layer.rs` (which `package/isoplanat/torch.py` wraps), and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
+//! `capture.rs`, `dataset.rs`, `layer.rs` and `steps.rs` (which `package/isoplanat/torch` and `jax.py` wrap), and `pictures.rs` for files and generated scenes. The docstrings that users read stand here and in
 //! `package/isoplanat/_isoplanat.pyi`, whose signatures are compared with these.
 
 mod analyses;
@@ -21,6 +21,7 @@ mod psf_map;
 mod rays;
 mod record;
 mod render;
+mod steps;
 mod work;
 
 use pyo3::prelude::*;
@@ -32,13 +33,13 @@ mod _isoplanat {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use crate::capture::{Capture, capture};
+    use crate::capture::{Capture, capture, sensor_facts};
     #[pymodule_export]
     use crate::dataset::make_dataset;
     #[pymodule_export]
     use crate::frame::Frame;
     #[pymodule_export]
-    use crate::layer::{Layer, LayerRecord};
+    use crate::layer::{Layer, LayerRecord, numbers_of};
     #[pymodule_export]
     use crate::lens::{Lens, lenses};
     #[pymodule_export]
@@ -53,6 +54,8 @@ mod _isoplanat {
     use crate::record::Record;
     #[pymodule_export]
     use crate::render::{Plan, Render};
+    #[pymodule_export]
+    use crate::steps::Steps;
     #[pymodule_export]
     use crate::work::{set_threads, threads};
 

@@ -1,7 +1,7 @@
 //! Where work runs: a pool of this process, with the interpreter free, a look for Ctrl-C every few hundredths of a second, and no panic that Python
 //! would see.
 //!
-//! The pool belongs to one process: threads do not survive a fork, so that a forked worker makes one of its own, of one thread. The table of pools is locked
+//! The pool belongs to one process: threads do not survive a fork, so that a forked worker makes one of its own, of one thread. Where `torchrun` has started several processes each takes its share of the cores. The table of pools is locked
 //! only by threads that hold the interpreter, which a fork holds as well: no child finds it locked. Work of several Python threads takes turns, so that
 //! Ctrl-C ends what it was meant for.
 
@@ -86,6 +86,17 @@ pub(crate) fn start() {
     });
 }
 
+/// Threads of one of the processes that `torchrun` started on a machine: its share of the cores. 0: nobody says that there are several, or
+/// `RAYON_NUM_THREADS` says how many.
+fn share() -> usize {
+    let number = |name: &str| std::env::var(name).ok().and_then(|text| text.trim().parse::<usize>().ok());
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    match (number("RAYON_NUM_THREADS").filter(|n| *n > 0), number("LOCAL_WORLD_SIZE").filter(|n| *n > 1)) {
+        (None, Some(processes)) => (cores / processes).max(1),
+        _ => 0,
+    }
+}
+
 /// `threads` of them; 0: as many as `RAYON_NUM_THREADS` or the machine says.
 fn made(threads: usize) -> PyResult<Arc<Threads>> {
     let token = Token::default();
@@ -117,7 +128,7 @@ fn own(_py: Python<'_>) -> PyResult<Arc<Threads>> {
         return Ok(threads.clone());
     }
     let forked = IMPORTED.get().is_some_and(|first| *first != pid);
-    let threads = made(usize::from(forked))?;
+    let threads = made(if forked { 1 } else { share() })?;
     put(&mut own, threads.clone());
     Ok(threads)
 }

@@ -46,6 +46,8 @@ def no_warnings():
     """A warning that nobody asked for is a failure."""
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        # Of JAX, once its tests have imported it: no worker here uses it.
+        warnings.filterwarnings("ignore", message=r"os\.fork\(\) was called", category=RuntimeWarning)
         yield
 
 

@@ -86,6 +86,14 @@ def test_threads_take_turns_and_agree():
             assert (other == one).all()
 
 
+def test_processes_of_one_machine_share_its_cores():
+    for told, wanted in [({"LOCAL_WORLD_SIZE": "2"}, max(1, os.cpu_count() // 2)), ({"LOCAL_WORLD_SIZE": "2", "RAYON_NUM_THREADS": "3"}, 3)]:
+        environment = {k: v for k, v in os.environ.items() if k not in ("RAYON_NUM_THREADS", "LOCAL_WORLD_SIZE")}
+        command = [sys.executable, "-c", "import isoplanat as iso; iso.Lens('tessar').spot(); print(iso.threads())"]
+        done = subprocess.run(command, env={**environment, **told}, capture_output=True, text=True, check=True)
+        assert int(done.stdout) == wanted, told
+
+
 def test_results_do_not_depend_on_the_number_of_threads():
     lens, photo, frame = iso.Lens("cooke_triplet"), iso.scene("mixed", 60, 90), iso.Frame(48, 32, 750.0)
     before = iso.threads()

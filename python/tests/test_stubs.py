@@ -9,10 +9,11 @@ import pytest
 
 def test_stubs_are_those_of_the_module(tmp_path):
     pytest.importorskip("mypy", reason="mypy is not installed")
-    (tmp_path / "allowed").write_text("isoplanat.torch\n")
-    # PyTorch and its types are where they are wanted, and not needed for the rest.
-    without = "[mypy-torch.*]\nignore_missing_imports = True\n[mypy-isoplanat.torch]\nignore_errors = True\n"
-    (tmp_path / "mypy.ini").write_text("[mypy]\n" + ("" if importlib.util.find_spec("torch") else without))
+    (tmp_path / "allowed").write_text("isoplanat\\.(torch|jax).*\n")
+    # PyTorch, JAX and their types are where they are wanted, and not needed for the rest.
+    without = "[mypy-{0}.*]\nignore_missing_imports = True\n[mypy-isoplanat.{0}.*]\nignore_errors = True\n"
+    missing = [name for name in ("torch", "jax") if not importlib.util.find_spec(name)]
+    (tmp_path / "mypy.ini").write_text("[mypy]\n" + "".join(without.format(name) for name in missing))
     commands = [
         ["mypy.stubtest", "isoplanat", "--allowlist", "allowed", "--ignore-unused-allowlist", "--mypy-config-file", "mypy.ini"],
         ["mypy", "--strict", "-p", "isoplanat", "--config-file", "mypy.ini"],

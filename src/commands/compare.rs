@@ -264,10 +264,11 @@ fn cameras(args: &Args, task: &Task, first: &Lens) -> Result<Vec<Camera>> {
     let others = args.other.as_ref().map_or(&args.against[..], std::slice::from_ref);
     for named in others {
         // A name that is none is a slip; a lens that has no place here is an outcome.
-        let lens = crate::input::lens(named)?;
+        let lens = crate::input::one_of_lenses(named)?;
         let seen = crate::input::in_band(&lens, &density, named);
         lenses.push((named.clone(), seen.and_then(|()| place.put(&lens))));
     }
+    crate::glasses::all_taken()?;
     let mut cameras = Vec::new();
     for (named, lens) in lenses {
         for kind in &args.networks {

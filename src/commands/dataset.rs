@@ -143,6 +143,7 @@ impl Args {
             input::in_band(&lens, &density, argument)?;
             lenses.push((name, lens));
         }
+        crate::glasses::all_taken()?;
         let noise_level = match self.noise_level[..] {
             [] => [1.0, 1.0],
             [level] => [level, level],

@@ -107,6 +107,7 @@ fn chain(args: &Args, folder: &Path) -> Result<DemoReport> {
     let task = &settings.task;
     crate::tell!("about {} on two cores", if args.quick { "40 seconds" } else { "5 minutes" });
     let start = task.lens(crate::glasses::all())?;
+    crate::glasses::all_taken()?;
     let (sensor, frame) = (task.sensor()?, frame_of(&start)?);
     let stages = memory::of_design(task)?.max(memory::of_training(task)?);
     let tiles = task.train.config()?.forward_bytes(settings.tile).saturating_mul(threads() as u64);

@@ -82,6 +82,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     folder::check(folder, force)?;
     let (task, file) = (ready(args, path)?, path.display().to_string());
     let lens = task.first(&file)?.lens(crate::glasses::all())?;
+    crate::glasses::all_taken()?;
     drawable(args, &lens)?;
     start(task, &lens, &file, options, out)
 }
@@ -380,6 +381,7 @@ fn check(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     allowed(&parts[0], &file)?;
     parts.iter().try_for_each(|part| possible(part, &file))?;
     let lens = parts[0].lens(crate::glasses::all())?;
+    crate::glasses::all_taken()?;
     drawable(args, &lens)?;
     if !args.common.json {
         writeln!(out, "{file}: nothing was written")?;

@@ -257,7 +257,7 @@ fn drawn(args: &Args, run: &Judged, pictures: &Pictures, folder: &Path, out: &mu
     // Draws that were no lens have no file.
     let lens = |name: &str| -> Result<Option<isoplanat::lens::Lens>> {
         let path = folder.join(name);
-        path.is_file().then(|| crate::input::lens(&path.display().to_string())).transpose()
+        path.is_file().then(|| crate::input::one_of_lenses(&path.display().to_string())).transpose()
     };
     let named = |k: usize| lens(&tolerance::draw(k)).map(|lens| (tolerance::draw(k), lens));
     let built =

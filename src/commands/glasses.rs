@@ -36,6 +36,20 @@ pub(crate) fn set(files: &[PathBuf], instead: &[String]) -> Result<()> {
     Ok(())
 }
 
+/// Whether this run takes glasses in the place of others.
+#[cfg(feature = "train")]
+pub(crate) fn are_replaced() -> bool {
+    all().are_replaced()
+}
+
+/// Refuses a `--glass-for` whose name no lens had that was read so far: it would change nothing.
+///
+/// # Errors
+/// There is one.
+pub(crate) fn all_taken() -> Result<()> {
+    all().all_taken().map_err(|e| e.of_file("--glass-for"))
+}
+
 /// The glasses of this run.
 pub(crate) fn all() -> &'static Glasses {
     GLASSES.get().unwrap_or_else(|| Glasses::shipped())

@@ -21,11 +21,21 @@ use isoplanat::{Error, Result, atomic};
 use crate::glasses;
 use crate::named::Named;
 
-/// The lens named on the command line: a file of any form that is read, or a shipped lens by its bare name.
+/// The one lens named on the command line: a file of any form that is read, or a shipped lens by its bare name.
+///
+/// # Errors
+/// As [`one_of_lenses`]; a glass of `--glass-for` that it does not name.
+pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+    let lens = one_of_lenses(name_or_path)?;
+    glasses::all_taken()?;
+    Ok(lens)
+}
+
+/// [`lens`], where others may name the glasses of `--glass-for`: whoever read all of them asks [`glasses::all_taken`].
 ///
 /// # Errors
 /// A file that cannot be read or is no lens, surfaces that overlap where light goes; where neither a file nor a shipped lens has that name, both are said.
-pub(crate) fn lens(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
+pub(crate) fn one_of_lenses(name_or_path: &(impl AsRef<Path> + ?Sized)) -> Result<Lens> {
     let path = name_or_path.as_ref();
     let Imported { lens, notes } = interchange::lens_or_file(path, glasses::all(), glasses::reading())?;
     let toml = path.extension().is_none_or(|e| e == "toml");

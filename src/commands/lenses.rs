@@ -41,6 +41,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
         atomic::check_folder(folder, MARKER, args.common.force)?;
     }
     let (lenses, left_out) = if args.lens.is_empty() { (shipped()?, Vec::new()) } else { given(&args.lens)? };
+    crate::glasses::all_taken()?;
     let library = Library::new(lenses.iter().cloned());
     if let Some(folder) = &args.output {
         atomic::write_folder(folder, MARKER, args.common.force, |folder| fill(folder, &library, &lenses))?;
@@ -64,7 +65,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
 }
 
 fn shipped() -> Result<Listed> {
-    builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), builtin::lens(name)?))).collect()
+    builtin::LENSES.iter().map(|(name, _)| Ok(((*name).to_owned(), crate::input::one_of_lenses(name)?))).collect()
 }
 
 /// The named lenses, each called as its file, files of one name told apart by numbers; and why others cannot be read.
@@ -75,7 +76,7 @@ fn given(names: &[Named]) -> Result<(Listed, Vec<Error>)> {
     let mut all = Listed::new();
     let mut left_out = Vec::new();
     for name in names {
-        let lens = match crate::input::lens(name) {
+        let lens = match crate::input::one_of_lenses(name) {
             Ok(lens) => lens,
             Err(Error::Interrupted) => return Err(Error::Interrupted),
             Err(e) => {

@@ -32,6 +32,7 @@ mod evaluate;
 mod export;
 mod focus;
 mod glasses;
+mod idle;
 mod input;
 mod inspect;
 #[cfg(all(feature = "train", feature = "deploy"))]
@@ -299,19 +300,26 @@ fn run() -> ExitCode {
     glasses::set_reading(Reading { strict, configuration });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
-    let ready = outputs::check(&Cli::command(), &words);
+    let ready = outputs::check(&Cli::command(), &words).and_then(|()| idle::check(&words));
     let ready = ready
         .and_then(|()| check_environment())
         .and_then(|()| memory::set(memory_gib))
         .and_then(|()| glasses::set(&glass, &glass_for));
     let ready = ready.and_then(|()| of_one_configuration(&command, configuration)).map_err(anyhow::Error::from);
-    let Err(error) = ready.and_then(|()| dispatch(command, &mut out)).and_then(|()| Ok(out.flush()?)) else {
+    let Err(error) = ready
+        .and_then(|()| dispatch(command, &mut out))
+        .and_then(|()| Ok(out.flush()?))
+        // Of commands that read no lens, or many.
+        .and_then(|()| Ok(glasses::all_taken()?))
+    else {
         return ExitCode::SUCCESS;
     };
     // Whoever reads our output may stop reading: that is no error.
     if error.downcast_ref::<std::io::Error>().is_some_and(|e| e.kind() == ErrorKind::BrokenPipe) {
         return ExitCode::SUCCESS;
     }
-    crate::tell!("error: {}", format!("{error:#}").replace('\n', " "));
+    // Everything but standard output is written under its name.
+    let of = if error.downcast_ref::<std::io::Error>().is_some() { "standard output: " } else { "" };
+    crate::tell!("error: {of}{}", format!("{error:#}").replace('\n', " "));
     ExitCode::from(error.downcast_ref::<Error>().map_or(1, Error::exit_code))
 }

@@ -178,6 +178,9 @@ fn of_kit(
     use isoplanat::report::measured::kit::measured;
 
     let kit = Kit::load(folder)?;
+    if let Some(doubt) = kit.doubt() {
+        crate::tell!("warning: {}: {doubt}", folder.display());
+    }
     kit.require(&crate::input::lens(file)?, file)?;
     let options = Options { onnxruntime: onnxruntime.map(Path::to_owned), ..Options::default() };
     // A kit may be anybody's.

@@ -121,6 +121,7 @@ impl SceneArgs {
     pub(crate) fn stage(&self, argument: &Named) -> Result<Stage> {
         check_texels(self.texels_per_pixel)?;
         let lens = self.raster.lens(argument, false)?;
+        crate::glasses::all_taken()?;
         let lens = match self.depth_mm {
             Some(depth) => at_depth(lens, depth, argument)?,
             None => lens,
@@ -177,9 +178,9 @@ impl SceneArgs {
 }
 
 impl RasterArgs {
-    /// The lens that `argument` names, on the raster of the command line; with `whole_field` the pixels grow until they span its file's sensor.
+    /// The lens that `argument` names, one of several perhaps, on the raster of the command line; with `whole_field` the pixels grow until they span its file's sensor.
     pub(crate) fn lens(&self, argument: &Named, whole_field: bool) -> Result<Lens> {
-        let lens = self.f_number.applied(input::lens(argument)?, argument)?;
+        let lens = self.f_number.applied(input::one_of_lenses(argument)?, argument)?;
         let raster = lens.sensor;
         let changed = self.columns.is_some() || self.rows.is_some();
         let (columns, rows) = (self.columns.unwrap_or(raster.columns), self.rows.unwrap_or(raster.rows));

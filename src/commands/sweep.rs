@@ -62,6 +62,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let task = Task::load(&args.task)?;
     let file = args.task.display().to_string();
     let (task, lens) = varied(&task, index, crate::glasses::all(), &file)?;
+    crate::glasses::all_taken()?;
     std::fs::create_dir_all(folder).map_err(|e| Error::writing(folder, e))?;
     let options = design::RunOptions { force: args.force, ..design::RunOptions::of_folder(&run, args.json) };
     design::designed(task, &lens, &file, options, out)

@@ -63,6 +63,10 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             crate::input::of_task(&task)?;
             let instead = "a smaller patch_px, batch, base_width, region_px or folder";
             crate::memory::limit().allow("the training", memory::of_training(&task)?, instead)?;
+            if crate::glasses::are_replaced() {
+                task.lens(crate::glasses::all())?;
+                crate::glasses::all_taken()?;
+            }
             Training::create(task, &args.output, args.common.force, args.device, crate::glasses::all())?
         }
         None => {

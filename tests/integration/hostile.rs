@@ -173,7 +173,7 @@ fn a_full_standard_output_is_told() {
     let output = command.stdout(full).output().expect("runs");
     assert_eq!(output.status.code(), Some(1));
     let said = String::from_utf8_lossy(&output.stderr).into_owned();
-    assert!(said.starts_with("error: ") && said.lines().count() == 1, "{said}");
+    assert!(said.starts_with("error: standard output: ") && said.lines().count() == 1, "{said}");
     let mut command = Command::new("sh");
     command.arg("-c").arg("\"$0\" inspect cooke_triplet | true; echo ${PIPESTATUS:-0}");
     let output = command.arg(env!("CARGO_BIN_EXE_isoplanat")).output().expect("runs");

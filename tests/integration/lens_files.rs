@@ -383,6 +383,24 @@ fn commands_take_any_file_and_convert_writes_them() {
     assert!(ran.code == 0 && ran.out.contains("SSK4A"), "{}", ran.err);
     let ran = place.run("inspect s.zmx --glass-for SSK4");
     assert!(ran.code == 2 && ran.err.contains("--glass-for"), "{}", ran.err);
+    // In every form of a file, of a shipped lens too, and however the name is spelled; a name that no surface has is refused.
+    place.run("convert cooke_triplet c.zmx").done();
+    place.run("convert cooke_triplet c.seq").done();
+    let focal_length = |ran: &crate::support::Ran| {
+        ran.out.lines().find(|l| l.starts_with("effective focal length")).map(str::to_owned)
+    };
+    let wanted = focal_length(&place.run("inspect cooke_triplet --glass-for N-SK16=N-BK7"));
+    assert!(wanted.as_ref().is_some_and(|l| l.contains("100.09")), "{wanted:?}");
+    for file in ["cooke_triplet", "c.zmx", "c.seq"] {
+        for name in ["N-SK16", "SCHOTT/N-SK16", "NSK16_SCHOTT", "nsk16"] {
+            let ran = place.run(&format!("inspect {file} --glass-for {name}=N-BK7"));
+            assert_eq!(focal_length(&ran), wanted, "{file} {name}: {}", ran.err);
+        }
+        let ran = place.run(&format!("inspect {file} --glass-for N-SK1=N-BK7"));
+        assert!(ran.code == 2 && ran.err.contains("`N-SK1`") && ran.err.contains("SK16"), "{file}: {}", ran.err);
+    }
+    let ran = place.run("lenses c.zmx cooke_triplet --glass-for N-SK1=N-BK7");
+    assert!(ran.code == 2 && ran.err.contains("`N-SK1`"), "{}", ran.err);
 }
 
 /// What the stop of a file's aperture is, by each way of stating it.

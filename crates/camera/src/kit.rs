@@ -5,7 +5,7 @@
 //! KIT/model.onnx   the network, its card in the metadata
 //! KIT/filters.npz  what a guided network sees beside the capture: Wiener filters, point spread functions
 //! ```
-//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration; 4 is written where a kit states what it is for, else 3.
+//! Kits of schema 1 (without filters) and 2 lack the hash of the calibration, which is told; 4 is written where a kit states what it is for, else 3.
 //! A kit is loaded whole or refused: unknown keys, a newer schema, a missing file, a model that is not the one the kit
 //! was written with, a network trained for another lens.
 
@@ -72,6 +72,8 @@ pub struct Kit {
     pub guide: Guide,
     /// The file of what the guide holds of the lens, and the file's bytes.
     pub filters: Option<(FilterEntry, Vec<u8>)>,
+    /// Whether the calibration was held against a hash: kits of schema 1 and 2 have none, and whoever changes a calibration leaves it out.
+    pub(crate) hashed: bool,
 }
 
 /// What a kit's guided network knows of its lens: Wiener filters, point spread functions.
@@ -228,6 +230,7 @@ impl Kit {
             model_bytes: model,
             guide,
             filters,
+            hashed: true,
         };
         kit.check("kit")?;
         Ok(kit)
@@ -284,6 +287,7 @@ impl Kit {
             model_bytes,
             guide,
             filters: file_of,
+            hashed: file.calibration_sha256.is_some(),
         };
         kit.check(&own)?;
         let (found, stated) = (kit.calibration_sha256()?, file.calibration_sha256);
@@ -296,6 +300,14 @@ impl Kit {
             return Err(Error::bad(own, "calibration_sha256", found, allowed));
         }
         Ok(kit)
+    }
+
+    /// What is to be told of the kit before it is used.
+    #[doc(hidden)]
+    pub fn doubt(&self) -> Option<&'static str> {
+        let doubt = "its kit.toml has no calibration_sha256, as of an older version or a calibration changed by hand: \
+                     distortion, shading and sensor are taken as they are";
+        (!self.hashed).then_some(doubt)
     }
 
     /// The model's file, as errors name it.
@@ -471,130 +483,4 @@ fn short(hash: &str) -> String {
 }
 
 #[cfg(test)]
-pub(crate) mod tests {
-    use super::*;
-    use crate::test_model;
-
-    /// A kit whose network is the small U-Net of the tests.
-    pub(crate) fn kit(columns: usize, rows: usize) -> Kit {
-        let mut card = ModelCard::for_unet("test", 4, 3);
-        card.lens_name = "Cooke triplet".into();
-        card.lens_sha256 = sha256_hex(b"lens");
-        let metadata = card.to_metadata();
-        let entries: Vec<(&str, &str)> = metadata.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-        let frame = Frame::centred(columns, rows, 0.006).expect("valid");
-        let max_slope = 1.2 * frame.max_radius_mm() / 50.0;
-        Kit::new(
-            "test kit",
-            LensEntry { name: card.lens_name.clone(), sha256: card.lens_sha256.clone() },
-            test_model::unet(4, 3, &entries),
-            96,
-            Sensor::generic(),
-            frame,
-            Distortion {
-                max_slope,
-                coefficients_mm: [50.0 * max_slope, -2.0 * max_slope, 0.0, 0.0],
-                residual_mm: 1e-4,
-            },
-            Shading::new(vec![0.0, 1.0], [vec![1.0, 0.9], vec![1.0, 0.9], vec![1.0, 0.9]]).expect("valid"),
-            None,
-        )
-        .expect("valid")
-    }
-
-    #[test]
-    fn a_saved_kit_loads_again_and_is_not_overwritten() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let (folder, mut kit) = (dir.path().join("kit"), kit(64, 48));
-        kit.glare = Some(0.08);
-        kit.save(&folder, false).expect("saves");
-        let text = std::fs::read_to_string(folder.join(FILE)).expect("text");
-        std::fs::write(folder.join(FILE), text.replace("glare = 0.08", "glare = 0.8")).expect("writes");
-        let error = Kit::load(&folder).expect_err("too much").to_string();
-        assert!(error.contains("kit.toml") && error.contains("glare") && error.contains("0.8"), "{error}");
-        std::fs::write(folder.join(FILE), text).expect("writes");
-        let back = Kit::load(&folder).expect("loads");
-        assert_eq!(back.to_toml().expect("writes"), kit.to_toml().expect("writes"));
-        assert_eq!((back.card, back.model_bytes), (kit.card.clone(), kit.model_bytes.clone()));
-        assert!(matches!(kit.save(&folder, false), Err(Error::Exists(_))));
-        kit.save(&folder, true).expect("replaces");
-        let other = dir.path().join("other");
-        std::fs::create_dir(&other).expect("creates");
-        std::fs::write(other.join("notes"), "mine").expect("writes");
-        assert!(matches!(kit.save(&other, true), Err(Error::BadInput { .. })), "a folder that is no kit stays");
-        assert_eq!(std::fs::read_dir(dir.path()).expect("lists").count(), 2, "nothing half-written is left");
-    }
-
-    /// Every network a run can have gets tiles that keep something, on small frames and large ones, within memory.
-    #[test]
-    fn tiles_follow_the_network_and_the_frame() {
-        let tile = |width: usize, scales: usize, columns: usize, rows: usize| {
-            let card = ModelCard::for_unet("x", width, scales);
-            let frame = Frame::centred(columns, rows, 0.006).expect("valid");
-            let tile = tile_px(&card, &frame).expect("fits");
-            let tiling = Tiling::new(tile, overlap_px(&card), card.multiple).expect("keeps something");
-            assert!(tiling.efficiency() >= 0.1 && tile >= 3 * card.receptive_radius_px, "{width} {scales}: {tile}");
-            tile
-        };
-        assert_eq!((tile(16, 3, 6000, 4000), tile(32, 3, 960, 640)), (320, 320));
-        // Four times 448; a large frame of a wide network has to do with less.
-        assert_eq!((tile(32, 7, 4096, 512), tile(16, 7, 6000, 4000)), (1792, 1664));
-        assert_eq!(tile(32, 7, 6000, 4000), 1344);
-        for scales in 1..=7 {
-            tile(128, scales, 6000, 4000);
-            tile(1, scales, 1, 1);
-        }
-    }
-
-    #[test]
-    fn each_fault_has_its_own_error() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let good = kit(64, 48).to_toml().expect("writes");
-        let with = |from: &str, to: &str| {
-            assert!(good.contains(from), "{from}\n{good}");
-            good.replacen(from, to, 1)
-        };
-        let cases = [
-            ("unknown key", with("name = \"test kit\"", "name = \"test kit\"\ncolour = 3"), "colour"),
-            ("unknown distortion key", with("residual_mm", "k9 = 1.0\nresidual_mm"), "k9"),
-            ("newer schema", with("schema = 3", "schema = 5\nnews = 1"), "newer isoplanat-camera"),
-            ("no schema", with("schema = 3", ""), "schema"),
-            ("white level", with("white_level = 4095.0", "white_level = 4000.0"), "calibration_sha256"),
-            ("distortion", with("residual_mm = 0.0001", "residual_mm = 0.0002"), "calibration_sha256"),
-            ("lens", with(&sha256_hex(b"lens"), &sha256_hex(b"other")), "trained for"),
-            ("model elsewhere", with("file = \"model.onnx\"", "file = \"../model.onnx\""), "kit's folder"),
-            ("model missing", with("file = \"model.onnx\"", "file = \"none.onnx\""), "none.onnx"),
-            ("demosaic", with(DEMOSAIC, "ahd"), "demosaic"),
-            ("overlap", with("overlap_px = 24", "overlap_px = 8"), "receptive radius"),
-            ("multiple", with("multiple = 4", "multiple = 8"), "multiple"),
-            ("tile", with("tile_px = 96", "tile_px = 40"), "overlap_px"),
-            ("frame", with("columns = 64", "columns = 0"), "columns"),
-            ("sensor", with("bits = 12", "bits = 99"), "bits"),
-            ("no TOML", "= 3".into(), "line 1"),
-        ];
-        for (what, text, words) in cases {
-            let folder = dir.path().join("kit");
-            let _ = std::fs::remove_dir_all(&folder);
-            kit(64, 48).save(&folder, false).expect("saves");
-            std::fs::write(folder.join(FILE), text).expect("writes");
-            let error = Kit::load(&folder).expect_err(what);
-            assert_eq!(error.exit_code(), 2, "{what}");
-            let message = error.to_string();
-            assert!(message.contains(words) && message.contains("kit") && !message.contains('\n'), "{what}: {message}");
-        }
-    }
-
-    #[test]
-    fn a_changed_model_is_refused_by_its_hash() {
-        let dir = tempfile::tempdir().expect("temporary folder");
-        let folder = dir.path().join("kit");
-        kit(64, 48).save(&folder, false).expect("saves");
-        let model = folder.join("model.onnx");
-        let mut bytes = std::fs::read(&model).expect("reads");
-        *bytes.last_mut().expect("not empty") ^= 1;
-        std::fs::write(&model, bytes).expect("writes");
-        assert!(Kit::load(&folder).expect_err("changed").to_string().contains("SHA-256"));
-        assert_eq!(Kit::load(dir.path()).expect_err("no kit").exit_code(), 2);
-        assert_eq!(Kit::load(&dir.path().join("none")).expect_err("no folder").exit_code(), 2);
-    }
-}
+pub(crate) mod tests;

@@ -213,7 +213,7 @@ pub fn lens_or_file(
     match path.to_str().filter(|_| bare && !path.exists()) {
         Some(name) => {
             reading.of_one(name)?;
-            Ok(Imported { lens: builtin::lens(name)?, notes: Vec::new() })
+            own::read(builtin::text(name)?, name, glasses)
         }
         None => load_as(path, glasses, reading),
     }

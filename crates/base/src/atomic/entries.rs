@@ -125,9 +125,17 @@ pub(super) fn is_empty(target: &Path) -> bool {
     fs::read_dir(target).is_ok_and(|mut entries| entries.next().is_none())
 }
 
-/// Writes the list of what is in `folder` into it, and tells what has to reach the disk: files, and folders from the top.
+/// Writes the list of what is in `folder` into it, and tells what has to reach the disk: files, and folders from the top. What a writer within it could not take
+/// away behind itself is no part of the result: it is removed, and not listed where that fails again.
 pub(super) fn record(folder: &Path) -> Result<(Vec<PathBuf>, Vec<PathBuf>)> {
-    let tree = Tree::of(folder, &|_| false)?;
+    let mut tree = Tree::of(folder, &|_| false)?;
+    tree.files.retain(|(_, path)| {
+        let left = path.file_name().is_some_and(name::is_temporary);
+        if left {
+            let _ = fs::remove_file(path);
+        }
+        !left
+    });
     let keys = tree.files.iter().chain(&tree.empty).map(|(path, _)| path.clone());
     let entries = keys.filter(|path| path != MANIFEST).collect();
     let text = toml::to_string(&List { schema: SCHEMA, entries }).map_err(|e| Error::Internal(e.to_string()))?;

@@ -196,7 +196,13 @@ impl Move<'_> {
 /// That reason; a place where nothing can be written.
 pub(super) fn check_movable(folder: &Path, target: &Path) -> Result<()> {
     let failed = |e| Error::writing(folder, e);
-    let probe = TemporaryFolder::beside(target).map_err(failed)?;
+    // A whole folder takes the other's place, which is its parent's to give.
+    let parent = target.parent().unwrap_or(target);
+    let beside = |e: io::Error| {
+        let text = format!("{e}, by the folder {} that it is in", parent.display());
+        failed(io::Error::new(e.kind(), text))
+    };
+    let probe = TemporaryFolder::beside(target).map_err(beside)?;
     fs::write(probe.path().join("probe"), "").map_err(failed)?;
     if !cfg!(unix) {
         return Ok(());
@@ -215,7 +221,7 @@ fn unmoved(folder: &Path, error: io::Error) -> Error {
         ErrorKind::CrossesDevices => {
             "the folder there cannot be moved (it is of a layer below, as in a container's image)"
         }
-        ErrorKind::ResourceBusy => "the folder there cannot be moved (it is a mount point)",
+        ErrorKind::ResourceBusy => "the folder there cannot be moved (it is a mount point: a folder inside it can)",
         _ => return Error::writing(folder, error),
     };
     let text = format!("{why}; remove it or name another output");

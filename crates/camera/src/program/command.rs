@@ -37,6 +37,9 @@ fn work(arguments: &Arguments) -> Result<u8> {
     memory.hold();
     let means = Means { helper: Helper::current()?, memory };
     let kit = arguments.kit.as_deref().map(Kit::load).transpose()?;
+    if let (Some(folder), Some(doubt)) = (&arguments.kit, kit.as_ref().and_then(Kit::doubt)) {
+        crate::program::tell!("isoplanat-camera: {}: {doubt}", folder.display());
+    }
     if let (true, Some(kit)) = (arguments.show_kit, &kit) {
         show::show_kit(kit, arguments.json)?;
         return Ok(0);

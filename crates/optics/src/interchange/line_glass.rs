@@ -37,7 +37,7 @@ impl OfLine {
 
     pub(super) fn resolve(&self, glasses: &Glasses, catalogues: &[String]) -> Result<(Medium, Option<String>)> {
         let name = self.name.as_str();
-        match (glasses.stands_for(name), self.lines) {
+        match (glasses.stands_for(name, catalogues), self.lines) {
             (Some(glass), Some((n_d, v_d))) if glass.eq_ignore_ascii_case(MODEL) => {
                 let told = format!("glass {name}: the model glass of its line, n_d {n_d}, V_d {v_d}");
                 return Ok((cauchy_of_lines(n_d, v_d)?, Some(told)));

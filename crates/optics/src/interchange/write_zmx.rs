@@ -70,7 +70,7 @@ fn ordered(lens: &Lens, glasses: &Glasses, mut names: Vec<String>) -> Result<Vec
     for _ in 0..=names.len() * names.len() {
         let wrong = lens.surfaces.iter().enumerate().find_map(|(i, s)| {
             let (catalogue, name) = glasses.named_as(&s.medium)?;
-            let found = glasses.find(&name, Naming::Foreign(&names));
+            let found = glasses.catalogued(&name, Naming::Foreign(&names));
             // A newer edition of a catalogue may give the glass another range, and the same indices.
             let alike = |m: Medium| colours.iter().all(|nm| (m.index(*nm) - s.medium.index(*nm)).abs() <= 1e-12);
             (!found.is_ok_and(alike)).then_some((i, catalogue))

@@ -14,9 +14,11 @@ use super::dispersion::{Dispersion, Formula};
 use isoplanat_base::error::{Error, Result};
 
 mod agf;
+mod instead;
 mod listed;
 mod page;
 
+use instead::Instead;
 pub use listed::Listed;
 
 /// Stands in a glass's place for the two numbers that a lens file states beside its name.
@@ -63,7 +65,7 @@ struct Catalogue {
 pub struct Glasses {
     catalogues: Vec<Catalogue>,
     /// Names that stand for others because somebody said so.
-    instead: Vec<(String, String)>,
+    instead: Instead,
 }
 
 /// Checks a formula over its range: what stands in a catalogue may be no glass.
@@ -168,7 +170,7 @@ impl Glasses {
             obsolete: bool,
         }
         let file: File = toml::from_str(isoplanat_models::GLASSES).expect("the shipped catalogue is tested");
-        let mut all = Self { catalogues: Vec::new(), instead: Vec::new() };
+        let mut all = Self { catalogues: Vec::new(), instead: Instead::default() };
         for Glass { name, catalogue, formula, coefficients, range_nm, source, obsolete } in file.glass {
             let medium = glass(&name, &source, formula, coefficients, range_nm);
             all.catalogue(&catalogue).entries.push(Entry { name, medium, obsolete });
@@ -224,29 +226,6 @@ impl Glasses {
         Ok(())
     }
 
-    /// Takes `glass` wherever a lens names `name`; refused where `glass` is none. `model` stands for the index and the Abbe number that a
-    /// file states beside the name.
-    ///
-    /// # Errors
-    /// An unknown glass in the place of the other; a glass in the place of air.
-    pub fn take_instead(&mut self, name: &str, glass: &str) -> Result<()> {
-        if name.eq_ignore_ascii_case("air") {
-            return Err(Error::bad("", "medium", "a glass for air", "the name of a glass"));
-        }
-        if !glass.eq_ignore_ascii_case(MODEL) {
-            self.find(glass, Naming::Foreign(&[]))?;
-        }
-        self.instead.push((name.to_owned(), glass.to_owned()));
-        Ok(())
-    }
-
-    /// What is looked up for `name`: without its catalogue, too.
-    pub(crate) fn stands_for(&self, name: &str) -> Option<&str> {
-        let short = name.rsplit('/').next().unwrap_or(name);
-        let is = |stated: &String| stated.eq_ignore_ascii_case(name) || stated.eq_ignore_ascii_case(short);
-        self.instead.iter().find(|(stated, _)| is(stated)).map(|(_, glass)| glass.as_str())
-    }
-
     /// The glass `name`, or `catalogue/name`, which is named as `naming` says; the glass that is taken in its place where somebody said so.
     ///
     /// ```
@@ -261,18 +240,30 @@ impl Glasses {
     /// # Errors
     /// An unknown name (with near ones), several glasses of that name, an entry that is no dispersion. The error names no file.
     pub fn find(&self, name: &str, naming: Naming<'_>) -> Result<Medium> {
-        match self.stands_for(name) {
+        let catalogues = match naming {
+            Naming::Foreign(preferred) => preferred,
+            Naming::Exact | Naming::Own => &[],
+        };
+        match self.stands_for(name, catalogues) {
             Some(glass) if glass.eq_ignore_ascii_case(MODEL) => {
                 let found = format!("no index and no Abbe number of `{name}` in the file");
                 let allowed = "two numbers beside the name, as --glass-for NAME=model takes them";
                 Err(Error::bad("", "medium", found, allowed))
             }
             Some(glass) => self.respelled(glass, &[]),
-            None => match naming {
-                Naming::Own if Self::shipped().has(name) => Self::shipped().listed(name, &[]),
-                Naming::Exact | Naming::Own => self.listed(name, &[]),
-                Naming::Foreign(preferred) => self.respelled(name, preferred),
-            },
+            None => self.catalogued(name, naming),
+        }
+    }
+
+    /// [`Self::find`], whatever is taken in its place: glasses that are no lens's names.
+    ///
+    /// # Errors
+    /// As [`Self::find`].
+    pub(crate) fn catalogued(&self, name: &str, naming: Naming<'_>) -> Result<Medium> {
+        match naming {
+            Naming::Own if Self::shipped().has(name) => Self::shipped().listed(name, &[]),
+            Naming::Exact | Naming::Own => self.listed(name, &[]),
+            Naming::Foreign(preferred) => self.respelled(name, preferred),
         }
     }
 

@@ -178,6 +178,21 @@ fn entries_on_the_list_and_of_the_kind_are_replaced() {
     assert!(text.contains(MANIFEST) && text.contains("schema = 1"), "{text}");
 }
 
+/// What a writer within the folder could not take away behind itself is not part of the result.
+#[test]
+fn leftovers_within_are_not_published() {
+    let (_place, folder) = place();
+    let kind = FolderKind::listed("mark");
+    publish_folder(&folder, &kind, Replace::Never, |at| {
+        fs::write(at.join(".a.abcdefghijkl.lock"), "").expect("left");
+        fs::write(at.join(".a.abcdefghijkl.partial"), "half").expect("left");
+        write_bytes(&at.join("mark"), b"x")
+    })
+    .expect("new");
+    assert_eq!(names(&folder), [MANIFEST, "mark"]);
+    assert!(!fs::read_to_string(folder.join(MANIFEST)).expect("list").contains("abcdefghijkl"));
+}
+
 /// Whatever stands under whatever name beside: nothing of it is in the result.
 #[test]
 fn nothing_planted_enters() {

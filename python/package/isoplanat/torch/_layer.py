@@ -1,18 +1,14 @@
-"""A lens as a layer of PyTorch: what it makes of patches of scenes, with the gradient of one's own loss by the lens's numbers.
+"""A lens as a layer of PyTorch: what it makes of patches of scenes, with the gradient of one's own loss by the lens's numbers."""
 
-Needs ``torch``, which ``import isoplanat`` does not. The optics run on the CPU; tensors come and go on their own devices.
-"""
-
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
 
-from ._isoplanat import Frame, Layer, Lens
-
-__all__ = ["LensLayer"]
+from .._isoplanat import Frame, Layer, Lens
+from ._numbers import Numbers
 
 
 class _Through(torch.autograd.Function):
@@ -34,7 +30,7 @@ class _Through(torch.autograd.Function):
         return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None
 
 
-class LensLayer(nn.Module):
+class LensLayer(Numbers):
     """Patches of scenes through a lens whose numbers are trained: ``captures, truths = layer(scenes, distance_mm, place)``.
 
     Parameters
@@ -69,20 +65,12 @@ class LensLayer(nn.Module):
         illuminant: str | None = None,
         replan_every: int = 25,
     ) -> None:
-        super().__init__()
-        self._core = Layer(lens, frame, distances_mm, trainable, illuminant)
+        core = Layer(lens, frame, distances_mm, trainable, illuminant)
+        super().__init__(core.names, core.values)
+        self._core = core
         self.replan_every = replan_every
         self._passes, self._stale = 0, False
-        all_names, values = self._core.names, self._core.values
-        groups: dict[str, list[int]] = {}
-        for k, name in enumerate(all_names):
-            groups.setdefault(name.rpartition(".")[2], []).append(k)
-        self.names = {kind: [all_names[k] for k in of] for kind, of in groups.items()}
-        numbers = {kind: nn.Parameter(torch.tensor([values[k] for k in of], dtype=torch.float64)) for kind, of in groups.items()}
-        self.numbers = nn.ParameterDict(numbers)
-        # Where each number of the library stands among the groups'.
-        places = [k for of in groups.values() for k in of]
-        self._order = sorted(range(len(places)), key=places.__getitem__)
+        self._valid = self._values().detach().clone()
 
     @property
     def distances_mm(self) -> list[float]:
@@ -104,13 +92,31 @@ class LensLayer(nn.Module):
         """The lens as it is now. Raises ValueError where its numbers are no lens."""
         return self._core.lens(self._values().detach().cpu().numpy())
 
-    def _values(self) -> torch.Tensor:
-        return torch.cat([self.numbers[kind] for kind in self.names])[self._order]
-
     def replan(self) -> None:
-        """Lays kernels out for the lens as it is now, and places scenes before it."""
-        self._core = self._core.replanned(self._values().detach().cpu().numpy())
+        """Lays kernels out for the lens as it is now, and places scenes before it. Raises ValueError where its numbers are no lens; they go back then, as in
+        `forward`."""
+        values = self._values().detach()
+        try:
+            self._core = self._core.replanned(values.cpu().numpy())
+        except ValueError as error:
+            raise self._gone_back(error) from None
         self._passes, self._stale = 0, False
+
+    def _gone_back(self, error: ValueError) -> ValueError:
+        """The error of numbers that are no lens, which go back to those of the last pass; says how far they were from there."""
+        values, kept = self._values().detach().cpu(), self._valid.cpu()
+        if torch.equal(values, kept):
+            return error
+        scale = kept.abs().clamp(min=1e-3 * float(kept.abs().max()))
+        farthest = sorted(range(len(kept)), key=lambda k: -abs(float((values[k] - kept[k]) / scale[k])))[:3]
+        moved = ", ".join(f"{self._all_names[k]} from {float(kept[k]):.6g} to {float(values[k]):.6g}" for k in farthest if values[k] != kept[k])
+        self._set(self._valid)
+        return ValueError(f"{error}; the layer has the numbers of its last pass again; farthest moved since: {moved}")
+
+    def _settle(self, core: Layer, values: torch.Tensor) -> None:
+        """Takes the lens that a step found: its numbers, and surfaces that were opened for its light."""
+        self._core = core
+        self._set(values)
 
     def _which(self, distance_mm: Any, count: int) -> list[int]:
         known = self.distances_mm
@@ -171,26 +177,41 @@ class LensLayer(nn.Module):
         if self._stale or training and self.replan_every and self._passes >= self.replan_every:
             self.replan()
         self._passes += training
+        which = self._which(distance_mm, count)
+        values = self._values()
         with torch.autocast(scenes.device.type, enabled=False):
             given = scenes if scenes.dtype == torch.float64 else scenes.float()
-            through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(  # type: ignore[no-untyped-call]
-                self._values(), given, self._core, self._which(distance_mm, count), places, margin
-            )
+            try:
+                through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(  # type: ignore[no-untyped-call]
+                    values, given, self._core, which, places, margin
+                )
+            except ValueError as error:
+                if self._stands(values):
+                    raise
+                raise self._gone_back(error) from None
+        self._valid = values.detach().clone()
         return through
 
-    def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> "LensLayer":
-        kept = {kind: number.detach().clone() for kind, number in self.numbers.items()}
-        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
-        # To another device they go; other numbers they do not become.
-        for kind, number in self.numbers.items():
-            number.data = kept[kind].to(number.device)
-            if number.grad is not None:
-                number.grad = number.grad.to(torch.float64)
-        return self
+    def _stands(self, values: torch.Tensor) -> bool:
+        """Whether numbers are a lens that makes pictures."""
+        try:
+            self._core.replanned(values.detach().cpu().numpy())
+        except ValueError:
+            return False
+        return True
 
     def _load_from_state_dict(self, *arguments: Any, **options: Any) -> None:
         super()._load_from_state_dict(*arguments, **options)  # type: ignore[no-untyped-call]
         # The numbers come behind this.
+        self._stale = True
+
+    def get_extra_state(self) -> dict[str, str]:
+        """What a checkpoint holds beside the numbers: the lens they are put into, whose surfaces steps may have opened."""
+        return {"lens": self._core.base.to_toml()}
+
+    def set_extra_state(self, state: dict[str, str]) -> None:
+        """Takes what `get_extra_state` gave."""
+        self._core = self._core.based(Lens.from_toml(state["lens"], "state_dict"))
         self._stale = True
 
     def extra_repr(self) -> str:

@@ -1,0 +1,54 @@
+"""Numbers of a lens as parameters of a module."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+
+
+class Numbers(nn.Module):
+    """A module whose parameters are numbers of a lens, kind by kind; they stay float64, whatever the module is cast to."""
+
+    def __init__(self, all_names: Sequence[str], values: Sequence[float]) -> None:
+        super().__init__()
+        groups: dict[str, list[int]] = {}
+        for k, name in enumerate(all_names):
+            groups.setdefault(name.rpartition(".")[2], []).append(k)
+        self._all_names = list(all_names)
+        self.names = {kind: [all_names[k] for k in of] for kind, of in groups.items()}
+        numbers = {kind: nn.Parameter(torch.tensor([values[k] for k in of], dtype=torch.float64)) for kind, of in groups.items()}
+        self.numbers = nn.ParameterDict(numbers)
+        # Where each number of the library stands among the groups'.
+        self._places = [k for of in groups.values() for k in of]
+        self._order = sorted(range(len(self._places)), key=self._places.__getitem__)
+
+    def _values(self) -> torch.Tensor:
+        """All numbers in the library's order."""
+        return torch.cat([self.numbers[kind] for kind in self.names])[self._order]
+
+    def _gradient(self) -> torch.Tensor:
+        """The gradient in that order; 0 where there is none."""
+        # `ParameterDict` has its kinds in another order.
+        numbers = [self.numbers[kind] for kind in self.names]
+        grads = [torch.zeros_like(number) if number.grad is None else number.grad for number in numbers]
+        return torch.cat(grads)[self._order].to(torch.float64)
+
+    @torch.no_grad()
+    def _set(self, values: torch.Tensor) -> None:
+        """Puts numbers in the library's order in."""
+        grouped, first = values[self._places], 0
+        for kind in self.names:
+            number = self.numbers[kind]
+            number.copy_(grouped[first : first + len(number)])
+            first += len(number)
+
+    def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Any:
+        kept = {kind: number.detach().clone() for kind, number in self.numbers.items()}
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        # To another device they go; other numbers they do not become.
+        for kind, number in self.numbers.items():
+            number.data = kept[kind].to(number.device)
+            if number.grad is not None:
+                number.grad = number.grad.to(torch.float64)
+        return self

@@ -1,0 +1,132 @@
+"""Pairs of capture and truth for a network, rendered as they are asked for."""
+
+import math
+import os
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from .._isoplanat import Frame, Layer, Lens, read_picture
+
+_ENDINGS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".npy"}
+
+
+class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
+    """Pairs that are rendered as they are asked for: ``capture, truth = pairs[k]``, float32 [3, size, size], of a lens, photograph, place and distance drawn by k.
+
+    Parameters
+    ----------
+    lenses : Lens, sequence of Lens, or dict of Lens by name
+    photos : str or os.PathLike, or sequence of arrays [3, row, col]
+        A folder of .png, .jpg, .tif, .npy, or linear light.
+    size : int
+        Pixels of a patch's side.
+    frame : Frame, optional
+        Each lens's own raster where left out.
+    distances_mm : float or sequence of float, optional
+        Object distances; each lens's own where left out.
+    length : int
+        Pairs of an epoch.
+    seed : int
+    brightness : (float, float)
+        Light of a scene is times a number between these.
+    flips : bool
+        Whether scenes are turned and mirrored.
+    keep : int
+        Photographs that each process keeps in memory.
+
+    Pair k of an epoch is the same in every process and with any number of workers; `set_epoch` draws others. Workers are welcome, forked or spawned:
+    ``DataLoader(pairs, batch_size=8, num_workers=2)``. A lens is planned once a process.
+    """
+
+    def __init__(
+        self,
+        lenses: Lens | Sequence[Lens] | Mapping[str, Lens],
+        photos: str | os.PathLike[str] | Sequence[Any],
+        size: int = 128,
+        *,
+        frame: Frame | None = None,
+        distances_mm: float | Sequence[float] | None = None,
+        length: int = 1000,
+        seed: int = 1,
+        brightness: tuple[float, float] = (0.5, 1.0),
+        flips: bool = True,
+        keep: int = 32,
+    ) -> None:
+        several = [lenses] if isinstance(lenses, Lens) else list(lenses.values() if isinstance(lenses, Mapping) else lenses)
+        if not several or length < 1 or size < 1 or keep < 1:
+            raise ValueError("lenses, length, size, keep: one or more of each")
+        if not 0 < brightness[0] <= brightness[1] < math.inf:
+            raise ValueError(f"brightness: {brightness}; two numbers above 0, the first not larger")
+        # The smallest set of numbers: none of them moves here.
+        self._cores = [Layer(lens, frame, distances_mm, [next(iter(lens.parameters))], None) for lens in several]
+        for core in self._cores:
+            if size > min(core.frame.rows, core.frame.columns):
+                raise ValueError(f"size: {size}; at most the frame, {core.frame.rows} × {core.frame.columns}")
+        self._margin = [core.reach_px for core in self._cores]
+        self._files: list[Path] = []
+        self._arrays: list[Any] = []
+        if isinstance(photos, str | os.PathLike):
+            folder = Path(photos)
+            if not folder.is_dir():
+                raise FileNotFoundError(f"{folder}: reading: no such folder; photographs (.png, .jpg, .tif, .npy)")
+            self._files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _ENDINGS)
+        else:
+            self._arrays = [np.ascontiguousarray(p, dtype=np.float32) for p in photos]
+        if not self._files and not self._arrays:
+            raise ValueError("photos: none; a folder of .png, .jpg, .tif, .npy, or arrays [3, row, col]")
+        self.size, self.length, self.seed, self.epoch = size, length, seed, 0
+        self.brightness, self.flips, self.keep = brightness, flips, keep
+        self._kept: OrderedDict[int, Any] = OrderedDict()
+
+    def set_epoch(self, epoch: int) -> None:
+        """Draws other pairs. Workers that live on (``persistent_workers=True``) do not hear of it."""
+        self.epoch = epoch
+
+    def __len__(self) -> int:
+        return self.length
+
+    def _photo(self, k: int) -> Any:
+        if k in self._kept:
+            self._kept.move_to_end(k)
+            return self._kept[k]
+        photo = self._arrays[k] if self._arrays else read_picture(self._files[k])
+        if photo.ndim != 3 or photo.shape[0] != 3:
+            raise ValueError(f"photos: number {k} has the shape {photo.shape}; [3, row, col]")
+        self._kept[k] = photo
+        while len(self._kept) > self.keep:
+            self._kept.popitem(last=False)
+        return photo
+
+    def __getitem__(self, k: int) -> tuple[torch.Tensor, torch.Tensor]:
+        if not -self.length <= k < self.length:
+            raise IndexError(f"pair {k} of {self.length}")
+        draw = np.random.default_rng([self.seed, self.epoch, k % self.length])
+        which = int(draw.integers(len(self._cores)))
+        core, margin = self._cores[which], self._margin[which]
+        photo = self._photo(int(draw.integers(len(self._arrays or self._files))))
+        side = self.size + 2 * margin
+        # A photograph that is too small goes on with its mirror image.
+        short = [max(0, side - n) for n in photo.shape[1:]]
+        if any(short):
+            photo = np.pad(photo, [(0, 0), (0, short[0]), (0, short[1])], mode="symmetric")
+        row, column = (int(draw.integers(n - side + 1)) for n in photo.shape[1:])
+        scene = photo[:, row : row + side, column : column + side]
+        turns, mirror, light = int(draw.integers(4)), bool(draw.integers(2)), float(draw.uniform(*self.brightness))
+        if self.flips:
+            scene = np.rot90(scene, turns, (1, 2))
+            scene = scene[:, :, ::-1] if mirror else scene
+        scene = np.ascontiguousarray(light * scene, dtype=np.float32)[None]
+        frame = core.frame
+        place = (int(draw.integers(frame.rows - self.size + 1)), int(draw.integers(frame.columns - self.size + 1)))
+        distance = int(draw.integers(len(core.distances_mm)))
+        captures, truths, _ = core.record(np.asarray(core.values), scene, [distance], [place], margin)
+        return torch.from_numpy(captures[0]), torch.from_numpy(truths[0])
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_kept": OrderedDict()}

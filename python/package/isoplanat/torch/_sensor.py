@@ -1,0 +1,114 @@
+"""A sensor: mosaic, noise, white balance and demosaicking on tensors, on their own device, with gradients."""
+
+import os
+from typing import Any
+
+import torch
+from torch import nn
+from torch.nn import functional
+
+from .._isoplanat import sensor_facts
+
+# H. S. Malvar, L.-W. He, R. Cutler, "High-quality linear interpolation for demosaicing of Bayer-patterned color images", ICASSP 2004, in sixteenths.
+_ITSELF = [[0] * 5, [0] * 5, [0, 0, 16, 0, 0], [0] * 5, [0] * 5]
+_GREEN = [[0, 0, -2, 0, 0], [0, 0, 4, 0, 0], [-2, 4, 8, 4, -2], [0, 0, 4, 0, 0], [0, 0, -2, 0, 0]]
+_ALONG_ROW = [[0, 0, 1, 0, 0], [0, -2, 0, -2, 0], [-2, 8, 10, 8, -2], [0, -2, 0, -2, 0], [0, 0, 1, 0, 0]]
+_ALONG_COLUMN = [list(column) for column in zip(*_ALONG_ROW, strict=True)]
+_OPPOSITE = [[0, 0, -3, 0, 0], [0, 4, 0, 4, 0], [-3, 0, 12, 0, -3], [0, 4, 0, 4, 0], [0, 0, -3, 0, 0]]
+_KERNELS = [_ITSELF, _GREEN, _ALONG_ROW, _ALONG_COLUMN, _OPPOSITE]
+
+
+def _kernel(layout: str, row: int, column: int, channel: int) -> int:
+    """Which kernel gives a channel at a place of a layout."""
+    at = "RGB".index
+    here = at(layout[2 * (row % 2) + column % 2])
+    if here == channel:
+        return 0
+    if channel == 1:
+        return 1
+    if here != 1:
+        return 4
+    beside = at(layout[2 * (row % 2) + (column + 1) % 2])
+    return 2 if beside == channel else 3
+
+
+class Sensor(nn.Module):
+    """What a sensor makes of captures: ``picture = sensor(captures)``, [B, 3, H, W], demosaicked and white; no saturation, no rounding.
+
+    A pixel that collects the share y of its full well N has the variance level² (y / N + (read noise / N)²). The draw is held in the gradient.
+
+    Parameters
+    ----------
+    sensor : "generic" or a sensor's file
+    level : float
+        Times the sensor's own deviation. 0: mosaic alone.
+    exposure : float
+        Share of the full well that white on the axis collects in green.
+    demosaic : bool
+        False: the mosaic itself, white, [B, 1, H, W].
+
+    Attributes
+    ----------
+    facts : dict
+        cfa, full_well_electrons, read_noise_electrons, neutral_response, bits, black_level, white_level.
+    """
+
+    def __init__(
+        self, sensor: str | os.PathLike[str] = "generic", *, level: float = 1.0, exposure: float = 1.0, demosaic: bool = True
+    ) -> None:
+        super().__init__()
+        if not level >= 0 or not exposure > 0:
+            raise ValueError(f"level, exposure: {level}, {exposure}; 0 or more, and more than 0")
+        self.facts: dict[str, Any] = sensor_facts(sensor)
+        self.level, self.exposure, self.demosaic = level, exposure, demosaic
+        layout: str = self.facts["cfa"]
+        # One of each channel at each place of a 2 × 2 of pixels.
+        masks = torch.zeros(3, 2, 2)
+        which = torch.zeros(3, len(_KERNELS), 2, 2)
+        for row in range(2):
+            for column in range(2):
+                masks["RGB".index(layout[2 * row + column]), row, column] = 1
+                for channel in range(3):
+                    which[channel, _kernel(layout, row, column, channel), row, column] = 1
+        self.register_buffer("_masks", masks, persistent=False)
+        self.register_buffer("_which", which, persistent=False)
+        self.register_buffer("_weights", torch.tensor(_KERNELS, dtype=torch.float32)[:, None] / 16, persistent=False)
+
+    def _over(self, tile: torch.Tensor, place: tuple[int, int], like: torch.Tensor) -> torch.Tensor:
+        """A 2 × 2 repeated over a patch whose first pixel stands at ``place``."""
+        rows, columns = like.shape[-2:]
+        shifted = tile.to(like).roll((-(place[0] % 2), -(place[1] % 2)), (-2, -1))
+        repeated = shifted.repeat(*[1] * (tile.ndim - 2), (rows + 1) // 2, (columns + 1) // 2)
+        return repeated[..., :rows, :columns]
+
+    def forward(
+        self, captures: torch.Tensor, place: tuple[int, int] = (0, 0), *, generator: torch.Generator | None = None
+    ) -> torch.Tensor:
+        """The picture.
+
+        Parameters
+        ----------
+        captures : tensor [B, 3, H, W]
+            Light relative to white, as `LensLayer` gives it; 3 pixels a side or more.
+        place : (int, int)
+            Row and column of the first pixel, which say how the mosaic lies.
+        generator : torch.Generator, optional
+            Where the noise is drawn from.
+        """
+        if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
+            raise ValueError(f"captures: shape {tuple(captures.shape)}; [B, 3, H, W] of 3 pixels a side or more")
+        masks = self._over(self._masks, place, captures)
+        neutral = torch.as_tensor(self.facts["neutral_response"]).to(captures)[:, None, None] * masks
+        response = neutral.sum(0) * self.exposure
+        signal = (captures * masks).sum(1) * response
+        if self.level > 0:
+            well = self.facts["full_well_electrons"]
+            variance = signal.clamp(min=0) / well + (self.facts["read_noise_electrons"] / well) ** 2
+            draw = torch.randn(signal.shape, generator=generator, dtype=captures.dtype, device=captures.device)
+            signal = signal + self.level * torch.sqrt(variance.clamp(min=torch.finfo(variance.dtype).tiny)) * draw
+        white = (signal / response)[:, None]
+        if not self.demosaic:
+            return white
+        found = functional.conv2d(functional.pad(white, (2, 2, 2, 2), mode="reflect"), self._weights.to(captures))
+        which = self._over(self._which, place, captures)
+        return torch.einsum("bkhw,ckhw->bchw", found, which)

@@ -1,0 +1,139 @@
+//! Options that would do nothing: refused, since whoever gives one wants something of it.
+
+use clap::ArgMatches;
+use clap::parser::ValueSource;
+use isoplanat::{Error, Result};
+
+/// An option that has an effect only beside others.
+struct Idle {
+    command: &'static str,
+    /// Its name, as clap has it.
+    option: &'static str,
+    /// Whether it does nothing beside the others.
+    idle: fn(&ArgMatches) -> bool,
+    /// How the others are.
+    beside: &'static str,
+    allowed: &'static str,
+}
+
+const ALL: [Idle; 9] = [
+    Idle { option: "max_cycles_per_mm", ..OF_CHIEF_RAYS },
+    Idle { option: "shift_mm", ..OF_CHIEF_RAYS },
+    Idle { option: "rays", ..OF_CHIEF_RAYS },
+    Idle {
+        command: "render",
+        option: "samples",
+        idle: |words| !by_rays(words),
+        beside: "no --method monte-carlo",
+        allowed: "together with it: kernels of psf-grid are not drawn by samples",
+    },
+    Idle {
+        command: "render",
+        option: "min_psnr_db",
+        idle: by_rays,
+        beside: "--method monte-carlo",
+        allowed: "--method psf-grid, which is planned; monte-carlo takes --samples",
+    },
+    Idle {
+        command: "render",
+        option: "everything",
+        idle: by_rays,
+        beside: "--method monte-carlo",
+        allowed: "--method psf-grid, which leaves things out; monte-carlo takes --samples",
+    },
+    Idle {
+        command: "optimize",
+        option: "seed",
+        idle: |words| !is_given(words, "search"),
+        beside: "no --search",
+        allowed: "together with it: nothing else is drawn",
+    },
+    Idle {
+        command: "dataset",
+        option: "shard",
+        idle: |words| ["png", "tiff", "tif"].contains(&word(words, "form").to_lowercase().as_str()),
+        beside: "a file for each picture",
+        allowed: "--form npy or npz, which have shards",
+    },
+    Idle {
+        command: "view",
+        option: "port",
+        idle: |words| is_given(words, "export"),
+        beside: "--export",
+        allowed: "either of them: nothing is served where the page goes into a file",
+    },
+];
+
+/// Distortion needs no more than the chief rays.
+const OF_CHIEF_RAYS: Idle = Idle {
+    command: "distortion",
+    option: "",
+    idle: |_| true,
+    beside: "chief rays alone",
+    allowed: "`isoplanat mtf` or `isoplanat spot`, which it is for",
+};
+
+fn by_rays(words: &ArgMatches) -> bool {
+    word(words, "method") == "monte-carlo"
+}
+
+/// What stands behind an option, or its default.
+fn word(words: &ArgMatches, option: &str) -> String {
+    let raw = words.try_get_raw(option).ok().flatten();
+    raw.and_then(|mut all| all.next()).map_or_else(String::new, |w| w.to_string_lossy().into_owned())
+}
+
+fn is_given(words: &ArgMatches, option: &str) -> bool {
+    words.try_contains_id(option).is_ok() && words.value_source(option) == Some(ValueSource::CommandLine)
+}
+
+/// Refuses what `words` give and would do nothing.
+///
+/// # Errors
+/// Such an option, by its name.
+pub(crate) fn check(words: &ArgMatches) -> Result<()> {
+    let Some((name, words)) = words.subcommand() else { return Ok(()) };
+    let found = ALL.iter().find(|i| i.command == name && is_given(words, i.option) && (i.idle)(words));
+    let Some(Idle { option, beside, allowed, .. }) = found else { return Ok(()) };
+    Err(Error::bad(format!("--{}", option.replace('_', "-")), "with", *beside, *allowed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// Every command and option of the table is one, and each line of the table refuses its own case and lets the other go.
+    #[test]
+    fn what_would_do_nothing_is_refused() {
+        let command = crate::Cli::command();
+        for Idle { command: name, option, .. } in &ALL {
+            let Some(of) = command.find_subcommand(name) else { continue };
+            assert!(of.get_arguments().any(|a| a.get_id() == option), "{name} {option}");
+        }
+        for (line, refused) in [
+            ("distortion x --rays 100", true),
+            ("mtf x --rays 100", false),
+            ("distortion x --shift-mm 0.1", true),
+            ("distortion x --max-cycles-per-mm 4", true),
+            ("render x y -o z.png --samples 4", true),
+            ("render x y -o z.png --samples 4 --method monte-carlo", false),
+            ("render x y -o z.png --min-psnr-db 40 --method monte-carlo", true),
+            ("render x y -o z.png --everything --method monte-carlo", true),
+            ("render x y -o z.png --everything", false),
+            ("optimize x -o y --seed 3", true),
+            ("optimize x -o y --seed 3 --search 4", false),
+            ("dataset x --photos y -o z --shard 4 --form png", true),
+            ("dataset x --photos y -o z --shard 4 --form npz", false),
+            ("view x --export y.html --port 80", true),
+        ] {
+            let words = command.clone().try_get_matches_from(format!("isoplanat {line}").split(' '));
+            let words = match words {
+                Ok(words) => words,
+                Err(e) => panic!("{line}: {e}"),
+            };
+            let error = check(&words).err().map(|e| e.to_string());
+            assert_eq!(error.is_some(), refused, "{line}: {error:?}");
+        }
+    }
+}
