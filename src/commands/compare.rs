@@ -318,6 +318,8 @@ fn begin(args: &Args, asked_for: &str) -> Result<()> {
     let folder = &args.output;
     let path = folder.join(MARKER);
     if args.resume && path.is_file() {
+        // Of a kill as the folder was put there.
+        atomic::recover(folder)?;
         let then = atomic::read_text(&path, 1 << 20)?;
         if then != asked_for {
             let read = |text: &str| serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();

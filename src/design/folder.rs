@@ -63,12 +63,13 @@ pub(super) fn made(folder: &Path, replace: bool, fill: impl FnOnce(&Path) -> Res
     lock(folder)
 }
 
-/// Takes a run's lock: one process a folder.
+/// Takes a run's lock: one process a folder. What a writer that was killed as it put the run there has left beside it is cleared: a run that goes on
+/// writes inside alone.
 pub(super) fn lock(folder: &Path) -> Result<File> {
     let path = folder.join("lock");
     let file = File::create(&path).map_err(|e| Error::writing(&path, e))?;
     match file.try_lock() {
-        Ok(()) => Ok(file),
+        Ok(()) => atomic::recover(folder).map(|()| file),
         Err(TryLockError::WouldBlock) => {
             let allowed = "one run a folder; wait for the other or end it";
             Err(Error::bad(folder.display().to_string(), "lock", "another process works here", allowed))
