@@ -86,3 +86,19 @@ def moved(lens, direction, by):
     """`lens` moved along a direction."""
     now = lens.parameters
     return lens.replace({name: now[name] + by * step for name, step in direction.items()})
+
+
+def frame_of(lens, columns=96, rows=64, spread=600):
+    """A raster of `spread` pixels over the diagonal of the lens's own sensor, of which it takes a part around the axis."""
+    import isoplanat as iso
+
+    own = lens.frame
+    return iso.Frame(columns, rows, float(np.hypot(own.columns, own.rows) * own.pitch_um / spread))
+
+
+def smooth(shape, seed):
+    """Scenes without edges, so that a difference of small steps is that of a smooth function: an array of float64."""
+    rng = np.random.default_rng(seed)
+    i, j = np.mgrid[: shape[-2], : shape[-1]]
+    waves = [0.2 * np.sin(rng.uniform(0.075, 0.3) * i + rng.uniform(0.075, 0.3) * j + rng.uniform(0, 6)) for _ in range(2 * shape[0] * shape[1])]
+    return 0.5 + np.sum(np.reshape(waves, (2, *shape)), 0)

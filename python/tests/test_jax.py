@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import isoplanat as iso
-from conftest import difference, direction
+from conftest import difference, direction, frame_of, smooth
 
 jax = pytest.importorskip("jax", reason="jax is not installed")
 jnp = jax.numpy
@@ -22,15 +22,7 @@ def made(name="cooke_triplet", spread=600, **options):
     from isoplanat.jax import LensFunction
 
     lens = iso.Lens(name)
-    pitch = float(np.hypot(lens.frame.columns, lens.frame.rows) * lens.frame.pitch_um / spread)
-    return LensFunction(lens, iso.Frame(96, 64, pitch), distances_mm=[3000.0, float("inf")], **options)
-
-
-def smooth(shape, seed):
-    rng = np.random.default_rng(seed)
-    i, j = np.mgrid[: shape[-2], : shape[-1]]
-    waves = [0.2 * np.sin(rng.uniform(0.075, 0.3) * i + rng.uniform(0.075, 0.3) * j + rng.uniform(0, 6)) for _ in range(2 * shape[0] * shape[1])]
-    return 0.5 + np.sum(np.reshape(waves, (2, *shape)), 0)
+    return LensFunction(lens, frame_of(lens, spread=spread), distances_mm=[3000.0, float("inf")], **options)
 
 
 @pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss", "two_element"])

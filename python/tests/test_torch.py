@@ -8,27 +8,13 @@ import numpy as np
 import pytest
 
 import isoplanat as iso
-from conftest import difference, direction
+from conftest import difference, direction, frame_of, smooth
 
 with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
     from isoplanat.torch import LensLayer
-
-
-def frame_of(lens, columns=96, rows=64, spread=600):
-    """A raster of `spread` pixels over the diagonal of the lens's own sensor, of which it takes a part around the axis."""
-    own = lens.frame
-    return iso.Frame(columns, rows, float(np.hypot(own.columns, own.rows) * own.pitch_um / spread))
-
-
-def smooth(shape, seed):
-    """Scenes without edges, so that a difference of small steps is that of a smooth function."""
-    rng = np.random.default_rng(seed)
-    i, j = np.mgrid[: shape[-2], : shape[-1]]
-    waves = [0.2 * np.sin(rng.uniform(0.075, 0.3) * i + rng.uniform(0.075, 0.3) * j + rng.uniform(0, 6)) for _ in range(2 * shape[0] * shape[1])]
-    return torch.tensor(0.5 + np.sum(np.reshape(waves, (2, *shape)), 0), dtype=torch.float64)
 
 
 @pytest.mark.parametrize("distance", [1000.0, float("inf")])
@@ -39,7 +25,7 @@ def test_gradients_are_those_of_differences(name, distance):
     # Farther than light comes from: where a scene goes on with its border there are kinks.
     margin = 16
     assert layer.reach_px < margin
-    scenes, places = smooth((3, 3, 40 + 2 * margin, 32 + 2 * margin), 1), [(0, 0), (20, 61), (7, 30)]
+    scenes, places = torch.tensor(smooth((3, 3, 40 + 2 * margin, 32 + 2 * margin), 1)), [(0, 0), (20, 61), (7, 30)]
     rng = np.random.default_rng(7)
 
     def both():
@@ -89,7 +75,7 @@ def test_it_behaves_as_a_module():
     layer = LensLayer(lens, frame_of(lens, 32, 32), trainable=["surface[*].curvature", "surface[1].thickness"])
     assert list(layer.numbers) == ["curvature", "thickness"] and layer.names["thickness"] == ["surface[1].thickness"]
     assert layer.lens.parameters == lens.parameters
-    scenes = smooth((2, 3, 24, 24), 3).float()
+    scenes = torch.tensor(smooth((2, 3, 24, 24), 3)).float()
     before = [t.detach() for t in layer(scenes)]
     for cast in (layer.half(), layer.bfloat16(), layer.float(), layer.to("cpu", torch.float16)):
         assert all(n.dtype == torch.float64 for n in cast.parameters())

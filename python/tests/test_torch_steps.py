@@ -11,19 +11,13 @@ import numpy as np
 import pytest
 
 import isoplanat as iso
-from conftest import ROOT
+from conftest import ROOT, frame_of
 
 with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
     from isoplanat.torch import LensLayer, LensSteps, PairDataset, PsfLayer, Sensor
-
-
-def frame_of(lens, columns=96, rows=64, spread=600):
-    """A raster of `spread` pixels over the diagonal of the lens's own sensor, of which it takes a part around the axis."""
-    own = lens.frame
-    return iso.Frame(columns, rows, float(np.hypot(own.columns, own.rows) * own.pitch_um / spread))
 
 
 def scenes_of(count, side, first=0):

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ._distances import which
 from ._isoplanat import Frame, Layer, Lens
 
 __all__ = ["LensFunction"]
@@ -133,17 +134,11 @@ class LensFunction:
         return found
 
     def _recorded(self, margin: int, values: Any, scenes: Any, distances: Any, places: Any) -> tuple[Any, Any, Any]:
-        known = 1 / np.asarray(self.distances_mm)
-        which = []
-        for asked in np.asarray(distances, dtype=np.float64):
-            near = int(np.argmin(np.abs(known - 1 / asked))) if asked else 0
-            if not asked or not abs(known[near] - 1 / asked) <= 1e-6 * abs(1 / asked) + 1e-15:
-                raise ValueError(f"distance_mm: {asked:g}; one of {', '.join(f'{d:g}' for d in self.distances_mm)} (distances_mm)")
-            which.append(near)
+        depths = which(self.distances_mm, np.asarray(distances, dtype=np.float64).tolist())
         at = [(int(row), int(column)) for row, column in np.asarray(places)]
         if any(number < 0 for both in at for number in both):
             raise ValueError(f"place: {min(at)}; whole rows and columns from 0")
-        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), which, at, margin)
+        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), depths, at, margin)
 
     def _made(self, margin: int) -> Callable[..., Any]:
         """The function for a margin, with its gradient."""

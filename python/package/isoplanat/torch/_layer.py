@@ -7,6 +7,7 @@ import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
 
+from .._distances import which
 from .._isoplanat import Frame, Layer, Lens
 from ._numbers import Numbers
 
@@ -107,8 +108,8 @@ class LensLayer(Numbers):
         values, kept = self._values().detach().cpu(), self._valid.cpu()
         if torch.equal(values, kept):
             return error
-        scale = kept.abs().clamp(min=1e-3 * float(kept.abs().max()))
-        farthest = sorted(range(len(kept)), key=lambda k: -abs(float((values[k] - kept[k]) / scale[k])))[:3]
+        by = (values - kept).abs() / kept.abs().clamp(min=max(1e-3 * float(kept.abs().max()), 1e-12))
+        farthest = torch.nan_to_num(by, nan=torch.inf, posinf=torch.inf).argsort(descending=True).tolist()[:3]
         moved = ", ".join(f"{self._all_names[k]} from {float(kept[k]):.6g} to {float(values[k]):.6g}" for k in farthest if values[k] != kept[k])
         self._set(self._valid)
         return ValueError(f"{error}; the layer has the numbers of its last pass again; farthest moved since: {moved}")
@@ -126,13 +127,7 @@ class LensLayer(Numbers):
             asked = [float(distance_mm)] * count
         else:
             asked = [float(d) for d in distance_mm]
-        found = []
-        for d in asked:
-            near = min(range(len(known)), key=lambda k: abs(1 / known[k] - 1 / d) if d else 1.0)
-            if not d or not abs(1 / known[near] - 1 / d) <= 1e-6 * abs(1 / d) + 1e-15:
-                raise ValueError(f"distance_mm: {d:g}; one of {', '.join(f'{k:g}' for k in known)} (distances_mm of the layer)")
-            found.append(near)
-        return found
+        return which(known, asked)
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(
