@@ -37,6 +37,8 @@ pub(crate) struct Planned {
     illuminant: Option<String>,
     /// How often it was planned anew.
     pub(crate) generation: u64,
+    /// The lens as it was then.
+    pub(crate) at: isoplanat::Lens,
 }
 
 /// A patch before the lens, rendered.
@@ -57,6 +59,8 @@ pub(crate) struct LayerRecord {
     renderer: Renderer,
     lens: isoplanat::Lens,
     kept: Kept,
+    /// Light of the captures over what the truths and the lens's illumination give.
+    light: f64,
 }
 
 /// What a batch is asked for.
@@ -116,6 +120,14 @@ impl Planned {
         };
         all.par_iter().map(one).collect()
     }
+}
+
+/// Light of all captures over that of the truths as the lens's illumination dims them: far from 1 where kernels do not stand where the light goes.
+fn light_of<T: Number>(patches: &[Patch<T>]) -> f64 {
+    let sum = |of: &dyn Fn(&Rendered<T>) -> f64| patches.iter().map(|p| of(&p.rendered)).sum::<f64>();
+    let captured = sum(&|r| r.image.iter().map(|v| v.to_double()).sum());
+    let expected = sum(&|r| r.truth.iter().zip(&r.illumination).map(|(t, a)| t.to_double() * a.to_double()).sum());
+    if expected.abs() > 0.0 { captured / expected } else { 1.0 }
 }
 
 /// Pictures and ideals of patches `[patch, channel, row, col]`.
@@ -182,6 +194,7 @@ impl Layer {
             let density = SpectralDensity::under(&Sensor::generic(), light)?;
             let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, Settings::DESIGN)?;
             Ok(Planned {
+                at: lens.clone(),
                 lens,
                 variables,
                 plan: renderer.plan,
@@ -250,7 +263,7 @@ impl Layer {
             let Planned { variables, frame, illuminant, .. } = &*self.inner;
             let (variables, frame, illuminant) = (variables.clone(), frame.clone(), illuminant.clone());
             let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.inner.generation + 1);
-            Ok(Planned { lens, variables, plan, maps, frame, illuminant, generation })
+            Ok(Planned { at: lens.clone(), lens, variables, plan, maps, frame, illuminant, generation })
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }
@@ -355,7 +368,7 @@ impl Layer {
         let cast = floats.cast::<T>();
         let scenes = cast.view();
         let planned = self.inner.clone();
-        let (all, renderer, lens, mut patches) = work(py, || {
+        let (all, light, renderer, lens, mut patches) = work(py, || {
             let scenes = scenes.into_dimensionality::<Ix4>().map_err(|e| Error::Internal(e.to_string()))?;
             if let Some((place, v)) = scenes.indexed_iter().find(|(_, v)| !v.is_finite()) {
                 let place = format!("scenes, {place:?}");
@@ -364,17 +377,24 @@ impl Layer {
             let lens = planned.with(values)?;
             let renderer = Renderer::new(&lens, &planned.plan)?;
             let mut patches = planned.rendered(&renderer, batch, scenes);
-            Ok((stacked(&mut patches), renderer, lens, patches))
+            let light = light_of(&patches);
+            Ok((stacked(&mut patches), light, renderer, lens, patches))
         })?;
         patches.shrink_to_fit();
         let [captures, truths] = all;
-        let record = LayerRecord { planned: self.inner.clone(), renderer, lens, kept: keep(patches) };
+        let record = LayerRecord { planned: self.inner.clone(), renderer, lens, kept: keep(patches), light };
         Ok((given(py, captures), given(py, truths), record))
     }
 }
 
 #[pymethods]
 impl LayerRecord {
+    /// Light of the captures over what the truths and the lens's illumination give; far from 1 where the lens has left its plan.
+    #[getter]
+    fn light(&self) -> f64 {
+        self.light
+    }
+
     /// The gradient of a loss by the numbers, from those by captures and truths `[patch, channel, row, col]`; patches add up in their order.
     fn vjp<'py>(
         &self,

@@ -24,6 +24,8 @@ const STEEPEST_DEG: f64 = 85.0;
 /// Distortion that a design may have at its corner, and by how much that of the start may change where it is beyond.
 const BARREL: f64 = 0.08;
 const SLACK: f64 = 0.02;
+/// Longest step, mm.
+const MOST_MM: f64 = 10.0;
 /// What can be held by name alone.
 const HELD: [&str; 5] = ["focal_length", "track", "distortion", "back_focus", "f_number"];
 
@@ -52,7 +54,13 @@ fn seen(planned: &Planned, lens: &isoplanat::Lens) -> Result<(isoplanat::Lens, f
     Ok((lens, radius * map.ratio(0.0) / slope - 1.0))
 }
 
-fn problem(planned: &Planned, lens: &isoplanat::Lens, mut spec: Spec, hold: &[String]) -> Result<Problem> {
+fn problem(
+    planned: &Planned,
+    lens: &isoplanat::Lens,
+    mut spec: Spec,
+    hold: &[String],
+    frozen: &[String],
+) -> Result<Problem> {
     let (lens, distortion) = seen(planned, lens)?;
     if let Some(other) = hold.iter().find(|h| !HELD.contains(&h.as_str())) {
         let allowed = format!("any of {}; others by constraints, with their bounds", HELD.join(", "));
@@ -64,7 +72,12 @@ fn problem(planned: &Planned, lens: &isoplanat::Lens, mut spec: Spec, hold: &[St
     let [track, back_focus, f_number, distorted] = ["track", "back_focus", "f_number", "distortion"].map(held);
     spec.apertures = Some("automatic".to_owned());
     spec.depths_mm = Some(planned.plan.depths.iter().map(|d| d.vergence.recip()).collect());
-    let mut problem = spec.problem_varying(&lens, planned.variables.parameters.clone(), CALL)?;
+    let mut moving = planned.variables.parameters.clone();
+    moving.retain(|p| !frozen.contains(&p.name(&lens)));
+    if moving.is_empty() {
+        return Err(Error::bad("", "layer", "no number that asks for a gradient", "one or more"));
+    }
+    let mut problem = spec.problem_varying(&lens, moving, CALL)?;
     if free_focus {
         problem.constraints.retain(|c| c.quantity != Quantity::FocalLength);
     }
@@ -97,13 +110,14 @@ impl Steps {
         hold: Several<String>,
         constraints: Option<&Bound<'_, PyDict>>,
         bounds: Option<&Bound<'_, PyDict>>,
+        frozen: Vec<String>,
     ) -> PyResult<Self> {
         let spec = crate::optimized::spec((Vec::new(), Vec::new()), (bounds, constraints, None), None, None)?;
         let (planned, values) = (layer.get().planned(), values.as_array().to_vec());
         let generation = planned.generation;
         let descent = work(py, || {
             let lens = planned.with(&values)?;
-            Descent::new(&problem(&planned, &lens, spec, &hold.0)?)
+            Descent::new(&problem(&planned, &lens, spec, &hold.0, &frozen)?)
         })?;
         Ok(Self { state: Mutex::new(State { descent, memory: Memory::default(), generation }) })
     }
@@ -119,8 +133,8 @@ impl Steps {
         gradient: PyReadonlyArray1<'_, f64>,
         rate_mm: f64,
     ) -> PyResult<Option<(Layer, Bound<'py, PyArray1<f64>>, f64, f64, f64, Vec<String>)>> {
-        if !(rate_mm > 0.0 && rate_mm <= 10.0) {
-            return Err(refused("lr", rate_mm, "above 0, at most 10 (mm)"));
+        if !(rate_mm > 0.0 && rate_mm <= MOST_MM) {
+            return Err(refused("lr", rate_mm, "0 to 10 (mm)"));
         }
         let planned = layer.get().planned();
         let (values, gradient) = (values.as_array().to_vec(), gradient.as_array().to_vec());
@@ -128,7 +142,7 @@ impl Steps {
             let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
             let lens = planned.with(&values)?;
             if state.generation != planned.generation {
-                let (lens, _) = seen(&planned, &lens)?;
+                let (lens, _) = seen(&planned, &planned.at)?;
                 // A lens through which its rays do not pass is looked at as before.
                 let again = Problem { lens, ..state.descent.problem().clone() };
                 if let Ok(descent) = Descent::new(&again) {
@@ -188,8 +202,13 @@ impl Steps {
     }
 
     /// Goes on with what other steps remembered.
-    fn remember(&self, first: Vec<f64>, second: f64, steps: u64, reach: f64) {
+    fn remember(&self, first: Vec<f64>, second: f64, steps: u64, reach: f64) -> PyResult<()> {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let wanted = state.descent.problem().variables.parameters.len();
+        if !first.is_empty() && first.len() != wanted {
+            return Err(refused("memory", format!("of {} numbers", first.len()), format!("of {wanted}")));
+        }
         state.memory = Memory { first, second, steps, reach };
+        Ok(())
     }
 }

@@ -1,6 +1,7 @@
 """Steps of a lens by a loss of PyTorch; kernels, a sensor and pairs beside the layer; two processes."""
 
 import copy
+import pickle
 import re
 import subprocess
 import sys
@@ -65,11 +66,13 @@ def test_a_step_is_as_long_as_its_rate():
     assert any(moved[name] != lens.parameters[name] for names in layer.names.values() for name in names)
 
 
-def test_steps_go_on_where_they_were():
+@pytest.mark.parametrize("first", [3, 6])
+def test_steps_go_on_where_they_were(first):
+    """To the bit, in between two layouts, before the first new one and after it."""
     lens = iso.Lens("double_gauss")
 
     def made():
-        layer = LensLayer(lens, frame_of(lens, 48, 48), trainable="surface[*].curvature", replan_every=0)
+        layer = LensLayer(lens, frame_of(lens, 48, 48), trainable="surface[*].curvature", replan_every=4)
         return layer, LensSteps(layer, lr=1e-3)
 
     def run(layer, steps, numbers):
@@ -79,17 +82,80 @@ def test_steps_go_on_where_they_were():
             steps.step()
 
     layer, steps = made()
-    run(layer, steps, range(3))
-    layer.replan()
+    run(layer, steps, range(first))
     kept = copy.deepcopy((layer.state_dict(), steps.state_dict()))
-    run(layer, steps, range(3, 6))
+    run(layer, steps, range(first, 10))
     other, again = made()
     other.load_state_dict(kept[0])
     again.load_state_dict(kept[1])
-    # A layer is planned for the lens as loaded.
-    run(other, again, range(3, 6))
+    run(other, again, range(first, 10))
     for kind in layer.names:
-        assert torch.allclose(layer.numbers[kind], other.numbers[kind], rtol=1e-9, atol=1e-12)
+        assert torch.equal(layer.numbers[kind], other.numbers[kind])
+    # Of other numbers, another lens, another optimizer: refused.
+    fewer = LensLayer(lens, frame_of(lens, 48, 48), trainable="surface[1].curvature")
+    with pytest.raises(ValueError, match=r"state_dict: surface\[0\].curvature, .*; surface\[1\].curvature, which are trained here"):
+        fewer.load_state_dict(kept[0])
+    with pytest.raises(ValueError, match="not of LensSteps of these numbers"):
+        LensSteps(fewer).load_state_dict(kept[1])
+    with pytest.raises(ValueError, match="not of LensSteps of these numbers"):
+        again.load_state_dict(torch.optim.Adam(other.parameters()).state_dict())
+    triplet = iso.Lens("cooke_triplet")
+    alike = LensLayer(triplet, frame_of(triplet, 48, 48), trainable=["surface[0].curvature"])
+    one = LensLayer(lens, frame_of(lens, 48, 48), trainable=["surface[0].curvature"])
+    with pytest.raises(ValueError, match="state_dict: of the lens"):
+        alike.load_state_dict(one.state_dict())
+
+
+def test_what_does_not_move_stays():
+    lens = iso.Lens("cooke_triplet")
+    layer = LensLayer(lens, frame_of(lens, 48, 48), trainable=["surface[*].curvature", "surface[*].thickness"])
+    layer.numbers["curvature"].requires_grad_(False)
+    steps, before = LensSteps(layer, lr=1e-2, hold=[]), layer.numbers["curvature"].clone()
+
+    def step(factor=1.0):
+        steps.zero_grad()
+        (factor * a_loss(layer, scenes_of(2, 40))).backward()
+        steps.step()
+        return steps.last
+
+    assert step().moved and torch.equal(layer.numbers["curvature"], before)
+    now = layer.numbers["thickness"].clone()
+    assert not torch.equal(now, torch.tensor([lens.parameters[n] for n in layer.names["thickness"]], dtype=torch.float64))
+    steps.zero_grad()
+    steps.step()
+    assert not steps.last.moved and steps.last.held_by == ["no gradient"]
+    assert step(float("nan")).held_by == ["a gradient that is not finite"]
+    steps.param_groups[0]["lr"] = 0.0
+    assert step().held_by == ["no rate"] and torch.equal(layer.numbers["thickness"], now)
+    steps.param_groups[0]["lr"] = 1e-3
+    layer.numbers["curvature"].requires_grad_(True)
+    with pytest.raises(ValueError, match="frozen or freed since"):
+        step()
+    with pytest.raises(ValueError, match="moves one layer's numbers"):
+        steps.add_param_group({"params": [torch.nn.Parameter(torch.ones(2))]})
+    with pytest.raises(TypeError, match="state_dict"):
+        copy.deepcopy(steps)
+
+
+def test_kernels_follow_the_lens():
+    """Held in training; laid out anew where light would be lost, and in evaluation whenever the numbers have changed."""
+    lens = iso.Lens("cooke_triplet")
+    layer = LensLayer(lens, iso.Frame(96, 64, 60.0), trainable="surface[*].curvature", replan_every=0)
+    scenes = scenes_of(2, 40)
+    layer(scenes)
+    for curvature in (0.04, 0.03, 0.0):
+        with torch.no_grad():
+            layer.numbers["curvature"][0] = curvature
+        captures, truths = layer(scenes)
+        fresh = LensLayer(layer.lens, layer.frame)(scenes)
+        assert torch.allclose(captures, fresh[0], atol=1e-4) and torch.allclose(truths, fresh[1], atol=1e-4)
+        assert float(captures.mean()) > 0.7 * float(truths.mean())
+    with torch.no_grad():
+        layer.numbers["curvature"][0] = 0.0001
+        held = layer(scenes)[0]
+        fresh = LensLayer(layer.lens, layer.frame)(scenes)[0]
+        assert not torch.allclose(held, fresh, atol=1e-6)
+        assert torch.allclose(layer.eval()(scenes)[0], fresh, atol=1e-6)
 
 
 def test_numbers_that_are_no_lens_go_back():
@@ -110,7 +176,8 @@ def test_numbers_that_are_no_lens_go_back():
     for options, kind, text in [
         ({"hold": ["sharpness"]}, ValueError, "hold: `sharpness`; any of focal_length, track"),
         ({"constraints": {"trakc": 3.0}}, ValueError, "trakc"),
-        ({"lr": -1.0}, ValueError, "lr: -1; above 0"),
+        ({"lr": -1.0}, ValueError, "lr: -1; 0 to 10"),
+        ({"lr": float("nan")}, ValueError, "lr: nan"),
     ]:
         with pytest.raises(kind, match=text):
             steps = LensSteps(layer, **options)
@@ -134,6 +201,26 @@ def test_kernels_are_those_of_the_lens(distance):
     for kind, names in layer.names.items():
         assert layer.numbers[kind].grad.tolist() == [wanted[name] for name in names]
     assert layer.lens == lens
+    # Of places that are held: the derivative of the layer itself.
+    weights = torch.tensor(np.mgrid[:25, :25].sum(0) ** 2 / 1e3)
+    parameter = layer.numbers["curvature"]
+
+    def moment():
+        return (layer() * weights).sum()
+
+    parameter.grad = None
+    moment().backward()
+    start, along = parameter.detach().clone(), parameter.grad.sign() * parameter.detach().abs()
+    ours, slopes = float((parameter.grad * along).sum()), []
+    for h in (1e-4, 1e-5):
+        with torch.no_grad():
+            values = [float(moment()) for sign in (1, -1) if parameter.copy_(start + sign * h * along) is parameter]
+        slopes.append((values[0] - values[1]) / (2 * h))
+    assert ours == pytest.approx(slopes[1], rel=1e-4), (ours, slopes)
+    # In evaluation kernels are placed anew.
+    assert (layer.eval()().detach().numpy() == layer.lens.psf(**options).kernels).all()
+    other = pickle.loads(pickle.dumps(copy.deepcopy(layer)))
+    assert torch.equal(other(), layer())
 
 
 def test_a_sensor_is_the_programs(tmp_path):
@@ -177,6 +264,14 @@ def test_a_sensor_is_the_programs(tmp_path):
     assert torch.autograd.gradcheck(lambda x: sensor(x, (1, 0), generator=torch.Generator().manual_seed(2)), small)
     with pytest.raises(ValueError, match=r"captures: shape \(3, 4, 4\)"):
         sensor(torch.zeros(3, 4, 4))
+    assert sensor(torch.rand(1, 3, 6, 6).half()).dtype == torch.float16
+    for arguments, kind, text in [
+        ((torch.zeros(1, 3, 4, 4, dtype=torch.uint8),), TypeError, "captures: torch.uint8"),
+        ((np.zeros((1, 3, 4, 4)),), TypeError, "captures: float64; a tensor"),
+        ((torch.zeros(1, 3, 4, 4), [(0, 0), (1, 1)]), ValueError, "place: .*; one row and column"),
+    ]:
+        with pytest.raises(kind, match=text):
+            sensor(*arguments)
     with pytest.raises(FileNotFoundError):
         Sensor("none.toml")
 
@@ -205,12 +300,19 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
     assert not torch.equal(pairs[0][0], alone[0][0])
     arrays = PairDataset(lens, [iso.scene("text", 90, 90)], 32, frame=frame_of(lens, 96, 80), flips=False, brightness=(1, 1))
     assert arrays[0][0].shape == (3, 32, 32)
+    grey = PairDataset(lens, [iso.scene("text", 90, 90)[1]], 32, frame=frame_of(lens, 96, 80))
+    assert torch.equal(grey[0][1][0], grey[0][1][2])
+    with pytest.raises(TypeError):
+        pairs[0:2]
     with pytest.raises(IndexError):
         arrays[1000]
     for arguments, kind, text in [
         ((lens, tmp_path / "nowhere"), FileNotFoundError, "no such folder"),
         ((lens, []), ValueError, "photos: none"),
         (([], photos), ValueError, "lenses, length"),
+        ((lens, [np.zeros((3, 60, 60), np.uint8)]), TypeError, "photos: number 0 is of uint8; linear light"),
+        ((lens, [np.full((3, 60, 60), np.nan)]), ValueError, "photos: number 0 has NaN"),
+        ((lens, [np.zeros((4, 60, 60))]), ValueError, "photos: number 0 has the shape"),
         ((lens, photos, 5000), ValueError, "size: 5000; at most the frame"),
     ]:
         with pytest.raises(kind, match=text):

@@ -145,6 +145,8 @@ class Layer:
 
 @final
 class LayerRecord:
+    @property
+    def light(self) -> float: ...
     def vjp(self, captures_bar: ArrayLike, truths_bar: ArrayLike) -> NDArray[np.float64]: ...
 
 @final
@@ -156,6 +158,7 @@ class Steps:
         hold: str | Sequence[str],
         constraints: dict[str, Any] | None,
         bounds: dict[str, Any] | None,
+        frozen: Sequence[str],
     ) -> Steps: ...
     def step(
         self, layer: Layer, values: NDArray[np.float64], gradient: NDArray[np.float64], rate_mm: float

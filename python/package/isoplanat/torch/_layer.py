@@ -12,23 +12,35 @@ from .._isoplanat import Frame, Layer, Lens
 from ._numbers import Numbers
 
 
+# Share of the light that kernels may miss before they are laid out anew.
+MOST_LOST = 0.1
+
+
 class _Through(torch.autograd.Function):
     """Numbers and scenes to captures and truths; constant memory beside the patches' own."""
 
     @staticmethod
     def forward(
-        ctx: Any, values: torch.Tensor, scenes: torch.Tensor, core: Layer, distances: list[int], places: list[tuple[int, int]], margin: int
+        ctx: Any,
+        values: torch.Tensor,
+        scenes: torch.Tensor,
+        core: Layer,
+        distances: list[int],
+        places: list[tuple[int, int]],
+        margin: int,
+        told: list[float],
     ) -> tuple[torch.Tensor, torch.Tensor]:
         given = scenes.detach().cpu().contiguous().numpy()
         captures, truths, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin)
         ctx.device = values.device
+        told.append(ctx.record.light)
         return torch.from_numpy(captures).to(scenes.device), torch.from_numpy(truths).to(scenes.device)
 
     @staticmethod
     @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, captures_bar: torch.Tensor, truths_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         bars = [bar.detach().cpu().contiguous().numpy() for bar in (captures_bar, truths_bar)]
-        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None
+        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None
 
 
 class LensLayer(Numbers):
@@ -46,7 +58,9 @@ class LensLayer(Numbers):
     illuminant : str, optional
         As of `isoplanat.render`.
     replan_every : int
-        After so many forward passes in training, kernels are laid out anew for the lens as it is by then, and scenes are placed anew. 0: never.
+        After so many forward passes in training, kernels are laid out anew for the lens as it is by then, and scenes are placed anew; 0: never of itself.
+        In between what is laid out is held, and the gradient is that of the held layout. In evaluation (``layer.eval()``) it is laid out anew
+        whenever the numbers have changed, and in training where a tenth of the light or more would be lost.
 
     Attributes
     ----------
@@ -66,12 +80,16 @@ class LensLayer(Numbers):
         illuminant: str | None = None,
         replan_every: int = 25,
     ) -> None:
+        if replan_every < 0:
+            raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
         core = Layer(lens, frame, distances_mm, trainable, illuminant)
         super().__init__(core.names, core.values)
         self._core = core
         self.replan_every = replan_every
-        self._passes, self._stale = 0, False
-        self._valid = self._values().detach().clone()
+        self._passes = 0
+        self._valid = self._planned = self._values().detach().clone()
+        # The lens that the layout is for.
+        self._planned_lens = core.base
 
     @property
     def distances_mm(self) -> list[float]:
@@ -101,7 +119,10 @@ class LensLayer(Numbers):
             self._core = self._core.replanned(values.cpu().numpy())
         except ValueError as error:
             raise self._gone_back(error) from None
-        self._passes, self._stale = 0, False
+        self._passes, self._planned, self._planned_lens = 0, values.clone(), self._core.base
+
+    def _is_planned(self, values: torch.Tensor) -> bool:
+        return torch.equal(values.detach().cpu(), self._planned.cpu())
 
     def _gone_back(self, error: ValueError) -> ValueError:
         """The error of numbers that are no lens, which go back to those of the last pass; says how far they were from there."""
@@ -147,6 +168,8 @@ class LensLayer(Numbers):
         margin : int
             Texels on each side that only the blur sees.
         """
+        if not isinstance(scenes, torch.Tensor):
+            raise TypeError(f"scenes: {type(scenes).__name__}; a tensor, as torch.from_numpy makes it of an array")
         if scenes.ndim != 4 or scenes.shape[1] != 3 or not len(scenes):
             raise ValueError(f"scenes: shape {tuple(scenes.shape)}; [B, 3, H, W] with one or more")
         if scenes.requires_grad:
@@ -154,7 +177,7 @@ class LensLayer(Numbers):
         if not scenes.is_floating_point():
             raise TypeError(f"scenes: {scenes.dtype}; linear light in floating point")
         count, _, rows, columns = scenes.shape
-        if not 0 <= 2 * margin < min(rows, columns):
+        if not isinstance(margin, int) or not 0 <= 2 * margin < min(rows, columns):
             raise ValueError(f"margin: {margin}; 0 to less than half of {rows} rows and {columns} columns")
         rows, columns = rows - 2 * margin, columns - 2 * margin
         frame = self.frame
@@ -163,23 +186,32 @@ class LensLayer(Numbers):
         if place is None:
             places = [((frame.rows - rows) // 2, (frame.columns - columns) // 2)] * count
         else:
-            asked = [(float(row), float(column)) for row, column in place]
+            try:
+                asked = [(float(row), float(column)) for row, column in place]
+            except (TypeError, ValueError):
+                raise ValueError(f"place: {place}; a pair (row, column) for each scene") from None
             if any(at < 0 or at % 1 for both in asked for at in both):
                 found = next(both for both in asked if any(at < 0 or at % 1 for at in both))
                 raise ValueError(f"place: {found}; whole rows and columns from 0, within {frame.rows} and {frame.columns}")
             places = [(int(row), int(column)) for row, column in asked]
         training = self.training and torch.is_grad_enabled()
-        if self._stale or training and self.replan_every and self._passes >= self.replan_every:
+        due = training and self.replan_every and self._passes >= self.replan_every
+        if due or not self.training and not self._is_planned(self._values()):
             self.replan()
         self._passes += training
-        which = self._which(distance_mm, count)
-        values = self._values()
+        depths = self._which(distance_mm, count)
+        values, light = self._values(), list[float]()
+        if len(values) != len(self._all_names):
+            raise ValueError(f"numbers: {len(values)}; {len(self._all_names)}, as `names` lists them")
         with torch.autocast(scenes.device.type, enabled=False):
             given = scenes if scenes.dtype == torch.float64 else scenes.float()
             try:
-                through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(  # type: ignore[no-untyped-call]
-                    values, given, self._core, which, places, margin
-                )
+                arguments = (depths, places, margin, light)
+                through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+                # So far from the lens that kernels were laid out for that they miss its light.
+                if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned(values):
+                    self.replan()
+                    through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
             except ValueError as error:
                 if self._stands(values):
                     raise
@@ -195,19 +227,28 @@ class LensLayer(Numbers):
             return False
         return True
 
-    def _load_from_state_dict(self, *arguments: Any, **options: Any) -> None:
-        super()._load_from_state_dict(*arguments, **options)  # type: ignore[no-untyped-call]
-        # The numbers come behind this.
-        self._stale = True
+    def get_extra_state(self) -> dict[str, Any]:
+        """What a checkpoint holds beside the numbers: their names, the lens they are put into, whose surfaces steps may have opened, and the lens that kernels
+        are laid out for."""
+        return {
+            "names": self._all_names,
+            "lens": self._core.base.to_toml(),
+            "planned": self._planned_lens.to_toml(),
+            "numbers": self._planned.tolist(),
+            "passes": self._passes,
+        }
 
-    def get_extra_state(self) -> dict[str, str]:
-        """What a checkpoint holds beside the numbers: the lens they are put into, whose surfaces steps may have opened."""
-        return {"lens": self._core.base.to_toml()}
-
-    def set_extra_state(self, state: dict[str, str]) -> None:
-        """Takes what `get_extra_state` gave."""
-        self._core = self._core.based(Lens.from_toml(state["lens"], "state_dict"))
-        self._stale = True
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Takes what `get_extra_state` gave. Raises ValueError where other numbers are trained, or the lens is another."""
+        if state["names"] != self._all_names:
+            raise ValueError(f"state_dict: {', '.join(state['names'])}; {', '.join(self._all_names)}, which are trained here")
+        planned, base = (Lens.from_toml(state[name], "state_dict") for name in ("planned", "lens"))
+        if list(planned.parameters) != list(self._core.base.parameters):
+            raise ValueError(f"state_dict: of the lens {planned.name!r}; one with the surfaces of {self._core.base.name!r}")
+        self._planned = torch.tensor(state["numbers"], dtype=torch.float64)
+        self._core = self._core.based(planned).replanned(self._planned.numpy())
+        self._planned_lens, self._passes = self._core.base, state["passes"]
+        self._core = self._core.based(base)
 
     def extra_repr(self) -> str:
         """For ``print(layer)``."""

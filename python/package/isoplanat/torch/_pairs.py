@@ -1,6 +1,7 @@
 """Pairs of capture and truth for a network, rendered as they are asked for."""
 
 import math
+import operator
 import os
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
@@ -77,7 +78,13 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
                 raise FileNotFoundError(f"{folder}: reading: no such folder; photographs (.png, .jpg, .tif, .npy)")
             self._files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _ENDINGS)
         else:
-            self._arrays = [np.ascontiguousarray(p, dtype=np.float32) for p in photos]
+            for k, photo in enumerate(photos):
+                kind = np.asarray(photo).dtype
+                if kind.kind != "f":
+                    raise TypeError(f"photos: number {k} is of {kind}; linear light in floating point, as iso.read_picture gives it")
+                if not np.isfinite(photo).all():
+                    raise ValueError(f"photos: number {k} has NaN or inf; finite light")
+            self._arrays = [self._coloured(np.ascontiguousarray(p, dtype=np.float32), k) for k, p in enumerate(photos)]
         if not self._files and not self._arrays:
             raise ValueError("photos: none; a folder of .png, .jpg, .tif, .npy, or arrays [3, row, col]")
         self.size, self.length, self.seed, self.epoch = size, length, seed, 0
@@ -91,19 +98,27 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
     def __len__(self) -> int:
         return self.length
 
+    @staticmethod
+    def _coloured(photo: Any, k: int) -> Any:
+        """A grey photograph is one of three equal channels."""
+        if photo.ndim == 2 or photo.ndim == 3 and photo.shape[0] == 1:
+            return np.broadcast_to(photo if photo.ndim == 3 else photo[None], (3, *photo.shape[-2:]))
+        if photo.ndim != 3 or photo.shape[0] != 3:
+            raise ValueError(f"photos: number {k} has the shape {photo.shape}; [3, row, col] or [row, col]")
+        return photo
+
     def _photo(self, k: int) -> Any:
         if k in self._kept:
             self._kept.move_to_end(k)
             return self._kept[k]
-        photo = self._arrays[k] if self._arrays else read_picture(self._files[k])
-        if photo.ndim != 3 or photo.shape[0] != 3:
-            raise ValueError(f"photos: number {k} has the shape {photo.shape}; [3, row, col]")
+        photo = self._arrays[k] if self._arrays else self._coloured(read_picture(self._files[k]), k)
         self._kept[k] = photo
         while len(self._kept) > self.keep:
             self._kept.popitem(last=False)
         return photo
 
     def __getitem__(self, k: int) -> tuple[torch.Tensor, torch.Tensor]:
+        k = operator.index(k)
         if not -self.length <= k < self.length:
             raise IndexError(f"pair {k} of {self.length}")
         draw = np.random.default_rng([self.seed, self.epoch, k % self.length])

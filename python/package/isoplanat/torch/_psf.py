@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch.autograd.function import once_differentiable
 
-from .._isoplanat import Lens, numbers_of
+from .._isoplanat import Lens, Psf, numbers_of
 from ._numbers import Numbers
 
 
@@ -15,9 +15,9 @@ class _Kernels(torch.autograd.Function):
     """Numbers to kernels."""
 
     @staticmethod
-    def forward(ctx: Any, values: torch.Tensor, lens: Lens, names: list[str], options: dict[str, Any]) -> torch.Tensor:
+    def forward(ctx: Any, values: torch.Tensor, lens: Lens, names: list[str], like: Psf) -> torch.Tensor:
         moved = lens.replace(dict(zip(names, values.detach().cpu().tolist(), strict=True)))
-        ctx.psf, ctx.names, ctx.device = moved.psf(**options), names, values.device
+        ctx.psf, ctx.names, ctx.device = moved.psf(like=like), names, values.device
         return torch.from_numpy(np.array(ctx.psf.kernels)).to(values.device)
 
     @staticmethod
@@ -38,7 +38,11 @@ class PsfLayer(Numbers):
     trainable : str or sequence of str
         Names or patterns of the lens's numbers, as of `LensLayer`.
 
-    Kernels are over the sensor, upright, and sum to what falls into them; they are placed about each one's own light, as `Lens.psf` says.
+    replan_every : int
+        After so many passes in training, kernels are placed anew about their light, as `Lens.psf` places them; 0: never of itself. In between their places are held,
+        and the gradient is that of held places. In evaluation they are placed anew whenever the numbers have changed.
+
+    Kernels are over the sensor, upright, and sum to what falls into them.
 
     Attributes
     ----------
@@ -55,12 +59,31 @@ class PsfLayer(Numbers):
         size: int | None = None,
         *,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
+        replan_every: int = 25,
         **options: Any,
     ) -> None:
+        if replan_every < 0:
+            raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
         names, values = numbers_of(lens, trainable)
         super().__init__(names, values)
         self._lens = lens
         self._options = {"fields_deg": fields_deg, "distances_mm": distances_mm, "pitch_um": pitch_um, "size": size, **options}
+        self.replan_every, self._passes = replan_every, 0
+        self._planned: torch.Tensor
+        self._like: Psf
+        self.replan()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_like"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)  # type: ignore[no-untyped-call,unused-ignore]
+        numbers = dict(zip(self._all_names, self._planned.tolist(), strict=True))
+        self._like = self._lens.replace(numbers).psf(**self._options)
+
+    def replan(self) -> None:
+        """Places kernels anew, about the light of the lens as it is now."""
+        self._like, self._passes, self._planned = self.lens.psf(**self._options), 0, self._values().detach().cpu().clone()
 
     @property
     def lens(self) -> Lens:
@@ -70,5 +93,10 @@ class PsfLayer(Numbers):
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(self) -> torch.Tensor:
         """The kernels, on the numbers' device."""
-        kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._options)  # type: ignore[no-untyped-call]
+        values, training = self._values(), self.training and torch.is_grad_enabled()
+        due = training and self.replan_every and self._passes >= self.replan_every
+        if due or not self.training and not torch.equal(values.detach().cpu(), self._planned):
+            self.replan()
+        self._passes += training
+        kernels: torch.Tensor = _Kernels.apply(values, self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call]
         return kernels

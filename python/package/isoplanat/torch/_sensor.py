@@ -1,6 +1,7 @@
 """A sensor: mosaic, noise, white balance and demosaicking on tensors, on their own device, with gradients."""
 
 import os
+from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -33,7 +34,7 @@ def _kernel(layout: str, row: int, column: int, channel: int) -> int:
 
 
 class Sensor(nn.Module):
-    """What a sensor makes of captures: ``picture = sensor(captures)``, [B, 3, H, W], demosaicked and white; no saturation, no rounding.
+    """What a sensor makes of captures: ``picture = sensor(captures)``, [B, 3, H, W], demosaicked and white; no saturation, no rounding. Noise is drawn in evaluation, too.
 
     A pixel that collects the share y of its full well N has the variance level² (y / N + (read noise / N)²). The draw is held in the gradient.
 
@@ -95,6 +96,12 @@ class Sensor(nn.Module):
         generator : torch.Generator, optional
             Where the noise is drawn from.
         """
+        if not isinstance(captures, torch.Tensor) or not captures.is_floating_point():
+            raise TypeError(f"captures: {getattr(captures, 'dtype', type(captures).__name__)}; a tensor of linear light in floating point")
+        if not (isinstance(place, Sequence) and [type(at) for at in place] == [int, int]):
+            raise ValueError(f"place: {place}; one row and column for all captures")
+        if captures.dtype == torch.float16:
+            return self.forward(captures.float(), place, generator=generator).half()
         if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
             raise ValueError(f"captures: shape {tuple(captures.shape)}; [B, 3, H, W] of 3 pixels a side or more")
         masks = self._over(self._masks, place, captures)

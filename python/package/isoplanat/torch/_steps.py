@@ -15,7 +15,7 @@ class Step(NamedTuple):
     Attributes
     ----------
     moved : bool
-        False: no lens was found in that direction; the layer is as it was, and the next step is shorter.
+        False: the layer is as it was; `held_by` says why. Where no lens was found in that direction the next step is shorter.
     length_mm : float
         How far the rays moved on the sensor, root mean square, mm.
     signal : float
@@ -38,7 +38,7 @@ class LensSteps(torch.optim.Optimizer):
 
     With the Jacobian of the rays' landings a step moves rays by ``lr`` mm, root mean square, where gradients agree, and by less where they do not. What is held is
     linear in each step, exactly; lenses through which rays do not pass are not entered. Curvatures, thicknesses and aspheres need no rates of
-    their own.
+    their own. The gradient's scale does not matter, only how gradients agree: clipping its norm changes nothing. Numbers with ``requires_grad=False`` stay.
 
     Parameters
     ----------
@@ -71,11 +71,30 @@ class LensSteps(torch.optim.Optimizer):
     ) -> None:
         if not isinstance(layer, LensLayer):
             raise TypeError(f"layer: {type(layer).__name__}; a LensLayer, whose numbers move")
+        if not 0 <= lr <= 10:
+            raise ValueError(f"lr: {lr:g}; 0 to 10 (mm)")
+        self._whole = False
         super().__init__(list(layer.numbers.values()), {"lr": lr})
+        self._whole = True
         self._layer = layer
         values = layer._values().detach().cpu().numpy()
-        self._steps = Steps(layer._core, values, hold, dict(constraints or {}), dict(bounds or {}))
+        self._frozen = self._now_frozen()
+        self._steps = Steps(layer._core, values, hold, dict(constraints or {}), dict(bounds or {}), self._frozen)
         self.last: Step | None = None
+
+    def _now_frozen(self) -> list[str]:
+        """Numbers that ask for no gradient: they stay."""
+        kinds = self._layer.numbers
+        return [name for kind, names in self._layer.names.items() if not kinds[kind].requires_grad for name in names]
+
+    def add_param_group(self, param_group: dict[str, Any]) -> None:
+        """Refused: the steps are those of one layer."""
+        if self._whole:
+            raise ValueError("param_group: another one; LensSteps moves one layer's numbers, other optimizers move others")
+        super().add_param_group(param_group)
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError("LensSteps is not copied or pickled; state_dict() is, and goes into a new one")
 
     @property
     def held(self) -> dict[str, tuple[float, float]]:
@@ -93,11 +112,19 @@ class LensSteps(torch.optim.Optimizer):
         if closure is not None:
             with torch.enable_grad():  # type: ignore[no-untyped-call,unused-ignore]
                 loss = closure()
-        layer = self._layer
+        layer, rate = self._layer, float(self.param_groups[0]["lr"])
+        if self._now_frozen() != self._frozen:
+            raise ValueError("layer: numbers were frozen or freed since; LensSteps made anew")
         values, gradient = layer._values().detach(), layer._gradient()
-        found = self._steps.step(layer._core, values.cpu().numpy(), gradient.cpu().numpy(), float(self.param_groups[0]["lr"]))
+        if rate == 0 or all(number.grad is None for number in layer.numbers.values()):
+            self.last = Step(False, 0.0, 0.0, float("nan"), ["no rate" if rate == 0 else "no gradient"])
+            return loss
+        if not bool(torch.isfinite(gradient).all()):
+            self.last = Step(False, 0.0, 0.0, float("nan"), ["a gradient that is not finite"])
+            return loss
+        found = self._steps.step(layer._core, values.cpu().numpy(), gradient.cpu().numpy(), rate)
         if found is None:
-            self.last = Step(False, 0.0, 0.0, float("nan"), [])
+            self.last = Step(False, 0.0, 0.0, float("nan"), ["no lens in that direction"])
         else:
             core, moved, length, signal, violation, held_by = found
             layer._settle(core, torch.from_numpy(moved).to(values.device))
@@ -106,11 +133,13 @@ class LensSteps(torch.optim.Optimizer):
 
     def state_dict(self) -> dict[str, Any]:
         """As of any optimizer, with what steps remember."""
-        return {**super().state_dict(), "memory": self._steps.memory}
+        return {**super().state_dict(), "memory": self._steps.memory, "names": self._layer._all_names}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Goes on with what ``state_dict`` gave."""
         state = dict(state_dict)
+        if state.pop("names", None) != self._layer._all_names or "memory" not in state:
+            raise ValueError(f"state_dict: not of LensSteps of these numbers: {', '.join(self._layer._all_names)}")
         first, second, steps, reach = state.pop("memory")
         super().load_state_dict(state)
         self._steps.remember(list(first), second, steps, reach)
