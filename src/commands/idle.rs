@@ -1,4 +1,4 @@
-//! Options that would do nothing: refused, since whoever gives one wants something of it.
+//! Options that do nothing beside others: told, since whoever gives one wants something of it; refused where they ask for a promise that is not kept.
 
 use clap::ArgMatches;
 use clap::parser::ValueSource;
@@ -14,6 +14,8 @@ struct Idle {
     /// How the others are.
     beside: &'static str,
     allowed: &'static str,
+    /// Whether it promises something.
+    promise: bool,
 }
 
 const ALL: [Idle; 9] = [
@@ -26,6 +28,7 @@ const ALL: [Idle; 9] = [
         idle: |words| !by_rays(words),
         beside: "no --method monte-carlo",
         allowed: "together with it: kernels of psf-grid are not drawn by samples",
+        promise: false,
     },
     Idle {
         command: "render",
@@ -33,6 +36,7 @@ const ALL: [Idle; 9] = [
         idle: by_rays,
         beside: "--method monte-carlo",
         allowed: "--method psf-grid, which is planned; monte-carlo takes --samples",
+        promise: true,
     },
     Idle {
         command: "render",
@@ -40,6 +44,7 @@ const ALL: [Idle; 9] = [
         idle: by_rays,
         beside: "--method monte-carlo",
         allowed: "--method psf-grid, which leaves things out; monte-carlo takes --samples",
+        promise: true,
     },
     Idle {
         command: "optimize",
@@ -47,6 +52,7 @@ const ALL: [Idle; 9] = [
         idle: |words| !is_given(words, "search"),
         beside: "no --search",
         allowed: "together with it: nothing else is drawn",
+        promise: false,
     },
     Idle {
         command: "dataset",
@@ -54,6 +60,7 @@ const ALL: [Idle; 9] = [
         idle: |words| ["png", "tiff", "tif"].contains(&word(words, "form").to_lowercase().as_str()),
         beside: "a file for each picture",
         allowed: "--form npy or npz, which have shards",
+        promise: false,
     },
     Idle {
         command: "view",
@@ -61,6 +68,7 @@ const ALL: [Idle; 9] = [
         idle: |words| is_given(words, "export"),
         beside: "--export",
         allowed: "either of them: nothing is served where the page goes into a file",
+        promise: false,
     },
 ];
 
@@ -71,6 +79,7 @@ const OF_CHIEF_RAYS: Idle = Idle {
     idle: |_| true,
     beside: "chief rays alone",
     allowed: "`isoplanat mtf` or `isoplanat spot`, which it is for",
+    promise: false,
 };
 
 fn by_rays(words: &ArgMatches) -> bool {
@@ -87,15 +96,25 @@ fn is_given(words: &ArgMatches, option: &str) -> bool {
     words.try_contains_id(option).is_ok() && words.value_source(option) == Some(ValueSource::CommandLine)
 }
 
-/// Refuses what `words` give and would do nothing.
+/// What `words` give and does nothing.
+fn found(words: &ArgMatches) -> Vec<&'static Idle> {
+    let Some((name, words)) = words.subcommand() else { return Vec::new() };
+    ALL.iter().filter(|i| i.command == name && is_given(words, i.option) && (i.idle)(words)).collect()
+}
+
+/// Tells what `words` give and does nothing.
 ///
 /// # Errors
-/// Such an option, by its name.
+/// Such an option that promises something, by its name.
 pub(crate) fn check(words: &ArgMatches) -> Result<()> {
-    let Some((name, words)) = words.subcommand() else { return Ok(()) };
-    let found = ALL.iter().find(|i| i.command == name && is_given(words, i.option) && (i.idle)(words));
-    let Some(Idle { option, beside, allowed, .. }) = found else { return Ok(()) };
-    Err(Error::bad(format!("--{}", option.replace('_', "-")), "with", *beside, *allowed))
+    for Idle { option, beside, allowed, promise, .. } in found(words) {
+        let error = Error::bad(format!("--{}", option.replace('_', "-")), "with", *beside, *allowed);
+        if *promise {
+            return Err(error);
+        }
+        crate::tell!("warning: it does nothing: {error}");
+    }
+    Ok(())
 }
 
 #[cfg(test)]
@@ -103,15 +122,15 @@ mod tests {
     use super::*;
     use clap::CommandFactory;
 
-    /// Every command and option of the table is one, and each line of the table refuses its own case and lets the other go.
+    /// Every command and option of the table is one, and each line of the table finds its own case and not the other.
     #[test]
-    fn what_would_do_nothing_is_refused() {
+    fn what_does_nothing_is_found() {
         let command = crate::Cli::command();
         for Idle { command: name, option, .. } in &ALL {
             let Some(of) = command.find_subcommand(name) else { continue };
             assert!(of.get_arguments().any(|a| a.get_id() == option), "{name} {option}");
         }
-        for (line, refused) in [
+        for (line, idle) in [
             ("distortion x --rays 100", true),
             ("mtf x --rays 100", false),
             ("distortion x --shift-mm 0.1", true),
@@ -132,8 +151,9 @@ mod tests {
                 Ok(words) => words,
                 Err(e) => panic!("{line}: {e}"),
             };
-            let error = check(&words).err().map(|e| e.to_string());
-            assert_eq!(error.is_some(), refused, "{line}: {error:?}");
+            let found = found(&words);
+            assert_eq!(!found.is_empty(), idle, "{line}");
+            assert_eq!(check(&words).is_err(), found.iter().any(|i| i.promise), "{line}");
         }
     }
 }
