@@ -12,13 +12,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ._distances import which
 from ._isoplanat import Frame, Layer, Lens
+from ._placed import Placed, which
 
 __all__ = ["LensFunction"]
 
 
-class LensFunction:
+class LensFunction(Placed):
     """``captures, truths, status = through(values, scenes, distance_mm, place)``.
 
     Parameters
@@ -60,21 +60,6 @@ class LensFunction:
         self.error = ""
         self._through = functools.lru_cache(maxsize=None)(self._made)
 
-    @property
-    def distances_mm(self) -> list[float]:
-        """Object distances, mm."""
-        return self._core.distances_mm
-
-    @property
-    def frame(self) -> Frame:
-        """The sensor."""
-        return self._core.frame
-
-    @property
-    def reach_px(self) -> int:
-        """How far the light of a pixel comes from, at most: a margin of so many texels leaves no pixel that sees past its scene."""
-        return self._core.reach_px
-
     def lens(self, values: Any) -> Lens:
         """The lens with these numbers. Raises ValueError where they are no lens."""
         return self._core.lens(np.asarray(values, dtype=np.float64))
@@ -114,17 +99,10 @@ class LensFunction:
         values, scenes = jnp.asarray(values), jnp.asarray(scenes)
         if values.shape != (len(self.names),) or values.dtype != jnp.float64:
             raise ValueError(f"values: {values.dtype} of shape {values.shape}; float64 of [{len(self.names)}]")
-        if scenes.ndim != 4 or scenes.shape[1] != 3 or not scenes.shape[0]:
-            raise ValueError(f"scenes: shape {scenes.shape}; [B, 3, H, W] with one or more")
+        rows, columns = self._patch(scenes.shape, margin)
         if scenes.dtype not in (jnp.float32, jnp.float64):
             raise TypeError(f"scenes: {scenes.dtype}; linear light as float32 or float64")
-        count, _, rows, columns = scenes.shape
-        if not 0 <= 2 * margin < min(rows, columns):
-            raise ValueError(f"margin: {margin}; 0 to less than half of {rows} rows and {columns} columns")
-        frame = self.frame
-        rows, columns = rows - 2 * margin, columns - 2 * margin
-        if rows > frame.rows or columns > frame.columns:
-            raise ValueError(f"scenes: patches of {rows} × {columns} pixels; at most the frame, {frame.rows} × {frame.columns}")
+        count, frame = scenes.shape[0], self.frame
         middle = ((frame.rows - rows) // 2, (frame.columns - columns) // 2)
         places = jnp.broadcast_to(jnp.asarray(middle if place is None else place), (count, 2))
         if not jnp.issubdtype(places.dtype, jnp.integer):

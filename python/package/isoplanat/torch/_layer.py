@@ -7,10 +7,9 @@ import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
 
-from .._distances import which
 from .._isoplanat import Frame, Layer, Lens
+from .._placed import Placed, which
 from ._numbers import Numbers
-
 
 # Share of the light that kernels may miss before they are laid out anew.
 MOST_LOST = 0.1
@@ -43,7 +42,7 @@ class _Through(torch.autograd.Function):
         return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None
 
 
-class LensLayer(Numbers):
+class LensLayer(Placed, Numbers):
     """Patches of scenes through a lens whose numbers are trained: ``captures, truths = layer(scenes, distance_mm, place)``.
 
     Parameters
@@ -80,31 +79,12 @@ class LensLayer(Numbers):
         illuminant: str | None = None,
         replan_every: int = 25,
     ) -> None:
-        if replan_every < 0:
-            raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
         core = Layer(lens, frame, distances_mm, trainable, illuminant)
-        super().__init__(core.names, core.values)
+        super().__init__(core.names, core.values, replan_every)
         self._core = core
-        self.replan_every = replan_every
-        self._passes = 0
-        self._valid = self._planned = self._values().detach().clone()
+        self._valid = self._planned
         # The lens that the layout is for.
         self._planned_lens = core.base
-
-    @property
-    def distances_mm(self) -> list[float]:
-        """Object distances, mm."""
-        return self._core.distances_mm
-
-    @property
-    def frame(self) -> Frame:
-        """The sensor."""
-        return self._core.frame
-
-    @property
-    def reach_px(self) -> int:
-        """How far the light of a pixel comes from, at most: a margin of so many texels leaves no pixel that sees past its scene."""
-        return self._core.reach_px
 
     @property
     def lens(self) -> Lens:
@@ -120,9 +100,6 @@ class LensLayer(Numbers):
         except ValueError as error:
             raise self._gone_back(error) from None
         self._passes, self._planned, self._planned_lens = 0, values.clone(), self._core.base
-
-    def _is_planned(self, values: torch.Tensor) -> bool:
-        return torch.equal(values.detach().cpu(), self._planned.cpu())
 
     def _gone_back(self, error: ValueError) -> ValueError:
         """The error of numbers that are no lens, which go back to those of the last pass; says how far they were from there."""
@@ -170,19 +147,12 @@ class LensLayer(Numbers):
         """
         if not isinstance(scenes, torch.Tensor):
             raise TypeError(f"scenes: {type(scenes).__name__}; a tensor, as torch.from_numpy makes it of an array")
-        if scenes.ndim != 4 or scenes.shape[1] != 3 or not len(scenes):
-            raise ValueError(f"scenes: shape {tuple(scenes.shape)}; [B, 3, H, W] with one or more")
+        rows, columns = self._patch(scenes.shape, margin)
         if scenes.requires_grad:
             raise ValueError("scenes: they ask for a gradient, and have none here; scenes.detach()")
         if not scenes.is_floating_point():
             raise TypeError(f"scenes: {scenes.dtype}; linear light in floating point")
-        count, _, rows, columns = scenes.shape
-        if not isinstance(margin, int) or not 0 <= 2 * margin < min(rows, columns):
-            raise ValueError(f"margin: {margin}; 0 to less than half of {rows} rows and {columns} columns")
-        rows, columns = rows - 2 * margin, columns - 2 * margin
-        frame = self.frame
-        if rows > frame.rows or columns > frame.columns:
-            raise ValueError(f"scenes: patches of {rows} × {columns} pixels; at most the frame, {frame.rows} × {frame.columns}")
+        count, frame = len(scenes), self.frame
         if place is None:
             places = [((frame.rows - rows) // 2, (frame.columns - columns) // 2)] * count
         else:
@@ -194,11 +164,7 @@ class LensLayer(Numbers):
                 found = next(both for both in asked if any(at < 0 or at % 1 for at in both))
                 raise ValueError(f"place: {found}; whole rows and columns from 0, within {frame.rows} and {frame.columns}")
             places = [(int(row), int(column)) for row, column in asked]
-        training = self.training and torch.is_grad_enabled()
-        due = training and self.replan_every and self._passes >= self.replan_every
-        if due or not self.training and not self._is_planned(self._values()):
-            self.replan()
-        self._passes += training
+        self._follow()
         depths = self._which(distance_mm, count)
         values, light = self._values(), list[float]()
         if len(values) != len(self._all_names):
@@ -209,7 +175,7 @@ class LensLayer(Numbers):
                 arguments = (depths, places, margin, light)
                 through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
                 # So far from the lens that kernels were laid out for that they miss its light.
-                if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned(values):
+                if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
                     self.replan()
                     through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
             except ValueError as error:

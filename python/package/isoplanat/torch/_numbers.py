@@ -10,7 +10,9 @@ from torch import nn
 class Numbers(nn.Module):
     """A module whose parameters are numbers of a lens, kind by kind; they stay float64, whatever the module is cast to."""
 
-    def __init__(self, all_names: Sequence[str], values: Sequence[float]) -> None:
+    def __init__(self, all_names: Sequence[str], values: Sequence[float], replan_every: int) -> None:
+        if replan_every < 0:
+            raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
         super().__init__()
         groups: dict[str, list[int]] = {}
         for k, name in enumerate(all_names):
@@ -22,6 +24,24 @@ class Numbers(nn.Module):
         # Where each number of the library stands among the groups'.
         self._places = [k for of in groups.values() for k in of]
         self._order = sorted(range(len(self._places)), key=self._places.__getitem__)
+        self.replan_every = replan_every
+        # Passes in training since the last layout, and the numbers that it was for.
+        self._passes, self._planned = 0, self._values().detach().clone()
+
+    def replan(self) -> None:
+        """Lays out anew for the numbers as they are."""
+        raise NotImplementedError
+
+    def _is_planned(self) -> bool:
+        return torch.equal(self._values().detach().cpu(), self._planned.cpu())
+
+    def _follow(self) -> None:
+        """Lays out anew where that is due: after so many passes in training, whenever the numbers have changed in evaluation."""
+        training = self.training and torch.is_grad_enabled()
+        due = training and self.replan_every and self._passes >= self.replan_every
+        if due or not self.training and not self._is_planned():
+            self.replan()
+        self._passes += training
 
     def _values(self) -> torch.Tensor:
         """All numbers in the library's order."""

@@ -37,7 +37,6 @@ class PsfLayer(Numbers):
         As of `Lens.psf`; ``dtype="float64"`` gives kernels in float64.
     trainable : str or sequence of str
         Names or patterns of the lens's numbers, as of `LensLayer`.
-
     replan_every : int
         After so many passes in training, kernels are placed anew about their light, as `Lens.psf` places them; 0: never of itself. In between their places are held,
         and the gradient is that of held places. In evaluation they are placed anew whenever the numbers have changed.
@@ -62,14 +61,10 @@ class PsfLayer(Numbers):
         replan_every: int = 25,
         **options: Any,
     ) -> None:
-        if replan_every < 0:
-            raise ValueError(f"replan_every: {replan_every}; 0 or more passes")
         names, values = numbers_of(lens, trainable)
-        super().__init__(names, values)
+        super().__init__(names, values, replan_every)
         self._lens = lens
         self._options = {"fields_deg": fields_deg, "distances_mm": distances_mm, "pitch_um": pitch_um, "size": size, **options}
-        self.replan_every, self._passes = replan_every, 0
-        self._planned: torch.Tensor
         self._like: Psf
         self.replan()
 
@@ -83,7 +78,7 @@ class PsfLayer(Numbers):
 
     def replan(self) -> None:
         """Places kernels anew, about the light of the lens as it is now."""
-        self._like, self._passes, self._planned = self.lens.psf(**self._options), 0, self._values().detach().cpu().clone()
+        self._like, self._passes, self._planned = self.lens.psf(**self._options), 0, self._values().detach().clone()
 
     @property
     def lens(self) -> Lens:
@@ -93,10 +88,6 @@ class PsfLayer(Numbers):
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(self) -> torch.Tensor:
         """The kernels, on the numbers' device."""
-        values, training = self._values(), self.training and torch.is_grad_enabled()
-        due = training and self.replan_every and self._passes >= self.replan_every
-        if due or not self.training and not torch.equal(values.detach().cpu(), self._planned):
-            self.replan()
-        self._passes += training
-        kernels: torch.Tensor = _Kernels.apply(values, self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call]
+        self._follow()
+        kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call]
         return kernels

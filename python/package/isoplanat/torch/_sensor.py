@@ -1,7 +1,7 @@
 """A sensor: mosaic, noise, white balance and demosaicking on tensors, on their own device, with gradients."""
 
+import operator
 import os
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -98,8 +98,11 @@ class Sensor(nn.Module):
         """
         if not isinstance(captures, torch.Tensor) or not captures.is_floating_point():
             raise TypeError(f"captures: {getattr(captures, 'dtype', type(captures).__name__)}; a tensor of linear light in floating point")
-        if not (isinstance(place, Sequence) and [type(at) for at in place] == [int, int]):
-            raise ValueError(f"place: {place}; one row and column for all captures")
+        try:
+            row, column = map(operator.index, place)
+        except (TypeError, ValueError):
+            raise ValueError(f"place: {place}; one row and column for all captures") from None
+        place = (row, column)
         if captures.dtype == torch.float16:
             return self.forward(captures.float(), place, generator=generator).half()
         if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
