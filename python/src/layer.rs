@@ -5,6 +5,7 @@ use std::sync::Arc;
 use isoplanat::imaging::render::{RenderPlan, Rendered, Settings};
 use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::lens::variables::Variables;
+use isoplanat::math::mixed;
 use isoplanat::psf::{OpticsBar, SensorMap};
 use isoplanat::{Error, Plane, Region, Renderer, Result, Sensor, SpectralDensity};
 use ndarray::{Array3, Array4, ArrayView4, Axis, Ix4, s};
@@ -71,6 +72,19 @@ struct Batch<'a> {
     depths: &'a [usize],
     /// First row and column of each patch in the frame.
     places: &'a [[usize; 2]],
+    /// Texels down and across from a scene's middle to what the patch's middle sees; drawn where left out.
+    shifts: Option<&'a [[f64; 2]]>,
+}
+
+/// Parts of a texel, down and across, from -½ to ½, by what is in a scene and where it stands.
+///
+/// Interpolation between texels softens, least where they lie on pixels. Were they laid there, whatever moves a scene would soften it, and a loss would gain by
+/// moving. With every part as likely as any other, softness does not depend on the lens.
+fn drawn(texture: &Array3<f32>, place: [usize; 2], depth: usize) -> [f64; 2] {
+    let of = [place[0], place[1], depth].map(|n| n as u64);
+    let seed = of.into_iter().chain(texture.iter().map(|v| u64::from(v.to_bits()))).fold(0, mixed);
+    #[expect(clippy::cast_precision_loss, reason = "53 bits")]
+    [1, 2].map(|k| (mixed(seed, k) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5)
 }
 
 impl Planned {
@@ -100,14 +114,16 @@ impl Planned {
         let region = Region { row: row.cast_signed(), col: col.cast_signed(), rows, cols };
         #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
         let middle = |first: usize, n: usize| first as f64 + 0.5 * n as f64;
-        // A texel a pixel there: the scene's middle in the patch's.
+        let texture = texture.mapv(|v| v.to_double() as f32);
+        let depth = batch.depths[b];
+        let [down, across] = batch.shifts.map_or_else(|| drawn(&texture, [row, col], depth), |all| all[b]);
+        // A texel a pixel there: the scene's middle in the patch's, but for the shift.
         let place = Placement {
-            texel: [middle(batch.margin, cols), middle(batch.margin, rows)],
+            texel: [middle(batch.margin, cols) + across, middle(batch.margin, rows) + down],
             pixel: [middle(col, cols), middle(row, rows)],
             scale: Scale::There(1.0),
         };
-        let texture = texture.mapv(|v| v.to_double() as f32);
-        (place.by(&self.maps[batch.depths[b]], &self.frame.inner, texture), region)
+        (place.by(&self.maps[depth], &self.frame.inner, texture), region)
     }
 
     fn rendered<T: Number>(&self, renderer: &Renderer, batch: &Batch<'_>, scenes: ArrayView4<'_, T>) -> Vec<Patch<T>> {
@@ -300,6 +316,10 @@ impl Layer {
     ///     First pixel of each patch in the frame.
     /// margin : int
     ///     Texels on each side that are seen by the blur alone.
+    /// shifts : sequence of (down, across), optional
+    ///     Texels from each scene's middle to what its patch's middle sees; parts of a texel, drawn by scene and place, where left out.
+    #[pyo3(signature = (values, scenes, distances, places, margin, shifts = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's words")]
     fn record(
         &self,
         py: Python<'_>,
@@ -308,6 +328,7 @@ impl Layer {
         distances: Vec<usize>,
         places: Vec<[usize; 2]>,
         margin: usize,
+        shifts: Option<Vec<[f64; 2]>>,
     ) -> PyResult<(Py<PyAny>, Py<PyAny>, LayerRecord)> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
@@ -318,7 +339,8 @@ impl Layer {
         let [Some(rows), Some(columns)] = sides else {
             return Err(refused("margin", margin, format!("less than half of {rows} rows and {columns} columns")));
         };
-        for (name, n) in [("distance_mm", distances.len()), ("place", places.len())] {
+        let shifted = shifts.as_ref().map_or(count, Vec::len);
+        for (name, n) in [("distance_mm", distances.len()), ("place", places.len()), ("shift", shifted)] {
             if n != count {
                 return Err(refused(name, format!("{n} of them"), format!("one of each of {count} scenes")));
             }
@@ -336,7 +358,10 @@ impl Layer {
         if let Some(k) = distances.iter().find(|k| **k >= self.inner.plan.depths.len()) {
             return Err(refused("distances", k, format!("0 to {}", self.inner.plan.depths.len() - 1)));
         }
-        let batch = Batch { margin, depths: &distances, places: &places };
+        if let Some([down, across]) = shifts.iter().flatten().find(|s| !s.iter().all(|n| n.is_finite())) {
+            return Err(refused("shift", format!("({down}, {across})"), "finite texels"));
+        }
+        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
         let double = matches!(floats, Floats::Double(_));
         if double {
             self.recorded::<f64>(py, &values, &floats, &batch, Kept::Double)

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use isoplanat::lens::Field;
+use isoplanat::optimize::corner::{Corner, distortion_held};
 use isoplanat::optimize::descent::{Descent, Memory};
 use isoplanat::optimize::spec::Spec;
 use isoplanat::optimize::{Constraint, Problem, Quantity};
@@ -18,12 +18,6 @@ use crate::work::work;
 
 /// What errors call the arguments of one call.
 const CALL: &str = "LensSteps";
-/// The field over which rays are held, over that of the frame's corner; and the steepest one, degrees.
-const MARGIN: f64 = 1.02;
-const STEEPEST_DEG: f64 = 85.0;
-/// Distortion that a design may have at its corner, and by how much that of the start may change where it is beyond.
-const BARREL: f64 = 0.08;
-const SLACK: f64 = 0.02;
 /// Longest step, mm.
 const MOST_MM: f64 = 10.0;
 /// What can be held by name alone.
@@ -44,14 +38,12 @@ struct State {
 
 /// The lens over the field that its frame sees, and the distortion at the corner of that.
 fn seen(planned: &Planned, lens: &isoplanat::Lens) -> Result<(isoplanat::Lens, f64)> {
-    let (map, radius) = (&planned.maps[0], planned.frame.inner.max_radius_mm());
-    let slope = map.slope(radius).abs();
-    if !slope.is_finite() {
-        return Err(Error::bad("", "frame", slope.to_string(), "a frame that the lens's field reaches"));
+    let corner = Corner::new(&planned.maps[0], planned.frame.inner.max_radius_mm());
+    if corner.angle_deg.is_nan() || corner.angle_deg >= 90.0 {
+        return Err(Error::bad("", "frame", corner.angle_deg.to_string(), "a frame that the lens's field reaches"));
     }
-    let corner = (MARGIN * slope.atan().to_degrees()).min(STEEPEST_DEG);
-    let lens = lens.changed(|l| l.field = Field::Angle(corner))?;
-    Ok((lens, radius * map.ratio(0.0) / slope - 1.0))
+    let lens = lens.changed(|l| l.field = corner.field())?;
+    Ok((lens, corner.distortion))
 }
 
 fn problem(
@@ -93,9 +85,8 @@ fn problem(
     keep(back_focus, Quantity::BackFocus, [last; 2]);
     keep(f_number, Quantity::FNumber, [first.f_number; 2]);
     let outermost = problem.merit.fields.len() - 1;
-    let bounds = [(-BARREL).min(distortion - SLACK), BARREL.max(distortion + SLACK)];
-    if distorted && distortion.is_finite() {
-        problem.constraints.push(Constraint { quantity: Quantity::Distortion(outermost), bounds });
+    if distorted {
+        problem.constraints.extend(distortion_held(distortion, outermost));
     }
     Ok(problem)
 }

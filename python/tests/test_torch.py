@@ -14,7 +14,7 @@ with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from isoplanat.torch import LensLayer
+    from isoplanat.torch import LensLayer, LensSteps
 
 
 @pytest.mark.parametrize("distance", [1000.0, float("inf")])
@@ -64,10 +64,89 @@ def test_a_patch_is_that_part_of_the_picture():
     margin = min(layer.reach_px + 4, row)
     part = photo[:, row - margin : row + side + margin, column - margin : column + side + margin]
     with torch.no_grad():
-        captures, truths = layer(torch.tensor(part)[None], margin=margin)
+        captures, truths = layer(torch.tensor(part)[None], margin=margin, shift=[(0, 0)])
     for ours, wanted in [(captures, picture), (truths, truth)]:
         error = ours[0].numpy() - wanted[:, row : row + side, column : column + side]
         assert ours.dtype == torch.float32 and np.mean(error**2) < 1e-4, np.mean(error**2)
+
+
+def test_scenes_are_shifted_by_parts_of_a_texel_or_as_asked():
+    lens = iso.Lens("cooke_triplet")
+    layer = LensLayer(lens, frame_of(lens, 96, 96)).eval()
+    photo = torch.tensor(iso.scene("facades", 40, 40))
+    with torch.no_grad():
+        # A shift of whole texels is another part of the picture.
+        moved = layer(photo[None, :, 0:36, 0:36], margin=8, shift=[(3, 2)])
+        there = layer(photo[None, :, 3:39, 2:38], margin=8, shift=torch.zeros(1, 2))
+        assert all((a[..., :16, :16] - b[..., :16, :16]).abs().max() < 2e-6 for a, b in zip(moved, there))
+        # On a slope of light the truth in the middle tells the shift.
+        slope = torch.arange(12.0, dtype=torch.float64)
+        heights = torch.arange(1.0, 301.0, dtype=torch.float64)[:, None, None, None]
+        for axis, scene in enumerate([slope[:, None].expand(12, 12), slope.expand(12, 12)]):
+            scenes = heights * scene.expand(300, 3, 12, 12).contiguous()
+            truths = layer(scenes)[1] / heights
+            shifts = truths[:, 0, 5:7, 5:7].mean((-2, -1)) - 5.5
+            assert shifts.abs().max() < 0.5 + 1e-3, shifts
+            counts = torch.histc(shifts, 5, -0.5, 0.5)
+            assert counts.min() > 35 and counts.max() < 90, (axis, counts)
+            # The same in whatever batch; another at another place.
+            assert torch.allclose(layer(scenes[7:9])[1] / heights[7:9], truths[7:9], rtol=1e-14)
+            assert (layer(scenes[7:8], place=[(3, 3)])[1] / heights[7:8] - truths[7:8]).abs().max() > 1e-3
+    for wrong, why in [([(0, torch.nan)], "finite texels"), ([(0, 0), (0, 0)], "one of each of 1 scenes"), ([1, 2], "a pair")]:
+        with pytest.raises(ValueError, match=f"shift: .*{why}"):
+            layer(photo[None], shift=wrong)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    """A lens out of focus, its frame, and patches with detail of one texel."""
+    lens = iso.Lens("cooke_triplet").replace({"surface[5].thickness": 42.8})
+    photo = iso.scene("facades", 600, 800).reshape(3, 300, 2, 400, 2).mean((2, 4))
+    rng = np.random.default_rng(3)
+    corners = [(int(rng.integers(300 - 72)), int(rng.integers(400 - 72))) for _ in range(96)]
+    scenes = np.stack([photo[:, row : row + 72, column : column + 72] for row, column in corners])
+    places = [(int(rng.integers(128 - 48)), int(rng.integers(192 - 48))) for _ in corners]
+    return lens, iso.Frame(192, 128, 60.0), torch.tensor(scenes).double(), places
+
+
+def test_gradients_of_sharp_scenes_are_those_of_new_layouts(sharp):
+    # What moves a scene must not gain by softening it: at a layout the gradient is that of differences between lenses that are laid out each for itself.
+    lens, frame, scenes, places = sharp
+    name = "surface[5].thickness"
+
+    def loss(layer):
+        captures, truths = layer(scenes, place=places, margin=12)
+        return (captures - truths).square().mean()
+
+    layer = LensLayer(lens, frame, trainable=name)
+    loss(layer).backward()
+    start = lens.parameters[name]
+    with torch.no_grad():
+        up, down = (float(loss(LensLayer(lens.replace({name: start + by}), frame, trainable=name))) for by in (0.01, -0.01))
+    ours = float(layer.numbers["thickness"].grad)
+    assert ours == pytest.approx((up - down) / 0.02, rel=0.2)
+    # Texels on pixels: a difference to either side sees the loss fall.
+    with torch.no_grad():
+        aligned = [(0.0, 0.0)] * len(places)
+        losses = []
+        for by in (-0.01, 0.0, 0.01):
+            layer.numbers["thickness"].fill_(start + by)
+            captures, truths = layer(scenes, place=places, margin=12, shift=aligned)
+            losses.append(float((captures - truths).square().mean()))
+    assert losses[0] + losses[2] < 2 * losses[1]
+
+
+def test_sharp_scenes_lead_into_focus(sharp):
+    lens, frame, scenes, places = sharp
+    layer = LensLayer(lens, frame, trainable=["surface[*].curvature", "surface[*].thickness"])
+    steps = LensSteps(layer, lr=1e-2)
+    for k in range(96):
+        captures, truths = layer(scenes[k : k + 1].float(), place=places[k : k + 1], margin=12)
+        steps.zero_grad()
+        (captures - truths).square().mean().backward()
+        steps.step()
+    spots = [field["rms_mm"] for field in layer.lens.spot()["fields"]]
+    assert spots[0] < 0.008 and max(spots) < 0.015, spots
 
 
 def test_it_behaves_as_a_module():

@@ -1,8 +1,9 @@
 //! Options that do nothing beside others: told, since whoever gives one wants something of it; refused where they ask for a promise that is not kept.
 
 use clap::ArgMatches;
-use clap::parser::ValueSource;
 use isoplanat::{Error, Result};
+
+use crate::outputs::is_given;
 
 /// An option that has an effect only beside others.
 struct Idle {
@@ -92,29 +93,26 @@ fn word(words: &ArgMatches, option: &str) -> String {
     raw.and_then(|mut all| all.next()).map_or_else(String::new, |w| w.to_string_lossy().into_owned())
 }
 
-fn is_given(words: &ArgMatches, option: &str) -> bool {
-    words.try_contains_id(option).is_ok() && words.value_source(option) == Some(ValueSource::CommandLine)
-}
-
 /// What `words` give and does nothing.
 fn found(words: &ArgMatches) -> Vec<&'static Idle> {
     let Some((name, words)) = words.subcommand() else { return Vec::new() };
     ALL.iter().filter(|i| i.command == name && is_given(words, i.option) && (i.idle)(words)).collect()
 }
 
-/// Tells what `words` give and does nothing.
+/// What `words` give and does nothing, in words, to be told where the command succeeds: a refusal is one line.
 ///
 /// # Errors
 /// Such an option that promises something, by its name.
-pub(crate) fn check(words: &ArgMatches) -> Result<()> {
+pub(crate) fn check(words: &ArgMatches) -> Result<Vec<String>> {
+    let mut told = Vec::new();
     for Idle { option, beside, allowed, promise, .. } in found(words) {
         let error = Error::bad(format!("--{}", option.replace('_', "-")), "with", *beside, *allowed);
         if *promise {
             return Err(error);
         }
-        crate::tell!("warning: it does nothing: {error}");
+        told.push(format!("it does nothing: {error}"));
     }
-    Ok(())
+    Ok(told)
 }
 
 #[cfg(test)]
@@ -153,7 +151,8 @@ mod tests {
             };
             let found = found(&words);
             assert_eq!(!found.is_empty(), idle, "{line}");
-            assert_eq!(check(&words).is_err(), found.iter().any(|i| i.promise), "{line}");
+            let told = check(&words).map(|told| told.len());
+            assert_eq!(told.ok(), (!found.iter().any(|i| i.promise)).then_some(found.len()), "{line}");
         }
     }
 }

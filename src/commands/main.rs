@@ -300,8 +300,9 @@ fn run() -> ExitCode {
     glasses::set_reading(Reading { strict, configuration });
     isoplanat::atomic::tell_by(|note| tell!("note: {note}"));
     let mut out = BufWriter::new(Printable::new(std::io::stdout().lock()));
-    let ready = outputs::check(&Cli::command(), &words).and_then(|()| idle::check(&words));
-    let ready = ready
+    let mut idle = Vec::new();
+    let ready = outputs::check(&Cli::command(), &words)
+        .and_then(|()| idle::check(&words).map(|found| idle = found))
         .and_then(|()| check_environment())
         .and_then(|()| memory::set(memory_gib))
         .and_then(|()| glasses::set(&glass, &glass_for));
@@ -312,6 +313,9 @@ fn run() -> ExitCode {
         // Of commands that read no lens, or many.
         .and_then(|()| Ok(glasses::all_taken()?))
     else {
+        for option in idle {
+            tell!("warning: {option}");
+        }
         return ExitCode::SUCCESS;
     };
     // Whoever reads our output may stop reading: that is no error.

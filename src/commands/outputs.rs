@@ -42,11 +42,15 @@ fn ending(argument: &Arg) -> Option<&str> {
 /// The values that were given for an argument; its defaults are none.
 fn given(argument: &Arg, words: &ArgMatches) -> Vec<PathBuf> {
     let id = argument.get_id().as_str();
-    let takes = argument.get_action().takes_values();
-    if !takes || words.try_contains_id(id).is_err() || words.value_source(id) != Some(ValueSource::CommandLine) {
+    if !argument.get_action().takes_values() || !is_given(words, id) {
         return Vec::new();
     }
     words.get_raw(id).into_iter().flatten().map(PathBuf::from).collect()
+}
+
+/// Whether an argument stands on the command line; its default does not.
+pub(crate) fn is_given(words: &ArgMatches, id: &str) -> bool {
+    words.try_contains_id(id).is_ok() && words.value_source(id) == Some(ValueSource::CommandLine)
 }
 
 /// Whether a name ends as `wanted` (`.csv`) says, or does not say what it is: devices and pipes have names of their own.

@@ -207,7 +207,10 @@ impl Textures {
         let texture = texture.as_standard_layout().to_owned();
         let [x, y] = region.offset(frame, region.rows / 2, region.cols / 2);
         let pixel = [frame.axis_px[0] + x, frame.axis_px[1] + y];
-        let scene = Placement { texel: [w as f64 / 2.0, h as f64 / 2.0], pixel, scale }.by(map, frame, texture);
+        // A pixel's middle sees where four texels meet. Were it to see a texel's middle, whatever moves the scene would soften it, and a loss would gain by moving.
+        #[expect(clippy::cast_precision_loss, reason = "raster sizes")]
+        let texel = [w / 2, h / 2].map(|n| n as f64);
+        let scene = Placement { texel, pixel, scale }.by(map, frame, texture);
         Patch::whole(scene, region, rng.u64(..))
     }
 }

@@ -33,8 +33,9 @@ use isoplanat_optics::interchange::{self, Reading};
 use isoplanat_optics::lens::catalogue::Glasses;
 use isoplanat_optics::lens::variables::Variables;
 use isoplanat_optics::lens::{Field, Kind, Lens, Prescription, SensorRaster};
+use isoplanat_optics::optimize::Problem;
+use isoplanat_optics::optimize::corner::distortion_held;
 use isoplanat_optics::optimize::spec::Spec;
-use isoplanat_optics::optimize::{Constraint, Problem, Quantity};
 use isoplanat_optics::trace::rims::require_clear;
 use stated::Stated;
 
@@ -43,10 +44,6 @@ pub use train::{TrainBudget, TrainLoss, TrainNetwork, TrainPairs, TrainTask};
 
 pub use groups::{Budget, FrameTask, LensTask, LossTask, NetworkTask, PictureTask, TaskSensor};
 pub use isoplanat_models::TASKS as SHIPPED;
-
-/// Largest distortion at the frame's corner, and how much more than its own a lens may get that has more.
-const BARREL: f64 = 0.08;
-const SLACK: f64 = 0.02;
 
 /// The form of task files that this program writes; it reads those of schema 1 as well.
 pub(crate) const SCHEMA: u32 = 2;
@@ -269,14 +266,9 @@ impl Task {
         // A term in the square bends as the curvature does.
         free.retain(|p| !(p.kind == Kind::Even && p.entry == 0 && p.value(&*lens) == Some(0.0)));
         let mut problem = spec.problem_varying(&lens, free, file)?;
-        // What the frame sees stays what it is: left alone, lenses buy sharpness by barrels that see ever more.
-        let outermost = problem.merit.fields.len() - 1;
-        if !spec.constraints.contains_key("distortion")
-            && !spec.targets.contains_key("distortion")
-            && distortion.is_finite()
-        {
-            let bounds = [(-BARREL).min(distortion - SLACK), BARREL.max(distortion + SLACK)];
-            problem.constraints.push(Constraint { quantity: Quantity::Distortion(outermost), bounds });
+        let stated = spec.constraints.contains_key("distortion") || spec.targets.contains_key("distortion");
+        if !stated {
+            problem.constraints.extend(distortion_held(distortion, problem.merit.fields.len() - 1));
         }
         Ok(problem)
     }

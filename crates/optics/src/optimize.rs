@@ -33,6 +33,8 @@
 
 pub(crate) mod constraint;
 #[doc(hidden)]
+pub mod corner;
+#[doc(hidden)]
 pub mod descent;
 mod engine;
 mod finish;

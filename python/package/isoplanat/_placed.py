@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Sequence
 from numbers import Integral
+from typing import Any
 
 from ._isoplanat import Frame, Layer
 
@@ -15,6 +16,14 @@ def which(known: Sequence[float], asked: Iterable[float]) -> list[int]:
             raise ValueError(f"distance_mm: {distance:g}; one of {', '.join(f'{k:g}' for k in known)} (distances_mm)")
         found.append(near)
     return found
+
+
+def pairs(name: str, asked: Iterable[Iterable[Any]]) -> list[tuple[float, float]]:
+    """Two numbers for each scene, down and across. Raises ValueError for something else."""
+    try:
+        return [(float(down), float(across)) for down, across in asked]
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: {asked}; a pair (row, column) for each scene") from None
 
 
 class Placed:

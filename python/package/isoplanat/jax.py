@@ -78,7 +78,7 @@ class LensFunction(Placed):
             raise ValueError(self.error or "a call failed")
 
     def __call__(
-        self, values: Any, scenes: Any, distance_mm: Any = None, place: Any = None, *, margin: int = 0
+        self, values: Any, scenes: Any, distance_mm: Any = None, place: Any = None, *, margin: int = 0, shift: Any = None
     ) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Captures and truths, both [B, 3, H - 2 margin, W - 2 margin], of the scenes' type, and a status: 0, or 1 where both are NaN (`check` says why).
 
@@ -95,6 +95,9 @@ class LensFunction(Placed):
             Row and column of each patch's first pixel in the frame; the middle where left out.
         margin : int
             Texels on each side that only the blur sees.
+        shift : array [B, 2], optional
+            Texels down and across from each scene's middle to what its patch's middle sees. Where left out, parts of a texel from -½ to ½, drawn by
+            what is in the scene and where it stands, so that the softness of interpolation does not depend on the lens.
         """
         values, scenes = jnp.asarray(values), jnp.asarray(scenes)
         if values.shape != (len(self.names),) or values.dtype != jnp.float64:
@@ -108,47 +111,51 @@ class LensFunction(Placed):
         if not jnp.issubdtype(places.dtype, jnp.integer):
             raise TypeError(f"place: {places.dtype}; whole rows and columns")
         distances = jnp.broadcast_to(jnp.asarray(self.distances_mm[0] if distance_mm is None else distance_mm, jnp.float64), (count,))
-        found: tuple[jax.Array, jax.Array, jax.Array] = self._through(margin)(values, scenes, distances, places)
+        shifts = jnp.broadcast_to(jnp.asarray(0.0 if shift is None else shift, jnp.float64), (count, 2))
+        found: tuple[jax.Array, jax.Array, jax.Array] = self._through(margin, shift is not None)(values, scenes, distances, places, shifts)
         return found
 
-    def _recorded(self, margin: int, values: Any, scenes: Any, distances: Any, places: Any) -> tuple[Any, Any, Any]:
+    def _recorded(self, how: tuple[int, bool], values: Any, scenes: Any, distances: Any, places: Any, shifts: Any) -> tuple[Any, Any, Any]:
+        margin, shifted = how
         depths = which(self.distances_mm, np.asarray(distances, dtype=np.float64).tolist())
         at = [(int(row), int(column)) for row, column in np.asarray(places)]
         if any(number < 0 for both in at for number in both):
             raise ValueError(f"place: {min(at)}; whole rows and columns from 0")
-        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), depths, at, margin)
+        by = [(float(down), float(across)) for down, across in np.asarray(shifts)] if shifted else None
+        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), depths, at, margin, by)
 
-    def _made(self, margin: int) -> Callable[..., Any]:
-        """The function for a margin, with its gradient."""
+    def _made(self, margin: int, shifted: bool) -> Callable[..., Any]:
+        """The function for a margin, of scenes that are shifted or not, with its gradient."""
+        how = (margin, shifted)
 
-        def rendered(values: Any, scenes: Any, distances: Any, places: Any) -> tuple[Any, Any, Any]:
+        def rendered(values: Any, scenes: Any, *rest: Any) -> tuple[Any, Any, Any]:
             shape = (*scenes.shape[:2], scenes.shape[2] - 2 * margin, scenes.shape[3] - 2 * margin)
             try:
-                captures, truths, _ = self._recorded(margin, values, scenes, distances, places)
+                captures, truths, _ = self._recorded(how, values, scenes, *rest)
             except ValueError as error:
                 self.error = str(error)
                 nothing = np.full(shape, np.nan, scenes.dtype)
                 return nothing, nothing, np.int32(1)
             return captures, truths, np.int32(0)
 
-        def pulled(values: Any, scenes: Any, distances: Any, places: Any, captures_bar: Any, truths_bar: Any) -> Any:
+        def pulled(values: Any, scenes: Any, distances: Any, places: Any, shifts: Any, captures_bar: Any, truths_bar: Any) -> Any:
             try:
-                *_, record = self._recorded(margin, values, scenes, distances, places)
+                *_, record = self._recorded(how, values, scenes, distances, places, shifts)
                 return record.vjp(np.ascontiguousarray(captures_bar), np.ascontiguousarray(truths_bar))
             except ValueError as error:
                 self.error = str(error)
                 return np.full(np.shape(values), np.nan)
 
-        def primal(values: Any, scenes: Any, distances: Any, places: Any) -> Any:
+        def primal(values: Any, scenes: Any, distances: Any, places: Any, shifts: Any) -> Any:
             shape = (*scenes.shape[:2], scenes.shape[2] - 2 * margin, scenes.shape[3] - 2 * margin)
             picture = jax.ShapeDtypeStruct(shape, scenes.dtype)  # type: ignore[no-untyped-call,unused-ignore]
             results = (picture, picture, jax.ShapeDtypeStruct((), jnp.int32))  # type: ignore[no-untyped-call,unused-ignore]
-            return jax.pure_callback(rendered, results, values, scenes, distances, places, vmap_method="sequential")
+            return jax.pure_callback(rendered, results, values, scenes, distances, places, shifts, vmap_method="sequential")
 
-        def forward(values: Any, scenes: Any, distances: Any, places: Any) -> Any:
+        def forward(values: Any, scenes: Any, distances: Any, places: Any, shifts: Any) -> Any:
             if scenes.perturbed:
                 raise TypeError("scenes: a gradient is asked for, and they have none here; jax.lax.stop_gradient(scenes)")
-            given = tuple(argument.value for argument in (values, scenes, distances, places))
+            given = tuple(argument.value for argument in (values, scenes, distances, places, shifts))
             return primal(*given), given
 
         def backward(given: Any, bars: Any) -> Any:
@@ -156,7 +163,7 @@ class LensFunction(Placed):
             nothing = jnp.zeros((*scenes.shape[:2], scenes.shape[2] - 2 * margin, scenes.shape[3] - 2 * margin), scenes.dtype)
             whole = [nothing if isinstance(b, jax.custom_derivatives.SymbolicZero) else b for b in bars[:2]]
             slopes = jax.ShapeDtypeStruct(given[0].shape, jnp.float64)  # type: ignore[no-untyped-call,unused-ignore]
-            return jax.pure_callback(pulled, slopes, *given, *whole, vmap_method="sequential"), None, None, None
+            return jax.pure_callback(pulled, slopes, *given, *whole, vmap_method="sequential"), None, None, None, None
 
         through = jax.custom_vjp(primal)
         through.defvjp(forward, backward, symbolic_zeros=True)

@@ -10,7 +10,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use super::as_built::{self, BestBuilt};
-use super::judge::{MARGIN, corner_seen};
+use super::judge::corner_seen;
 use super::lens_steps::{LensSteps, Steps};
 use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, LOG_HEADER, Scenery};
@@ -34,6 +34,7 @@ use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_network::{Compute, Reconstructor};
 use isoplanat_optics::lens::{Field, Lens, prescription};
+use isoplanat_optics::optimize::corner::MARGIN;
 use isoplanat_optics::optimize::search::{Plan, Progress, search};
 use isoplanat_optics::optimize::{Limits, Outcome, Problem, optimize, refocused};
 

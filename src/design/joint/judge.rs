@@ -20,6 +20,7 @@ use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::Reconstructor;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::optimize::corner::Corner;
 use isoplanat_optics::psf::SensorMap;
 
 /// Seed of the places of held-out pictures.
@@ -189,13 +190,9 @@ pub fn validate(
     Ok(sums(&camera, 0..count as u64, draw)?.entry(false))
 }
 
-/// How much farther than the frame's corner object points reach, and where they end, degrees.
-pub(in crate::design) const MARGIN: f64 = 1.02;
-pub(in crate::design) const STEEPEST_DEG: f64 = 85.0;
-
-/// The half field angle that the farthest corner of the frame sees, degrees, at the first distance.
-pub(in crate::design) fn corner_of(renderer: &Renderer) -> f64 {
-    renderer.optics.maps[0].slope(renderer.plan.frame.max_radius_mm()).abs().atan().to_degrees()
+/// What the farthest corner of the frame sees, at the first distance.
+pub(in crate::design) fn corner_of(renderer: &Renderer) -> Corner {
+    Corner::new(&renderer.optics.maps[0], renderer.plan.frame.max_radius_mm())
 }
 
 /// The half field angle that the farthest corner of `frame` sees through `lens`, with a margin of 2 %, degrees; and the distortion there.
@@ -206,10 +203,8 @@ pub(crate) fn corner_seen(lens: &Lens, frame: &Frame, sensor: &Sensor) -> Result
     let density = SpectralDensity::new(sensor);
     let renderer = Renderer::planned(lens, frame, &density, &[lens.object_vergence], Settings::DESIGN)?;
     let corner = corner_of(&renderer);
-    if corner.is_nan() {
-        return Err(Error::bad("", "frame", corner.to_string(), "a frame that the lens's field reaches"));
+    if corner.angle_deg.is_nan() {
+        return Err(Error::bad("", "frame", corner.angle_deg.to_string(), "a frame that the lens's field reaches"));
     }
-    let (map, radius) = (&renderer.optics.maps[0], frame.max_radius_mm());
-    let distortion = radius * map.ratio(0.0) / map.slope(radius).abs() - 1.0;
-    Ok([(MARGIN * corner).min(STEEPEST_DEG), distortion])
+    Ok([corner.reach_deg(), corner.distortion])
 }

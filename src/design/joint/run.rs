@@ -9,7 +9,7 @@ use std::time::Instant;
 use super::as_built::{AsBuilt, BUILT, UNSEEN, widest};
 use super::distances::Distances;
 use super::images::group;
-use super::judge::{Camera, MARGIN, STEEPEST_DEG, Tally, corner_of};
+use super::judge::{Camera, Tally, corner_of};
 use super::lens_steps::{LensSteps, Stepped, Steps};
 use super::scenery::{Entry, Scenery};
 use super::sensor_loss::SensorLoss;
@@ -28,7 +28,7 @@ use isoplanat_imaging::render::{Renderer, Settings};
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::{Compute, Reconstructor, UnetConfig};
 use isoplanat_optics::analysis::fabrication::tolerances::Tolerances;
-use isoplanat_optics::lens::{Field, Lens};
+use isoplanat_optics::lens::Lens;
 use isoplanat_optics::optimize::Problem;
 
 /// Settings of the joint stage.
@@ -414,10 +414,10 @@ impl Stage {
     /// Object points reach as far as the frame's corner sees, which moves with the distortion.
     fn follow_the_corner(&mut self) {
         let corner = corner_of(&self.renderer);
-        let off = corner / self.looked_at.max_field_deg() - 1.0;
+        let off = corner.angle_deg / self.looked_at.max_field_deg() - 1.0;
         if !(-0.05..0.0).contains(&off)
-            && corner.is_finite()
-            && let Ok(lens) = self.joint.lens.changed(|l| l.field = Field::Angle((MARGIN * corner).min(STEEPEST_DEG)))
+            && corner.angle_deg.is_finite()
+            && let Ok(lens) = self.joint.lens.changed(|l| l.field = corner.field())
             && self.joint.steps.look_at(&lens).is_ok()
         {
             self.joint.lens = lens.clone();

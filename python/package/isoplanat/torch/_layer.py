@@ -8,7 +8,7 @@ from torch import nn
 from torch.autograd.function import once_differentiable
 
 from .._isoplanat import Frame, Layer, Lens
-from .._placed import Placed, which
+from .._placed import Placed, pairs, which
 from ._numbers import Numbers
 
 # Share of the light that kernels may miss before they are laid out anew.
@@ -27,10 +27,11 @@ class _Through(torch.autograd.Function):
         distances: list[int],
         places: list[tuple[int, int]],
         margin: int,
+        shifts: list[tuple[float, float]] | None,
         told: list[float],
     ) -> tuple[torch.Tensor, torch.Tensor]:
         given = scenes.detach().cpu().contiguous().numpy()
-        captures, truths, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin)
+        captures, truths, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin, shifts)
         ctx.device = values.device
         told.append(ctx.record.light)
         return torch.from_numpy(captures).to(scenes.device), torch.from_numpy(truths).to(scenes.device)
@@ -39,7 +40,7 @@ class _Through(torch.autograd.Function):
     @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, captures_bar: torch.Tensor, truths_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         bars = [bar.detach().cpu().contiguous().numpy() for bar in (captures_bar, truths_bar)]
-        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None
+        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None, None
 
 
 class LensLayer(Placed, Numbers):
@@ -129,7 +130,7 @@ class LensLayer(Placed, Numbers):
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(
-        self, scenes: torch.Tensor, distance_mm: Any = None, place: Any = None, *, margin: int = 0
+        self, scenes: torch.Tensor, distance_mm: Any = None, place: Any = None, *, margin: int = 0, shift: Any = None
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Captures and truths, both [B, 3, H - 2 margin, W - 2 margin], on the scenes' device.
 
@@ -144,6 +145,9 @@ class LensLayer(Placed, Numbers):
             Row and column of each patch's first pixel in the frame; the middle where left out.
         margin : int
             Texels on each side that only the blur sees.
+        shift : tensor or sequence [B, 2], optional
+            Texels down and across from each scene's middle to what its patch's middle sees. Where left out, parts of a texel from -½ to ½, drawn by what is
+            in the scene and where it stands: were texels laid on pixels, whatever moves a scene would soften it, and a loss would gain by moving it.
         """
         if not isinstance(scenes, torch.Tensor):
             raise TypeError(f"scenes: {type(scenes).__name__}; a tensor, as torch.from_numpy makes it of an array")
@@ -156,14 +160,12 @@ class LensLayer(Placed, Numbers):
         if place is None:
             places = [((frame.rows - rows) // 2, (frame.columns - columns) // 2)] * count
         else:
-            try:
-                asked = [(float(row), float(column)) for row, column in place]
-            except (TypeError, ValueError):
-                raise ValueError(f"place: {place}; a pair (row, column) for each scene") from None
+            asked = pairs("place", place)
             if any(at < 0 or at % 1 for both in asked for at in both):
                 found = next(both for both in asked if any(at < 0 or at % 1 for at in both))
                 raise ValueError(f"place: {found}; whole rows and columns from 0, within {frame.rows} and {frame.columns}")
             places = [(int(row), int(column)) for row, column in asked]
+        shifts = None if shift is None else pairs("shift", shift)
         self._follow()
         depths = self._which(distance_mm, count)
         values, light = self._values(), list[float]()
@@ -172,7 +174,7 @@ class LensLayer(Placed, Numbers):
         with torch.autocast(scenes.device.type, enabled=False):
             given = scenes if scenes.dtype == torch.float64 else scenes.float()
             try:
-                arguments = (depths, places, margin, light)
+                arguments = (depths, places, margin, shifts, light)
                 through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
                 # So far from the lens that kernels were laid out for that they miss its light.
                 if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
