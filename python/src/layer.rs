@@ -8,7 +8,7 @@ use isoplanat::lens::variables::Variables;
 use isoplanat::math::mixed;
 use isoplanat::psf::{OpticsBar, SensorMap};
 use isoplanat::{Error, Plane, Region, Renderer, Result, Sensor, SpectralDensity};
-use ndarray::{Array3, Array4, ArrayView4, Axis, Ix4, s};
+use ndarray::{Array3, Array4, ArrayView4, Axis, Ix4};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;
 use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
@@ -146,12 +146,13 @@ fn light_of<T: Number>(patches: &[Patch<T>]) -> f64 {
     if expected.abs() > 0.0 { captured / expected } else { 1.0 }
 }
 
-/// Pictures and ideals of patches `[patch, channel, row, col]`.
-fn stacked<T: Number>(patches: &mut [Patch<T>]) -> [Array4<T>; 2] {
+/// Pictures, ideals and illumination of patches `[patch, channel, row, col]`.
+fn stacked<T: Number>(patches: &mut [Patch<T>]) -> [Array4<T>; 3] {
     let (_, rows, cols) = patches.first().map_or((3, 0, 0), |p| p.rendered.image.dim());
-    let mut all = [(); 2].map(|()| Array4::from_elem((patches.len(), 3, rows, cols), T::zero()));
+    let mut all = [(); 3].map(|()| Array4::from_elem((patches.len(), 3, rows, cols), T::zero()));
     for (b, patch) in patches.iter_mut().enumerate() {
-        let parts = [std::mem::take(&mut patch.rendered.image), std::mem::take(&mut patch.rendered.truth)];
+        let Rendered { image, truth, illumination, .. } = &mut patch.rendered;
+        let parts = [std::mem::take(image), std::mem::take(truth), illumination.clone()];
         for (to, from) in all.iter_mut().zip(parts) {
             to.index_axis_mut(Axis(0), b).assign(&from);
         }
@@ -304,7 +305,7 @@ impl Layer {
         (slf.get_type().into_any(), arguments)
     }
 
-    /// Captures and truths of a batch, and its record.
+    /// Captures and truths of a batch, the lens's illumination of its patches, 1 on the axis, and its record.
     ///
     /// Parameters
     /// ----------
@@ -329,7 +330,7 @@ impl Layer {
         places: Vec<[usize; 2]>,
         margin: usize,
         shifts: Option<Vec<[f64; 2]>>,
-    ) -> PyResult<(Py<PyAny>, Py<PyAny>, LayerRecord)> {
+    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord)> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
         let (&[count, 3, rows, columns], true) = (floats.shape(), floats.shape().first() > Some(&0)) else {
@@ -389,7 +390,7 @@ impl Layer {
         floats: &Floats<'_>,
         batch: &Batch<'_>,
         keep: fn(Vec<Patch<T>>) -> Kept,
-    ) -> PyResult<(Py<PyAny>, Py<PyAny>, LayerRecord)> {
+    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord)> {
         let cast = floats.cast::<T>();
         let scenes = cast.view();
         let planned = self.inner.clone();
@@ -406,9 +407,9 @@ impl Layer {
             Ok((stacked(&mut patches), light, renderer, lens, patches))
         })?;
         patches.shrink_to_fit();
-        let [captures, truths] = all;
+        let [captures, truths, illumination] = all;
         let record = LayerRecord { planned: self.inner.clone(), renderer, lens, kept: keep(patches), light };
-        Ok((given(py, captures), given(py, truths), record))
+        Ok((given(py, captures), given(py, truths), given(py, illumination), record))
     }
 }
 
@@ -420,17 +421,22 @@ impl LayerRecord {
         self.light
     }
 
-    /// The gradient of a loss by the numbers, from those by captures and truths `[patch, channel, row, col]`; patches add up in their order.
+    /// The gradient of a loss by the numbers, from those by captures, truths and illumination `[patch, channel, row, col]`; patches add up in their order.
+    #[pyo3(signature = (captures_bar, truths_bar, illumination_bar = None))]
     fn vjp<'py>(
         &self,
         py: Python<'py>,
         captures_bar: &Bound<'_, PyAny>,
         truths_bar: &Bound<'_, PyAny>,
+        illumination_bar: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray1<f64>>> {
-        let bars = [
+        let mut bars = vec![
             Floats::of(captures_bar, "captures_bar", Whole::Taken)?,
             Floats::of(truths_bar, "truths_bar", Whole::Taken)?,
         ];
+        if let Some(bar) = illumination_bar {
+            bars.push(Floats::of(bar, "illumination_bar", Whole::Taken)?);
+        }
         let gradient = match &self.kept {
             Kept::Single(patches) => self.pulled(py, patches, &bars)?,
             Kept::Double(patches) => self.pulled(py, patches, &bars)?,
@@ -440,30 +446,28 @@ impl LayerRecord {
 }
 
 impl LayerRecord {
-    fn pulled<T: Number>(&self, py: Python<'_>, patches: &[Patch<T>], bars: &[Floats<'_>; 2]) -> PyResult<Vec<f64>> {
+    fn pulled<T: Number>(&self, py: Python<'_>, patches: &[Patch<T>], bars: &[Floats<'_>]) -> PyResult<Vec<f64>> {
         let (_, rows, columns) = patches.first().map_or((3, 0, 0), |p| p.rendered.illumination.dim());
         let shape = [patches.len(), 3, rows, columns];
-        for (bar, name) in bars.iter().zip(["captures_bar", "truths_bar"]) {
+        for (bar, name) in bars.iter().zip(["captures_bar", "truths_bar", "illumination_bar"]) {
             if bar.shape() != shape {
                 return Err(wrong_shape(name, bar.shape(), &format!("that of the captures, {shape:?}")));
             }
         }
-        let cast = bars.each_ref().map(Floats::cast::<T>);
-        let views = cast.each_ref().map(|c| c.view());
+        let cast: Vec<_> = bars.iter().map(Floats::cast::<T>).collect();
+        let views: Vec<_> = cast.iter().map(|c| c.view()).collect();
         let renderer = &self.renderer;
         work(py, || {
-            let [captures, truths] = views.map(|v| v.into_dimensionality::<Ix4>());
-            let (captures, truths) = match (captures, truths) {
-                (Ok(a), Ok(b)) => (a, b),
-                (Err(e), _) | (_, Err(e)) => return Err(Error::Internal(e.to_string())),
-            };
+            let fourfold = views.into_iter().map(|v| v.into_dimensionality::<Ix4>()).collect::<Result<Vec<_>, _>>();
+            let bars = fourfold.map_err(|e| Error::Internal(e.to_string()))?;
             let all: Vec<usize> = (0..patches.len()).collect();
             let one = |b: &usize| {
                 isoplanat::stop::look();
                 let Patch { scene, rendered } = &patches[*b];
-                let [capture, truth] = [captures, truths].map(|bar| bar.slice_move(s![*b, .., .., ..]));
+                let [capture, truth] = [0, 1].map(|k| bars[k].index_axis(Axis(0), *b));
                 let nothing = Array3::from_elem(truth.dim(), T::zero());
-                renderer.vjp(scene, rendered, capture, truth, nothing.view())
+                let illumination = bars.get(2).map_or_else(|| nothing.view(), |all| all.index_axis(Axis(0), *b));
+                renderer.vjp(scene, rendered, capture, truth, illumination)
             };
             let bars: Vec<OpticsBar> = all.par_iter().map(one).collect();
             let mut total = OpticsBar::zeros(&renderer.optics);

@@ -2,10 +2,10 @@
 
 use std::sync::{Mutex, PoisonError};
 
-use isoplanat::optimize::corner::{Corner, distortion_held};
 use isoplanat::optimize::descent::{Descent, Memory};
 use isoplanat::optimize::spec::Spec;
 use isoplanat::optimize::{Constraint, Problem, Quantity};
+use isoplanat::psf::corner::{Corner, distortion_held};
 use isoplanat::{Error, LensGradient, Result};
 use numpy::{PyArray1, PyReadonlyArray1};
 use pyo3::prelude::*;

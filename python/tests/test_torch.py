@@ -29,13 +29,14 @@ def test_gradients_are_those_of_differences(name, distance):
     rng = np.random.default_rng(7)
 
     def both():
-        return layer(scenes, [distance, distance, 3000.0], places, margin=margin)
+        return layer(scenes, [distance, distance, 3000.0], places, margin=margin, illumination=True)
 
-    captures, truths = both()
-    assert captures.shape == truths.shape == (3, 3, 40, 32) and captures.dtype == torch.float64
+    captures, truths, illumination = both()
+    assert captures.shape == truths.shape == illumination.shape == (3, 3, 40, 32) and captures.dtype == illumination.dtype == torch.float64
+    assert all((a == b).all() for a, b in zip((captures, truths), layer(scenes, [distance, distance, 3000.0], places, margin=margin)))
     # A smooth loss: differences of one that jumps from pixel to pixel are those of its noise.
-    bars = [torch.tensor(np.cumsum(np.cumsum(rng.normal(size=captures.shape), -1), -2)) for _ in range(2)]
-    loss = sum((a * b).sum() for a, b in zip((captures, truths), bars))
+    bars = [torch.tensor(np.cumsum(np.cumsum(rng.normal(size=captures.shape), -1), -2)) for _ in range(3)]
+    loss = sum((a * b).sum() for a, b in zip((captures, truths, illumination), bars))
     loss.backward()
     gradient = {n: float(g) for kind, names in layer.names.items() for n, g in zip(names, layer.numbers[kind].grad)}
     start = {kind: number.detach().clone() for kind, number in layer.numbers.items()}

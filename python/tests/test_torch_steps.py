@@ -250,6 +250,22 @@ def test_a_sensor_is_the_programs(tmp_path):
     for row, column in [(1, 0), (0, 1), (3, 5)]:
         part = sensor(whole[:, :, row : row + 20, column : column + 22], (row, column))
         assert torch.allclose(part[..., 2:-2, 2:-2], sensor(whole)[:, :, row + 2 : row + 18, column + 2 : column + 20], atol=1e-6)
+    # Places of their own, and places that batches have.
+    parts = torch.cat([whole[:, :, row : row + 20, column : column + 22] for row, column in [(1, 0), (4, 6), (3, 5)]])
+    alone = torch.cat([sensor(part[None], place) for part, place in zip(parts, [(1, 0), (4, 6), (3, 5)])])
+    for places in ([(1, 0), (4, 6), (3, 5)], torch.tensor([[1, 0], [4, 6], [3, 5]]), np.array([[1, 0], [4, 6], [3, 5]])):
+        assert (sensor(parts, places) == alone).all()
+    assert (sensor(parts[:2], torch.tensor([1, 0]))[0] == alone[0]).all()
+    # A flat field takes off what the lens dims, behind the noise, and not more than a hundredth.
+    layer, scenes = LensLayer(lens, iso.Frame(180, 120, 240.0)), torch.full((2, 3, 40, 40), 0.5)
+    captures, _, dims = layer(scenes, place=[(0, 0), (80, 140)], illumination=True)
+    assert float(dims[0, :, :5, :5].mean()) < 0.9
+    flat = sensor(captures, [(0, 0), (80, 140)], illumination=dims)
+    assert (flat - 0.5).abs().max() < 2e-3 and (captures[0] - 0.5).abs().max() > 0.05
+    assert (Sensor(file, level=0, demosaic=False)(captures, illumination=0.002 * torch.ones_like(captures)) - 100 * Sensor(file, level=0, demosaic=False)(captures)).abs().max() < 1e-3
+    assert (sensor(captures, illumination=torch.zeros_like(captures)) == 0).all()
+    with pytest.raises(ValueError, match=r"illumination: shape \(1, 3, 40, 40\); that of the captures"):
+        sensor(captures, illumination=dims[:1])
     noisy, light = Sensor(demosaic=False), 0.4
     picture = torch.full((1, 3, 400, 400), light, dtype=torch.float64, requires_grad=True)
     found = noisy(picture, generator=torch.Generator().manual_seed(1))
@@ -262,13 +278,17 @@ def test_a_sensor_is_the_programs(tmp_path):
     small = torch.rand(1, 3, 6, 7, dtype=torch.float64, requires_grad=True)
     sensor = Sensor(level=2.0)
     assert torch.autograd.gradcheck(lambda x: sensor(x, (1, 0), generator=torch.Generator().manual_seed(2)), small)
+    dims = 0.3 + 0.6 * torch.rand(1, 3, 6, 7, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(lambda x, d: sensor(x, (1, 0), illumination=d, generator=torch.Generator().manual_seed(2)), (small, dims))
     with pytest.raises(ValueError, match=r"captures: shape \(3, 4, 4\)"):
         sensor(torch.zeros(3, 4, 4))
     assert sensor(torch.rand(1, 3, 6, 6).half()).dtype == torch.float16
     for arguments, kind, text in [
         ((torch.zeros(1, 3, 4, 4, dtype=torch.uint8),), TypeError, "captures: torch.uint8"),
         ((np.zeros((1, 3, 4, 4)),), TypeError, "captures: float64; a tensor"),
-        ((torch.zeros(1, 3, 4, 4), [(0, 0), (1, 1)]), ValueError, "place: .*; one row and column"),
+        ((torch.zeros(1, 3, 4, 4), [(0, 0), (1, 1)]), ValueError, "place: .*; a row and column for all captures, or for each of the 1"),
+        ((torch.zeros(1, 3, 4, 4), (0.5, 0)), ValueError, "place: .*; a row and column"),
+        ((torch.zeros(1, 3, 4, 4), 3), ValueError, "place: 3; a row and column"),
     ]:
         with pytest.raises(kind, match=text):
             sensor(*arguments)

@@ -34,8 +34,8 @@ use isoplanat_optics::lens::catalogue::Glasses;
 use isoplanat_optics::lens::variables::Variables;
 use isoplanat_optics::lens::{Field, Kind, Lens, Prescription, SensorRaster};
 use isoplanat_optics::optimize::Problem;
-use isoplanat_optics::optimize::corner::distortion_held;
 use isoplanat_optics::optimize::spec::Spec;
+use isoplanat_optics::psf::corner::distortion_held;
 use isoplanat_optics::trace::rims::require_clear;
 use stated::Stated;
 

@@ -33,8 +33,6 @@
 
 pub(crate) mod constraint;
 #[doc(hidden)]
-pub mod corner;
-#[doc(hidden)]
 pub mod descent;
 mod engine;
 mod finish;

@@ -6,6 +6,8 @@
 //! which their cotangents add up before they go back to the lens. [`measured`] keeps kernels that were measured on a camera, which an
 //! [`Optics`] holds in place of rays.
 
+#[doc(hidden)]
+pub mod corner;
 mod fit;
 #[doc(hidden)]
 pub mod illumination;

@@ -115,7 +115,7 @@ class LensFunction(Placed):
         found: tuple[jax.Array, jax.Array, jax.Array] = self._through(margin, shift is not None)(values, scenes, distances, places, shifts)
         return found
 
-    def _recorded(self, how: tuple[int, bool], values: Any, scenes: Any, distances: Any, places: Any, shifts: Any) -> tuple[Any, Any, Any]:
+    def _recorded(self, how: tuple[int, bool], values: Any, scenes: Any, distances: Any, places: Any, shifts: Any) -> tuple[Any, ...]:
         margin, shifted = how
         depths = which(self.distances_mm, np.asarray(distances, dtype=np.float64).tolist())
         at = [(int(row), int(column)) for row, column in np.asarray(places)]
@@ -131,7 +131,7 @@ class LensFunction(Placed):
         def rendered(values: Any, scenes: Any, *rest: Any) -> tuple[Any, Any, Any]:
             shape = (*scenes.shape[:2], scenes.shape[2] - 2 * margin, scenes.shape[3] - 2 * margin)
             try:
-                captures, truths, _ = self._recorded(how, values, scenes, *rest)
+                captures, truths, *_ = self._recorded(how, values, scenes, *rest)
             except ValueError as error:
                 self.error = str(error)
                 nothing = np.full(shape, np.nan, scenes.dtype)

@@ -34,9 +34,9 @@ use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_network::{Compute, Reconstructor};
 use isoplanat_optics::lens::{Field, Lens, prescription};
-use isoplanat_optics::optimize::corner::MARGIN;
 use isoplanat_optics::optimize::search::{Plan, Progress, search};
 use isoplanat_optics::optimize::{Limits, Outcome, Problem, optimize, refocused};
+use isoplanat_optics::psf::corner::MARGIN;
 
 /// The fact of a checkpoint that holds the stage's state.
 const STATE: &str = "design.state";

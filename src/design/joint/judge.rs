@@ -20,8 +20,8 @@ use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::Reconstructor;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::optimize::corner::Corner;
 use isoplanat_optics::psf::SensorMap;
+use isoplanat_optics::psf::corner::Corner;
 
 /// Seed of the places of held-out pictures.
 const SEED: u64 = 77;

@@ -29,17 +29,17 @@ class _Through(torch.autograd.Function):
         margin: int,
         shifts: list[tuple[float, float]] | None,
         told: list[float],
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    ) -> tuple[torch.Tensor, ...]:
         given = scenes.detach().cpu().contiguous().numpy()
-        captures, truths, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin, shifts)
+        *all_of_them, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin, shifts)
         ctx.device = values.device
         told.append(ctx.record.light)
-        return torch.from_numpy(captures).to(scenes.device), torch.from_numpy(truths).to(scenes.device)
+        return tuple(torch.from_numpy(picture).to(scenes.device) for picture in all_of_them)
 
     @staticmethod
     @once_differentiable  # type: ignore[untyped-decorator]
-    def backward(ctx: Any, captures_bar: torch.Tensor, truths_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        bars = [bar.detach().cpu().contiguous().numpy() for bar in (captures_bar, truths_bar)]
+    def backward(ctx: Any, *pictures_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        bars = [bar.detach().cpu().contiguous().numpy() for bar in pictures_bar]
         return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None, None
 
 
@@ -130,8 +130,15 @@ class LensLayer(Placed, Numbers):
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(
-        self, scenes: torch.Tensor, distance_mm: Any = None, place: Any = None, *, margin: int = 0, shift: Any = None
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        self,
+        scenes: torch.Tensor,
+        distance_mm: Any = None,
+        place: Any = None,
+        *,
+        margin: int = 0,
+        shift: Any = None,
+        illumination: bool = False,
+    ) -> tuple[torch.Tensor, ...]:
         """Captures and truths, both [B, 3, H - 2 margin, W - 2 margin], on the scenes' device.
 
         Parameters
@@ -148,6 +155,8 @@ class LensLayer(Placed, Numbers):
         shift : tensor or sequence [B, 2], optional
             Texels down and across from each scene's middle to what its patch's middle sees. Where left out, parts of a texel from -½ to ½, drawn by what is
             in the scene and where it stands: were texels laid on pixels, whatever moves a scene would soften it, and a loss would gain by moving it.
+        illumination : bool
+            A third tensor, of the same shape: how the lens dims the capture, 1 on the axis. `Sensor` makes its flat field of it.
         """
         if not isinstance(scenes, torch.Tensor):
             raise TypeError(f"scenes: {type(scenes).__name__}; a tensor, as torch.from_numpy makes it of an array")
@@ -175,7 +184,7 @@ class LensLayer(Placed, Numbers):
             given = scenes if scenes.dtype == torch.float64 else scenes.float()
             try:
                 arguments = (depths, places, margin, shifts, light)
-                through: tuple[torch.Tensor, torch.Tensor] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+                through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
                 # So far from the lens that kernels were laid out for that they miss its light.
                 if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
                     self.replan()
@@ -185,7 +194,7 @@ class LensLayer(Placed, Numbers):
                     raise
                 raise self._gone_back(error) from None
         self._valid = values.detach().clone()
-        return through
+        return through if illumination else through[:2]
 
     def _stands(self, values: torch.Tensor) -> bool:
         """Whether numbers are a lens that makes pictures."""

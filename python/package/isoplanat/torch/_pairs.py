@@ -140,7 +140,7 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
         frame = core.frame
         place = (int(draw.integers(frame.rows - self.size + 1)), int(draw.integers(frame.columns - self.size + 1)))
         distance = int(draw.integers(len(core.distances_mm)))
-        captures, truths, _ = core.record(np.asarray(core.values), scene, [distance], [place], margin, [(0.0, 0.0)])
+        captures, truths, *_ = core.record(np.asarray(core.values), scene, [distance], [place], margin, [(0.0, 0.0)])
         return torch.from_numpy(captures[0]), torch.from_numpy(truths[0])
 
     def __getstate__(self) -> dict[str, Any]:

@@ -10,6 +10,9 @@ from torch.nn import functional
 
 from .._isoplanat import sensor_facts
 
+# Least illumination that a flat field makes up for.
+_DARKEST = 0.01
+
 # H. S. Malvar, L.-W. He, R. Cutler, "High-quality linear interpolation for demosaicing of Bayer-patterned color images", ICASSP 2004, in sixteenths.
 _ITSELF = [[0] * 5, [0] * 5, [0, 0, 16, 0, 0], [0] * 5, [0] * 5]
 _GREEN = [[0, 0, -2, 0, 0], [0, 0, 4, 0, 0], [-2, 4, 8, 4, -2], [0, 0, 4, 0, 0], [0, 0, -2, 0, 0]]
@@ -75,15 +78,33 @@ class Sensor(nn.Module):
         self.register_buffer("_which", which, persistent=False)
         self.register_buffer("_weights", torch.tensor(_KERNELS, dtype=torch.float32)[:, None] / 16, persistent=False)
 
-    def _over(self, tile: torch.Tensor, place: tuple[int, int], like: torch.Tensor) -> torch.Tensor:
-        """A 2 × 2 repeated over a patch whose first pixel stands at ``place``."""
+    def _over(self, tile: torch.Tensor, places: list[tuple[int, int]], like: torch.Tensor) -> torch.Tensor:
+        """A 2 × 2 repeated over patches whose first pixels stand at ``places``: [places, …, row, column]."""
         rows, columns = like.shape[-2:]
-        shifted = tile.to(like).roll((-(place[0] % 2), -(place[1] % 2)), (-2, -1))
-        repeated = shifted.repeat(*[1] * (tile.ndim - 2), (rows + 1) // 2, (columns + 1) // 2)
+        shifted = torch.stack([tile.to(like).roll((-(row % 2), -(column % 2)), (-2, -1)) for row, column in places])
+        repeated = shifted.repeat(*[1] * (tile.ndim - 1), (rows + 1) // 2, (columns + 1) // 2)
         return repeated[..., :rows, :columns]
 
+    @staticmethod
+    def _places(place: Any, count: int) -> list[tuple[int, int]]:
+        """One for all captures, or one for each."""
+        try:
+            listed = place.tolist() if hasattr(place, "tolist") else list(place)
+            pairs = [listed] if len(listed) == 2 and not hasattr(listed[0], "__len__") else listed
+            places = [(operator.index(row), operator.index(column)) for row, column in pairs]
+        except (TypeError, ValueError):
+            places = []
+        if len(places) not in (1, count) or not places:
+            raise ValueError(f"place: {place}; a row and column for all captures, or for each of the {count}")
+        return places
+
     def forward(
-        self, captures: torch.Tensor, place: tuple[int, int] = (0, 0), *, generator: torch.Generator | None = None
+        self,
+        captures: torch.Tensor,
+        place: Any = (0, 0),
+        *,
+        illumination: torch.Tensor | None = None,
+        generator: torch.Generator | None = None,
     ) -> torch.Tensor:
         """The picture.
 
@@ -91,25 +112,27 @@ class Sensor(nn.Module):
         ----------
         captures : tensor [B, 3, H, W]
             Light relative to white, as `LensLayer` gives it; 3 pixels a side or more.
-        place : (int, int)
+        place : (int, int), or tensor or sequence [B, 2] of int
             Row and column of the first pixel, which say how the mosaic lies.
+        illumination : tensor [B, 3, H, W], optional
+            How the lens dims the captures, as `LensLayer` gives it: the picture is divided by it behind the noise, down to a hundredth, as cameras do with their
+            flat field.
         generator : torch.Generator, optional
             Where the noise is drawn from.
         """
         if not isinstance(captures, torch.Tensor) or not captures.is_floating_point():
             raise TypeError(f"captures: {getattr(captures, 'dtype', type(captures).__name__)}; a tensor of linear light in floating point")
-        try:
-            row, column = map(operator.index, place)
-        except (TypeError, ValueError):
-            raise ValueError(f"place: {place}; one row and column for all captures") from None
-        place = (row, column)
         if captures.dtype == torch.float16:
-            return self.forward(captures.float(), place, generator=generator).half()
+            dims = None if illumination is None else illumination.float()
+            return self.forward(captures.float(), place, illumination=dims, generator=generator).half()
         if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
             raise ValueError(f"captures: shape {tuple(captures.shape)}; [B, 3, H, W] of 3 pixels a side or more")
-        masks = self._over(self._masks, place, captures)
+        if illumination is not None and illumination.shape != captures.shape:
+            raise ValueError(f"illumination: shape {tuple(illumination.shape)}; that of the captures, {tuple(captures.shape)}")
+        places = self._places(place, len(captures))
+        masks = self._over(self._masks, places, captures)
         neutral = torch.as_tensor(self.facts["neutral_response"]).to(captures)[:, None, None] * masks
-        response = neutral.sum(0) * self.exposure
+        response = neutral.sum(1) * self.exposure
         signal = (captures * masks).sum(1) * response
         if self.level > 0:
             well = self.facts["full_well_electrons"]
@@ -117,8 +140,11 @@ class Sensor(nn.Module):
             draw = torch.randn(signal.shape, generator=generator, dtype=captures.dtype, device=captures.device)
             signal = signal + self.level * torch.sqrt(variance.clamp(min=torch.finfo(variance.dtype).tiny)) * draw
         white = (signal / response)[:, None]
+        if illumination is not None:
+            dims = (illumination.to(captures) * masks).sum(1, keepdim=True)
+            white = torch.where(dims > 0, white / dims.clamp(min=_DARKEST), 0)
         if not self.demosaic:
             return white
         found = functional.conv2d(functional.pad(white, (2, 2, 2, 2), mode="reflect"), self._weights.to(captures))
-        which = self._over(self._which, place, captures)
-        return torch.einsum("bkhw,ckhw->bchw", found, which)
+        which = self._over(self._which, places, captures).expand(len(found), -1, -1, -1, -1)
+        return torch.einsum("bkhw,bckhw->bchw", found, which)

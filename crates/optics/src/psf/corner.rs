@@ -1,8 +1,8 @@
 //! What the farthest corner of a frame sees through a lens, and the distortion that is held there while the lens changes.
 
-use super::constraint::{Constraint, Quantity};
+use super::SensorMap;
 use crate::lens::Field;
-use crate::psf::SensorMap;
+use crate::optimize::{Constraint, Quantity};
 
 /// How much farther than the corner object points reach, and where they end, degrees.
 pub const MARGIN: f64 = 1.02;
