@@ -21,6 +21,7 @@ from torch import nn
 FRAME = iso.Frame(4608, 512, 6.0, axis_px=(0.0, 0.0))
 MOVING = ["surface[0..2].conic", "surface[3..5].conic", "surface[4].thickness"]
 PATCH, BATCH, LENS_RATE, NETWORK_RATE, LENS_SHARE = 192, 4, 2e-3, 2e-3, (0.1, 0.85)
+SLOPE = 0.25
 GOLDEN = (math.sqrt(5) - 1) / 2
 
 
@@ -30,7 +31,7 @@ class Block(nn.Module):
     def __init__(self, seen: int, width: int) -> None:
         super().__init__()
         self.conv1, self.conv2 = nn.Conv2d(seen, width, 3, padding=1), nn.Conv2d(width, width, 3, padding=1)
-        self.slope1, self.slope2 = (nn.Parameter(torch.full((width,), 0.25)) for _ in range(2))
+        self.slope1, self.slope2 = (nn.Parameter(torch.full((width,), SLOPE)) for _ in range(2))
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         x = nn.functional.prelu(self.conv1(x), self.slope1)
@@ -47,9 +48,13 @@ class Unet(nn.Module):
         self.up = nn.ModuleList(nn.ConvTranspose2d(widths[s + 1], widths[s], 2, 2) for s in range(scales - 1))
         self.decoder = nn.ModuleList(Block(2 * w, w) for w in widths[:-1])
         self.output = nn.Conv2d(width, 3, 3, padding=1)
-        with torch.no_grad():
-            self.output.weight.mul_(0.01)
-            self.output.bias.zero_()
+        # As a run's network begins: He's bound for PReLU, and near the capture.
+        for layer in self.modules():
+            if isinstance(layer, nn.Conv2d | nn.ConvTranspose2d):
+                seen = layer.in_channels * (9 if isinstance(layer, nn.Conv2d) else 1)
+                bound = math.sqrt(6.0 / ((1 + SLOPE**2) * seen)) * (0.01 if layer is self.output else 1.0)
+                nn.init.uniform_(layer.weight, -bound, bound)
+                nn.init.zeros_(layer.bias)
 
     def forward(self, capture: torch.Tensor) -> torch.Tensor:
         x, skips = capture, []

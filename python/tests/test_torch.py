@@ -218,6 +218,7 @@ def test_what_cannot_be_is_refused():
         ((scenes, None, [(-1, 0), (0, 8)]), {}, ValueError, r"place: \(-1.0, 0.0\); whole rows and columns from 0, within 32 and 32"),
         ((scenes, None, torch.tensor([[1.0, 0.5], [0, 8]])), {}, ValueError, r"place: \(1.0, 0.5\)"),
         ((scenes, float("nan")), {}, ValueError, "distance_mm: nan"),
+        ((scenes, "near"), {}, ValueError, "distance_mm: 'near'; a number of mm for all scenes, or one for each"),
         ((scenes, 0), {}, ValueError, "distance_mm: 0"),
         ((scenes,), {"margin": 12}, ValueError, "margin: 12; 0 to less than half"),
         ((scenes,), {"margin": -1}, ValueError, "margin: -1"),

@@ -124,6 +124,7 @@ def test_what_does_not_move_stays():
     steps.zero_grad()
     steps.step()
     assert not steps.last.moved and steps.last.held_by == ["no gradient"]
+    assert step(0.0).held_by == ["no gradient"]
     assert step(float("nan")).held_by == ["a gradient that is not finite"]
     steps.param_groups[0]["lr"] = 0.0
     assert step().held_by == ["no rate"] and torch.equal(layer.numbers["thickness"], now)
@@ -176,7 +177,8 @@ def test_numbers_that_are_no_lens_go_back():
     for options, kind, text in [
         ({"hold": ["sharpness"]}, ValueError, "hold: `sharpness`; any of focal_length, track"),
         ({"constraints": {"trakc": 3.0}}, ValueError, "trakc"),
-        ({"lr": -1.0}, ValueError, "lr: -1; 0 to 10"),
+        ({"lr": -1.0}, ValueError, "lr: -1.0; a number from 0 to 10"),
+        ({"lr": "a"}, ValueError, "lr: a; a number"),
         ({"lr": float("nan")}, ValueError, "lr: nan"),
     ]:
         with pytest.raises(kind, match=text):
@@ -311,6 +313,8 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
         assert capture.shape == truth.shape == (3, 48, 48) and capture.dtype == torch.float32
         assert 0 < float((capture - truth).square().mean()) < 0.05
     assert not torch.equal(alone[0][0], alone[1][0])
+    listed = PairDataset([lens, iso.Lens("tessar")], [photos / "a.png", str(photos / "b.png")], 48, **options)
+    assert all(torch.equal(listed[k][0], alone[k][0]) for k in range(3))
     for context in ("fork", "spawn"):
         loader = torch.utils.data.DataLoader(pairs, batch_size=4, num_workers=2, multiprocessing_context=context)
         for k, (captures, truths) in enumerate(loader):
@@ -329,7 +333,10 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
     for arguments, kind, text in [
         ((lens, tmp_path / "nowhere"), FileNotFoundError, "no such folder"),
         ((lens, []), ValueError, "photos: none"),
-        (([], photos), ValueError, "lenses, length"),
+        (([], photos), ValueError, "lenses: none"),
+        ((lens, [photos / "a.png", photos / "c.png"]), FileNotFoundError, "c.png: reading: no such file"),
+        ((lens, photos, 48.5), ValueError, "size: 48.5; a whole number from 1"),
+        ((lens, photos, 0), ValueError, "size: 0; a whole number from 1"),
         ((lens, [np.zeros((3, 60, 60), np.uint8)]), TypeError, "photos: number 0 is of uint8; linear light"),
         ((lens, [np.full((3, 60, 60), np.nan)]), ValueError, "photos: number 0 has NaN"),
         ((lens, [np.zeros((4, 60, 60))]), ValueError, "photos: number 0 has the shape"),
@@ -337,6 +344,9 @@ def test_pairs_are_the_same_in_every_worker(tmp_path):
     ]:
         with pytest.raises(kind, match=text):
             PairDataset(*arguments)
+    for options, text in [({"seed": -1}, "seed: -1; a whole number from 0"), ({"brightness": 2.0}, "brightness: 2.0; two numbers"), ({"length": 2.5}, "length: 2.5")]:
+        with pytest.raises(ValueError, match=text):
+            PairDataset(lens, photos, 48, **options)
 
 
 def test_two_processes_have_the_whole_batchs_gradient(tmp_path):

@@ -122,10 +122,11 @@ class LensLayer(Placed, Numbers):
         known = self.distances_mm
         if distance_mm is None:
             asked = [known[0]] * count
-        elif isinstance(distance_mm, int | float):
-            asked = [float(distance_mm)] * count
         else:
-            asked = [float(d) for d in distance_mm]
+            try:
+                asked = [float(distance_mm)] * count if isinstance(distance_mm, int | float) else [float(d) for d in distance_mm]
+            except (TypeError, ValueError):
+                raise ValueError(f"distance_mm: {distance_mm!r}; a number of mm for all scenes, or one for each") from None
         return which(known, asked)
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]

@@ -5,6 +5,7 @@ import operator
 import os
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
     Parameters
     ----------
     lenses : Lens, sequence of Lens, or dict of Lens by name
-    photos : str or os.PathLike, or sequence of arrays [3, row, col]
-        A folder of .png, .jpg, .tif, .npy, or linear light.
+    photos : str or os.PathLike, or sequence of them, or of arrays [3, row, col]
+        A folder of .png, .jpg, .tif, .npy; such files; or linear light.
     size : int
         Pixels of a patch's side.
     frame : Frame, optional
@@ -60,9 +61,17 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
         keep: int = 32,
     ) -> None:
         several = [lenses] if isinstance(lenses, Lens) else list(lenses.values() if isinstance(lenses, Mapping) else lenses)
-        if not several or length < 1 or size < 1 or keep < 1:
-            raise ValueError("lenses, length, size, keep: one or more of each")
-        if not 0 < brightness[0] <= brightness[1] < math.inf:
+        if not several:
+            raise ValueError("lenses: none; one or more")
+        for name, number, least in (("size", size, 1), ("length", length, 1), ("keep", keep, 1), ("seed", seed, 0)):
+            if not isinstance(number, Integral) or number < least:
+                raise ValueError(f"{name}: {number}; a whole number from {least}")
+        try:
+            low, high = brightness
+            sound = 0 < low <= high < math.inf
+        except (TypeError, ValueError):
+            sound = False
+        if not sound:
             raise ValueError(f"brightness: {brightness}; two numbers above 0, the first not larger")
         # The smallest set of numbers: none of them moves here.
         self._cores = [Layer(lens, frame, distances_mm, [next(iter(lens.parameters))], None) for lens in several]
@@ -77,6 +86,11 @@ class PairDataset(Dataset[tuple[torch.Tensor, torch.Tensor]]):
             if not folder.is_dir():
                 raise FileNotFoundError(f"{folder}: reading: no such folder; photographs (.png, .jpg, .tif, .npy)")
             self._files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _ENDINGS)
+        elif len(photos) and all(isinstance(photo, str | os.PathLike) for photo in photos):
+            self._files = [Path(photo) for photo in photos]
+            missing = next((f for f in self._files if not f.is_file()), None)
+            if missing:
+                raise FileNotFoundError(f"{missing}: reading: no such file; photographs (.png, .jpg, .tif, .npy)")
         else:
             for k, photo in enumerate(photos):
                 kind = np.asarray(photo).dtype

@@ -1,6 +1,7 @@
 """Steps of a lens by the gradient of one's own loss, as ``isoplanat design`` takes them."""
 
 from collections.abc import Callable, Mapping, Sequence
+from numbers import Real
 from typing import Any, NamedTuple
 
 import torch
@@ -71,8 +72,8 @@ class LensSteps(torch.optim.Optimizer):
     ) -> None:
         if not isinstance(layer, LensLayer):
             raise TypeError(f"layer: {type(layer).__name__}; a LensLayer, whose numbers move")
-        if not 0 <= lr <= 10:
-            raise ValueError(f"lr: {lr:g}; 0 to 10 (mm)")
+        if not isinstance(lr, Real) or not 0 <= lr <= 10:
+            raise ValueError(f"lr: {lr}; a number from 0 to 10 (mm)")
         self._whole = False
         super().__init__(list(layer.numbers.values()), {"lr": lr})
         self._whole = True
@@ -116,7 +117,7 @@ class LensSteps(torch.optim.Optimizer):
         if self._now_frozen() != self._frozen:
             raise ValueError("layer: numbers were frozen or freed since; LensSteps made anew")
         values, gradient = layer._values().detach(), layer._gradient()
-        if rate == 0 or all(number.grad is None for number in layer.numbers.values()):
+        if rate == 0 or not bool(gradient.any()):
             self.last = Step(False, 0.0, 0.0, float("nan"), ["no rate" if rate == 0 else "no gradient"])
             return loss
         if not bool(torch.isfinite(gradient).all()):
