@@ -3,7 +3,8 @@
     isoplanat design lfov-30 --steps 400 --seed 1 --photos TRAIN -o run1
     python python/benches/steps_beside_design.py run1 --train TRAIN --judge EVAL --steps 400 --seed 1
 
-What differs: the weights that a network begins with, draws of photographs, places and noise, and how finely kernels are rendered, which `design` chooses as it goes.
+With `--begin RUN` (the same with `--steps 1`) the network begins with the weights of that run. What differs then: draws of photographs, places and noise, and how finely kernels
+are rendered, which `design` chooses as it goes.
 """
 
 import argparse
@@ -136,10 +137,9 @@ def judged(lens: iso.Lens, network: nn.Module, folder: Path, count: int = 96) ->
     return tuple(float(torch.cat(found[k::2]).mean()) for k in (0, 1))
 
 
-def trained(first: iso.Lens, folder: Path, steps: int, seed: int) -> tuple[iso.Lens, Unet, list[float]]:
+def trained(first: iso.Lens, folder: Path, steps: int, seed: int, network: Unet) -> tuple[iso.Lens, Unet, list[float]]:
     """Lens and network by `LensSteps` and Adam."""
-    torch.manual_seed(seed)
-    layer, sensor, network = LensLayer(first, FRAME, trainable=MOVING), Sensor("generic"), Unet()
+    layer, sensor = LensLayer(first, FRAME, trainable=MOVING), Sensor("generic")
     constraints = {"track": (None, 1.2 * first.inspect()["length_mm"])}
     lens_steps = LensSteps(layer, lr=LENS_RATE, hold=["focal_length", "distortion"], constraints=constraints)
     adam = torch.optim.Adam(network.parameters(), lr=NETWORK_RATE)
@@ -157,6 +157,7 @@ def trained(first: iso.Lens, folder: Path, steps: int, seed: int) -> tuple[iso.L
         adam.zero_grad()
         lens_steps.zero_grad()
         loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         adam.step()
         if moves:
             lens_steps.param_groups[0]["lr"] = max(LENS_RATE * rise_and_fall((used - start) / (end - start)), 1e-9)
@@ -176,13 +177,16 @@ def main() -> None:
     words.add_argument("--judge", type=Path, required=True)
     words.add_argument("--steps", type=int, default=400)
     words.add_argument("--seed", type=int, default=1)
+    words.add_argument("--begin", type=Path, help="a run of `isoplanat design` of one step")
     words.add_argument("--save", type=Path, help="folder for the lens and network that PyTorch trained")
     asked = words.parse_args()
     first = iso.Lens(asked.run / "lens-first.toml")
     print("first lens", judged(first, nn.Identity(), asked.judge)[1], flush=True)
     by_design = judged(iso.Lens(asked.run / "lens.toml"), of_run(asked.run / "network.safetensors"), asked.judge)
     print(f"seed {asked.seed}, design: {by_design[0]:.3f} dB, captures {by_design[1]:.3f}", flush=True)
-    lens, network, lengths = trained(first, asked.train, asked.steps, asked.seed)
+    torch.manual_seed(asked.seed)
+    network = of_run(asked.begin / "network.safetensors") if asked.begin else Unet()
+    lens, network, lengths = trained(first, asked.train, asked.steps, asked.seed, network)
     by_torch = judged(lens, network, asked.judge)
     print(f"seed {asked.seed}, LensSteps: {by_torch[0]:.3f} dB, captures {by_torch[1]:.3f}, path {sum(lengths):.4f} mm", flush=True)
     if asked.save:

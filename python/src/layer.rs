@@ -15,6 +15,7 @@ use rayon::iter::{IntoParallelRefIterator, ParallelIterator};
 
 use crate::arrays::{Floats, Number, Several, Whole, given, wrong_shape};
 use crate::errors::{refused, vergence};
+use crate::fineness;
 use crate::frame::Frame;
 use crate::lens::Lens;
 use crate::render::{light, standing};
@@ -29,13 +30,14 @@ pub(crate) struct Layer {
 #[derive(Clone)]
 pub(crate) struct Planned {
     /// The lens that the plan was made for; numbers that move are put into it.
-    lens: isoplanat::Lens,
+    pub(crate) lens: isoplanat::Lens,
     pub(crate) variables: Variables,
     pub(crate) plan: RenderPlan,
     /// Where scenes lie, a distance each.
     pub(crate) maps: Vec<SensorMap>,
+    pub(crate) density: SpectralDensity,
     pub(crate) frame: Frame,
-    illuminant: Option<String>,
+    pub(crate) illuminant: Option<String>,
     /// How often it was planned anew.
     pub(crate) generation: u64,
     /// The lens as it was then.
@@ -185,7 +187,7 @@ pub(crate) fn numbers_of(lens: &Bound<'_, Lens>, trainable: Several<String>) -> 
 #[pymethods]
 impl Layer {
     #[new]
-    #[pyo3(signature = (lens, frame, distances_mm, trainable, illuminant))]
+    #[pyo3(signature = (lens, frame, distances_mm, trainable, illuminant, settings = None))]
     fn new(
         py: Python<'_>,
         lens: &Bound<'_, Lens>,
@@ -193,6 +195,7 @@ impl Layer {
         distances_mm: Option<Several<f64>>,
         trainable: Several<String>,
         illuminant: Option<String>,
+        settings: Option<String>,
     ) -> PyResult<Self> {
         let lens = lens.get().inner.clone();
         let frame = frame.map(|f| f.get().clone());
@@ -209,13 +212,15 @@ impl Layer {
             let lens = standing(&lens, &frame, vergences[0])?;
             let variables = chosen(&lens, &trainable.0)?;
             let density = SpectralDensity::under(&Sensor::generic(), light)?;
-            let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, Settings::DESIGN)?;
+            let settings = settings.map_or(Ok(Settings::DESIGN), |text| fineness::read(&text))?;
+            let renderer = Renderer::planned(&lens, &frame.inner, &density, &vergences, settings)?;
             Ok(Planned {
                 at: lens.clone(),
                 lens,
                 variables,
                 plan: renderer.plan,
                 maps: renderer.optics.maps,
+                density,
                 frame,
                 illuminant,
                 generation: 0,
@@ -277,12 +282,55 @@ impl Layer {
         let inner = work(py, || {
             let lens = self.inner.with(&values)?;
             let renderer = Renderer::replanned(&lens, &self.inner.plan)?;
-            let Planned { variables, frame, illuminant, .. } = &*self.inner;
-            let (variables, frame, illuminant) = (variables.clone(), frame.clone(), illuminant.clone());
             let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.inner.generation + 1);
-            Ok(Planned { at: lens.clone(), lens, variables, plan, maps, frame, illuminant, generation })
+            Ok(Planned { at: lens.clone(), lens, plan, maps, generation, ..Planned::clone(&self.inner) })
         })?;
         Ok(Self { inner: Arc::new(inner) })
+    }
+
+    /// How finely it renders, as JSON.
+    #[getter]
+    fn settings(&self) -> PyResult<String> {
+        crate::work::here(|| fineness::text(&self.inner.plan.settings))
+    }
+
+    /// The same for the lens with these numbers by other settings.
+    fn set_to(&self, py: Python<'_>, values: PyReadonlyArray1<'_, f64>, settings: &str) -> PyResult<Self> {
+        let values = values.as_array().to_vec();
+        let planned = work(py, || {
+            let (own, settings) = (&*self.inner, fineness::read(settings)?);
+            fineness::by(own, own.with(&values)?, settings)
+        })?;
+        Ok(planned.into())
+    }
+
+    /// The same for the lens with these numbers by the coarsest settings whose gradient is near enough on patches; its error relative to the gradient, the patches' own
+    /// scatter, and whether the error is as small as wished.
+    #[pyo3(signature = (values, scenes, distances, places, margin, shifts = None))]
+    #[expect(clippy::too_many_arguments, reason = "Python's words")]
+    fn tuned(
+        &self,
+        py: Python<'_>,
+        values: PyReadonlyArray1<'_, f64>,
+        scenes: &Bound<'_, PyAny>,
+        distances: Vec<usize>,
+        places: Vec<[usize; 2]>,
+        margin: usize,
+        shifts: Option<Vec<[f64; 2]>>,
+    ) -> PyResult<(Self, f64, f64, bool)> {
+        let values = values.as_array().to_vec();
+        let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
+        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
+        self.check(floats.shape(), &batch)?;
+        let cast = floats.cast::<f32>();
+        let own = &*self.inner;
+        let (planned, chosen) = work(py, || {
+            let scenes = cast.view().into_dimensionality::<Ix4>().map_err(|e| Error::Internal(e.to_string()))?;
+            let placed: Vec<(Plane, Region)> =
+                scenes.outer_iter().enumerate().map(|(b, scene)| own.scene(&batch, b, scene)).collect();
+            fineness::tuned(own, own.with(&values)?, &placed)
+        })?;
+        Ok((planned.into(), chosen.error, chosen.noise, chosen.holds))
     }
 
     /// It does not change.
@@ -298,11 +346,12 @@ impl Layer {
     #[expect(clippy::type_complexity, reason = "what pickle asks for")]
     fn __reduce__<'py>(
         slf: &Bound<'py, Self>,
-    ) -> (Bound<'py, PyAny>, (Lens, Frame, Vec<f64>, Vec<String>, Option<String>)) {
+    ) -> PyResult<(Bound<'py, PyAny>, (Lens, Frame, Vec<f64>, Vec<String>, Option<String>, String))> {
         let own = slf.get();
         let Planned { lens, frame, illuminant, .. } = &*own.inner;
-        let arguments = (lens.clone().into(), frame.clone(), own.distances_mm(), own.names(), illuminant.clone());
-        (slf.get_type().into_any(), arguments)
+        let (distances, names, settings) = (own.distances_mm(), own.names(), own.settings()?);
+        let arguments = (lens.clone().into(), frame.clone(), distances, names, illuminant.clone(), settings);
+        Ok((slf.get_type().into_any(), arguments))
     }
 
     /// Captures and truths of a batch, the lens's illumination of its patches, 1 on the axis, and its record.
@@ -333,14 +382,35 @@ impl Layer {
     ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord)> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
-        let (&[count, 3, rows, columns], true) = (floats.shape(), floats.shape().first() > Some(&0)) else {
-            return Err(wrong_shape("scenes", floats.shape(), "[patch, 3, row, column], with one or more"));
+        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
+        self.check(floats.shape(), &batch)?;
+        let double = matches!(floats, Floats::Double(_));
+        if double {
+            self.recorded::<f64>(py, &values, &floats, &batch, Kept::Double)
+        } else {
+            self.recorded::<f32>(py, &values, &floats, &batch, Kept::Single)
+        }
+    }
+}
+
+impl From<Planned> for Layer {
+    fn from(planned: Planned) -> Self {
+        Self { inner: Arc::new(planned) }
+    }
+}
+
+impl Layer {
+    /// Whether scenes of this shape are patches of the frame as `batch` says.
+    fn check(&self, shape: &[usize], batch: &Batch<'_>) -> PyResult<()> {
+        let (&[count, 3, rows, columns], true) = (shape, shape.first() > Some(&0)) else {
+            return Err(wrong_shape("scenes", shape, "[patch, 3, row, column], with one or more"));
         };
+        let Batch { margin, depths: distances, places, shifts } = *batch;
         let sides = [rows, columns].map(|n| n.checked_sub(2 * margin).filter(|n| *n > 0));
         let [Some(rows), Some(columns)] = sides else {
             return Err(refused("margin", margin, format!("less than half of {rows} rows and {columns} columns")));
         };
-        let shifted = shifts.as_ref().map_or(count, Vec::len);
+        let shifted = shifts.map_or(count, <[_]>::len);
         for (name, n) in [("distance_mm", distances.len()), ("place", places.len()), ("shift", shifted)] {
             if n != count {
                 return Err(refused(name, format!("{n} of them"), format!("one of each of {count} scenes")));
@@ -359,26 +429,12 @@ impl Layer {
         if let Some(k) = distances.iter().find(|k| **k >= self.inner.plan.depths.len()) {
             return Err(refused("distances", k, format!("0 to {}", self.inner.plan.depths.len() - 1)));
         }
-        if let Some([down, across]) = shifts.iter().flatten().find(|s| !s.iter().all(|n| n.is_finite())) {
+        if let Some([down, across]) = shifts.iter().copied().flatten().find(|s| !s.iter().all(|n| n.is_finite())) {
             return Err(refused("shift", format!("({down}, {across})"), "finite texels"));
         }
-        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
-        let double = matches!(floats, Floats::Double(_));
-        if double {
-            self.recorded::<f64>(py, &values, &floats, &batch, Kept::Double)
-        } else {
-            self.recorded::<f32>(py, &values, &floats, &batch, Kept::Single)
-        }
+        Ok(())
     }
-}
 
-impl From<Planned> for Layer {
-    fn from(planned: Planned) -> Self {
-        Self { inner: Arc::new(planned) }
-    }
-}
-
-impl Layer {
     pub(crate) fn planned(&self) -> Arc<Planned> {
         self.inner.clone()
     }

@@ -11,6 +11,7 @@ mod arrays;
 mod capture;
 mod dataset;
 mod errors;
+mod fineness;
 mod frame;
 mod layer;
 mod lens;

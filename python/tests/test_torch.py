@@ -150,6 +150,30 @@ def test_sharp_scenes_lead_into_focus(sharp):
     assert spots[0] < 0.008 and max(spots) < 0.015, spots
 
 
+def test_a_layer_is_as_fine_as_its_gradient_needs(sharp):
+    lens, frame, scenes, places = sharp
+    layer = LensLayer(lens, frame, trainable=["surface[*].curvature", "surface[*].thickness"])
+    few, options = scenes[:6].float(), {"place": places[:6], "margin": 12}
+    before = layer(few, **options)[0]
+    found = layer.tune(few, **options)
+    assert 0 <= found.error < 0.05 and 0.05 < found.noise <= 1 and found.holds and found.error < 0.1 * found.noise
+    after = layer(few, **options)[0].detach()
+    assert 0 < (after - before).square().mean() < 1e-4
+    # A state goes on to the bit, with the settings.
+    with torch.no_grad():
+        layer.numbers["thickness"][0] += 1e-3
+    layer.replan()
+    other = LensLayer(lens, frame, trainable=["surface[*].curvature", "surface[*].thickness"])
+    other.load_state_dict(layer.state_dict())
+    assert other._core.settings == layer._core.settings and (other(few, **options)[0] == layer(few, **options)[0]).all()
+    again = pickle.loads(pickle.dumps(layer))
+    assert again._core.settings == layer._core.settings
+    dark = LensLayer(lens, frame).tune(torch.zeros(1, 3, 40, 40))
+    assert dark.holds and dark.error == 0
+    with pytest.raises(ValueError, match="place: .*; a pair"):
+        layer.tune(few, place=(0, 0))
+
+
 def test_it_behaves_as_a_module():
     lens = iso.Lens("cooke_triplet")
     layer = LensLayer(lens, frame_of(lens, 32, 32), trainable=["surface[*].curvature", "surface[1].thickness"])

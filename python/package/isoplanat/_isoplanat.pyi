@@ -115,6 +115,7 @@ class Layer:
         distances_mm: float | Sequence[float] | None,
         trainable: str | Sequence[str],
         illuminant: str | None,
+        settings: str | None = None,
     ) -> Layer: ...
     @property
     def names(self) -> list[str]: ...
@@ -131,6 +132,18 @@ class Layer:
     def based(self, lens: Lens) -> Layer: ...
     def lens(self, values: NDArray[np.float64]) -> Lens: ...
     def replanned(self, values: NDArray[np.float64]) -> Layer: ...
+    @property
+    def settings(self) -> str: ...
+    def set_to(self, values: NDArray[np.float64], settings: str) -> Layer: ...
+    def tuned(
+        self,
+        values: NDArray[np.float64],
+        scenes: ArrayLike,
+        distances: Sequence[int],
+        places: Sequence[tuple[int, int]],
+        margin: int,
+        shifts: Sequence[tuple[float, float]] | None = None,
+    ) -> tuple[Layer, float, float, bool]: ...
     def record(
         self,
         values: NDArray[np.float64],

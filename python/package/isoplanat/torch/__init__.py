@@ -3,10 +3,10 @@
 Needs ``torch``, which ``import isoplanat`` does not. The optics run on the CPU; tensors come and go on their own devices.
 """
 
-from ._layer import LensLayer
+from ._layer import Fineness, LensLayer
 from ._pairs import PairDataset
 from ._psf import PsfLayer
 from ._sensor import Sensor
 from ._steps import LensSteps, Step
 
-__all__ = ["LensLayer", "LensSteps", "PairDataset", "PsfLayer", "Sensor", "Step"]
+__all__ = ["Fineness", "LensLayer", "LensSteps", "PairDataset", "PsfLayer", "Sensor", "Step"]

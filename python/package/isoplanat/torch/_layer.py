@@ -1,8 +1,9 @@
 """A lens as a layer of PyTorch: what it makes of patches of scenes, with the gradient of one's own loss by the lens's numbers."""
 
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import nn
 from torch.autograd.function import once_differentiable
@@ -13,6 +14,24 @@ from ._numbers import Numbers
 
 # Share of the light that kernels may miss before they are laid out anew.
 MOST_LOST = 0.1
+
+
+class Fineness(NamedTuple):
+    """How near a layer's gradient is to that of converged rendering, for a squared difference of captures and truths.
+
+    Attributes
+    ----------
+    error : float
+        Distance of the gradients from the converged ones, patch by patch, root mean square over theirs.
+    noise : float
+        Part of the patches' gradients that is not common to them: an error well below it moves no training.
+    holds : bool
+        Whether the error is at most 5 %, and a tenth of the noise; where none is, the finest settings are taken.
+    """
+
+    error: float
+    noise: float
+    holds: bool
 
 
 class _Through(torch.autograd.Function):
@@ -86,6 +105,8 @@ class LensLayer(Placed, Numbers):
         self._valid = self._planned
         # The lens that the layout is for.
         self._planned_lens = core.base
+        # The lens that settings were chosen for, its numbers, and the settings.
+        self._tuned: tuple[str, list[float], str] | None = None
 
     @property
     def lens(self) -> Lens:
@@ -112,6 +133,22 @@ class LensLayer(Placed, Numbers):
         moved = ", ".join(f"{self._all_names[k]} from {float(kept[k]):.6g} to {float(values[k]):.6g}" for k in farthest if values[k] != kept[k])
         self._set(self._valid)
         return ValueError(f"{error}; the layer has the numbers of its last pass again; farthest moved since: {moved}")
+
+    def tune(
+        self, scenes: torch.Tensor, distance_mm: Any = None, place: Any = None, *, margin: int = 0, shift: Any = None
+    ) -> Fineness:
+        """Renders by the coarsest settings of a ladder whose gradient is near enough on these patches, as ``isoplanat design`` chooses its own, and says how near that is.
+
+        Until then the settings are the third of six. A batch of a training is enough; half a dozen patches of 96² take seconds. Wide blur asks for finer settings, and
+        as a lens gets sharper others do: tune again now and then. Arguments are those of `forward`; kernels are laid out anew.
+        """
+        given, depths, places, shifts = self._asked(scenes, distance_mm, place, margin, shift)
+        values = self._values().detach()
+        texels = given.detach().float().cpu().contiguous().numpy()
+        self._core, *found = self._core.tuned(values.cpu().numpy(), texels, depths, places, margin, shifts)
+        self._passes, self._planned, self._planned_lens = 0, values.clone(), self._core.base
+        self._tuned = (self._core.base.to_toml(), values.tolist(), self._core.settings)
+        return Fineness(*found)
 
     def _settle(self, core: Layer, values: torch.Tensor) -> None:
         """Takes the lens that a step found: its numbers, and surfaces that were opened for its light."""
@@ -159,6 +196,30 @@ class LensLayer(Placed, Numbers):
         illumination : bool
             A third tensor, of the same shape: how the lens dims the capture, 1 on the axis. `Sensor` makes its flat field of it.
         """
+        given, depths, places, shifts = self._asked(scenes, distance_mm, place, margin, shift)
+        self._follow()
+        values, light = self._values(), list[float]()
+        if len(values) != len(self._all_names):
+            raise ValueError(f"numbers: {len(values)}; {len(self._all_names)}, as `names` lists them")
+        with torch.autocast(scenes.device.type, enabled=False):
+            try:
+                arguments = (depths, places, margin, shifts, light)
+                through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+                # So far from the lens that kernels were laid out for that they miss its light.
+                if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
+                    self.replan()
+                    through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+            except ValueError as error:
+                if self._stands(values):
+                    raise
+                raise self._gone_back(error) from None
+        self._valid = values.detach().clone()
+        return through if illumination else through[:2]
+
+    def _asked(
+        self, scenes: torch.Tensor, distance_mm: Any, place: Any, margin: int, shift: Any
+    ) -> tuple[torch.Tensor, list[int], list[tuple[int, int]], list[tuple[float, float]] | None]:
+        """Scenes of the type that they are rendered in, their distances by number, places, shifts."""
         if not isinstance(scenes, torch.Tensor):
             raise TypeError(f"scenes: {type(scenes).__name__}; a tensor, as torch.from_numpy makes it of an array")
         rows, columns = self._patch(scenes.shape, margin)
@@ -176,26 +237,8 @@ class LensLayer(Placed, Numbers):
                 raise ValueError(f"place: {found}; whole rows and columns from 0, within {frame.rows} and {frame.columns}")
             places = [(int(row), int(column)) for row, column in asked]
         shifts = None if shift is None else pairs("shift", shift)
-        self._follow()
-        depths = self._which(distance_mm, count)
-        values, light = self._values(), list[float]()
-        if len(values) != len(self._all_names):
-            raise ValueError(f"numbers: {len(values)}; {len(self._all_names)}, as `names` lists them")
-        with torch.autocast(scenes.device.type, enabled=False):
-            given = scenes if scenes.dtype == torch.float64 else scenes.float()
-            try:
-                arguments = (depths, places, margin, shifts, light)
-                through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
-                # So far from the lens that kernels were laid out for that they miss its light.
-                if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
-                    self.replan()
-                    through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
-            except ValueError as error:
-                if self._stands(values):
-                    raise
-                raise self._gone_back(error) from None
-        self._valid = values.detach().clone()
-        return through if illumination else through[:2]
+        given = scenes if scenes.dtype == torch.float64 else scenes.float()
+        return given, self._which(distance_mm, count), places, shifts
 
     def _stands(self, values: torch.Tensor) -> bool:
         """Whether numbers are a lens that makes pictures."""
@@ -214,6 +257,7 @@ class LensLayer(Placed, Numbers):
             "planned": self._planned_lens.to_toml(),
             "numbers": self._planned.tolist(),
             "passes": self._passes,
+            "tuned": self._tuned,
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
@@ -224,6 +268,10 @@ class LensLayer(Placed, Numbers):
         if list(planned.parameters) != list(self._core.base.parameters):
             raise ValueError(f"state_dict: of the lens {planned.name!r}; one with the surfaces of {self._core.base.name!r}")
         self._planned = torch.tensor(state["numbers"], dtype=torch.float64)
+        self._tuned = state.get("tuned")
+        if self._tuned:
+            lens, numbers, settings = self._tuned
+            self._core = self._core.based(Lens.from_toml(lens, "state_dict")).set_to(np.array(numbers), settings)
         self._core = self._core.based(planned).replanned(self._planned.numpy())
         self._planned_lens, self._passes = self._core.base, state["passes"]
         self._core = self._core.based(base)
