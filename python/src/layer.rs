@@ -66,6 +66,9 @@ pub(crate) struct LayerRecord {
     light: f64,
 }
 
+/// Captures, truths and illumination of a batch, and what its gradient needs.
+type RecordedBatch = (Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord);
+
 /// What a batch is asked for.
 struct Batch<'a> {
     /// Texels around a patch, on each side, that its blur sees.
@@ -379,7 +382,7 @@ impl Layer {
         places: Vec<[usize; 2]>,
         margin: usize,
         shifts: Option<Vec<[f64; 2]>>,
-    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord)> {
+    ) -> PyResult<RecordedBatch> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
         let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
@@ -446,7 +449,7 @@ impl Layer {
         floats: &Floats<'_>,
         batch: &Batch<'_>,
         keep: fn(Vec<Patch<T>>) -> Kept,
-    ) -> PyResult<(Py<PyAny>, Py<PyAny>, Py<PyAny>, LayerRecord)> {
+    ) -> PyResult<RecordedBatch> {
         let cast = floats.cast::<T>();
         let scenes = cast.view();
         let planned = self.inner.clone();

@@ -145,10 +145,10 @@ class LensLayer(Placed, Numbers):
         given, depths, places, shifts = self._asked(scenes, distance_mm, place, margin, shift)
         values = self._values().detach()
         texels = given.detach().float().cpu().contiguous().numpy()
-        self._core, *found = self._core.tuned(values.cpu().numpy(), texels, depths, places, margin, shifts)
+        self._core, error, noise, holds = self._core.tuned(values.cpu().numpy(), texels, depths, places, margin, shifts)
         self._passes, self._planned, self._planned_lens = 0, values.clone(), self._core.base
         self._tuned = (self._core.base.to_toml(), values.tolist(), self._core.settings)
-        return Fineness(*found)
+        return Fineness(error, noise, holds)
 
     def _settle(self, core: Layer, values: torch.Tensor) -> None:
         """Takes the lens that a step found: its numbers, and surfaces that were opened for its light."""

@@ -1,7 +1,6 @@
 """Steps of a lens by the gradient of one's own loss, as ``isoplanat design`` takes them."""
 
 from collections.abc import Callable, Mapping, Sequence
-from numbers import Real
 from typing import Any, NamedTuple
 
 import torch
@@ -72,7 +71,7 @@ class LensSteps(torch.optim.Optimizer):
     ) -> None:
         if not isinstance(layer, LensLayer):
             raise TypeError(f"layer: {type(layer).__name__}; a LensLayer, whose numbers move")
-        if not isinstance(lr, Real) or not 0 <= lr <= 10:
+        if not isinstance(lr, int | float) or not 0 <= lr <= 10:
             raise ValueError(f"lr: {lr}; a number from 0 to 10 (mm)")
         self._whole = False
         super().__init__(list(layer.numbers.values()), {"lr": lr})
