@@ -59,6 +59,10 @@ def test_it_is_the_layer():
     ours = through(through.values, scenes, jnp.array([3000.0, jnp.inf]), margin=4)
     assert ours[0].dtype == jnp.float32
     assert (np.asarray(ours[0]) == captures.detach().numpy()).all() and (np.asarray(ours[1]) == truths.detach().numpy()).all()
+    shift = [(0.25, -0.5), (0.0, 3.0)]
+    moved = layer(torch.tensor(scenes), margin=4, shift=shift)
+    ours = through(through.values, scenes, margin=4, shift=jnp.array(shift))
+    assert all((np.asarray(a) == b.detach().numpy()).all() for a, b in zip(ours, moved)) and not (moved[0] == captures).all()
     captures.square().mean().backward()
     gradient = jax.grad(lambda v: jnp.mean(jnp.square(through(v, scenes, jnp.array([3000.0, jnp.inf]), margin=4)[0])))(through.values)
     assert np.allclose(gradient, layer.numbers["curvature"].grad.numpy(), rtol=1e-5)
