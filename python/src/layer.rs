@@ -5,7 +5,6 @@ use std::sync::Arc;
 use isoplanat::imaging::render::{RenderPlan, Rendered, Settings};
 use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::lens::variables::Variables;
-use isoplanat::math::mixed;
 use isoplanat::psf::{OpticsBar, SensorMap};
 use isoplanat::{Error, Plane, Region, Renderer, Result, Sensor, SpectralDensity};
 use ndarray::{Array3, Array4, ArrayView4, Axis, Ix4};
@@ -77,20 +76,15 @@ struct Batch<'a> {
     depths: &'a [usize],
     /// First row and column of each patch in the frame.
     places: &'a [[usize; 2]],
-    /// Texels down and across from a scene's middle to what the patch's middle sees; drawn where left out.
+    /// Texels down and across from a scene's middle to what the patch's middle sees; [`SHIFT`] where left out.
     shifts: Option<&'a [[f64; 2]]>,
 }
 
-/// Parts of a texel, down and across, from -½ to ½, by what is in a scene and where it stands.
+/// Texels down and across from a scene's middle to what a patch's middle sees, unless others are asked for: a pixel there sees where four texels meet.
 ///
 /// Interpolation between texels softens, least where they lie on pixels. Were they laid there, whatever moves a scene would soften it, and a loss would gain by
-/// moving. With every part as likely as any other, softness does not depend on the lens.
-fn drawn(texture: &Array3<f32>, place: [usize; 2], depth: usize) -> [f64; 2] {
-    let of = [place[0], place[1], depth].map(|n| n as u64);
-    let seed = of.into_iter().chain(texture.iter().map(|v| u64::from(v.to_bits()))).fold(0, mixed);
-    #[expect(clippy::cast_precision_loss, reason = "53 bits")]
-    [1, 2].map(|k| (mixed(seed, k) >> 11) as f64 / (1_u64 << 53) as f64 - 0.5)
-}
+/// moving. Here softness is largest, and does not change to first order.
+const SHIFT: [f64; 2] = [0.5, 0.5];
 
 impl Planned {
     /// The lens with these numbers.
@@ -121,7 +115,7 @@ impl Planned {
         let middle = |first: usize, n: usize| first as f64 + 0.5 * n as f64;
         let texture = texture.mapv(|v| v.to_double() as f32);
         let depth = batch.depths[b];
-        let [down, across] = batch.shifts.map_or_else(|| drawn(&texture, [row, col], depth), |all| all[b]);
+        let [down, across] = batch.shifts.map_or(SHIFT, |all| all[b]);
         // A texel a pixel there: the scene's middle in the patch's, but for the shift.
         let place = Placement {
             texel: [middle(batch.margin, cols) + across, middle(batch.margin, rows) + down],
@@ -370,7 +364,7 @@ impl Layer {
     /// margin : int
     ///     Texels on each side that are seen by the blur alone.
     /// shifts : sequence of (down, across), optional
-    ///     Texels from each scene's middle to what its patch's middle sees; parts of a texel, drawn by scene and place, where left out.
+    ///     Texels from each scene's middle to what its patch's middle sees; half a texel where left out.
     #[pyo3(signature = (values, scenes, distances, places, margin, shifts = None))]
     #[expect(clippy::too_many_arguments, reason = "Python's words")]
     fn record(

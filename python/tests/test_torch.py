@@ -80,19 +80,14 @@ def test_scenes_are_shifted_by_parts_of_a_texel_or_as_asked():
         moved = layer(photo[None, :, 0:36, 0:36], margin=8, shift=[(3, 2)])
         there = layer(photo[None, :, 3:39, 2:38], margin=8, shift=torch.zeros(1, 2))
         assert all((a[..., :16, :16] - b[..., :16, :16]).abs().max() < 2e-6 for a, b in zip(moved, there))
-        # On a slope of light the truth in the middle tells the shift.
+        # On a slope of light the truth in the middle tells the shift: half a texel unless another is asked for.
         slope = torch.arange(12.0, dtype=torch.float64)
-        heights = torch.arange(1.0, 301.0, dtype=torch.float64)[:, None, None, None]
-        for axis, scene in enumerate([slope[:, None].expand(12, 12), slope.expand(12, 12)]):
-            scenes = heights * scene.expand(300, 3, 12, 12).contiguous()
-            truths = layer(scenes)[1] / heights
-            shifts = truths[:, 0, 5:7, 5:7].mean((-2, -1)) - 5.5
-            assert shifts.abs().max() < 0.5 + 1e-3, shifts
-            counts = torch.histc(shifts, 5, -0.5, 0.5)
-            assert counts.min() > 35 and counts.max() < 90, (axis, counts)
-            # The same in whatever batch; another at another place.
-            assert torch.allclose(layer(scenes[7:9])[1] / heights[7:9], truths[7:9], rtol=1e-14)
-            assert (layer(scenes[7:8], place=[(3, 3)])[1] / heights[7:8] - truths[7:8]).abs().max() > 1e-3
+        for scene in (slope[:, None].expand(12, 12), slope.expand(12, 12)):
+            scenes = scene.expand(2, 3, 12, 12).contiguous()
+            for shift, wanted in [(None, [0.5, 0.5]), ([(0, 0), (-0.25, -0.25)], [0.0, -0.25])]:
+                truths = layer(scenes, shift=shift)[1]
+                found = truths[:, :, 5:7, 5:7].mean((1, 2, 3)) - 5.5
+                assert (found - torch.tensor(wanted)).abs().max() < 1e-3, found
     for wrong, why in [([(0, torch.nan)], "finite texels"), ([(0, 0), (0, 0)], "one of each of 1 scenes"), ([1, 2], "a pair")]:
         with pytest.raises(ValueError, match=f"shift: .*{why}"):
             layer(photo[None], shift=wrong)
@@ -125,7 +120,7 @@ def test_gradients_of_sharp_scenes_are_those_of_new_layouts(sharp):
     with torch.no_grad():
         up, down = (float(loss(LensLayer(lens.replace({name: start + by}), frame, trainable=name))) for by in (0.01, -0.01))
     ours = float(layer.numbers["thickness"].grad)
-    assert ours == pytest.approx((up - down) / 0.02, rel=0.2)
+    assert ours == pytest.approx((up - down) / 0.02, rel=0.05)
     # Texels on pixels: a difference to either side sees the loss fall.
     with torch.no_grad():
         aligned = [(0.0, 0.0)] * len(places)

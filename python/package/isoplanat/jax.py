@@ -96,8 +96,7 @@ class LensFunction(Placed):
         margin : int
             Texels on each side that only the blur sees.
         shift : array [B, 2], optional
-            Texels down and across from each scene's middle to what its patch's middle sees. Where left out, parts of a texel from -½ to ½, drawn by
-            what is in the scene and where it stands, so that the softness of interpolation does not depend on the lens.
+            Texels down and across from each scene's middle to what its patch's middle sees; half a texel where left out, as of the layer of PyTorch.
         """
         values, scenes = jnp.asarray(values), jnp.asarray(scenes)
         if values.shape != (len(self.names),) or values.dtype != jnp.float64:

@@ -191,8 +191,8 @@ class LensLayer(Placed, Numbers):
         margin : int
             Texels on each side that only the blur sees.
         shift : tensor or sequence [B, 2], optional
-            Texels down and across from each scene's middle to what its patch's middle sees. Where left out, parts of a texel from -½ to ½, drawn by what is
-            in the scene and where it stands: were texels laid on pixels, whatever moves a scene would soften it, and a loss would gain by moving it.
+            Texels down and across from each scene's middle to what its patch's middle sees. Half a texel where left out: a pixel there sees where four texels meet. Were
+            texels laid on pixels, whatever moves a scene would soften it, and a loss would gain by moving it.
         illumination : bool
             A third tensor, of the same shape: how the lens dims the capture, 1 on the axis. `Sensor` makes its flat field of it.
         """
