@@ -29,14 +29,14 @@ pub(crate) struct Layer {
 #[derive(Clone)]
 pub(crate) struct Planned {
     /// The lens that the plan was made for; numbers that move are put into it.
-    pub(crate) lens: isoplanat::Lens,
+    lens: isoplanat::Lens,
     pub(crate) variables: Variables,
     pub(crate) plan: RenderPlan,
     /// Where scenes lie, a distance each.
     pub(crate) maps: Vec<SensorMap>,
     pub(crate) density: SpectralDensity,
     pub(crate) frame: Frame,
-    pub(crate) illuminant: Option<String>,
+    illuminant: Option<String>,
     /// How often it was planned anew.
     pub(crate) generation: u64,
     /// The lens as it was then.
@@ -94,6 +94,12 @@ impl Planned {
             return Err(Error::bad("", "numbers", found, self.variables.parameters.len().to_string()));
         }
         self.variables.lens(&self.lens, values)
+    }
+
+    /// The same for `lens`, laid out anew as `renderer` is.
+    pub(crate) fn laid_out(&self, lens: isoplanat::Lens, renderer: Renderer) -> Self {
+        let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.generation + 1);
+        Self { at: lens.clone(), lens, plan, maps, generation, ..self.clone() }
     }
 
     /// The same plan around `lens`, which opened or closed surfaces of it.
@@ -279,8 +285,7 @@ impl Layer {
         let inner = work(py, || {
             let lens = self.inner.with(&values)?;
             let renderer = Renderer::replanned(&lens, &self.inner.plan)?;
-            let (plan, maps, generation) = (renderer.plan, renderer.optics.maps, self.inner.generation + 1);
-            Ok(Planned { at: lens.clone(), lens, plan, maps, generation, ..Planned::clone(&self.inner) })
+            Ok(self.inner.laid_out(lens, renderer))
         })?;
         Ok(Self { inner: Arc::new(inner) })
     }
