@@ -3,18 +3,20 @@
     isoplanat design lfov-30 --steps 400 --seed 1 --photos TRAIN -o run1
     python python/benches/steps_beside_design.py run1 --train TRAIN --judge EVAL --steps 400 --seed 1
 
-With `--begin RUN` (the same with `--steps 1`) the network begins with the weights of that run. What differs then: draws of photographs, places and noise, and how finely kernels
-are rendered, which `design` chooses as it goes.
+Photographs, places, turns and noise are those of the run, drawn anew by `design_draws`; the first ten losses say whether they are. With `--begin RUN` (the same with `--steps 1`)
+the network begins with the weights of that run.
 """
 
 import argparse
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import isoplanat as iso
 import numpy as np
 import torch
+from design_draws import Draws, photographs
 from isoplanat.torch import LensLayer, LensSteps, Sensor
 from torch import nn
 
@@ -23,7 +25,6 @@ FRAME = iso.Frame(4608, 512, 6.0, axis_px=(0.0, 0.0))
 MOVING = ["surface[0..2].conic", "surface[3..5].conic", "surface[4].thickness"]
 PATCH, BATCH, LENS_RATE, NETWORK_RATE, LENS_SHARE = 192, 4, 2e-3, 2e-3, (0.1, 0.85)
 SLOPE = 0.25
-GOLDEN = (math.sqrt(5) - 1) / 2
 
 
 class Block(nn.Module):
@@ -89,70 +90,52 @@ def rise_and_fall(used: float) -> float:
 
 
 class Patches:
-    """Patches of photographs, spread evenly over image height."""
+    """Draws as tensors, in batches."""
 
-    def __init__(self, folder: Path, seed: int) -> None:
-        self.photos = [iso.read_picture(file) for file in sorted(folder.iterdir()) if file.suffix in (".png", ".jpg")]
-        self.rng = np.random.default_rng(seed)
-        rows, columns = np.meshgrid(np.arange(0, FRAME.rows - PATCH + 1, 4), np.arange(0, FRAME.columns - PATCH + 1, 16), indexing="ij")
-        self.places = np.stack([rows.ravel(), columns.ravel()], 1)
-        height = np.hypot(*(self.places + PATCH / 2).T)
-        step = np.minimum(((height - height.min()) / np.ptp(height) * 64).astype(int), 63)
-        order = np.argsort(height)
-        weight = (1.0 / np.bincount(step, minlength=64)[step])[order]
-        self.places, self.shares, self.number = self.places[order], np.cumsum(weight / weight.sum()), self.rng.random()
+    def __init__(self, photos: list[np.ndarray], size: int, seed: int) -> None:
+        self.draws = Draws(photos, FRAME, size, seed)
 
-    def draw(self, count: int, margin: int) -> tuple[torch.Tensor, list[tuple[int, int]]]:
-        """Scenes and places."""
-        side, scenes, places = PATCH + 2 * margin, [], []
-        for _ in range(count):
-            photo = self.photos[self.rng.integers(len(self.photos))]
-            short = [max(0, side - n) for n in photo.shape[1:]]
-            photo = np.pad(photo, [(0, 0), (0, short[0]), (0, short[1])], mode="symmetric") if any(short) else photo
-            row, column = (self.rng.integers(n - side + 1) for n in photo.shape[1:])
-            scene = np.rot90(photo[:, row : row + side, column : column + side], self.rng.integers(4), (1, 2))
-            scenes.append(scene[:, :, ::-1] if self.rng.integers(2) else scene)
-            self.number = (self.number + GOLDEN) % 1.0
-            k = min(int(np.searchsorted(self.shares, self.number)), len(self.places) - 1)
-            places.append((int(self.places[k, 0]), int(self.places[k, 1])))
-        return torch.tensor(np.ascontiguousarray(np.stack(scenes), dtype=np.float32)), places
+    def seen(self, layer: LensLayer, sensor: Sensor, numbers: Iterable[int]) -> tuple[torch.Tensor, torch.Tensor]:
+        """What the network sees of some, and its targets."""
+        scenes, options, noise = self.asked(numbers)
+        captures, truths, illumination = layer(scenes, **options, illumination=True)
+        return sensor(captures, options["place"], illumination=illumination, draw=noise), truths
+
+    def asked(self, numbers: Iterable[int]) -> tuple[torch.Tensor, dict, torch.Tensor]:
+        """Scenes, what a layer is told of them, noise."""
+        scenes, places, shifts, noise = zip(*map(self.draws.patch, numbers))
+        options = {"place": list(places), "shift": list(shifts), "margin": self.draws.margin}
+        return torch.tensor(np.stack(scenes)), options, torch.tensor(np.stack(noise), dtype=torch.float32)
 
 
-def pictures(layer: LensLayer, sensor: Sensor, scenes: torch.Tensor, places: list[tuple[int, int]], margin: int, draw: torch.Generator | None = None):
-    """What the network sees, and its targets."""
-    captures, truths, illumination = layer(scenes, place=places, margin=margin, illumination=True)
-    return sensor(captures, places, illumination=illumination, generator=draw), truths
-
-
-def judged(lens: iso.Lens, network: nn.Module, folder: Path, count: int = 96) -> tuple[float, float]:
+def judged(lens: iso.Lens, network: nn.Module, photos: list[np.ndarray], count: int = 96) -> tuple[float, float]:
     """Mean PSNR of restored patches and of captures, linear light, dB."""
-    layer, sensor = LensLayer(lens, FRAME, trainable=MOVING).eval(), Sensor("generic")
-    patches, draw, found = Patches(folder, 77), torch.Generator().manual_seed(77), []
+    layer, sensor, patches, found = LensLayer(lens, FRAME, trainable=MOVING).eval(), Sensor("generic"), Patches(photos, PATCH, 77), []
     with torch.no_grad():
-        for _ in range(count // 4):
-            margin = 64
-            seen, truths = pictures(layer, sensor, *patches.draw(4, margin), margin, draw)
+        for first in range(0, count, BATCH):
+            seen, truths = patches.seen(layer, sensor, range(first, first + BATCH))
             for of in (network(seen), seen):
                 found.append(-10 * torch.log10((of - truths).square().mean((1, 2, 3))))
     return tuple(float(torch.cat(found[k::2]).mean()) for k in (0, 1))
 
 
-def trained(first: iso.Lens, folder: Path, steps: int, seed: int, network: Unet) -> tuple[iso.Lens, Unet, list[float]]:
-    """Lens and network by `LensSteps` and Adam."""
+def trained(first: iso.Lens, photos: list[np.ndarray], steps: int, seed: int, network: Unet) -> tuple[iso.Lens, Unet, list[float], list[float]]:
+    """Lens and network by `LensSteps` and Adam; how far each step moved, and losses."""
     layer, sensor = LensLayer(first, FRAME, trainable=MOVING), Sensor("generic")
     constraints = {"track": (None, 1.2 * first.inspect()["length_mm"])}
     lens_steps = LensSteps(layer, lr=LENS_RATE, hold=["focal_length", "distortion"], constraints=constraints)
     adam = torch.optim.Adam(network.parameters(), lr=NETWORK_RATE)
-    patches, lengths, losses = Patches(folder, seed), [], []
+    patches, small, lengths, losses = Patches(photos, PATCH, seed), Patches(photos, 96, seed ^ 0x6669_6E65), [], []
     for step in range(steps):
         used, (start, end) = step / steps, LENS_SHARE
         moves = start <= used < end
+        if step == 0 or step % 100 == 0 and (step // 100).bit_count() == 1:
+            scenes, options, _ = small.asked(step << 16 | k for k in range(6))
+            print(step, layer.tune(scenes, **options), flush=True)
         adam.param_groups[0]["lr"] = NETWORK_RATE * rise_and_fall(used)
-        margin = min(layer.reach_px, 96)
-        scenes, places = patches.draw(BATCH, margin)
         for number in layer.parameters():
             number.requires_grad_(moves)
-        seen, truths = pictures(layer, sensor, scenes, places, margin)
+        seen, truths = patches.seen(layer, sensor, range(step * BATCH, (step + 1) * BATCH))
         loss = (network(seen) - truths).abs().mean()
         adam.zero_grad()
         lens_steps.zero_grad()
@@ -166,7 +149,7 @@ def trained(first: iso.Lens, folder: Path, steps: int, seed: int, network: Unet)
         losses.append(float(loss.detach()))
         if step % 20 == 19:
             print(step + 1, f"loss {np.mean(losses[-20:]):.5f}", f"held by {lens_steps.last.held_by if moves else '-'}", flush=True)
-    return layer.lens, network, lengths
+    return layer.lens, network, lengths, losses
 
 
 def main() -> None:
@@ -181,13 +164,16 @@ def main() -> None:
     words.add_argument("--save", type=Path, help="folder for the lens and network that PyTorch trained")
     asked = words.parse_args()
     first = iso.Lens(asked.run / "lens-first.toml")
-    print("first lens", judged(first, nn.Identity(), asked.judge)[1], flush=True)
-    by_design = judged(iso.Lens(asked.run / "lens.toml"), of_run(asked.run / "network.safetensors"), asked.judge)
+    held_out = photographs(asked.judge)
+    print("first lens", judged(first, nn.Identity(), held_out)[1], flush=True)
+    by_design = judged(iso.Lens(asked.run / "lens.toml"), of_run(asked.run / "network.safetensors"), held_out)
     print(f"seed {asked.seed}, design: {by_design[0]:.3f} dB, captures {by_design[1]:.3f}", flush=True)
     torch.manual_seed(asked.seed)
     network = of_run(asked.begin / "network.safetensors") if asked.begin else Unet()
-    lens, network, lengths = trained(first, asked.train, asked.steps, asked.seed, network)
-    by_torch = judged(lens, network, asked.judge)
+    lens, network, lengths, losses = trained(first, photographs(asked.train), asked.steps, asked.seed, network)
+    log = np.genfromtxt(asked.run / "log.csv", delimiter=",", names=True)
+    print(f"loss of the first ten steps {np.mean(losses[:10]):.6f}, of the run {log['loss'][0]:.6f}; path of the run {1e-2 * log['moved_um'].sum():.4f} mm", flush=True)
+    by_torch = judged(lens, network, held_out)
     print(f"seed {asked.seed}, LensSteps: {by_torch[0]:.3f} dB, captures {by_torch[1]:.3f}, path {sum(lengths):.4f} mm", flush=True)
     if asked.save:
         asked.save.mkdir(parents=True, exist_ok=True)

@@ -78,6 +78,8 @@ struct Batch<'a> {
     places: &'a [[usize; 2]],
     /// Texels down and across from a scene's middle to what the patch's middle sees; [`SHIFT`] where left out.
     shifts: Option<&'a [[f64; 2]]>,
+    /// Whether scenes stand where they were laid out; before the lens as it is otherwise.
+    held: bool,
 }
 
 /// Texels down and across from a scene's middle to what a patch's middle sees, unless others are asked for: a pixel there sees where four texels meet.
@@ -112,7 +114,14 @@ impl Planned {
         Ok(Self { lens: base, ..self.clone() })
     }
 
-    fn scene<T: Number>(&self, batch: &Batch<'_>, b: usize, texture: ndarray::ArrayView3<'_, T>) -> (Plane, Region) {
+    /// Scene `b` of a batch before a lens that maps its distances so.
+    fn scene<T: Number>(
+        &self,
+        maps: &[SensorMap],
+        batch: &Batch<'_>,
+        b: usize,
+        texture: ndarray::ArrayView3<'_, T>,
+    ) -> (Plane, Region) {
         let (_, rows, cols) = texture.dim();
         let [row, col] = batch.places[b];
         let (rows, cols) = (rows - 2 * batch.margin, cols - 2 * batch.margin);
@@ -128,14 +137,15 @@ impl Planned {
             pixel: [middle(col, cols), middle(row, rows)],
             scale: Scale::There(1.0),
         };
-        (place.by(&self.maps[depth], &self.frame.inner, texture), region)
+        (place.by(&maps[depth], &self.frame.inner, texture), region)
     }
 
     fn rendered<T: Number>(&self, renderer: &Renderer, batch: &Batch<'_>, scenes: ArrayView4<'_, T>) -> Vec<Patch<T>> {
         let all: Vec<usize> = (0..batch.depths.len()).collect();
+        let maps = if batch.held { &self.maps } else { &renderer.optics.maps };
         let one = |b: &usize| {
             isoplanat::stop::look();
-            let (scene, region) = self.scene(batch, *b, scenes.index_axis(Axis(0), *b));
+            let (scene, region) = self.scene(maps, batch, *b, scenes.index_axis(Axis(0), *b));
             let rendered = renderer.record::<T>(&scene, batch.depths[*b], region);
             Patch { scene, rendered }
         };
@@ -322,15 +332,17 @@ impl Layer {
     ) -> PyResult<(Self, f64, f64, bool)> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
-        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
+        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref(), held: true };
         self.check(floats.shape(), &batch)?;
         let cast = floats.cast::<f32>();
         let own = &*self.inner;
         let (planned, chosen) = work(py, || {
             let scenes = cast.view().into_dimensionality::<Ix4>().map_err(|e| Error::Internal(e.to_string()))?;
+            let lens = own.with(&values)?;
+            let maps = Renderer::new(&lens, &own.plan)?.optics.maps;
             let placed: Vec<(Plane, Region)> =
-                scenes.outer_iter().enumerate().map(|(b, scene)| own.scene(&batch, b, scene)).collect();
-            fineness::tuned(own, own.with(&values)?, &placed)
+                scenes.outer_iter().enumerate().map(|(b, scene)| own.scene(&maps, &batch, b, scene)).collect();
+            fineness::tuned(own, lens, &placed)
         })?;
         Ok((planned.into(), chosen.error, chosen.noise, chosen.holds))
     }
@@ -370,7 +382,9 @@ impl Layer {
     ///     Texels on each side that are seen by the blur alone.
     /// shifts : sequence of (down, across), optional
     ///     Texels from each scene's middle to what its patch's middle sees; half a texel where left out.
-    #[pyo3(signature = (values, scenes, distances, places, margin, shifts = None))]
+    /// held : bool
+    ///     Whether scenes stand where they were laid out; before the lens as it is otherwise.
+    #[pyo3(signature = (values, scenes, distances, places, margin, shifts = None, held = true))]
     #[expect(clippy::too_many_arguments, reason = "Python's words")]
     fn record(
         &self,
@@ -381,10 +395,11 @@ impl Layer {
         places: Vec<[usize; 2]>,
         margin: usize,
         shifts: Option<Vec<[f64; 2]>>,
+        held: bool,
     ) -> PyResult<RecordedBatch> {
         let values = values.as_array().to_vec();
         let floats = Floats::of(scenes, "scenes", Whole::Refused)?;
-        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref() };
+        let batch = Batch { margin, depths: &distances, places: &places, shifts: shifts.as_deref(), held };
         self.check(floats.shape(), &batch)?;
         let double = matches!(floats, Floats::Double(_));
         if double {
@@ -407,7 +422,7 @@ impl Layer {
         let (&[count, 3, rows, columns], true) = (shape, shape.first() > Some(&0)) else {
             return Err(wrong_shape("scenes", shape, "[patch, 3, row, column], with one or more"));
         };
-        let Batch { margin, depths: distances, places, shifts } = *batch;
+        let Batch { margin, depths: distances, places, shifts, held: _ } = *batch;
         let sides = [rows, columns].map(|n| n.checked_sub(2 * margin).filter(|n| *n > 0));
         let [Some(rows), Some(columns)] = sides else {
             return Err(refused("margin", margin, format!("less than half of {rows} rows and {columns} columns")));

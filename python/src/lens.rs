@@ -256,6 +256,33 @@ impl Lens {
         crate::rays::trace(py, &self.inner, (origins, directions), wavelength_nm, clip)
     }
 
+    /// The gradient of a loss by every number of the lens, under the names of `parameters`, by `origins` and by `directions`, from those by what `trace` gives.
+    ///
+    /// Parameters
+    /// ----------
+    /// origins, directions, wavelength_nm, clip
+    ///     As of `trace`, which is done once more: memory does not grow with the surfaces.
+    /// positions_bar, directions_bar : array, shape (..., 3), optional
+    ///     Gradients by where rays arrive and by their directions there; none where left out. Those of rays that do not arrive are not looked at.
+    /// paths_bar : array, shape (...), optional
+    ///     Gradients by optical paths.
+    #[pyo3(signature = (origins, directions, *, positions_bar = None, directions_bar = None, paths_bar = None, wavelength_nm = None, clip = false))]
+    #[expect(clippy::too_many_arguments, reason = "Python's words")]
+    fn trace_vjp(
+        &self,
+        py: Python<'_>,
+        origins: &Bound<'_, PyAny>,
+        directions: &Bound<'_, PyAny>,
+        positions_bar: Option<&Bound<'_, PyAny>>,
+        directions_bar: Option<&Bound<'_, PyAny>>,
+        paths_bar: Option<&Bound<'_, PyAny>>,
+        wavelength_nm: Option<f64>,
+        clip: bool,
+    ) -> PyResult<(Py<PyDict>, Py<PyAny>, Py<PyAny>)> {
+        let bars = [positions_bar, directions_bar, paths_bar];
+        crate::rays::trace_vjp(py, &self.inner, (origins, directions), bars, wavelength_nm, clip)
+    }
+
     /// Point spread functions over object distance, field and colour.
     ///
     /// Parameters

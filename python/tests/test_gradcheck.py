@@ -15,7 +15,7 @@ with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from isoplanat.torch import LensLayer, PsfLayer, Sensor
+    from isoplanat.torch import LensLayer, PsfLayer, RayLayer, Sensor
 
 LENSES = ["cooke_triplet", "double_gauss", "two_element"]
 SIDE, MARGIN = 16, 16
@@ -73,3 +73,32 @@ def test_kernels(name, distance):
     layer = PsfLayer(iso.Lens(name), trainable=["surface[*].curvature", "surface[*].thickness"], **options)
     at, count = held(layer)
     check(lambda x: sums(at(x)), count, 1e-4, 1e-6)
+
+
+def rays(name, distance, side=5):
+    """Rays from a point off the axis, at a distance or without end, into the first vertex plane."""
+    y, x = np.mgrid[-1 : 1 : side * 1j, -1 : 1 : side * 1j]
+    height = 0.3 * iso.Lens(name).inspect()["entrance_pupil_diameter_mm"]
+    entry = np.stack([height * x, height * y, np.zeros_like(x)], -1)
+    if np.isinf(distance):
+        return torch.tensor(entry), torch.tensor([0.02, 0.1, 2.0], dtype=torch.float64)
+    start = np.array([0.01 * distance, -0.05 * distance, -distance])
+    return torch.tensor(np.broadcast_to(start, entry.shape).copy()), torch.tensor(entry - start)
+
+
+@pytest.mark.parametrize("distance", [1000.0, float("inf")])
+@pytest.mark.parametrize("name", LENSES)
+def test_landings(name, distance):
+    layer = RayLayer(iso.Lens(name), trainable=["surface[*].curvature", "surface[*].thickness"])
+    at, count = held(layer)
+    origins, directions = rays(name, distance)
+
+    def landed(numbers, origins, directions):
+        positions, cosines, paths, status = at(numbers, origins, directions)
+        assert not status.any()
+        return positions[..., :2], cosines, paths
+
+    torch.manual_seed(3)
+    given = [t.requires_grad_() for t in (torch.zeros(count, dtype=torch.float64), origins, directions)]
+    for which in range(3):
+        assert torch.autograd.gradcheck(lambda *x, k=which: landed(*x)[k], given, eps=1e-5, atol=1e-9, rtol=1e-6, fast_mode=True)

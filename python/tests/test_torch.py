@@ -14,7 +14,7 @@ with warnings.catch_warnings():
     # Of torch's own parts.
     warnings.simplefilter("ignore")
     torch = pytest.importorskip("torch", reason="torch is not installed")
-    from isoplanat.torch import LensLayer, LensSteps
+    from isoplanat.torch import LensLayer, LensSteps, RayLayer
 
 
 @pytest.mark.parametrize("distance", [1000.0, float("inf")])
@@ -122,6 +122,7 @@ def test_gradients_of_sharp_scenes_are_those_of_new_layouts(sharp):
     ours = float(layer.numbers["thickness"].grad)
     assert ours == pytest.approx((up - down) / 0.02, rel=0.05)
     # Texels on pixels: a difference to either side sees the loss fall.
+    layer = LensLayer(lens, frame, trainable=name, replan_every=0)
     with torch.no_grad():
         aligned = [(0.0, 0.0)] * len(places)
         losses = []
@@ -259,3 +260,25 @@ def test_what_cannot_be_is_refused():
         layer.numbers["curvature"][0] = float("nan")
     with pytest.raises(ValueError, match="curvature"):
         layer(scenes)
+
+
+def test_rays_that_fail_have_no_gradient():
+    """A lens is focused by the spots of rays that arrive; others are nan, and leave gradients alone."""
+    lens = iso.Lens("cooke_triplet")
+    layer = RayLayer(lens, trainable=["surface[5].thickness"], clip=True)
+    x = torch.linspace(-60, 60, 101, dtype=torch.float64)
+    origins = torch.stack([x, torch.zeros_like(x), torch.zeros_like(x)], -1)
+    directions = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    found = layer(origins, directions)
+    known = lens.trace(origins.numpy(), directions.numpy(), clip=True)
+    assert np.array_equal(found.status.numpy(), known.status) and np.array_equal(found.positions.detach().numpy(), known.positions, equal_nan=True)
+    through = found.status == 0
+    assert 5 < int(through.sum()) < 90
+    (spot,) = torch.autograd.grad(found.positions[through][:, 0].square().mean(), layer.numbers["thickness"])
+    (whole,) = torch.autograd.grad(layer(origins, directions).positions[:, 0].square().nanmean(), layer.numbers["thickness"])
+    assert torch.isfinite(spot).all() and float(spot) != 0 and torch.equal(spot, whole)
+    # Along straight lines: the slope of x² is twice x times the ray's slope.
+    steep = found.directions[through][:, 0] / found.directions[through][:, 2]
+    assert float(spot) == pytest.approx(float((2 * found.positions[through][:, 0] * steep).mean()), rel=1e-12)
+    with pytest.raises(TypeError, match="origins: torch.int64; a tensor in floating point"):
+        layer(origins.long(), directions)

@@ -277,6 +277,10 @@ def test_a_sensor_is_the_programs(tmp_path):
         deviation = np.sqrt(light * response / 6000 + (4 / 6000) ** 2) / response
         assert abs(float(of.mean()) - light) < 5 * deviation / 200 and float(of.std()) == pytest.approx(deviation, rel=5 / np.sqrt(2 * 200 * 200))
     assert (noisy(picture, generator=torch.Generator().manual_seed(1)) == found).all()
+    drawn = torch.randn(picture[:, 0].shape, generator=torch.Generator().manual_seed(1), dtype=picture.dtype)
+    assert (noisy(picture, draw=drawn) == found).all()
+    with pytest.raises(ValueError, match="draw: shape"):
+        noisy(picture, draw=drawn[..., 1:])
     small = torch.rand(1, 3, 6, 7, dtype=torch.float64, requires_grad=True)
     sensor = Sensor(level=2.0)
     assert torch.autograd.gradcheck(lambda x: sensor(x, (1, 0), generator=torch.Generator().manual_seed(2)), small)

@@ -114,6 +114,77 @@ mod tests {
         }
     }
 
+    /// Texels of few bits, which any program makes the same.
+    fn plain_texels(side: usize, seed: usize) -> Array3<f32> {
+        let of = |(c, i, j): (usize, usize, usize)| (31 * c + 17 * i + 7 * j + i * j + 5 * seed) % 97;
+        Array3::from_shape_fn((3, side, side), |at| of(at) as f32 / 128.0)
+    }
+
+    /// The gradient of a squared difference on four patches by all numbers of a lens, as a design's step has it, is the recorded one to 1e-12 of its norm; the layer of the Python package is
+    /// held to the same record. `ISOPLANAT_RECORD_GRADIENTS=1` records it anew.
+    #[test]
+    fn the_gradient_is_the_recorded_one() {
+        use isoplanat_imaging::scene::placement::{Placement, Scale};
+        let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("python/tests/chain_gradient.json");
+        let (side, margin) = (48usize, 24usize);
+        let mut found = Vec::new();
+        for (name, pitch_um, columns, rows) in [("two_element", 20.0, 320, 220), ("cooke_triplet", 60.0, 600, 400)] {
+            let lens = builtin::lens(name).expect("shipped");
+            let axis_px = [0.5 * columns as f64 + 3.0, 40.0];
+            let frame =
+                Frame::centred(columns, rows, 1e-3 * pitch_um).and_then(|f| f.with_axis(axis_px)).expect("valid");
+            let density = SpectralDensity::new(&Sensor::generic());
+            let renderer = Renderer::planned(&lens, &frame, &density, &[lens.object_vergence], Settings::DESIGN);
+            let renderer = renderer.expect("plans");
+            let electronics =
+                Electronics { noise: Noise { shot: 0.0, read: 0.0 }, ..Electronics::of(&Sensor::generic()) };
+            let places = [[4, 8], [rows - side, columns - side], [rows / 2 - 1, columns / 2 - 4], [0, columns - side]];
+            let mut bar = OpticsBar::zeros(&renderer.optics);
+            let mut loss = 0.0;
+            for (seed, [row, col]) in places.into_iter().enumerate() {
+                let region = Region { row: row as isize, col: col as isize, rows: side, cols: side };
+                let middle = 0.5 * side as f64;
+                let place = Placement {
+                    texel: [margin as f64 + middle + 0.5; 2],
+                    pixel: [col as f64 + middle, row as f64 + middle],
+                    scale: Scale::There(1.0),
+                };
+                let scene = place.by(&renderer.optics.maps[0], &frame, plain_texels(side + 2 * margin, seed));
+                let patch = Patch::whole(scene, region, 0);
+                let done = forward::<f64>(&renderer, &electronics, &patch).expect("renders");
+                let residual = &done.developed - &done.truth;
+                loss += residual.iter().map(|d| d * d).sum::<f64>();
+                let residual = residual * 2.0;
+                bar.add(&forward_vjp(&renderer, &electronics, &patch, &done, residual.view(), (-&residual).view()));
+            }
+            let all = Variables::all(&lens).parameters;
+            let variables = Variables { scales: vec![1.0; all.len()], parameters: all };
+            let gradient = variables.gradient(&renderer.lens_gradient(&lens, &bar));
+            let names: Vec<_> = variables.parameters.iter().map(|p| p.name(&lens)).collect();
+            found.push(serde_json::json!({
+                "lens": name, "pitch_um": pitch_um, "columns": columns, "rows": rows, "axis_px": axis_px, "side": side, "margin": margin,
+                "places": places, "loss": loss, "names": names, "gradient": gradient,
+            }));
+        }
+        if std::env::var_os("ISOPLANAT_RECORD_GRADIENTS").is_some() {
+            std::fs::write(&path, serde_json::to_string_pretty(&found).expect("numbers") + "\n").expect("writable");
+        }
+        let text = std::fs::read_to_string(&path).expect("recorded");
+        let recorded: Vec<serde_json::Value> = serde_json::from_str(&text).expect("JSON");
+        assert_eq!(recorded.len(), found.len());
+        for (known, found) in recorded.iter().zip(&found) {
+            assert_eq!(known["names"], found["names"]);
+            let numbers =
+                |v: &serde_json::Value| -> Vec<f64> { serde_json::from_value(v["gradient"].clone()).expect("numbers") };
+            let (known, found) = (numbers(known), numbers(found));
+            let norm = known.iter().map(|v| v * v).sum::<f64>().sqrt();
+            assert!(norm > 1.0 && known.iter().filter(|v| **v != 0.0).count() > known.len() / 2);
+            for (a, b) in known.iter().zip(&found) {
+                assert!((a - b).abs() <= 1e-12 * norm, "{a} {b} of {norm}");
+            }
+        }
+    }
+
     /// The full chain without the network, f64: 1e-6 relative along 20 random directions, and two of every kind of number.
     #[test]
     fn the_chain_agrees_with_central_differences() {

@@ -152,6 +152,7 @@ class Layer:
         places: Sequence[tuple[int, int]],
         margin: int,
         shifts: Sequence[tuple[float, float]] | None = None,
+        held: bool = True,
     ) -> tuple[_Floats, _Floats, _Floats, LayerRecord]: ...
     def __copy__(self) -> Layer: ...
     def __deepcopy__(self, _memo: Any) -> Layer: ...
@@ -216,6 +217,17 @@ class Lens:
     def trace(
         self, origins: ArrayLike, directions: ArrayLike, *, wavelength_nm: float | None = None, clip: bool = False
     ) -> Rays: ...
+    def trace_vjp(
+        self,
+        origins: ArrayLike,
+        directions: ArrayLike,
+        *,
+        positions_bar: ArrayLike | None = None,
+        directions_bar: ArrayLike | None = None,
+        paths_bar: ArrayLike | None = None,
+        wavelength_nm: float | None = None,
+        clip: bool = False,
+    ) -> tuple[dict[str, float], NDArray[np.float64], NDArray[np.float64]]: ...
     def psf(
         self,
         fields_deg: float | Sequence[float] | NDArray[np.float64] | None = None,

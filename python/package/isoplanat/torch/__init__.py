@@ -1,4 +1,4 @@
-"""A lens for PyTorch: as a layer whose numbers are trained, with steps that know what a lens is, kernels, a sensor, and pairs for a network.
+"""A lens for PyTorch: as a layer whose numbers are trained, with steps that know what a lens is, kernels, rays, a sensor, and pairs for a network.
 
 Needs ``torch``, which ``import isoplanat`` does not. The optics run on the CPU; tensors come and go on their own devices.
 """
@@ -6,7 +6,8 @@ Needs ``torch``, which ``import isoplanat`` does not. The optics run on the CPU;
 from ._layer import Fineness, LensLayer
 from ._pairs import PairDataset
 from ._psf import PsfLayer
+from ._rays import Landings, RayLayer
 from ._sensor import Sensor
 from ._steps import LensSteps, Step
 
-__all__ = ["Fineness", "LensLayer", "LensSteps", "PairDataset", "PsfLayer", "Sensor", "Step"]
+__all__ = ["Fineness", "Landings", "LensLayer", "LensSteps", "PairDataset", "PsfLayer", "RayLayer", "Sensor", "Step"]

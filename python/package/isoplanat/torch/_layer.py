@@ -47,10 +47,11 @@ class _Through(torch.autograd.Function):
         places: list[tuple[int, int]],
         margin: int,
         shifts: list[tuple[float, float]] | None,
+        held: bool,
         told: list[float],
     ) -> tuple[torch.Tensor, ...]:
         given = scenes.detach().cpu().contiguous().numpy()
-        *all_of_them, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin, shifts)
+        *all_of_them, ctx.record = core.record(values.detach().cpu().numpy(), given, distances, places, margin, shifts, held)
         ctx.device = values.device
         told.append(ctx.record.light)
         return tuple(torch.from_numpy(picture).to(scenes.device) for picture in all_of_them)
@@ -59,7 +60,7 @@ class _Through(torch.autograd.Function):
     @once_differentiable  # type: ignore[untyped-decorator]
     def backward(ctx: Any, *pictures_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         bars = [bar.detach().cpu().contiguous().numpy() for bar in pictures_bar]
-        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None, None
+        return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None, None, None
 
 
 class LensLayer(Placed, Numbers):
@@ -77,9 +78,10 @@ class LensLayer(Placed, Numbers):
     illuminant : str, optional
         As of `isoplanat.render`.
     replan_every : int
-        After so many forward passes in training, kernels are laid out anew for the lens as it is by then, and scenes are placed anew; 0: never of itself.
-        In between what is laid out is held, and the gradient is that of the held layout. In evaluation (``layer.eval()``) it is laid out anew
-        whenever the numbers have changed, and in training where a tenth of the light or more would be lost.
+        After so many forward passes in training, kernels are laid out anew for the lens as it is by then. Scenes are placed before the lens as it is at every
+        pass, as ``isoplanat design`` places them; the gradient is that of scenes and kernels that stay where they are. 0: all stays where it is, as a function of the numbers
+        should, until `replan`. In evaluation (``layer.eval()``) all is laid out anew whenever the numbers have changed, and in training where a tenth
+        of the light or more would be lost.
 
     Attributes
     ----------
@@ -199,11 +201,12 @@ class LensLayer(Placed, Numbers):
         given, depths, places, shifts = self._asked(scenes, distance_mm, place, margin, shift)
         self._follow()
         values, light = self._values(), list[float]()
+        held = not self.training or self.replan_every == 0
         if len(values) != len(self._all_names):
             raise ValueError(f"numbers: {len(values)}; {len(self._all_names)}, as `names` lists them")
         with torch.autocast(scenes.device.type, enabled=False):
             try:
-                arguments = (depths, places, margin, shifts, light)
+                arguments = (depths, places, margin, shifts, held, light)
                 through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
                 # So far from the lens that kernels were laid out for that they miss its light.
                 if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():

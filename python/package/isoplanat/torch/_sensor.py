@@ -105,6 +105,7 @@ class Sensor(nn.Module):
         *,
         illumination: torch.Tensor | None = None,
         generator: torch.Generator | None = None,
+        draw: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """The picture.
 
@@ -119,16 +120,20 @@ class Sensor(nn.Module):
             flat field.
         generator : torch.Generator, optional
             Where the noise is drawn from.
+        draw : tensor [B, H, W], optional
+            The noise itself, in its own deviations, in place of one that is drawn.
         """
         if not isinstance(captures, torch.Tensor) or not captures.is_floating_point():
             raise TypeError(f"captures: {getattr(captures, 'dtype', type(captures).__name__)}; a tensor of linear light in floating point")
         if captures.dtype == torch.float16:
             dims = None if illumination is None else illumination.float()
-            return self.forward(captures.float(), place, illumination=dims, generator=generator).half()
+            return self.forward(captures.float(), place, illumination=dims, generator=generator, draw=draw).half()
         if captures.ndim != 4 or captures.shape[1] != 3 or min(captures.shape[-2:]) < 3:
             raise ValueError(f"captures: shape {tuple(captures.shape)}; [B, 3, H, W] of 3 pixels a side or more")
         if illumination is not None and illumination.shape != captures.shape:
             raise ValueError(f"illumination: shape {tuple(illumination.shape)}; that of the captures, {tuple(captures.shape)}")
+        if draw is not None and draw.shape != captures[:, 0].shape:
+            raise ValueError(f"draw: shape {tuple(draw.shape)}; one number a pixel, {tuple(captures[:, 0].shape)}")
         places = self._places(place, len(captures))
         masks = self._over(self._masks, places, captures)
         neutral = torch.as_tensor(self.facts["neutral_response"]).to(captures)[:, None, None] * masks
@@ -137,8 +142,9 @@ class Sensor(nn.Module):
         if self.level > 0:
             well = self.facts["full_well_electrons"]
             variance = signal.clamp(min=0) / well + (self.facts["read_noise_electrons"] / well) ** 2
-            draw = torch.randn(signal.shape, generator=generator, dtype=captures.dtype, device=captures.device)
-            signal = signal + self.level * torch.sqrt(variance.clamp(min=torch.finfo(variance.dtype).tiny)) * draw
+            if draw is None:
+                draw = torch.randn(signal.shape, generator=generator, dtype=captures.dtype, device=captures.device)
+            signal = signal + self.level * torch.sqrt(variance.clamp(min=torch.finfo(variance.dtype).tiny)) * draw.to(signal)
         white = (signal / response)[:, None]
         if illumination is not None:
             dims = (illumination.to(captures) * masks).sum(1, keepdim=True)
