@@ -27,7 +27,7 @@ def made(name="cooke_triplet", spread=600, **options):
 
 @pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss", "two_element"])
 def test_gradients_are_those_of_differences(name):
-    through = made(name)
+    through = made(name, held=True)
     margin = 16
     assert through.reach_px < margin
     scenes = smooth((2, 3, 32 + 2 * margin, 32 + 2 * margin), 1)
@@ -66,6 +66,17 @@ def test_it_is_the_layer():
     captures.square().mean().backward()
     gradient = jax.grad(lambda v: jnp.mean(jnp.square(through(v, scenes, jnp.array([3000.0, jnp.inf]), margin=4)[0])))(through.values)
     assert np.allclose(gradient, layer.numbers["curvature"].grad.numpy(), rtol=1e-5)
+
+
+def test_scenes_follow_the_lens_unless_they_are_held():
+    # A lens of another magnification: what stands before it afterwards is what stands before one that was laid out for it.
+    scenes, corner = smooth((1, 3, 40, 40), 4), jnp.array([[0, 0]])
+    free, held = made(), made(held=True)
+    moved = free.values * 1.01
+    anew = free.replanned(moved)(moved, scenes, place=corner, margin=4)[1]
+    assert np.abs(np.asarray(free(moved, scenes, place=corner, margin=4)[1]) - anew).max() < 1e-6
+    assert np.abs(np.asarray(held(moved, scenes, place=corner, margin=4)[1]) - anew).max() > 1e-3
+    assert held.replanned(moved).held
 
 
 def test_failures_are_nan_with_a_status():

@@ -32,6 +32,9 @@ class LensFunction(Placed):
         Names or patterns of the lens's numbers, such as "surface[*].curvature".
     illuminant : str, optional
         As of `isoplanat.render`.
+    held : bool
+        Whether scenes stay where they were laid out, as differences and line searches ask for. They are placed before the lens as it is at every call otherwise, as
+        ``isoplanat design`` places them; the gradient is that of scenes that stay.
 
     Attributes
     ----------
@@ -51,13 +54,14 @@ class LensFunction(Placed):
         distances_mm: float | Sequence[float] | None = None,
         trainable: str | Sequence[str] = ("surface[*].curvature",),
         illuminant: str | None = None,
+        held: bool = False,
     ) -> None:
         if not jax.config.read("jax_enable_x64"):  # type: ignore[no-untyped-call,unused-ignore]
             raise ValueError('jax_enable_x64: False; jax.config.update("jax_enable_x64", True): a lens\'s numbers are float64')
         self._core = Layer(lens, frame, distances_mm, trainable, illuminant)
         self.names = self._core.names
         self.values = jnp.asarray(self._core.values, dtype=jnp.float64)
-        self.error = ""
+        self.error, self.held = "", held
         self._through = functools.lru_cache(maxsize=None)(self._made)
 
     def lens(self, values: Any) -> Lens:
@@ -69,6 +73,7 @@ class LensFunction(Placed):
         other = object.__new__(type(self))
         other._core = self._core.replanned(np.asarray(values, dtype=np.float64))
         other.names, other.values, other.error = self.names, jnp.asarray(values, dtype=jnp.float64), ""
+        other.held = self.held
         other._through = functools.lru_cache(maxsize=None)(other._made)
         return other
 
@@ -121,7 +126,7 @@ class LensFunction(Placed):
         if any(number < 0 for both in at for number in both):
             raise ValueError(f"place: {min(at)}; whole rows and columns from 0")
         by = [(float(down), float(across)) for down, across in np.asarray(shifts)] if shifted else None
-        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), depths, at, margin, by)
+        return self._core.record(np.asarray(values), np.ascontiguousarray(scenes), depths, at, margin, by, self.held)
 
     def _made(self, margin: int, shifted: bool) -> Callable[..., Any]:
         """The function for a margin, of scenes that are shifted or not, with its gradient."""
