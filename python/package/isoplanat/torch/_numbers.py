@@ -6,6 +6,13 @@ from typing import Any
 import torch
 from torch import nn
 
+from .._isoplanat import Lens
+
+
+def replaced(lens: Lens, names: Sequence[str], values: torch.Tensor) -> Lens:
+    """The lens with these numbers. Raises ValueError where they are no lens."""
+    return lens.replace(dict(zip(names, values.detach().cpu().tolist(), strict=True)))
+
 
 class Numbers(nn.Module):
     """A module whose parameters are numbers of a lens, kind by kind; they stay float64, whatever the module is cast to."""

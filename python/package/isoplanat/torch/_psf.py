@@ -8,7 +8,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from .._isoplanat import Lens, Psf, numbers_of
-from ._numbers import Numbers
+from ._numbers import Numbers, replaced
 
 
 class _Kernels(torch.autograd.Function):
@@ -16,7 +16,7 @@ class _Kernels(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, values: torch.Tensor, lens: Lens, names: list[str], like: Psf) -> torch.Tensor:
-        moved = lens.replace(dict(zip(names, values.detach().cpu().tolist(), strict=True)))
+        moved = replaced(lens, names, values)
         ctx.psf, ctx.names, ctx.device = moved.psf(like=like), names, values.device
         return torch.from_numpy(np.array(ctx.psf.kernels)).to(values.device)
 
@@ -83,7 +83,7 @@ class PsfLayer(Numbers):
     @property
     def lens(self) -> Lens:
         """The lens as it is now. Raises ValueError where its numbers are no lens."""
-        return self._lens.replace(dict(zip(self._all_names, self._values().tolist(), strict=True)))
+        return replaced(self._lens, self._all_names, self._values())
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(self) -> torch.Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch.autograd.function import once_differentiable
 
 from .._isoplanat import Lens, numbers_of
-from ._numbers import Numbers
+from ._numbers import Numbers, replaced
 
 
 class Landings(NamedTuple):
@@ -43,7 +43,7 @@ class _Traced(torch.autograd.Function):
         names: list[str],
         options: dict[str, Any],
     ) -> tuple[torch.Tensor, ...]:
-        moved = lens.replace(dict(zip(names, values.detach().cpu().tolist(), strict=True)))
+        moved = replaced(lens, names, values)
         given = [tensor.detach().cpu().contiguous().numpy() for tensor in (origins, directions)]
         rays = moved.trace(*given, **options)
         ctx.save_for_backward(origins, directions)
@@ -95,7 +95,7 @@ class RayLayer(Numbers):
     @property
     def lens(self) -> Lens:
         """The lens as it is now. Raises ValueError where its numbers are no lens."""
-        return self._lens.replace(dict(zip(self._all_names, self._values().tolist(), strict=True)))
+        return replaced(self._lens, self._all_names, self._values())
 
     @torch.compiler.disable  # type: ignore[untyped-decorator,unused-ignore]
     def forward(self, origins: torch.Tensor, directions: torch.Tensor, *, wavelength_nm: float | None = None) -> Landings:
