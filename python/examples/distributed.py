@@ -80,7 +80,7 @@ def main():
         for optimizer in steps:
             optimizer.step()
         if rank == 0:
-            print(f"{step}: {float(loss):.6f}, rays moved {1e3 * steps[0].last.length_mm:.3f} µm")
+            print(f"{step}: {loss.item():.6f}, rays moved {1e3 * steps[0].last.length_mm:.3f} µm")
     if told.output and rank == 0 and not told.gradients:
         camera.lens.lens.save(told.output)
     if ranks > 1:

@@ -39,5 +39,5 @@ def test_gradient_is_that_of_a_design(known):
     recorded = np.array(known["gradient"])
     norm = np.linalg.norm(recorded)
     assert norm > 1
-    assert abs(float(loss) / known["loss"] - 1) < 1e-12
+    assert abs(loss.item() / known["loss"] - 1) < 1e-12
     assert np.abs(gradient - recorded).max() <= 1e-12 * norm

@@ -45,7 +45,7 @@ def test_steps_keep_what_is_held():
         loss.backward()
         steps.step()
         schedule.step()
-        losses.append(float(loss))
+        losses.append(loss.item())
         assert steps.last.moved and steps.last.length_mm <= 10 * 2e-2 and 0 <= steps.last.signal <= 1
     assert losses[-1] < 0.3 * losses[0], losses
     found = layer.lens
@@ -150,7 +150,7 @@ def test_kernels_follow_the_lens():
         captures, truths = layer(scenes)
         fresh = LensLayer(layer.lens, layer.frame)(scenes)
         assert torch.allclose(captures, fresh[0], atol=1e-4) and torch.allclose(truths, fresh[1], atol=1e-4)
-        assert float(captures.mean()) > 0.7 * float(truths.mean())
+        assert captures.mean().item() > 0.7 * truths.mean().item()
     with torch.no_grad():
         layer.numbers["curvature"][0] = 0.0001
         held = layer(scenes)[0]
@@ -261,7 +261,7 @@ def test_a_sensor_is_the_programs(tmp_path):
     # A flat field takes off what the lens dims, behind the noise, and not more than a hundredth.
     layer, scenes = LensLayer(lens, iso.Frame(180, 120, 240.0)), torch.full((2, 3, 40, 40), 0.5)
     captures, _, dims = layer(scenes, place=[(0, 0), (80, 140)], illumination=True)
-    assert float(dims[0, :, :5, :5].mean()) < 0.9
+    assert dims[0, :, :5, :5].mean().item() < 0.9
     flat = sensor(captures, [(0, 0), (80, 140)], illumination=dims)
     assert (flat - 0.5).abs().max() < 2e-3 and (captures[0] - 0.5).abs().max() > 0.05
     assert (Sensor(file, level=0, demosaic=False)(captures, illumination=0.002 * torch.ones_like(captures)) - 100 * Sensor(file, level=0, demosaic=False)(captures)).abs().max() < 1e-3

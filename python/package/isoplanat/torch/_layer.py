@@ -57,7 +57,7 @@ class _Through(torch.autograd.Function):
         return tuple(torch.from_numpy(picture).to(scenes.device) for picture in all_of_them)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
     def backward(ctx: Any, *pictures_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         bars = [bar.detach().cpu().contiguous().numpy() for bar in pictures_bar]
         return torch.from_numpy(ctx.record.vjp(*bars)).to(ctx.device), None, None, None, None, None, None, None, None
@@ -207,11 +207,11 @@ class LensLayer(Placed, Numbers):
         with torch.autocast(scenes.device.type, enabled=False):
             try:
                 arguments = (depths, places, margin, shifts, held, light)
-                through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+                through: tuple[torch.Tensor, ...] = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call,unused-ignore]
                 # So far from the lens that kernels were laid out for that they miss its light.
                 if not abs(light[-1] - 1) <= MOST_LOST and not self._is_planned():
                     self.replan()
-                    through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call]
+                    through = _Through.apply(values, given, self._core, *arguments)  # type: ignore[no-untyped-call,unused-ignore]
             except ValueError as error:
                 if self._stands(values):
                     raise

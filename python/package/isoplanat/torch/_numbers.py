@@ -72,7 +72,7 @@ class Numbers(nn.Module):
 
     def _apply(self, fn: Callable[..., Any], recurse: bool = True) -> Any:
         kept = {kind: number.detach().clone() for kind, number in self.numbers.items()}
-        super()._apply(fn, recurse)  # type: ignore[no-untyped-call]
+        super()._apply(fn, recurse)  # type: ignore[no-untyped-call,unused-ignore]
         # To another device they go; other numbers they do not become.
         for kind, number in self.numbers.items():
             number.data = kept[kind].to(number.device)

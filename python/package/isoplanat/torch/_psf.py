@@ -21,7 +21,7 @@ class _Kernels(torch.autograd.Function):
         return torch.from_numpy(np.array(ctx.psf.kernels)).to(values.device)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
     def backward(ctx: Any, bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         gradient = ctx.psf.vjp(bar.detach().cpu().contiguous().numpy())
         return torch.tensor([gradient[name] for name in ctx.names], dtype=torch.float64, device=ctx.device), None, None, None
@@ -89,5 +89,5 @@ class PsfLayer(Numbers):
     def forward(self) -> torch.Tensor:
         """The kernels, on the numbers' device."""
         self._follow()
-        kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call]
+        kernels: torch.Tensor = _Kernels.apply(self._values(), self._lens, self._all_names, self._like)  # type: ignore[no-untyped-call,unused-ignore]
         return kernels

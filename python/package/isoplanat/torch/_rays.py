@@ -53,7 +53,7 @@ class _Traced(torch.autograd.Function):
         return tuple(found)
 
     @staticmethod
-    @once_differentiable  # type: ignore[untyped-decorator]
+    @once_differentiable  # type: ignore[untyped-decorator,unused-ignore]
     def backward(ctx: Any, *landings_bar: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         origins, directions = ctx.saved_tensors
         given = [tensor.detach().cpu().contiguous().numpy() for tensor in (origins, directions)]
@@ -115,4 +115,4 @@ class RayLayer(Numbers):
                 raise TypeError(f"{name}: {getattr(tensor, 'dtype', type(tensor).__name__)}; a tensor in floating point")
         options = {"wavelength_nm": wavelength_nm, "clip": self._clip}
         given = [tensor.to(torch.float64) for tensor in (origins, directions)]
-        return Landings(*_Traced.apply(self._values(), *given, self._lens, self._all_names, options))  # type: ignore[no-untyped-call]
+        return Landings(*_Traced.apply(self._values(), *given, self._lens, self._all_names, options))  # type: ignore[no-untyped-call,unused-ignore]

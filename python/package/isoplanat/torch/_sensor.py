@@ -57,6 +57,10 @@ class Sensor(nn.Module):
         cfa, full_well_electrons, read_noise_electrons, neutral_response, bits, black_level, white_level.
     """
 
+    _masks: torch.Tensor
+    _which: torch.Tensor
+    _weights: torch.Tensor
+
     def __init__(
         self, sensor: str | os.PathLike[str] = "generic", *, level: float = 1.0, exposure: float = 1.0, demosaic: bool = True
     ) -> None:
