@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import isoplanat as iso
+from conftest import difference, direction, moved
 
 
 def plain(lens, origins, directions, wavelength_nm):
@@ -90,3 +91,32 @@ def test_what_is_no_ray_is_refused():
         lens.trace(good, [0, 0, 1], wavelength_nm=3)
     with pytest.raises(ValueError, match="cooke_triplet: surface\\[0\\].medium: "):
         lens.trace(good, [0, 0, 1], wavelength_nm=15000)
+
+
+@pytest.mark.parametrize("name", ["double_gauss", "phone", "two_element"])
+def test_the_gradient_is_that_of_differences(name):
+    """By every number of the lens at once, and by the rays; 1e-7."""
+    lens, rng = iso.Lens(name), np.random.default_rng(11)
+    reach = 0.3 * lens.inspect()["entrance_pupil_diameter_mm"]
+    origins = np.append(rng.uniform(-reach, reach, (3, 70, 2)), np.full((3, 70, 1), -2.0), -1)
+    directions = np.array([0.05, -0.1, 2.0])
+    bars = {"positions": rng.normal(size=(3, 70, 3)), "directions": rng.normal(size=(3, 70, 3)), "paths": rng.normal(size=(3, 70))}
+    options = {"wavelength_nm": 520.0, "clip": True}
+
+    def loss(lens, origins, directions):
+        rays = lens.trace(origins, directions, **options)
+        assert not rays.status.any()
+        return sum(float((bar * getattr(rays, of)).sum()) for of, bar in bars.items())
+
+    given = {f"{of}_bar": bar for of, bar in bars.items()}
+    gradient, *by_rays = lens.trace_vjp(origins, directions, **given, **options)
+    along = direction(lens, gradient, 5)
+    found, apart = difference(lambda by: loss(moved(lens, along, by), origins, directions), 1e-3)
+    assert sum(gradient[number] * by for number, by in along.items()) == pytest.approx(found, rel=1e-7, abs=2 * apart)
+    for k, bar in enumerate(by_rays):
+        start = [origins, directions]
+        towards = rng.normal(size=start[k].shape)
+        found, apart = difference(lambda by: loss(lens, *(ray + by * towards * (which == k) for which, ray in enumerate(start))), 1e-3)
+        assert float((bar * towards).sum()) == pytest.approx(found, rel=1e-7, abs=2 * apart)
+    with pytest.raises(ValueError, match=r"paths_bar: shape \(3,\); \(3, 70\)"):
+        lens.trace_vjp(origins, directions, paths_bar=np.zeros(3))
