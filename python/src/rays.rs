@@ -7,6 +7,7 @@ use isoplanat::trace::lanes::{Bundle, Options, Program, Status, TILE, Tile, trac
 use isoplanat::trace::{Cause, SystemGradient};
 use isoplanat::{Lens, LensGradient, Ray, Result, System};
 use ndarray::{ArrayD, ArrayViewD, IxDyn};
+use numpy::Element;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -139,15 +140,12 @@ pub(crate) fn trace(
     let job = || traced(&program, Starts { from: flat(&from), towards: flat(&towards) }, count);
     let landed = if count <= FEW { here(job)? } else { work(py, job)? };
     let [whole, each] = [&launch.shape[..], launch.leading()];
-    let array = |values: Vec<f64>, shape: &[usize]| {
-        given(py, ArrayD::from_shape_vec(IxDyn(shape), values).expect("as many as the shape says"))
-    };
     Ok(Rays {
-        positions: array(landed.positions, whole),
-        directions: array(landed.directions, whole),
-        paths: array(landed.paths, each),
-        status: given(py, ArrayD::from_shape_vec(IxDyn(each), landed.status).expect("one a ray")),
-        surface: given(py, ArrayD::from_shape_vec(IxDyn(each), landed.surface).expect("one a ray")),
+        positions: shaped(py, landed.positions, whole),
+        directions: shaped(py, landed.directions, whole),
+        paths: shaped(py, landed.paths, each),
+        status: shaped(py, landed.status, each),
+        surface: shaped(py, landed.surface, each),
     })
 }
 
@@ -195,11 +193,8 @@ pub(crate) fn trace_vjp(
         of_system.add_to(lens, launch.nm, &mut gradient);
         Ok((gradient, from_bar, towards_bar))
     })?;
-    let array = |values: Vec<f64>, shape: &[usize]| {
-        given(py, ArrayD::from_shape_vec(IxDyn(shape), values).expect("as many as the shape says"))
-    };
     let named = crate::lens::named(py, lens, &gradient)?;
-    Ok((named, array(from_bar, &launch.shape), array(towards_bar, launch.directions.shape())))
+    Ok((named, shaped(py, from_bar, &launch.shape), shaped(py, towards_bar, launch.directions.shape())))
 }
 
 fn pulled(
@@ -251,6 +246,11 @@ fn pulled(
         towards_bar[3 * k..][..3].iter_mut().zip(bar.to_array()).for_each(|(to, v)| *to += v);
     }
     Ok((gradient, from_bar, towards_bar))
+}
+
+/// An array of Python of as many values as its shape says.
+fn shaped<T: Element>(py: Python<'_>, values: Vec<T>, shape: &[usize]) -> Py<PyAny> {
+    given(py, ArrayD::from_shape_vec(IxDyn(shape), values).expect("as many as the shape says"))
 }
 
 /// The numbers of an array in row-major order.
