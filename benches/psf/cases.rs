@@ -4,7 +4,7 @@ use glam::DVec2;
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::splat::Raster;
 use isoplanat::psf::table::{Adapted, Tolerance};
-use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
+use isoplanat::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::trace::aim::{Aimer, SceneRayBar, SensorView};
 use isoplanat::trace::sequential::first_vignetted;
 use isoplanat::trace::sequential::trace;
@@ -81,7 +81,7 @@ impl Case {
     pub(crate) fn kernel(&self, optics: &Optics, dense: usize, spot: Spot) -> Vec<f64> {
         let form = optics.form(dense, SIZE, 1, self.pitch_mm);
         let mut out = vec![0.0; 3 * SIZE * SIZE];
-        optics.kernels(&form, 0, Place { radius_mm: spot.radius_mm, outward: [0.0, 1.0] }, &mut out);
+        optics.kernels(&form, 0, SensorPoint::along([0.0, 1.0], spot.radius_mm), &mut out);
         let channel = optics.spec.quadrature.nm.iter().position(|nm| *nm == spot.nm).expect("one of three");
         out[channel * SIZE * SIZE..][..SIZE * SIZE].to_vec()
     }
@@ -133,7 +133,7 @@ impl Case {
     pub(crate) fn grid(&self, degree: usize, dense: usize) -> Grid<'_> {
         let cells = (-4..=4).flat_map(|i| (-4..=4).map(move |j| (f64::from(i), f64::from(j))));
         let step = self.radius_mm / 32f64.sqrt();
-        let nodes: Vec<Place> = cells.map(|(i, j)| Place::at([j * step, i * step])).collect();
+        let nodes: Vec<SensorPoint> = cells.map(|(i, j)| SensorPoint::at([j * step, i * step])).collect();
         let spec = self.spec(degree);
         let rng = &mut fastrand::Rng::with_seed(1);
         let bar = (0..3 * SIZE * SIZE).map(|_| rng.f64() - 0.5).collect();
@@ -147,7 +147,7 @@ pub(crate) struct Grid<'a> {
     lens: &'a Lens,
     spec: OpticsSpec,
     form: KernelForm,
-    nodes: Vec<Place>,
+    nodes: Vec<SensorPoint>,
     bar: Vec<f64>,
 }
 

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::Spectrum;
 use isoplanat::math::memory::Limit;
-use isoplanat::psf::Quadrature;
+use isoplanat::psf::{Quadrature, SensorPoint};
 use isoplanat::report::kernels::{KernelPlan, PlacedKernels};
 use isoplanat::{KernelRequest, Lens};
 use ndarray::{Array2, Array3, Array4, Array5, ArrayView5, Ix5, s};
@@ -161,7 +161,7 @@ impl<T: Number> Made<T> {
         let mut light = Array3::zeros(each);
         for (d, line) in plan.lines.iter().enumerate() {
             for (f, radius) in line.radius_mm.iter().enumerate() {
-                let here = plan.optics.relative_illumination(*radius);
+                let here = plan.optics.relative_illumination(SensorPoint::along([0.0, -1.0], *radius));
                 here.into_iter().enumerate().for_each(|(c, v)| light[[d, f, c]] = v);
             }
         }

@@ -49,7 +49,7 @@ use isoplanat_imaging::render::{RenderPlan, Renderer};
 use isoplanat_network::Reconstructor;
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::optimize::descent::Linear;
-use isoplanat_optics::psf::OpticsBar;
+use isoplanat_optics::psf::{OpticsBar, SensorPoint};
 
 /// Radii at which the illumination is looked at, and how near it has to be to its bound to hold a step.
 const DARK: u32 = 8;
@@ -274,7 +274,7 @@ impl Joint {
         let variables = self.steps.variables();
         let mut rows = Vec::new();
         for k in 1..=DARK {
-            let at = radius * f64::from(k) / f64::from(DARK);
+            let at = SensorPoint::along([1.0, 0.0], radius * f64::from(k) / f64::from(DARK));
             let value: f64 = optics.relative_illumination(at).iter().zip(&share).map(|(v, w)| v * w).sum();
             if value < least + NEAR {
                 let mut bar = OpticsBar::zeros(optics);

@@ -12,7 +12,7 @@ use isoplanat_base::math::npz;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::Spectrum;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::Quadrature;
+use isoplanat_optics::psf::{Quadrature, SensorPoint};
 
 pub use super::kernels::{KernelRequest, bytes};
 
@@ -79,7 +79,7 @@ impl KernelSet {
         };
         for (d, line) in plan.lines.iter().enumerate() {
             for f in 0..fields {
-                let light = plan.optics.relative_illumination(line.radius_mm[f]);
+                let light = plan.optics.relative_illumination(SensorPoint::along([0.0, -1.0], line.radius_mm[f]));
                 for (c, light) in light.into_iter().enumerate() {
                     set.relative_illumination[[d, f, c]] = light;
                     set.outside[[d, f, c]] = outside[d * fields + f][c];
@@ -93,8 +93,8 @@ impl KernelSet {
         set
     }
 
-    /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_radius_mm`, `object_slope`,
-    /// `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `schema`.
+    /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_point_mm`, `sensor_radius_mm`,
+    /// `object_slope`, `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `schema`.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -113,6 +113,10 @@ impl KernelSet {
             for (name, array) in places {
                 npz.add_array(name, array)?;
             }
+            // Columns and rows from the axis: the field runs towards row 0.
+            let point = |(d, f, k): (usize, usize, usize)| if k == 1 { -self.radius_mm[[d, f]] } else { 0.0 };
+            let (depths, fields) = self.radius_mm.dim();
+            npz.add_array("sensor_point_mm", &Array3::from_shape_fn((depths, fields, 2), point))?;
             npz.add_array("polychromatic", &self.polychromatic_kernels())?;
             let lists =
                 [("depth_mm", &meta.depth_mm), ("wavelength_nm", &meta.wavelength_nm), ("weight", &meta.weights)];

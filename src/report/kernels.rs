@@ -9,7 +9,7 @@ use isoplanat_base::math::real::Real;
 use isoplanat_optics::lens::{Lens, LensGradient};
 use isoplanat_optics::psf::splat::phase_of_vjp;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Place, Quadrature};
+use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 
 /// Share of the light that an automatic window may lose.
 const LOST: f64 = 1e-3;
@@ -139,8 +139,8 @@ impl KernelPlan {
         self.form.raster.size
     }
 
-    fn places(&self, depth: usize) -> Vec<Place> {
-        self.lines[depth].radius_mm.iter().map(|r| Place { radius_mm: *r, outward: [0.0, -1.0] }).collect()
+    fn points(&self, depth: usize) -> Vec<SensorPoint> {
+        self.lines[depth].radius_mm.iter().map(|r| SensorPoint::along([0.0, -1.0], *r)).collect()
     }
 
     /// The kernels; each channel of one sums to one less what falls outside.
@@ -148,7 +148,7 @@ impl KernelPlan {
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {
             (kernel.iter().map(|v| T::real(*v)).collect::<Vec<T>>(), outside.to_vec())
         };
-        let of_depth = |depth| self.optics.kernels_each(&self.form, depth, &self.places(depth), single);
+        let of_depth = |depth| self.optics.kernels_each(&self.form, depth, &self.points(depth), single);
         let made: Vec<(Vec<T>, Vec<f64>)> = (0..self.lines.len()).flat_map(of_depth).collect();
         let (kernels, outside): (Vec<Vec<T>>, Vec<Vec<f64>>) = made.into_iter().unzip();
         PlacedKernels { kernels: kernels.concat(), outside }
@@ -169,7 +169,7 @@ impl KernelPlan {
                 }
                 true
             };
-            for back in self.optics.kernels_vjp(&self.form, depth, &self.places(depth), fine_of) {
+            for back in self.optics.kernels_vjp(&self.form, depth, &self.points(depth), fine_of) {
                 bar.add_kernel(&self.optics, depth, &back);
             }
         }

@@ -33,7 +33,7 @@ use isoplanat_optics::analysis::overview::{Field, Overview, Settings};
 use isoplanat_optics::analysis::wavefront::Map;
 use isoplanat_optics::analysis::zernike::Fit;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::{Optics, Quadrature};
+use isoplanat_optics::psf::{Optics, Quadrature, SensorPoint};
 
 pub use page::html;
 
@@ -332,7 +332,13 @@ impl LensReport {
         let (vergence, quadrature) = (self.lens.object_vergence, Quadrature { nm, weight: vec![share] });
         let optics = Optics::even(&self.lens, radius.max(1e-3), vec![vergence], quadrature, ILLUMINATIONS)?;
         let lost = optics.illumination().lost.iter().copied().fold(0.0, f64::max);
-        Ok((heights.into_iter().map(|r| [r, optics.relative_illumination(r)[0]]).collect(), lost))
+        Ok((
+            heights
+                .into_iter()
+                .map(|r| [r, optics.relative_illumination(SensorPoint::along([0.0, 1.0], r))[0]])
+                .collect(),
+            lost,
+        ))
     }
 
     fn kernels(&self, options: &Options) -> Result<Atlas> {

@@ -9,7 +9,7 @@ use isoplanat::imaging::render::{Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
-use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Place, Quadrature};
+use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::testing::{assert_rel, between, central_difference, steady_difference};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
 use isoplanat::trace::refract::{refract, refract_vjp};
@@ -172,7 +172,7 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
     let [light_bar, truth_bar]: [Array3<f64>; 2] =
         std::array::from_fn(|_| Array3::from_shape_fn((3, 20, 24), |_| rng.f64() - 0.5));
     let kernels_bar: Vec<f64> = (0..3 * 25 * 25).map(|_| rng.f64() - 0.5).collect();
-    let place = Place { radius_mm: 5.3, outward: [0.6, 0.8] };
+    let place = SensorPoint::along([0.6, 0.8], 5.3);
     let value = |lens: &Lens| {
         let optics = Optics::compute(lens, &spec).expect("traces");
         let light: Array3<f64> = Light::new(&optics, &frame).over(&frame, region, &[0, 1, 2]);

@@ -361,7 +361,7 @@ pub(crate) mod kernels {
     use isoplanat::lens::builtin;
     use isoplanat::psf::measured::MeasuredPsf;
     use isoplanat::psf::splat::Raster;
-    use isoplanat::psf::{Optics, Place, Quadrature};
+    use isoplanat::psf::{Optics, Quadrature, SensorPoint};
     use rayon::prelude::*;
 
     pub(crate) const SIZE: [usize; 2] = [640, 432];
@@ -438,7 +438,7 @@ pub(crate) mod kernels {
         for share in [0.1, 0.3, 0.5, 0.7, 0.9] {
             let radius_mm = share * far_mm;
             let mut traced = vec![0.0; 3 * raster.len()];
-            optics.kernels(&form, 0, Place { radius_mm, outward: [1.0, 0.0] }, &mut traced);
+            optics.kernels(&form, 0, SensorPoint::along([1.0, 0.0], radius_mm), &mut traced);
             for (channel, expected) in traced.chunks(raster.len()).enumerate() {
                 let weights = psf.at(radius_mm / pitch_mm, channel);
                 // Where corners are seen and where chief rays land need not be the same.

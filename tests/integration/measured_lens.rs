@@ -13,7 +13,7 @@ use isoplanat::imaging::sensor::spectrum::{SpectralDensity, Spectrum};
 use isoplanat::lens::{Lens, builtin};
 use isoplanat::psf::measured::{MeasuredPsf, Moves};
 use isoplanat::psf::table::chief_slopes;
-use isoplanat::psf::{Optics, Quadrature, SensorMap};
+use isoplanat::psf::{Optics, Quadrature, SensorMap, SensorPoint};
 
 use crate::calibrate::kernels::{self, photographed};
 use crate::support::Workplace;
@@ -47,9 +47,9 @@ fn exact(lens: &Lens, map: &SensorMap, frame: &Frame, reach_px: f64) -> Measured
     let weights = radii_px
         .iter()
         .map(|r| {
-            let radius_mm = r * pitch_mm;
-            let levels = optics.illumination().at(radius_mm);
-            let rays: Vec<_> = (0..levels.len()).map(|l| form.rays(optics.table(), map, l, radius_mm)).collect();
+            let point = SensorPoint::along([0.0, 1.0], r * pitch_mm);
+            let levels = optics.illumination().at(point);
+            let rays: Vec<_> = (0..levels.len()).map(|l| form.rays(optics.table(), map, l, point)).collect();
             let of_channel = |weight: &Vec<f64>| {
                 let mut kernel = vec![0.0; moves.len()];
                 for (rays, scale) in rays.iter().zip(weight.iter().zip(&levels).map(|(w, e)| w * e)) {

@@ -4,7 +4,7 @@ use std::f64::consts::TAU;
 
 use glam::{DVec2, DVec3};
 use isoplanat::lens::{Aperture, Lens, LensGradient, builtin, paraxial::first_order, unchecked};
-use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature};
+use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::report::field::FieldLine;
 use isoplanat::testing::{assert_rel, central_difference};
 use isoplanat::trace::aim::{Aimer, SensorView};
@@ -28,7 +28,11 @@ fn optics(lens: &Lens, radius_mm: f64) -> Optics {
 }
 
 fn irradiance(lens: &Lens, radius_mm: f64) -> f64 {
-    optics(lens, radius_mm).irradiance(radius_mm)[0]
+    optics(lens, radius_mm).irradiance(at(radius_mm))[0]
+}
+
+fn at(radius_mm: f64) -> SensorPoint {
+    SensorPoint::along([0.0, 1.0], radius_mm)
 }
 
 /// Irradiance through hard edges, without polynomials: a raster over the direction cosines at the sensor point.
@@ -105,10 +109,10 @@ fn the_soft_edge_has_little_bias() {
         let (lens, radius) = narrowed(name, slope);
         let hard = hard_irradiance(&lens, radius, 1200);
         let optics = optics(&lens, radius);
-        let exact = optics.irradiance(radius)[0];
+        let exact = optics.irradiance(at(radius))[0];
         let open = exact / irradiance(&builtin::lens(name).expect("shipped"), radius);
         let bias = |count: usize| {
-            let rays = optics.form(count, 3, 1, 0.01).rays(optics.table(), &optics.maps[0], 0, radius);
+            let rays = optics.form(count, 3, 1, 0.01).rays(optics.table(), &optics.maps[0], 0, at(radius));
             [rays.etendue() / exact - 1.0, rays.etendue() / hard - 1.0]
         };
         let (b60, b200, b3000) = (bias(60), bias(200), bias(3000));
@@ -190,7 +194,7 @@ fn light_over_the_field_is_counted_light() {
             [0.6, 0.8, 0.85, 0.9, 0.95, 1.0].map(|part| {
                 let r = part * radius;
                 let expected = counted(&lens, NM, r) / axis;
-                let found = optics.relative_illumination(r)[0];
+                let found = optics.relative_illumination(at(r))[0];
                 let part = optics.table().row(0, &optics.table().taps(r)).part;
                 let heights = part.heights;
                 let line = format!("{name} {r:.2} mm: {found:.4}, counted {expected:.4}; {heights:?}, lost {lost:.1e}");
@@ -207,8 +211,8 @@ fn light_over_the_field_is_counted_light() {
 fn gradient(lens: &Lens, radius_mm: f64) -> (f64, LensGradient) {
     let optics = optics(lens, radius_mm);
     let mut bar = OpticsBar::zeros(&optics);
-    optics.illumination().at_vjp(radius_mm, &[1.0], &mut bar.illumination);
-    (optics.irradiance(radius_mm)[0], optics.vjp(lens, &bar))
+    optics.illumination().at_vjp(at(radius_mm), &[1.0], &mut bar.illumination);
+    (optics.irradiance(at(radius_mm))[0], optics.vjp(lens, &bar))
 }
 
 #[test]

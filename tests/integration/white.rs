@@ -3,8 +3,8 @@
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::render::plan::{ILLUMINATIONS, optics};
 use isoplanat::lens::{Lens, builtin};
-use isoplanat::psf::Quadrature;
 use isoplanat::psf::table::chief_slopes;
+use isoplanat::psf::{Quadrature, SensorPoint};
 
 use crate::support::lens_file;
 use crate::white_oracle::{irradiance, vignetting_onsets};
@@ -40,7 +40,7 @@ fn white_is_right(count: u32) {
         let (mut square, mut worst, mut n) = (0.0, (0.0f64, 0.0), 0.0);
         for radius in even.chain(onsets.iter().flat_map(|r| [0.998 * r, *r, 1.002 * r])).filter(|r| *r <= corner) {
             let truth = irradiance(&lens, NM, radius, 1000) / axis;
-            let off = optics.relative_illumination(radius)[0] - truth;
+            let off = optics.relative_illumination(SensorPoint::along([0.0, 1.0], radius))[0] - truth;
             square += off * off;
             n += 1.0;
             if off.abs() > worst.0 {

@@ -216,10 +216,10 @@ fn divide_shading(
     shading: &Shading,
 ) {
     let first = [at.col as f64 + 0.5, at.row as f64 + 0.5];
-    let gains = shading.gain_table(frame.max_radius_mm());
+    let gains = shading.gains(frame);
     samples.axis_iter_mut(Axis(0)).into_par_iter().enumerate().for_each(|(r, mut row)| {
         for (c, v) in row.iter_mut().enumerate() {
-            *v *= gains.at(channel(r, c), frame.radius_mm(c as f64 + first[0], r as f64 + first[1]));
+            *v *= gains.at(channel(r, c), c as f64 + first[0], r as f64 + first[1]);
         }
     });
 }
@@ -371,7 +371,7 @@ mod tests {
         let shading = Shading::new(vec![0.0, 6.0], [list(0.4), list(0.5), list(0.6)]).expect("valid");
         let balance =
             Balance { black: [64.0, 70.0, 80.0, 64.0], white: [964.0, 970.0, 980.0, 964.0], neutral: [0.5, 1.0, 0.8] };
-        let at = |r: usize, c: usize, k: usize| shading.at(k, frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+        let at = |r: usize, c: usize, k: usize| shading.at(k, frame.point(c as f64 + 0.5, r as f64 + 0.5));
         let mut colours = Array3::from_shape_fn((3, 12, 16), |(k, r, c)| {
             balance.black[k] + (900.0 * 0.5 * balance.neutral[k] * at(r, c, k)) as f32
         });
@@ -393,7 +393,7 @@ mod tests {
         let shading = Shading::new(vec![0.0, 6.0], [list(0.4), list(0.5), list(0.6)]).expect("valid");
         let cfa = Cfa::BGGR;
         let mosaic = Array2::from_shape_fn((12, 16), |(r, c)| {
-            let fall = shading.at(cfa.channel(r, c), frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5));
+            let fall = shading.at(cfa.channel(r, c), frame.point(c as f64 + 0.5, r as f64 + 0.5));
             (64.0 + 900.0 * 0.5 * fall) as f32
         });
         let balance = Balance { black: [64.0; 4], white: [964.0; 4], neutral: [1.0; 3] };

@@ -8,6 +8,7 @@
 use serde::{Deserialize, Serialize};
 
 use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::psf::SensorPoint;
 
 /// Size of a picture, pixel pitch, and where the optical axis meets it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,6 +107,11 @@ impl Frame {
     /// Landing point in the lens frame of pixel coordinates `[column, row]`.
     pub(crate) fn sensor_mm_from_pixel(&self, pixel: [f64; 2]) -> [f64; 2] {
         Self::upright_from_sensor_mm(self.mm_from_pixel(pixel))
+    }
+
+    /// The point of the sensor at pixel coordinates `(column, row)`; a pixel's centre is at `(j + ½, i + ½)`.
+    pub fn point(&self, column: f64, row: f64) -> SensorPoint {
+        SensorPoint::at([(column - self.axis_px[0]) * self.pitch_mm, (row - self.axis_px[1]) * self.pitch_mm])
     }
 
     /// Distance from the axis, mm, of pixel coordinates `(column, row)`; a pixel's centre is at `(j + ½, i + ½)`.

@@ -14,7 +14,10 @@ pub mod illumination;
 #[doc(hidden)]
 pub mod kernel;
 pub mod measured;
+mod meridian;
 pub mod optics;
+mod point;
+mod rays;
 pub(crate) mod sensor_map;
 #[doc(hidden)]
 pub mod splat;
@@ -23,7 +26,10 @@ pub mod stop;
 #[doc(hidden)]
 pub mod table;
 
-pub use kernel::{KernelForm, Place};
+pub use kernel::KernelForm;
 pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};
+pub use point::SensorPoint;
 pub use sensor_map::SensorMap;
+#[doc(hidden)]
+pub use sensor_map::{LineBar, SensorLine};
 pub use table::chief_slopes;

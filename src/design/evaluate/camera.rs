@@ -19,7 +19,7 @@ use isoplanat_imaging::sensor::cfa::mosaic_vjp;
 use isoplanat_imaging::sensor::noise::mixed;
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::Place;
+use isoplanat_optics::psf::SensorPoint;
 use isoplanat_optics::psf::measured::knot;
 
 /// A way to captures.
@@ -331,8 +331,8 @@ impl<'a> Shown<'a> {
         let (far, size) = (frame.max_radius_mm(), d.size());
         let form = optics.form(DENSE, size, 1, d.raster.pitch_mm);
         let radii: Vec<f64> = (1..=RADII).map(|i| far * i as f64 / RADII as f64).collect();
-        let places: Vec<Place> = radii.iter().map(|r| Place { radius_mm: *r, outward: [1.0, 0.0] }).collect();
-        let seen = optics.kernels_each(&form, 0, &places, |i, kernel, _| {
+        let points: Vec<SensorPoint> = radii.iter().map(|r| SensorPoint::along([1.0, 0.0], *r)).collect();
+        let seen = optics.kernels_each(&form, 0, &points, |i, kernel, _| {
             let columns = kernel.iter().enumerate().map(|(k, v)| ((k % size) as f64 - (size / 2) as f64, v));
             let [sum, along] = columns.fold([0.0; 2], |[sum, along], (x, v)| [sum + v, along + x * v]);
             let middle_mm = if sum > 0.0 { along / sum * d.raster.pitch_mm } else { 0.0 };

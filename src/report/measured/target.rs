@@ -15,7 +15,7 @@ use isoplanat_optics::analysis::beam::{Beam, Landing, stop_points};
 use isoplanat_optics::analysis::spot::{geometric_mtf, joined, spot};
 use isoplanat_optics::lens::Lens;
 use isoplanat_optics::psf::table::chief_slopes;
-use isoplanat_optics::psf::{Optics, Quadrature};
+use isoplanat_optics::psf::{Optics, Quadrature, SensorPoint};
 use isoplanat_optics::trace::{ObjectPoint, System};
 
 /// Angle between an edge's normal and the direction that it stands for, degrees.
@@ -62,7 +62,7 @@ impl Light {
 
     /// Irradiance of white at a distance from the axis, mm, over that on it.
     fn white(&self, radius: f64) -> f64 {
-        self.optics.relative_illumination(radius)[0]
+        self.optics.relative_illumination(SensorPoint::along([0.0, 1.0], radius))[0]
     }
 
     /// Rays of the object at a slope, meridian of y.

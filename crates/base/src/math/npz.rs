@@ -2,10 +2,14 @@
 
 mod write;
 
-use std::io::{Cursor, Read};
+use std::io::{Cursor, Read, Seek};
+use std::path::Path;
 
+use ndarray::{Ix0, OwnedRepr};
+use ndarray_npy::NpzReader;
 use zip::{CompressionMethod, ZipArchive};
 
+use crate::error::{Error, Result};
 pub use write::{Archive, Held, write};
 
 /// Bytes of an array's header at most; NumPy's own take 128.
@@ -16,7 +20,7 @@ const HEADER: usize = 1 << 10;
 ///
 /// # Errors
 /// As said; an archive that cannot be read.
-pub fn check(bytes: &[u8]) -> Result<(), (String, String)> {
+pub fn check(bytes: &[u8]) -> std::result::Result<(), (String, String)> {
     let whole = |e: &dyn std::fmt::Display| ("file".to_owned(), e.to_string());
     let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|e| whole(&e))?;
     for i in 0..archive.len() {
@@ -37,6 +41,26 @@ pub fn check(bytes: &[u8]) -> Result<(), (String, String)> {
         }
     }
     Ok(())
+}
+
+/// Refuses, by its number, an archive of a `schema` that is newer than `known`; one that states none is of the first. `path` names the file.
+///
+/// # Errors
+/// As said; a `schema` that is no whole number above 0.
+#[doc(hidden)]
+pub fn require_schema<R: Read + Seek>(npz: &mut NpzReader<R>, known: i64, path: &Path) -> Result<()> {
+    let bad = |found: String, allowed: String| Err(Error::bad(path.display().to_string(), "schema", found, allowed));
+    let names = npz.names().unwrap_or_default();
+    if !names.iter().any(|n| n.trim_end_matches(".npy") == "schema") {
+        return Ok(());
+    }
+    match npz.by_name::<OwnedRepr<i64>, Ix0>("schema").map(|s| *s.first().unwrap_or(&0)) {
+        Ok(schema) if (1..=known).contains(&schema) => Ok(()),
+        Ok(newer) if newer > known => {
+            bad(newer.to_string(), format!("up to {known}, which this version reads; a newer one reads this file"))
+        }
+        other => bad(other.map_or_else(|e| e.to_string(), |s| s.to_string()), format!("schema 1 to {known}")),
+    }
 }
 
 /// The text of an array's header (NumPy's format, versions 1 to 3).

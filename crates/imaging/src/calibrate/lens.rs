@@ -13,7 +13,7 @@ use crate::frame::Frame;
 use isoplanat_base::atomic::{self, sha256_hex};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_optics::psf::measured::{Falloff, MeasuredPsf};
-use isoplanat_optics::psf::{Optics, SensorMap};
+use isoplanat_optics::psf::{Optics, SensorMap, SensorPoint};
 
 /// The files of the folder.
 const PSF: &str = "psf.npz";
@@ -182,7 +182,8 @@ impl MeasuredLens {
             let (shift, light) = (dx.hypot(dy), measured.shading()?);
             let off = |(i, c): (u32, usize)| {
                 let r = far * f64::from(i) / 256.0;
-                let change = |at: f64| (light.at(c, at) / light.at(c, r) - 1.0).abs();
+                let light = |at: f64| light.at(c, SensorPoint::along([1.0, 0.0], at));
+                let change = |at: f64| (light(at) / light(r) - 1.0).abs();
                 change(r + shift).max(change((r - shift).abs()))
             };
             let most = (0..256).flat_map(|i| (0..3).map(move |c| (i, c))).map(off).fold(0.0, f64::max);
@@ -353,7 +354,7 @@ mod tests {
                 let (image, _) = renderer.picture::<f64>(&scene, 0, region, &Channels::all(), &|_| {});
                 for c in 0..3 {
                     let kernel = lens.psf.kernel(radius, c.min(colours - 1), outward, 17);
-                    let light = lens.shading().expect("valid").at(c, radius);
+                    let light = lens.shading().expect("valid").at(c, SensorPoint::along([1.0, 0.0], radius));
                     let found = image.index_axis(ndarray::Axis(0), c);
                     let square: f64 = found.iter().zip(&kernel).map(|(a, b)| (a - light * b).powi(2)).sum();
                     let whole: f64 = kernel.iter().map(|b| (light * b).powi(2)).sum();

@@ -212,12 +212,12 @@ fn line_at(place: f64, x: &[f64], y: &[f64]) -> f64 {
 fn left(flat: &Array2<f64>, cfa: Cfa, frame: &Frame, rings: &Rings) -> Result<f64> {
     const CELL: usize = 16;
     let shading = Shading::new(rings.radius_px.clone(), [rings.red.clone(), rings.green.clone(), rings.blue.clone()])?;
-    let gains = shading.gain_table(frame.max_radius_mm());
+    let gains = shading.gains(frame);
     let (rows, columns) = (flat.nrows() / CELL, flat.ncols() / CELL);
     let mut cells = vec![[(0.0, 0.0); 3]; rows * columns];
     for ((r, c), v) in flat.indexed_iter().filter(|((r, c), _)| r / CELL < rows && c / CELL < columns) {
         let channel = cfa.channel(r, c);
-        let gain = f64::from(gains.at(channel, frame.radius_mm(c as f64 + 0.5, r as f64 + 0.5)));
+        let gain = f64::from(gains.at(channel, c as f64 + 0.5, r as f64 + 0.5));
         let cell = &mut cells[r / CELL * columns + c / CELL][channel];
         *cell = (cell.0 + v * gain, cell.1 + 1.0);
     }

@@ -2,7 +2,9 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::frame::Frame;
 use isoplanat_base::error::{Error, Result};
+use isoplanat_optics::psf::SensorPoint;
 use isoplanat_optics::psf::measured::linear;
 use ndarray::{Array3, ArrayView3};
 
@@ -91,37 +93,38 @@ impl Shading {
         Self { radius_mm: vec![0.0], illumination: std::array::from_fn(|_| vec![1.0]) }
     }
 
-    /// Relative illumination of `channel` (0 = R, 1 = G, 2 = B) at `radius_mm` from the axis.
+    /// Relative illumination of `channel` (0 = R, 1 = G, 2 = B) at a point of the sensor.
     ///
     /// # Panics
     /// For a channel above 2.
-    pub fn at(&self, channel: usize, radius_mm: f64) -> f64 {
-        linear(&self.radius_mm, &self.illumination[channel], radius_mm)
+    pub fn at(&self, channel: usize, point: SensorPoint) -> f64 {
+        linear(&self.radius_mm, &self.illumination[channel], point.radius_mm())
     }
 
-    /// `1 / at(channel, radius)`, at most `1 / DARKEST` ([`DARKEST`]), on an even raster up to `max_radius_mm`, to look gains up without a search per pixel.
-    pub(crate) fn gain_table(&self, max_radius_mm: f64) -> GainTable {
+    /// `1 / at(channel, point)`, at most `1 / DARKEST` ([`DARKEST`]), over `frame`, to look gains up without a search per pixel.
+    pub(crate) fn gains<'a>(&self, frame: &'a Frame) -> Gains<'a> {
         const N: usize = 4096;
-        let per_mm = N as f64 / max_radius_mm.max(f64::MIN_POSITIVE);
-        let gains = std::array::from_fn(|c| {
-            (0..=N).map(|i| (1.0 / self.at(c, i as f64 / per_mm).max(DARKEST)) as f32).collect()
-        });
-        GainTable { gains, per_mm }
+        let per_mm = N as f64 / frame.max_radius_mm().max(f64::MIN_POSITIVE);
+        let at = |c: usize, i: usize| self.at(c, SensorPoint::along([1.0, 0.0], i as f64 / per_mm));
+        let gains = std::array::from_fn(|c| (0..=N).map(|i| (1.0 / at(c, i).max(DARKEST)) as f32).collect());
+        Gains { gains, per_mm, frame }
     }
 }
 
-/// Flat-field gains over the radius; made by [`Shading::gain_table`].
+/// Flat-field gains over a frame; made by [`Shading::gains`].
 #[derive(Clone, Debug)]
-pub(crate) struct GainTable {
+pub(crate) struct Gains<'a> {
+    /// Over the radius.
     gains: [Vec<f32>; 3],
     per_mm: f64,
+    frame: &'a Frame,
 }
 
-impl GainTable {
-    /// Gain of `channel` (0 = R, 1 = G, 2 = B) at `radius_mm` from the axis; constant beyond the table's end.
-    pub(crate) fn at(&self, channel: usize, radius_mm: f64) -> f32 {
+impl Gains<'_> {
+    /// Gain of `channel` (0 = R, 1 = G, 2 = B) at pixel coordinates of the frame; a pixel's centre is at `(j + ½, i + ½)`.
+    pub(crate) fn at(&self, channel: usize, column: f64, row: f64) -> f32 {
         let table = &self.gains[channel];
-        let x = (radius_mm * self.per_mm).min((table.len() - 1) as f64);
+        let x = (self.frame.radius_mm(column, row) * self.per_mm).min((table.len() - 1) as f64);
         let i = (x as usize).min(table.len() - 2);
         let t = (x - i as f64) as f32;
         table[i] + t * (table[i + 1] - table[i])
@@ -142,19 +145,20 @@ mod tests {
     fn between_nodes_it_is_linear_and_beyond_them_constant() {
         let s = Shading::new(vec![0.0, 10.0], [vec![1.0, 0.5], vec![1.0, 0.6], vec![1.0, 0.7]]).expect("valid");
         for (channel, r, value) in [(0, 0.0, 1.0), (0, 5.0, 0.75), (1, 2.5, 0.9), (2, 10.0, 0.7), (2, 99.0, 0.7)] {
-            assert!((s.at(channel, r) - value).abs() < 1e-15);
+            assert!((s.at(channel, SensorPoint::along([0.6, 0.8], r)) - value).abs() < 1e-15);
         }
-        assert_eq!(Shading::none().at(1, 3.0), 1.0);
+        assert_eq!(Shading::none().at(1, SensorPoint::at([3.0, 0.0])), 1.0);
     }
 
     #[test]
     fn the_gain_table_is_the_reciprocal() {
         let s = cos4();
-        let table = s.gain_table(20.0);
+        let frame = Frame::centred(1600, 1200, 0.02).expect("valid");
+        let table = s.gains(&frame);
         for i in 0..1000 {
-            let r = 0.02 * f64::from(i);
-            let error = f64::from(table.at(1, r)) * s.at(1, r) - 1.0;
-            assert!(error.abs() < 2e-5, "{r}: {error:e}");
+            let (column, row) = (800.0 + 0.8 * f64::from(i), 600.0 - 0.6 * f64::from(i));
+            let error = f64::from(table.at(1, column, row)) * s.at(1, frame.point(column, row)) - 1.0;
+            assert!(error.abs() < 2e-5, "{i}: {error:e}");
         }
     }
 

@@ -2,12 +2,13 @@
 //!
 //! Of each bank of filters `row_knots`, `col_knots` (pixels), `steps` `[node, channel, row, col]` (16 bits) and `scales` `[node, channel]`, a filter being steps times
 //! scale; those for less and for more noise have `quiet_` and `noisy_` before their names. Of point spread functions `psf_radii` (pixels) and `psf_numbers`
-//! `[radius, number]` ([`Spread`]). `vergences`, 1/mm: the object distances that all of it is for (older files have none).
+//! `[radius, number]` ([`Spread`]). `vergences`, 1/mm: the object distances that all of it is for (older files have none). `schema`: the form, 1; a newer one is refused by its
+//! number, and older files state none.
 
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use ndarray::{Array1, Array2, Array4};
+use ndarray::{Array1, Array2, Array4, arr0};
 use ndarray_npy::{NpzReader, NpzWriter};
 
 use super::{Filters, Inputs, Spread};
@@ -24,6 +25,9 @@ pub const LARGEST: u64 = 1 << 30;
 
 /// The noise that filters are for, over the sensor's: the lens's own, and the two of [`Inputs::levels`].
 const NOISE: [f64; 3] = [1.0, 0.1, 10.0];
+
+/// The newest form that is read, and the one that is written.
+const SCHEMA: i64 = 1;
 
 /// Before the names of a bank's arrays.
 const BANKS: [&str; 3] = ["", "quiet_", "noisy_"];
@@ -92,6 +96,7 @@ impl Facts {
             npz.add_array("psf_radii", &Array1::from(spread.radii_px.clone())).map_err(failed)?;
             npz.add_array("psf_numbers", &spread.numbers).map_err(failed)?;
         }
+        npz.add_array("schema", &arr0(SCHEMA)).map_err(failed)?;
         npz.add_array("vergences", &Array1::from(self.vergences.clone())).map_err(failed)?;
         Ok(npz.finish().map_err(failed)?.into_inner())
     }
@@ -111,6 +116,7 @@ impl Facts {
         };
         npz::check(bytes).map_err(|(place, found)| bad(&place, found))?;
         let mut npz = NpzReader::new(Cursor::new(bytes)).map_err(|e| bad("file", e.to_string()))?;
+        npz::require_schema(&mut npz, SCHEMA, path)?;
         let names = npz.names().map_err(|e| bad("file", e.to_string()))?;
         let has = |name: &str| names.iter().any(|n| n == name);
         let mut banks = [None, None, None];

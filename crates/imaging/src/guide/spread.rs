@@ -11,7 +11,7 @@ use crate::plane::Region;
 use crate::render::Renderer;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_card::SPREAD;
-use isoplanat_optics::psf::Place;
+use isoplanat_optics::psf::SensorPoint;
 use isoplanat_optics::psf::measured::knot;
 
 /// Steps of the table over the radius.
@@ -39,7 +39,7 @@ impl Spread {
         let frame = &plan.frame;
         let far = frame.max_radius_mm();
         let radii: Vec<f64> = (0..=STEPS).map(|k| far * k as f64 / STEPS as f64).collect();
-        let places: Vec<Place> = radii.iter().map(|r| Place { radius_mm: *r, outward: [1.0, 0.0] }).collect();
+        let points: Vec<SensorPoint> = radii.iter().map(|r| SensorPoint::along([1.0, 0.0], *r)).collect();
         let mut moments = Array2::<f64>::zeros((radii.len(), 2 * 3));
         for (depth, d) in plan.depths.iter().enumerate() {
             let size = 2 * d.half_width * d.bin + 1;
@@ -48,12 +48,12 @@ impl Spread {
                 let all: Vec<[f64; 2]> = kernels.chunks_exact(size * size).map(|k| variances(k, size)).collect();
                 [0, 1, 2].map(|c: usize| all[c.min(all.len() - 1)])
             };
-            for (mut row, found) in moments.outer_iter_mut().zip(optics.kernels_each(&form, depth, &places, of_place)) {
+            for (mut row, found) in moments.outer_iter_mut().zip(optics.kernels_each(&form, depth, &points, of_place)) {
                 found.as_flattened().iter().zip(&mut row).for_each(|(v, sum)| *sum += v / plan.depths.len() as f64);
             }
         }
-        let light = |radius: f64| {
-            let all = optics.relative_illumination(radius);
+        let light = |point: SensorPoint| {
+            let all = optics.relative_illumination(point);
             all.iter().sum::<f64>() / all.len() as f64
         };
         let numbers = Array2::from_shape_fn((radii.len(), NUMBERS), |(k, n)| {
@@ -64,7 +64,7 @@ impl Spread {
                     let [a, b] = [along, across].map(|v| v.iter().sum::<f64>());
                     if a + b > 0.0 { (a - b) / (a + b) } else { 0.0 }
                 }
-                _ => light(radii[k]).clamp(0.0, 10.0),
+                _ => light(points[k]).clamp(0.0, 10.0),
             }
         });
         Self { radii_px: radii.iter().map(|r| r / frame.pitch_mm).collect(), numbers }

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use ndarray::{Array3, ArrayViewMut4, s};
 
-use super::nodes::place;
+use super::nodes::centre;
 use super::source::WarpedScene;
 use crate::frame::Frame;
 use crate::plane::Region;
@@ -50,7 +50,7 @@ impl<T: Real> Kernels<T> for NodeKernels<'_> {
         let raster = form.raster;
         let mut fine = vec![0.0; form.channels() * raster.len()];
         let (row, col) = self.grid.pixel(node);
-        let at = place(self.raster, row, col);
+        let at = centre(self.raster, row, col);
         let outside = self.optics.kernels(form, self.depth, at, &mut fine);
         for (k, plane) in fine.chunks_exact(raster.len()).enumerate() {
             for phase in 0..raster.samples.pow(2) {

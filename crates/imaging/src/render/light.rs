@@ -10,7 +10,7 @@ use crate::develop::shading::Shading;
 use crate::frame::Frame;
 use crate::plane::Region;
 use isoplanat_base::math::real::Real;
-use isoplanat_optics::psf::{Optics, OpticsBar};
+use isoplanat_optics::psf::{Optics, OpticsBar, SensorPoint};
 
 /// Intervals of the table.
 const INTERVALS: usize = 4096;
@@ -33,7 +33,7 @@ impl Light {
     #[expect(clippy::cast_precision_loss, reason = "table sizes")]
     pub fn new(optics: &Optics, frame: &Frame) -> Self {
         let step_mm = frame.max_radius_mm() / INTERVALS as f64;
-        let knots = (0..INTERVALS + 2).into_par_iter().map(|k| optics.relative_illumination(k as f64 * step_mm));
+        let knots = (0..INTERVALS + 2).into_par_iter().map(|k| optics.relative_illumination(at(k, step_mm)));
         let knots: Vec<Vec<f64>> = knots.collect();
         let values = (0..optics.channels()).map(|c| knots.iter().map(|k| k[c]).collect()).collect();
         Self { per_px: frame.pitch_mm / step_mm, step_mm, values }
@@ -107,8 +107,7 @@ impl Light {
         for strip in &strips {
             sums.iter_mut().zip(strip).for_each(|(a, b)| *a += b);
         }
-        #[expect(clippy::cast_precision_loss, reason = "table sizes")]
-        let places = sums.chunks_exact(channels).enumerate().map(|(k, bars)| (k as f64 * self.step_mm, bars));
+        let places = sums.chunks_exact(channels).enumerate().map(|(k, bars)| (at(k, self.step_mm), bars));
         optics.relative_illumination_vjp(places.filter(|(_, bars)| bars.iter().any(|b| *b != 0.0)), bar);
     }
 
@@ -123,4 +122,10 @@ impl Light {
         let of = |c: usize| knots.clone().map(|k| self.values[c.min(self.values.len() - 1)][k]).collect();
         Shading::new(radius, std::array::from_fn(of))
     }
+}
+
+/// Knot `k` of a table of steps of `step_mm`.
+#[expect(clippy::cast_precision_loss, reason = "table sizes")]
+fn at(k: usize, step_mm: f64) -> SensorPoint {
+    SensorPoint::along([1.0, 0.0], k as f64 * step_mm)
 }

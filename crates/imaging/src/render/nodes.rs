@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use crate::frame::Frame;
 use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
-use isoplanat_optics::psf::{KernelForm, Optics, Place};
+use isoplanat_optics::psf::{KernelForm, Optics, SensorPoint};
 
 /// Shortest interval between nodes, cells.
 pub(crate) const SHORTEST: usize = 16;
@@ -25,10 +25,9 @@ const POINTS: usize = 25;
 /// Kernels fainter or more blurred than this share of the sharpest count as if they had it.
 const FLOOR: f64 = 0.05;
 
-/// The place of the centre of cell `(row, col)`.
-pub(crate) fn place(raster: &Frame, row: isize, col: isize) -> Place {
-    let offset = Region { row, col, rows: 1, cols: 1 }.offset(raster, 0, 0);
-    Place::at(offset.map(|v| v * raster.pitch_mm))
+/// The centre of cell `(row, col)`.
+pub(crate) fn centre(raster: &Frame, row: isize, col: isize) -> SensorPoint {
+    raster.point(col as f64 + 0.5, row as f64 + 0.5)
 }
 
 /// A grid under refinement.
@@ -155,10 +154,10 @@ impl<'a> Nodes<'a> {
         let mut missing: Vec<(isize, isize)> = places.filter(|p| !self.cache.contains_key(p)).collect();
         missing.sort_unstable();
         missing.dedup();
-        let places: Vec<Place> = missing.iter().map(|(row, col)| place(self.raster, *row, *col)).collect();
+        let points: Vec<SensorPoint> = missing.iter().map(|(row, col)| centre(self.raster, *row, *col)).collect();
         #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
         let single = |i: usize, kernel: &[f64], _: &[f64]| (missing[i], kernel.iter().map(|v| *v as f32).collect());
-        let new: Vec<((isize, isize), Vec<f32>)> = self.optics.kernels_each(&self.form, self.depth, &places, single);
+        let new: Vec<((isize, isize), Vec<f32>)> = self.optics.kernels_each(&self.form, self.depth, &points, single);
         self.sharpest = new.iter().map(|(_, k)| norm(k)).fold(self.sharpest, f64::max);
         self.cache.extend(new);
     }

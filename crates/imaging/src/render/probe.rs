@@ -10,7 +10,7 @@ use std::collections::HashMap;
 use ndarray::{Array4, Axis};
 use rayon::prelude::*;
 
-use super::nodes::place;
+use super::nodes::centre;
 use super::source::WarpedScene;
 use super::stands::Stand;
 use crate::frame::Frame;
@@ -18,7 +18,7 @@ use crate::plane::Region;
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::math::wide::{Work, wide};
 use isoplanat_base::stop::look;
-use isoplanat_optics::psf::{KernelForm, Optics, Place, Quadrature};
+use isoplanat_optics::psf::{KernelForm, Optics, Quadrature, SensorPoint};
 
 /// Values of a probe's pixels, `[channel][pixel]`, flattened.
 pub(crate) type Values = Vec<f32>;
@@ -150,11 +150,11 @@ fn pixels(region: Region) -> impl Iterator<Item = (usize, usize)> + Clone {
     (0..region.rows).flat_map(move |i| (0..region.cols).map(move |j| (i, j)))
 }
 
-/// Flipped kernels of all channels of `form` at a place, in single precision.
-fn flipped(optics: &Optics, depth: usize, form: &KernelForm, place: Place) -> Vec<Vec<f32>> {
+/// Flipped kernels of all channels of `form` at a point, in single precision.
+fn flipped(optics: &Optics, depth: usize, form: &KernelForm, point: SensorPoint) -> Vec<Vec<f32>> {
     look();
     let mut out = vec![0.0; form.channels() * form.raster.len()];
-    optics.kernels(form, depth, place, &mut out);
+    optics.kernels(form, depth, point, &mut out);
     #[expect(clippy::cast_possible_truncation, reason = "kernels in single precision")]
     let flip = |plane: &[f64]| plane.iter().rev().map(|v| *v as f32).collect();
     out.chunks_exact(form.raster.len()).map(flip).collect()
@@ -176,16 +176,16 @@ impl Probing<'_> {
         form
     }
 
-    fn centre(&self, region: Region) -> Place {
+    fn centre(&self, region: Region) -> SensorPoint {
         let [x, y] = region.offset(self.frame, 0, 0);
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let half = |n: usize| 0.5 * (n as f64 - 1.0);
-        Place::at([x + half(region.cols), y + half(region.rows)].map(|v| v * self.frame.pitch_mm))
+        SensorPoint::at([x + half(region.cols), y + half(region.rows)].map(|v| v * self.frame.pitch_mm))
     }
 
-    /// Relative illumination of the lit channels at a place.
-    fn light(&self, place: Place) -> Vec<f32> {
-        let light = self.optics.relative_illumination(place.radius_mm);
+    /// Relative illumination of the lit channels at a point.
+    fn light(&self, point: SensorPoint) -> Vec<f32> {
+        let light = self.optics.relative_illumination(point);
         #[expect(clippy::cast_possible_truncation, reason = "values of pixels")]
         let of = |c: &usize| light[*c] as f32;
         self.lit.iter().map(of).collect()
@@ -227,7 +227,7 @@ impl Probing<'_> {
                 .collect();
             let kernels = flipped(self.optics, self.depth, &form, at);
             let coarse = self.values(&patch, *region, (&kernels, &light), (size, size));
-            let irradiance = self.colours.illumination().at(at.radius_mm);
+            let irradiance = self.colours.illumination().at(at);
             Probe { scene, region: *region, patch, kernels, coarse, mono, irradiance, scale }
         };
         stands.par_iter().map(of).collect()
@@ -271,7 +271,7 @@ impl Probing<'_> {
     /// Values of a probe by a quadrature.
     fn light_of(&self, probe: &Probe, rule: &Quadrature) -> Values {
         let nm = &self.colours.spec.quadrature.nm;
-        let axis = self.colours.illumination().at(0.0);
+        let axis = self.colours.illumination().at(SensorPoint::AXIS);
         let count = probe.region.rows * probe.region.cols;
         let mut out = vec![0.0f64; probe.coarse.len()];
         for (c, channel) in self.lit.iter().enumerate() {
@@ -304,7 +304,7 @@ impl Probing<'_> {
             .collect();
         missing.sort_unstable();
         missing.dedup();
-        let of = |at: (isize, isize)| (at, flipped(optics, self.depth, &form, place(self.frame, at.0, at.1)));
+        let of = |at: (isize, isize)| (at, flipped(optics, self.depth, &form, centre(self.frame, at.0, at.1)));
         cache.extend(missing.into_par_iter().map(of).collect::<Vec<_>>());
     }
 

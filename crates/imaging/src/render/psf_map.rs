@@ -17,7 +17,7 @@ use ndarray::{Array1, Array2, Array3, Array4, Axis};
 use rayon::prelude::*;
 
 use super::node_grid::NodeGrid;
-use super::nodes::{Nodes, place};
+use super::nodes::{Nodes, centre};
 use super::plan::{ILLUMINATIONS, optics, quadrature, widths};
 use crate::frame::Frame;
 use crate::plane::Region;
@@ -25,7 +25,7 @@ use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::{Optics, Place};
+use isoplanat_optics::psf::{Optics, SensorPoint};
 
 #[doc(hidden)]
 pub use arrays::Values;
@@ -140,13 +140,13 @@ impl PsfMap {
             ));
         }
         let grid = request.places.grid(&optics, frame, size, request.rays);
-        let places: Vec<Place> = match (&grid, request.places) {
+        let points: Vec<SensorPoint> = match (&grid, request.places) {
             (None, PsfPlaces::Heights(count)) => heights(frame, count),
             (grid, _) => {
-                grid.iter().flat_map(|g| (0..g.len()).map(|n| g.pixel(n))).map(|(r, c)| place(frame, r, c)).collect()
+                grid.iter().flat_map(|g| (0..g.len()).map(|n| g.pixel(n))).map(|(r, c)| centre(frame, r, c)).collect()
             }
         };
-        let count = places.len();
+        let count = points.len();
         let multipliers = if request.places.are_filters() { [frame.rows, frame.columns] } else { [0, 0] };
         let (what, instead) =
             (format!("{count} kernels of {size} × {size}"), "fewer places, a smaller size, or a smaller frame");
@@ -157,16 +157,16 @@ impl PsfMap {
             (kernel.iter().map(|v| *v as f32).collect::<Vec<f32>>(), outside.to_vec())
         };
         let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) =
-            optics.kernels_each(&form, 0, &places, single).into_iter().unzip();
+            optics.kernels_each(&form, 0, &points, single).into_iter().unzip();
         let shaped = |e: ndarray::ShapeError| Error::Internal(e.to_string());
         let kernels = Array4::from_shape_vec((count, 3, size, size), kernels.concat()).map_err(shaped)?;
         let outside = Array2::from_shape_vec((count, 3), outside.concat()).map_err(shaped)?;
-        let light: Vec<Vec<f64>> = places.par_iter().map(|p| optics.relative_illumination(p.radius_mm)).collect();
+        let light: Vec<Vec<f64>> = points.par_iter().map(|p| optics.relative_illumination(*p)).collect();
         let illumination = Array2::from_shape_vec((count, 3), light.concat()).map_err(shaped)?;
         let map = &optics.maps[0];
         // The image height without distortion is the slope over its ratio on the axis.
-        let distortion = places.iter().map(|p| map.ratio(0.0) / map.ratio(p.radius_mm) - 1.0).collect();
-        let height_mm = places.iter().map(|p| p.radius_mm).collect();
+        let distortion = points.iter().map(|p| map.ratio(0.0) / map.ratio(p.radius_mm()) - 1.0).collect();
+        let height_mm = points.iter().map(|p| p.radius_mm()).collect();
         let (request, frame) = (request.clone(), frame.clone());
         Ok(Self { request, frame, grid, kernels, outside, illumination, height_mm, distortion, optics })
     }
@@ -262,11 +262,11 @@ fn even(n: usize, count: usize) -> Vec<isize> {
 }
 
 /// Image heights from the axis to the corner, downwards.
-fn heights(frame: &Frame, count: usize) -> Vec<Place> {
+fn heights(frame: &Frame, count: usize) -> Vec<SensorPoint> {
     let corner = frame.max_radius_mm();
     #[expect(clippy::cast_precision_loss, reason = "small counts")]
     let at = |k: usize| corner * k as f64 / (count.max(2) - 1) as f64;
-    (0..count).map(|k| Place { radius_mm: at(k), outward: [0.0, 1.0] }).collect()
+    (0..count).map(|k| SensorPoint::along([0.0, 1.0], at(k))).collect()
 }
 
 /// Bytes, from above, of so many kernels of three channels, as they are made and once more while they are put together, and of multipliers over a frame.

@@ -13,7 +13,7 @@ use super::coarse::{cells, to_pixels, to_pixels_vjp};
 use super::inputs::{Kept, NodeKernels, Seen};
 use super::light::Light;
 use super::needs::Channels;
-use super::nodes::place;
+use super::nodes::centre;
 use super::plan::{self, DepthPlan, ILLUMINATIONS, RenderPlan, Settings, quadrature};
 use super::source::{WarpedScene, warp, warp_vjp};
 use crate::frame::Frame;
@@ -27,7 +27,7 @@ use isoplanat_base::math::real::Real;
 use isoplanat_optics::lens::{Lens, LensGradient};
 use isoplanat_optics::psf::splat::phase_of_vjp;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, Place};
+use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, SensorPoint};
 
 /// A lens on a frame, ready for scenes.
 #[derive(Debug)]
@@ -116,10 +116,10 @@ impl Renderer {
         Self { optics, light, forms, plan }
     }
 
-    /// The place of a node of a grid in cells.
-    fn node_place(&self, depth: usize, grid: &NodeGrid, node: usize) -> isoplanat_optics::psf::Place {
+    /// The point of the sensor where a node of a grid in cells stands.
+    fn node_point(&self, depth: usize, grid: &NodeGrid, node: usize) -> SensorPoint {
         let (row, col) = grid.pixel(node);
-        place(&self.plan.depths[depth].raster, row, col)
+        centre(&self.plan.depths[depth].raster, row, col)
     }
 
     /// How `region` is convolved.
@@ -322,7 +322,8 @@ impl Renderer {
         let form = &*self.form(depth, &rendered.channels);
         let (raster, m) = (form.raster, form.raster.samples);
         let bars: Vec<_> = bars.collect();
-        let places: Vec<Place> = (0..bars.len()).map(|node| self.node_place(depth, &rendered.grid, node)).collect();
+        let points: Vec<SensorPoint> =
+            (0..bars.len()).map(|node| self.node_point(depth, &rendered.grid, node)).collect();
         let fine_of = |node: usize, fine: &mut [f64]| {
             let b = &bars[node];
             if b.iter().all(|v| *v == T::zero()) {
@@ -336,7 +337,7 @@ impl Renderer {
             }
             true
         };
-        for back in self.optics.kernels_vjp(form, depth, &places, fine_of) {
+        for back in self.optics.kernels_vjp(form, depth, &points, fine_of) {
             bar.add_kernel(&self.optics, depth, &back);
         }
     }
@@ -349,11 +350,11 @@ impl Renderer {
         let form = self.optics.form(self.plan.settings.dense, size, 1, self.plan.frame.pitch_mm);
         let at = |node: usize| {
             let (row, col) = grid.pixel(node);
-            place(&self.plan.frame, row, col)
+            centre(&self.plan.frame, row, col)
         };
-        let places: Vec<Place> = (0..grid.len()).map(at).collect();
+        let points: Vec<SensorPoint> = (0..grid.len()).map(at).collect();
         let real = |_: usize, kernel: &[f64], _: &[f64]| kernel.iter().map(|v| T::real(*v)).collect::<Vec<T>>();
-        let all = self.optics.kernels_each(&form, depth, &places, real).concat();
+        let all = self.optics.kernels_each(&form, depth, &points, real).concat();
         Array4::from_shape_vec((grid.len(), form.channels(), size, size), all).expect("as many as nodes")
     }
 

@@ -1,7 +1,6 @@
 //! The warped scene, sampled `m × m` times a cell or averaged over `b × b` pixels of it, block by block; and back.
 //!
-//! The cell's centre at `δ` mm from the axis shows the object slope `slope(|δ|)` of the [`SensorMap`] in the direction of
-//! `δ`; the texture is bilinear there.
+//! The cell's centre, a point of the sensor, shows the object slopes that the [`SensorMap`] has there; the texture is bilinear.
 
 use ndarray::{Array3, ArrayView3, ArrayView4, ArrayViewMut4, Axis, CowArray, Ix3, s};
 use rayon::prelude::*;
@@ -12,7 +11,7 @@ use crate::render::blur::Source;
 use isoplanat_base::math::real::Real;
 use isoplanat_base::math::wide::{Work, wide};
 use isoplanat_base::stop::look;
-use isoplanat_optics::psf::SensorMap;
+use isoplanat_optics::psf::{LineBar, SensorLine, SensorMap};
 
 /// A scene before a lens with this map, on the raster of `frame`.
 pub struct WarpedScene<'a> {
@@ -32,10 +31,8 @@ pub struct WarpedScene<'a> {
 /// Where the points of a line fall on the texture: bilinear taps, structure of arrays.
 #[derive(Default)]
 struct Line {
-    /// Offsets of the points from the axis along the line, cells.
-    x: Vec<f64>,
-    /// Squared sensor radii, mm².
-    squares: Vec<f64>,
+    /// The points.
+    points: SensorLine,
     /// Texel coordinates along columns and rows, then the weights of the second texels.
     at: [Vec<f64>; 2],
     /// Whether the coordinates were inside the texture: 1 or 0.
@@ -143,9 +140,8 @@ impl<'a> WarpedScene<'a> {
     /// Texel coordinates `[column, row]` of the sensor point `offset` cells from the axis.
     #[inline]
     pub fn texel(&self, offset: [f64; 2]) -> [f64; 2] {
-        let [x, y] = offset.map(|v| v * self.frame.pitch_mm);
-        let scale = self.map.ratio_at(x * x + y * y) * self.texels_per_slope;
-        [self.axis_texel[0] + x * scale, self.axis_texel[1] + y * scale]
+        let [x, y] = self.map.slopes(offset.map(|v| v * self.frame.pitch_mm), self.texels_per_slope);
+        [self.axis_texel[0] + x, self.axis_texel[1] + y]
     }
 
     /// Offset from the axis, in cells, of point `k` of the `n` along an axis of the cell at `at`.
@@ -165,30 +161,21 @@ impl<'a> WarpedScene<'a> {
         Steps { across: usize::from(cols > 1), down: if rows > 1 { cols } else { 0 } }
     }
 
-    /// Tells `visit` every line of points of a row of `region`: its phase, its offset from the axis across the line, cells,
-    /// and its points.
-    fn lines(&self, region: Region, row: usize, line: &mut Line, mut visit: impl FnMut(usize, f64, &Line)) {
+    /// Tells `visit` every line of points of a row of `region`: its phase and its points.
+    fn lines(&self, region: Region, row: usize, line: &mut Line, mut visit: impl FnMut(usize, &Line)) {
         let (_, rows, cols) = self.texture.dim();
         let (m, b) = (self.samples, self.average);
         let n = m * b;
-        let pitch = self.frame.pitch_mm;
+        line.points.cell_mm = self.frame.pitch_mm;
         for fy in 0..n {
-            let y = Self::place(region.row + row.cast_signed(), fy, n, self.frame.axis_px[1]);
-            let y_mm = y * pitch;
+            line.points.row = Self::place(region.row + row.cast_signed(), fy, n, self.frame.axis_px[1]);
             for fx in 0..n {
                 let of = |j: usize| Self::place(region.col + j.cast_signed(), fx, n, self.frame.axis_px[0]);
-                line.x.clear();
-                line.x.extend((0..region.cols).map(of));
-                line.squares.clear();
-                line.squares.extend(line.x.iter().map(|x| (x * pitch) * (x * pitch) + y_mm * y_mm));
-                let [column, across] = &mut line.at;
-                column.clone_from(&line.squares);
-                self.map.ratios(column);
-                across.clear();
-                for (ratio, x) in column.iter_mut().zip(&line.x) {
-                    let scale = *ratio * self.texels_per_slope;
-                    *ratio = self.axis_texel[0] + x * pitch * scale;
-                    across.push(self.axis_texel[1] + y_mm * scale);
+                line.points.columns.clear();
+                line.points.columns.extend((0..region.cols).map(of));
+                self.map.line(&mut line.points, self.texels_per_slope, line.at.each_mut());
+                for (at, axis) in line.at.iter_mut().zip(self.axis_texel) {
+                    at.iter_mut().for_each(|v| *v += axis);
                 }
                 line.first.clear();
                 line.first.resize(region.cols, 0);
@@ -197,7 +184,7 @@ impl<'a> WarpedScene<'a> {
                     let (at, inside) = (&mut line.at[k][..], &mut line.inside[k][..]);
                     wide(Below { at, inside, first: &mut line.first, count, stride });
                 }
-                visit((fy / b) * m + fx / b, y, line);
+                visit((fy / b) * m + fx / b, line);
             }
         }
     }
@@ -211,7 +198,7 @@ impl<'a> WarpedScene<'a> {
         let mut sums = vec![0.0; self.channels.len() * phases * region.cols];
         for i in 0..region.rows {
             sums.fill(0.0);
-            self.lines(region, i, &mut line, |phase, _, line| {
+            self.lines(region, i, &mut line, |phase, line| {
                 for (c, channel) in self.channels.iter().enumerate() {
                     let plane = self.plane(*channel);
                     let sums = &mut sums[(c * phases + phase) * region.cols..][..region.cols];
@@ -232,28 +219,25 @@ impl<'a> WarpedScene<'a> {
     pub(crate) fn fill_vjp<T: Real>(&self, region: Region, bar: ArrayView4<'_, T>, coefficients_bar: &mut [f64]) {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         let mean = ((self.average * self.average) as f64).recip();
-        // A point's texel moves by `x · pitch · texels_per_slope · ∂ratio`.
-        let scale = mean * self.texels_per_slope * self.frame.pitch_mm;
+        let scale = mean * self.texels_per_slope;
         let steps = self.steps();
         let rows: Vec<Vec<f64>> = (0..region.rows)
             .into_par_iter()
             .map_init(
-                || (Line::default(), Vec::new()),
-                |(line, weights), i| {
+                || (Line::default(), LineBar::default()),
+                |(line, pulled), i| {
                     look();
                     let mut sum = vec![0.0; coefficients_bar.len()];
-                    self.lines(region, i, line, |phase, y, line| {
-                        weights.clear();
-                        weights.resize(region.cols, 0.0);
+                    self.lines(region, i, line, |phase, line| {
+                        pulled.begin(&line.points, scale);
                         for (c, channel) in self.channels.iter().enumerate() {
                             let plane = self.plane(*channel);
                             let bars = bar.slice(s![c, phase, i, ..]);
-                            for (j, (w, b)) in weights.iter_mut().zip(bars).enumerate() {
-                                let [gx, gy] = line.slopes(j, plane, steps);
-                                *w += scale * b.to_double() * (gx * line.x[j] + gy * y);
+                            for (j, b) in bars.iter().enumerate() {
+                                pulled.add(&line.points, j, b.to_double(), line.slopes(j, plane, steps));
                             }
                         }
-                        self.map.ratios_vjp(&line.squares, weights, &mut sum);
+                        self.map.line_vjp(&line.points, pulled, &mut sum);
                     });
                     sum
                 },

@@ -12,6 +12,7 @@ use std::f64::consts::{FRAC_PI_2, PI};
 use rayon::prelude::*;
 
 use super::fit::{Parity, chebyshev, dot, terms};
+use super::point::SensorPoint;
 use super::stop::Part;
 use super::table::{Row, RowBar, Table, TableBar, Taps, taps};
 use isoplanat_base::stop::look;
@@ -76,8 +77,9 @@ impl Illumination {
         Self { lit_mm: table.held(lit), radii_mm, irradiance, lost, edge_mm: table.edge_mm, quadrature }
     }
 
-    /// Irradiance at a radius by wavelength; held beyond the last radius, 0 where no light comes.
-    pub fn at(&self, radius_mm: f64) -> Vec<f64> {
+    /// Irradiance at a point by wavelength; held beyond the last radius, 0 where no light comes.
+    pub fn at(&self, point: SensorPoint) -> Vec<f64> {
+        let radius_mm = point.radius_mm();
         if radius_mm > self.edge_mm {
             return vec![0.0; self.irradiance.len()];
         }
@@ -86,13 +88,19 @@ impl Illumination {
         self.irradiance.iter().map(of).collect()
     }
 
-    /// The radius whose kernel stands for that of `radius_mm`: beyond the last place with light, that place's.
-    pub fn held(&self, radius_mm: f64) -> f64 {
-        radius_mm.min(self.lit_mm)
+    /// The point whose kernel stands for that of `point`: beyond the last place with light, that place.
+    pub(crate) fn held(&self, point: SensorPoint) -> SensorPoint {
+        if point.radius_mm() > self.lit_mm { SensorPoint::along(point.outward(), self.lit_mm) } else { point }
+    }
+
+    /// Distance from the axis of the last place with light, mm; infinite where all have.
+    pub(crate) fn lit_mm(&self) -> f64 {
+        self.lit_mm
     }
 
     /// Adds the pull-back of cotangents on [`Self::at`].
-    pub fn at_vjp(&self, radius_mm: f64, bars: &[f64], irradiance_bar: &mut IlluminationBar) {
+    pub fn at_vjp(&self, point: SensorPoint, bars: &[f64], irradiance_bar: &mut IlluminationBar) {
+        let radius_mm = point.radius_mm();
         if radius_mm > self.edge_mm {
             return;
         }

@@ -3,18 +3,19 @@
 //!
 //! ```
 //! use isoplanat_optics::lens::builtin;
-//! use isoplanat_optics::psf::{Optics, OpticsSpec, Place, Quadrature};
+//! use isoplanat_optics::psf::{Optics, OpticsSpec, Quadrature, SensorPoint};
 //!
 //! let lens = builtin::lens("cooke_triplet")?;
 //! let quadrature = Quadrature { nm: vec![486.1, 587.6, 656.3], weight: vec![vec![0.2, 0.5, 0.3]] };
 //! let optics = Optics::compute(&lens, &OpticsSpec::even(18.0, vec![0.0], quadrature))?;
 //! // Relative illumination 15 mm from the axis, and the slope of the object that is seen there.
-//! assert!((0.9..0.92).contains(&optics.relative_illumination(15.0)[0]));
+//! let point = SensorPoint::at([15.0, 0.0]);
+//! assert!((0.9..0.92).contains(&optics.relative_illumination(point)[0]));
 //! assert!((0.29..0.31).contains(&optics.maps[0].slope(15.0)));
 //! // A kernel of 21 × 21 pixels of 10 µm.
 //! let form = optics.form(500, 21, 1, 0.010);
 //! let mut kernel = vec![0.0; 21 * 21];
-//! let outside = optics.kernels(&form, 0, Place { radius_mm: 15.0, outward: [1.0, 0.0] }, &mut kernel);
+//! let outside = optics.kernels(&form, 0, point, &mut kernel);
 //! assert!((kernel.iter().sum::<f64>() + outside[0] - 1.0).abs() < 1e-12);
 //! # Ok::<(), isoplanat_base::error::Error>(())
 //! ```
@@ -24,8 +25,10 @@ use std::collections::HashMap;
 use rayon::prelude::*;
 
 use super::illumination::{Illumination, IlluminationBar};
-use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar, Place, Rays};
+use super::kernel::{KernelBar, KernelForm, Pencil, PencilBar};
 use super::measured::{Falloff, MeasuredPsf};
+use super::point::SensorPoint;
+use super::rays::Rays;
 use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
@@ -113,10 +116,8 @@ impl OpticsBar {
 
     /// Adds what [`Optics::kernels_vjp`] gave for object distance `depth`.
     pub fn add_kernel(&mut self, optics: &Optics, depth: usize, back: &KernelBar) {
-        for (l, row) in &back.rows {
-            optics.table().row_vjp(*l, &back.taps, &row.0, &mut self.table);
-        }
-        optics.illumination().at_vjp(back.radius_mm, &back.irradiance, &mut self.illumination);
+        back.origin.add_to(optics.table(), &mut self.table);
+        optics.illumination().at_vjp(back.origin.point, &back.irradiance, &mut self.illumination);
         self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
     }
 
@@ -255,28 +256,33 @@ impl Optics {
     }
 
     /// Irradiance of white by channel, sr for a sensor in air; of what was measured, relative to the centre.
-    pub fn irradiance(&self, radius_mm: f64) -> Vec<f64> {
+    pub fn irradiance(&self, point: SensorPoint) -> Vec<f64> {
         let light = match &self.beams {
-            Beams::Traced { illumination, .. } => illumination.at(radius_mm),
-            Beams::Measured { light, pitch_mm, .. } => return light.at(radius_mm / pitch_mm),
+            Beams::Traced { illumination, .. } => illumination.at(point),
+            Beams::Measured { light, pitch_mm, .. } => return light.at(point.radius_mm() / pitch_mm),
         };
         let of = |w: &Vec<f64>| w.iter().zip(&light).map(|(w, e)| w * e).sum();
         self.spec.quadrature.weight.iter().map(of).collect()
     }
 
     /// Irradiance of white by channel, relative to that on the axis; 0 where a channel has none there.
-    pub fn relative_illumination(&self, radius_mm: f64) -> Vec<f64> {
-        let pairs = self.irradiance(radius_mm).into_iter().zip(self.irradiance(0.0));
+    pub fn relative_illumination(&self, point: SensorPoint) -> Vec<f64> {
+        let pairs = self.irradiance(point).into_iter().zip(self.irradiance(SensorPoint::AXIS));
         pairs.map(|(here, axis)| if axis > 0.0 { here / axis } else { 0.0 }).collect()
     }
 
-    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] at some radii to `bar`.
+    /// Adds the pull-back of cotangents on [`Self::relative_illumination`] at some points to `bar`.
     ///
     /// # Panics
     /// As [`Self::table`].
-    pub fn relative_illumination_vjp<'a>(&self, places: impl Iterator<Item = (f64, &'a [f64])>, bar: &mut OpticsBar) {
+    pub fn relative_illumination_vjp<'a>(
+        &self,
+        points: impl Iterator<Item = (SensorPoint, &'a [f64])>,
+        bar: &mut OpticsBar,
+    ) {
         let weights = &self.spec.quadrature.weight;
-        let scale: Vec<f64> = self.irradiance(0.0).iter().map(|e| if *e > 0.0 { e.recip() } else { 0.0 }).collect();
+        let scale: Vec<f64> =
+            self.irradiance(SensorPoint::AXIS).iter().map(|e| if *e > 0.0 { e.recip() } else { 0.0 }).collect();
         let (mut bars, mut axis_bar) = (vec![0.0; self.spec.quadrature.nm.len()], vec![0.0; scale.len()]);
         let pull = |of_channels: &[f64], bars: &mut [f64]| {
             bars.fill(0.0);
@@ -284,17 +290,17 @@ impl Optics {
                 bars.iter_mut().zip(weight).for_each(|(to, w)| *to += b * scale * w);
             }
         };
-        for (radius_mm, value_bar) in places {
+        for (point, value_bar) in points {
             pull(value_bar, &mut bars);
-            self.illumination().at_vjp(radius_mm, &bars, &mut bar.illumination);
+            self.illumination().at_vjp(point, &bars, &mut bar.illumination);
             for ((to, here), (b, scale)) in
-                axis_bar.iter_mut().zip(self.irradiance(radius_mm)).zip(value_bar.iter().zip(&scale))
+                axis_bar.iter_mut().zip(self.irradiance(point)).zip(value_bar.iter().zip(&scale))
             {
                 *to -= b * here * scale;
             }
         }
         pull(&axis_bar, &mut bars);
-        self.illumination().at_vjp(0.0, &bars, &mut bar.illumination);
+        self.illumination().at_vjp(SensorPoint::AXIS, &bars, &mut bar.illumination);
     }
 
     /// How kernels of `size` cells are made: about `dense` points of the stop, `samples` scene samples a cell of `cell_mm`.
@@ -308,34 +314,34 @@ impl Optics {
         }
     }
 
-    fn pencil(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Pencil {
+    fn pencil(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Pencil {
         match &self.beams {
-            Beams::Traced { table, illumination } => form.pencil(table, illumination, &self.maps[depth], radius_mm),
-            Beams::Measured { psf, pitch_mm, .. } => form.pencil_of(radius_mm, Self::moved(psf, *pitch_mm, radius_mm)),
+            Beams::Traced { table, illumination } => form.pencil(table, illumination, &self.maps[depth], point),
+            Beams::Measured { psf, pitch_mm, .. } => form.pencil_of(Self::moved(psf, *pitch_mm, point)),
         }
     }
 
-    /// The light of every measured colour at a radius.
-    fn moved(psf: &MeasuredPsf, pitch_mm: f64, radius_mm: f64) -> Vec<Rays> {
+    /// The light of every measured colour at a point.
+    fn moved(psf: &MeasuredPsf, pitch_mm: f64, point: SensorPoint) -> Vec<Rays> {
         (0..psf.channels())
             .map(|c| {
-                let weights = psf.at(radius_mm / pitch_mm, c);
+                let weights = psf.at(point.radius_mm() / pitch_mm, c);
                 let all = psf.moves.iter().zip(&weights).filter(|(_, w)| **w > 0.0);
                 Rays::of(all.map(|(([along, across], n), w)| ([across * pitch_mm, along * pitch_mm], 0.5 * n * w)))
             })
             .collect()
     }
 
-    /// Light by whole cells of distance from a kernel's centre, for every channel, at a radius.
-    fn spread(&self, form: &KernelForm, depth: usize, radius_mm: f64) -> Vec<Vec<f64>> {
+    /// Light by whole cells of distance from a kernel's centre, for every channel, at a point.
+    fn spread(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Vec<Vec<f64>> {
         let (rays, levels) = match &self.beams {
             Beams::Traced { table, illumination } => {
-                let of = |l: usize| form.rays(table, &self.maps[depth], l, radius_mm);
+                let of = |l: usize| form.rays(table, &self.maps[depth], l, point);
                 let rays: Vec<Rays> = (0..self.spec.quadrature.nm.len()).map(of).collect();
-                (rays, illumination.at(radius_mm))
+                (rays, illumination.at(point))
             }
             Beams::Measured { psf, pitch_mm, .. } => {
-                let rays = Self::moved(psf, *pitch_mm, radius_mm);
+                let rays = Self::moved(psf, *pitch_mm, point);
                 let even = vec![1.0; rays.len()];
                 (rays, even)
             }
@@ -354,38 +360,38 @@ impl Optics {
         self.spec.quadrature.weight.iter().map(by_channel).collect()
     }
 
-    /// Writes the fine kernels of all channels at `place` for object distance `depth`, `[channel][row][col]` on the form's raster;
+    /// Writes the fine kernels of all channels at `point` for object distance `depth`, `[channel][row][col]` on the form's raster;
     /// returns the share of each channel's light that falls outside the window.
-    pub fn kernels(&self, form: &KernelForm, depth: usize, place: Place, out: &mut [f64]) -> Vec<f64> {
-        form.kernels(&self.pencil(form, depth, place.radius_mm), place.outward, out)
+    pub fn kernels(&self, form: &KernelForm, depth: usize, point: SensorPoint, out: &mut [f64]) -> Vec<f64> {
+        form.kernels(&self.pencil(form, depth, point), point.outward(), out)
     }
 
-    /// What `with` makes of each place's number, kernels and light outside, as of [`Self::kernels`], in the order of `places`;
-    /// places at the same distance from the axis share its rays.
+    /// What `with` makes of each point's number, kernels and light outside, as of [`Self::kernels`], in the order of `points`;
+    /// points at the same distance from the axis share its rays.
     pub fn kernels_each<R: Send>(
         &self,
         form: &KernelForm,
         depth: usize,
-        places: &[Place],
+        points: &[SensorPoint],
         with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
     ) -> Vec<R> {
         let of_radius = |group: &Vec<usize>| -> Vec<(usize, R)> {
             look();
-            let pencil = self.pencil(form, depth, places[group[0]].radius_mm);
+            let pencil = self.pencil(form, depth, points[group[0]]);
             let mut kernel = vec![0.0; form.channels() * form.raster.len()];
             let one = |i: &usize| {
                 look();
-                let outside = form.kernels(&pencil, places[*i].outward, &mut kernel);
+                let outside = form.kernels(&pencil, points[*i].outward(), &mut kernel);
                 (*i, with(*i, &kernel, &outside))
             };
             group.iter().map(one).collect()
         };
-        let mut made: Vec<(usize, R)> = by_radius(places).par_iter().flat_map_iter(of_radius).collect();
+        let mut made: Vec<(usize, R)> = by_radius(points).par_iter().flat_map_iter(of_radius).collect();
         made.sort_unstable_by_key(|(i, _)| *i);
         made.into_iter().map(|(_, r)| r).collect()
     }
 
-    /// Pulls cotangents on the kernels of `places` back, one result a distance from the axis; `bar` writes those of a place
+    /// Pulls cotangents on the kernels of `points` back, one result a distance from the axis; `bar` writes those of a point
     /// over zeros, or says that there are none. [`OpticsBar::add_kernel`] takes what comes.
     ///
     /// # Panics
@@ -394,7 +400,7 @@ impl Optics {
         &self,
         form: &KernelForm,
         depth: usize,
-        places: &[Place],
+        points: &[SensorPoint],
         bar: impl Fn(usize, &mut [f64]) -> bool + Sync,
     ) -> Vec<KernelBar> {
         let table = self.table();
@@ -408,15 +414,15 @@ impl Optics {
                     continue;
                 }
                 let (pencil, to) = pulled.get_or_insert_with(|| {
-                    let pencil = self.pencil(form, depth, places[*i].radius_mm);
+                    let pencil = self.pencil(form, depth, points[*i]);
                     let none = PencilBar::zeros(&pencil);
                     (pencil, none)
                 });
-                form.kernels_vjp(pencil, places[*i].outward, &fine, to);
+                form.kernels_vjp(pencil, points[*i].outward(), &fine, to);
             }
             pulled.map(|(pencil, bar)| form.pencil_vjp(table, &self.maps[depth], &pencil, &bar))
         };
-        by_radius(places).par_iter().filter_map(of_radius).collect()
+        by_radius(points).par_iter().filter_map(of_radius).collect()
     }
 
     /// Half-widths in pixels of the square windows that hold all but each of `shares` of the light of every channel at
@@ -425,7 +431,7 @@ impl Optics {
         let [low, high] = radii_mm;
         // As kernels are made: those of dim places are those of the last place with light.
         let edge = match &self.beams {
-            Beams::Traced { table, illumination } => table.edge_mm.min(illumination.held(f64::INFINITY)),
+            Beams::Traced { table, illumination } => table.edge_mm.min(illumination.lit_mm()),
             Beams::Measured { .. } => f64::INFINITY,
         };
         let high = high.min(edge);
@@ -436,7 +442,7 @@ impl Optics {
             .map(|r| {
                 look();
                 let mut widest = vec![0; shares.len()];
-                for light in self.spread(form, depth, *r) {
+                for light in self.spread(form, depth, SensorPoint::along([1.0, 0.0], *r)) {
                     for (share, widest) in shares.iter().zip(&mut widest) {
                         let mut sum = 0.0;
                         let passes = |k: &usize| {
@@ -467,12 +473,12 @@ impl Optics {
     }
 }
 
-/// Numbers of places at the same distance from the axis, in the order of the first of each.
-fn by_radius(places: &[Place]) -> Vec<Vec<usize>> {
+/// Numbers of points at the same distance from the axis, in the order of the first of each.
+fn by_radius(points: &[SensorPoint]) -> Vec<Vec<usize>> {
     let mut groups: Vec<Vec<usize>> = Vec::new();
     let mut known: HashMap<u64, usize> = HashMap::new();
-    for (i, place) in places.iter().enumerate() {
-        let group = *known.entry(place.radius_mm.to_bits()).or_insert_with(|| {
+    for (i, point) in points.iter().enumerate() {
+        let group = *known.entry(point.radius_mm().to_bits()).or_insert_with(|| {
             groups.push(Vec::new());
             groups.len() - 1
         });

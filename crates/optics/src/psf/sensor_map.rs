@@ -9,6 +9,8 @@
 
 mod lines;
 
+pub use lines::{LineBar, SensorLine};
+
 use ndarray::Array2;
 
 use super::fit::chebyshev;
@@ -53,6 +55,7 @@ impl SensorMap {
     ///
     /// # Errors
     /// The radius, mm, from which on slopes do not grow: the picture folds there.
+    #[doc(hidden)]
     pub fn through(radii: &[f64], slopes: &[f64], horizon: f64, vergence: f64) -> std::result::Result<Self, f64> {
         let radius_mm = radii[radii.len() - 1];
         let rows = operator(radii, horizon);
@@ -162,7 +165,7 @@ impl SensorMap {
 
     /// [`Self::ratio`] at the squared sensor radius, mm².
     #[inline]
-    pub fn ratio_at(&self, square_mm2: f64) -> f64 {
+    fn ratio_at(&self, square_mm2: f64) -> f64 {
         let x2 = square_mm2 * self.inverse_square;
         if x2 <= 1.0 { self.series(x2).0 / self.below(square_mm2) } else { self.ratio(square_mm2.sqrt()) }
     }
@@ -174,6 +177,7 @@ impl SensorMap {
     }
 
     /// Adds `weight · ∂slope/∂c` at a sensor radius to the coefficients' cotangent.
+    #[doc(hidden)]
     #[inline]
     pub fn slope_vjp(&self, radius_mm: f64, weight: f64, coefficients_bar: &mut [f64]) {
         let inner = radius_mm.min(self.radius_mm);
@@ -217,6 +221,7 @@ impl SensorMap {
     }
 
     /// The sensor point (mm) of the object slope `u`, and what `Self::point_vjp` needs.
+    #[doc(hidden)]
     #[inline]
     pub fn point(&self, u: [f64; 2], near: f64) -> ([f64; 2], f64) {
         let radius = self.radius(u[0].hypot(u[1]), near);

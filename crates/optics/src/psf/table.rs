@@ -13,6 +13,7 @@
 //! much). Light ends at the first knot where no part survives ([`Table::edge_mm`]).
 
 mod beam;
+mod radii;
 mod refine;
 mod tracing;
 
@@ -21,7 +22,6 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use super::fit::{Parity, terms};
 use super::stop::{Part, StopNodes};
 use crate::lens::{Lens, LensGradient};
 use crate::trace::aim::SensorView;
@@ -29,6 +29,8 @@ use crate::trace::{Failure, System, SystemGradient};
 use beam::{Bases, Beam, Chief};
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::stop;
+pub(super) use radii::taps;
+use radii::{Tap, signs};
 pub use refine::{Adapted, Tolerance};
 use tracing::Tracing;
 
@@ -80,21 +82,6 @@ impl Layout {
     fn len(&self) -> usize {
         self.clip(self.clips).start
     }
-
-    /// Sign of every coefficient under `R → −R`, where the sensor point turns by half a circle: scalars are turned with the
-    /// stop, vectors change their sign as well.
-    fn signs(&self, degree: usize) -> Vec<f64> {
-        let of = |parity| terms(degree, parity).into_iter().map(|(p, q)| if (p + q) % 2 == 0 { 1.0 } else { -1.0 });
-        let (even, odd): (Vec<f64>, Vec<f64>) = (of(Parity::Even).collect(), of(Parity::Odd).collect());
-        let mut all = Vec::with_capacity(self.len());
-        for _ in 0..2 {
-            all.extend(odd.iter().chain(&even).map(|s| -s));
-        }
-        for _ in 0..=self.clips {
-            all.extend(&even);
-        }
-        all
-    }
 }
 
 /// Polynomials over the stop at one sensor radius and wavelength.
@@ -105,14 +92,6 @@ pub struct Row {
     pub part: Part,
     /// What the next knot inwards knows: beyond it rays fail.
     pub known: Part,
-}
-
-/// One knot of an interpolation.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Tap {
-    pub(super) knot: usize,
-    pub(super) weight: f64,
-    mirrored: bool,
 }
 
 /// Knots and weights of one sensor radius.
@@ -242,7 +221,7 @@ impl Table {
             horizon,
             residual,
             rays: beams.iter().flat_map(|b| b.iter()).map(|b| b.nodes.len()).sum::<usize>() + chiefs.len(),
-            signs: layout.signs(spec.degree),
+            signs: signs(&layout, spec.degree),
             spec,
             clips,
             edge_mm,
@@ -308,21 +287,15 @@ impl Table {
     /// The polynomials of wavelength `l` at an interpolated radius.
     pub fn row(&self, l: usize, taps: &Taps) -> Row {
         let mut row = Row { coefficients: vec![0.0; self.layout.len()], part: Part::WHOLE, known: Part::WHOLE };
+        let knots = |t: &Tap| &self.rows[t.knot][l];
         for t in &taps.all {
-            let from = &self.rows[t.knot][l];
-            let pairs = row.coefficients.iter_mut().zip(&from.coefficients);
-            if t.mirrored {
-                pairs.zip(&self.signs).for_each(|((a, b), s)| *a += t.weight * s * b);
-            } else {
-                pairs.for_each(|(a, b)| *a += t.weight * b);
-            }
+            t.add(&self.signs, &knots(t).coefficients, &mut row.coefficients);
         }
         if self.horizon > 0.0 {
             row.coefficients[..self.layout.weight().start].iter_mut().for_each(|c| *c /= taps.below);
         }
         // Parts have corners: what all knots have that are read.
-        let of = |t: &Tap| if t.mirrored { self.rows[t.knot][l].part.turned() } else { self.rows[t.knot][l].part };
-        row.part = taps.all.iter().map(of).fold(Part::WHOLE, Part::common);
+        row.part = taps.all.iter().map(|t| t.part(knots(t).part)).fold(Part::WHOLE, Part::common);
         row.known = row.part.around(self.rows[taps.inner][l].part);
         row
     }
@@ -335,12 +308,7 @@ impl Table {
         }
         let row_bar = &*row_bar;
         for t in &taps.all {
-            let pairs = bar.rows[t.knot][l].iter_mut().zip(row_bar);
-            if t.mirrored {
-                pairs.zip(&self.signs).for_each(|((a, b), s)| *a += t.weight * s * b);
-            } else {
-                pairs.for_each(|(a, b)| *a += t.weight * b);
-            }
+            t.add(&self.signs, row_bar, &mut bar.rows[t.knot][l]);
         }
     }
 
@@ -439,26 +407,6 @@ pub fn chief_slopes(lens: &Lens, vergence: f64, radii_mm: &[f64]) -> Result<Vec<
 
 fn views(lens: &Lens, wavelength_nm: &[f64]) -> Vec<SensorView> {
     wavelength_nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect()
-}
-
-/// Knots and Lagrange weights at `radius_mm`, at most `beyond` of them farther out; radii are mirrored at the axis, held beyond the last.
-pub(super) fn taps(radii: &[f64], radius_mm: f64, most: usize, beyond: usize) -> Vec<Tap> {
-    let n = radii.len();
-    let radius = radius_mm.min(radii[n - 1]);
-    // Signed indices: −k is knot k mirrored. Few knots may have fewer than are asked for, up to the last that may be read.
-    let (after, lowest) = (radii.partition_point(|r| *r <= radius).cast_signed(), 1 - n.cast_signed());
-    let end = (after + beyond.cast_signed()).min(n.cast_signed());
-    let count = most.cast_signed().min(end - lowest);
-    let first = (after - count / 2).min(end - count);
-    let at = |i: isize| if i < 0 { -radii[i.unsigned_abs()] } else { radii[i.unsigned_abs()] };
-    (first..first + count)
-        .map(|i| {
-            let others = (first..first + count).filter(|j| *j != i);
-            let weight = others.map(|j| (radius - at(j)) / (at(i) - at(j))).product();
-            Tap { knot: i.unsigned_abs(), weight, mirrored: i < 0 }
-        })
-        .filter(|t: &Tap| t.weight != 0.0)
-        .collect()
 }
 
 impl Row {

@@ -1,10 +1,10 @@
-//! Measured point spread functions as a file: NumPy's `.npz` with `size` (columns, rows), `centre_px`, `reach_px`, `spacing_px`, `radii_px`, `moves`
+//! Measured point spread functions as a file: NumPy's `.npz` with `schema`, `size` (columns, rows), `centre_px`, `reach_px`, `spacing_px`, `radii_px`, `moves`
 //! `[move, 2]` (along and across the meridian, in spacings) and `weights` `[radius, channel, move]`.
 
 use std::io::Cursor;
 use std::path::Path;
 
-use ndarray::{Array1, Array2, Array3, Ix1, Ix2, Ix3};
+use ndarray::{Array1, Array2, Array3, Ix1, Ix2, Ix3, arr0};
 use ndarray_npy::{NpzReader, NpzWriter, ReadableElement};
 
 use super::{MeasuredPsf, Moves};
@@ -14,6 +14,8 @@ use isoplanat_base::math::npz;
 
 /// Bytes of a file at most.
 const MOST: u64 = 1 << 28;
+/// The newest form that is read, and the one that is written: knots over the radius. Files of before numbers were given have none.
+const SCHEMA: i64 = 1;
 const ALLOWED: &str = "point spread functions, as `isoplanat calibrate --psf` writes them";
 
 impl MeasuredPsf {
@@ -28,6 +30,7 @@ impl MeasuredPsf {
         let weights = Array3::from_shape_fn((knots, channels, count), |(j, c, m)| self.weights[j][c][m]);
         let moves = Array2::from_shape_fn((count, 2), |(m, k)| self.moves.steps[m][k]);
         let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+        npz.add_array("schema", &arr0(SCHEMA)).map_err(failed)?;
         npz.add_array("size", &Array1::from(self.size.map(|n| n as i64).to_vec())).map_err(failed)?;
         npz.add_array("centre_px", &Array1::from(self.centre_px.to_vec())).map_err(failed)?;
         npz.add_array("reach_px", &Array1::from(vec![self.moves.reach_px])).map_err(failed)?;
@@ -54,6 +57,7 @@ impl MeasuredPsf {
         let bad = |place: &str, e: String| Error::bad(path.display().to_string(), place, e, ALLOWED);
         npz::check(bytes).map_err(|(place, found)| bad(&place, found))?;
         let mut npz = NpzReader::new(Cursor::new(bytes)).map_err(|e| bad("file", e.to_string()))?;
+        npz::require_schema(&mut npz, SCHEMA, path)?;
         let mut one = Read { npz: &mut npz, path };
         let size: Vec<i64> = one.line("size")?;
         let size = <[i64; 2]>::try_from(size).ok().and_then(|s| Some([s[0].try_into().ok()?, s[1].try_into().ok()?]));
@@ -120,6 +124,14 @@ mod tests {
             let error = MeasuredPsf::from_npz(&bytes[..cut], path).expect_err("cut");
             assert!(error.exit_code() == 2 && error.to_string().contains("psf.npz"), "{error}");
         }
+        let of_schema = |schema: i64| {
+            let mut npz = NpzWriter::new(Cursor::new(Vec::new()));
+            npz.add_array("schema", &arr0(schema)).expect("writes");
+            let bytes = npz.finish().expect("writes").into_inner();
+            MeasuredPsf::from_npz(&bytes, path).expect_err("no file").to_string()
+        };
+        assert!(of_schema(2).contains("psf.npz, schema: 2"), "{}", of_schema(2));
+        assert!(of_schema(0).contains("schema 1 to 1") && of_schema(1).contains("size"), "{}", of_schema(0));
         for _ in 0..300 {
             let mut changed = bytes.clone();
             (0..1 + rng.usize(0..8)).for_each(|_| changed[rng.usize(0..bytes.len())] = rng.u8(..));

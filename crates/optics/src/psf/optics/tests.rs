@@ -30,7 +30,7 @@ fn places_that_share_a_radius_are_the_places_alone() {
     let lens = builtin::lens("cooke_triplet").expect("shipped");
     let o = Optics::compute(&lens, &spec(18.0, vec![lens.object_vergence])).expect("traces");
     let form = o.form(120, 15, 2, 0.02);
-    let at = |x: f64, y: f64| Place::at([x, y]);
+    let at = |x: f64, y: f64| SensorPoint::at([x, y]);
     let places = [at(9.0, 12.0), at(-2.0, 5.0), at(12.0, -9.0), at(5.0, 2.0), at(0.0, 15.0), at(0.0, 0.0)];
     assert_eq!(by_radius(&places), [vec![0, 2, 4], vec![1, 3], vec![5]]);
     let len = 3 * form.raster.len();
@@ -67,9 +67,8 @@ fn the_pull_back_agrees_with_differences() {
         let size = 31;
         let cell = if name == "phone" { 0.004 } else { 0.02 };
         let bars: Vec<Vec<f64>> = (0..2).map(|_| (0..3 * size * size).map(|_| rng.f64() - 0.5).collect()).collect();
-        let light_bar = [0.7, -0.4, 0.9];
-        let places =
-            [Place { radius_mm: place, outward: [0.6, 0.8] }, Place { radius_mm: 0.3 * place, outward: [0.0, -1.0] }];
+        let (light_bar, bright) = ([0.7, -0.4, 0.9], SensorPoint::along([0.0, 1.0], 0.93 * radius));
+        let places = [SensorPoint::along([0.6, 0.8], place), SensorPoint::along([0.0, -1.0], 0.3 * place)];
         let value = |lens: &Lens| {
             let o = Optics::compute(lens, &spec(radius, vergences.clone())).expect("traces");
             let form = o.form(120, size, 1, cell);
@@ -79,7 +78,7 @@ fn the_pull_back_agrees_with_differences() {
                 o.kernels(&form, depth, *place, &mut k);
                 sum += k.iter().zip(bar).map(|(a, b)| a * b).sum::<f64>();
             }
-            sum + light_bar.iter().zip(o.relative_illumination(0.93 * radius)).map(|(b, v)| b * v).sum::<f64>()
+            sum + light_bar.iter().zip(o.relative_illumination(bright)).map(|(b, v)| b * v).sum::<f64>()
                 + 3.0 * o.maps[1].slope(0.8 * radius)
         };
         let o = Optics::compute(&lens, &spec(radius, vergences.clone())).expect("traces");
@@ -90,7 +89,7 @@ fn the_pull_back_agrees_with_differences() {
                 bar.add_kernel(&o, depth, &back);
             }
         }
-        o.relative_illumination_vjp(std::iter::once((0.93 * radius, &light_bar[..])), &mut bar);
+        o.relative_illumination_vjp(std::iter::once((bright, &light_bar[..])), &mut bar);
         o.maps[1].slope_vjp(0.8 * radius, 3.0, &mut bar.maps[1]);
         let gradient = o.vjp(&lens, &bar);
         let variables = Variables::all(&lens);
@@ -126,7 +125,7 @@ fn displacements_are_those_of_traced_rays() {
             let system = System::new(&lens, 540.0);
             let mut worst = 0.0f64;
             for at in [0.0, 0.31 * radius, 0.83 * radius] {
-                let rays = form.rays(o.table(), &o.maps[0], 1, at);
+                let rays = form.rays(o.table(), &o.maps[0], 1, SensorPoint::along([0.0, 1.0], at));
                 for (q, s) in form.points.points.iter().enumerate() {
                     // The raster's point that the ray shows, and that object's slope.
                     let d = [-rays.x[q], at - rays.y[q]];
@@ -156,7 +155,7 @@ fn kernels_sum_to_one_and_turn_with_the_field() {
         let mut kernels: Vec<Vec<f64>> = Vec::new();
         for outward in [[1.0, 0.0], [0.0, 1.0]] {
             let mut k = vec![0.0; 3 * side * side];
-            let outside = o.kernels(&form, 0, Place { radius_mm: 14.9, outward }, &mut k);
+            let outside = o.kernels(&form, 0, SensorPoint::along(outward, 14.9), &mut k);
             for (c, plane) in k.chunks_exact(side * side).enumerate() {
                 assert_abs(plane.iter().sum::<f64>() + outside[c], 1.0, 1e-12, "energy");
             }

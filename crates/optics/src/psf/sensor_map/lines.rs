@@ -1,4 +1,4 @@
-//! Many sensor radii at a time: what every pixel of a line asks a [`SensorMap`] for.
+//! Many sensor points at a time: what every pixel of a line asks a [`SensorMap`] for.
 
 use super::SensorMap;
 use isoplanat_base::math::wide::{Work, wide};
@@ -6,18 +6,82 @@ use isoplanat_base::math::wide::{Work, wide};
 /// Radii that are worked on together; sums run by lane, then over the lanes in order, whatever the vectors' width.
 const LANES: usize = 16;
 
+/// Points of the sensor along a row of a raster, in cells from the axis.
+#[derive(Clone, Debug, Default)]
+pub struct SensorLine {
+    /// Offsets along columns, one a point.
+    pub columns: Vec<f64>,
+    /// Offset along rows, the same for all.
+    pub row: f64,
+    /// Side of a cell, mm.
+    pub cell_mm: f64,
+    /// Squared sensor radii, mm², as [`SensorMap::line`] left them.
+    squares: Vec<f64>,
+}
+
+/// Cotangents on the slopes of a line's points, being added up for [`SensorMap::line_vjp`].
+#[derive(Clone, Debug, Default)]
+pub struct LineBar {
+    factor: f64,
+    /// On the ratios of slope and radius.
+    weights: Vec<f64>,
+}
+
+impl LineBar {
+    /// Begins anew, for the points of `line` and cotangents that are to be taken `scale` times.
+    pub fn begin(&mut self, line: &SensorLine, scale: f64) {
+        self.factor = scale * line.cell_mm;
+        self.weights.clear();
+        self.weights.resize(line.columns.len(), 0.0);
+    }
+
+    /// Adds a cotangent `by` times `gradient`, along columns and rows, on the slopes of point `j`.
+    #[inline]
+    pub fn add(&mut self, line: &SensorLine, j: usize, by: f64, gradient: [f64; 2]) {
+        let [gx, gy] = gradient;
+        self.weights[j] += self.factor * by * (gx * line.columns[j] + gy * line.row);
+    }
+}
+
 impl SensorMap {
+    /// Writes the object slopes of a line's points, times `scale`, along columns and rows.
+    #[doc(hidden)]
+    pub fn line(&self, line: &mut SensorLine, scale: f64, [column, row]: [&mut Vec<f64>; 2]) {
+        let (cell, y_mm) = (line.cell_mm, line.row * line.cell_mm);
+        line.squares.clear();
+        line.squares.extend(line.columns.iter().map(|x| (x * cell) * (x * cell) + y_mm * y_mm));
+        column.clone_from(&line.squares);
+        self.ratios(column);
+        row.clear();
+        for (to, x) in column.iter_mut().zip(&line.columns) {
+            let ratio = *to * scale;
+            *to = x * cell * ratio;
+            row.push(y_mm * ratio);
+        }
+    }
+
+    /// Adds the pull-back of cotangents on the slopes of [`Self::line`] to that of the coefficients.
+    #[doc(hidden)]
+    pub fn line_vjp(&self, line: &SensorLine, bar: &LineBar, coefficients_bar: &mut [f64]) {
+        self.ratios_vjp(&line.squares, &bar.weights, coefficients_bar);
+    }
+
+    /// Object slopes along columns and rows, times `scale`, of the point `[column, row]` mm from the axis.
+    #[doc(hidden)]
+    #[inline]
+    pub fn slopes(&self, [x, y]: [f64; 2], scale: f64) -> [f64; 2] {
+        let ratio = self.ratio_at(x * x + y * y) * scale;
+        [x * ratio, y * ratio]
+    }
+
     /// Replaces squared sensor radii, mm², by [`Self::ratio_at`] of them: the same bits.
-    pub fn ratios(&self, squares_mm2: &mut [f64]) {
+    fn ratios(&self, squares_mm2: &mut [f64]) {
         wide(Ratios { map: self, squares: squares_mm2 });
     }
 
     /// Adds `Σ weight · ∂ratio/∂c` at squared sensor radii, mm², to the coefficients' cotangent.
-    ///
-    /// # Panics
-    /// If there are not as many weights as squares.
-    pub fn ratios_vjp(&self, squares_mm2: &[f64], weights: &[f64], coefficients_bar: &mut [f64]) {
-        assert_eq!(squares_mm2.len(), weights.len(), "a weight for every radius");
+    fn ratios_vjp(&self, squares_mm2: &[f64], weights: &[f64], coefficients_bar: &mut [f64]) {
+        assert_eq!(squares_mm2.len(), weights.len(), "a weight for every point");
         wide(CoefficientSums { map: self, squares: squares_mm2, weights, out: coefficients_bar });
     }
 }
