@@ -303,9 +303,11 @@ impl Lens {
     /// like : Psf, optional
     ///     Another lens's, usually this one before it was changed: its places on the sensor, distances, channels and window are taken over, and nothing
     ///     else may be given. What `Psf.vjp` differentiates.
+    /// diffraction : bool
+    ///     Kernels by diffraction (scalar waves) in place of rays; they have no gradient yet.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (fields_deg = None, distances_mm = None, pitch_um = None, size = None, *, fields = None, wavelengths_nm = None,
-        rays = None, dtype = None, like = None))]
+        rays = None, dtype = None, like = None, diffraction = false))]
     fn psf(
         &self,
         py: Python<'_>,
@@ -318,10 +320,11 @@ impl Lens {
         rays: Option<usize>,
         dtype: Option<&Bound<'_, PyAny>>,
         like: Option<&Bound<'_, Psf>>,
+        diffraction: bool,
     ) -> PyResult<Psf> {
         let [fields_deg, distances_mm, wavelengths_nm] =
             [fields_deg, distances_mm, wavelengths_nm].map(|list| list.map(|l| l.0));
-        let asked = Asked { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays };
+        let asked = Asked { fields_deg, distances_mm, pitch_um, size, fields, wavelengths_nm, rays, diffraction };
         crate::psf::compute(py, &self.inner, asked, dtype, like)
     }
 
@@ -350,11 +353,13 @@ impl Lens {
     ///     Sensor calibration whose colours these are; the generic sensor where left out.
     /// illuminant : str
     ///     As of `render`.
+    /// diffraction : bool
+    ///     Kernels by diffraction (scalar waves) in place of rays.
     ///
     /// Kernels are for convolution: turn them by 180° where a framework correlates.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (form, frame = None, *, distance_mm = None, heights = None, grid = None, node_error = None, size = None, rays = None,
-        sensor = None, illuminant = None))]
+        sensor = None, illuminant = None, diffraction = false))]
     fn psf_map(
         &self,
         py: Python<'_>,
@@ -368,10 +373,22 @@ impl Lens {
         rays: Option<usize>,
         sensor: Option<PathBuf>,
         illuminant: Option<&str>,
+        diffraction: bool,
     ) -> PyResult<Py<PyDict>> {
         let frame = frame.map(|f| f.get().clone());
-        let asked =
-            psf_map::Asked { form, frame, distance_mm, heights, grid, node_error, size, rays, sensor, illuminant };
+        let asked = psf_map::Asked {
+            form,
+            frame,
+            distance_mm,
+            heights,
+            grid,
+            node_error,
+            size,
+            rays,
+            sensor,
+            illuminant,
+            diffraction,
+        };
         psf_map::compute(py, &self.inner, asked)
     }
 

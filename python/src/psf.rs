@@ -33,13 +33,17 @@ pub(crate) struct Asked {
     pub(crate) fields: Option<usize>,
     pub(crate) wavelengths_nm: Option<Vec<f64>>,
     pub(crate) rays: Option<usize>,
+    pub(crate) diffraction: bool,
 }
 
 impl Asked {
     fn anything(&self) -> bool {
         let lists = [&self.fields_deg, &self.distances_mm, &self.wavelengths_nm];
         let counts = [&self.size, &self.fields, &self.rays];
-        lists.iter().any(|l| l.is_some()) || counts.iter().any(|c| c.is_some()) || self.pitch_um.is_some()
+        lists.iter().any(|l| l.is_some())
+            || counts.iter().any(|c| c.is_some())
+            || self.pitch_um.is_some()
+            || self.diffraction
     }
 
     /// The checked request, its quadrature, and its field angles.
@@ -92,6 +96,7 @@ impl Asked {
             size: self.size,
             pitch_mm: pitch_um * 1e-3,
             rays,
+            diffraction: self.diffraction,
             memory: Limit::of_process(),
         };
         Ok((request, quadrature, self.fields_deg))
@@ -152,7 +157,7 @@ struct Made<T> {
 
 impl<T: Number> Made<T> {
     fn of(plan: &KernelPlan) -> isoplanat::Result<Self> {
-        let PlacedKernels { kernels, outside } = plan.kernels::<T>();
+        let PlacedKernels { kernels, outside, .. } = plan.kernels::<T>();
         let (depths, fields, channels, size) = (plan.lines.len(), plan.fields(), plan.optics.channels(), plan.size());
         let shape = (depths, fields, channels, size, size);
         let kernels = Array5::from_shape_vec(shape, kernels).map_err(|e| isoplanat::Error::Internal(e.to_string()))?;
@@ -275,6 +280,13 @@ impl Psf {
     ///
     /// `kernels_bar` has the shape of `kernels`. Held: places on the sensor, window, rays in the stop; `lens.psf(like=psf)` holds the same.
     fn vjp(&self, py: Python<'_>, kernels_bar: &Bound<'_, PyAny>) -> PyResult<Py<PyDict>> {
+        if self.plan.is_by_diffraction() {
+            return Err(refused(
+                "diffraction",
+                "kernels by diffraction",
+                "kernels of rays: those by diffraction have no gradient yet",
+            ));
+        }
         let bar = Floats::of(kernels_bar, "kernels_bar", Whole::Taken)?;
         let size = self.plan.size();
         let wanted = [self.plan.lines.len(), self.plan.fields(), self.plan.optics.channels(), size, size];

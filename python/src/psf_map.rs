@@ -25,6 +25,7 @@ pub(crate) struct Asked<'a> {
     pub(crate) rays: Option<usize>,
     pub(crate) sensor: Option<PathBuf>,
     pub(crate) illuminant: Option<&'a str>,
+    pub(crate) diffraction: bool,
 }
 
 impl Asked<'_> {
@@ -60,6 +61,7 @@ pub(crate) fn compute(py: Python<'_>, lens: &Lens, asked: Asked<'_>) -> PyResult
         vergence: asked.distance_mm.map_or(Ok(lens.object_vergence), |mm| vergence("distance_mm", mm))?,
         size: asked.size,
         rays: asked.rays.unwrap_or(own.rays),
+        diffraction: asked.diffraction,
         ..own
     };
     let light = light(asked.illuminant)?;

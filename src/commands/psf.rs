@@ -2,6 +2,7 @@
 
 mod forms;
 
+use std::fmt::Write as _;
 use std::io::Write;
 use std::path::PathBuf;
 
@@ -11,6 +12,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
+use isoplanat::psf::wave::WaveFigures;
 use isoplanat::report::atlas;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};
@@ -44,7 +46,7 @@ pub(crate) struct Args {
     /// Field points from the axis to the border; image heights to the frame's corner [default: 5; of heights 64]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=512))]
     fields: Option<u16>,
-    /// Kernel size, pixels, odd [default: what holds 99.9 % of the light]
+    /// Kernel size, pixels, odd [default: what holds 99.9 % of the light of rays; by diffraction ten λ/NA more at each side]
     #[arg(long, value_parser = clap::value_parser!(u16).range(1..=2047))]
     size: Option<u16>,
     /// Pixel pitch, µm [default: the lens's sensor]
@@ -53,6 +55,9 @@ pub(crate) struct Args {
     /// Rays per kernel and wavelength
     #[arg(long, default_value_t = 16384, value_parser = clap::value_parser!(u32).range(16..=1_000_000))]
     rays: u32,
+    /// Kernels by diffraction, in place of rays: scalar waves, every wavelength by itself
+    #[arg(long)]
+    diffraction: bool,
     /// Rows of the summary to write as comma-separated values
     #[arg(long, value_name = "OUT.csv")]
     csv: Option<PathBuf>,
@@ -98,7 +103,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
             COLUMNS.map(String::from).into_iter().zip(row.map(Value::from)).collect::<serde_json::Map<_, _>>()
         };
         let value = json!({ "schema": 1, "size_px": size, "pitch_um": request.pitch_mm * 1e3,
-            "wavelength_nm": request.wavelength_nm, "weight": request.weights, "memory_bytes": bytes,
+            "wavelength_nm": request.wavelength_nm, "weight": request.weights, "memory_bytes": bytes, "diffraction": kernels.diffraction.as_ref().map(told_json),
             "rows": rows.iter().map(named).collect::<Vec<_>>() });
         writeln!(out, "{value}")?;
         return Ok(());
@@ -115,9 +120,37 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     }
     write!(out, "{table}")?;
     writeln!(out, "{size} × {size} pixels of {} µm, {nm} wavelengths", significant(request.pitch_mm * 1e3, 6))?;
+    if let Some(figures) = &kernels.diffraction {
+        writeln!(out, "{}", told(figures))?;
+    }
     writeln!(out, "memory: at most {}", words(bytes))?;
     Ok(())
 }
+
+/// What is told of kernels by diffraction.
+fn told(figures: &WaveFigures) -> String {
+    let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
+    let mut text = format!(
+        "by diffraction: paths to {residual_waves:.0e} wavelengths; {:.2} % of the light, far from the middle, is spread evenly",
+        100.0 * spread
+    );
+    if *geometric > 0 {
+        let _ =
+            write!(text, "; {geometric} kernels of a wavelength are of rays, since their blur has hundreds of waves");
+    }
+    if *aperture > SCALAR {
+        let _ = write!(text, "; the angles at the image reach a sine of {aperture:.2}, where scalar waves err");
+    }
+    text
+}
+
+fn told_json(figures: &WaveFigures) -> Value {
+    let WaveFigures { residual_waves, spread, aperture, geometric } = figures;
+    json!({ "residual_waves": residual_waves, "spread": spread, "largest_sine": aperture, "of_rays": geometric })
+}
+
+/// Sine of an angle at the image beyond which scalar theory is told to err.
+const SCALAR: f64 = 0.5;
 
 /// Columns of the summary. The illumination is over all wavelengths by their weights; what falls outside is the most of any.
 const COLUMNS: [&str; 5] = ["depth_mm", "field_angle_deg", "sensor_radius_mm", "relative_illumination", "outside"];
@@ -161,6 +194,7 @@ fn request(args: &Args, lens: &Lens) -> Result<atlas::KernelRequest> {
         size: args.size.map(usize::from),
         pitch_mm: pitch_um * 1e-3,
         rays: args.rays as usize,
+        diffraction: args.diffraction,
         memory: crate::memory::limit(),
     })
 }

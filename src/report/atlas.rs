@@ -12,6 +12,7 @@ use isoplanat_base::math::npz;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::Spectrum;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::wave::WaveFigures;
 use isoplanat_optics::psf::{Quadrature, SensorPoint};
 
 pub use super::kernels::{KernelRequest, bytes};
@@ -36,6 +37,8 @@ pub struct KernelSet {
     pub slope: Array2<f64>,
     /// Field angle at the paraxial entrance pupil, `[depth, field]`, degrees.
     pub angle_deg: Array2<f64>,
+    /// What is to be told of kernels by diffraction; nothing of rays.
+    pub diffraction: Option<WaveFigures>,
 }
 
 impl KernelSet {
@@ -64,7 +67,7 @@ impl KernelSet {
 
     /// The kernels of `plan`, which was made for `request`.
     fn of(request: &KernelRequest, plan: &KernelPlan) -> Self {
-        let PlacedKernels { kernels, outside } = plan.kernels::<f32>();
+        let PlacedKernels { kernels, outside, diffraction } = plan.kernels::<f32>();
         let channels = plan.optics.channels();
         let (depths, fields) = (request.depth_mm.len(), plan.fields());
         let size = plan.size();
@@ -76,6 +79,7 @@ impl KernelSet {
             radius_mm: Array2::zeros((depths, fields)),
             slope: Array2::zeros((depths, fields)),
             angle_deg: Array2::zeros((depths, fields)),
+            diffraction,
         };
         for (d, line) in plan.lines.iter().enumerate() {
             for f in 0..fields {
@@ -94,7 +98,7 @@ impl KernelSet {
     }
 
     /// Writes every array under its name, as `isoplanat psf` does: `kernels`, `relative_illumination`, `outside`, `sensor_point_mm`, `sensor_radius_mm`,
-    /// `object_slope`, `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `schema`.
+    /// `object_slope`, `field_angle_deg`, `polychromatic`, `depth_mm`, `wavelength_nm`, `weight`, `pitch_mm`, `diffraction` (1 or 0), `schema`.
     ///
     /// # Errors
     /// A file that cannot be written.
@@ -124,6 +128,7 @@ impl KernelSet {
                 npz.add_array(name, &ArrayView1::from(values))?;
             }
             npz.add_array("pitch_mm", &ndarray::arr0(meta.pitch_mm))?;
+            npz.add_array("diffraction", &ndarray::arr0(i64::from(self.diffraction.is_some())))?;
             npz.add_array("schema", &ndarray::arr0(1_i64))?;
             Ok(())
         })
@@ -171,7 +176,7 @@ pub fn colour_kernels(lens: &Lens, request: &KernelRequest) -> Result<ColourKern
     let spectrum = Spectrum::quadrature(&Sensor::generic(), COLOUR_NODES);
     let quadrature = Quadrature { nm: spectrum.wavelength_nm, weight: spectrum.weight.to_vec() };
     let plan = KernelPlan::new(lens, request, quadrature, None)?;
-    let PlacedKernels { kernels, outside } = plan.kernels::<f32>();
+    let PlacedKernels { kernels, outside, .. } = plan.kernels::<f32>();
     let shape = (outside.len(), 3, plan.size(), plan.size());
     let outside = outside.iter().flatten().copied().fold(0.0, f64::max);
     let kernels = Array4::from_shape_vec(shape, kernels).map_err(|e| Error::Internal(e.to_string()))?;
@@ -277,6 +282,7 @@ mod tests {
             size,
             pitch_mm: 0.012,
             rays: 600,
+            diffraction: false,
             memory: Limit::of_process(),
         }
     }

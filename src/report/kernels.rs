@@ -9,6 +9,7 @@ use isoplanat_base::math::real::Real;
 use isoplanat_optics::lens::{Lens, LensGradient};
 use isoplanat_optics::psf::splat::phase_of_vjp;
 use isoplanat_optics::psf::table::Tolerance;
+use isoplanat_optics::psf::wave::{WaveFigures, Waves};
 use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 
 /// Share of the light that an automatic window may lose.
@@ -35,6 +36,8 @@ pub struct KernelRequest {
     pub pitch_mm: f64,
     /// Rays per kernel and wavelength.
     pub rays: usize,
+    /// Whether kernels are made by diffraction, in place of rays.
+    pub diffraction: bool,
     /// What all of it may take.
     pub memory: Limit,
 }
@@ -52,6 +55,7 @@ impl KernelRequest {
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),
             rays: 16_384,
+            diffraction: false,
             memory: Limit::of_process(),
         }
     }
@@ -74,6 +78,8 @@ pub struct KernelPlan {
     pub lines: Vec<FieldLine>,
     /// How kernels are made: size, rays, channels.
     pub form: KernelForm,
+    /// The lens for kernels by diffraction, where those were asked for.
+    waves: Option<Waves>,
 }
 
 /// Kernels of a [`KernelPlan`].
@@ -83,6 +89,8 @@ pub struct PlacedKernels<T> {
     pub kernels: Vec<T>,
     /// By depth and field, share of each channel's light outside.
     pub outside: Vec<Vec<f64>>,
+    /// What is to be told of kernels by diffraction; nothing of rays.
+    pub diffraction: Option<WaveFigures>,
 }
 
 impl KernelPlan {
@@ -110,15 +118,16 @@ impl KernelPlan {
         let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
         let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
         let optics = Optics::adapted(lens, spec, tolerance)?.0;
+        let waves = request.diffraction.then(|| Waves::new(lens, &optics.spec.quadrature.nm)).transpose()?;
         let size = match request.size {
             Some(size) => size,
-            None => automatic(lens, &optics, request, far, lines.len())?,
+            None => automatic(lens, &optics, waves.as_ref(), request, &lines)?,
         };
         let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
         let bytes = bytes(count, optics.channels(), size);
         request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes, instead)?;
         let form = optics.form(request.rays, size, 1, request.pitch_mm);
-        Ok(Self { optics, lines, form })
+        Ok(Self { optics, lines, form, waves })
     }
 
     /// Traces `lens`, which has moved since this plan was made: radii, places on the sensor and window stay.
@@ -126,7 +135,14 @@ impl KernelPlan {
     /// # Errors
     /// As [`Optics::compute`].
     pub fn again(&self, lens: &Lens) -> Result<Self> {
-        Ok(Self { optics: Optics::compute(lens, &self.optics.spec)?, ..self.clone() })
+        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &self.optics.spec.quadrature.nm)).transpose()?;
+        Ok(Self { optics: Optics::compute(lens, &self.optics.spec)?, waves, ..self.clone() })
+    }
+
+    /// Whether kernels are made by diffraction.
+    #[doc(hidden)]
+    pub fn is_by_diffraction(&self) -> bool {
+        self.waves.is_some()
     }
 
     /// Places of each depth.
@@ -140,7 +156,7 @@ impl KernelPlan {
     }
 
     fn points(&self, depth: usize) -> Vec<SensorPoint> {
-        self.lines[depth].radius_mm.iter().map(|r| SensorPoint::along([0.0, -1.0], *r)).collect()
+        points(&self.lines[depth])
     }
 
     /// The kernels; each channel of one sums to one less what falls outside.
@@ -148,17 +164,29 @@ impl KernelPlan {
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {
             (kernel.iter().map(|v| T::real(*v)).collect::<Vec<T>>(), outside.to_vec())
         };
-        let of_depth = |depth| self.optics.kernels_each(&self.form, depth, &self.points(depth), single);
-        let made: Vec<(Vec<T>, Vec<f64>)> = (0..self.lines.len()).flat_map(of_depth).collect();
+        let mut diffraction = self.waves.as_ref().map(|_| WaveFigures::default());
+        let mut made: Vec<(Vec<T>, Vec<f64>)> = Vec::new();
+        for depth in 0..self.lines.len() {
+            let points = self.points(depth);
+            made.extend(match &self.waves {
+                None => self.optics.kernels_each(&self.form, depth, &points, single),
+                Some(waves) => {
+                    let (made, figures) = waves.kernels_each(&self.optics, &self.form, depth, &points, single);
+                    diffraction = diffraction.map(|before| before.or(figures));
+                    made
+                }
+            });
+        }
         let (kernels, outside): (Vec<Vec<T>>, Vec<Vec<f64>>) = made.into_iter().unzip();
-        PlacedKernels { kernels: kernels.concat(), outside }
+        PlacedKernels { kernels: kernels.concat(), outside, diffraction }
     }
 
     /// Pulls a cotangent on [`Self::kernels`], `[depth, field, channel, row, col]`, back to the lens that was traced; places on the sensor are held.
     ///
     /// # Panics
-    /// Of another shape.
+    /// Of another shape, or of kernels by diffraction, which have no pull-back yet.
     pub fn vjp<T: Real>(&self, lens: &Lens, kernels_bar: ArrayView5<'_, T>) -> LensGradient {
+        assert!(self.waves.is_none(), "kernels by diffraction have no pull-back yet");
         let mut bar = OpticsBar::zeros(&self.optics);
         let raster = self.form.raster;
         for depth in 0..self.lines.len() {
@@ -177,12 +205,30 @@ impl KernelPlan {
     }
 }
 
-/// The window that holds 99.9 % of the light everywhere, pixels.
-fn automatic(lens: &Lens, optics: &Optics, request: &KernelRequest, far: f64, depths: usize) -> Result<usize> {
+fn points(line: &FieldLine) -> Vec<SensorPoint> {
+    line.radius_mm.iter().map(|r| SensorPoint::along([0.0, -1.0], *r)).collect()
+}
+
+/// The window that holds 99.9 % of the light of rays everywhere, pixels; by diffraction with what [`Waves::bending_mm`] adds at each side.
+fn automatic(
+    lens: &Lens,
+    optics: &Optics,
+    waves: Option<&Waves>,
+    request: &KernelRequest,
+    lines: &[FieldLine],
+) -> Result<usize> {
+    let far = lines.iter().flat_map(|l| &l.radius_mm).copied().fold(0.0, f64::max);
     let look = optics.form(request.rays.min(4000), 1, 1, request.pitch_mm);
-    let half = (0..depths).map(|d| optics.half_widths(&look, d, &[LOST], [0.0, far])[0]).max().unwrap_or(1);
+    let of = |(depth, line): (usize, &FieldLine)| {
+        let bent_mm = waves.map_or(0.0, |w| w.bending_mm(optics, depth, &points(line)));
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
+        let bent = (bent_mm / request.pitch_mm).ceil() as usize;
+        optics.half_widths(&look, depth, &[LOST], [0.0, far])[0].saturating_add(bent)
+    };
+    let half = lines.iter().enumerate().map(of).max().unwrap_or(1).min(usize::MAX / 4);
     if 2 * half + 1 > LARGEST {
-        let found = format!("{} pixels to hold 99.9 % of the light", 2 * half + 1);
+        let share = if waves.is_some() { "99 %" } else { "99.9 %" };
+        let found = format!("{} pixels to hold {share} of the light", 2 * half + 1);
         return Err(Error::bad(lens.file(), "kernel size", found, format!("state a size; automatic up to {LARGEST}")));
     }
     Ok(2 * half + 1)

@@ -354,6 +354,7 @@ impl LensReport {
             size: None,
             pitch_mm: self.lens.sensor.pitch_mm(),
             rays: KERNEL_RAYS,
+            diffraction: false,
             memory: options.memory,
         };
         let set = KernelSet::compute(&self.lens, &request)?;

@@ -51,6 +51,7 @@ impl LensView {
             size: None,
             pitch_mm: lens.sensor.pitch_mm(),
             rays: 8192,
+            diffraction: false,
             memory: isoplanat_base::math::memory::Limit::of_process(),
         };
         let first = paraxial::first_order(lens, lens.wavelengths.primary_nm);

@@ -25,6 +25,8 @@ pub mod splat;
 pub mod stop;
 #[doc(hidden)]
 pub mod table;
+#[doc(hidden)]
+pub mod wave;
 
 pub use kernel::KernelForm;
 pub use optics::{Optics, OpticsBar, OpticsSpec, Quadrature};

@@ -240,6 +240,7 @@ class Lens:
         rays: int | None = None,
         dtype: _DType | None = None,
         like: Psf | None = None,
+        diffraction: bool = False,
     ) -> Psf: ...
     def psf_map(
         self,
@@ -254,6 +255,7 @@ class Lens:
         rays: int | None = None,
         sensor: _File | None = None,
         illuminant: str | None = None,
+        diffraction: bool = False,
     ) -> dict[str, Any]: ...
     def inspect(self, *, wavelength_nm: float | None = None) -> dict[str, Any]: ...
     def spot(

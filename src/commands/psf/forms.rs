@@ -149,6 +149,7 @@ pub(super) fn run(args: &super::Args, lens: Lens, out: &mut dyn Write) -> anyhow
         vergence: args.depth_mm.first().map_or(lens.object_vergence, |d| d.recip()),
         size: args.size.map(usize::from),
         rays: args.rays as usize,
+        diffraction: args.diffraction,
         memory: crate::memory::limit(),
         ..own
     };
@@ -166,7 +167,7 @@ pub(super) fn run(args: &super::Args, lens: Lens, out: &mut dyn Write) -> anyhow
     let (count, _, size, _) = map.kernels.dim();
     if args.common.json {
         let value = json!({ "schema": 1, "form": name(args.form), "kernels": count, "size_px": size, "pitch_um": frame.pitch_mm * 1e3,
-            "columns": frame.columns, "rows": frame.rows, "distance_mm": distance(request.vergence), "places": rows.iter().map(Row::json).collect::<Vec<_>>() });
+            "columns": frame.columns, "rows": frame.rows, "distance_mm": distance(request.vergence), "diffraction": map.diffraction.as_ref().map(super::told_json), "places": rows.iter().map(Row::json).collect::<Vec<_>>() });
         writeln!(out, "{value}")?;
         return Ok(());
     }
@@ -182,6 +183,9 @@ pub(super) fn run(args: &super::Args, lens: Lens, out: &mut dyn Write) -> anyhow
         "{count} kernels of {size} × {size} pixels of {} µm, three channels",
         significant(frame.pitch_mm * 1e3, 6)
     )?;
+    if let Some(figures) = &map.diffraction {
+        writeln!(out, "{}", super::told(figures))?;
+    }
     if matches!(args.form, Form::Filters) {
         let bytes = (count * 3 * frame.rows * frame.columns * size_of::<f32>()) as u64;
         writeln!(out, "multipliers: {count} × 3 × {} × {}, {}", frame.rows, frame.columns, words(bytes))?;

@@ -25,6 +25,7 @@ use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::wave::{WaveFigures, Waves};
 use isoplanat_optics::psf::{Optics, SensorPoint};
 
 #[doc(hidden)]
@@ -65,6 +66,8 @@ pub struct PsfMapRequest {
     pub rays: usize,
     /// Wavelengths over the sensor's response.
     pub wavelengths: usize,
+    /// Whether kernels are made by diffraction, in place of rays.
+    pub diffraction: bool,
     /// What all of it may take.
     pub memory: Limit,
 }
@@ -73,7 +76,15 @@ impl PsfMapRequest {
     /// Kernels at `places` of `lens` at its own distance, 16384 rays and 7 wavelengths each, within the memory that this process can get.
     pub fn new(lens: &Lens, places: PsfPlaces) -> Self {
         let vergence = lens.object_vergence;
-        Self { places, vergence, size: None, rays: 16_384, wavelengths: 7, memory: Limit::of_process() }
+        Self {
+            places,
+            vergence,
+            size: None,
+            rays: 16_384,
+            wavelengths: 7,
+            diffraction: false,
+            memory: Limit::of_process(),
+        }
     }
 }
 
@@ -96,6 +107,8 @@ pub struct PsfMap {
     pub height_mm: Array1<f64>,
     /// Image height of each place over the one without distortion, less 1.
     pub distortion: Array1<f64>,
+    /// What is to be told of kernels by diffraction; nothing of rays.
+    pub diffraction: Option<WaveFigures>,
     optics: Optics,
 }
 
@@ -126,12 +139,17 @@ impl PsfMap {
         let rule = quadrature(density, request.wavelengths, &[0, 1, 2]);
         let (optics, _) = optics(lens, frame, &[request.vergence], rule, (DEGREE, ILLUMINATIONS))?;
         let whole = Region::whole(frame);
+        let waves = request.diffraction.then(|| Waves::new(lens, &optics.spec.quadrature.nm)).transpose()?;
         let size = match request.size {
             Some(size) => size,
-            None => 2 * widths(&optics, frame, 0, whole, &[LOST])[0] + 1,
+            None => {
+                let bent = waves.as_ref().map_or(0, |w| bent_px(w, &optics, 0, frame));
+                2 * widths(&optics, frame, 0, whole, &[LOST])[0].saturating_add(bent).min(LARGEST) + 1
+            }
         };
         if size > LARGEST && request.size.is_none() {
-            let found = format!("{size} pixels to hold 99.9 % of the light");
+            let share = if waves.is_some() { "99 %" } else { "99.9 %" };
+            let found = format!("more than {LARGEST} pixels to hold {share} of the light");
             return Err(Error::bad(
                 lens.file(),
                 "kernel size",
@@ -156,8 +174,14 @@ impl PsfMap {
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {
             (kernel.iter().map(|v| *v as f32).collect::<Vec<f32>>(), outside.to_vec())
         };
-        let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) =
-            optics.kernels_each(&form, 0, &points, single).into_iter().unzip();
+        let (made, diffraction) = match &waves {
+            None => (optics.kernels_each(&form, 0, &points, single), None),
+            Some(waves) => {
+                let (made, figures) = waves.kernels_each(&optics, &form, 0, &points, single);
+                (made, Some(figures))
+            }
+        };
+        let (kernels, outside): (Vec<Vec<f32>>, Vec<Vec<f64>>) = made.into_iter().unzip();
         let shaped = |e: ndarray::ShapeError| Error::Internal(e.to_string());
         let kernels = Array4::from_shape_vec((count, 3, size, size), kernels.concat()).map_err(shaped)?;
         let outside = Array2::from_shape_vec((count, 3), outside.concat()).map_err(shaped)?;
@@ -168,7 +192,7 @@ impl PsfMap {
         let distortion = points.iter().map(|p| map.ratio(0.0) / map.ratio(p.radius_mm()) - 1.0).collect();
         let height_mm = points.iter().map(|p| p.radius_mm()).collect();
         let (request, frame) = (request.clone(), frame.clone());
-        Ok(Self { request, frame, grid, kernels, outside, illumination, height_mm, distortion, optics })
+        Ok(Self { request, frame, grid, kernels, outside, illumination, height_mm, distortion, diffraction, optics })
     }
 
     /// What each kernel's picture is multiplied by, `[place, channel, row, col]` over the frame: its window, which falls linearly to nothing at its neighbours, times the
@@ -247,6 +271,13 @@ impl PsfPlaces {
             }
         }
     }
+}
+
+/// How far light bends beyond its rays at the frame's axis and corner, pixels.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "saturates")]
+fn bent_px(waves: &Waves, optics: &Optics, depth: usize, frame: &Frame) -> usize {
+    let ends = [SensorPoint::AXIS, SensorPoint::along([0.0, 1.0], frame.max_radius_mm())];
+    (waves.bending_mm(optics, depth, &ends) / frame.pitch_mm).ceil() as usize
 }
 
 /// `count` pixels of `n`, evenly from the first to the last; one stands in the middle. No pixel twice.

@@ -98,7 +98,7 @@ impl KernelForm {
     }
 
     /// Each channel's shares of the wavelengths at a point, and the channel's irradiance.
-    fn shares(&self, illumination: &Illumination, point: SensorPoint) -> (Vec<Vec<f64>>, Vec<f64>) {
+    pub(super) fn shares(&self, illumination: &Illumination, point: SensorPoint) -> (Vec<Vec<f64>>, Vec<f64>) {
         let light = illumination.at(point);
         let mut levels = Vec::with_capacity(self.channels());
         let shares = self
@@ -115,7 +115,7 @@ impl KernelForm {
     }
 
     /// Channels that wavelength `l` feeds, with its share of each.
-    fn fed(shares: &[Vec<f64>], l: usize) -> Vec<(usize, f64)> {
+    pub(super) fn fed(shares: &[Vec<f64>], l: usize) -> Vec<(usize, f64)> {
         if shares.iter().all(|s| s[l].abs() < NEGLIGIBLE) {
             return Vec::new();
         }

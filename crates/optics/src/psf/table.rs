@@ -12,7 +12,7 @@
 //! of the beam fails first, or a smaller disk, if that is more. What is open beyond it is lost ([`super::illumination::Illumination::lost`] says how
 //! much). Light ends at the first knot where no part survives ([`Table::edge_mm`]).
 
-mod beam;
+pub(super) mod beam;
 mod radii;
 mod refine;
 mod tracing;
@@ -158,7 +158,7 @@ impl TableBar {
 }
 
 /// A ray failure as the error a user sees.
-fn failed(lens: &Lens, radius_mm: f64, f: Failure) -> Error {
+pub(super) fn failed(lens: &Lens, radius_mm: f64, f: Failure) -> Error {
     Error::bad(
         lens.file(),
         format!("rays from the sensor, {radius_mm:.3} mm from the axis"),

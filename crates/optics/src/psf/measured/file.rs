@@ -130,7 +130,7 @@ mod tests {
             let bytes = npz.finish().expect("writes").into_inner();
             MeasuredPsf::from_npz(&bytes, path).expect_err("no file").to_string()
         };
-        assert!(of_schema(2).contains("psf.npz, schema: 2"), "{}", of_schema(2));
+        assert!(of_schema(2).contains("psf.npz: schema: 2"), "{}", of_schema(2));
         assert!(of_schema(0).contains("schema 1 to 1") && of_schema(1).contains("size"), "{}", of_schema(0));
         for _ in 0..300 {
             let mut changed = bytes.clone();

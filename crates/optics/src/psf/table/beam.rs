@@ -24,17 +24,17 @@ const NEAR: f64 = 0.85;
 
 /// Nodes and matrices by the part of the unit stop that they cover; those of smaller parts when they are asked for.
 #[derive(Clone, Debug)]
-pub(super) struct Bases {
+pub(in crate::psf) struct Bases {
     whole: Arc<StopNodes>,
     parts: Arc<Mutex<HashMap<[u64; 3], Arc<StopNodes>>>>,
 }
 
 impl Bases {
-    pub(super) fn new(degree: usize) -> Self {
+    pub(in crate::psf) fn new(degree: usize) -> Self {
         Self { whole: Arc::new(StopNodes::new(degree, Part::WHOLE)), parts: Arc::default() }
     }
 
-    pub(super) fn of(&self, part: Part) -> Arc<StopNodes> {
+    pub(in crate::psf) fn of(&self, part: Part) -> Arc<StopNodes> {
         if part.is_whole() {
             return Arc::clone(&self.whole);
         }
@@ -46,16 +46,16 @@ impl Bases {
 
 /// The rays of one sensor point and wavelength.
 #[derive(Clone, Debug)]
-pub(super) struct Beam {
+pub(in crate::psf) struct Beam {
     radius_mm: f64,
-    pub(super) part: Part,
+    pub(in crate::psf) part: Part,
     /// Radius of the unit stop, mm, over the stop's.
     pupil: f64,
-    pub(super) nodes: Vec<Crossings>,
+    pub(in crate::psf) nodes: Vec<Crossings>,
 }
 
 /// Largest part of the stop's radius whose rim the axis sees at every wavelength.
-pub(super) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
+pub(in crate::psf) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
     let mut failure = None;
     for part in PUPILS {
         let tried = views.iter().try_for_each(|view| {
@@ -198,7 +198,7 @@ fn is_steep(ray: &SceneRay) -> bool {
 
 impl Beam {
     /// Traces the nodes of the largest part of the stop that gets through. `near` is the beam of a neighbouring wavelength.
-    pub(super) fn trace(
+    pub(in crate::psf) fn trace(
         view: &SensorView,
         bases: &Bases,
         radius_mm: f64,
@@ -244,16 +244,32 @@ impl Beam {
         out.extend(apply(even, &self.values(|n| n.ray.entrance.y)));
         out.extend(apply(odd, &self.values(|n| n.ray.slope.x)));
         out.extend(apply(even, &self.values(|n| n.ray.slope.y)));
-        let [[a, b], [c, d]] = self.cosine_slopes(basis);
-        let n2 = view.image_index().powi(2);
-        let etendue: Vec<f64> = (0..a.len()).map(|j| n2 * (a[j] * d[j] - b[j] * c[j])).collect();
-        out.extend(apply(even, &etendue));
+        out.extend(apply(even, &self.etendue(view, basis)));
         for surface in clips {
             let k = view.system.image() - surface;
             let square = view.system.surfaces[k].semi_diameter.powi(2);
             out.extend(apply(even, &self.values(|n| 1.0 - n.heights[k].length_squared() / square)));
         }
         Row { coefficients: out, part: self.part, known: self.part }
+    }
+
+    /// Étendue over the unit stop, at the nodes.
+    pub(in crate::psf) fn etendue(&self, view: &SensorView, basis: &StopNodes) -> Vec<f64> {
+        let [[a, b], [c, d]] = self.cosine_slopes(basis);
+        let n2 = view.image_index().powi(2);
+        (0..a.len()).map(|j| n2 * (a[j] * d[j] - b[j] * c[j])).collect()
+    }
+
+    /// Optical paths from the sensor point to where the rays cross the first vertex plane, mm, at the nodes; nothing where a ray fails that did not before.
+    pub(in crate::psf) fn paths(&self, view: &SensorView) -> Option<Vec<f64>> {
+        let (at, image) = (DVec2::new(0.0, self.radius_mm), view.system.image());
+        let mut hits = Vec::with_capacity(view.system.surfaces.len());
+        let path = |node: &Crossings| {
+            view.follow(at, node.ray.cosines, &mut hits).ok()?;
+            let last = &hits[image];
+            Some(last.optical_path - view.system.surfaces[image].index_after * last.at.point.z / last.direction.z)
+        };
+        self.nodes.iter().map(path).collect()
     }
 
     /// `∂L/∂x, ∂L/∂y` and `∂M/∂x, ∂M/∂y` over the unit stop, at the nodes.
@@ -342,7 +358,7 @@ impl Beam {
 }
 
 /// Surfaces of the lens, other than the stop, whose clear apertures some ray comes near.
-pub(super) fn near_apertures(views: &[&SensorView], beams: &[Vec<Arc<Beam>>]) -> Vec<usize> {
+pub(in crate::psf) fn near_apertures(views: &[&SensorView], beams: &[Vec<Arc<Beam>>]) -> Vec<usize> {
     let Some(view) = views.first() else { return Vec::new() };
     let image = view.system.image();
     (0..image)

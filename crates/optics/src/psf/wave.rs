@@ -1,0 +1,170 @@
+//! Kernels by diffraction, of one sensor point and wavelength at a time.
+//!
+//! The light that a sensor point `x₀` receives from the object seen at the sensor coordinates `y` goes, by reciprocity, the way of light from `x₀` to that object:
+//! `|∫ a e^{ikΦ} dτ|²` over the stop `s`, with `Φ(s, y)` the optical path from `x₀` through `s` to the object. `Φ` is linear in `y` about `y₀ = x₀`, and
+//! `τ(s) = ∂Φ/∂y` are the pupil's coordinates (image-side direction cosines, nearly). The amplitude follows from the étendue, `a² dτ = W ds`: no other factor of
+//! obliquity. Rays are where the phase is stationary, so `∇Φ(s, y₀) + δ ∇τ = 0` has the displacements of geometric kernels.
+//!
+//! [`Pupil`] has path, étendue and apertures as polynomials over the stop, and on a raster of `τ` along the sensor's rows and columns; `transform` makes a kernel of it: the
+//! power spectrum, times the transforms of pixel and scene sample, at the places of the kernel's raster. The raster's step of `λ` over a period makes the
+//! kernel repeat with that period; light beyond it is folded back into it. Cells of the raster that an edge cuts have the share of their area as amplitude; what that takes away is light
+//! far out, and is spread evenly over the period.
+//!
+//! Scalar theory: no polarisation, no diffraction between the surfaces.
+
+mod cell;
+mod pupil;
+mod transform;
+
+use rayon::prelude::*;
+
+use super::Optics;
+use super::kernel::KernelForm;
+use super::point::SensorPoint;
+use crate::lens::Lens;
+use crate::trace::System;
+use crate::trace::aim::SensorView;
+use isoplanat_base::error::Result;
+use isoplanat_base::stop::look;
+use pupil::Rays;
+
+pub use pupil::Pupil;
+
+/// How many `λ/NA` an automatic window has around the rays.
+const BENT: f64 = 10.0;
+
+/// A lens whose kernels are made by diffraction.
+#[derive(Clone, Debug)]
+pub struct Waves {
+    views: Vec<SensorView>,
+    rays: Rays,
+}
+
+/// What is to be told of kernels by diffraction.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WaveFigures {
+    /// Largest root mean square residual of the polynomials of a path, wavelengths.
+    pub residual_waves: f64,
+    /// Largest share of light that was spread evenly over a kernel's period.
+    pub spread: f64,
+    /// Largest sine of an angle at the image.
+    pub aperture: f64,
+    /// Kernels of a wavelength that were made of rays, because their blur has hundreds of waves.
+    pub geometric: usize,
+}
+
+impl WaveFigures {
+    /// What is to be told of both.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            residual_waves: self.residual_waves.max(other.residual_waves),
+            spread: self.spread.max(other.spread),
+            aperture: self.aperture.max(other.aperture),
+            geometric: self.geometric + other.geometric,
+        }
+    }
+}
+
+impl Waves {
+    /// Of `lens` at wavelengths `nm`, those of the [`Optics`] that it is asked with.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub fn new(lens: &Lens, nm: &[f64]) -> Result<Self> {
+        let views: Vec<SensorView> = nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect();
+        let rays = Rays::new(lens, &views)?;
+        Ok(Self { views, rays })
+    }
+
+    /// The pupil that `point` sees at wavelength `l`, for object distance `depth`; nothing where no light comes.
+    pub fn pupil(&self, optics: &Optics, l: usize, depth: usize, point: SensorPoint) -> Option<Pupil> {
+        let radius_mm = optics.table().held(point.radius_mm());
+        let nm = optics.spec.quadrature.nm[l];
+        Pupil::trace(&self.views[l], &self.rays, &optics.maps[depth], radius_mm, nm * 1e-6)
+    }
+
+    /// Writes the kernels of all channels at `point`, as [`Optics::kernels`] does, by diffraction; returns the share of each channel's light outside.
+    pub fn kernels(
+        &self,
+        optics: &Optics,
+        form: &KernelForm,
+        depth: usize,
+        point: SensorPoint,
+        out: &mut [f64],
+    ) -> (Vec<f64>, WaveFigures) {
+        look();
+        let illumination = optics.illumination();
+        let point = illumination.held(point);
+        let (shares, _) = form.shares(illumination, point);
+        let len = form.raster.len();
+        let of = |l: usize| {
+            let fed = KernelForm::fed(&shares, l);
+            if fed.is_empty() {
+                return None;
+            }
+            let pupil = self.pupil(optics, l, depth, point)?;
+            let mut plane = vec![0.0; len];
+            let mut figures = WaveFigures { aperture: pupil.aperture(), ..WaveFigures::default() };
+            if pupil.is_told() {
+                figures.residual_waves = pupil.residual_waves;
+                figures.spread = pupil.kernel(point.outward(), form.raster, form.cell_mm, &mut plane);
+            } else {
+                let alone = (0..self.views.len()).map(|k| f64::from(u8::from(k == l))).collect();
+                let form = KernelForm { weight: vec![alone], ..form.clone() };
+                optics.kernels(&form, depth, point, &mut plane);
+                figures.geometric = 1;
+            }
+            Some((fed, plane, figures))
+        };
+        let colours: Vec<_> = (0..self.views.len()).into_par_iter().map(of).collect();
+        out.fill(0.0);
+        let (mut figures, mut lost) = (WaveFigures::default(), vec![0.0; form.channels()]);
+        for (fed, plane, of_colour) in colours.into_iter().flatten() {
+            let sum: f64 = plane.iter().sum();
+            for (channel, share) in fed {
+                let to = out[channel * len..][..len].iter_mut();
+                to.zip(&plane).for_each(|(o, v)| *o += share * v);
+                lost[channel] += share * (1.0 - sum);
+            }
+            figures = figures.or(of_colour);
+        }
+        (lost, figures)
+    }
+
+    /// What `with` makes of each point's number, kernels and light outside, as [`Optics::kernels_each`] does, by diffraction.
+    pub fn kernels_each<R: Send>(
+        &self,
+        optics: &Optics,
+        form: &KernelForm,
+        depth: usize,
+        points: &[SensorPoint],
+        with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
+    ) -> (Vec<R>, WaveFigures) {
+        let one = |(i, point): (usize, &SensorPoint)| {
+            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
+            let (outside, figures) = self.kernels(optics, form, depth, *point, &mut kernel);
+            (with(i, &kernel, &outside), figures)
+        };
+        let made: Vec<(R, WaveFigures)> = points.par_iter().enumerate().map(one).collect();
+        let (made, figures): (Vec<R>, Vec<WaveFigures>) = made.into_iter().unzip();
+        (made, figures.into_iter().fold(WaveFigures::default(), WaveFigures::or))
+    }
+
+    /// How far around its rays an automatic window reaches for light that bends at the narrowest pupil of `points`, at the longest wavelength, mm: ten `λ/NA`, beyond which
+    /// is a hundredth of a perfect lens's light.
+    pub fn bending_mm(&self, optics: &Optics, depth: usize, points: &[SensorPoint]) -> f64 {
+        let longest = (0..self.views.len()).max_by(|a, b| {
+            let nm = &optics.spec.quadrature.nm;
+            nm[*a].total_cmp(&nm[*b])
+        });
+        let at = |point: &SensorPoint| {
+            let pupil = self.pupil(optics, longest?, depth, optics.illumination().held(*point))?;
+            Some(BENT * pupil.wavelength_mm / pupil.narrowest().max(1e-6))
+        };
+        points.par_iter().filter_map(at).reduce(|| 0.0, f64::max)
+    }
+}
+
+#[cfg(test)]
+mod tests;
