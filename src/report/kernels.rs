@@ -123,8 +123,14 @@ impl KernelPlan {
             Some(size) => size,
             None => automatic(lens, &optics, waves.as_ref(), request, &lines)?,
         };
+        let window_mm = size as f64 * request.pitch_mm;
+        let making = waves.iter().flat_map(|w| {
+            let of = |(depth, line): (usize, &FieldLine)| w.bytes(&optics, depth, &points(line), window_mm);
+            lines.iter().enumerate().map(of).collect::<Vec<u64>>()
+        });
+        let making = making.max().unwrap_or(0);
         let (count, instead) = (lines.len() * fields, "fewer depths, fields or wavelengths, or a smaller --size");
-        let bytes = bytes(count, optics.channels(), size);
+        let bytes = bytes(count, optics.channels(), size).saturating_add(making);
         request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes, instead)?;
         let form = optics.form(request.rays, size, 1, request.pitch_mm);
         Ok(Self { optics, lines, form, waves })

@@ -106,3 +106,38 @@ fn options_of_other_forms_are_refused() {
     }
     assert!(place.files().is_empty(), "{:?}", place.files());
 }
+
+/// By diffraction: what a pixel of a closed lens gets is less than rays have it, light is counted, and what was done is told; in the colours of a sensor too.
+#[test]
+fn kernels_by_diffraction_are_wider_and_count_their_light() {
+    let place = Workplace::new();
+    let common = "psf cooke_triplet --f-number 16 --fields 2 --pitch-um 4 --rays 4000 --wavelength-nm 550";
+    let waves = place.run(&format!("{common} -o w.npz --diffraction --json")).done();
+    let rays = place.run(&format!("{common} -o r.npz --json")).done();
+    let [waves, rays]: [Value; 2] = [waves, rays].map(|text| serde_json::from_str(&text).expect("JSON"));
+    assert!(rays["diffraction"].is_null(), "{rays}");
+    let told = &waves["diffraction"];
+    assert!(told["residual_waves"].as_f64().is_some_and(|v| v < 1e-3) && told["of_rays"] == 0, "{told}");
+    let mut peaks = Vec::new();
+    for (name, diffraction) in [("w.npz", 1), ("r.npz", 0)] {
+        let mut npz = Archive::open(&place, name);
+        let (kernels, outside): (Array5<f32>, Array3<f64>) = (npz.get("kernels"), npz.get("outside"));
+        assert_eq!(npz.get::<i64, ndarray::Ix0>("diffraction").into_scalar(), diffraction);
+        for field in 0..2 {
+            let sum: f64 = kernels.slice(ndarray::s![0, field, 0, .., ..]).iter().map(|v| f64::from(*v)).sum();
+            assert!((sum + outside[[0, field, 0]] - 1.0).abs() < 1e-5, "{name} {field}: {sum}");
+            // An automatic window holds 99 % of the light.
+            assert!(outside[[0, field, 0]] < 0.015, "{name} {field}: {}", outside[[0, field, 0]]);
+        }
+        peaks.push(kernels.slice(ndarray::s![0, 0, 0, .., ..]).fold(0.0, |m: f32, v| m.max(*v)));
+    }
+    assert!(peaks[0] < peaks[1], "{peaks:?}");
+    let text =
+        place.run(&format!("psf double_gauss -o g.npz --form grid --grid 1,2 --diffraction --size 9 {FRAME}")).done();
+    assert!(text.contains("by diffraction: paths to"), "{text}");
+    let about: Array1<u8> = Archive::open(&place, "g.npz").get("about");
+    assert!(String::from_utf8(about.to_vec()).expect("text").contains("By diffraction of scalar waves."));
+    // A blur of thousands of waves is told to be of rays.
+    let text = place.run("psf double_gauss -o b.npz --depth-mm 50 --fields 1 --size 9 --rays 500 --diffraction").done();
+    assert!(text.contains("of rays, since their blur has hundreds of waves"), "{text}");
+}

@@ -168,7 +168,8 @@ impl PsfMap {
         let multipliers = if request.places.are_filters() { [frame.rows, frame.columns] } else { [0, 0] };
         let (what, instead) =
             (format!("{count} kernels of {size} × {size}"), "fewer places, a smaller size, or a smaller frame");
-        request.memory.allow(&what, bytes(count, size, multipliers), instead)?;
+        let making = waves.as_ref().map_or(0, |w| w.bytes(&optics, 0, &points, size as f64 * frame.pitch_mm));
+        request.memory.allow(&what, bytes(count, size, multipliers).saturating_add(making), instead)?;
         let form = optics.form(request.rays, size, 1, frame.pitch_mm);
         #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]
         let single = |_: usize, kernel: &[f64], outside: &[f64]| {

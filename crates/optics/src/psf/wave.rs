@@ -25,6 +25,7 @@ use crate::lens::Lens;
 use crate::trace::System;
 use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
+use isoplanat_base::math::memory::threads;
 use isoplanat_base::stop::look;
 use pupil::Rays;
 
@@ -105,7 +106,7 @@ impl Waves {
             }
             let pupil = self.pupil(optics, l, depth, point)?;
             let mut plane = vec![0.0; len];
-            let mut figures = WaveFigures { aperture: pupil.aperture(), ..WaveFigures::default() };
+            let mut figures = WaveFigures { aperture: pupil.steepest, ..WaveFigures::default() };
             if pupil.is_told() {
                 figures.residual_waves = pupil.residual_waves;
                 figures.spread = pupil.kernel(point.outward(), form.raster, form.cell_mm, &mut plane);
@@ -149,6 +150,19 @@ impl Waves {
         let made: Vec<(R, WaveFigures)> = points.par_iter().enumerate().map(one).collect();
         let (made, figures): (Vec<R>, Vec<WaveFigures>) = made.into_iter().unzip();
         (made, figures.into_iter().fold(WaveFigures::default(), WaveFigures::or))
+    }
+
+    /// Bytes, from above, of what is needed beside the kernels of `points`, in windows of a side of `window_mm`.
+    pub fn bytes(&self, optics: &Optics, depth: usize, points: &[SensorPoint], window_mm: f64) -> u64 {
+        let nm = &optics.spec.quadrature.nm;
+        // The shortest wavelength's rasters are the largest.
+        let shortest = (0..self.views.len()).min_by(|a, b| nm[*a].total_cmp(&nm[*b]));
+        let of = |point: &SensorPoint| {
+            let pupil = self.pupil(optics, shortest?, depth, optics.illumination().held(*point))?;
+            Some(if pupil.is_told() { pupil.bytes(window_mm) } else { 0 })
+        };
+        let most = points.par_iter().filter_map(of).reduce(|| 0, u64::max);
+        most.saturating_mul(threads() as u64)
     }
 
     /// How far around its rays an automatic window reaches for light that bends at the narrowest pupil of `points`, at the longest wavelength, mm: ten `λ/NA`, beyond which

@@ -99,6 +99,7 @@ impl PsfMap {
             ("frame_px", sides.to_vec().values()),
             ("axis_px", arr1(&self.frame.axis_px).values()),
             ("about", Values::Text(self.about())),
+            ("diffraction", Values::Whole(arr0(i64::from(self.diffraction.is_some())).into_dyn())),
             ("schema", Values::Whole(arr0(1_i64).into_dyn())),
         ]);
         all
@@ -139,11 +140,14 @@ impl PsfMap {
                 "y = sum over k of multipliers[k] * convolve(x, filters[k]): multipliers after the convolutions, the illumination in them. x is the scene as the lens's distortion shows it."
             }
         };
+        let light = match self.diffraction {
+            None => "Rays are geometric: no diffraction.",
+            Some(_) => "By diffraction of scalar waves.",
+        };
         format!(
             "{stands} Channels: red, green, blue of the sensor. Orientation: for convolution, y(p) = sum over m of h(m) x(p - m), m = 0 in the middle; flip for \
              correlation. Kernels are integrated over the pixel and over the bilinear filter of a scene sampled at the pitch. Energy: a channel sums to 1 - outside. \
-             Kernels hold no illumination (it is relative to the axis) and no distortion (image height over the one without it, less 1). Rays are geometric: no \
-             diffraction."
+             Kernels hold no illumination (it is relative to the axis) and no distortion (image height over the one without it, less 1). {light}"
         )
     }
 }

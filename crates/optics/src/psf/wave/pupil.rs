@@ -16,6 +16,8 @@ use super::transform::{Grid, into_kernel};
 use crate::lens::Lens;
 use crate::trace::aim::SensorView;
 use isoplanat_base::error::Result;
+use isoplanat_base::math::fft::good_size;
+use isoplanat_base::math::memory::product;
 
 /// Degrees of the polynomials that are tried in turn, until paths are told to [`PATH`].
 const DEGREES: [usize; 6] = [9, 12, 15, 18, 22, HIGHEST];
@@ -28,7 +30,7 @@ const NEAR: f64 = 1e-12;
 /// How far beyond the unit stop, in its radii, cells are looked at: those farther out have nothing of it.
 const BEYOND: f64 = 1.5;
 /// Samples across the pupil, at least and at most.
-const ACROSS: [f64; 2] = [64.0, 2048.0];
+const ACROSS: [f64; 2] = [64.0, 1024.0];
 /// Cells nearer to an edge than this, in their sides, are looked at in so many parts each way.
 const CLEAR: f64 = 1.0;
 const PARTS: u32 = 3;
@@ -75,6 +77,8 @@ pub struct Pupil {
     half: DVec2,
     middle: DVec2,
     reach_mm: f64,
+    /// Largest `τ`: nearly the largest sine of an angle at the image.
+    pub(super) steepest: f64,
 }
 
 /// An edge about a point of the stop: what is positive inside, and how it changes.
@@ -167,6 +171,7 @@ impl Pupil {
             half: DVec2::ZERO,
             middle: DVec2::ZERO,
             reach_mm: 0.0,
+            steepest: 0.0,
         };
         let (centre, jacobian) = pupil.tau_at(DVec2::ZERO);
         (pupil.centre, pupil.per_tau) = (centre, jacobian.inverse());
@@ -182,6 +187,7 @@ impl Pupil {
             for t in [tau, DVec2::new(-tau.x, tau.y)] {
                 (low, high) = (low.min(t), high.max(t));
             }
+            pupil.steepest = pupil.steepest.max(tau.length());
             let along = pupil.at(&pupil.path, *s).slope;
             let moved = jacobian.transpose().inverse() * along;
             if moved.is_finite() {
@@ -195,11 +201,6 @@ impl Pupil {
     /// Half the pupil's smaller side, as a sine: light bends by a wavelength over it.
     pub(super) fn narrowest(&self) -> f64 {
         self.half.min_element()
-    }
-
-    /// Largest sine of an angle at the image, as the coordinates have it.
-    pub(super) fn aperture(&self) -> f64 {
-        (self.half + self.middle.abs()).length()
     }
 
     /// A lens without aberrations but `waves` of defocus at the rim, numerical aperture `na`.
@@ -226,6 +227,7 @@ impl Pupil {
             half: DVec2::splat(na),
             middle: DVec2::ZERO,
             reach_mm: 2.0 * waves * wavelength_mm / na,
+            steepest: na,
         }
     }
 
@@ -361,6 +363,14 @@ impl Pupil {
             Edge { inside: 1.0 - height, slope: slope / (2.0 * height) }
         });
         std::iter::once(rim).chain(part).chain(clips)
+    }
+
+    /// Bytes, from above, that a kernel of a window of this side takes while it is made: the raster, turned, twice as wide for its square, and once more.
+    pub(super) fn bytes(&self, window_mm: f64) -> u64 {
+        let across = 2.0 * self.half.length() * self.period(window_mm) / self.wavelength_mm + 5.0;
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a count, from above")]
+        let side = good_size(2 * across.ceil() as usize + 1);
+        product(&[side, side, 2 * size_of::<Complex<f64>>()])
     }
 
     /// Writes the kernel on `raster` in cells of `cell_mm`, and returns the share of the light that was spread evenly.

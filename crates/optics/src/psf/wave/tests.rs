@@ -226,7 +226,7 @@ fn to_object(map: &SensorMap, e: DVec2, y: DVec2) -> f64 {
 /// Kernels against wavelets summed at each object point: axis and field, near and far, open and vignetted; 1e-3 of the peak.
 #[test]
 fn kernels_are_sums_of_wavelets() {
-    const SIDE: usize = 17;
+    const SIDE: usize = 13;
     let mut worst_of_all = 0.0f64;
     for (name, f_number, radius, vergence, share) in [
         ("double_gauss", Some(8.0), 7.5, 0.0, 0.0),
@@ -259,7 +259,7 @@ fn kernels_are_sums_of_wavelets() {
             sum.norm_sqr()
         };
         let fine = 4;
-        let n = 8 * fine + 6;
+        let n = 6 * fine + 6;
         let step = cell / f64::from(fine);
         let side = usize::try_from(2 * n + 1).expect("small");
         let densities: Vec<f64> = (0..side * side)
@@ -286,7 +286,7 @@ fn kernels_are_sums_of_wavelets() {
         let unit = (NM * 1e-6).powi(2) * view;
         let (mut worst, mut peak) = (0.0f64, 0.0f64);
         for (q, found) in kernel.iter().enumerate() {
-            let [i, j] = [q / SIDE, q % SIDE].map(|v| (i32::try_from(v).expect("small") - 8) * fine + n);
+            let [i, j] = [q / SIDE, q % SIDE].map(|v| (i32::try_from(v).expect("small") - 6) * fine + n);
             let mut sum = 0.0;
             for (a, b) in (-6..=6).flat_map(|a| (-6..=6).map(move |b| (a, b))) {
                 let at = usize::try_from((i + a) * (2 * n + 1) + j + b).expect("inside");
