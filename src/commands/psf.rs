@@ -97,7 +97,7 @@ pub(crate) fn run(args: &Args, out: &mut dyn Write) -> anyhow::Result<()> {
     let (size, nm) = (kernels.kernels.len_of(ndarray::Axis(3)), request.wavelength_nm.len());
     let count = request.depth_mm.len() * kernels.request.fields;
     let drawn = if args.png.is_some() { 4 * atlas::bytes(count, 3, size) } else { 0 };
-    let bytes = atlas::bytes(count, nm, size) + drawn;
+    let bytes = atlas::bytes(count, nm, size).saturating_add(drawn).saturating_add(kernels.making);
     if args.common.json {
         let named = |row: &[f64; 5]| {
             COLUMNS.map(String::from).into_iter().zip(row.map(Value::from)).collect::<serde_json::Map<_, _>>()

@@ -39,6 +39,9 @@ pub struct KernelSet {
     pub angle_deg: Array2<f64>,
     /// What is to be told of kernels by diffraction; nothing of rays.
     pub diffraction: Option<WaveFigures>,
+    /// Bytes, from above, that making the kernels took beside them.
+    #[doc(hidden)]
+    pub making: u64,
 }
 
 impl KernelSet {
@@ -67,7 +70,7 @@ impl KernelSet {
 
     /// The kernels of `plan`, which was made for `request`.
     fn of(request: &KernelRequest, plan: &KernelPlan) -> Self {
-        let PlacedKernels { kernels, outside, diffraction } = plan.kernels::<f32>();
+        let PlacedKernels { kernels, outside, diffraction, making } = plan.kernels::<f32>();
         let channels = plan.optics.channels();
         let (depths, fields) = (request.depth_mm.len(), plan.fields());
         let size = plan.size();
@@ -80,6 +83,7 @@ impl KernelSet {
             slope: Array2::zeros((depths, fields)),
             angle_deg: Array2::zeros((depths, fields)),
             diffraction,
+            making,
         };
         for (d, line) in plan.lines.iter().enumerate() {
             for f in 0..fields {

@@ -80,6 +80,8 @@ pub struct KernelPlan {
     pub form: KernelForm,
     /// The lens for kernels by diffraction, where those were asked for.
     waves: Option<Waves>,
+    /// Bytes, from above, of what is needed beside the kernels while they are made.
+    making: u64,
 }
 
 /// Kernels of a [`KernelPlan`].
@@ -91,6 +93,8 @@ pub struct PlacedKernels<T> {
     pub outside: Vec<Vec<f64>>,
     /// What is to be told of kernels by diffraction; nothing of rays.
     pub diffraction: Option<WaveFigures>,
+    /// Bytes, from above, that making them took beside the kernels.
+    pub making: u64,
 }
 
 impl KernelPlan {
@@ -133,7 +137,7 @@ impl KernelPlan {
         let bytes = bytes(count, optics.channels(), size).saturating_add(making);
         request.memory.allow(&format!("{count} kernels of {size} × {size}"), bytes, instead)?;
         let form = optics.form(request.rays, size, 1, request.pitch_mm);
-        Ok(Self { optics, lines, form, waves })
+        Ok(Self { optics, lines, form, waves, making })
     }
 
     /// Traces `lens`, which has moved since this plan was made: radii, places on the sensor and window stay.
@@ -184,7 +188,7 @@ impl KernelPlan {
             });
         }
         let (kernels, outside): (Vec<Vec<T>>, Vec<Vec<f64>>) = made.into_iter().unzip();
-        PlacedKernels { kernels: kernels.concat(), outside, diffraction }
+        PlacedKernels { kernels: kernels.concat(), outside, diffraction, making: self.making }
     }
 
     /// Pulls a cotangent on [`Self::kernels`], `[depth, field, channel, row, col]`, back to the lens that was traced; places on the sensor are held.

@@ -82,7 +82,7 @@ impl Rays {
     ) -> usize {
         let [c, r] = outward.map(|v| v / cell_mm);
         let (q, sign) = match self.mirrored {
-            true => (lit[k / 2], if k % 2 == 0 { 1.0 } else { -1.0 }),
+            true => (lit[k / 2], if k.is_multiple_of(2) { 1.0 } else { -1.0 }),
             false => (lit[k], 1.0),
         };
         to.x[q] += sign * (bar[1] * c - bar[0] * r);
