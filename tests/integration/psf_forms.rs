@@ -133,7 +133,9 @@ fn kernels_by_diffraction_are_wider_and_count_their_light() {
     }
     assert!(peaks[0] < peaks[1], "{peaks:?}");
     let text =
-        place.run(&format!("psf double_gauss -o g.npz --form grid --grid 1,2 --diffraction --size 9 {FRAME}")).done();
+        place
+        .run("psf double_gauss -o g.npz --form grid --grid 1,2 --diffraction --size 9 --columns 24 --rows 16 --pitch-um 6 --rays 500")
+        .done();
     assert!(text.contains("by diffraction: paths to"), "{text}");
     let about: Array1<u8> = Archive::open(&place, "g.npz").get("about");
     assert!(String::from_utf8(about.to_vec()).expect("text").contains("By diffraction of scalar waves."));

@@ -166,7 +166,8 @@ impl Work for CoefficientSums<'_> {
 #[cfg(test)]
 mod tests {
     use super::super::tests::map;
-    use isoplanat_base::testing::assert_rel;
+    use super::{LineBar, SensorLine};
+    use isoplanat_base::testing::{assert_rel, central_difference};
 
     /// Lines give the bits of single radii, beyond the edge too; their pull-back is the sum of the single ones.
     #[test]
@@ -187,6 +188,36 @@ mod tests {
                 map.slope_vjp(s.sqrt(), w / s.sqrt(), &mut expected);
             }
             found.iter().zip(&expected).for_each(|(f, e)| assert_rel(*f, *e, 1e-12, 1e-3, "coefficient"));
+        }
+    }
+    /// A line's slopes are those of its points, to the bit; their pull-back agrees with differences of the coefficients.
+    #[test]
+    fn lines_are_their_points() {
+        let map = map("two_element", 20.0, 1e-3);
+        let columns = (0..21).map(|i| f64::from(i) - 8.3).collect();
+        let mut line = SensorLine { columns, row: 3.4, cell_mm: 1.1, ..SensorLine::default() };
+        let scale = 100.0;
+        let (mut across, mut down) = (Vec::new(), Vec::new());
+        map.line(&mut line, scale, [&mut across, &mut down]);
+        let rng = &mut fastrand::Rng::with_seed(4);
+        let bars: Vec<(f64, [f64; 2])> = (0..21).map(|_| (rng.f64(), [rng.f64() - 0.5, rng.f64() - 0.5])).collect();
+        let mut bar = LineBar::default();
+        bar.begin(&line, scale);
+        for (j, (by, gradient)) in bars.iter().enumerate() {
+            let at = [line.columns[j] * line.cell_mm, line.row * line.cell_mm];
+            assert_eq!(map.slopes(at, scale), [across[j], down[j]], "point {j}");
+            bar.add(&line, j, *by, *gradient);
+        }
+        let mut found = vec![0.0; map.coefficients.len()];
+        map.line_vjp(&line, &bar, &mut found);
+        for (k, found) in found.into_iter().enumerate() {
+            let value = |h: f64| {
+                let mut line = line.clone();
+                let (mut x, mut y) = (Vec::new(), Vec::new());
+                map.changed(k, h).line(&mut line, scale, [&mut x, &mut y]);
+                bars.iter().zip(x.iter().zip(&y)).map(|((by, g), (x, y))| by * (g[0] * x + g[1] * y)).sum::<f64>()
+            };
+            assert_rel(found, central_difference(value, 1e-6), 1e-7, 1.0, &format!("coefficient {k}"));
         }
     }
 }
