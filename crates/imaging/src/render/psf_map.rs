@@ -144,12 +144,12 @@ impl PsfMap {
             Some(size) => size,
             None => {
                 let bent = waves.as_ref().map_or(0, |w| bent_px(w, &optics, 0, frame));
-                2 * widths(&optics, frame, 0, whole, &[LOST])[0].saturating_add(bent).min(LARGEST) + 1
+                2 * widths(&optics, frame, 0, whole, &[LOST])[0].saturating_add(bent).min(usize::MAX / 4) + 1
             }
         };
         if size > LARGEST && request.size.is_none() {
             let share = if waves.is_some() { "99 %" } else { "99.9 %" };
-            let found = format!("more than {LARGEST} pixels to hold {share} of the light");
+            let found = format!("{size} pixels to hold {share} of the light");
             return Err(Error::bad(
                 lens.file(),
                 "kernel size",

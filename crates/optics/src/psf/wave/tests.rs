@@ -35,6 +35,18 @@ fn jinc(x: f64) -> f64 {
     (0..n).map(at).sum::<f64>() / f64::from(n) / x
 }
 
+/// What a pixel gets of a scene sample `t` pixels away: the pixel's box on the sample's tent.
+fn pixel_on_tent(t: f64) -> f64 {
+    let a = t.abs();
+    if a < 0.5 {
+        0.75 - t * t
+    } else if a < 1.5 {
+        0.5 * (1.5 - a).powi(2)
+    } else {
+        0.0
+    }
+}
+
 /// A perfect lens: the Airy pattern under pixel and tent, to 1e-4 of its peak; its first dark ring; its encircled energy of 83.8 %.
 #[test]
 fn a_perfect_lens_has_the_airy_pattern() {
@@ -51,17 +63,7 @@ fn a_perfect_lens_has_the_airy_pattern() {
     };
     // The pixel's box on the tent of the scene, by points between.
     let fine = 6;
-    let weight = |k: i32| {
-        let t = f64::from(k) / f64::from(fine);
-        let a = t.abs();
-        if a < 0.5 {
-            0.75 - t * t
-        } else if a < 1.5 {
-            0.5 * (1.5 - a).powi(2)
-        } else {
-            0.0
-        }
-    };
+    let weight = |k: i32| pixel_on_tent(f64::from(k) / f64::from(fine));
     let value = |i: usize, j: usize| {
         let (y, x) = ((i as f64 - 60.0) * cell, (j as f64 - 60.0) * cell);
         let reach = 3 * fine / 2;
@@ -275,17 +277,7 @@ fn kernels_are_sums_of_wavelets() {
                 density(DVec2::new(-j * step, i * step))
             })
             .collect();
-        let weight = |v: i32| {
-            let t = f64::from(v) / f64::from(fine);
-            let a = t.abs();
-            if a < 0.5 {
-                0.75 - t * t
-            } else if a < 1.5 {
-                0.5 * (1.5 - a).powi(2)
-            } else {
-                0.0
-            }
-        };
+        let weight = |v: i32| pixel_on_tent(f64::from(v) / f64::from(fine));
         // Light of the whole: ∫|U|² = λ² ∫ a² dτ, here of W ds.
         let view = optics.illumination().at(SensorPoint::along([0.0, 1.0], at))[0];
         let unit = (NM * 1e-6).powi(2) * view;
