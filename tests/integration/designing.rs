@@ -296,7 +296,7 @@ fn bad_starts_and_wild_rates_end_with_a_lens_or_a_reason() {
         place.write("task.toml", TASK.replace("steps = 90", "steps = 24").replace("lens = \"two_element\"", more));
         place.run(&format!("design task.toml -o {name}"))
     };
-    for seed in 1..=3 {
+    for seed in 1..=repetitions(1, 3) {
         for (steps, rate) in
             [("rays", "lens_rate_um = 200.0"), ("scaled", "lens_rate = 0.9"), ("plain", "lens_rate = 0.9")]
         {
