@@ -113,6 +113,8 @@ impl Error {
     /// let error = Error::bad("lens.toml", "surface[2].thickness_mm", "-1", "0 or more");
     /// assert_eq!(error.to_string(), "lens.toml: surface[2].thickness_mm: -1; 0 or more");
     /// assert_eq!(error.exit_code(), 2);
+    /// // A name in a file may be empty: a message says so.
+    /// assert_eq!(Error::bad("a.onnx", "operator", "", "Add").to_string(), "a.onnx: operator: nothing; Add");
     /// ```
     pub fn bad(
         file: impl Into<String>,
@@ -120,7 +122,9 @@ impl Error {
         found: impl Into<String>,
         allowed: impl Into<String>,
     ) -> Self {
-        let (file, place, found, allowed) = (file.into(), place.into(), found.into(), allowed.into());
+        let (file, place, allowed) = (file.into(), place.into(), allowed.into());
+        let found: String = found.into();
+        let found = if found.is_empty() { "nothing".to_owned() } else { found };
         Self::BadInput(Box::new(BadInput { file, place, found, allowed }))
     }
 

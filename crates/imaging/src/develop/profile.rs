@@ -46,6 +46,15 @@ impl Curve {
         Self::Own(Arc::new([table(0), table(1), table(2)]))
     }
 
+    /// Whether all of its light is a number, no farther off than any light: a damaged profile may have powers that have none.
+    fn is_light(&self) -> bool {
+        const MOST: f64 = 1e6;
+        match self {
+            Self::Own(tables) => tables.iter().flatten().all(|v| v.abs() <= MOST),
+            Self::Srgb | Self::Linear => true,
+        }
+    }
+
     /// A power of the number.
     pub(crate) fn power(exponent: f64) -> Self {
         Self::of(|_, v| v.powf(exponent))
@@ -99,8 +108,12 @@ impl Told {
         Self { curve, to_srgb }
     }
 
-    /// What an ICC profile says; `None`: it is none, or one without curves.
+    /// What an ICC profile says; `None`: it is none, or one without curves, or with curves that are none.
     pub(crate) fn by_icc(profile: &[u8]) -> Option<Self> {
+        Self::read(profile).filter(|told| told.curve.is_light())
+    }
+
+    fn read(profile: &[u8]) -> Option<Self> {
         let profile = ColorProfile::new_from_slice(profile).ok()?;
         let light = |curve: &Option<ToneReprCurve>| curve.as_ref()?.make_linear_evaluator().ok();
         match profile.color_space {
@@ -150,6 +163,19 @@ mod tests {
                 other => panic!("{other:?}"),
             }
         }
+    }
+
+    /// A curve whose power overflows is none: the profile says nothing then.
+    #[test]
+    fn curves_without_light_are_none() {
+        let mut broken = ColorProfile::new_adobe_rgb();
+        broken.cicp = None;
+        // (a v + b) to a power that overflows within the numbers.
+        let curve = Some(ToneReprCurve::Parametric(vec![30000.0, 30000.0, 1.0, 0.0, 0.0]));
+        (broken.red_trc, broken.green_trc, broken.blue_trc) = (curve.clone(), curve.clone(), curve);
+        let written = broken.encode().expect("writes");
+        assert!(Told::read(&written).is_none_or(|told| !told.curve.is_light()));
+        assert!(Told::by_icc(&written).is_none());
     }
 
     /// Adobe RGB (1998) has a power of 563/256; Rec. 709 and powers go through their own points.
