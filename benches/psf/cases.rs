@@ -70,7 +70,7 @@ impl Case {
         let v = self.lens.object_vergence;
         let nm = &quadrature.nm;
         let radii_mm = Adapted::compute(&self.lens, v, nm, degree, self.radius_mm, tolerance).expect("traces").radii_mm;
-        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192 }
+        OpticsSpec { radii_mm, vergences: vec![v], quadrature, degree, illuminations: 192, diffraction: false }
     }
 
     pub(crate) fn optics(&self, degree: usize) -> Optics {

@@ -1,11 +1,12 @@
 //! Kernels: `cargo bench --bench psf` for criterion's figures, `cargo bench --bench psf -- tables` for the tables of
-//! `benches/results/psf.md` (`-- tables error`, `speed` for one of them).
+//! `benches/results/psf.md` (`-- tables error`, `speed` for one of them), `-- waves` for that of kernels by diffraction.
 //!
 //! A grid has 9 x 9 nodes over a square whose corner is the edge of the field, and 3 wavelengths in 3 channels of their
 //! own: 243 monochromatic kernels of 65 x 65 pixels, from the lens on.
 
 mod cases;
 mod tables;
+mod waves;
 
 use criterion::{Criterion, Throughput};
 
@@ -26,6 +27,10 @@ fn grids(c: &mut Criterion) {
 }
 
 fn main() {
+    if std::env::args().any(|a| a == "waves") {
+        waves::print();
+        return;
+    }
     if std::env::args().any(|a| a == "tables") {
         tables::print();
         return;

@@ -7,6 +7,8 @@
 //! [`Optics`] holds in place of rays.
 
 #[doc(hidden)]
+pub mod bent;
+#[doc(hidden)]
 pub mod corner;
 mod fit;
 #[doc(hidden)]

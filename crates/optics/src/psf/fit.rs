@@ -108,6 +108,11 @@ impl Evaluation {
         Self { rows, steepest }
     }
 
+    /// Values of the terms, `[term, point]`.
+    pub(super) fn values(&self) -> &Array2<f64> {
+        &self.rows[0]
+    }
+
     /// Values or derivatives at the points.
     pub fn at(&self, of: Of, coefficients: &[f64]) -> Vec<f64> {
         apply_transposed(&self.rows[of as usize], coefficients)

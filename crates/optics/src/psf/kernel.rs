@@ -15,6 +15,8 @@ use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
 use super::table::Table;
+use super::wave::{Pupil, PupilBars, Waves};
+use crate::trace::SystemGradient;
 
 /// Wavelengths with a smaller share of every channel are left out.
 const NEGLIGIBLE: f64 = 1e-6;
@@ -30,6 +32,8 @@ pub struct KernelForm {
     pub raster: Raster,
     /// Side of a cell, mm: the pixel pitch, or a multiple of it for a coarser image.
     pub cell_mm: f64,
+    /// Whether light that diffraction bends out of the window is put back evenly over it: a picture keeps its brightness.
+    pub keeps_light: bool,
 }
 
 /// The light that arrives at one radius, which all kernels of that radius are made of.
@@ -50,7 +54,23 @@ pub struct Pencil {
 struct Colour {
     /// Channels that it feeds, with its share of each.
     fed: Vec<(usize, f64)>,
-    rays: Rays,
+    light: Light,
+}
+
+/// How light goes from the lens to the sensor.
+#[derive(Clone, Debug)]
+enum Light {
+    Rays(Rays),
+    Waves(Box<Pupil>),
+}
+
+impl Light {
+    fn rays(&self) -> Option<&Rays> {
+        match self {
+            Self::Rays(rays) => Some(rays),
+            Self::Waves(_) => None,
+        }
+    }
 }
 
 /// Cotangents of a pencil, added up over its kernels.
@@ -58,6 +78,8 @@ struct Colour {
 pub(crate) struct PencilBar {
     /// By wavelength; empty where the pencil has none.
     rays: Vec<RaysBar>,
+    /// By wavelength, of those that go by diffraction.
+    pupils: Vec<Option<PupilBars>>,
     /// `[channel][wavelength]`.
     shares: Vec<Vec<f64>>,
 }
@@ -65,9 +87,15 @@ pub(crate) struct PencilBar {
 impl PencilBar {
     /// All zero, in the form of `pencil`.
     pub(crate) fn zeros(pencil: &Pencil) -> Self {
-        let none = |c: &Option<Colour>| RaysBar::zeros(c.as_ref().map_or(0, |c| c.rays.x.len()));
+        let none =
+            |c: &Option<Colour>| RaysBar::zeros(c.as_ref().and_then(|c| c.light.rays()).map_or(0, |rays| rays.x.len()));
+        let pupil = |c: &Option<Colour>| match &c.as_ref()?.light {
+            Light::Waves(pupil) => Some(PupilBars::zeros(pupil)),
+            Light::Rays(_) => None,
+        };
         Self {
             rays: pencil.colours.iter().map(none).collect(),
+            pupils: pencil.colours.iter().map(pupil).collect(),
             shares: pencil.shares.iter().map(|s| vec![0.0; s.len()]).collect(),
         }
     }
@@ -82,6 +110,8 @@ pub struct KernelBar {
     pub(super) irradiance: Vec<f64>,
     /// Of the sensor map's coefficients.
     pub(super) map: Vec<f64>,
+    /// By wavelength that goes by diffraction: of the lens met from the sensor.
+    pub(super) systems: Vec<(usize, SystemGradient)>,
 }
 
 impl KernelForm {
@@ -130,13 +160,25 @@ impl KernelForm {
         illumination: &Illumination,
         map: &SensorMap,
         point: SensorPoint,
+        waves: Option<&Waves>,
     ) -> Pencil {
         let point = illumination.held(point);
         let (shares, levels) = self.shares(illumination, point);
         let fed: Vec<_> = (0..table.spec.wavelength_nm.len()).map(|l| Self::fed(&shares, l)).collect();
-        let origin = Meridian::at(table, point, |l| !fed[l].is_empty());
+        let by_waves = |l: usize| {
+            let waves = waves.filter(|_| !fed[l].is_empty())?;
+            waves.pupil_of(table, map, l, point).filter(Pupil::is_told)
+        };
+        let mut pupils: Vec<Option<Pupil>> = (0..fed.len()).map(by_waves).collect();
+        let origin = Meridian::at(table, point, |l| !fed[l].is_empty() && pupils[l].is_none());
         let rays = origin.rays(&self.points, table, map).into_iter();
-        let colours = rays.zip(fed).map(|(rays, fed)| rays.map(|rays| Colour { fed, rays })).collect();
+        let all = rays.zip(&mut pupils).zip(fed);
+        let colours = all
+            .map(|((rays, pupil), fed)| {
+                let light = pupil.take().map(|p| Light::Waves(Box::new(p))).or(rays.map(Light::Rays))?;
+                Some(Colour { fed, light })
+            })
+            .collect();
         Pencil { origin: Some(origin), shares, levels, colours }
     }
 
@@ -145,7 +187,7 @@ impl KernelForm {
         let shares = self.weight.clone();
         let of = |(l, rays): (usize, Rays)| {
             let fed = Self::fed(&shares, l);
-            (!fed.is_empty()).then_some(Colour { fed, rays })
+            (!fed.is_empty()).then_some(Colour { fed, light: Light::Rays(rays) })
         };
         let colours = colours.into_iter().enumerate().map(of).collect();
         Pencil { origin: None, levels: vec![1.0; shares.len()], shares, colours }
@@ -156,17 +198,75 @@ impl KernelForm {
     pub fn kernels(&self, pencil: &Pencil, outward: [f64; 2], out: &mut [f64]) -> Vec<f64> {
         out.fill(0.0);
         let mut outside = vec![0.0; self.channels()];
-        for Colour { fed, rays, .. } in pencil.colours.iter().flatten() {
-            let missed = self.raster.splat(out, fed, rays.moves(outward, self.cell_mm));
+        for Colour { fed, light } in pencil.colours.iter().flatten() {
+            let missed = match light {
+                Light::Rays(rays) => self.raster.splat(out, fed, rays.moves(outward, self.cell_mm)),
+                Light::Waves(pupil) => self.bent(pupil, outward, fed, out),
+            };
             fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
         }
         outside
     }
 
+    /// Adds a wavelength's kernel by diffraction to the planes that it feeds; returns the share of light outside the window.
+    fn bent(&self, pupil: &Pupil, outward: [f64; 2], fed: &[(usize, f64)], out: &mut [f64]) -> f64 {
+        let len = self.raster.len();
+        let mut plane = vec![0.0; len];
+        pupil.kernel(outward, self.raster, self.cell_mm, &mut plane);
+        let missed = 1.0 - plane.iter().sum::<f64>();
+        let even = self.put_back(missed);
+        for (channel, share) in fed {
+            let to = out[channel * len..][..len].iter_mut();
+            to.zip(&plane).for_each(|(o, v)| *o += share * (v + even));
+        }
+        missed
+    }
+
+    /// What every place of a window gets of light outside it.
+    fn put_back(&self, missed: f64) -> f64 {
+        #[expect(clippy::cast_precision_loss, reason = "small counts")]
+        let len = self.raster.len() as f64;
+        if self.keeps_light { missed / len } else { 0.0 }
+    }
+
+    /// Adds the pull-back of [`Self::bent`].
+    fn bent_vjp(
+        &self,
+        pupil: &Pupil,
+        outward: [f64; 2],
+        (l, fed): (usize, &[(usize, f64)]),
+        bar: &[f64],
+        to: &mut PencilBar,
+    ) {
+        let len = self.raster.len();
+        let Some(bars) = &mut to.pupils[l] else { return };
+        let (mut kernel, shares) = (vec![0.0; len], &mut to.shares);
+        let of_plane = |kernel: &[f64]| {
+            let even = self.put_back(1.0 - kernel.iter().sum::<f64>());
+            let mut plane = vec![0.0; len];
+            for (channel, share) in fed {
+                let bar = &bar[channel * len..][..len];
+                plane.iter_mut().zip(bar).for_each(|(p, b)| *p += share * b);
+                shares[*channel][l] += kernel.iter().zip(bar).map(|(k, b)| (k + even) * b).sum::<f64>();
+            }
+            let mean = self.put_back(plane.iter().sum());
+            plane.iter_mut().for_each(|p| *p -= mean);
+            plane
+        };
+        pupil.pull_kernel(outward, (self.raster, self.cell_mm), &mut kernel, of_plane, bars);
+    }
+
     /// Adds the pull-back of cotangents on [`Self::kernels`] to that of the pencil.
     pub(crate) fn kernels_vjp(&self, pencil: &Pencil, outward: [f64; 2], bar: &[f64], to: &mut PencilBar) {
         for (l, colour) in pencil.colours.iter().enumerate() {
-            let Some(Colour { fed, rays, .. }) = colour else { continue };
+            let Some(Colour { fed, light }) = colour else { continue };
+            let rays = match light {
+                Light::Rays(rays) => rays,
+                Light::Waves(pupil) => {
+                    self.bent_vjp(pupil, outward, (l, fed), bar, to);
+                    continue;
+                }
+            };
             let lit: Vec<usize> = rays.lit().collect();
             let form = (outward, self.cell_mm);
             let (out, shares) = (&mut to.rays[l], &mut to.shares);
@@ -184,12 +284,26 @@ impl KernelForm {
     ///
     /// # Panics
     /// For a pencil of [`Self::pencil_of`].
-    pub(crate) fn pencil_vjp(&self, table: &Table, map: &SensorMap, pencil: &Pencil, bar: &PencilBar) -> KernelBar {
+    pub(crate) fn pencil_vjp(
+        &self,
+        table: &Table,
+        map: &SensorMap,
+        (pencil, waves): (&Pencil, Option<&Waves>),
+        bar: &PencilBar,
+    ) -> KernelBar {
         let mut map_bar = vec![0.0; map.coefficients.len()];
-        let of = |l: usize| pencil.colours[l].as_ref().map(|c| (&c.rays, &bar.rays[l]));
+        let of = |l: usize| Some((pencil.colours[l].as_ref()?.light.rays()?, &bar.rays[l]));
         let origin = pencil.origin.as_ref().expect("a traced pencil");
         let origin = origin.rays_vjp(&self.points, table, map, of, &mut map_bar);
-        let mut back = KernelBar { origin, irradiance: vec![0.0; pencil.colours.len()], map: map_bar };
+        let mut systems = Vec::new();
+        for (l, (colour, bars)) in pencil.colours.iter().zip(&bar.pupils).enumerate() {
+            let (Some(Colour { light: Light::Waves(pupil), .. }), Some(bars), Some(waves)) = (colour, bars, waves)
+            else {
+                continue;
+            };
+            systems.push((l, waves.vjp(map, l, (pupil, bars), &mut map_bar)));
+        }
+        let mut back = KernelBar { origin, irradiance: vec![0.0; pencil.colours.len()], map: map_bar, systems };
         // share = w E / Σ w E.
         for (c, w) in self.weight.iter().enumerate().filter(|(c, _)| pencil.levels[*c] > 0.0) {
             let mean: f64 = pencil.shares[c].iter().zip(&bar.shares[c]).map(|(s, b)| s * b).sum();
@@ -223,7 +337,7 @@ mod tests {
         let bars: Vec<Vec<f64>> =
             azimuths.iter().map(|_| (0..3 * 31 * 31).map(|_| rng.f64() - 0.5).collect()).collect();
         let value = |illumination: &Illumination, map: &SensorMap| {
-            let pencil = form.pencil(o.table(), illumination, map, point);
+            let pencil = form.pencil(o.table(), illumination, map, point, None);
             let mut kernel = vec![0.0; 3 * 31 * 31];
             let one = |(outward, bar): (&[f64; 2], &Vec<f64>)| {
                 form.kernels(&pencil, *outward, &mut kernel);
@@ -231,10 +345,10 @@ mod tests {
             };
             azimuths.iter().zip(&bars).map(one).sum::<f64>()
         };
-        let pencil = form.pencil(o.table(), o.illumination(), &o.maps[0], point);
+        let pencil = form.pencil(o.table(), o.illumination(), &o.maps[0], point, None);
         let mut bar = PencilBar::zeros(&pencil);
         azimuths.iter().zip(&bars).for_each(|(outward, b)| form.kernels_vjp(&pencil, *outward, b, &mut bar));
-        let back = form.pencil_vjp(o.table(), &o.maps[0], &pencil, &bar);
+        let back = form.pencil_vjp(o.table(), &o.maps[0], (&pencil, None), &bar);
         let largest = back.map.iter().fold(0.0, |m: f64, v| m.max(v.abs()));
         for (i, pulled) in back.map.iter().enumerate() {
             let moved = |h: f64| {

@@ -33,7 +33,9 @@ use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
 use super::table::{Adapted, Table, TableBar, TableSpec, Tolerance};
+use super::wave::{DEGREES, Waves};
 use crate::lens::{Lens, LensGradient};
+use crate::trace::SystemGradient;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::stop::look;
 
@@ -59,6 +61,8 @@ pub struct OpticsSpec {
     pub degree: usize,
     /// Radii of the illumination, less one.
     pub illuminations: u32,
+    /// Whether kernels are made by diffraction; else of rays.
+    pub diffraction: bool,
 }
 
 impl OpticsSpec {
@@ -70,7 +74,7 @@ impl OpticsSpec {
     /// `intervals` of it.
     fn knots(intervals: u32, radius_mm: f64, vergences: Vec<f64>, quadrature: Quadrature) -> Self {
         let radii_mm = (0..=intervals).map(|i| radius_mm * f64::from(i) / f64::from(intervals)).collect();
-        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256 }
+        Self { radii_mm, vergences, quadrature, degree: 9, illuminations: 256, diffraction: false }
     }
 }
 
@@ -88,7 +92,7 @@ pub struct Optics {
 #[derive(Clone, Debug)]
 enum Beams {
     /// From rays through a lens.
-    Traced { table: Box<Table>, illumination: Illumination },
+    Traced { table: Box<Table>, illumination: Illumination, waves: Option<Box<Waves>> },
     /// From measurements on a camera: kernels, and how light falls off. A pixel is `pitch_mm` wide.
     Measured { psf: MeasuredPsf, light: Falloff, pitch_mm: f64 },
 }
@@ -102,6 +106,8 @@ pub struct OpticsBar {
     pub illumination: IlluminationBar,
     /// Of the maps' coefficients, by object distance.
     pub maps: Vec<Vec<f64>>,
+    /// Of the lens met from the sensor, by wavelength, through kernels by diffraction; none where all go by rays.
+    systems: Vec<SystemGradient>,
 }
 
 impl OpticsBar {
@@ -111,6 +117,7 @@ impl OpticsBar {
             table: TableBar::zeros(optics.table()),
             illumination: optics.illumination().no_bar(),
             maps: optics.maps.iter().map(|m| vec![0.0; m.coefficients.len()]).collect(),
+            systems: optics.waves().map(Waves::no_bars).unwrap_or_default(),
         }
     }
 
@@ -119,11 +126,13 @@ impl OpticsBar {
         back.origin.add_to(optics.table(), &mut self.table);
         optics.illumination().at_vjp(back.origin.point, &back.irradiance, &mut self.illumination);
         self.maps[depth].iter_mut().zip(&back.map).for_each(|(a, b)| *a += b);
+        back.systems.iter().for_each(|(l, system)| self.systems[*l].add(system));
     }
 
     /// Adds `other`.
     pub fn add(&mut self, other: &Self) {
         self.table.add(&other.table);
+        self.systems.iter_mut().zip(&other.systems).for_each(|(a, b)| a.add(b));
         let pairs = |a: &mut [Vec<f64>], b: &[Vec<f64>]| {
             a.iter_mut().flatten().zip(b.iter().flatten()).for_each(|(x, y)| *x += y);
         };
@@ -192,7 +201,9 @@ impl Optics {
         let radius_mm = spec.radii_mm[spec.radii_mm.len() - 1];
         let illumination = Illumination::compute(&table, radius_mm, spec.illuminations);
         let maps = spec.vergences.iter().map(|v| SensorMap::fit(lens, &table, *v)).collect::<Result<_>>()?;
-        Ok(Self { spec, maps, beams: Beams::Traced { table: Box::new(table), illumination } })
+        let diffraction = spec.diffraction;
+        let optics = Self { spec, maps, beams: Beams::Traced { table: Box::new(table), illumination, waves: None } };
+        if diffraction { optics.diffracting(lens) } else { Ok(optics) }
     }
 
     /// What was measured on a camera in place of a lens: kernels, how light falls off, and where on the sensor an object's slope is seen, in
@@ -207,6 +218,7 @@ impl Optics {
             // No rays, no polynomials.
             degree: 1,
             illuminations: 0,
+            diffraction: false,
         };
         Self { spec, maps: vec![map], beams: Beams::Measured { psf, light, pitch_mm } }
     }
@@ -217,7 +229,7 @@ impl Optics {
     /// Where there is no lens: what was measured has neither rays nor gradients.
     fn traced(&self) -> (&Table, &Illumination) {
         match &self.beams {
-            Beams::Traced { table, illumination } => (table, illumination),
+            Beams::Traced { table, illumination, .. } => (table, illumination),
             Beams::Measured { .. } => panic!("rays of a measured lens"),
         }
     }
@@ -238,11 +250,76 @@ impl Optics {
         self.traced().1
     }
 
+    /// The same with kernels by diffraction of `lens`, which it was traced of.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    pub fn diffracting(mut self, lens: &Lens) -> Result<Self> {
+        let made = self.made_of(lens, &DEGREES)?;
+        if let Beams::Traced { waves, .. } = &mut self.beams {
+            *waves = Some(Box::new(made));
+            self.spec.diffraction = true;
+        }
+        Ok(self)
+    }
+
+    /// How far diffraction would bend light, mm, and how far paths differ, wavelengths, before kernels are made by it: [`Self::bending_mm`] and
+    /// [`Self::path_waves`], nearly.
+    ///
+    /// # Errors
+    /// As [`Self::compute`].
+    #[doc(hidden)]
+    pub fn look_at_bending(&self, lens: &Lens) -> Result<[f64; 2]> {
+        let looked = self.made_of(lens, &DEGREES[..1])?;
+        Ok([looked.bend_mm(), looked.path_waves()])
+    }
+
+    fn made_of(&self, lens: &Lens, degrees: &[usize]) -> Result<Waves> {
+        Waves::of(lens, (self.table(), &self.maps), self.illumination().lit_mm(), degrees)
+    }
+
+    /// The same with kernels of rays.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn of_rays(mut self) -> Self {
+        if let Beams::Traced { waves, .. } = &mut self.beams {
+            *waves = None;
+        }
+        self.spec.diffraction = false;
+        self
+    }
+
+    /// `λ/NA` at the narrowest pupil and the longest wavelength, mm: how far diffraction bends light; 0 where kernels are made of rays.
+    #[doc(hidden)]
+    pub fn bending_mm(&self) -> f64 {
+        self.waves().map_or(0.0, Waves::bend_mm)
+    }
+
+    /// Bytes, from above, that kernels by diffraction in windows of a side of `window_mm` take while they are made, on all threads; 0 where kernels are made of rays.
+    #[doc(hidden)]
+    pub fn bending_bytes(&self, window_mm: f64) -> u64 {
+        self.waves().map_or(0, |w| w.making_bytes(window_mm))
+    }
+
+    /// Largest path difference over a pupil, wavelengths, as far as was looked; 0 where kernels are made of rays.
+    #[doc(hidden)]
+    pub fn path_waves(&self) -> f64 {
+        self.waves().map_or(0.0, Waves::path_waves)
+    }
+
+    /// What makes kernels by diffraction; nothing where rays do.
+    pub(crate) fn waves(&self) -> Option<&Waves> {
+        match &self.beams {
+            Beams::Traced { waves, .. } => waves.as_deref(),
+            Beams::Measured { .. } => None,
+        }
+    }
+
     /// The same with the illumination at another number of radii, less one.
     /// What was measured stays as it is.
     #[must_use]
     pub fn illuminated(mut self, illuminations: u32) -> Self {
-        if let Beams::Traced { table, illumination } = &mut self.beams {
+        if let Beams::Traced { table, illumination, .. } = &mut self.beams {
             let radius_mm = illumination.radii_mm[illumination.radii_mm.len() - 1];
             *illumination = Illumination::compute(table, radius_mm, illuminations);
             self.spec.illuminations = illuminations;
@@ -311,12 +388,15 @@ impl Optics {
             weight: self.spec.quadrature.weight.clone(),
             raster: Raster { size, samples },
             cell_mm,
+            keeps_light: false,
         }
     }
 
     fn pencil(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Pencil {
         match &self.beams {
-            Beams::Traced { table, illumination } => form.pencil(table, illumination, &self.maps[depth], point),
+            Beams::Traced { table, illumination, waves } => {
+                form.pencil(table, illumination, &self.maps[depth], point, waves.as_deref())
+            }
             Beams::Measured { psf, pitch_mm, .. } => form.pencil_of(Self::moved(psf, *pitch_mm, point)),
         }
     }
@@ -335,7 +415,7 @@ impl Optics {
     /// Light by whole cells of distance from a kernel's centre, for every channel, at a point.
     fn spread(&self, form: &KernelForm, depth: usize, point: SensorPoint) -> Vec<Vec<f64>> {
         let (rays, levels) = match &self.beams {
-            Beams::Traced { table, illumination } => {
+            Beams::Traced { table, illumination, .. } => {
                 let of = |l: usize| form.rays(table, &self.maps[depth], l, point);
                 let rays: Vec<Rays> = (0..self.spec.quadrature.nm.len()).map(of).collect();
                 (rays, illumination.at(point))
@@ -420,7 +500,7 @@ impl Optics {
                 });
                 form.kernels_vjp(pencil, points[*i].outward(), &fine, to);
             }
-            pulled.map(|(pencil, bar)| form.pencil_vjp(table, &self.maps[depth], &pencil, &bar))
+            pulled.map(|(pencil, bar)| form.pencil_vjp(table, &self.maps[depth], (&pencil, self.waves()), &bar))
         };
         by_radius(points).par_iter().filter_map(of_radius).collect()
     }
@@ -431,7 +511,7 @@ impl Optics {
         let [low, high] = radii_mm;
         // As kernels are made: those of dim places are those of the last place with light.
         let edge = match &self.beams {
-            Beams::Traced { table, illumination } => table.edge_mm.min(illumination.lit_mm()),
+            Beams::Traced { table, illumination, .. } => table.edge_mm.min(illumination.lit_mm()),
             Beams::Measured { .. } => f64::INFINITY,
         };
         let high = high.min(edge);
@@ -469,7 +549,11 @@ impl Optics {
         for (map, map_bar) in self.maps.iter().zip(&bar.maps) {
             map.fit_vjp(rays, map_bar, &mut table);
         }
-        rays.vjp(lens, &table)
+        let mut gradient = rays.vjp(lens, &table);
+        for (system, nm) in bar.systems.iter().zip(&self.spec.quadrature.nm) {
+            system.reversed().add_to(lens, *nm, &mut gradient);
+        }
+        gradient
     }
 }
 

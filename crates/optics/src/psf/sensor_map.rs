@@ -194,6 +194,19 @@ impl SensorMap {
         }
     }
 
+    /// Adds the pull-back of cotangents on [`Self::slope`], [`Self::ratio`] and [`Self::derivative`] at a sensor radius within the fit to the coefficients' cotangent.
+    pub(super) fn local_vjp(&self, radius_mm: f64, [slope, ratio, derivative]: [f64; 3], coefficients_bar: &mut [f64]) {
+        let (x2, square) = (self.share(radius_mm), radius_mm * radius_mm);
+        let (t, q) = (2.0 * x2 - 1.0, self.below(square));
+        let by_value = (slope * radius_mm + ratio + derivative * (1.0 + 2.0 * square * self.horizon / q)) / q;
+        let by_series = derivative * 4.0 * x2 / q;
+        let (mut a, mut b, mut da, mut db) = (1.0, t, 0.0, 1.0);
+        for c in coefficients_bar {
+            *c += by_value * a + by_series * da;
+            (a, b, da, db) = (b, 2.0 * t * b - a, db, 2.0 * b + 2.0 * t * db - da);
+        }
+    }
+
     /// Sensor radius of an object slope (≥ 0), by safeguarded Newton from `near` to 1e-13 of the fit's radius.
     pub fn radius(&self, slope: f64, near: f64) -> f64 {
         if slope >= self.edge[0] {
@@ -286,6 +299,24 @@ mod tests {
                 let r = radius * f64::from(i) / 100.0;
                 let back = map.radius(map.slope(r), 0.7 * r);
                 assert!((back - r).abs() < 1e-10 * radius, "{name} {r} {back}");
+            }
+        }
+    }
+
+    /// Slope, ratio and derivative at once, on the axis, inside and at the edge, with and without a pole.
+    #[test]
+    fn local_vjp_agrees_with_differences() {
+        for (name, radius) in [("two_element", 20.0), ("wide_angle", 20.0)] {
+            let map = map(name, radius, 1e-3);
+            let bars = [0.4, -1.3, 0.7];
+            for r in [0.0, 0.3 * radius, radius] {
+                let mut found = vec![0.0; map.coefficients.len()];
+                map.local_vjp(r, bars, &mut found);
+                let value = |m: &SensorMap| bars[0] * m.slope(r) + bars[1] * m.ratio(r) + bars[2] * m.derivative(r);
+                for (k, found) in found.into_iter().enumerate() {
+                    let expected = central_difference(|h| value(&map.changed(k, h)), 1e-3);
+                    assert_rel(found, expected, 1e-9, 1e-2, &format!("{name} {r} {k}"));
+                }
             }
         }
     }

@@ -5,178 +5,179 @@
 //! `τ(s) = ∂Φ/∂y` are the pupil's coordinates (image-side direction cosines, nearly). The amplitude follows from the étendue, `a² dτ = W ds`: no other factor of
 //! obliquity. Rays are where the phase is stationary, so `∇Φ(s, y₀) + δ ∇τ = 0` has the displacements of geometric kernels.
 //!
-//! [`Pupil`] has path, étendue and apertures as polynomials over the stop, and on a raster of `τ` along the sensor's rows and columns; `transform` makes a kernel of it: the
-//! power spectrum, times the transforms of pixel and scene sample, at the places of the kernel's raster. The raster's step of `λ` over a period makes the
-//! kernel repeat with that period; light beyond it is folded back into it. Cells of the raster that an edge cuts have the share of their area as amplitude; what that takes away is light
-//! far out, and is spread evenly over the period.
+//! [`Pupil`] has path, direction cosines, places in the stop and clear apertures as polynomials of `τ` (`fitted`), through rays that are traced for the point itself: what a table
+//! interpolates over sensor radii would have to be known to 1e-7 of a millimetre. `raster` makes amplitudes of them along the sensor's rows and columns, `cell` the shares
+//! that edges leave open, `transform` a kernel: the power spectrum, times the transforms of pixel and scene sample, at the places of the kernel's raster. The raster's step of
+//! `λ` over a period makes the kernel repeat with that period; light beyond it is folded back into it. Cells of the raster that an edge cuts have the share of their area as
+//! amplitude; what that takes away is light far out, and is spread evenly over the period.
+//!
+//! All of it has its pull-back: from a kernel's cotangent to the polynomials, to the rays, to every number of the lens.
 //!
 //! Scalar theory: no polarisation, no diffraction between the surfaces.
 
 mod cell;
+mod fitted;
+mod functions;
+mod outside;
 mod pupil;
+mod raster;
 mod transform;
 
 use rayon::prelude::*;
 
-use super::Optics;
-use super::kernel::KernelForm;
 use super::point::SensorPoint;
+use super::sensor_map::SensorMap;
+use super::splat::Raster;
+use super::table::Table;
 use crate::lens::Lens;
-use crate::trace::System;
 use crate::trace::aim::SensorView;
+use crate::trace::{System, SystemGradient};
 use isoplanat_base::error::Result;
 use isoplanat_base::math::memory::threads;
-use isoplanat_base::stop::look;
-use pupil::Rays;
+use pupil::{PATH_WAVES, Pulled, Shared};
 
 pub use pupil::Pupil;
 
-/// How many `λ/NA` an automatic window has around the rays.
-const BENT: f64 = 10.0;
-
+/// Degrees of the polynomials that are tried in turn, until paths are told.
+pub(super) const DEGREES: [usize; 6] = [9, 12, 15, 18, 22, 26];
+/// Parts of the farthest sensor radius at which the polynomials' degree is chosen.
+const LOOKED_AT: [f64; 5] = [0.0, 0.4, 0.7, 0.9, 1.0];
 /// A lens whose kernels are made by diffraction.
 #[derive(Clone, Debug)]
 pub struct Waves {
     views: Vec<SensorView>,
-    rays: Rays,
+    shared: Shared,
+    /// `λ/NA` at the narrowest pupil that was looked at, the longest wavelength, mm; the largest path difference over one, the shortest wavelength.
+    bend_mm: f64,
+    path_waves: f64,
+    /// The pupils that were looked at, at the longest wavelength, and the square of how much more the shortest one's rasters take.
+    looked_at: Vec<Pupil>,
+    finer: f64,
 }
 
-/// What is to be told of kernels by diffraction.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct WaveFigures {
-    /// Largest root mean square residual of the polynomials of a path, wavelengths.
-    pub residual_waves: f64,
-    /// Largest share of light that was spread evenly over a kernel's period.
-    pub spread: f64,
-    /// Largest sine of an angle at the image.
-    pub aperture: f64,
-    /// Kernels of a wavelength that were made of rays, because their blur has hundreds of waves.
-    pub geometric: usize,
+/// Cotangents on the polynomials of a [`Pupil`].
+#[derive(Clone, Debug)]
+pub(super) struct PupilBars(fitted::Bars);
+
+impl PupilBars {
+    /// All zero, in the form of `pupil`.
+    pub(super) fn zeros(pupil: &Pupil) -> Self {
+        Self(pupil.functions.fitted.no_bars())
+    }
 }
 
-impl WaveFigures {
-    /// What is to be told of both.
-    #[must_use]
-    pub fn or(self, other: Self) -> Self {
-        Self {
-            residual_waves: self.residual_waves.max(other.residual_waves),
-            spread: self.spread.max(other.spread),
-            aperture: self.aperture.max(other.aperture),
-            geometric: self.geometric + other.geometric,
+impl Pupil {
+    /// Adds the pull-back of a cotangent on [`Self::kernel`], which it makes again (written to `kernel`): `bar` gives the cotangent of what was made.
+    pub(super) fn pull_kernel(
+        &self,
+        outward: [f64; 2],
+        (raster, cell_mm): (Raster, f64),
+        kernel: &mut [f64],
+        bar: impl FnOnce(&[f64]) -> Vec<f64>,
+        to: &mut PupilBars,
+    ) {
+        let made = self.made(outward, raster, cell_mm, kernel);
+        let bar = bar(kernel);
+        if let Some(made) = made {
+            self.kernel_vjp(&made, kernel, &bar, &mut to.0);
         }
     }
 }
 
 impl Waves {
-    /// Of `lens` at wavelengths `nm`, those of the [`Optics`] that it is asked with.
+    /// Of `lens`, whose rays are in `table` and `maps`, as far out as light reaches (`farthest_mm`). The degree of the polynomials is the lowest of `degrees` that tells paths to
+    /// 1e-4 waves at the shortest wavelength, at a few sensor radii; of one degree nothing is asked.
     ///
     /// # Errors
-    /// As [`Optics::compute`].
-    pub fn new(lens: &Lens, nm: &[f64]) -> Result<Self> {
+    /// A lens without light on the axis.
+    pub(super) fn of(
+        lens: &Lens,
+        (table, maps): (&Table, &[SensorMap]),
+        farthest_mm: f64,
+        degrees: &[usize],
+    ) -> Result<Self> {
+        let (nm, farthest) = (&table.spec.wavelength_nm, table.held(farthest_mm));
         let views: Vec<SensorView> = nm.iter().map(|nm| SensorView::new(&System::new(lens, *nm))).collect();
-        let rays = Rays::new(lens, &views)?;
-        Ok(Self { views, rays })
-    }
-
-    /// The pupil that `point` sees at wavelength `l`, for object distance `depth`; nothing where no light comes.
-    pub fn pupil(&self, optics: &Optics, l: usize, depth: usize, point: SensorPoint) -> Option<Pupil> {
-        let radius_mm = optics.table().held(point.radius_mm());
-        let nm = optics.spec.quadrature.nm[l];
-        Pupil::trace(&self.views[l], &self.rays, &optics.maps[depth], radius_mm, nm * 1e-6)
-    }
-
-    /// Writes the kernels of all channels at `point`, as [`Optics::kernels`] does, by diffraction; returns the share of each channel's light outside.
-    pub fn kernels(
-        &self,
-        optics: &Optics,
-        form: &KernelForm,
-        depth: usize,
-        point: SensorPoint,
-        out: &mut [f64],
-    ) -> (Vec<f64>, WaveFigures) {
-        look();
-        let illumination = optics.illumination();
-        let point = illumination.held(point);
-        let (shares, _) = form.shares(illumination, point);
-        let len = form.raster.len();
-        let of = |l: usize| {
-            let fed = KernelForm::fed(&shares, l);
-            if fed.is_empty() {
-                return None;
-            }
-            let pupil = self.pupil(optics, l, depth, point)?;
-            let mut plane = vec![0.0; len];
-            let mut figures = WaveFigures { aperture: pupil.steepest, ..WaveFigures::default() };
-            if pupil.is_told() {
-                figures.residual_waves = pupil.residual_waves;
-                figures.spread = pupil.kernel(point.outward(), form.raster, form.cell_mm, &mut plane);
-            } else {
-                let alone = (0..self.views.len()).map(|k| f64::from(u8::from(k == l))).collect();
-                let form = KernelForm { weight: vec![alone], ..form.clone() };
-                optics.kernels(&form, depth, point, &mut plane);
-                figures.geometric = 1;
-            }
-            Some((fed, plane, figures))
+        let shortest = (0..nm.len()).min_by(|a, b| nm[*a].total_cmp(&nm[*b])).unwrap_or(0);
+        let left = |shared: &Shared, share: f64| {
+            let (map, mm) = (&maps[0], nm[shortest] * 1e-6);
+            let pupil = Pupil::trace(&views[shortest], shared, map, share * farthest, mm);
+            pupil.map_or(f64::INFINITY, |p| p.residual_waves)
         };
-        let colours: Vec<_> = (0..self.views.len()).into_par_iter().map(of).collect();
-        out.fill(0.0);
-        let (mut figures, mut lost) = (WaveFigures::default(), vec![0.0; form.channels()]);
-        for (fed, plane, of_colour) in colours.into_iter().flatten() {
-            let sum: f64 = plane.iter().sum();
-            for (channel, share) in fed {
-                let to = out[channel * len..][..len].iter_mut();
-                to.zip(&plane).for_each(|(o, v)| *o += share * v);
-                lost[channel] += share * (1.0 - sum);
+        let worst = |shared: &Shared| LOOKED_AT.par_iter().map(|share| left(shared, *share)).reduce(|| 0.0, f64::max);
+        let mut shared = Shared::new(lens, &views, degrees[0])?;
+        let mut least = if degrees.len() > 1 { worst(&shared) } else { 0.0 };
+        for degree in &degrees[1..] {
+            if least <= PATH_WAVES {
+                break;
             }
-            figures = figures.or(of_colour);
+            let finer = Shared::new(lens, &views, *degree)?;
+            let left = worst(&finer);
+            if left < least {
+                (shared, least) = (finer, left);
+            }
         }
-        (lost, figures)
+        let mut made = Self { views, shared, bend_mm: 0.0, path_waves: 0.0, looked_at: Vec::new(), finer: 1.0 };
+        let longest = (0..nm.len()).max_by(|a, b| nm[*a].total_cmp(&nm[*b])).unwrap_or(0);
+        for share in LOOKED_AT {
+            for map in maps {
+                let point = SensorPoint::along([1.0, 0.0], share * farthest);
+                if let Some(pupil) = made.pupil_of(table, map, longest, point) {
+                    made.bend_mm = made.bend_mm.max(pupil.wavelength_mm / pupil.narrowest().max(1e-6));
+                    let waves = pupil.path_waves() * nm[longest] / nm[shortest];
+                    made.path_waves = made.path_waves.max(waves);
+                    made.looked_at.push(pupil);
+                }
+            }
+        }
+        made.finer = (nm[longest] / nm[shortest]).powi(2);
+        Ok(made)
     }
 
-    /// What `with` makes of each point's number, kernels and light outside, as [`Optics::kernels_each`] does, by diffraction.
-    pub fn kernels_each<R: Send>(
-        &self,
-        optics: &Optics,
-        form: &KernelForm,
-        depth: usize,
-        points: &[SensorPoint],
-        with: impl Fn(usize, &[f64], &[f64]) -> R + Sync,
-    ) -> (Vec<R>, WaveFigures) {
-        let one = |(i, point): (usize, &SensorPoint)| {
-            let mut kernel = vec![0.0; form.channels() * form.raster.len()];
-            let (outside, figures) = self.kernels(optics, form, depth, *point, &mut kernel);
-            (with(i, &kernel, &outside), figures)
-        };
-        let made: Vec<(R, WaveFigures)> = points.par_iter().enumerate().map(one).collect();
-        let (made, figures): (Vec<R>, Vec<WaveFigures>) = made.into_iter().unzip();
-        (made, figures.into_iter().fold(WaveFigures::default(), WaveFigures::or))
-    }
-
-    /// Bytes, from above, of what is needed beside the kernels of `points`, in windows of a side of `window_mm`.
-    pub fn bytes(&self, optics: &Optics, depth: usize, points: &[SensorPoint], window_mm: f64) -> u64 {
-        let nm = &optics.spec.quadrature.nm;
-        // The shortest wavelength's rasters are the largest.
-        let shortest = (0..self.views.len()).min_by(|a, b| nm[*a].total_cmp(&nm[*b]));
-        let of = |point: &SensorPoint| {
-            let pupil = self.pupil(optics, shortest?, depth, optics.illumination().held(*point))?;
-            Some(if pupil.is_told() { pupil.bytes(window_mm) } else { 0 })
-        };
-        let most = points.par_iter().filter_map(of).reduce(|| 0, u64::max);
+    /// Bytes, from above, that kernels in windows of a side of `window_mm` take while they are made, on all threads.
+    pub(super) fn making_bytes(&self, window_mm: f64) -> u64 {
+        let told = self.looked_at.iter().filter(|p| p.is_told());
+        let most = told.map(|p| p.bytes(window_mm)).max().unwrap_or(0);
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            clippy::cast_precision_loss,
+            reason = "from above"
+        )]
+        let most = (most as f64 * self.finer).ceil() as u64;
         most.saturating_mul(threads() as u64)
     }
 
-    /// How far around its rays an automatic window reaches for light that bends at the narrowest pupil of `points`, at the longest wavelength, mm: ten `λ/NA`, beyond which
-    /// is a hundredth of a perfect lens's light.
-    pub fn bending_mm(&self, optics: &Optics, depth: usize, points: &[SensorPoint]) -> f64 {
-        let longest = (0..self.views.len()).max_by(|a, b| {
-            let nm = &optics.spec.quadrature.nm;
-            nm[*a].total_cmp(&nm[*b])
-        });
-        let at = |point: &SensorPoint| {
-            let pupil = self.pupil(optics, longest?, depth, optics.illumination().held(*point))?;
-            Some(BENT * pupil.wavelength_mm / pupil.narrowest().max(1e-6))
-        };
-        points.par_iter().filter_map(at).reduce(|| 0.0, f64::max)
+    pub(super) fn bend_mm(&self) -> f64 {
+        self.bend_mm
+    }
+
+    pub(super) fn path_waves(&self) -> f64 {
+        self.path_waves
+    }
+
+    pub(super) fn pupil_of(&self, table: &Table, map: &SensorMap, l: usize, point: SensorPoint) -> Option<Pupil> {
+        let radius_mm = table.held(point.radius_mm());
+        Pupil::trace(&self.views[l], &self.shared, map, radius_mm, table.spec.wavelength_nm[l] * 1e-6)
+    }
+
+    /// Zero cotangents of the lens met from the sensor, by wavelength.
+    pub(super) fn no_bars(&self) -> Vec<SystemGradient> {
+        self.views.iter().map(|v| SystemGradient::zeros(&v.system)).collect()
+    }
+
+    /// Pulls cotangents on a pupil's polynomials back to the lens met from the sensor, and to the coefficients of the map (added).
+    pub(super) fn vjp(
+        &self,
+        map: &SensorMap,
+        l: usize,
+        (pupil, bars): (&Pupil, &PupilBars),
+        map_bar: &mut [f64],
+    ) -> SystemGradient {
+        let view = &self.views[l];
+        let mut system = SystemGradient::zeros(&view.system);
+        pupil.vjp(view, &self.shared, map, &bars.0, Pulled { system: &mut system, map: map_bar });
+        system
     }
 }
 

@@ -54,6 +54,20 @@ pub(in crate::psf) struct Beam {
     pub(in crate::psf) nodes: Vec<Crossings>,
 }
 
+/// Cotangents on what the rays of a beam's nodes have, node by node.
+pub(in crate::psf) struct NodeBars {
+    /// Of the cosines at the sensor, across the meridian and along it.
+    pub(in crate::psf) cosines: [Vec<f64>; 2],
+    /// Of the crossings of the first vertex plane.
+    pub(in crate::psf) entrance: [Vec<f64>; 2],
+    /// Of the slopes there.
+    pub(in crate::psf) slope: [Vec<f64>; 2],
+    /// By surface of the reversed system: of `1 − r²/a²` at its clear aperture.
+    pub(in crate::psf) clips: Vec<(usize, Vec<f64>)>,
+    /// Of [`Beam::paths`]; of none where there are none.
+    pub(in crate::psf) paths: Vec<f64>,
+}
+
 /// Largest part of the stop's radius whose rim the axis sees at every wavelength.
 pub(in crate::psf) fn pupil(views: &[SensorView], bases: &Bases) -> Result<f64, Failure> {
     let mut failure = None;
@@ -262,12 +276,11 @@ impl Beam {
 
     /// Optical paths from the sensor point to where the rays cross the first vertex plane, mm, at the nodes; nothing where a ray fails that did not before.
     pub(in crate::psf) fn paths(&self, view: &SensorView) -> Option<Vec<f64>> {
-        let (at, image) = (DVec2::new(0.0, self.radius_mm), view.system.image());
+        let at = DVec2::new(0.0, self.radius_mm);
         let mut hits = Vec::with_capacity(view.system.surfaces.len());
         let path = |node: &Crossings| {
             view.follow(at, node.ray.cosines, &mut hits).ok()?;
-            let last = &hits[image];
-            Some(last.optical_path - view.system.surfaces[image].index_after * last.at.point.z / last.direction.z)
+            Some(view.path(&hits))
         };
         self.nodes.iter().map(path).collect()
     }
@@ -302,14 +315,22 @@ impl Beam {
         let slope = [apply_transposed(odd, &bar[gx]), apply_transposed(even, &bar[gy])];
         let etendue = apply_transposed(even, &bar[layout.weight()]);
         let cosines = self.etendue_vjp(view, basis, &etendue, out);
-        let heights: Vec<(usize, f64, Vec<f64>)> = clips
+        let clips = clips
             .iter()
             .enumerate()
-            .map(|(c, surface)| {
-                let k = view.system.image() - surface;
-                (k, view.system.surfaces[k].semi_diameter, apply_transposed(even, &bar[layout.clip(c)]))
-            })
+            .map(|(c, surface)| (view.system.image() - surface, apply_transposed(even, &bar[layout.clip(c)])))
             .collect();
+        self.nodes_vjp(view, basis, &NodeBars { cosines, entrance, slope, clips, paths: Vec::new() }, out);
+    }
+
+    /// Pulls cotangents on what the nodes' rays have back to the reversed system.
+    pub(in crate::psf) fn nodes_vjp(
+        &self,
+        view: &SensorView,
+        basis: &StopNodes,
+        bars: &NodeBars,
+        out: &mut SystemGradient,
+    ) {
         let at = DVec2::new(0.0, self.radius_mm);
         let mut hits = Vec::with_capacity(view.system.surfaces.len());
         for (j, node) in self.nodes.iter().enumerate() {
@@ -317,13 +338,14 @@ impl Beam {
                 continue;
             }
             let mut ray = SceneRayBar {
-                cosines: DVec2::new(cosines[0][j], cosines[1][j]),
-                entrance: DVec2::new(entrance[0][j], entrance[1][j]),
-                slope: DVec2::new(slope[0][j], slope[1][j]),
-                heights: Vec::with_capacity(heights.len()),
+                cosines: DVec2::new(bars.cosines[0][j], bars.cosines[1][j]),
+                entrance: DVec2::new(bars.entrance[0][j], bars.entrance[1][j]),
+                slope: DVec2::new(bars.slope[0][j], bars.slope[1][j]),
+                heights: Vec::with_capacity(bars.clips.len()),
+                path: bars.paths.get(j).copied().unwrap_or(0.0),
             };
-            for (k, radius, bars) in &heights {
-                let height = node.heights[*k];
+            for (k, bars) in &bars.clips {
+                let (height, radius) = (node.heights[*k], view.system.surfaces[*k].semi_diameter);
                 ray.heights.push((*k, -2.0 * bars[j] / radius.powi(2) * height));
                 out.semi_diameters[*k] += 2.0 * bars[j] * height.length_squared() / radius.powi(3);
             }

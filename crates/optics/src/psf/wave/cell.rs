@@ -1,10 +1,21 @@
-//! The share of a cell of the pupil's raster that an edge leaves open.
+//! The share of a cell of the pupil's raster that edges leave open, and its pull-back.
+//!
+//! An edge is a function that is positive inside, given on the raster. About a cell it is taken as a quadratic through the cell's neighbours; smaller cells of a
+//! third of the side are cut by straight lines. Where edges cross in one, their shares are multiplied.
 
 use glam::DVec2;
+use ndarray::Array2;
 
-/// Area of the unit square around the origin where `n · p + t ≥ 0`, `n` a unit vector: an edge at distance `t` from the middle.
-pub(super) fn open(normal: DVec2, t: f64) -> f64 {
-    let [a, b] = [normal.x.abs(), normal.y.abs()];
+/// Cells farther from an edge than this, in their sides, are open or closed as a whole.
+const CLEAR: f64 = 1.0;
+/// Smaller cells each way of those that an edge is near to.
+const PARTS: u32 = 3;
+
+/// Area of the unit square around the origin where `g · p + c ≥ 0`, and its derivatives over `c` and `g`: those of what the line's chord sweeps.
+fn half_plane(g: DVec2, c: f64) -> (f64, f64, DVec2) {
+    let size = g.length().max(f64::MIN_POSITIVE);
+    let (n, t) = (g / size, c / size);
+    let [a, b] = [n.x.abs(), n.y.abs()];
     let (small, large) = (a.min(b), a.max(b));
     // By the corner that the edge leaves last, distance along the normal from the lowest corner.
     let (half, side) = (0.5 * (small + large), t.abs());
@@ -15,14 +26,181 @@ pub(super) fn open(normal: DVec2, t: f64) -> f64 {
     } else {
         1.0 - (half - side).powi(2) / (2.0 * small * large)
     };
-    if t >= 0.0 { area } else { 1.0 - area }
+    let area = if t >= 0.0 { area } else { 1.0 - area };
+    let (foot, along) = (-t * n, DVec2::new(-n.y, n.x));
+    let (mut from, mut to) = (f64::NEG_INFINITY, f64::INFINITY);
+    for (p, d) in [(foot.x, along.x), (foot.y, along.y)] {
+        if d == 0.0 {
+            if p.abs() > 0.5 {
+                return (area, 0.0, DVec2::ZERO);
+            }
+            continue;
+        }
+        let ends = [(-0.5 - p) / d, (0.5 - p) / d];
+        from = from.max(ends[0].min(ends[1]));
+        to = to.min(ends[0].max(ends[1]));
+    }
+    let length = (to - from).max(0.0) / size;
+    (area, length, length * (foot + 0.5 * (from + to) * along))
+}
+
+/// A function about a cell: value, slopes and second derivatives by cells along columns (x) and rows (y).
+#[derive(Clone, Copy)]
+struct Quadratic {
+    value: f64,
+    slope: DVec2,
+    xx: f64,
+    yy: f64,
+    xy: f64,
+}
+
+impl Quadratic {
+    fn about(f: &Array2<f64>, i: usize, j: usize) -> Self {
+        let at = |di: usize, dj: usize| f[[i + di - 1, j + dj - 1]];
+        let value = at(1, 1);
+        Self {
+            value,
+            slope: 0.5 * DVec2::new(at(1, 2) - at(1, 0), at(2, 1) - at(0, 1)),
+            xx: at(1, 2) - 2.0 * value + at(1, 0),
+            yy: at(2, 1) - 2.0 * value + at(0, 1),
+            xy: 0.25 * (at(2, 2) - at(2, 0) - at(0, 2) + at(0, 0)),
+        }
+    }
+
+    fn at(&self, p: DVec2) -> (f64, DVec2) {
+        let slope = self.slope + DVec2::new(self.xx * p.x + self.xy * p.y, self.yy * p.y + self.xy * p.x);
+        (self.value + 0.5 * (self.slope + slope).dot(p), slope)
+    }
+
+    /// Distance from the edge, in cells.
+    fn distance(&self) -> f64 {
+        self.value / self.slope.length().max(f64::MIN_POSITIVE)
+    }
+
+    /// Adds cotangents on [`Self::at`].
+    fn at_vjp(&mut self, p: DVec2, value: f64, slope: DVec2) {
+        self.value += value;
+        self.slope += value * p + slope;
+        self.xx += 0.5 * value * p.x * p.x + slope.x * p.x;
+        self.yy += 0.5 * value * p.y * p.y + slope.y * p.y;
+        self.xy += value * p.x * p.y + slope.x * p.y + slope.y * p.x;
+    }
+
+    /// Adds the pull-back of [`Self::about`], of cotangents in the form of one.
+    fn about_vjp(&self, i: usize, j: usize, to: &mut Array2<f64>) {
+        let mut add = |di: usize, dj: usize, v: f64| to[[i + di - 1, j + dj - 1]] += v;
+        add(1, 1, self.value - 2.0 * (self.xx + self.yy));
+        add(1, 2, 0.5 * self.slope.x + self.xx);
+        add(1, 0, -0.5 * self.slope.x + self.xx);
+        add(2, 1, 0.5 * self.slope.y + self.yy);
+        add(0, 1, -0.5 * self.slope.y + self.yy);
+        let corner = 0.25 * self.xy;
+        add(2, 2, corner);
+        add(2, 0, -corner);
+        add(0, 2, -corner);
+        add(0, 0, corner);
+    }
+
+    const NONE: Self = Self { value: 0.0, slope: DVec2::ZERO, xx: 0.0, yy: 0.0, xy: 0.0 };
+}
+
+/// What the edges leave of one cell.
+enum Cell {
+    Open,
+    Closed,
+    Cut(Vec<Quadratic>),
+}
+
+fn look(edges: &[Array2<f64>], i: usize, j: usize) -> Cell {
+    let mut cut = false;
+    for f in edges {
+        // Slopes on either side; where the nearest neighbours tell that no edge is near, nothing else is looked at.
+        let d = Quadratic::about(f, i, j).distance();
+        if d.is_nan() || d < -CLEAR {
+            return Cell::Closed;
+        }
+        cut |= d <= CLEAR;
+    }
+    if cut { Cell::Cut(edges.iter().map(|f| Quadratic::about(f, i, j)).collect()) } else { Cell::Open }
+}
+
+/// Middles of the smaller cells.
+fn parts() -> impl Iterator<Item = DVec2> {
+    let at = |k: u32| (f64::from(k) + 0.5) / f64::from(PARTS) - 0.5;
+    (0..PARTS).flat_map(move |i| (0..PARTS).map(move |j| DVec2::new(at(j), at(i))))
+}
+
+/// Shares of all cells for which `inside` holds, in the form of the edges; the outermost cells are closed.
+pub(super) fn shares(edges: &[Array2<f64>], inside: &Array2<bool>) -> Array2<f64> {
+    let (rows, cols) = inside.dim();
+    let mut out = Array2::zeros((rows, cols));
+    for i in 1..rows - 1 {
+        for j in (1..cols - 1).filter(|j| inside[[i, *j]]) {
+            out[[i, j]] = match look(edges, i, j) {
+                Cell::Open => 1.0,
+                Cell::Closed => 0.0,
+                Cell::Cut(about) => {
+                    let part = |p: DVec2| -> f64 {
+                        let one = |q: &Quadratic| {
+                            let (value, slope) = q.at(p);
+                            half_plane(slope / f64::from(PARTS), value).0
+                        };
+                        about.iter().map(one).product()
+                    };
+                    parts().map(part).sum::<f64>() / f64::from(PARTS * PARTS)
+                }
+            };
+        }
+    }
+    out
+}
+
+/// Adds the pull-back of cotangents on [`shares`] to those of the edges.
+pub(super) fn shares_vjp(edges: &[Array2<f64>], inside: &Array2<bool>, bar: &Array2<f64>, to: &mut [Array2<f64>]) {
+    let (rows, cols) = inside.dim();
+    for i in 1..rows - 1 {
+        for j in (1..cols - 1).filter(|j| inside[[i, *j]] && bar[[i, *j]] != 0.0) {
+            let Cell::Cut(about) = look(edges, i, j) else { continue };
+            let mut bars = vec![Quadratic::NONE; about.len()];
+            let each = bar[[i, j]] / f64::from(PARTS * PARTS);
+            for p in parts() {
+                let cuts: Vec<_> = about
+                    .iter()
+                    .map(|q| {
+                        let (value, slope) = q.at(p);
+                        half_plane(slope / f64::from(PARTS), value)
+                    })
+                    .collect();
+                for (k, bar) in bars.iter_mut().enumerate() {
+                    let others: f64 = cuts.iter().enumerate().filter(|(m, _)| *m != k).map(|(_, c)| c.0).product();
+                    let (_, by_value, by_slope) = cuts[k];
+                    bar.at_vjp(p, each * others * by_value, each * others * by_slope / f64::from(PARTS));
+                }
+            }
+            bars.iter().zip(&mut *to).for_each(|(bar, to)| bar.about_vjp(i, j, to));
+        }
+    }
+}
+
+/// Shares with what their cells' areas took of an edge's sharpness put back, to the fourth order of the cell's side. It is its own transpose.
+pub(super) fn sharpened(shares: &Array2<f64>) -> Array2<f64> {
+    let along = |from: &Array2<f64>, di: usize, dj: usize| {
+        let (rows, cols) = from.dim();
+        Array2::from_shape_fn((rows, cols), |(i, j)| {
+            let before = if i >= di && j >= dj { from[[i - di, j - dj]] } else { 0.0 };
+            let after = from.get((i + di, j + dj)).copied().unwrap_or(0.0);
+            from[[i, j]] - (before - 2.0 * from[[i, j]] + after) / 24.0
+        })
+    };
+    along(&along(shares, 0, 1), 1, 0)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use isoplanat_base::testing::{assert_rel, central_difference};
 
-    /// Against counted points, edges of all directions and distances.
+    /// Against counted points, edges of all directions and distances; derivatives against differences.
     #[test]
     fn areas_are_counted_ones() {
         let rng = &mut fastrand::Rng::with_seed(2);
@@ -34,8 +212,47 @@ mod tests {
             let inside = |i: i32, j: i32| normal.dot(DVec2::new(at(i), at(j))) + t >= 0.0;
             let count = (0..n).flat_map(|i| (0..n).map(move |j| (i, j))).filter(|(i, j)| inside(*i, *j)).count();
             let counted = count as f64 / f64::from(n * n);
-            assert!((open(normal, t) - counted).abs() < 4e-3, "{angle} {t}: {} for {counted}", open(normal, t));
+            let g = (0.3 + rng.f64()) * normal;
+            let c = t * g.length();
+            let (area, by_c, by_g) = half_plane(g, c);
+            assert!((area - counted).abs() < 4e-3, "{angle} {t}: {area} for {counted}");
+            if k >= 8 {
+                let area = |g: DVec2, c: f64| half_plane(g, c).0;
+                assert_rel(by_c, central_difference(|h| area(g, c + h), 1e-6), 1e-5, 1.0, "over c");
+                for (axis, found) in [(DVec2::X, by_g.x), (DVec2::Y, by_g.y)] {
+                    assert_rel(found, central_difference(|h| area(g + h * axis, c), 1e-6), 1e-5, 1.0, "over g");
+                }
+            }
         }
-        assert_eq!((open(DVec2::X, 0.25), open(DVec2::Y, -0.75)), (0.75, 0.0));
+        assert_eq!((half_plane(DVec2::X, 0.25).0, half_plane(DVec2::Y, -0.75).0), (0.75, 0.0));
+    }
+
+    /// A disk cut by a line: its area, and the pull-back of [`shares`] against differences in every value.
+    #[test]
+    fn shares_vjp_agrees_with_differences() {
+        let n = 15;
+        let at = |k: usize| k as f64 - 7.0;
+        let disk = Array2::from_shape_fn((n, n), |(i, j)| 5.2 - at(i).hypot(at(j) - 0.3));
+        let line = Array2::from_shape_fn((n, n), |(i, j)| 2.1 + 0.6 * at(i) - 0.8 * at(j));
+        let inside = Array2::from_elem((n, n), true);
+        let edges = vec![disk.clone(), line];
+        let whole = shares(&edges[..1], &inside).sum();
+        // Straight lines of a third of a cell, at a radius of five cells.
+        assert_rel(whole, std::f64::consts::PI * 5.2f64.powi(2), 1e-3, 1.0, "area");
+        let rng = &mut fastrand::Rng::with_seed(5);
+        let bar = Array2::from_shape_fn((n, n), |_| rng.f64() - 0.5);
+        let mut to = vec![Array2::zeros((n, n)); 2];
+        shares_vjp(&edges, &inside, &bar, &mut to);
+        for (k, i, j) in [(0, 2, 7), (0, 3, 4), (1, 6, 9), (1, 7, 10), (0, 7, 12), (1, 9, 11)] {
+            let moved = |h: f64| {
+                let mut edges = edges.clone();
+                edges[k][[i, j]] += h;
+                (&shares(&edges, &inside) * &bar).sum()
+            };
+            assert_rel(to[k][[i, j]], central_difference(moved, 1e-6), 1e-6, 0.1, &format!("{k} {i} {j}"));
+        }
+        let (a, b) = (sharpened(&bar), sharpened(&disk));
+        // Zero around: the transpose holds for any values.
+        assert_rel((&a * &disk).sum(), (&b * &bar).sum(), 1e-12, 1.0, "transpose");
     }
 }

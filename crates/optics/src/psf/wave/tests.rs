@@ -1,13 +1,20 @@
 use std::f64::consts::{PI, TAU};
 
 use glam::{DMat2, DVec2};
-use isoplanat_base::testing::assert_abs;
+use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 use rustfft::num_complex::Complex;
 
+use super::fitted::Bars;
+use super::functions::{ODD_STOP, PATH, STOP};
+use super::raster::Sampling;
 use super::*;
 use crate::lens::builtin;
+use crate::lens::variables::Variables;
+use crate::psf::fit::Of;
+use crate::psf::kernel::KernelForm;
 use crate::psf::splat::Raster;
-use crate::psf::{OpticsSpec, Quadrature, SensorMap};
+use crate::psf::stop::Part;
+use crate::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorMap};
 
 const NM: f64 = 550.0;
 
@@ -134,6 +141,23 @@ fn transfer_functions_are_those_of_a_round_pupil() {
     }
 }
 
+/// Displacement of the ray through a point of the stop, mm: where the path is stationary.
+fn displacement(pupil: &Pupil, s: DVec2) -> DVec2 {
+    let [even, odd] = &pupil.functions.fitted.halves;
+    let at = |tau: DVec2, p: usize, coefficients: &[f64]| {
+        let at = &pupil.functions.fitted.evaluations(std::iter::once(tau))[p];
+        let [value, x, y] = [Of::Value, Of::X, Of::Y].map(|of| at.at(of, coefficients)[0]);
+        (value, DVec2::new(x, y) / pupil.functions.fitted.half)
+    };
+    let mut tau = pupil.functions.fitted.middle;
+    for _ in 0..20 {
+        let (x, y) = (at(tau, 1, &odd.coefficients[ODD_STOP]), at(tau, 0, &even.coefficients[STOP]));
+        let jacobian = DMat2::from_cols(x.1, y.1).transpose();
+        tau += jacobian.inverse() * (s - DVec2::new(x.0, y.0));
+    }
+    at(tau, 0, &even.coefficients[PATH]).1
+}
+
 /// Where paths are stationary, rays land: displacements are those of geometric kernels, near and far, axis to corner.
 #[test]
 fn stationary_paths_are_rays() {
@@ -141,7 +165,7 @@ fn stationary_paths_are_rays() {
         [("double_gauss", 7.5, 0.0), ("double_gauss", 7.5, 2e-3), ("phone", 3.2, 0.0), ("two_element", 20.0, 1e-3)]
     {
         let (lens, optics) = traced(name, None, radius, vergence);
-        let waves = Waves::new(&lens, &[NM]).expect("traces");
+        let waves = Waves::new(&lens, &optics).expect("traces");
         let form = optics.form(120, 3, 1, 0.01);
         for share in [0.0, 0.4, 0.9] {
             let point = SensorPoint::along([0.0, 1.0], share * radius);
@@ -150,7 +174,7 @@ fn stationary_paths_are_rays() {
             let (mut worst, mut far) = (0.0f64, 0.0f64);
             for (q, s) in form.points.points.iter().enumerate().filter(|(q, _)| rays.share[*q] > 0.0) {
                 let moved = DVec2::new(rays.x[q], rays.y[q]);
-                worst = worst.max((pupil.displacement(*s) - moved).length());
+                worst = worst.max((displacement(&pupil, *s) - moved).length());
                 far = far.max(moved.length());
             }
             let waves = pupil.residual_waves;
@@ -245,7 +269,7 @@ fn kernels_are_sums_of_wavelets() {
     ] {
         let (lens, optics) = traced(name, f_number, radius, vergence);
         let at = share * radius;
-        let waves = Waves::new(&lens, &[NM]).expect("traces");
+        let waves = Waves::new(&lens, &optics).expect("traces");
         let pupil = waves.pupil(&optics, 0, 0, SensorPoint::along([0.0, 1.0], at)).expect("light");
         let raster = Raster { size: SIDE, samples: 1 };
         let cell = NM * 1e-6 / pupil.aperture_half() / 3.0;
@@ -300,4 +324,129 @@ fn kernels_are_sums_of_wavelets() {
         worst_of_all = worst_of_all.max(off);
     }
     assert!(worst_of_all < 1e-3, "{worst_of_all:e} of the peak");
+}
+
+/// The pull-back of a kernel's loss to the functions' values and places, the raster held, against differences: a pupil with aberrations that an aperture and the border of
+/// what is known cut.
+#[test]
+fn kernel_vjp_agrees_with_differences() {
+    let rng = &mut fastrand::Rng::with_seed(11);
+    for part in [Part::WHOLE, Part::between([-0.7, 0.9])] {
+        let nodes = part.nodes(6);
+        let of = |f: &dyn Fn(&DVec2) -> f64| nodes.iter().map(f).collect::<Vec<f64>>();
+        let (wavelength, na) = (5e-4, 0.12);
+        let square = |s: &DVec2| s.length_squared();
+        let even = vec![
+            of(&|s| wavelength * (1.3 * square(s) - 0.8 * square(s).powi(2) + 0.4 * s.y * square(s))),
+            of(&|s| na * (s.y + 0.05 * s.x * s.x)),
+            of(&|s| s.y),
+            of(&|s| 1.0 - (s.x * s.x + (s.y - 0.35).powi(2)) / 1.1),
+        ];
+        let odd = vec![of(&|s| na * s.x * (1.0 + 0.04 * s.y)), of(&|s| s.x)];
+        let tau: Vec<DVec2> = nodes.iter().map(|s| na * *s * (1.0 + 0.03 * s.y) + DVec2::new(0.0, 0.01)).collect();
+        let made = |tau: &[DVec2], values: &Bars| {
+            Pupil::of(wavelength, part, 6, (tau.to_vec(), values.clone()), None).expect("spans an area")
+        };
+        let values: Bars = [even, odd];
+        let pupil = made(&tau, &values);
+        let outward = [0.6, 0.8];
+        let (raster, cell) = (Raster { size: 15, samples: 2 }, 2.5e-3);
+        let period = pupil.period(15.0 * cell);
+        let sampling = Sampling::new(&pupil.functions, outward, period);
+        let bar: Vec<f64> = (0..raster.len()).map(|_| rng.f64() - 0.5).collect();
+        let loss = |pupil: &Pupil| {
+            let mut kernel = vec![0.0; raster.len()];
+            pupil.made_at(sampling.clone(), raster, cell, &mut kernel);
+            kernel.iter().zip(&bar).map(|(a, b)| a * b).sum::<f64>()
+        };
+        let mut kernel = vec![0.0; raster.len()];
+        let forward = pupil.made_at(sampling.clone(), raster, cell, &mut kernel).expect("light");
+        let mut bars = pupil.functions.fitted.no_bars();
+        pupil.kernel_vjp(&forward, &kernel, &bar, &mut bars);
+        let (of_values, of_nodes) = pupil.functions.fitted.vjp(&bars);
+        for j in [0, 5, 17, 30, nodes.len() - 1] {
+            for (p, k) in [(0, 0), (0, 1), (0, 2), (0, 3), (1, 0), (1, 1)] {
+                let scale = if k == 0 && p == 0 { wavelength } else { na };
+                let moved = |h: f64| {
+                    let mut values = values.clone();
+                    values[p][k][j] += h * scale;
+                    loss(&made(&tau, &values))
+                };
+                let expected = central_difference(moved, 1e-5);
+                assert_rel(of_values[p][k][j] * scale, expected, 1e-6, 1e-3, &format!("{part:?} {p} {k} {j}"));
+            }
+            for axis in [DVec2::X, DVec2::Y] {
+                let moved = |h: f64| {
+                    let mut tau = tau.clone();
+                    tau[j] += h * na * axis;
+                    loss(&made(&tau, &values))
+                };
+                let expected = central_difference(moved, 1e-5);
+                assert_rel(of_nodes[j].dot(axis) * na, expected, 1e-6, 1e-3, &format!("{part:?} place {j}"));
+            }
+        }
+    }
+}
+
+/// From kernels of all colours at points near and far to every number of the lens, against differences: to 1e-3 of the number, or 1e-6 of all where it is small.
+#[test]
+fn kernels_by_diffraction_pull_back_to_the_lens() {
+    let rng = &mut fastrand::Rng::with_seed(12);
+    for (name, f_number, radius, vergence, cell) in [
+        ("two_element", Some(8.0), 10.0, 0.0, 3e-3),
+        ("cooke_triplet", Some(11.0), 15.0, 1e-3, 4e-3),
+        ("phone", None, 2.6, 0.0, 1.1e-3),
+    ] {
+        let mut lens = builtin::lens(name).expect("shipped");
+        if let Some(n) = f_number {
+            lens = lens.changed(|l| l.aperture = crate::lens::Aperture::FNumber(n)).expect("closes");
+        }
+        let weight = vec![vec![0.3, 0.7], vec![0.9, 0.1]];
+        let quadrature = Quadrature { nm: vec![480.0, 600.0], weight };
+        let spec = OpticsSpec { degree: 12, ..OpticsSpec::even(radius, vec![vergence], quadrature) };
+        let traced = |lens: &Lens| Optics::compute(lens, &spec).and_then(|o| o.diffracting(lens)).expect("traces");
+        let optics = traced(&lens);
+        let form = KernelForm { keeps_light: true, ..optics.form(400, 15, 2, cell) };
+        let points = [SensorPoint::at([0.3 * radius, 0.2 * radius]), SensorPoint::at([-0.1 * radius, 0.85 * radius])];
+        let len = form.channels() * form.raster.len();
+        // Smooth weights: a loss of pixels here and there would show rasters' errors.
+        let (a, b) = (rng.f64(), rng.f64());
+        let weights: Vec<f64> = (0..len)
+            .map(|q| {
+                let q = q % form.raster.len();
+                let [i, j] = [q / 30, q % 30].map(|v| v as f64 - 14.5);
+                (0.4 * i + a).sin() + (0.3 * j + b).cos() * 0.7 + 0.02 * i * j / 5.0
+            })
+            .collect();
+        let loss = |optics: &Optics| {
+            let each = optics
+                .kernels_each(&form, 0, &points, |_, k, _| k.iter().zip(&weights).map(|(a, b)| a * b).sum::<f64>());
+            each.iter().sum::<f64>()
+        };
+        let mut bar = OpticsBar::zeros(&optics);
+        let fill = |_: usize, out: &mut [f64]| {
+            out.copy_from_slice(&weights);
+            true
+        };
+        for back in optics.kernels_vjp(&form, 0, &points, fill) {
+            bar.add_kernel(&optics, 0, &back);
+        }
+        let variables = Variables::all(&lens);
+        let (x, pulled) = (variables.values(&lens), variables.gradient(&optics.vjp(&lens, &bar)));
+        let size = pulled.iter().map(|v| v * v).sum::<f64>().sqrt();
+        let mut worst = 0.0f64;
+        for k in 0..x.len() {
+            // As far as the loss changes by a thousandth.
+            let step: f64 = f64::min(1e-3 / pulled[k].abs().max(1e-9), 1e-5);
+            let moved = |h: f64| {
+                let mut moved = x.clone();
+                moved[k] += h;
+                loss(&traced(&variables.lens(&lens, &moved).expect("a lens")))
+            };
+            let expected = central_difference(moved, step);
+            worst = worst.max((pulled[k] - expected).abs() / expected.abs().max(1e-3 * size));
+        }
+        eprintln!("{name}: {} numbers, worst {worst:.1e}", x.len());
+        assert!(worst < 1e-3, "{name}: {worst:e}");
+    }
 }

@@ -89,6 +89,8 @@ pub struct SceneRayBar {
     pub slope: DVec2,
     /// Of points at surfaces (of the reversed system).
     pub heights: Vec<(usize, DVec2)>,
+    /// Of the optical path from the sensor point to the crossing of the first vertex plane.
+    pub path: f64,
 }
 
 impl SensorView {
@@ -231,6 +233,13 @@ impl SensorView {
         Ok(SceneRay::of(cosines, p, d))
     }
 
+    /// Optical path from the sensor point to the crossing of the first vertex plane, mm, of the ray with these hits.
+    pub(crate) fn path(&self, hits: &[Hit]) -> f64 {
+        let image = self.system.image();
+        let last = &hits[image];
+        last.optical_path - self.system.surfaces[image].index_after * last.at.point.z / last.direction.z
+    }
+
     /// Pulls cotangents on a ray that [`Self::aim`] found and [`Self::follow`] followed back to the reversed system (added
     /// to `out`); returns that of the target in the stop. The point on the sensor is held.
     pub fn vjp(&self, at: DVec2, cosines: DVec2, hits: &[Hit], bar: &SceneRayBar, out: &mut SystemGradient) -> DVec2 {
@@ -245,6 +254,13 @@ impl SensorView {
         let run_bar = -p.z * bar.entrance - bar.slope;
         bars[image].point += bar.entrance.extend(-bar.entrance.dot(run));
         bars[image].direction += (run_bar / d.z).extend(-run_bar.dot(run) / d.z);
+        if bar.path != 0.0 {
+            let index = self.system.surfaces[image].index_after;
+            bars[image].optical_path += bar.path;
+            bars[image].point.z -= bar.path * index / d.z;
+            bars[image].direction.z += bar.path * index * p.z / (d.z * d.z);
+            out.indices[image + 1] -= bar.path * p.z / d.z;
+        }
         let point = SensorPoint(at);
         let ray = point.ray(cosines);
         let (_, direction_bar) = trace_vjp(&self.system, hits, &bars, out);
@@ -418,7 +434,7 @@ mod tests {
         }
     }
 
-    /// Cosines, crossing, slopes and heights against differences of every number of the lens.
+    /// Cosines, crossing, slopes, heights and paths against differences of every number of the lens.
     #[test]
     fn the_pull_back_agrees_with_differences() {
         let rng = &mut fastrand::Rng::with_seed(3);
@@ -427,7 +443,7 @@ mod tests {
             let (at, unit) = (DVec2::new(0.0, radius), DVec2::new(0.4, -0.6));
             let mut draw = || DVec2::new(between(rng, -1.0, 1.0), between(rng, -1.0, 1.0));
             let heights: Vec<(usize, DVec2)> = (1..lens.surfaces.len()).map(|k| (k, draw())).collect();
-            let bar = SceneRayBar { cosines: draw(), entrance: draw(), slope: draw(), heights };
+            let bar = SceneRayBar { cosines: draw(), entrance: draw(), slope: draw(), heights, path: 0.7 };
             let run = |lens: &Lens| {
                 let view = SensorView::new(&System::new(lens, 500.0));
                 let mut hits = Vec::new();
@@ -436,6 +452,7 @@ mod tests {
                 let value = ray.cosines.dot(bar.cosines)
                     + ray.entrance.dot(bar.entrance)
                     + ray.slope.dot(bar.slope)
+                    + view.path(&hits) * bar.path
                     + bar.heights.iter().map(|(k, b)| hits[*k].at.point.truncate().dot(*b)).sum::<f64>();
                 (value, view, p, hits)
             };
