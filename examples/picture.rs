@@ -4,7 +4,7 @@
 use std::process::ExitCode;
 
 use isoplanat::atomic::Target;
-use isoplanat::{Encoding, Error, Frame, Request, Result, SceneKind, Sensor, SpectralDensity};
+use isoplanat::{Encoding, Error, Frame, PlanOptions, Request, Result, SceneKind, Sensor, SpectralDensity};
 use isoplanat::{builtin, fill_frame, generate, plan, read_linear, write_picture};
 
 fn run() -> Result<()> {
@@ -22,7 +22,8 @@ fn run() -> Result<()> {
     };
     let scene = fill_frame(&lens, &frame, texture)?;
     let density = SpectralDensity::new(&Sensor::generic());
-    let plan = plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), false)?;
+    let plan =
+        plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), PlanOptions::default())?;
     let promised = plan.predicted_db.filter(|_| plan.holds);
     let promised = promised.ok_or_else(|| Error::bad(&name, "picture", "less than 45 dB", "a lens that images"))?;
 

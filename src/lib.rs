@@ -22,7 +22,7 @@
 //! What most programs need stands at this crate's root, in the order of the light; everything stays under its floor's path as well.
 //!
 //! ```
-//! use isoplanat::{Frame, Limits, Problem, Request, SceneKind, Sensor, SpectralDensity, builtin, fill_frame, generate, optimize, plan};
+//! use isoplanat::{Frame, Limits, PlanOptions, Problem, Request, SceneKind, Sensor, SpectralDensity, builtin, fill_frame, generate, optimize, plan};
 //!
 //! // A shipped lens, made better.
 //! let lens = builtin::lens("cooke_triplet")?;
@@ -31,7 +31,7 @@
 //! // A street seen through it: the cheapest settings that hold 45 dB.
 //! let frame = Frame::centred(48, 32, 0.2)?;
 //! let scene = fill_frame(&found.lens, &frame, generate(SceneKind::Facades, 1, 64, 96))?;
-//! let planned = plan(&found.lens, &[scene.clone()], &frame, &SpectralDensity::new(&Sensor::generic()), Request::Psnr(45.0), false)?;
+//! let planned = plan(&found.lens, &[scene.clone()], &frame, &SpectralDensity::new(&Sensor::generic()), Request::Psnr(45.0), PlanOptions::default())?;
 //! let (picture, _) = planned.picture::<f32>(&scene, &|_| ())?;
 //! assert!(planned.holds && picture.dim() == (3, 32, 48));
 //! # Ok::<(), isoplanat::Error>(())
@@ -109,7 +109,7 @@ pub use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 // Scenes and pictures of them.
 pub use isoplanat_imaging::capture::{CaptureSettings, capture};
 pub use isoplanat_imaging::files::{Encoding, read_linear, write_picture};
-pub use isoplanat_imaging::render::{Renderer, Request, Settings, frame_of, plan};
+pub use isoplanat_imaging::render::{Diffraction, PlanOptions, Renderer, Request, Settings, frame_of, plan};
 pub use isoplanat_imaging::scene::{SceneKind, fill_frame, generate};
 
 // Captures, and what pictures are worth.

@@ -14,7 +14,7 @@ use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::psnr_against_halves;
 use isoplanat::imaging::reference::{Channels, Rendered, Sampling, Settings, render_halves};
-use isoplanat::imaging::render::{Request, frame_of, plan};
+use isoplanat::imaging::render::{PlanOptions, Request, frame_of, plan};
 use isoplanat::imaging::scene::placement::Placement;
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -117,7 +117,8 @@ fn main() {
             for asked in REQUESTS {
                 let clock = Instant::now();
                 let scenes = std::slice::from_ref(&scene);
-                let plan = plan(&lens, scenes, &frame, &density, Request::Psnr(asked), false).expect("plans");
+                let plan =
+                    plan(&lens, scenes, &frame, &density, Request::Psnr(asked), PlanOptions::RAYS).expect("plans");
                 let planning = clock.elapsed().as_secs_f64();
                 let clock = Instant::now();
                 let (image, _) = plan.picture::<f32>(&scene, &|_| ()).expect("renders");

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use isoplanat::imaging::files::read_linear;
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::Plane;
-use isoplanat::imaging::render::{Request, ScenePlan, frame_of, plan};
+use isoplanat::imaging::render::{PlanOptions, Request, ScenePlan, frame_of, plan};
 use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
@@ -28,7 +28,8 @@ impl Case {
     /// The case's plan, from the lens on.
     pub(crate) fn plan(&self, request: Request, explain: bool) -> ScenePlan {
         let scenes = std::slice::from_ref(&self.scene);
-        plan(&self.lens, scenes, &self.frame, &self.density, request, explain).expect("plans")
+        plan(&self.lens, scenes, &self.frame, &self.density, request, PlanOptions { explain, ..PlanOptions::RAYS })
+            .expect("plans")
     }
 
     /// Its scene through a plan.

@@ -4,8 +4,9 @@
 //! and photographs and writes `benches/results/picture.md` (photographs from `../shared`; about half an hour), `-- tables
 //! quick` does so with one photograph a lens (six for
 //! `--min-psnr-db`); `-- chosen` and `-- chosen quick` print what `--min-psnr-db` holds and costs; `-- planning` prints what planning takes beside
-//! ten pictures, and a picture's gradient beside the picture.
+//! ten pictures, and a picture's gradient beside the picture; `-- bent` judges pictures by diffraction of six lenses at three stops.
 
+mod bent;
 mod cases;
 mod planning;
 mod tables;
@@ -32,6 +33,10 @@ fn main() {
     let arguments: Vec<String> = std::env::args().collect();
     if arguments.iter().any(|a| a == "chosen") {
         println!("{}", tables::chosen(arguments.iter().any(|a| a == "quick")));
+        return;
+    }
+    if arguments.iter().any(|a| a == "bent") {
+        println!("{}", bent::table());
         return;
     }
     if arguments.iter().any(|a| a == "planning") {

@@ -9,7 +9,9 @@ use isoplanat::imaging::sensor::illuminant::Illuminant;
 use isoplanat::lens::paraxial::require_real_image;
 use isoplanat::lens::{Prescription, SensorRaster};
 use isoplanat::math::memory::Limit;
-use isoplanat::{Error, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan};
+use isoplanat::{
+    Diffraction, Error, PlanOptions, Plane, Region, Renderer, Request, Result, Sensor, SpectralDensity, plan,
+};
 use ndarray::Array3;
 use pyo3::exceptions::PyUserWarning;
 use pyo3::prelude::*;
@@ -143,6 +145,7 @@ pub(crate) struct Asked<'a, 'py> {
     pub(crate) distance_mm: Option<f64>,
     pub(crate) min_psnr_db: Option<f64>,
     pub(crate) texels_per_pixel: Option<f64>,
+    pub(crate) diffraction: Option<&'a str>,
     pub(crate) illuminant: Option<&'a str>,
     pub(crate) plan: Option<&'a Bound<'py, Plan>>,
 }
@@ -151,6 +154,16 @@ pub(crate) struct Asked<'a, 'py> {
 pub(crate) fn light(name: Option<&str>) -> PyResult<Illuminant> {
     let Some(name) = name else { return Ok(Illuminant::default()) };
     name.parse::<Illuminant>().map_err(|e| raised(e.at("illuminant")))
+}
+
+/// How diffraction enters pictures, by name.
+fn bending(name: Option<&str>) -> PyResult<Diffraction> {
+    match name {
+        None | Some("auto") => Ok(Diffraction::Auto),
+        Some("on") => Ok(Diffraction::On),
+        Some("off") => Ok(Diffraction::Off),
+        Some(other) => Err(refused("diffraction", format!("{other:?}"), "\"on\", \"off\" or \"auto\"")),
+    }
 }
 
 /// `lens` with an object and a frame in place of its own.
@@ -209,7 +222,7 @@ impl Asked<'_, '_> {
         if let Some(plan) = self.plan {
             let plan = plan.get().clone();
             let decided = [self.distance_mm.is_some(), self.min_psnr_db.is_some(), self.texels_per_pixel.is_some()];
-            if decided.contains(&true) || self.illuminant.is_some() {
+            if decided.contains(&true) || self.illuminant.is_some() || self.diffraction.is_some() {
                 return Err(refused("plan", "given beside what it decides", "lens, photo and frame alone"));
             }
             if let Some(frame) = frame.filter(|f| *f != plan.frame) {
@@ -235,6 +248,7 @@ impl Asked<'_, '_> {
         if let Some(texels) = self.texels_per_pixel.filter(|t| !(*t > 0.0 && *t <= 1000.0)) {
             return Err(refused("texels_per_pixel", texels, "a positive number, at most 1000"));
         }
+        let options = PlanOptions { diffraction: bending(self.diffraction)?, ..PlanOptions::default() };
         let light = light(self.illuminant)?;
         let distance = self.distance_mm.map_or(Ok(lens.object_vergence), |d| vergence("distance_mm", d))?;
         let texels_per_pixel = self.texels_per_pixel;
@@ -248,7 +262,7 @@ impl Asked<'_, '_> {
             density.require(&lens)?;
             let place = |t: Array3<f32>| place(&lens, &frame, texels_per_pixel, t);
             let planes = textures.into_iter().map(place).collect::<Result<Vec<_>>>()?;
-            let made = plan(&lens, &planes, &frame.inner, &density, Request::Psnr(db), false)?;
+            let made = plan(&lens, &planes, &frame.inner, &density, Request::Psnr(db), options)?;
             let placed = Placed::of(&planes[0]);
             limit.allow(&what, made.bytes(placed.texels), SMALLER)?;
             let plan = Plan {
@@ -290,7 +304,7 @@ fn finite(scene: &Plane) -> Result<()> {
 
 /// A photograph through a lens.
 ///
-/// `picture, truth = isoplanat.render(lens, photo, frame=None, *, distance_mm=None, min_psnr_db=50, texels_per_pixel=None, illuminant="E", plan=None)`;
+/// `picture, truth = isoplanat.render(lens, photo, frame=None, *, distance_mm=None, min_psnr_db=50, texels_per_pixel=None, diffraction="auto", illuminant="E", plan=None)`;
 /// `render.plan` makes the settings once for many photographs, `render.record` keeps what a gradient needs.
 ///
 /// The picture that `lens` makes of `photo` on `frame`, and the ideal one: the same with the lens's distortion, without blur and falling light.
@@ -308,6 +322,8 @@ fn finite(scene: &Plane) -> Result<()> {
 ///     The cheapest settings are taken that hold this PSNR (linear light, range 1); 50 where left out.
 /// texels_per_pixel : float, optional
 ///     Pixels of the photograph that one of the frame sees on the axis, in place of filling the frame.
+/// diffraction : str
+///     "on": kernels by diffraction (scalar waves); "off": of rays; "auto": by diffraction where a picture of rays would differ from it.
 /// illuminant : str
 ///     Light on the scene: "E", "A", "D50", "D55", "D65", "D75", "daylight:KELVIN", "black-body:KELVIN".
 /// plan : Plan, optional
@@ -327,7 +343,7 @@ impl Render {
     /// As the class says.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (lens, photo, frame = None, *, distance_mm = None, min_psnr_db = None, texels_per_pixel = None,
-        illuminant = None, plan = None))]
+        diffraction = None, illuminant = None, plan = None))]
     fn __call__(
         &self,
         py: Python<'_>,
@@ -337,11 +353,12 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
+        diffraction: Option<&str>,
         illuminant: Option<&str>,
         plan: Option<&Bound<'_, Plan>>,
     ) -> PyResult<(Py<PyAny>, Py<PyAny>)> {
         let floats = Floats::of(photo, "photo", Whole::Refused)?;
-        let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, illuminant, plan };
+        let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, diffraction, illuminant, plan };
         let (plan, scenes) = asked.plan(py, vec![owned(&floats, "photo")?])?;
         let [scene] = &scenes[..] else { return Err(refused("photo", scenes.len(), "one")) };
         if matches!(floats, Floats::Double(_)) {
@@ -356,7 +373,7 @@ impl Render {
     /// The settings for photographs like `photos`, all of one size: one array, or a list of them, of which the eighth with the most detail decides.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (lens, photos, frame = None, *, distance_mm = None, min_psnr_db = None, texels_per_pixel = None,
-        illuminant = None))]
+        diffraction = None, illuminant = None))]
     fn plan(
         &self,
         py: Python<'_>,
@@ -366,6 +383,7 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
+        diffraction: Option<&str>,
         illuminant: Option<&str>,
     ) -> PyResult<Plan> {
         let listed = photos.cast::<pyo3::types::PyList>().ok();
@@ -395,7 +413,8 @@ impl Render {
             let mut k = 0;
             textures.retain(|_| (kept.contains(&k), k += 1).0);
         }
-        let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, illuminant, plan: None };
+        let asked =
+            Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, diffraction, illuminant, plan: None };
         Ok(asked.plan(py, textures)?.0)
     }
 
@@ -407,7 +426,7 @@ impl Render {
     /// `region` = (row, col, rows, columns) renders a part of the frame. Other parameters as of `render`.
     #[expect(clippy::too_many_arguments, reason = "the keywords of a call")]
     #[pyo3(signature = (lens, photo, frame = None, *, distance_mm = None, min_psnr_db = None, texels_per_pixel = None,
-        illuminant = None, plan = None, region = None))]
+        diffraction = None, illuminant = None, plan = None, region = None))]
     fn record(
         &self,
         py: Python<'_>,
@@ -417,12 +436,13 @@ impl Render {
         distance_mm: Option<f64>,
         min_psnr_db: Option<f64>,
         texels_per_pixel: Option<f64>,
+        diffraction: Option<&str>,
         illuminant: Option<&str>,
         plan: Option<&Bound<'_, Plan>>,
         region: Option<[usize; 4]>,
     ) -> PyResult<(Py<PyAny>, Record)> {
         let floats = Floats::of(photo, "photo", Whole::Refused)?;
-        let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, illuminant, plan };
+        let asked = Asked { lens, frame, distance_mm, min_psnr_db, texels_per_pixel, diffraction, illuminant, plan };
         let (plan, mut scenes) = asked.plan(py, vec![owned(&floats, "photo")?])?;
         let Some(scene) = scenes.pop() else { return Err(refused("photo", "none", "one")) };
         here(|| finite(&scene))?;

@@ -253,7 +253,9 @@ fn run_to_end(mut designing: Designing, options: RunOptions<'_>, out: &mut dyn W
             let frame = frame_of(&joint.lens)?;
             let scenery = Scenery { textures, sensor: &sensor, frame, seed: 77 };
             let guided = (&joint.network, &joint.guide);
-            Some(validate(&scenery, &joint.lens, guided, designing.task().pictures.patch_px, 48, Settings::TRAINING)?)
+            let pictures = &designing.task().pictures;
+            let fineness = Settings { diffraction: pictures.diffraction, ..Settings::TRAINING };
+            Some(validate(&scenery, &joint.lens, guided, pictures.patch_px, 48, fineness)?)
         }
         None => None,
     };

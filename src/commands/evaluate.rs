@@ -138,6 +138,7 @@ impl Protocol {
             texels: self.texels_per_pixel,
             through: None,
         }
+        .of_pictures(&task.pictures)
     }
 
     /// In words, by name and value.

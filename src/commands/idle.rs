@@ -19,7 +19,7 @@ struct Idle {
     promise: bool,
 }
 
-const ALL: [Idle; 9] = [
+const ALL: [Idle; 10] = [
     Idle { option: "max_cycles_per_mm", ..OF_CHIEF_RAYS },
     Idle { option: "shift_mm", ..OF_CHIEF_RAYS },
     Idle { option: "rays", ..OF_CHIEF_RAYS },
@@ -45,6 +45,14 @@ const ALL: [Idle; 9] = [
         idle: by_rays,
         beside: "--method monte-carlo",
         allowed: "--method psf-grid, which leaves things out; monte-carlo takes --samples",
+        promise: true,
+    },
+    Idle {
+        command: "render",
+        option: "diffraction",
+        idle: |words| by_rays(words) && word(words, "diffraction") != "off",
+        beside: "--method monte-carlo",
+        allowed: "--method psf-grid; rays from the sensor have no diffraction",
         promise: true,
     },
     Idle {
@@ -137,6 +145,8 @@ mod tests {
             ("render x y -o z.png --samples 4 --method monte-carlo", false),
             ("render x y -o z.png --min-psnr-db 40 --method monte-carlo", true),
             ("render x y -o z.png --everything --method monte-carlo", true),
+            ("render x y -o z.png --diffraction on --method monte-carlo", true),
+            ("render x y -o z.png --diffraction off --method monte-carlo", false),
             ("render x y -o z.png --everything", false),
             ("optimize x -o y --seed 3", true),
             ("optimize x -o y --seed 3 --search 4", false),

@@ -12,7 +12,7 @@ use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::Lens;
 use isoplanat::math::memory::words;
-use isoplanat::psf::wave::WaveFigures;
+use isoplanat::psf::bent::WaveFigures;
 use isoplanat::report::atlas;
 use isoplanat::report::table::{Table, significant};
 use isoplanat::{Error, Result};

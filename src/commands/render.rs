@@ -11,7 +11,9 @@ use isoplanat::imaging::files::{Annotation, Depth, Encoding, PICTURES, extension
 use isoplanat::imaging::plane::Region;
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render};
 use isoplanat::imaging::render::blur::Method as Blur;
-use isoplanat::imaging::render::{Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan, shortfall};
+use isoplanat::imaging::render::{
+    Diffraction, PlanOptions, Request, ScenePlan, Settings as Fineness, Skip, memory as estimate, plan, shortfall,
+};
 use isoplanat::imaging::scene::detail;
 use isoplanat::imaging::scene::photos::Photos;
 use isoplanat::imaging::scene::placement::slope_per_mm;
@@ -38,6 +40,17 @@ enum Method {
     MonteCarlo,
 }
 
+/// How diffraction enters pictures.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+enum Bending {
+    /// Kernels of rays.
+    Off,
+    /// Kernels by diffraction.
+    On,
+    /// By diffraction where it shows: where rays would use up a tenth of the error that is allowed.
+    Auto,
+}
+
 /// The picture on the sensor.
 #[derive(Clone, Debug, clap::Args)]
 pub(crate) struct Args {
@@ -62,6 +75,9 @@ pub(crate) struct Args {
     /// Leave nothing out and make everything fine (psf-grid); for comparison.
     #[arg(long, conflicts_with = "min_psnr_db")]
     everything: bool,
+    /// Kernels by diffraction (scalar waves), of rays, or by diffraction where a picture of rays would differ from it (psf-grid).
+    #[arg(long, value_enum, default_value = "auto")]
+    diffraction: Bending,
     /// Say what this scene did not need: reason, work that remains, error bound (psf-grid).
     #[arg(long)]
     explain: bool,
@@ -114,6 +130,15 @@ impl Args {
             Some(db) if db.is_finite() && (10.0..=80.0).contains(&db) => Ok(Request::Psnr(db)),
             Some(db) => Err(Error::bad("--min-psnr-db", "value", db.to_string(), "10 to 80 dB")),
         }
+    }
+
+    fn options(&self) -> PlanOptions {
+        let diffraction = match self.diffraction {
+            Bending::Off => Diffraction::Off,
+            Bending::On => Diffraction::On,
+            Bending::Auto => Diffraction::Auto,
+        };
+        PlanOptions { explain: self.explain, diffraction }
     }
 
     /// Whether a picture may be written under this name.
@@ -224,7 +249,7 @@ impl Way {
         let deciding = deciding(args, stage)?;
         let (count, planned) = (args.scenes.len(), deciding.len());
         let scenes = deciding.iter().map(|k| stage.plane(&args.scenes[*k])).collect::<Result<Vec<_>>>()?;
-        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.explain)?;
+        let mut plan = plan(&stage.lens, &scenes, &stage.frame, &density, args.request()?, args.options())?;
         if !plan.holds {
             let text = shortfall(plan.predicted_db, args.min_psnr_db.unwrap_or(DEFAULT_DB), "--min-psnr-db");
             crate::tell!("warning: {text}");
@@ -401,6 +426,7 @@ fn figures(plan: &ScenePlan) -> serde_json::Value {
         "wavelengths": wavelengths,
         "pupil_degree": degree,
         "pupil_points": dense,
+        "diffraction": optics.spec.diffraction,
         "kernel_cells": depth.size(),
         "psf_nodes": depth.grid.len(),
         "node_error": depth.node_error,

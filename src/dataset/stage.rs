@@ -8,7 +8,7 @@ use isoplanat_base::math::mixed;
 use isoplanat_imaging::frame::Frame;
 use isoplanat_imaging::plane::{Plane, Region};
 use isoplanat_imaging::reference::Tracer;
-use isoplanat_imaging::render::{Request, ScenePlan, memory, plan};
+use isoplanat_imaging::render::{PlanOptions, Request, ScenePlan, memory, plan};
 use isoplanat_imaging::scene::photos::Photos;
 use isoplanat_imaging::scene::placement::{Placement, Scale};
 use isoplanat_imaging::sensor::spectrum::SpectralDensity;
@@ -75,7 +75,8 @@ impl<'a> Stage<'a> {
                 textures.into_iter().map(placed).collect::<Result<Vec<_>>>().map_err(named)?
             }
         };
-        let plan = plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), false).map_err(named)?;
+        let plan = plan(&lens, &scenes, &frame, density, Request::Psnr(settings.min_psnr_db), PlanOptions::RAYS)
+            .map_err(named)?;
         let (seconds, tracer) = (clock.elapsed().as_secs_f64(), OnceLock::new());
         Ok(Self { settings, photos, density, lens_index, lens, frame, plan, seconds, tracer })
     }

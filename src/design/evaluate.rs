@@ -24,6 +24,7 @@ use ndarray::{Array2, Array3, Array4, ArrayView3, Axis, s};
 
 use crate::design::chain::{Patch, forward, forward_of};
 use crate::design::subject::Subject;
+use crate::design::task::PictureTask;
 use crate::report::evaluation::{Closeness, Evaluation, Figure, Row};
 use crate::report::picture_sheet::picture_sheet;
 use camera::{Camera, Image};
@@ -73,8 +74,16 @@ const CHANNELS: usize = 3;
 pub(crate) const SHOWN: [&str; 4] = ["truth", "capture", "Wiener", "network"];
 
 /// How finely captures are rendered: kernels are as wide as the blur of any depth asks for.
-pub const FINENESS: Fineness =
-    Fineness { samples: 1, degree: 7, dense: 2000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 64 };
+pub const FINENESS: Fineness = Fineness {
+    samples: 1,
+    degree: 7,
+    dense: 2000,
+    wavelengths: 7,
+    node_error: 0.05,
+    outside: 1e-3,
+    cells: 64,
+    diffraction: false,
+};
 
 /// What is photographed.
 #[derive(Clone, Debug)]
@@ -161,6 +170,16 @@ pub struct Settings {
     /// Captures are made through this lens in place of the subject's own, which still says what the ideal picture is, what light is divided out, and
     /// what the network is told; pictures are of one size and about one centre on both. `None`: its own.
     pub through: Option<Subject>,
+}
+
+impl Settings {
+    /// With captures as those of a task are made: by diffraction or of rays.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn of_pictures(mut self, pictures: &PictureTask) -> Self {
+        self.fineness.diffraction = pictures.diffraction;
+        self
+    }
 }
 
 /// Pictures of one zone at one depth: a row for each picture, columns as `SHOWN`.

@@ -78,6 +78,12 @@ impl Schedule {
     }
 }
 
+/// A rise over the first 3 %, while both of Adam's averages are young and the lens must not be thrown, then a half cosine to zero.
+pub(in crate::design) fn rise_and_fall(used: f64) -> f64 {
+    let rise = ((used + 1e-3) / 0.031).min(1.0);
+    rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

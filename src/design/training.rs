@@ -507,6 +507,7 @@ impl Parts {
             region_px: train.pairs.region_px,
             count: train.pairs.count,
             budget: train.pairs.cache_mib << 20,
+            diffraction: task.pictures.diffraction,
             vergences,
         };
         let pairs = Pairs::new(subject, &density, settings)?;

@@ -55,6 +55,8 @@ pub struct Accuracy {
     pub reference_worst_pixel: f64,
     /// Seconds it took.
     pub reference_seconds: f64,
+    /// What diffraction, which all of them leave out, changes of the picture, root mean square relative to white, from above.
+    pub diffraction_rms: f64,
     /// Rows.
     pub rows: Vec<Row>,
 }
@@ -210,6 +212,7 @@ mod tests {
             reference_noise_rms: 1e-2,
             reference_worst_pixel: 2e-2,
             reference_seconds: 3.0,
+            diffraction_rms: 1e-4,
             rows,
         };
         assert_eq!(a.csv().lines().count(), 3);

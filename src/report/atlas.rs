@@ -12,7 +12,7 @@ use isoplanat_base::math::npz;
 use isoplanat_imaging::sensor::Sensor;
 use isoplanat_imaging::sensor::spectrum::Spectrum;
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::wave::WaveFigures;
+use isoplanat_optics::psf::bent::WaveFigures;
 use isoplanat_optics::psf::{Quadrature, SensorPoint};
 
 pub use super::kernels::{KernelRequest, bytes};

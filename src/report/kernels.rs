@@ -7,9 +7,10 @@ use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_base::math::real::Real;
 use isoplanat_optics::lens::{Lens, LensGradient};
+use isoplanat_optics::psf::bent::WaveFigures;
 use isoplanat_optics::psf::splat::phase_of_vjp;
 use isoplanat_optics::psf::table::Tolerance;
-use isoplanat_optics::psf::wave::{WaveFigures, Waves};
+use isoplanat_optics::psf::wave::Waves;
 use isoplanat_optics::psf::{KernelForm, Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 
 /// Share of the light that an automatic window may lose.
@@ -122,7 +123,7 @@ impl KernelPlan {
         let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * request.pitch_mm, weight: 1e-4 };
         let spec = OpticsSpec::even(far.max(1e-3), vergences, quadrature);
         let optics = Optics::adapted(lens, spec, tolerance)?.0;
-        let waves = request.diffraction.then(|| Waves::new(lens, &optics.spec.quadrature.nm)).transpose()?;
+        let waves = request.diffraction.then(|| Waves::new(lens, &optics)).transpose()?;
         let size = match request.size {
             Some(size) => size,
             None => automatic(lens, &optics, waves.as_ref(), request, &lines)?,
@@ -145,7 +146,7 @@ impl KernelPlan {
     /// # Errors
     /// As [`Optics::compute`].
     pub fn again(&self, lens: &Lens) -> Result<Self> {
-        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &self.optics.spec.quadrature.nm)).transpose()?;
+        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &self.optics)).transpose()?;
         Ok(Self { optics: Optics::compute(lens, &self.optics.spec)?, waves, ..self.clone() })
     }
 

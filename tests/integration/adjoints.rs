@@ -8,7 +8,7 @@ use isoplanat::imaging::render::source::{warp, warp_vjp};
 use isoplanat::imaging::render::{Renderer, Settings};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
-use isoplanat::lens::{Lens, LensGradient, Shape, builtin, variables::Variables};
+use isoplanat::lens::{Aperture, Lens, LensGradient, Shape, builtin, variables::Variables};
 use isoplanat::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorPoint};
 use isoplanat::testing::{assert_rel, between, central_difference, steady_difference};
 use isoplanat::trace::intersect::{intersect, intersect_vjp};
@@ -159,7 +159,8 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
     let quadrature =
         Quadrature { nm: vec![480.0, 600.0], weight: vec![vec![0.7, 0.3], vec![0.4, 0.6], vec![0.1, 0.9]] };
     let radii_mm = (0..=10).map(|i| frame.max_radius_mm() * f64::from(i) / 10.0).collect();
-    let spec = OpticsSpec { radii_mm, vergences: vec![1e-3], quadrature, degree: 5, illuminations: 48 };
+    let spec =
+        OpticsSpec { radii_mm, vergences: vec![1e-3], quadrature, degree: 5, illuminations: 48, diffraction: false };
     let scene = Plane {
         texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
             (0.3 + 0.02 * (c + i) as f32 * (0.05 * j as f32).sin()).abs()
@@ -198,25 +199,41 @@ fn what_is_read_from_the_optics_pulls_back_to_the_lens() {
 }
 
 /// Image, ideal picture and illumination of one region, each with a random cotangent, through `Renderer::vjp` and
-/// `Renderer::lens_gradient`: kernels of pixels, of two samples a pixel, and of cells of two pixels.
+/// `Renderer::lens_gradient`: kernels of pixels, of two samples a pixel, and of cells of two pixels; by diffraction far off the axis.
 #[test]
 fn a_rendered_region_pulls_back_to_the_lens() {
-    let lens = builtin::lens("two_element").expect("shipped");
-    let frame = Frame::centred(320, 220, 0.02).and_then(|f| f.with_axis([0.0, 0.0])).expect("valid");
-    let scene = Plane {
-        texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
-            let (x, y, k) = (j as f32, i as f32, c as f32 + 1.0);
-            0.5 + 0.2 * (0.31 * x + 0.2 * y * k).sin() + 0.2 * (0.17 * x - 0.43 * y / k).cos()
-        }),
-        texels_per_slope: 2500.0,
-        axis_texel: [-80.0, -10.0],
-        vergence: 1e-3,
-    };
-    let region = Region { row: 141, col: 210, rows: 24, cols: 30 };
-    let density = SpectralDensity::new(&Sensor::generic());
-    for (samples, cells, bin) in [(1, 64, 1), (2, 64, 1), (1, 8, 2)] {
-        let settings =
-            Settings { samples, cells, wavelengths: 3, dense: 80, node_error: 0.2, outside: 0.1, ..Settings::DESIGN };
+    for (pitch_mm, off, samples, cells, bin, diffraction) in [
+        (0.02, 0.0, 1, 64, 1, false),
+        (0.02, 0.0, 2, 64, 1, false),
+        (0.02, 0.0, 1, 8, 2, false),
+        (0.004, 1500.0, 1, 64, 1, true),
+    ] {
+        let mut lens = builtin::lens("two_element").expect("shipped");
+        if diffraction {
+            lens = lens.changed(|l| l.aperture = Aperture::FNumber(8.0)).expect("closes");
+        }
+        let frame = Frame::centred(320, 220, pitch_mm).and_then(|f| f.with_axis([-off, -off])).expect("valid");
+        let scene = Plane {
+            texture: Array3::from_shape_fn((3, 300, 300), |(c, i, j)| {
+                let (x, y, k) = (j as f32, i as f32, c as f32 + 1.0);
+                0.5 + 0.2 * (0.31 * x + 0.2 * y * k).sin() + 0.2 * (0.17 * x - 0.43 * y / k).cos()
+            }),
+            texels_per_slope: 50.0 / pitch_mm,
+            axis_texel: [-80.0 - off, -10.0 - off],
+            vergence: 1e-3,
+        };
+        let region = Region { row: 141, col: 210, rows: 24, cols: 30 };
+        let density = SpectralDensity::new(&Sensor::generic());
+        let settings = Settings {
+            samples,
+            cells,
+            diffraction,
+            wavelengths: 3,
+            dense: 80,
+            node_error: 0.2,
+            outside: 0.1,
+            ..Settings::DESIGN
+        };
         let plan = Renderer::planned(&lens, &frame, &density, &[1e-3], settings).expect("plans").plan;
         assert!(plan.depths[0].bin >= bin && (bin > 1 || plan.depths[0].bin == 1), "{}", plan.depths[0].half_width);
         let rng = &mut fastrand::Rng::with_seed(8);

@@ -1,6 +1,7 @@
 //! Tests across modules, in the order of the data flow.
 
 mod adjoints;
+mod bending;
 mod calibrate;
 #[cfg(feature = "deploy")]
 mod calibrate_sensor;

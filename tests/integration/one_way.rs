@@ -2,7 +2,7 @@
 
 use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
-use isoplanat::imaging::render::{Channels, Rendered, Renderer, Request, Settings, plan};
+use isoplanat::imaging::render::{Channels, PlanOptions, Rendered, Renderer, Request, Settings, plan};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
 use isoplanat::imaging::sensor::spectrum::SpectralDensity;
@@ -366,7 +366,8 @@ fn a_frame_beyond_the_image_is_black_there() {
         let vergence = lens.object_vergence;
         let white = Plane { texture: Array3::ones((1, 2, 2)), texels_per_slope: 1.0, axis_texel: [1.0; 2], vergence };
         for request in [Request::Settings(QUICK), Request::Everything] {
-            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
+            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, PlanOptions::RAYS)
+                .expect("plans");
             let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
             let edge = plan.renderer.optics.table().edge_mm;
             assert!(edge < frame.max_radius_mm(), "{name}: light everywhere");
@@ -396,7 +397,8 @@ fn nodes_beyond_the_frame_keep_their_light() {
     for (columns, rows, axis) in [(24, 16, [12.0, 14.0]), (17, 33, [40.0, -3.0]), (64, 48, whole_frame.axis_px)] {
         let frame = Frame::centred(columns, rows, 0.04).and_then(|f| f.with_axis(axis)).expect("valid");
         for request in [Request::Everything, Request::Settings(Settings { cells: 4, ..QUICK })] {
-            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, false).expect("plans");
+            let plan = plan(&lens, std::slice::from_ref(&white), &frame, &density(), request, PlanOptions::RAYS)
+                .expect("plans");
             let (image, seen) = plan.picture::<f64>(&white, &|_| ()).expect("renders");
             assert!(seen.outside < 1e-2, "{columns} × {rows}: {} of a node's light outside", seen.outside);
             let light = plan.renderer.light.over::<f64>(&frame, whole(&frame), &[0, 1, 2]);

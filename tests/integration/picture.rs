@@ -5,7 +5,7 @@ use isoplanat::imaging::frame::Frame;
 use isoplanat::imaging::plane::{Plane, Region};
 use isoplanat::imaging::reference::halves::{energy_against_halves, psnr_against_halves};
 use isoplanat::imaging::reference::{Channels, Sampling, Settings as Rays, render_halves};
-use isoplanat::imaging::render::{Request, ScenePlan, Settings, frame_of, plan};
+use isoplanat::imaging::render::{PlanOptions, Request, ScenePlan, Settings, frame_of, plan};
 use isoplanat::imaging::scene::placement::{Placement, Scale};
 use isoplanat::imaging::scene::{SceneKind, generate};
 use isoplanat::imaging::sensor::Sensor;
@@ -34,7 +34,15 @@ fn density() -> SpectralDensity {
 }
 
 fn planned(lens: &Lens, frame: &Frame, scene: &Plane, request: Request) -> ScenePlan {
-    plan(lens, std::slice::from_ref(scene), frame, &density(), request, true).expect("plans")
+    plan(
+        lens,
+        std::slice::from_ref(scene),
+        frame,
+        &density(),
+        request,
+        PlanOptions { explain: true, ..PlanOptions::RAYS },
+    )
+    .expect("plans")
 }
 
 /// The picture of a scene that was planned for.
@@ -144,8 +152,9 @@ fn extreme_radiances_have_stated_outcomes() {
     }
     for bad in [f32::NAN, f32::INFINITY] {
         scene.texture[[2, 7, 9]] = bad;
-        let error =
-            plan(&lens, &[scene.clone()], &frame, &density(), Request::Psnr(40.0), false).err().expect("refused");
+        let error = plan(&lens, &[scene.clone()], &frame, &density(), Request::Psnr(40.0), PlanOptions::RAYS)
+            .err()
+            .expect("refused");
         let text = error.to_string();
         assert!(error.exit_code() == 2 && text.contains("channel 2, row 7, column 9"), "{text}");
     }
@@ -166,7 +175,14 @@ fn extreme_places_have_stated_outcomes() {
     for vergence in [0.0, 1.0 / 20.0, 1.0, 1e6] {
         let near = Plane { vergence, ..scene.clone() };
         let settings = Settings { samples: 1, wavelengths: 3, dense: 200, cells: 40, ..Settings::FINE };
-        match plan(&lens, std::slice::from_ref(&near), &frame, &density(), Request::Settings(settings), false) {
+        match plan(
+            &lens,
+            std::slice::from_ref(&near),
+            &frame,
+            &density(),
+            Request::Settings(settings),
+            PlanOptions::RAYS,
+        ) {
             Ok(plan) => {
                 let image = picture(&plan, &near);
                 assert!(image.iter().all(|v| v.is_finite()), "{vergence}");
@@ -176,6 +192,6 @@ fn extreme_places_have_stated_outcomes() {
     }
     for vergence in [f64::NAN, f64::INFINITY, -1.0] {
         let bad = Plane { vergence, ..scene.clone() };
-        assert!(plan(&lens, &[bad], &frame, &density(), Request::Psnr(40.0), false).is_err());
+        assert!(plan(&lens, &[bad], &frame, &density(), Request::Psnr(40.0), PlanOptions::RAYS).is_err());
     }
 }

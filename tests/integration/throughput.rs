@@ -23,6 +23,7 @@ fn optics(lens: &Lens, radius_mm: f64) -> Optics {
         quadrature: Quadrature { nm: vec![NM], weight: vec![vec![1.0]] },
         degree: 9,
         illuminations: 1,
+        diffraction: false,
     };
     Optics::compute(lens, &spec).expect("traces")
 }

@@ -8,7 +8,7 @@
 //! ```
 //! use isoplanat_imaging::frame::Frame;
 //! use isoplanat_imaging::plane::{Plane, Region};
-//! use isoplanat_imaging::render::{Request, plan};
+//! use isoplanat_imaging::render::{PlanOptions, Request, plan};
 //! use isoplanat_imaging::scene::{SceneKind, generate};
 //! use isoplanat_imaging::sensor::{Sensor, spectrum::SpectralDensity};
 //! use isoplanat_optics::lens::builtin;
@@ -20,7 +20,7 @@
 //! let texture = generate(SceneKind::Text, 1, 48, 64);
 //! let scene = Plane { texture, texels_per_slope: 250.0, axis_texel: [32.0, 24.0], vergence: lens.object_vergence };
 //! let density = SpectralDensity::new(&Sensor::generic());
-//! let planned = plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), false)?;
+//! let planned = plan(&lens, std::slice::from_ref(&scene), &frame, &density, Request::Psnr(45.0), PlanOptions::default())?;
 //! assert!(planned.holds);
 //! let (picture, _) = planned.picture::<f32>(&scene, &|_| ())?;
 //! assert_eq!(picture.dim(), (3, 32, 48));
@@ -33,6 +33,7 @@
 //! # Ok::<(), isoplanat_base::error::Error>(())
 //! ```
 
+mod bending;
 #[doc(hidden)]
 pub mod blur;
 pub(crate) mod choose;
@@ -64,10 +65,13 @@ pub mod source;
 #[doc(hidden)]
 pub mod stands;
 
+pub use bending::Diffraction;
 pub use inputs::Seen;
 pub use needs::Channels;
 pub use plan::{RenderPlan, Settings, frame_of};
-pub use planning::plan;
+#[doc(hidden)]
+pub use planning::lacking;
+pub use planning::{PlanOptions, plan};
 pub use psf_map::{PsfMap, PsfMapRequest, PsfPlaces};
 pub use renderer::{Rendered, Renderer};
 #[doc(hidden)]

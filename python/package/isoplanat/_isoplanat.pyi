@@ -374,6 +374,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
+        diffraction: str | None = None,
         illuminant: str | None = None,
         plan: Plan | None = None,
     ) -> tuple[_Floats, _Floats]: ...
@@ -386,6 +387,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
+        diffraction: str | None = None,
         illuminant: str | None = None,
     ) -> Plan: ...
     def record(
@@ -397,6 +399,7 @@ class Render:
         distance_mm: float | None = None,
         min_psnr_db: float | None = None,
         texels_per_pixel: float | None = None,
+        diffraction: str | None = None,
         illuminant: str | None = None,
         plan: Plan | None = None,
         region: tuple[int, int, int, int] | Sequence[int] | None = None,

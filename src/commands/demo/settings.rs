@@ -83,8 +83,16 @@ impl Settings {
         let train = &mut self.task.train;
         train.budget.steps = Some(300);
         (train.pairs.count, train.pairs.region_px, train.pairs.patch_px) = (40, 160, 128);
-        self.fine =
-            Fineness { samples: 1, degree: 7, dense: 1000, wavelengths: 7, node_error: 0.05, outside: 1e-3, cells: 60 };
+        self.fine = Fineness {
+            samples: 1,
+            degree: 7,
+            dense: 1000,
+            wavelengths: 7,
+            node_error: 0.05,
+            outside: 1e-3,
+            cells: 60,
+            diffraction: false,
+        };
         self.samples = 32;
         self.reference_samples = 128;
         self.compared = 64;

@@ -65,7 +65,7 @@ pub fn verdicts(
         [] => vec![1.0 / subject.vergence()],
         depths => depths.to_vec(),
     };
-    let settings = settings(depths_mm);
+    let settings = settings(depths_mm).of_pictures(&task.pictures);
     let (evaluation, _) = evaluate(subject, told, &task.sensor()?, &held_out(task)?, &settings, false, progress)?;
     Ok(Verdict::of(&evaluation))
 }

@@ -18,7 +18,7 @@ use super::{Joint, Report};
 use crate::design::chain::Patch;
 use crate::design::data::Textures;
 use crate::design::places::{Places, Spread};
-use crate::design::schedule::{Length, Schedule};
+use crate::design::schedule::{Length, Schedule, rise_and_fall};
 use crate::design::task::Task;
 use isoplanat_base::error::Result;
 use isoplanat_imaging::develop::simulate::Electronics;
@@ -56,6 +56,8 @@ pub struct JointSettings {
     pub depth_power: f64,
     /// How patches are spread over the field.
     pub spread: Spread,
+    /// Whether pictures are by diffraction.
+    pub diffraction: bool,
     /// Least relative illumination that the lens's steps keep.
     pub least_illumination: Option<f64>,
     /// A loss on the lens's own images in place of one behind the network, which then stays as it is.
@@ -92,6 +94,7 @@ impl JointSettings {
             sensor_loss: task.loss.sensor.clone(),
             tolerances: task.stated_tolerances()?,
             worst_of: task.lens.worst_of,
+            diffraction: task.pictures.diffraction,
             settings: None,
         })
     }
@@ -109,12 +112,6 @@ impl JointSettings {
         let lens = if moves { rise_and_fall((used - from) / (to - from)) } else { 0.0 };
         [lens, rise_and_fall(used)]
     }
-}
-
-/// A rise over the first 3 %, while both of Adam's averages are young and the lens must not be thrown, then a half cosine to zero.
-fn rise_and_fall(used: f64) -> f64 {
-    let rise = ((used + 1e-3) / 0.031).min(1.0);
-    rise * 0.5 * (1.0 + (std::f64::consts::PI * used.clamp(0.0, 1.0)).cos())
 }
 
 /// Average over this many steps in a history.
@@ -181,7 +178,7 @@ impl Stage {
         let electronics = Electronics::of(scenery.sensor);
         let own = [lens.object_vergence];
         let vergences = if settings.vergences.is_empty() { own.to_vec() } else { settings.vergences.clone() };
-        let first = settings.settings.unwrap_or(Settings::DESIGN);
+        let first = settings.settings.unwrap_or(Settings { diffraction: settings.diffraction, ..Settings::DESIGN });
         let around = |t| AsBuilt::new(t, &problem.merit, lens, (scenery.seed, settings.worst_of));
         let as_built = settings.tolerances.as_ref().map(around).transpose()?;
         let planned = |l: &Lens| Renderer::planned(l, &scenery.frame, &density, &vergences, first);
@@ -382,7 +379,9 @@ impl Stage {
         if self.settings.settings.is_some() || !moves && self.settings.lens_rate == 0.0 {
             return Ok(());
         }
-        if let Ok(chosen) = self.choose(scenery) {
+        if let Ok(mut chosen) = self.choose(scenery) {
+            // What rays ask for is judged by rays.
+            chosen.settings.diffraction = self.settings.diffraction;
             if chosen.settings != self.renderer.plan.settings {
                 let (frame, density) = (&scenery.frame, &self.density);
                 let planned = |l: &Lens| Renderer::planned(l, frame, density, &self.vergences, chosen.settings);

@@ -93,6 +93,9 @@ pub struct PictureTask {
     pub batch: usize,
     /// How patches are spread over the field.
     pub spread: Spread,
+    /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction; else of rays.
+    #[serde(skip_serializing_if = "is_false")]
+    pub diffraction: bool,
 }
 
 /// `[network]`: the network of the joint stage.
@@ -177,6 +180,7 @@ impl Default for PictureTask {
             patch_px: 128,
             batch: 2,
             spread: Spread::default(),
+            diffraction: false,
         }
     }
 }

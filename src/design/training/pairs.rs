@@ -153,6 +153,8 @@ pub(crate) struct PairSettings {
     pub vergences: Vec<f64>,
     /// Space for kept pairs, bytes.
     pub budget: u64,
+    /// Whether pictures are by diffraction.
+    pub diffraction: bool,
 }
 
 /// Of a kept pair, against damage: no secret, and told anew by every version.
@@ -183,7 +185,10 @@ impl Pairs {
     /// # Errors
     /// A lens that cannot be rendered at one of the distances.
     pub(crate) fn new(subject: &Subject, density: &SpectralDensity, settings: PairSettings) -> Result<Self> {
-        let renderer = subject.renderer(density, &settings.vergences, Settings::TRAINING)?;
+        let renderer = {
+            let fineness = Settings { diffraction: settings.diffraction, ..Settings::TRAINING };
+            subject.renderer(density, &settings.vergences, fineness)?
+        };
         let bytes = 9 * 4 * (settings.region_px as u64).pow(2) + (PLACE + SUM) as u64;
         Ok(Self { known: subject.sha256(), bytes, settings, renderer, cache: None, damaged: AtomicU64::new(0) })
     }
@@ -326,8 +331,14 @@ mod tests {
         let textures = Textures::built_in(3, 2, 300);
         let folder = tempfile::tempdir().expect("temporary folder");
         let cache = folder.path().join("cache");
-        let settings =
-            |seed, budget| PairSettings { seed, region_px: 32, count: 5, vergences: vec![1e-3, 1e-3 / 1.5], budget };
+        let settings = |seed, budget| PairSettings {
+            seed,
+            region_px: 32,
+            count: 5,
+            vergences: vec![1e-3, 1e-3 / 1.5],
+            budget,
+            diffraction: false,
+        };
         let open = |seed, budget, at: Option<&Path>| {
             let mut pairs = Pairs::new(&subject, &density, settings(seed, budget)).expect("plans");
             at.map_or(Ok(()), |at| pairs.keep_in(at, &textures)).expect("writable");

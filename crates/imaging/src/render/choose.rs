@@ -7,7 +7,6 @@ use super::plan::Settings;
 use super::probe::{Cache, Probe, Probing, Values};
 use crate::metrics::decibel;
 use crate::render::node_grid::NodeGrid;
-use isoplanat_base::stop::look;
 use isoplanat_optics::psf::Quadrature;
 
 /// Factor on the predicted mean square error that a choice must still hold with: probes are few.
@@ -126,13 +125,9 @@ impl Measuring<'_, '_> {
     /// Measures every ladder. `nodes` has been made coarse and is refined until its error is a small part of `budget` (a mean
     /// square), or all of [`Settings::NODE_ERRORS`] are done.
     pub(crate) fn ladders(&self, nodes: &mut Nodes<'_>, budget: f64) -> Ladders {
-        let wavelength = |(n, rule): &(usize, Quadrature)| Rung {
-            setting: *n,
-            off: self.each(&|p| self.probing.wavelengths(p, rule)),
-        };
         Ladders {
             samples: self.samples(budget),
-            wavelengths: self.rules.iter().map(wavelength).collect(),
+            wavelengths: self.wavelengths(),
             dense: self.dense(budget),
             windows: self.windows(),
             nodes: self.nodes(nodes, budget),
@@ -140,12 +135,25 @@ impl Measuring<'_, '_> {
         }
     }
 
-    fn each(&self, f: &(dyn Fn(&Probe) -> Values + Sync)) -> Vec<Values> {
-        let one = |probe: &Probe| {
-            look();
-            f(probe)
+    /// Puts what kernels by diffraction tell, of which these probes are made, in the place of what those of rays told: wavelengths and windows. Samples of the scene and
+    /// nodes stay as rays ask for them, whose kernels are sharper; points of the stop do not count.
+    pub(crate) fn bend(&self, found: &mut Ladders) {
+        found.wavelengths = self.wavelengths();
+        found.windows = self.windows();
+        found.dense.truncate(1);
+        found.dense[0].off = self.nothing();
+    }
+
+    fn wavelengths(&self) -> Vec<Rung<usize>> {
+        let wavelength = |(n, rule): &(usize, Quadrature)| Rung {
+            setting: *n,
+            off: self.each(&|p| self.probing.wavelengths(p, rule)),
         };
-        self.probes.par_iter().map(one).collect()
+        self.rules.iter().map(wavelength).collect()
+    }
+
+    fn each(&self, f: &(dyn Fn(&Probe) -> Values + Sync)) -> Vec<Values> {
+        self.probing.each(self.probes, f)
     }
 
     fn nothing(&self) -> Vec<Values> {
@@ -204,7 +212,7 @@ impl Measuring<'_, '_> {
     /// Values with `dense` points; few wavelengths tell.
     fn through(&self, dense: usize) -> Vec<Values> {
         let form = self.probing.form(self.probing.optics, dense, 1);
-        self.each(&|p| self.probing.through(p, &form))
+        self.each(&|p| self.probing.through(p, self.probing.optics, &form))
     }
 
     /// Dense points, against the fewest whose own error is a small part of `budget`, or the most.

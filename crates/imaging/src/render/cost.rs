@@ -24,6 +24,8 @@ const MIX: f64 = 4e-9;
 const SPLAT: (f64, f64) = (1.2e-8, 8e-10);
 /// Seconds a point of a kernel's raster and wavelength, channels included.
 const POINT: f64 = 1.5e-9;
+/// Seconds of a kernel by diffraction of a wavelength: constant, and a point of its raster.
+const BENT: (f64, f64) = (4e-3, 5e-7);
 /// Seconds to sample the scene: a place, a channel.
 const SAMPLE: (f64, f64) = (1.2e-8, 4e-9);
 /// Fields a table has, about.
@@ -57,7 +59,11 @@ pub(crate) fn seconds(work: &Work, settings: &Settings, half_width: usize, grid:
     let pixels = (work.region.rows * work.region.cols) as f64;
     let table = FIELDS * waves * (60.0 * RAY + dense * DENSE);
     let splat = SPLAT.0 + SPLAT.1 * (m + 2.0) * (m + 2.0);
-    let node = waves * (dense * (MIX + splat) + m * m * size * size * (1.0 + channels) * POINT);
+    let node = if settings.diffraction {
+        waves * (BENT.0 + (m * size).powi(2) * BENT.1)
+    } else {
+        waves * (dense * (MIX + splat) + m * m * size * size * (1.0 + channels) * POINT)
+    };
     let warp = pixels * m * m * (SAMPLE.0 + SAMPLE.1 * work.planes as f64);
     table + grid.len() as f64 * node + warp
 }

@@ -12,6 +12,7 @@ pub(super) fn skips(plan: &ScenePlan, lens: &Lens, ladders: Option<&Ladders>) ->
     list.of_the_scene();
     list.of_the_lens(lens);
     list.nodes();
+    list.diffraction();
     list.of_the_settings();
     list.kernels();
     list.skips
@@ -107,6 +108,17 @@ impl<'a> List<'a> {
         self.add("PSF nodes", reason, share(nodes, 1) / full, off);
     }
 
+    fn diffraction(&mut self) {
+        // Pictures of rays that were asked for lack nothing.
+        let Some(bound) = self.plan.bend_bound else { return };
+        let reason = if bound.is_finite() {
+            "blur of rays and pixels hide what bends at the stop"
+        } else {
+            "rays for it do not get through this lens"
+        };
+        self.add("diffraction", reason.to_owned(), 0.0, bound);
+    }
+
     fn of_the_settings(&mut self) {
         let (s, fine) = (self.plan.renderer.plan.settings, Settings::FINE);
         if s.wavelengths < fine.wavelengths {
@@ -121,7 +133,7 @@ impl<'a> List<'a> {
             let off = self.found(|l| l.samples.iter().find(|r| r.setting >= s.samples).or(l.samples.last()));
             self.add("scene samples", reason, share(s.samples * s.samples, fine.samples * fine.samples), off);
         }
-        if s.dense < fine.dense {
+        if s.dense < fine.dense && !s.diffraction {
             let reason = format!("{} of {} points a beam", s.dense, fine.dense);
             let off = self.found(|l| l.dense.iter().find(|r| r.setting >= s.dense).or(l.dense.last()));
             self.add("pupil points", reason, share(s.dense, fine.dense), off);
@@ -141,7 +153,10 @@ impl<'a> List<'a> {
             self.add("transforms", format!("kernels of {size} × {size} {unit} are cheaper summed directly"), 0.0, 0.0);
         }
         let off = self.found(|l| l.windows.iter().find(|r| r.setting.1 >= depth.half_width));
-        let reason = format!("{size} × {size} {unit} hold all but {outside:.1e} of every beam");
+        let mut reason = format!("{size} × {size} {unit} hold all but {outside:.1e} of every beam");
+        if self.plan.renderer.optics.spec.diffraction {
+            reason.push_str("; light that bends farther is spread evenly over them");
+        }
         self.add("light outside the kernels", reason, 1.0, off);
     }
 }

@@ -5,6 +5,7 @@ use std::collections::HashMap;
 
 use ndarray::Axis;
 
+use super::bending::{Bent, MANY};
 use super::choose::{Choice, Ladders, Measuring, cheapest};
 use super::cost::{Work, convolution, seconds};
 use super::draft::{Draft, FINE_WAVELENGTHS};
@@ -17,9 +18,13 @@ use super::source::WarpedScene;
 use super::stands::{SIDE, Stand, stands};
 use crate::plane::{Plane, Region};
 use crate::render::node_grid::NodeGrid;
+use isoplanat_base::error::Result;
+use isoplanat_optics::lens::Lens;
 
 /// Dense points of the kernels that probes and nodes are looked at with.
 const DENSE: usize = 600;
+/// Probes at most where kernels go by diffraction, which take longer; where paths differ by many wavelengths, much longer.
+const BENT: (usize, usize) = (32, 10);
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
 /// few: what is blurred differs less from place to place.
 const WIDE: (usize, usize) = (65, 201);
@@ -44,11 +49,26 @@ fn efforts(size: usize, bin: usize) -> (usize, usize) {
 }
 
 impl Draft<'_> {
-    /// Ladders on probes of the scenes over `region`, and the cheapest settings whose mean square error is at most `target`.
-    pub(super) fn measure(&self, region: Region, target: f64) -> (Choice, Ladders) {
+    /// Ladders on probes of the scenes over `region`, and the cheapest settings whose mean square error is at most `target`; with diffraction where `bent` says so.
+    ///
+    /// # Errors
+    /// As [`Optics::compute`].
+    pub(super) fn measure(
+        &self,
+        lens: &Lens,
+        region: Region,
+        target: f64,
+        bent: Option<&Bent>,
+    ) -> Result<(Choice, Ladders)> {
         let (first, channels) = (&self.first, &self.needs.channels);
         let size = first.size();
         let (most, count) = efforts(size, first.bin);
+        let bent = bent.and_then(|b| b.light.as_ref());
+        let count = match bent {
+            Some(light) if light.path_waves() > MANY => count.min(BENT.1),
+            Some(_) => count.min(BENT.0),
+            None => count,
+        };
         let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, most)).collect();
         let probing = Probing {
             optics: &self.light,
@@ -73,16 +93,26 @@ impl Draft<'_> {
         let halves: Vec<usize> = self.widths.iter().map(|half| in_cells(*half, first.bin)).collect();
         let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves };
         let mut found = measuring.ladders(&mut nodes, target);
+        let mut base = self.base;
+        if let Some(light) = bent {
+            base.diffraction = true;
+            let colours = self.colours.clone().diffracting(lens)?;
+            let halves = self.bent_halves(light.bending_mm(), &Settings::OUTSIDE);
+            let size = 2 * halves.iter().copied().max().unwrap_or(0) + 1;
+            let probing = Probing { optics: light, colours: &colours, size, ..probing };
+            let probes = probing.probes(&stands);
+            Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves }.bend(&mut found);
+        }
         if first.bin > 1 {
             found.cells = self.cells(&stands);
         }
         let work = Work { region, channels: channels.lit.len(), planes: channels.sources() };
-        (cheapest(&found, target, self.base, &cost(&work)), found)
+        Ok((cheapest(&found, target, base, &cost(&work)), found))
     }
 
     /// A scene at every number of samples a pixel up to `most`: one channel where one serves the only scene, else as many as
     /// the image has.
-    fn sampled<'a>(&'a self, scene: &'a Plane, most: usize) -> Vec<WarpedScene<'a>> {
+    pub(super) fn sampled<'a>(&'a self, scene: &'a Plane, most: usize) -> Vec<WarpedScene<'a>> {
         let (first, channels) = (&self.first, &self.needs.channels);
         let grey = channels.grey && self.scenes.len() == 1;
         let shown = Channels { grey, ..channels.clone() }.of_texture(scene);

@@ -49,6 +49,9 @@ impl ScenePlan {
         let planning = product(&[probes, 3, size * finest, size * finest, size_of::<f64>()]);
         let counts = product(&[texels[0] + 1, texels[1] + 1, size_of::<u64>()]);
         let picture = task.bytes(self.method, size_of::<f32>()).saturating_add(planes(&render.frame));
-        [BASE, scene(texels), counts, planning.max(picture)].into_iter().fold(0, u64::saturating_add)
+        // Probes and pictures make kernels on every thread beside what they hold.
+        let bending = self.renderer.optics.bending_bytes(size as f64 * depth.raster.pitch_mm);
+        let planning = planning.max(self.look_bytes);
+        [BASE, scene(texels), counts, planning.max(picture), bending].into_iter().fold(0, u64::saturating_add)
     }
 }

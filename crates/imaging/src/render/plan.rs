@@ -28,6 +28,8 @@ pub const ILLUMINATIONS: u32 = 192;
 const LOOK: usize = 2000;
 /// Coarsest cells, pixels.
 const COARSEST: usize = 64;
+/// How many `λ/NA` a window follows light that diffraction bends: 0.5 % of a perfect lens's lies beyond.
+const FARTHEST: f64 = 20.0;
 /// Half-widths in the coarsest cells, at most, over those wished for.
 const WIDEST: usize = 4;
 
@@ -48,28 +50,60 @@ pub struct Settings {
     pub outside: f64,
     /// Largest half-width of a kernel in cells: wider ones are computed on cells of 2, 4, … pixels.
     pub cells: usize,
+    /// Whether kernels are made by diffraction; else of rays.
+    #[serde(default)]
+    pub diffraction: bool,
 }
 
 impl Settings {
     /// Fine in every respect: what the others are measured against.
-    pub const FINE: Self =
-        Self { samples: 4, wavelengths: 12, degree: 9, dense: 3000, node_error: 0.02, outside: 1e-4, cells: 160 };
+    pub const FINE: Self = Self {
+        samples: 4,
+        wavelengths: 12,
+        degree: 9,
+        dense: 3000,
+        node_error: 0.02,
+        outside: 1e-4,
+        cells: 160,
+        diffraction: false,
+    };
     /// For training pairs of a fixed lens.
-    pub const TRAINING: Self =
-        Self { samples: 1, wavelengths: 7, degree: 7, dense: 1200, node_error: 0.05, outside: 2e-3, cells: 64 };
+    pub const TRAINING: Self = Self {
+        samples: 1,
+        wavelengths: 7,
+        degree: 7,
+        dense: 1200,
+        node_error: 0.05,
+        outside: 2e-3,
+        cells: 64,
+        diffraction: false,
+    };
     /// For the steps of a design.
-    pub const DESIGN: Self =
-        Self { samples: 1, wavelengths: 5, degree: 7, dense: 400, node_error: 0.05, outside: 1e-2, cells: 64 };
+    pub const DESIGN: Self = Self {
+        samples: 1,
+        wavelengths: 5,
+        degree: 7,
+        dense: 400,
+        node_error: 0.05,
+        outside: 1e-2,
+        cells: 64,
+        diffraction: false,
+    };
 
     /// Ladder of scene samples a pixel.
+    #[doc(hidden)]
     pub const SAMPLES: [usize; 4] = [1, 2, 4, 8];
     /// Ladder of wavelengths.
+    #[doc(hidden)]
     pub const WAVELENGTHS: [usize; 6] = [3, 4, 5, 7, 9, 12];
     /// Ladder of dense points.
+    #[doc(hidden)]
     pub const DENSE: [usize; 4] = [200, 500, 1200, 3000];
     /// Ladder of node errors.
+    #[doc(hidden)]
     pub const NODE_ERRORS: [f64; 5] = [0.4, 0.2, 0.1, 0.05, 0.02];
     /// Ladder of light outside.
+    #[doc(hidden)]
     pub const OUTSIDE: [f64; 5] = [2e-2, 5e-3, 2e-3, 5e-4, 1e-4];
 }
 
@@ -152,7 +186,8 @@ pub fn optics(
 ) -> Result<(Optics, Tolerance)> {
     let radii_mm = vec![0.0, frame.max_radius_mm()];
     let tolerance = Tolerance { landing_mm: LANDING_ERROR_PX * frame.pitch_mm, weight: WEIGHT_ERROR };
-    let spec = OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations };
+    let spec =
+        OpticsSpec { radii_mm, vergences: vergences.to_vec(), quadrature, degree, illuminations, diffraction: false };
     Optics::adapted(lens, spec, tolerance)
 }
 
@@ -200,7 +235,18 @@ pub(crate) fn bin_of(half: usize, cells: usize) -> usize {
 /// Half-widths, pixels, of the kernels that hold all but each of `shares` of the light over the part `region` of the frame.
 pub(super) fn widths(optics: &Optics, frame: &Frame, depth: usize, region: Region, shares: &[f64]) -> Vec<usize> {
     let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
-    optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0))
+    let rays = optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0));
+    let bend = optics.bending_mm() / frame.pitch_mm;
+    rays.into_iter()
+        .zip(shares)
+        .map(|(half, share)| half.saturating_add((bend * reach(*share)).ceil() as usize))
+        .collect()
+}
+
+/// How many `λ/NA` from the centre of a perfect lens's kernel all but a share of its light is: `1/(π² share)`, as far as a window follows it; what lies beyond is put
+/// back evenly over the window.
+pub(super) fn reach(share: f64) -> f64 {
+    (std::f64::consts::PI.powi(2) * share).recip().clamp(2.0, FARTHEST)
 }
 
 /// Half-width in cells of `bin` pixels: there box and tent are wider, and the interpolation reads on.
@@ -247,7 +293,10 @@ pub(crate) fn depth_plan(
     let plan = unplaced(optics, frame, depth, half, settings)?;
     let around = super::coarse::cells(region, plan.bin);
     let (tolerance, dense) = (settings.node_error, settings.dense.min(800));
-    let mut nodes = Nodes::coarse(optics, depth, &plan.raster, around, plan.size(), tolerance, dense);
+    // Diffraction blurs what rays tell from place to place, and costs more: nodes that serve rays serve it.
+    let of_rays = optics.spec.diffraction.then(|| optics.clone().of_rays());
+    let placed = of_rays.as_ref().unwrap_or(optics);
+    let mut nodes = Nodes::coarse(placed, depth, &plan.raster, around, plan.size(), tolerance, dense);
     nodes.refine(tolerance);
     let (grid, node_error) = (nodes.grid.clone(), nodes.error);
     Ok(DepthPlan { grid, node_error, ..plan })

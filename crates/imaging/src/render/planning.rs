@@ -1,11 +1,12 @@
 //! Planning: from lens and scenes to the settings that hold what is asked for.
 
+use super::bending::{Bent, Diffraction};
 use super::choose::{Choice, Ladders, bound, told};
 use super::coarse::cells;
 use super::draft::Draft;
 use super::explain;
 use super::needs::check;
-use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature};
+use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature, reach};
 use super::renderer::Renderer;
 use super::scene_plan::{Request, ScenePlan};
 use crate::frame::Frame;
@@ -20,8 +21,21 @@ use isoplanat_optics::psf::{Optics, OpticsSpec};
 /// Spacing of the nodes where nothing is left out, cells.
 const FULL_SPACING: usize = 16;
 
-/// Plans the pictures of `scenes` by `lens` on `frame`; probes are spread over all of them. With `explain` the error bounds are
-/// measured for given settings as well.
+/// What a plan is asked beside its request.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlanOptions {
+    /// Measure the error bounds for given settings as well.
+    pub explain: bool,
+    /// Whether pictures are made by diffraction; given settings say so themselves, too.
+    pub diffraction: Diffraction,
+}
+
+impl PlanOptions {
+    /// Pictures of rays.
+    pub const RAYS: Self = Self { explain: false, diffraction: Diffraction::Off };
+}
+
+/// Plans the pictures of `scenes` by `lens` on `frame`; probes are spread over all of them.
 ///
 /// # Errors
 /// No scene, one that cannot be rendered (`check`), or at another distance than the first; a lens without rotational
@@ -32,26 +46,59 @@ pub fn plan(
     frame: &Frame,
     density: &SpectralDensity,
     request: Request,
-    explain: bool,
+    options: PlanOptions,
 ) -> Result<ScenePlan> {
     let vergence = common_vergence(scenes)?;
     density.require(lens)?;
-    let draft = Draft::new(lens, scenes, frame, density, (request, explain), vergence)?;
+    let draft = Draft::new(lens, scenes, frame, density, (request, options.explain), vergence)?;
     let (target, probing) = match request {
         Request::Psnr(db) => (10f64.powf(-0.1 * db), true),
-        Request::Settings(_) => (1e-6, explain),
+        Request::Settings(_) => (1e-6, options.explain),
         Request::Everything => (1e-6, false),
     };
-    let region = draft.region.filter(|_| probing && !draft.needs.channels.lit.is_empty());
-    let measured = region.map(|region| draft.measure(region, target));
-    let chosen = draft.chosen(request, measured.as_ref()).map_err(|e| e.in_file(lens.file()))?;
+    let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
+    let region = lit.filter(|_| probing);
+    let how = match (request, options.diffraction) {
+        (Request::Settings(settings), _) if settings.diffraction => Diffraction::On,
+        // Given settings are what is asked for.
+        (Request::Settings(_), Diffraction::Auto) => Diffraction::Off,
+        (_, how) => how,
+    };
+    let bent = draft.bent(lens, lit, (how, target))?;
+    let left_out = bent.as_ref().filter(|b| !b.needed).map(|b| b.mean_square);
+    let measured = region.map(|region| {
+        // What leaving diffraction out makes is part of what is allowed.
+        let target = target - left_out.filter(|v| v.is_finite()).unwrap_or(0.0);
+        draft.measure(lens, region, target, bent.as_ref())
+    });
+    let measured = measured.transpose()?;
+    let chosen = draft.chosen(request, measured.as_ref(), bent.as_ref()).map_err(|e| e.in_file(lens.file()))?;
     let mut out = draft.finished(lens, chosen, request == Request::Everything)?;
+    out.bend_bound = left_out.map(f64::sqrt);
+    out.look_bytes = bent.as_ref().map_or(0, |b| b.bytes);
     let ladders = measured.map(|m| m.1);
     out.coarse_bound = ladders.as_ref().map_or(f64::NAN, |l| bound(&l.cells));
     if request != Request::Everything {
         out.skips = explain::skips(&out, lens, ladders.as_ref());
     }
     Ok(out)
+}
+
+/// What pictures of rays lack of diffraction, root mean square relative to white, from above, as a few places of `scenes` tell; 0 where nothing is lit.
+///
+/// # Errors
+/// As [`plan()`].
+#[doc(hidden)]
+pub fn lacking(lens: &Lens, scenes: &[Plane], frame: &Frame, density: &SpectralDensity) -> Result<f64> {
+    let vergence = common_vergence(scenes)?;
+    density.require(lens)?;
+    let settings = Settings { wavelengths: 3, ..Settings::FINE };
+    let draft = Draft::new(lens, scenes, frame, density, (Request::Settings(settings), false), vergence)?;
+    let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
+    let Some(region) = lit else { return Ok(0.0) };
+    // No error allowed: what a perfect lens tells is not enough.
+    let bent = draft.bent(lens, Some(region), (Diffraction::Auto, 0.0))?;
+    Ok(bent.map_or(0.0, |b| b.mean_square.sqrt()))
 }
 
 /// The distance that all `scenes` stand at, as vergence.
@@ -79,8 +126,12 @@ struct Chosen {
 
 impl Draft<'_> {
     /// What is rendered how finely, after the probes have been `measured` or without them.
-    fn chosen(&self, request: Request, measured: Option<&(Choice, Ladders)>) -> Result<Chosen> {
-        let (base, first, whole) = (self.base, &self.first, Region::whole(self.frame));
+    fn chosen(&self, request: Request, measured: Option<&(Choice, Ladders)>, bent: Option<&Bent>) -> Result<Chosen> {
+        let light = bent.and_then(|b| b.light.as_ref());
+        let diffraction = light.is_some();
+        let (base, first, whole) = (Settings { diffraction, ..self.base }, &self.first, Region::whole(self.frame));
+        let widened = light.map(|light| self.bent_halves(light.bending_mm(), &Settings::OUTSIDE));
+        let half_width = widened.and_then(|halves| halves.into_iter().max()).unwrap_or(first.half_width);
         Ok(match (request, measured) {
             (Request::Psnr(_), Some((c, _))) => Chosen {
                 settings: c.settings,
@@ -96,11 +147,16 @@ impl Draft<'_> {
             },
             (Request::Everything, _) => {
                 let grid = NodeGrid::uniform(cells(whole, first.bin), FULL_SPACING);
-                let depth = DepthPlan { grid, node_error: 0.0, ..first.clone() };
+                let depth = DepthPlan { grid, half_width, node_error: 0.0, ..first.clone() };
                 Chosen { settings: base, depth, holds: true, predicted_db: None }
             }
             _ => {
-                let depth = depth_plan(&self.colours, self.frame, 0, self.region.unwrap_or(whole), base)?;
+                let region = self.region.unwrap_or(whole);
+                let mut depth = depth_plan(&self.colours, self.frame, 0, region, base)?;
+                if let Some(light) = light {
+                    let bend = light.bending_mm() / depth.raster.pitch_mm * reach(base.outside);
+                    depth.half_width += bend.ceil() as usize;
+                }
                 let predicted = measured.and_then(|(_, l)| l.predicted(&base, first.half_width));
                 Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(told) }
             }
@@ -117,6 +173,7 @@ impl Draft<'_> {
             let spec = OpticsSpec { quadrature, illuminations: ILLUMINATIONS, ..self.colours.spec };
             Optics::compute(lens, &spec)?
         };
+        let optics = if settings.diffraction { optics.diffracting(lens)? } else { optics };
         let (frame, spec) = (self.frame.clone(), optics.spec.clone());
         let plan = RenderPlan { frame, settings, spec, table_error: self.table_error, depths: vec![depth] };
         let renderer = Renderer::with(optics, plan);
@@ -128,7 +185,19 @@ impl Draft<'_> {
             _ => Method::Direct,
         };
         let (needs, region) = (self.needs, self.region);
-        let (skips, coarse_bound) = (Vec::new(), f64::NAN);
-        Ok(ScenePlan { renderer, needs, region, method, skips, predicted_db, holds, coarse_bound, everything })
+        let (skips, coarse_bound, bend_bound, look_bytes) = (Vec::new(), f64::NAN, None, 0);
+        Ok(ScenePlan {
+            renderer,
+            needs,
+            region,
+            method,
+            skips,
+            predicted_db,
+            holds,
+            coarse_bound,
+            bend_bound,
+            look_bytes,
+            everything,
+        })
     }
 }

@@ -146,6 +146,13 @@ fn cropped(flipped: &[f32], size: usize, inner: usize, m: usize) -> Vec<f32> {
     rows.flat_map(|row| row[inset..inset + m * inner].iter().copied()).collect()
 }
 
+/// Spreads what `whole` has more than its middle, `inner`, evenly over that: as kernels by diffraction are made for a smaller window.
+#[expect(clippy::cast_precision_loss, reason = "a count")]
+fn put_back(inner: &mut [f32], whole: &[f32]) {
+    let missed = (whole.iter().sum::<f32>() - inner.iter().sum::<f32>()) / inner.len() as f32;
+    inner.iter_mut().for_each(|v| *v += missed);
+}
+
 fn pixels(region: Region) -> impl Iterator<Item = (usize, usize)> + Clone {
     (0..region.rows).flat_map(move |i| (0..region.cols).map(move |j| (i, j)))
 }
@@ -165,6 +172,7 @@ impl Probing<'_> {
     pub(crate) fn form(&self, optics: &Optics, dense: usize, samples: usize) -> KernelForm {
         let mut form = optics.form(dense, self.size, samples, self.frame.pitch_mm);
         form.weight = self.lit.iter().map(|c| form.weight[*c].clone()).collect();
+        form.keeps_light = true;
         form
     }
 
@@ -174,6 +182,15 @@ impl Probing<'_> {
         let count = self.colours.spec.quadrature.nm.len();
         form.weight = (0..count).map(|k| (0..count).map(|l| f64::from(u8::from(k == l))).collect()).collect();
         form
+    }
+
+    /// What `f` makes of every probe.
+    pub(crate) fn each(&self, probes: &[Probe], f: impl Fn(&Probe) -> Values + Sync) -> Vec<Values> {
+        let one = |probe: &Probe| {
+            look();
+            f(probe)
+        };
+        probes.par_iter().map(one).collect()
     }
 
     fn centre(&self, region: Region) -> SensorPoint {
@@ -241,11 +258,18 @@ impl Probing<'_> {
         self.values(&patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
     }
 
-    /// Values of a probe through the kernels of `form`, at the coarsest sampling.
-    pub(crate) fn through(&self, probe: &Probe, form: &KernelForm) -> Values {
+    /// Values of a probe through the kernels of `form` and `optics`, at the coarsest sampling.
+    pub(crate) fn through(&self, probe: &Probe, optics: &Optics, form: &KernelForm) -> Values {
         let at = self.centre(probe.region);
-        let kernels = flipped(self.optics, self.depth, form, at);
+        let kernels = flipped(optics, self.depth, form, at);
         self.values(&probe.patch, probe.region, (&kernels, &self.light(at)), (self.size, self.size))
+    }
+
+    /// Values of a probe through one flipped kernel of `size` pixels for all channels, at the coarsest sampling.
+    pub(crate) fn by_kernel(&self, probe: &Probe, kernel: &[f32], size: usize) -> Values {
+        let light = self.light(self.centre(probe.region));
+        let kernels = vec![kernel.to_vec(); self.lit.len()];
+        self.values(&probe.patch, probe.region, (&kernels, &light), (size, self.size))
     }
 
     /// Differences that windows of `sizes` pixels make.
@@ -255,7 +279,10 @@ impl Probing<'_> {
             if *size == self.size {
                 return vec![0.0; probe.coarse.len()];
             }
-            let inner: Vec<Vec<f32>> = probe.kernels.iter().map(|k| cropped(k, self.size, *size, 1)).collect();
+            let mut inner: Vec<Vec<f32>> = probe.kernels.iter().map(|k| cropped(k, self.size, *size, 1)).collect();
+            if self.optics.spec.diffraction {
+                inner.iter_mut().zip(&probe.kernels).for_each(|(inner, whole)| put_back(inner, whole));
+            }
             probe.less(self.values(&probe.patch, probe.region, (&inner, &light), (*size, self.size)), &probe.coarse)
         };
         sizes.iter().map(one).collect()

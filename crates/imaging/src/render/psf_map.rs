@@ -25,7 +25,8 @@ use crate::sensor::spectrum::SpectralDensity;
 use isoplanat_base::error::{Error, Result};
 use isoplanat_base::math::memory::{BASE, Limit, product, threads};
 use isoplanat_optics::lens::Lens;
-use isoplanat_optics::psf::wave::{WaveFigures, Waves};
+use isoplanat_optics::psf::bent::WaveFigures;
+use isoplanat_optics::psf::wave::Waves;
 use isoplanat_optics::psf::{Optics, SensorPoint};
 
 #[doc(hidden)]
@@ -139,7 +140,7 @@ impl PsfMap {
         let rule = quadrature(density, request.wavelengths, &[0, 1, 2]);
         let (optics, _) = optics(lens, frame, &[request.vergence], rule, (DEGREE, ILLUMINATIONS))?;
         let whole = Region::whole(frame);
-        let waves = request.diffraction.then(|| Waves::new(lens, &optics.spec.quadrature.nm)).transpose()?;
+        let waves = request.diffraction.then(|| Waves::new(lens, &optics)).transpose()?;
         let size = match request.size {
             Some(size) => size,
             None => {

@@ -75,6 +75,7 @@ impl Renderer {
         density.require(lens)?;
         let rule = quadrature(density, settings.wavelengths, &[0, 1, 2]);
         let (optics, table_error) = plan::optics(lens, frame, vergences, rule, (settings.degree, ILLUMINATIONS))?;
+        let optics = if settings.diffraction { optics.diffracting(lens)? } else { optics };
         let plan = RenderPlan::of(&optics, frame, settings, table_error).map_err(|e| e.in_file(lens.file()))?;
         Ok(Self::with(optics, plan))
     }
@@ -111,7 +112,10 @@ impl Renderer {
     /// From optics that were traced for `plan`.
     pub fn with(optics: Optics, plan: RenderPlan) -> Self {
         let light = Light::new(&optics, &plan.frame);
-        let form = |d: &DepthPlan| optics.form(plan.settings.dense, d.size(), d.samples, d.raster.pitch_mm);
+        let form = |d: &DepthPlan| KernelForm {
+            keeps_light: true,
+            ..optics.form(plan.settings.dense, d.size(), d.samples, d.raster.pitch_mm)
+        };
         let forms = plan.depths.iter().map(form).collect();
         Self { optics, light, forms, plan }
     }
@@ -205,6 +209,7 @@ impl Renderer {
 
     /// [`Self::record`] of given channels, and where `dark` is set of blocks without light as well: for measuring what leaving
     /// them out saves and changes.
+    #[doc(hidden)]
     pub fn record_with<T: Real>(
         &self,
         scene: &Plane,
@@ -348,6 +353,7 @@ impl Renderer {
         let d = &self.plan.depths[depth];
         let size = 2 * d.half_width * d.bin + 1;
         let form = self.optics.form(self.plan.settings.dense, size, 1, self.plan.frame.pitch_mm);
+        let form = KernelForm { keeps_light: true, ..form };
         let at = |node: usize| {
             let (row, col) = grid.pixel(node);
             centre(&self.plan.frame, row, col)

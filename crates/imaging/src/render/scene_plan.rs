@@ -54,6 +54,10 @@ pub struct ScenePlan {
     pub holds: bool,
     /// Error bound of coarser cells, rms; 0 where cells are pixels.
     pub(super) coarse_bound: f64,
+    /// Error bound of leaving diffraction out, rms, where that was looked at; no number where it was not measured.
+    pub(super) bend_bound: Option<f64>,
+    /// Bytes, from above, that looking whether diffraction is needed took.
+    pub(super) look_bytes: u64,
     pub(super) everything: bool,
 }
 
