@@ -79,7 +79,7 @@ impl Draft<'_> {
             return Ok(Some(Bent { needed: false, mean_square: f64::NAN, bytes: 0, light: None }));
         };
         let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, 1)).collect();
-        let half = self.bent_halves(bend_mm, &[1e-2])[0].max(self.first.half_width.min(WIDEST));
+        let half = self.bent_halves(bend_mm, &[1e-2])[0].max(self.first.half_width.min(WIDEST)).max(2);
         let probing = Probing {
             optics: &self.light,
             colours: &self.light,
@@ -100,10 +100,12 @@ impl Draft<'_> {
             MARGIN * mean + error
         };
         // What bends a perfect lens's light shows most: blur hides what is left of it. Caustics, which bend more, may have twice its error.
-        let sharp = self.sharp(bend_mm, half);
+        let bend_cells = (reach(1e-2) * bend_mm / self.first.raster.pitch_mm).ceil();
+        let sharp_half = (bend_cells as usize).clamp(2, half);
+        let sharp = self.sharp(bend_mm, sharp_half);
         let mut mean_square = 4.0
             * seen(&probing.each(&probes, |p| {
-                let [bent, straight] = sharp.each_ref().map(|kernel| probing.by_kernel(p, kernel, probing.size));
+                let [bent, straight] = sharp.each_ref().map(|kernel| probing.by_kernel(p, kernel, 2 * sharp_half + 1));
                 p.less(bent, &straight)
             }));
         let (mut light, mut bytes) = (None, 0);
