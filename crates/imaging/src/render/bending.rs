@@ -2,8 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::choose::MARGIN;
-use super::choose::mean_square;
+use super::choose::{MARGIN, mean_square};
 use super::draft::Draft;
 use super::plan::{Settings, reach};
 use super::probe::{Probing, Values};
@@ -32,7 +31,7 @@ pub enum Diffraction {
 /// Places that are looked at; where paths differ by so many wavelengths, whose kernels take long, fewer.
 const LOOKED_AT: usize = 12;
 pub(super) const MANY: f64 = 30.0;
-pub(super) const FEWER: usize = 4;
+const FEWER: usize = 4;
 /// Share of the mean square error asked for that leaving diffraction out may make.
 const LEFT: f64 = 0.1;
 /// Largest half-width of the kernels that are compared, cells.
@@ -112,7 +111,8 @@ impl Draft<'_> {
         if mean_square > LEFT * target {
             let light = light.insert(self.light.clone().diffracting(lens)?);
             bytes = light.bending_bytes(probing.size as f64 * self.first.raster.pitch_mm);
-            let form = probing.form(light, 1, 1);
+            // Kernels of hundreds of waves are made of rays: of as many as those they are held against.
+            let form = probing.form(light, probing.dense, 1);
             mean_square = seen(&probing.each(&probes, |p| p.less(probing.through(p, light, &form), &p.coarse)));
         }
         let needed = mean_square > LEFT * target;

@@ -136,12 +136,10 @@ impl Measuring<'_, '_> {
     }
 
     /// Puts what kernels by diffraction tell, of which these probes are made, in the place of what those of rays told: wavelengths and windows. Samples of the scene and
-    /// nodes stay as rays ask for them, whose kernels are sharper; points of the stop do not count.
+    /// nodes stay as rays ask for them, whose kernels are sharper, and so do points of the stop, of which kernels of hundreds of waves are made.
     pub(crate) fn bend(&self, found: &mut Ladders) {
         found.wavelengths = self.wavelengths();
         found.windows = self.windows();
-        found.dense.truncate(1);
-        found.dense[0].off = self.nothing();
     }
 
     fn wavelengths(&self) -> Vec<Rung<usize>> {

@@ -42,6 +42,7 @@ pub use pupil::Pupil;
 pub(super) const DEGREES: [usize; 6] = [9, 12, 15, 18, 22, 26];
 /// Parts of the farthest sensor radius at which the polynomials' degree is chosen.
 const LOOKED_AT: [f64; 5] = [0.0, 0.4, 0.7, 0.9, 1.0];
+
 /// A lens whose kernels are made by diffraction.
 #[derive(Clone, Debug)]
 pub struct Waves {
