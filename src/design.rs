@@ -12,6 +12,7 @@
 //! lens or a measured one; `schedule` sets the pace, `going` is the one loop with checkpoints, `bound` says what a checkpoint belongs to, `folder` and `log` are a run's, [`opened`] is a run as
 //! others read it; [`memory`] and [`pace`] say beforehand what all of it takes.
 
+mod bending;
 mod bound;
 #[doc(hidden)]
 pub mod chain;

@@ -24,7 +24,7 @@ LONG = {
     "trace": "lens.trace(np.random.default_rng(1).uniform(-4, 4, (40_000_000, 3)) - [0, 0, 20], [0, 0, 1.0])",
     "capture": "iso.capture(lens, photo, iso.Frame(6000, 4000, 6.0), samples=4096)",
     "optimize": "lens.replace({'surface[0].thickness': 4.0}).optimize(iterations=10**9, vary=['surface[*].*'], quality='wavefront', "
-    "distances_mm=list(np.linspace(500, 5000, 40)))",
+    "distances_mm=list(np.linspace(500, 5000, 600)))",
     "report": "lens.report(rays=1000000)",
 }
 

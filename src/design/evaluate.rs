@@ -177,7 +177,7 @@ impl Settings {
     #[doc(hidden)]
     #[must_use]
     pub fn of_pictures(mut self, pictures: &PictureTask) -> Self {
-        self.fineness.diffraction = pictures.diffraction;
+        self.fineness.diffraction = pictures.diffraction.is_on();
         self
     }
 }

@@ -19,6 +19,7 @@ use std::time::Instant;
 use ndarray::{Array4, Axis, s};
 
 use self::pairs::{Augmentation, PairSettings, Pairs, cut};
+use crate::design::bending;
 use crate::design::bound::{Bound, guide_of};
 use crate::design::data::Textures;
 use crate::design::folder::{MARKER, SCENES, check, lock, made, same_scenes, sweep};
@@ -131,7 +132,7 @@ impl Training {
     /// # Errors
     /// As [`Training::create`].
     pub fn begin(
-        task: Task,
+        mut task: Task,
         subject: &Subject,
         network: Reconstructor,
         textures: Textures,
@@ -141,6 +142,11 @@ impl Training {
         check(folder, replace)?;
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.pairs.batch, task.train.pairs.patch_px)?;
+        if let Subject::Lens(lens) = subject {
+            let (light, drawn) = (SpectralDensity::new(&task.sensor()?), (&textures, task.seed));
+            let vergences = vergences(&task, subject);
+            bending::settle(&mut task.pictures, lens, drawn, (&subject.frame()?, &light), &vergences)?;
+        }
         let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();
         let (bound, filters) = Bound::of(subject.sha256(), &parts.guide)?;
@@ -468,6 +474,14 @@ impl Clock {
     }
 }
 
+/// Distances of a training's pictures, as vergences.
+fn vergences(task: &Task, subject: &Subject) -> Vec<f64> {
+    match task.network_depths_mm() {
+        [] => vec![subject.vergence()],
+        depths => depths.iter().map(|d| 1.0 / d).collect(),
+    }
+}
+
 /// What a checkpoint says beside the network: where it stands, and what it belongs to.
 fn facts(state: &State, bound: &Bound) -> BTreeMap<String, String> {
     let mut facts = state.facts();
@@ -498,16 +512,13 @@ impl Parts {
             let error = Error::bad("", "train.pairs.region_px", found, format!("at most {largest}"));
             return Err(task.in_its_words(error));
         }
-        let vergences = match task.network_depths_mm() {
-            [] => vec![subject.vergence()],
-            depths => depths.iter().map(|d| 1.0 / d).collect(),
-        };
+        let vergences = vergences(task, subject);
         let settings = PairSettings {
             seed: task.seed,
             region_px: train.pairs.region_px,
             count: train.pairs.count,
             budget: train.pairs.cache_mib << 20,
-            diffraction: task.pictures.diffraction,
+            diffraction: task.pictures.diffraction.is_on(),
             vergences,
         };
         let pairs = Pairs::new(subject, &density, settings)?;

@@ -128,9 +128,9 @@ impl KernelPlan {
             Some(size) => size,
             None => automatic(lens, &optics, waves.as_ref(), request, &lines)?,
         };
-        let window_mm = size as f64 * request.pitch_mm;
+        let window = (size, request.pitch_mm);
         let making = waves.iter().flat_map(|w| {
-            let of = |(depth, line): (usize, &FieldLine)| w.bytes(&optics, depth, &points(line), window_mm);
+            let of = |(depth, line): (usize, &FieldLine)| w.bytes(&optics, depth, &points(line), window);
             lines.iter().enumerate().map(of).collect::<Vec<u64>>()
         });
         let making = making.max().unwrap_or(0);
@@ -146,8 +146,9 @@ impl KernelPlan {
     /// # Errors
     /// As [`Optics::compute`].
     pub fn again(&self, lens: &Lens) -> Result<Self> {
-        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &self.optics)).transpose()?;
-        Ok(Self { optics: Optics::compute(lens, &self.optics.spec)?, waves, ..self.clone() })
+        let optics = Optics::compute(lens, &self.optics.spec)?;
+        let waves = self.waves.as_ref().map(|_| Waves::new(lens, &optics)).transpose()?;
+        Ok(Self { optics, waves, ..self.clone() })
     }
 
     /// Whether kernels are made by diffraction.

@@ -10,6 +10,9 @@ use isoplanat::imaging::sensor::spectrum::SpectralDensity;
 use isoplanat::lens::{Aperture, Lens, builtin};
 use ndarray::Array3;
 
+#[cfg(feature = "train")]
+use crate::support::Workplace;
+
 /// A lens at an f-number, a small frame of `pitch_um` whose middle lies `off_mm` to the right of the axis and as far above it, and `texture` before it, a texel a pixel.
 fn case(name: &str, f_number: Option<f64>, pitch_um: f64, off_mm: f64, texture: Array3<f32>) -> (Lens, Frame, Plane) {
     let mut lens = builtin::lens(name).expect("shipped");
@@ -107,5 +110,29 @@ fn what_pixels_hide_is_left_out() {
     assert!(rms < 1e-2, "{rms}");
     if auto.renderer.plan.settings == off.renderer.plan.settings {
         assert_eq!(a, picture(&off, &scene));
+    }
+}
+
+/// A task that leaves it to its scenes: the run's own task says what they told, fine pixels one thing and large ones another; other words are refused.
+#[cfg(feature = "train")]
+#[test]
+fn tasks_ask_their_scenes() {
+    let place = Workplace::new();
+    let task = |said: &str, lens: &str, pitch_um: f64| {
+        format!(
+            "schema = 2\n[lens]\nfile = \"{lens}\"\nwarm_start = false\n[pictures]\nscenes = 2\npatch_px = 32\nbatch = 1\ndiffraction = {said}\n\
+             [network]\nbase_width = 4\n[budget]\nsteps = 1\n[frame.raster]\ncolumns = 96\nrows = 64\npitch_um = {pitch_um}\n"
+        )
+    };
+    place.write("word.toml", task("\"maybe\"", "phone", 1.1));
+    place.run("design word.toml -o run").refused(&["word.toml", "line 9", "maybe", "auto"]);
+    for (name, lens, pitch_um, needed) in [("fine", "phone", 1.1, true), ("large", "two_element", 60.0, false)] {
+        place.write(&format!("{name}.toml"), task("\"auto\"", lens, pitch_um));
+        let said = place.run(&format!("design {name}.toml -o {name}")).done();
+        assert_eq!(said.contains("by diffraction, "), needed, "{said}");
+        let own = std::fs::read_to_string(place.path(name).join("task.toml")).expect("written");
+        assert_eq!(own.contains("diffraction = true"), needed, "{own}");
+        assert!(!own.contains("auto"), "{own}");
+        place.run(&format!("design --resume -o {name}")).done();
     }
 }

@@ -16,6 +16,7 @@ use super::run::{JointSettings, SMOOTH, Stage};
 use super::scenery::{Entry, LOG_HEADER, Scenery};
 use super::state::State;
 use super::story::{Judgement, StoryFacts, WORSE_DB, page};
+use crate::design::bending;
 use crate::design::bound::Bound;
 use crate::design::data::Textures;
 use crate::design::evaluate::verdict::verdicts;
@@ -32,6 +33,7 @@ use isoplanat_imaging::frame::Frame;
 use isoplanat_imaging::guide;
 use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::sensor::Sensor;
+use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::{Compute, Reconstructor};
 use isoplanat_optics::lens::{Field, Lens, prescription};
 use isoplanat_optics::optimize::search::{Plan, Progress, search};
@@ -263,7 +265,7 @@ impl Designing {
 
     /// A design in a folder that `make` puts what is told it into.
     fn begun(
-        task: Task,
+        mut task: Task,
         prepared: &Prepared,
         mut network: Reconstructor,
         textures: Textures,
@@ -276,6 +278,11 @@ impl Designing {
         let sensor = task.sensor()?;
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
+        let settings = JointSettings::of(&task)?;
+        let own = [problem.lens.object_vergence];
+        let vergences = if settings.vergences.is_empty() { &own[..] } else { &settings.vergences };
+        let (light, drawn) = (SpectralDensity::new(&sensor), (&textures, task.seed));
+        bending::settle(&mut task.pictures, &problem.lens, drawn, (&scenery.frame, &light), vergences)?;
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;

@@ -94,7 +94,7 @@ impl JointSettings {
             sensor_loss: task.loss.sensor.clone(),
             tolerances: task.stated_tolerances()?,
             worst_of: task.lens.worst_of,
-            diffraction: task.pictures.diffraction,
+            diffraction: task.pictures.diffraction.is_on(),
             settings: None,
         })
     }

@@ -9,6 +9,7 @@ use crate::design::joint::lens_steps::Steps;
 use crate::design::joint::sensor_loss::SensorLoss;
 use crate::design::places::Spread;
 use isoplanat_imaging::guide::Inputs;
+use isoplanat_imaging::render::Diffraction;
 
 /// `[lens]`: which lens, what is done to it before the joint stage, and how it moves there.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -93,9 +94,10 @@ pub struct PictureTask {
     pub batch: usize,
     /// How patches are spread over the field.
     pub spread: Spread,
-    /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction; else of rays.
-    #[serde(skip_serializing_if = "is_false")]
-    pub diffraction: bool,
+    /// Whether all pictures of the design and of its final network, and the filters of guided networks, are by diffraction (`true`), of rays (`false`), or as a few of its
+    /// patches through the lens it starts from ask for (`"auto"`).
+    #[serde(skip_serializing_if = "Diffraction::is_off")]
+    pub diffraction: Diffraction,
 }
 
 /// `[network]`: the network of the joint stage.
@@ -180,7 +182,7 @@ impl Default for PictureTask {
             patch_px: 128,
             batch: 2,
             spread: Spread::default(),
-            diffraction: false,
+            diffraction: Diffraction::Off,
         }
     }
 }

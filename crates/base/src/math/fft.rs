@@ -1,5 +1,6 @@
 //! Two-dimensional real FFTs with cached plans (rustfft, realfft).
 
+use std::cell::RefCell;
 use std::sync::Arc;
 
 use ndarray::{Array2, ArrayView2};
@@ -86,6 +87,20 @@ impl<T: FftNum> RealFft2<T> {
         }
         out
     }
+}
+
+thread_local! {
+    static PLANS: RefCell<FftPlanner<f64>> = RefCell::new(FftPlanner::new());
+}
+
+/// Transforms the rows of an array in standard layout, in place; neither way is scaled.
+///
+/// # Panics
+/// For another layout.
+pub fn fft_rows(all: &mut Array2<Complex<f64>>, forward: bool) {
+    let n = all.ncols();
+    let plan = PLANS.with_borrow_mut(|p| if forward { p.plan_fft_forward(n) } else { p.plan_fft_inverse(n) });
+    plan.process(all.as_slice_mut().expect("standard layout"));
 }
 
 /// The smallest even size ≥ `n` whose factors are 2, 3 and 5.

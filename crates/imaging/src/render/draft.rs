@@ -1,7 +1,7 @@
 //! A plan under way: what is known of lens and scenes before anything is chosen.
 
 use super::needs::{Channels, Needs};
-use super::plan::{DepthPlan, Settings, optics, quadrature, unplaced, widths};
+use super::plan::{DepthPlan, Settings, bent, optics, quadrature, unplaced, widths};
 use super::scene_plan::Request;
 use crate::frame::Frame;
 use crate::plane::{Plane, Region};
@@ -17,6 +17,18 @@ pub(super) const FINE_WAVELENGTHS: usize = 9;
 const FEW_WAVELENGTHS: usize = 3;
 /// Radii of their illumination, less one: probes compare ways under the same light.
 const DRAFT_ILLUMINATIONS: u32 = 32;
+
+/// Shares of light outside that half-widths are told for: the ladder's, and what is asked for.
+fn shares(base: Settings) -> Vec<f64> {
+    Settings::OUTSIDE.into_iter().chain([base.outside]).collect()
+}
+
+/// What all of `scenes` hold that light can bring to the frame.
+fn of_all(scenes: &[Plane], light: &Optics, frame: &Frame, first: &DepthPlan) -> Needs {
+    let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
+    each.reduce(Needs::and).expect("at least one scene")
+}
+
 /// A plan under way: the lens traced twice, how wide its kernels are, and what of the frame has light.
 pub(super) struct Draft<'a> {
     pub(super) scenes: &'a [Plane],
@@ -30,8 +42,11 @@ pub(super) struct Draft<'a> {
     pub(super) colours: Optics,
     /// Errors of both between their knots, as seen.
     pub(super) table_error: Tolerance,
-    /// Half-widths over the whole frame for [`Settings::OUTSIDE`], pixels.
+    /// How far windows follow light that diffraction bends: by `λ/NA` of so many millimetres.
+    pub(super) bend_mm: f64,
+    /// Half-widths over the whole frame for [`Settings::OUTSIDE`] and for what is asked, pixels; those of rays alone.
     pub(super) widths: Vec<usize>,
+    pub(super) of_rays: Vec<usize>,
     /// The widest over the whole frame; no nodes yet.
     pub(super) first: DepthPlan,
     /// What the scenes hold, together.
@@ -63,17 +78,44 @@ impl<'a> Draft<'a> {
             optics(lens, frame, &[vergence], rule(FEW_WAVELENGTHS), (base.degree, DRAFT_ILLUMINATIONS))?;
         let colours = Optics::compute(lens, &OpticsSpec { quadrature: rule(many), ..light.spec.clone() })?;
         let whole = Region::whole(frame);
-        let shares: Vec<f64> = Settings::OUTSIDE.into_iter().chain([base.outside]).collect();
-        let mut widths = widths(&colours, frame, 0, whole, &shares);
-        let first = unplaced(&colours, frame, 0, widths.pop().unwrap_or_default(), base);
+        let widths = widths(&colours, frame, 0, whole, &shares(base));
+        let first = unplaced(&colours, frame, 0, widths[widths.len() - 1], base);
         let first = first.map_err(|e| e.in_file(lens.file()))?;
         let needs = if request == Request::Everything {
             Needs { channels: Channels::all(), lit: Some(whole), lit_share: 1.0 }
         } else {
-            let each = scenes.iter().map(|s| Needs::of(s, &light.maps[0], frame, first.reach_px()));
-            each.reduce(Needs::and).expect("at least one scene")
+            of_all(scenes, &light, frame, &first)
         };
         let region = needs.reached(first.reach_px(), whole);
-        Ok(Self { scenes, frame, density, base, light, colours, table_error, widths, first, needs, region })
+        let (bend_mm, of_rays) = (0.0, widths.clone());
+        Ok(Self {
+            scenes,
+            frame,
+            density,
+            base,
+            light,
+            colours,
+            table_error,
+            bend_mm,
+            widths,
+            of_rays,
+            first,
+            needs,
+            region,
+        })
+    }
+
+    /// The same with windows, cells and what of the frame has light wide enough for light that diffraction bends, by `λ/NA` of `bend_mm`.
+    pub(super) fn bending(mut self, lens: &Lens, bend_mm: f64, everything: bool) -> Result<Self> {
+        self.bend_mm = bend_mm;
+        self.widths = bent(&self.of_rays, bend_mm / self.frame.pitch_mm, &shares(self.base));
+        let half = self.widths[self.widths.len() - 1];
+        let first = unplaced(&self.colours, self.frame, 0, half, self.base);
+        self.first = first.map_err(|e| e.in_file(lens.file()))?;
+        if !everything {
+            self.needs = of_all(self.scenes, &self.light, self.frame, &self.first);
+        }
+        self.region = self.needs.reached(self.first.reach_px(), Region::whole(self.frame));
+        Ok(self)
     }
 }

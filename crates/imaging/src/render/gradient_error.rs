@@ -198,7 +198,8 @@ impl Chosen {
     pub fn describe(&self) -> String {
         let s = &self.settings;
         format!(
-            "{} wavelengths, {} points of the stop, field nodes within {}, kernels of half-width {} cells at most: lens gradient off by {:.1} % {} ({:.0} % of patches' gradients is their own)",
+            "{}{} wavelengths, {} points of the stop, field nodes within {}, kernels of half-width {} cells at most: lens gradient off by {:.1} % {} ({:.0} % of patches' gradients is their own)",
+            if s.diffraction { "by diffraction, " } else { "" },
             s.wavelengths,
             s.dense,
             s.node_error,

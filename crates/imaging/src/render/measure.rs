@@ -20,6 +20,7 @@ use crate::plane::{Plane, Region};
 use crate::render::node_grid::NodeGrid;
 use isoplanat_base::error::Result;
 use isoplanat_optics::lens::Lens;
+use isoplanat_optics::psf::Optics;
 
 /// Dense points of the kernels that probes and nodes are looked at with.
 const DENSE: usize = 600;
@@ -61,12 +62,15 @@ impl Draft<'_> {
         bent: Option<&Bent>,
     ) -> Result<(Choice, Ladders)> {
         let (first, channels) = (&self.first, &self.needs.channels);
-        let size = first.size();
+        // What rays tell is looked at in their own windows.
+        let halves =
+            |widths: &[usize]| -> Vec<usize> { widths.iter().map(|half| in_cells(*half, first.bin)).collect() };
+        let size = 2 * halves(&self.of_rays)[Settings::OUTSIDE.len()] + 1;
         let (most, count) = efforts(size, first.bin);
         let bent = bent.and_then(|b| b.light.as_ref());
         let count = match bent {
             Some(light) if light.path_waves() > MANY => count.min(BENT.1),
-            Some(_) => count.min(BENT.0),
+            Some(_) => count.min(BENT.0).min(efforts(first.size(), first.bin).1),
             None => count,
         };
         let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, most)).collect();
@@ -90,21 +94,21 @@ impl Draft<'_> {
             .collect();
         let coarsest = Settings::NODE_ERRORS[0].min(self.base.node_error);
         let mut nodes = Nodes::coarse(&self.light, 0, &first.raster, around, size, coarsest, DENSE);
-        let halves: Vec<usize> = self.widths.iter().map(|half| in_cells(*half, first.bin)).collect();
-        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves };
+        let told = Settings::OUTSIDE.len();
+        let of_rays = halves(&self.of_rays[..told]);
+        let measuring = Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &of_rays };
         let mut found = measuring.ladders(&mut nodes, target);
         let mut base = self.base;
         if let Some(light) = bent {
             base.diffraction = true;
             let colours = self.colours.clone().diffracting(lens)?;
-            let halves = self.bent_halves(light.bending_mm(), &Settings::OUTSIDE);
-            let size = 2 * halves.iter().copied().max().unwrap_or(0) + 1;
+            let (halves, size) = (halves(&self.widths[..told]), first.size());
             let probing = Probing { optics: light, colours: &colours, size, ..probing };
             let probes = probing.probes(&stands);
             Measuring { probing: &probing, probes: &probes, rules: &rules, halves: &halves }.bend(&mut found);
         }
         if first.bin > 1 {
-            found.cells = self.cells(&stands);
+            found.cells = self.cells(&stands, bent.unwrap_or(&self.light));
         }
         let work = Work { region, channels: channels.lit.len(), planes: channels.sources() };
         Ok((cheapest(&found, target, base, &cost(&work)), found))
@@ -121,10 +125,10 @@ impl Draft<'_> {
     }
 
     /// Differences that cells make: against cells half as large, and a third more for what those lack themselves.
-    fn cells(&self, stands: &[Stand]) -> Vec<Values> {
+    fn cells(&self, stands: &[Stand], light: &Optics) -> Vec<Values> {
         let (lit, bin) = (&self.needs.channels.lit, self.first.bin);
         let nothing = |s: &Stand| vec![0.0; lit.len() * s.region.rows * s.region.cols];
-        let (Some(mut coarse), Some(mut fine)) = (self.on_cells(bin), self.on_cells(bin / 2)) else {
+        let (Some(mut coarse), Some(mut fine)) = (self.on_cells(bin, light), self.on_cells(bin / 2, light)) else {
             return stands.iter().map(nothing).collect();
         };
         let values = |renderer: &mut Renderer, stand: &Stand| -> Values {
@@ -149,7 +153,7 @@ impl Draft<'_> {
     }
 
     /// The lens on cells of `bin` pixels, with one node anywhere; `None` where the frame has no such raster.
-    fn on_cells(&self, bin: usize) -> Option<Renderer> {
+    fn on_cells(&self, bin: usize, light: &Optics) -> Option<Renderer> {
         let first = &self.first;
         let depth = DepthPlan {
             bin,
@@ -162,11 +166,11 @@ impl Draft<'_> {
         let plan = RenderPlan {
             frame: self.frame.clone(),
             settings: Settings { dense: DENSE, ..Settings::FINE },
-            spec: self.light.spec.clone(),
+            spec: light.spec.clone(),
             table_error: self.table_error,
             depths: vec![depth],
         };
-        Some(Renderer::with(self.light.clone(), plan))
+        Some(Renderer::with(light.clone(), plan))
     }
 }
 

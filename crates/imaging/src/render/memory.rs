@@ -50,7 +50,7 @@ impl ScenePlan {
         let counts = product(&[texels[0] + 1, texels[1] + 1, size_of::<u64>()]);
         let picture = task.bytes(self.method, size_of::<f32>()).saturating_add(planes(&render.frame));
         // Probes and pictures make kernels on every thread beside what they hold.
-        let bending = self.renderer.optics.bending_bytes(size as f64 * depth.raster.pitch_mm);
+        let bending = self.renderer.optics.bending_bytes(size, depth.raster.pitch_mm);
         let planning = planning.max(self.look_bytes);
         [BASE, scene(texels), counts, planning.max(picture), bending].into_iter().fold(0, u64::saturating_add)
     }

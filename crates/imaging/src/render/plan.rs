@@ -199,7 +199,7 @@ impl RenderPlan {
     pub(super) fn of(optics: &Optics, frame: &Frame, settings: Settings, table_error: Tolerance) -> Result<Self> {
         let whole = Region::whole(frame);
         let depths = (0..optics.spec.vergences.len())
-            .map(|depth| depth_plan(optics, frame, depth, whole, settings))
+            .map(|depth| depth_plan(optics, frame, depth, whole, settings, 0.0))
             .collect::<Result<_>>()?;
         Ok(Self { frame: frame.clone(), settings, spec: optics.spec.clone(), table_error, depths })
     }
@@ -236,16 +236,18 @@ pub(crate) fn bin_of(half: usize, cells: usize) -> usize {
 pub(super) fn widths(optics: &Optics, frame: &Frame, depth: usize, region: Region, shares: &[f64]) -> Vec<usize> {
     let look = optics.form(LOOK, 1, 1, frame.pitch_mm);
     let rays = optics.half_widths(&look, depth, shares, region.radii_mm(frame, 0.0));
-    let bend = optics.bending_mm() / frame.pitch_mm;
-    rays.into_iter()
-        .zip(shares)
-        .map(|(half, share)| half.saturating_add((bend * reach(*share)).ceil() as usize))
-        .collect()
+    bent(&rays, optics.bending_mm() / frame.pitch_mm, shares)
+}
+
+/// `halves` (pixels) that follow light which diffraction bends, too: by `λ/NA`, of `bend` pixels.
+pub(super) fn bent(halves: &[usize], bend: f64, shares: &[f64]) -> Vec<usize> {
+    let all = halves.iter().zip(shares);
+    all.map(|(half, share)| half.saturating_add((bend * reach(*share)).ceil() as usize)).collect()
 }
 
 /// How many `λ/NA` from the centre of a perfect lens's kernel all but a share of its light is: `1/(π² share)`, as far as a window follows it; what lies beyond is put
 /// back evenly over the window.
-pub(super) fn reach(share: f64) -> f64 {
+fn reach(share: f64) -> f64 {
     (std::f64::consts::PI.powi(2) * share).recip().clamp(2.0, FARTHEST)
 }
 
@@ -278,7 +280,7 @@ pub(super) fn unplaced(
     Ok(DepthPlan { vergence, bin, samples, half_width: in_cells(half, bin), raster, grid, node_error: f64::INFINITY })
 }
 
-/// Width and nodes for one object distance, over the part `region` of the frame.
+/// Width and nodes for one object distance, over the part `region` of the frame, where diffraction bends light by `bend_mm` more than by what `optics` have of it.
 ///
 /// # Errors
 /// A blur that even the coarsest cells leave wider than any window.
@@ -288,8 +290,10 @@ pub(crate) fn depth_plan(
     depth: usize,
     region: Region,
     settings: Settings,
+    bend_mm: f64,
 ) -> Result<DepthPlan> {
-    let half = widths(optics, frame, depth, region, &[settings.outside])[0];
+    let shares = [settings.outside];
+    let half = bent(&widths(optics, frame, depth, region, &shares), bend_mm / frame.pitch_mm, &shares)[0];
     let plan = unplaced(optics, frame, depth, half, settings)?;
     let around = super::coarse::cells(region, plan.bin);
     let (tolerance, dense) = (settings.node_error, settings.dense.min(800));

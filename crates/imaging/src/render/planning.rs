@@ -6,7 +6,7 @@ use super::coarse::cells;
 use super::draft::Draft;
 use super::explain;
 use super::needs::check;
-use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature, reach};
+use super::plan::{DepthPlan, ILLUMINATIONS, RenderPlan, Settings, depth_plan, quadrature};
 use super::renderer::Renderer;
 use super::scene_plan::{Request, ScenePlan};
 use crate::frame::Frame;
@@ -66,6 +66,11 @@ pub fn plan(
     };
     let bent = draft.bent(lens, lit, (how, target))?;
     let left_out = bent.as_ref().filter(|b| !b.needed).map(|b| b.mean_square);
+    let draft = match bent.as_ref().and_then(|b| b.light.as_ref()) {
+        Some(light) => draft.bending(lens, light.bending_mm(), request == Request::Everything)?,
+        None => draft,
+    };
+    let region = draft.region.filter(|_| region.is_some());
     let measured = region.map(|region| {
         // What leaving diffraction out makes is part of what is allowed.
         let target = target - left_out.filter(|v| v.is_finite()).unwrap_or(0.0);
@@ -90,15 +95,40 @@ pub fn plan(
 /// As [`plan()`].
 #[doc(hidden)]
 pub fn lacking(lens: &Lens, scenes: &[Plane], frame: &Frame, density: &SpectralDensity) -> Result<f64> {
+    // No error allowed: what a perfect lens tells is not enough.
+    Ok(looked(lens, scenes, frame, density, 0.0)?.map_or(0.0, |b| b.mean_square.sqrt()))
+}
+
+/// Whether pictures of rays lack so much of diffraction that `held_db` would not be held by the rest, as a few places of `scenes` tell.
+///
+/// # Errors
+/// As [`plan()`].
+#[doc(hidden)]
+pub fn needs_diffraction(
+    lens: &Lens,
+    scenes: &[Plane],
+    frame: &Frame,
+    density: &SpectralDensity,
+    held_db: f64,
+) -> Result<bool> {
+    Ok(looked(lens, scenes, frame, density, 10f64.powf(-0.1 * held_db))?.is_some_and(|b| b.needed))
+}
+
+/// What a few places of `scenes` tell of diffraction, where the mean square error `target` is asked for; nothing where no light is.
+fn looked(
+    lens: &Lens,
+    scenes: &[Plane],
+    frame: &Frame,
+    density: &SpectralDensity,
+    target: f64,
+) -> Result<Option<Bent>> {
     let vergence = common_vergence(scenes)?;
     density.require(lens)?;
     let settings = Settings { wavelengths: 3, ..Settings::FINE };
     let draft = Draft::new(lens, scenes, frame, density, (Request::Settings(settings), false), vergence)?;
     let lit = draft.region.filter(|_| !draft.needs.channels.lit.is_empty());
-    let Some(region) = lit else { return Ok(0.0) };
-    // No error allowed: what a perfect lens tells is not enough.
-    let bent = draft.bent(lens, Some(region), (Diffraction::Auto, 0.0))?;
-    Ok(bent.map_or(0.0, |b| b.mean_square.sqrt()))
+    let Some(region) = lit else { return Ok(None) };
+    draft.bent(lens, Some(region), (Diffraction::Auto, target))
 }
 
 /// The distance that all `scenes` stand at, as vergence.
@@ -127,11 +157,8 @@ struct Chosen {
 impl Draft<'_> {
     /// What is rendered how finely, after the probes have been `measured` or without them.
     fn chosen(&self, request: Request, measured: Option<&(Choice, Ladders)>, bent: Option<&Bent>) -> Result<Chosen> {
-        let light = bent.and_then(|b| b.light.as_ref());
-        let diffraction = light.is_some();
+        let diffraction = bent.is_some_and(|b| b.light.is_some());
         let (base, first, whole) = (Settings { diffraction, ..self.base }, &self.first, Region::whole(self.frame));
-        let widened = light.map(|light| self.bent_halves(light.bending_mm(), &Settings::OUTSIDE));
-        let half_width = widened.and_then(|halves| halves.into_iter().max()).unwrap_or(first.half_width);
         Ok(match (request, measured) {
             (Request::Psnr(_), Some((c, _))) => Chosen {
                 settings: c.settings,
@@ -147,16 +174,12 @@ impl Draft<'_> {
             },
             (Request::Everything, _) => {
                 let grid = NodeGrid::uniform(cells(whole, first.bin), FULL_SPACING);
-                let depth = DepthPlan { grid, half_width, node_error: 0.0, ..first.clone() };
+                let depth = DepthPlan { grid, node_error: 0.0, ..first.clone() };
                 Chosen { settings: base, depth, holds: true, predicted_db: None }
             }
             _ => {
                 let region = self.region.unwrap_or(whole);
-                let mut depth = depth_plan(&self.colours, self.frame, 0, region, base)?;
-                if let Some(light) = light {
-                    let bend = light.bending_mm() / depth.raster.pitch_mm * reach(base.outside);
-                    depth.half_width += bend.ceil() as usize;
-                }
+                let depth = depth_plan(&self.colours, self.frame, 0, region, base, self.bend_mm)?;
                 let predicted = measured.and_then(|(_, l)| l.predicted(&base, first.half_width));
                 Chosen { settings: base, depth, holds: true, predicted_db: predicted.map(told) }
             }

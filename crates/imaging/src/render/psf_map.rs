@@ -169,7 +169,7 @@ impl PsfMap {
         let multipliers = if request.places.are_filters() { [frame.rows, frame.columns] } else { [0, 0] };
         let (what, instead) =
             (format!("{count} kernels of {size} × {size}"), "fewer places, a smaller size, or a smaller frame");
-        let making = waves.as_ref().map_or(0, |w| w.bytes(&optics, 0, &points, size as f64 * frame.pitch_mm));
+        let making = waves.as_ref().map_or(0, |w| w.bytes(&optics, 0, &points, (size, frame.pitch_mm)));
         request.memory.allow(&what, bytes(count, size, multipliers).saturating_add(making), instead)?;
         let form = optics.form(request.rays, size, 1, frame.pitch_mm);
         #[expect(clippy::cast_possible_truncation, reason = "kernels leave as f32")]

@@ -155,6 +155,27 @@ impl Work for Dot<'_> {
     }
 }
 
+/// Values of the basis alone, `[term, point]`.
+pub(super) fn values(points: &[DVec2], degree: usize, parity: Parity) -> Array2<f64> {
+    let terms = terms(degree, parity);
+    let [mut t, mut d] = [const { Vec::new() }; 2];
+    let mut along = |of: fn(&DVec2) -> f64| {
+        let mut all = Array2::zeros((degree.max(1) + 1, points.len()));
+        for (mut column, s) in all.columns_mut().into_iter().zip(points) {
+            chebyshev_into(of(s), degree, &mut t, &mut d);
+            column.iter_mut().zip(&t).for_each(|(c, t)| *c = *t);
+        }
+        all
+    };
+    let [x, y] = [along(|s| s.x), along(|s| s.y)];
+    let mut out = Array2::zeros((terms.len(), points.len()));
+    for (mut row, (p, q)) in out.rows_mut().into_iter().zip(terms) {
+        row.assign(&x.row(p));
+        row *= &y.row(q);
+    }
+    out
+}
+
 /// Values and derivatives of the basis, `[term, point]`.
 fn basis(points: &[DVec2], degree: usize, parity: Parity) -> [Array2<f64>; 3] {
     let terms = terms(degree, parity);

@@ -15,7 +15,7 @@ use super::sensor_map::SensorMap;
 use super::splat::Raster;
 use super::stop::StopPoints;
 use super::table::Table;
-use super::wave::{Pupil, PupilBars, Waves};
+use super::wave::{Pupil, PupilBars, WaveFigures, Waves};
 use crate::trace::SystemGradient;
 
 /// Wavelengths with a smaller share of every channel are left out.
@@ -167,7 +167,7 @@ impl KernelForm {
         let fed: Vec<_> = (0..table.spec.wavelength_nm.len()).map(|l| Self::fed(&shares, l)).collect();
         let by_waves = |l: usize| {
             let waves = waves.filter(|_| !fed[l].is_empty())?;
-            waves.pupil_of(table, map, l, point).filter(Pupil::is_told)
+            waves.pupil_of(table, map, l, point).filter(|pupil| pupil.is_told(self.cell_mm))
         };
         let mut pupils: Vec<Option<Pupil>> = (0..fed.len()).map(by_waves).collect();
         let origin = Meridian::at(table, point, |l| !fed[l].is_empty() && pupils[l].is_none());
@@ -196,30 +196,42 @@ impl KernelForm {
     /// Writes the fine kernels of all channels at the point of `pencil`'s radius along `outward`, `[channel][row][col]` on the
     /// raster; returns the share of each channel's light that falls outside the window.
     pub fn kernels(&self, pencil: &Pencil, outward: [f64; 2], out: &mut [f64]) -> Vec<f64> {
+        self.kernels_told(pencil, outward, out).0
+    }
+
+    /// As [`Self::kernels`], with what is to be told of those by diffraction.
+    pub(super) fn kernels_told(&self, pencil: &Pencil, outward: [f64; 2], out: &mut [f64]) -> (Vec<f64>, WaveFigures) {
         out.fill(0.0);
-        let mut outside = vec![0.0; self.channels()];
+        let (mut outside, mut figures) = (vec![0.0; self.channels()], WaveFigures::default());
         for Colour { fed, light } in pencil.colours.iter().flatten() {
             let missed = match light {
-                Light::Rays(rays) => self.raster.splat(out, fed, rays.moves(outward, self.cell_mm)),
-                Light::Waves(pupil) => self.bent(pupil, outward, fed, out),
+                Light::Rays(rays) => {
+                    figures.geometric += 1;
+                    self.raster.splat(out, fed, rays.moves(outward, self.cell_mm))
+                }
+                Light::Waves(pupil) => {
+                    let (missed, spread) = self.bent(pupil, outward, fed, out);
+                    figures = figures.or(pupil.figures(spread));
+                    missed
+                }
             };
             fed.iter().for_each(|(c, s)| outside[*c] += s * missed);
         }
-        outside
+        (outside, figures)
     }
 
-    /// Adds a wavelength's kernel by diffraction to the planes that it feeds; returns the share of light outside the window.
-    fn bent(&self, pupil: &Pupil, outward: [f64; 2], fed: &[(usize, f64)], out: &mut [f64]) -> f64 {
+    /// Adds a wavelength's kernel by diffraction to the planes that it feeds; returns the shares of light outside the window and spread evenly.
+    fn bent(&self, pupil: &Pupil, outward: [f64; 2], fed: &[(usize, f64)], out: &mut [f64]) -> (f64, f64) {
         let len = self.raster.len();
         let mut plane = vec![0.0; len];
-        pupil.kernel(outward, self.raster, self.cell_mm, &mut plane);
+        let spread = pupil.kernel(outward, self.raster, self.cell_mm, &mut plane);
         let missed = 1.0 - plane.iter().sum::<f64>();
         let even = self.put_back(missed);
         for (channel, share) in fed {
             let to = out[channel * len..][..len].iter_mut();
             to.zip(&plane).for_each(|(o, v)| *o += share * (v + even));
         }
-        missed
+        (missed, spread)
     }
 
     /// What every place of a window gets of light outside it.

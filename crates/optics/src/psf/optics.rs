@@ -295,10 +295,10 @@ impl Optics {
         self.waves().map_or(0.0, Waves::bend_mm)
     }
 
-    /// Bytes, from above, that kernels by diffraction in windows of a side of `window_mm` take while they are made, on all threads; 0 where kernels are made of rays.
+    /// Bytes, from above, that kernels by diffraction of `size` cells of `cell_mm` a side take while they are made, on all threads; 0 where kernels are made of rays.
     #[doc(hidden)]
-    pub fn bending_bytes(&self, window_mm: f64) -> u64 {
-        self.waves().map_or(0, |w| w.making_bytes(window_mm))
+    pub fn bending_bytes(&self, size: usize, cell_mm: f64) -> u64 {
+        self.waves().map_or(0, |w| w.making_bytes(size, cell_mm))
     }
 
     /// Largest path difference over a pupil, wavelengths, as far as was looked; 0 where kernels are made of rays.

@@ -43,6 +43,32 @@ pub(super) const DEGREES: [usize; 6] = [9, 12, 15, 18, 22, 26];
 /// Parts of the farthest sensor radius at which the polynomials' degree is chosen.
 const LOOKED_AT: [f64; 5] = [0.0, 0.4, 0.7, 0.9, 1.0];
 
+/// What is to be told of kernels by diffraction.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WaveFigures {
+    /// Largest root mean square residual of the polynomials of a path, wavelengths.
+    pub residual_waves: f64,
+    /// Largest share of light that was spread evenly over a kernel's period.
+    pub spread: f64,
+    /// Largest sine of an angle at the image.
+    pub aperture: f64,
+    /// Kernels of a wavelength that were made of rays, because their blur has hundreds of waves.
+    pub geometric: usize,
+}
+
+impl WaveFigures {
+    /// What is to be told of both.
+    #[must_use]
+    pub fn or(self, other: Self) -> Self {
+        Self {
+            residual_waves: self.residual_waves.max(other.residual_waves),
+            spread: self.spread.max(other.spread),
+            aperture: self.aperture.max(other.aperture),
+            geometric: self.geometric + other.geometric,
+        }
+    }
+}
+
 /// A lens whose kernels are made by diffraction.
 #[derive(Clone, Debug)]
 pub struct Waves {
@@ -68,6 +94,11 @@ impl PupilBars {
 }
 
 impl Pupil {
+    /// What is to be told of a kernel of which a share was `spread` evenly.
+    pub(super) fn figures(&self, spread: f64) -> WaveFigures {
+        WaveFigures { residual_waves: self.residual_waves, spread, aperture: self.steepest, geometric: 0 }
+    }
+
     /// Adds the pull-back of a cotangent on [`Self::kernel`], which it makes again (written to `kernel`): `bar` gives the cotangent of what was made.
     pub(super) fn pull_kernel(
         &self,
@@ -135,10 +166,11 @@ impl Waves {
         Ok(made)
     }
 
-    /// Bytes, from above, that kernels in windows of a side of `window_mm` take while they are made, on all threads.
-    pub(super) fn making_bytes(&self, window_mm: f64) -> u64 {
-        let told = self.looked_at.iter().filter(|p| p.is_told());
-        let most = told.map(|p| p.bytes(window_mm)).max().unwrap_or(0);
+    /// Bytes, from above, that kernels of `size` cells of `cell_mm` a side take while they are made, on all threads.
+    pub(super) fn making_bytes(&self, size: usize, cell_mm: f64) -> u64 {
+        let told = self.looked_at.iter().filter(|p| p.is_told(cell_mm));
+        #[expect(clippy::cast_precision_loss, reason = "from above")]
+        let most = told.map(|p| p.bytes(size as f64 * cell_mm)).max().unwrap_or(0);
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,

@@ -64,7 +64,7 @@ pub(in crate::psf) struct NodeBars {
     pub(in crate::psf) slope: [Vec<f64>; 2],
     /// By surface of the reversed system: of `1 − r²/a²` at its clear aperture.
     pub(in crate::psf) clips: Vec<(usize, Vec<f64>)>,
-    /// Of [`Beam::paths`]; of none where there are none.
+    /// Of the optical paths; of none where there are none.
     pub(in crate::psf) paths: Vec<f64>,
 }
 
@@ -130,7 +130,8 @@ impl<'a> Aimed<'a> {
             }
             let aimed = view.aim(at, targets[k], Some(starts[k]), &mut hits);
             let ray = aimed.and_then(|c| self.follow(c, &mut hits)).map_err(|f| (k, f))?;
-            Ok(Crossings { ray, heights: hits.iter().map(|h| h.at.point.truncate()).collect() })
+            let heights = hits.iter().map(|h| h.at.point.truncate()).collect();
+            Ok(Crossings { ray, heights, path: self.view.path(&hits) })
         });
         all.collect()
     }
@@ -272,17 +273,6 @@ impl Beam {
         let [[a, b], [c, d]] = self.cosine_slopes(basis);
         let n2 = view.image_index().powi(2);
         (0..a.len()).map(|j| n2 * (a[j] * d[j] - b[j] * c[j])).collect()
-    }
-
-    /// Optical paths from the sensor point to where the rays cross the first vertex plane, mm, at the nodes; nothing where a ray fails that did not before.
-    pub(in crate::psf) fn paths(&self, view: &SensorView) -> Option<Vec<f64>> {
-        let at = DVec2::new(0.0, self.radius_mm);
-        let mut hits = Vec::with_capacity(view.system.surfaces.len());
-        let path = |node: &Crossings| {
-            view.follow(at, node.ray.cosines, &mut hits).ok()?;
-            Some(view.path(&hits))
-        };
-        self.nodes.iter().map(path).collect()
     }
 
     /// `∂L/∂x, ∂L/∂y` and `∂M/∂x, ∂M/∂y` over the unit stop, at the nodes.

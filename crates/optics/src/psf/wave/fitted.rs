@@ -5,8 +5,9 @@
 
 use glam::DVec2;
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
+use ndarray::Array2;
 
-use super::super::fit::{Evaluation, Of, Parity};
+use super::super::fit::{self, Evaluation, Of, Parity};
 
 /// Functions of one parity.
 #[derive(Clone, Debug)]
@@ -147,10 +148,10 @@ impl Fitted {
         (values, nodes)
     }
 
-    /// What evaluates both parities at points of the pupil.
-    pub(super) fn evaluations(&self, points: impl Iterator<Item = DVec2>) -> [Evaluation; 2] {
+    /// The terms of both parities at points of the pupil, `[term, point]`.
+    pub(super) fn terms(&self, points: impl Iterator<Item = DVec2>) -> [Array2<f64>; 2] {
         let places: Vec<DVec2> = points.map(|t| (t - self.middle) / self.half).collect();
-        [Parity::Even, Parity::Odd].map(|parity| Evaluation::new(&places, self.degree, parity))
+        [Parity::Even, Parity::Odd].map(|parity| fit::values(&places, self.degree, parity))
     }
 }
 
@@ -173,13 +174,13 @@ mod tests {
         let mut bars = fitted.no_bars();
         let places = [DVec2::new(0.02, 0.31), DVec2::new(0.07, 0.24), DVec2::new(-0.05, 0.36)];
         let loss = |fitted: &Fitted| {
-            let at = fitted.evaluations(places.into_iter());
-            let [e, o] = [0, 1].map(|p: usize| at[p].at(Of::Value, &fitted.halves[p].coefficients[0]));
+            let at = fitted.terms(places.into_iter());
+            let [e, o] = [0, 1].map(|p: usize| fit::apply_transposed(&at[p], &fitted.halves[p].coefficients[0]));
             [e, o].map(|v| v[0] - 2.0 * v[1] + 3.0 * v[2]).iter().sum::<f64>()
         };
-        let at = fitted.evaluations(places.into_iter());
+        let at = fitted.terms(places.into_iter());
         for p in 0..2 {
-            at[p].pull(Of::Value, &[1.0, -2.0, 3.0], &mut bars[p][0]);
+            bars[p][0] = fit::apply(&at[p], &[1.0, -2.0, 3.0]);
         }
         let (of_values, of_nodes) = fitted.vjp(&bars);
         for j in [0, 7, 23] {

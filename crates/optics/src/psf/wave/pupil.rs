@@ -8,6 +8,7 @@ use super::super::sensor_map::SensorMap;
 use super::super::splat::Raster;
 use super::super::stop::Part;
 use super::super::table::beam::{self, Bases, Beam, NodeBars};
+use super::cell::TOLD;
 use super::fitted::{Bars, Fitted};
 use super::functions::{CLIPS, PATH, PupilFunctions};
 use super::outside::{beyond, beyond_vjp};
@@ -26,15 +27,17 @@ pub(super) const PATH_WAVES: f64 = 1e-4;
 const ACROSS: [f64; 2] = [64.0, 1024.0];
 /// Periods to an octave.
 const STEPS: f64 = 8.0;
+/// Cells in a period, at least.
+const CELLS: f64 = 8.0;
 /// Margin of the period around the window and around the blur, in λ/NA, each side.
 const MARGIN: f64 = 8.0;
 
 /// What all pupils of a lens share.
 #[derive(Clone, Debug)]
 pub(super) struct Shared {
-    bases: Bases,
+    pub(super) bases: Bases,
     /// Part of the stop's radius that the unit disk stands for.
-    pupil: f64,
+    pub(super) pupil: f64,
 }
 
 impl Shared {
@@ -94,13 +97,13 @@ impl Pupil {
         let (u, v) = (DVec2::new(0.0, map.slope(radius_mm)), map.vergence);
         let image = view.system.image();
         let index = view.system.surfaces[image].index_after;
-        let inside = beam.paths(view)?;
-        let mean = inside.iter().sum::<f64>() / inside.len() as f64;
-        let (mut tau, mut path) = (Vec::with_capacity(inside.len()), Vec::with_capacity(inside.len()));
-        for (node, inside) in beam.nodes.iter().zip(&inside) {
+        let count = beam.nodes.len();
+        let mean = beam.nodes.iter().map(|n| n.path).sum::<f64>() / count as f64;
+        let (mut tau, mut path) = (Vec::with_capacity(count), Vec::with_capacity(count));
+        for node in &beam.nodes {
             let (far, t) = beyond(u, v, node.ray.entrance);
             tau.push(index * DVec2::new(ratio, growth) * t);
-            path.push(inside - mean + index * far);
+            path.push(node.path - mean + index * far);
         }
         let beam = Arc::new(beam);
         let near = beam::near_apertures(&[view], &[vec![Arc::clone(&beam)]]);
@@ -251,10 +254,16 @@ impl Pupil {
         beam.nodes_vjp(view, &shared.bases.of(beam.part), &bars, to.system);
     }
 
-    /// Whether a raster that is not too large tells the blur: else there are hundreds of waves, and geometry tells it as well.
-    pub(in crate::psf) fn is_told(&self) -> bool {
-        let (least, most) = (2.0 * self.reach_mm + self.margin(), self.most());
-        least <= most
+    /// Whether a raster that is not too large tells the blur in cells of `cell_mm`: else there are hundreds of waves, or cells of hundreds of `λ/NA`, and geometry tells it
+    /// as well.
+    pub(in crate::psf) fn is_told(&self, cell_mm: f64) -> bool {
+        let most = self.most();
+        self.least() <= most && cell_mm <= most / CELLS
+    }
+
+    /// Smallest period that the blur asks for, mm: beside it there is room, and edges' light that lands far from them, at the blur's other side, is told.
+    fn least(&self) -> f64 {
+        (2.0 * self.reach_mm + self.margin()).max(self.reach_mm / TOLD)
     }
 
     /// What is left around a kernel, mm.
@@ -270,7 +279,7 @@ impl Pupil {
     /// The period of a kernel whose window has this side, mm. It goes by steps: lenses that differ a little have the same, and what a kernel's error of sampling is does
     /// not enter derivatives.
     pub(super) fn period(&self, window_mm: f64) -> f64 {
-        let wanted = (window_mm + self.margin()).max(2.0 * self.reach_mm + self.margin());
+        let wanted = (window_mm + self.margin()).max(self.least());
         let wanted = wanted.clamp(ACROSS[0] / ACROSS[1] * self.most(), self.most());
         ((wanted.log2() * STEPS).ceil() / STEPS).exp2()
     }

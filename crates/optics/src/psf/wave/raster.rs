@@ -9,13 +9,16 @@ use glam::DVec2;
 use ndarray::Array2;
 use rustfft::num_complex::Complex;
 
-use super::super::fit::{Evaluation, Of, chebyshev};
+use super::super::fit::{apply, apply_transposed, chebyshev};
 use super::cell::{shares, shares_vjp, sharpened};
 use super::fitted::Bars;
 use super::functions::{CLIPS, COSINE, ODD_COSINE, ODD_STOP, PATH, PupilFunctions, STOP};
 
 /// How far beyond the box around the nodes' `τ`, in half its sides, cells are looked at: polynomials of a whole stop, whose pupil is nearly round, and of a part of it.
 const BEYOND: [f64; 2] = [1.25, 1.6];
+
+/// Cells around the box: sharpened edges have some light as far as four of them, and the outermost are closed.
+const MARGIN: usize = 5;
 
 /// Where the pupil's raster lies.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,12 +53,12 @@ impl Sampling {
                 (low, high) = (low.min(p), high.max(p));
             }
         }
-        // Nodes stand between the ends of the box, so many to a half-turn of the rim; then a cell of margin, and the outermost, which are closed.
+        // Nodes stand between the ends of the box, so many to a half-turn of the rim; then the margin.
         let turn = PI / (2.0 * (pupil.fitted.degree + 2) as f64);
         let half = 0.5 * (1.01 + 0.6 * turn * turn) * (high - low);
         // A raster that stands still while the pupil moves a little over it: its own error does not enter derivatives.
         let middle = (0.5 * (low + high) / step).round() * step;
-        let cells = [half.x, half.y].map(|half| 2 * ((half / step).ceil() as usize + 2) + 1);
+        let cells = [half.x, half.y].map(|half| 2 * ((half / step).ceil() as usize + MARGIN) + 1);
         Self { period, step, outward, middle, cells }
     }
 
@@ -90,7 +93,8 @@ fn along(degree: usize, count: usize) -> [Array2<f64>; 2] {
 
 /// What takes polynomials to a raster.
 struct Way {
-    at: [Evaluation; 2],
+    /// Terms of either parity at Chebyshev's points of the raster, `[term, point]`.
+    at: [Array2<f64>; 2],
     /// Along columns (x) and rows (y): values and slopes over `τ`.
     x: [Array2<f64>; 2],
     y: [Array2<f64>; 2],
@@ -109,7 +113,7 @@ impl Way {
         let points = pupil.fitted.degree + 1;
         let place = |i: usize| (PI * (i as f64 + 0.5) / points as f64).cos();
         let all = (0..points).flat_map(|i| (0..points).map(move |j| DVec2::new(place(j), place(i))));
-        let at = pupil.fitted.evaluations(all.map(|p| sampling.tau(p)));
+        let at = pupil.fitted.terms(all.map(|p| sampling.tau(p)));
         let extent = sampling.extent();
         let of = |count: usize, half: f64| {
             let [values, slopes] = along(pupil.fitted.degree, count);
@@ -128,7 +132,7 @@ impl Way {
 
     fn raster(&self, (parity, coefficients): (usize, &[f64]), of: Along) -> Array2<f64> {
         let points = self.x[0].ncols();
-        let values = self.at[parity].at(Of::Value, coefficients);
+        let values = apply_transposed(&self.at[parity], coefficients);
         let values = Array2::from_shape_vec((points, points), values).expect("a value a point");
         let (y, x) = self.sides(of);
         y.dot(&values).dot(&x.t())
@@ -138,7 +142,9 @@ impl Way {
     fn raster_vjp(&self, parity: usize, of: Along, bar: &Array2<f64>, to: &mut [f64]) {
         let (y, x) = self.sides(of);
         let values = y.t().dot(bar).dot(x);
-        self.at[parity].pull(Of::Value, values.as_standard_layout().as_slice().expect("standard layout"), to);
+        let values = values.as_standard_layout();
+        let pulled = apply(&self.at[parity], values.as_slice().expect("standard layout"));
+        to.iter_mut().zip(pulled).for_each(|(t, p)| *t += p);
     }
 }
 
@@ -176,12 +182,14 @@ impl PupilFunctions {
         let [lx, ly] = [Along::X, Along::Y].map(|of| way.raster(self.odd(ODD_COSINE), of));
         let [mx, my] = [Along::X, Along::Y].map(|of| way.raster(self.even(COSINE), of));
         let stop = [way.raster(self.odd(ODD_STOP), Along::Value), way.raster(self.even(STOP), Along::Value)];
-        let beyond = BEYOND[usize::from(!self.part.is_whole())];
-        let count = |n: usize| (n - 1) as f64;
+        let beyond = BEYOND[usize::from(!self.part.is_whole())].powi(2);
+        // In half sides of the box, by cells along columns and rows.
+        let at = |x: f64, y: f64| (sampling.tau(DVec2::new(x, y)) - self.fitted.middle) / self.fitted.half;
+        let [first, last_column, last_row] = [at(-1.0, -1.0), at(1.0, -1.0), at(-1.0, 1.0)];
+        let [column, row] = [(last_column, sampling.cells[0]), (last_row, sampling.cells[1])]
+            .map(|(last, count)| (last - first) / (count - 1) as f64);
         let inside = Array2::from_shape_fn(lx.dim(), |(i, j)| {
-            let [x, y] = [(j, sampling.cells[0]), (i, sampling.cells[1])].map(|(k, n)| 2.0 * k as f64 / count(n) - 1.0);
-            let tau = sampling.tau(DVec2::new(x, y));
-            ((tau - self.fitted.middle) / self.fitted.half).length() <= beyond
+            (first + i as f64 * row + j as f64 * column).length_squared() <= beyond
         });
         let edges = self.edges(&way, &stop);
         let shares = shares(&edges, &inside);

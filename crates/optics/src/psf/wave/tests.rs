@@ -4,17 +4,19 @@ use glam::{DMat2, DVec2};
 use isoplanat_base::testing::{assert_abs, assert_rel, central_difference};
 use rustfft::num_complex::Complex;
 
-use super::fitted::Bars;
+use super::fitted::{Bars, Fitted};
 use super::functions::{ODD_STOP, PATH, STOP};
 use super::raster::Sampling;
 use super::*;
 use crate::lens::builtin;
 use crate::lens::variables::Variables;
-use crate::psf::fit::Of;
+use crate::psf::fit::{Evaluation, Of, Parity};
 use crate::psf::kernel::KernelForm;
 use crate::psf::splat::Raster;
 use crate::psf::stop::Part;
 use crate::psf::{Optics, OpticsBar, OpticsSpec, Quadrature, SensorMap};
+
+mod extreme;
 
 const NM: f64 = 550.0;
 
@@ -145,7 +147,8 @@ fn transfer_functions_are_those_of_a_round_pupil() {
 fn displacement(pupil: &Pupil, s: DVec2) -> DVec2 {
     let [even, odd] = &pupil.functions.fitted.halves;
     let at = |tau: DVec2, p: usize, coefficients: &[f64]| {
-        let at = &pupil.functions.fitted.evaluations(std::iter::once(tau))[p];
+        let Fitted { degree, middle, half, .. } = pupil.functions.fitted;
+        let at = Evaluation::new(&[(tau - middle) / half], degree, [Parity::Even, Parity::Odd][p]);
         let [value, x, y] = [Of::Value, Of::X, Of::Y].map(|of| at.at(of, coefficients)[0]);
         (value, DVec2::new(x, y) / pupil.functions.fitted.half)
     };

@@ -65,6 +65,8 @@ pub struct Crossings {
     pub ray: SceneRay,
     /// Its heights, mm.
     pub heights: Vec<DVec2>,
+    /// Optical path from the sensor point to the crossing of the first vertex plane, mm.
+    pub path: f64,
 }
 
 /// A ray from the sensor behind the lens, and where it came from.
@@ -107,8 +109,8 @@ impl SensorView {
             }
             y
         };
-        let surfaces =
-            (1..reversed.surfaces.len()).map(|k| Program::of(&reversed.surfaces[k..=k], Options::default())).collect();
+        let options = Options { path: true, ..Options::default() };
+        let surfaces = (1..reversed.surfaces.len()).map(|k| Program::of(&reversed.surfaces[k..=k], options)).collect();
         Self { paraxial: [height(1.0, 0.0), height(0.0, 1.0)], surfaces, system: reversed }
     }
 
@@ -178,6 +180,7 @@ impl SensorView {
         let ray = point.ray(chief);
         let inverse = stop_jacobian(&self.system, &point, &ray, hits).inverse();
         let limit = TOLERANCE * self.system.stop_semi_diameter;
+        let index = self.system.surfaces[self.system.image()].index_after;
         let mut out = Vec::with_capacity(targets.len());
         for (targets, starts) in targets.chunks(TILE).zip(starts.chunks(TILE)) {
             let mut tile = Aiming { view: self, tile: Tile::new(), lost: vec![false; targets.len()] };
@@ -198,15 +201,17 @@ impl SensorView {
                 }
             }
             tile.launch(&point, &aimed, ray);
-            let mut heights = vec![vec![point.0]; targets.len()];
+            let (mut heights, mut paths) = (vec![vec![point.0]; targets.len()], [0.0; TILE]);
             tile.pass(1..=self.system.image(), |_, tile| {
                 let all = heights.iter_mut().enumerate();
                 all.for_each(|(lane, h)| h.push(DVec2::new(tile.rays.x[lane], tile.rays.y[lane])));
+                paths.iter_mut().zip(&tile.rays.path).for_each(|(sum, path)| *sum += path);
             });
             out.extend(heights.into_iter().zip(&aimed).enumerate().map(|(lane, (heights, b))| {
                 let (ray, met) = (tile.tile.rays.ray(lane), heights[self.system.stop]);
                 let arrived = !tile.lost[lane] && (met - targets[lane]).length() <= limit && ray.direction.z > 0.0;
-                arrived.then(|| Crossings { ray: SceneRay::of(b.p, ray.origin, ray.direction), heights })
+                let path = paths[lane] - index * ray.origin.z / ray.direction.z;
+                arrived.then(|| Crossings { ray: SceneRay::of(b.p, ray.origin, ray.direction), heights, path })
             }));
         }
         out
