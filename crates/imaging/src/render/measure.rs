@@ -24,8 +24,9 @@ use isoplanat_optics::psf::Optics;
 
 /// Dense points of the kernels that probes and nodes are looked at with.
 const DENSE: usize = 600;
-/// Probes at most where kernels go by diffraction, which take longer; where paths differ by many wavelengths, much longer.
-const BENT: (usize, usize) = (32, 10);
+/// Probes at most where kernels go by diffraction and paths differ by many wavelengths. Elsewhere as many as of rays: a third of them took one sample a pixel of a
+/// photograph to be enough that was not.
+const BENT: usize = 10;
 /// Kernel sizes from which fine rasters are 2 and not 4 samples a pixel and probes half as many, and from which they are
 /// few: what is blurred differs less from place to place.
 const WIDE: (usize, usize) = (65, 201);
@@ -69,8 +70,9 @@ impl Draft<'_> {
         let (most, count) = efforts(size, first.bin);
         let bent = bent.and_then(|b| b.light.as_ref());
         let count = match bent {
-            Some(light) if light.path_waves() > MANY => count.min(BENT.1),
-            Some(_) => count.min(BENT.0).min(efforts(first.size(), first.bin).1),
+            Some(light) if light.path_waves() > MANY => count.min(BENT),
+            Some(_) if first.size() > WIDE.0 => count.min(efforts(first.size(), first.bin).1),
+            Some(_) => count,
             None => count,
         };
         let sampled: Vec<Vec<WarpedScene<'_>>> = self.scenes.iter().map(|scene| self.sampled(scene, most)).collect();
