@@ -143,9 +143,7 @@ impl Training {
         let mut trainer = Trainer::new(network, &task.train.objective(), task.seed)?;
         trainer.check_device(&task.train.objective(), task.train.pairs.batch, task.train.pairs.patch_px)?;
         if let Subject::Lens(lens) = subject {
-            let (light, drawn) = (SpectralDensity::new(&task.sensor()?), (&textures, task.seed));
-            let vergences = vergences(&task, subject);
-            bending::settle(&mut task.pictures, lens, drawn, (&subject.frame()?, &light), &vergences)?;
+            task.pictures.diffraction = bending::settled(&task, lens, &textures, task.network_depths_mm())?;
         }
         let parts = Parts::new(&task, subject, textures, None)?;
         let state = State::default();
@@ -474,14 +472,6 @@ impl Clock {
     }
 }
 
-/// Distances of a training's pictures, as vergences.
-fn vergences(task: &Task, subject: &Subject) -> Vec<f64> {
-    match task.network_depths_mm() {
-        [] => vec![subject.vergence()],
-        depths => depths.iter().map(|d| 1.0 / d).collect(),
-    }
-}
-
 /// What a checkpoint says beside the network: where it stands, and what it belongs to.
 fn facts(state: &State, bound: &Bound) -> BTreeMap<String, String> {
     let mut facts = state.facts();
@@ -512,7 +502,10 @@ impl Parts {
             let error = Error::bad("", "train.pairs.region_px", found, format!("at most {largest}"));
             return Err(task.in_its_words(error));
         }
-        let vergences = vergences(task, subject);
+        let vergences = match task.network_depths_mm() {
+            [] => vec![subject.vergence()],
+            depths => depths.iter().map(|d| 1.0 / d).collect(),
+        };
         let settings = PairSettings {
             seed: task.seed,
             region_px: train.pairs.region_px,

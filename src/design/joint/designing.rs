@@ -33,7 +33,6 @@ use isoplanat_imaging::frame::Frame;
 use isoplanat_imaging::guide;
 use isoplanat_imaging::render::frame_of;
 use isoplanat_imaging::sensor::Sensor;
-use isoplanat_imaging::sensor::spectrum::SpectralDensity;
 use isoplanat_network::{Compute, Reconstructor};
 use isoplanat_optics::lens::{Field, Lens, prescription};
 use isoplanat_optics::optimize::search::{Plan, Progress, search};
@@ -260,7 +259,11 @@ impl Designing {
         folder: &Path,
         held: File,
     ) -> Result<Self> {
-        Self::begun(task, prepared, network, textures, folder, |_, fill| fill(folder).map(|()| held))
+        Self::begun(task, prepared, network, textures, folder, |task, fill| {
+            // What it was asked may have been settled since the folder was made.
+            atomic::write_bytes(&folder.join(MARKER), task.to_toml()?.as_bytes())?;
+            fill(folder).map(|()| held)
+        })
     }
 
     /// A design in a folder that `make` puts what is told it into.
@@ -278,11 +281,8 @@ impl Designing {
         let sensor = task.sensor()?;
         let scenery =
             Scenery { textures: &textures, sensor: &sensor, frame: frame_of(&problem.lens)?, seed: task.seed };
-        let settings = JointSettings::of(&task)?;
-        let own = [problem.lens.object_vergence];
-        let vergences = if settings.vergences.is_empty() { &own[..] } else { &settings.vergences };
-        let (light, drawn) = (SpectralDensity::new(&sensor), (&textures, task.seed));
-        bending::settle(&mut task.pictures, &problem.lens, drawn, (&scenery.frame, &light), vergences)?;
+        let depths_mm = &task.pictures.depths_mm;
+        task.pictures.diffraction = bending::settled(&task, &problem.lens, &textures, depths_mm)?;
         let stage = Stage::new(&scenery, &problem, network, JointSettings::of(&task)?)?;
         let fill = |inside: &Path| {
             prescription::save(&prepared.start, &inside.join(START))?;
